@@ -1,0 +1,64 @@
+# Two commands do everything: `make demo` and `make test`. Packages come from requirements.lock.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+
+.PHONY: demo test lint check-types contracts pytest bench schemas lock llvm clean
+
+demo: $(VENV)/installed llvm
+	$(BIN)/finray demo
+
+test: $(VENV)/installed-dev llvm lint check-types contracts pytest
+
+lint: $(VENV)/installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+check-types: $(VENV)/installed-dev
+	$(BIN)/mypy
+
+contracts: $(VENV)/installed-dev
+	$(BIN)/lint-imports
+
+pytest: $(VENV)/installed-dev
+	$(BIN)/pytest
+
+bench: $(VENV)/installed-dev llvm
+	$(BIN)/python benchmarks/coverage_of_intervals.py --paints 100 --seed 20261121 --out bench-out/coverage.json
+	$(BIN)/pytest benchmarks --benchmark-columns=median,iqr,rounds
+
+# JSON Schema files of all records; tests fail when they drift from the models.
+schemas: $(VENV)/installed-dev
+	$(BIN)/python -m data_schemas.json_schemas
+
+# Renew the pinned versions from what is installed now.
+lock: $(VENV)/installed-dev
+	$(BIN)/pip freeze --exclude-editable --exclude pip > requirements.lock
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "finray needs Python 3.11 or newer; this is $$($(PYTHON) --version). Give another one: make PYTHON=python3.12 ..."; exit 1; }
+	$(PYTHON) -m venv $(VENV) || \
+	  { echo "cannot make a virtual environment; on Debian and Ubuntu: apt-get install python3-venv"; exit 1; }
+
+$(VENV)/installed: $(VENV)/bin/python pyproject.toml requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable .
+	@touch $@
+
+$(VENV)/installed-dev: $(VENV)/bin/python pyproject.toml requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable '.[dev]'
+	@touch $@ $(VENV)/installed
+
+# The renderer compiles its kernels with LLVM 17 or newer (15 and 16 crash). One Debian package brings it.
+llvm:
+	@if ldconfig -p 2>/dev/null | grep -qE 'libLLVM(-|\.so\.)(1[7-9]|[2-9][0-9])'; then exit 0; fi; \
+	 echo "installing libllvm19, the compiler library of the renderer"; \
+	 if [ "$$(id -u)" = 0 ]; then as=""; elif [ -t 0 ]; then as="sudo"; else as="sudo -n"; fi; \
+	 if $$as apt-get update -qq && $$as apt-get install -y -qq --no-install-recommends libllvm19; then exit 0; fi; \
+	 echo; \
+	 echo "libllvm19 could not be installed. finray still runs, with the slower scalar renderer and simpler emitters."; \
+	 echo "For the full renderer ask your administrator for:  apt-get install libllvm19"; \
+	 echo
+
+clean:
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache bench-out

@@ -1,0 +1,1 @@
+"""The ground: records that pass between stages, their units, storage and errors."""

@@ -1,0 +1,137 @@
+"""Capture plans, what a capture session stores, and tactile captures."""
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from data_schemas.arrays import ArraySpec, check_dimensions
+from data_schemas.curves import SpectralCurve
+from data_schemas.model import Model, Record
+from data_schemas.rig import RigFile
+from data_schemas.units import AngleDeg, DurationS, ExposureS, Fraction, LengthMm, PositionMm, SignalDn
+
+LightState = Literal["off", "lamp", "laser", "room"]
+Target = Literal["white", "sample", "sample beside ColorChecker"]
+FrameType = Literal["dark", "white", "reflectance", "fluorescence", "laser white", "room light"]
+Encoding = Literal["linear", "unknown"]
+PixelLayout = Literal["RGB", "Bayer RGGB"]
+Bytes8 = NDArray[np.uint8]
+
+
+class RegionOfInterest(Model):
+    """Rectangle of the painted (and white) area in pixels of the raw frame."""
+
+    row_px: Annotated[int, Field(ge=0)]
+    column_px: Annotated[int, Field(ge=0)]
+    height_px: Annotated[int, Field(ge=0)]
+    width_px: Annotated[int, Field(ge=0)]
+
+
+class PaintPlan(Record):
+    """Plan of a paint session (TOML): which paint, where it lies in the frame, how to expose."""
+
+    kind: Literal["paint"] = "paint"
+    paint_name: str
+    filters: tuple[str, ...] | None = Field(
+        default=None, description="names in capture order; all of the rig if left out"
+    )
+    excitation_filter: str = Field(default="450", description="the filter that passes the laser line")
+    region: RegionOfInterest
+    target_fraction: Annotated[float, Field(gt=0.1, lt=0.95)] = Field(
+        default=0.7, description="brightest pixel of the region as a fraction of full scale"
+    )
+    bracket: tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...] = Field(
+        default=(1.0, 0.25), description="exposures of each step relative to the metered one"
+    )
+    darks_per_exposure: Annotated[int, Field(ge=1, le=50)] = 2
+
+    @model_validator(mode="after")
+    def _filters_once(self) -> "PaintPlan":
+        names = self.filters or ()
+        twice = sorted({n for n in names if names.count(n) > 1})
+        if twice:
+            raise ValueError(f"filters: {twice[0]!r} is named twice; name each filter once")
+        return self
+
+
+class Frame(Model):
+    """One stored raw frame: what was asked, what the devices read back, and the file's checksum."""
+
+    sequence: Annotated[int, Field(ge=0)]
+    file: str = Field(pattern=r"^frames/[A-Za-z0-9_.-]+\.tiff$")
+    frame_type: FrameType
+    target: Target
+    light: LightState
+    filter_name: str | None
+    slot_before: int | None
+    slot_after: int | None
+    exposure_requested_s: ExposureS
+    exposure_s: ExposureS
+    captured_utc: str
+    saturated_fraction: Fraction = Field(description="pixels of the region at full scale")
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+
+class CaptureSession(Record):
+    """A finished paint session: plan, rig, response curves and the list of frames (a folder on disk)."""
+
+    plan: PaintPlan
+    rig: RigFile
+    camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
+    lamp: SpectralCurve
+    frames: tuple[Frame, ...]
+    notes: tuple[str, ...] = ()
+
+
+class IndenterPose(Model):
+    """What was pressed, where and how deep; the circle or strip it touches."""
+
+    shape: Literal["cylinder", "ball"]
+    radius_mm: LengthMm
+    depth_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})] | None
+    position_mm: PositionMm | None = Field(description="along the pad, from the base")
+
+
+class ContactCircle(Model):
+    """Contact region of a ball in pixels of the image."""
+
+    row_px: float
+    column_px: float
+    radius_px: Annotated[float, Field(gt=0.0)]
+
+
+class TactileCapture(Record):
+    """Images of one press: contact, no contact and a repeat of no contact, with everything needed to compare.
+
+    Images are raw counts (DN). Layout "Bayer RGGB" has shape (H, W, 1); "RGB" has (H, W, 3). With encoding
+    "unknown" the values went through an unknown camera curve and are not proportional to light.
+    """
+
+    name: str
+    contact: Annotated[NDArray[np.uint16], ArraySpec("<u2", ("row", "column", "sample"), "DN")]
+    no_contact: Annotated[NDArray[np.uint16], ArraySpec("<u2", ("row", "column", "sample"), "DN")]
+    repeat_no_contact: Annotated[NDArray[np.uint16], ArraySpec("<u2", ("row", "column", "sample"), "DN")] | None
+    layout: PixelLayout
+    encoding: Encoding
+    bit_depth: Literal[8, 10, 12, 14, 16]
+    black_level_dn: SignalDn
+    exposure_s: ExposureS | None
+    light_angle_deg: AngleDeg | None
+    indenter: IndenterPose
+    contact_circle: ContactCircle | None
+    mm_per_px: LengthMm | None
+    source: str
+    warm_up_s: DurationS | None = None
+
+    @model_validator(mode="after")
+    def _images_agree(self) -> "TactileCapture":
+        fields: Any = type(self).model_fields
+        names = ("contact", "no_contact")
+        spec = next(m for m in fields["contact"].metadata if isinstance(m, ArraySpec))
+        check_dimensions({n: (getattr(self, n), spec) for n in (*names, "repeat_no_contact")})
+        samples = {"RGB": 3, "Bayer RGGB": 1}[self.layout]
+        if self.contact.shape[2] != samples:
+            raise ValueError(f"layout {self.layout} needs {samples} sample(s) per pixel, got {self.contact.shape[2]}")
+        return self

@@ -1,0 +1,128 @@
+"""CSV files of spectral curves and re-radiation matrices (comment lines start with #, one header row).
+
+* camera response: ``wavelength_nm,red_percent,green_percent,blue_percent``
+* re-radiation matrix: first column ``emission_nm``, then one column per excitation wavelength in nm (header
+  numbers); entries are the bispectral radiance factor per emission band, the diagonal is reflectance.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from data_schemas.curves import DonaldsonMatrix, SpectralCurve
+from data_schemas.errors import CurveError
+
+Floats = NDArray[np.float64]
+CAMERA_COLUMNS = ["wavelength_nm", "red_percent", "green_percent", "blue_percent"]
+CHANNELS = ("red", "green", "blue")
+FIRST_STOKES_NM = 15.0
+
+
+def read_table(path: Path) -> tuple[list[str], Floats]:
+    """Read a CSV file: header names and an array of numbers (rows, columns).
+
+    Raises
+    ------
+    CurveError
+        The file is missing, has no rows, a row of another length, or something that is not a finite number.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise CurveError(f"{path}: no such file; give the path of a CSV file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise CurveError(f"{path}: cannot be read as UTF-8 text ({error})") from None
+    lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
+    if len(lines) < 3:
+        raise CurveError(f"{path}: needs a header row and at least two rows of numbers")
+    header = [name.strip() for name in lines[0][1].split(",")]
+    return header, np.array([_row(path, n, line, len(header)) for n, line in lines[1:]])
+
+
+def _row(path: Path, number: int, line: str, columns: int) -> list[float]:
+    """Parse one row of finite numbers."""
+    cells = line.split(",")
+    if len(cells) != columns:
+        raise CurveError(f"{path}, line {number}: has {len(cells)} columns, the header has {columns}")
+    try:
+        values = [float(cell) for cell in cells]
+    except ValueError:
+        raise CurveError(f"{path}, line {number}: '{line.strip()[:60]}' holds something that is not a number") from None
+    if not np.isfinite(values).all():
+        raise CurveError(f"{path}, line {number}: NaN or infinite value; remove or measure the row again")
+    return values
+
+
+def read_camera_response(path: Path) -> tuple[SpectralCurve, SpectralCurve, SpectralCurve]:
+    """Read the red, green and blue response of a camera (sensor and Bayer filter together), 0..1."""
+    header, table = read_table(path)
+    if header != CAMERA_COLUMNS:
+        raise CurveError(
+            f"{path}: header is {','.join(header)[:80]}; a camera response needs {','.join(CAMERA_COLUMNS)}"
+        )
+    if (table[:, 1:] < 0).any():
+        raise CurveError(f"{path}: a camera response must not be negative (percent of full scale, 0 or more)")
+    if not (table[:, 1:] > 0).any(axis=0).all():
+        raise CurveError(f"{path}: a channel of the camera response is zero everywhere")
+    red, green, blue = (_curve(path, name, table[:, 0], table[:, i + 1] / 100) for i, name in enumerate(CHANNELS))
+    return red, green, blue
+
+
+def _curve(path: Path, name: str, wavelength_nm: Floats, values: Floats) -> SpectralCurve:
+    """Build a curve and report its faults with the name of the file."""
+    try:
+        return SpectralCurve(name=name, wavelength_nm=wavelength_nm, values=values, source=path.name)
+    except ValidationError as error:
+        raise CurveError(f"{path}: {_first_message(error)}") from None
+
+
+def read_donaldson_matrix(path: Path) -> DonaldsonMatrix:
+    """Read a measured re-radiation matrix and separate its diagonal (reflectance) from its fluorescence.
+
+    Emission is kept only where it is at least 15 nm above the excitation (Stokes side): nearer to the
+    diagonal the measured bands overlap, and below it the entries are noise. Negative noise is kept.
+    """
+    header, table = read_table(path)
+    if header[0] != "emission_nm":
+        raise CurveError(f"{path}: the first column is '{header[0]}'; a re-radiation matrix needs 'emission_nm'")
+    try:
+        excitation = np.array([float(name) for name in header[1:]])
+    except ValueError:
+        raise CurveError(f"{path}: the header must hold excitation wavelengths in nm after 'emission_nm'") from None
+    emission, values = table[:, 0], table[:, 1:]
+    try:
+        for axis, name in ((emission, "emission"), (excitation, "excitation")):
+            SpectralCurve(name=name, wavelength_nm=axis, values=axis, source=path.name)
+        band_nm = float(np.median(np.diff(emission)))
+        stokes_nm = emission[:, None] - excitation[None, :]
+        diagonal = np.array([_diagonal(emission, excitation, values, e) for e in emission])
+        known = np.isfinite(diagonal)
+        return DonaldsonMatrix(
+            name=path.stem,
+            emission_nm=emission,
+            excitation_nm=excitation,
+            radiance_factor_per_nm=np.where(stokes_nm >= FIRST_STOKES_NM, values, 0.0) / band_nm,
+            reflectance=SpectralCurve(
+                name=f"{path.stem}, reflectance",
+                wavelength_nm=emission[known],
+                values=np.clip(diagonal[known], 0.0, None),
+                source=path.name,
+            ),
+            source=path.name,
+        )
+    except ValidationError as error:
+        raise CurveError(f"{path}: {_first_message(error)}") from None
+
+
+def _diagonal(emission: Floats, excitation: Floats, values: Floats, wavelength_nm: float) -> float:
+    """Return the entry with equal emission and excitation wavelength, or NaN where there is none."""
+    column = np.flatnonzero(excitation == wavelength_nm)
+    row = np.flatnonzero(emission == wavelength_nm)
+    return float(values[row[0], column[0]]) if len(column) else float("nan")
+
+
+def _first_message(error: ValidationError) -> str:
+    """Return the text of the first fault that pydantic found."""
+    return error.errors()[0]["msg"].removeprefix("Value error, ")

@@ -1,0 +1,78 @@
+"""Every error that finray raises for a user.
+
+The tree (the command line prints the message and ends with status 2; no traceback)::
+
+    FinrayError
+    ├── RecordError            a stored record, plan, rig or design file is not what it must be
+    │   ├── NewerSchemaError   written by a newer finray
+    │   └── ChecksumError      a stored file was changed or is missing
+    ├── ImportFormatError      a foreign file or folder is not in the format it claims
+    ├── CurveError             a spectral curve or re-radiation matrix is unusable or out of range
+    ├── CaptureError           a capture could not be done as planned
+    │   └── SaturatedError     no allowed exposure avoids saturation
+    ├── RadiometryError        frames cannot be turned into band signals
+    ├── FitError               band signals cannot be fitted
+    ├── SimulateError          a scene cannot be built or rendered
+    ├── CompareError           a render and a capture cannot be compared
+    ├── DecideError            a sweep does not allow a decision
+    └── MissingExtraError      an optional package or system library is needed
+
+Messages name the thing (file and field, or device), what was asked, what is allowed with units, and what
+to do next.
+"""
+
+
+class FinrayError(Exception):
+    """Base of all errors that a user can act on."""
+
+
+class RecordError(FinrayError):
+    """A stored record, plan, rig or design file is not what it must be."""
+
+
+class NewerSchemaError(RecordError):
+    """A record was written by a newer version of finray."""
+
+
+class ChecksumError(RecordError):
+    """A stored file is missing or differs from its recorded checksum."""
+
+
+class ImportFormatError(FinrayError):
+    """A foreign file or folder is not in the format it claims."""
+
+
+class CurveError(FinrayError):
+    """A spectral curve or re-radiation matrix is unusable or does not cover what is asked."""
+
+
+class CaptureError(FinrayError):
+    """A capture could not be done as planned."""
+
+
+class SaturatedError(CaptureError):
+    """No allowed exposure avoids saturation."""
+
+
+class RadiometryError(FinrayError):
+    """Frames cannot be turned into band signals."""
+
+
+class FitError(FinrayError):
+    """Band signals cannot be fitted."""
+
+
+class SimulateError(FinrayError):
+    """A scene cannot be built or rendered."""
+
+
+class CompareError(FinrayError):
+    """A render and a capture cannot be compared."""
+
+
+class DecideError(FinrayError):
+    """A sweep does not allow a decision."""
+
+
+class MissingExtraError(FinrayError):
+    """An optional package or system library is needed for what was asked."""

@@ -1,0 +1,78 @@
+"""Plain-language explanations of what is wrong with a record, from pydantic's error list."""
+
+import difflib
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+LARGEST_NUMBER_OF_FAULTS = 5
+
+
+def explain(error: ValidationError, model: type[BaseModel]) -> str:
+    """Return one line per fault: the field, what is wrong, what is allowed (with its unit).
+
+    Parameters
+    ----------
+    error
+        What pydantic raised when it validated `model`.
+    model
+        The model that was validated.
+    """
+    faults = error.errors()
+    lines = [_fault(fault, model) for fault in faults[:LARGEST_NUMBER_OF_FAULTS]]
+    if len(faults) > LARGEST_NUMBER_OF_FAULTS:
+        lines.append(f"and {len(faults) - LARGEST_NUMBER_OF_FAULTS} more faults")
+    return "; ".join(lines)
+
+
+def _fault(fault: Any, model: type[BaseModel]) -> str:
+    """Explain one fault."""
+    location = [str(part) for part in fault["loc"]]
+    field = ".".join(location)
+    message = str(fault["msg"]).removeprefix("Value error, ").removeprefix("Assertion failed, ")
+    if fault["type"] == "extra_forbidden":
+        known = sorted(_fields_at(model, location[:-1]) - {"provenance"})
+        near = difflib.get_close_matches(location[-1], known, 1, cutoff=0.5)
+        hint = f"did you mean '{near[0]}'? " if near else ""
+        return f"'{field}': unknown key; {hint}known keys are {', '.join(known)}"
+    if fault["type"] == "missing":
+        return f"'{field}': is missing and must be given"
+    unit = _unit_at(model, location)
+    given = fault.get("input")
+    shown = (
+        f", got {given!r}" if isinstance(given, str | int | float | bool) and not message.endswith(repr(given)) else ""
+    )
+    place = f"'{field}'{f' (in {unit})' if unit else ''}: " if field else ""
+    return f"{place}{message[:1].lower()}{message[1:]}{shown}"
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    """Return the pydantic models inside an annotation (unions, tuples, dicts)."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [m for inner in get_args(annotation) for m in _models_in(inner)]
+
+
+def _fields_at(model: type[BaseModel], location: list[str]) -> set[str]:
+    """Return the field names allowed at a location inside a model."""
+    models = [model]
+    for part in location:
+        fields = [m.model_fields[part].annotation for m in models if part in m.model_fields]
+        inner = [n for annotation in fields for n in _models_in(annotation)]
+        models = inner or models
+    return {name for m in models for name in m.model_fields}
+
+
+def _unit_at(model: type[BaseModel], location: list[str]) -> str | None:
+    """Return the unit of the field at a location, or None."""
+    models = [model]
+    unit = None
+    for part in location:
+        for m in models:
+            if part in m.model_fields:
+                extra = m.model_fields[part].json_schema_extra
+                unit = str(extra["unit"]) if isinstance(extra, dict) and "unit" in extra else None
+        models = [
+            n for m in models if part in m.model_fields for n in _models_in(m.model_fields[part].annotation)
+        ] or models
+    return unit

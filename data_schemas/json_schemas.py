@@ -1,0 +1,72 @@
+"""JSON Schema of every stored record (generated; ``make schemas`` writes ``data_schemas/json_schema/``)."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from data_schemas.capture import CaptureSession, PaintPlan, TactileCapture
+from data_schemas.compare import PhotometricErrorReport
+from data_schemas.decide import LightAngleDecision
+from data_schemas.design import FingerDesign
+from data_schemas.fit import PaintCalibration
+from data_schemas.model import Record
+from data_schemas.radiometry import BandSignals
+from data_schemas.rig import RigFile
+from data_schemas.simulate import LightAngleSweep, SimulatedPress
+
+FOLDER = Path(__file__).resolve().parent / "json_schema"
+WRITTEN_BY_PEOPLE: tuple[type[Record], ...] = (RigFile, PaintPlan, FingerDesign)
+STORED: tuple[type[Record], ...] = (
+    CaptureSession,
+    TactileCapture,
+    BandSignals,
+    PaintCalibration,
+    SimulatedPress,
+    LightAngleSweep,
+    PhotometricErrorReport,
+    LightAngleDecision,
+)
+
+
+def json_schema(record_type: type[Record]) -> dict[str, Any]:
+    """Return the JSON Schema of a stored record (with its envelope) or of a file a person writes."""
+    schema = record_type.model_json_schema(mode="validation")
+    if record_type in WRITTEN_BY_PEOPLE:
+        return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+    definitions = schema.pop("$defs", {})
+    array_file = {
+        "type": "object",
+        "properties": {"file": {"type": "string"}, "sha256": {"type": "string", "pattern": "^[0-9a-f]{64}$"}},
+        "required": ["file", "sha256"],
+        "additionalProperties": False,
+    }
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": f"{record_type.__name__} (stored record)",
+        "type": "object",
+        "properties": {
+            "kind": {"const": record_type.__name__},
+            "schema_version": {"const": record_type.schema_version},
+            "array_file": {"anyOf": [array_file, {"type": "null"}]},
+            "record": schema,
+        },
+        "required": ["kind", "schema_version", "array_file", "record"],
+        "additionalProperties": False,
+        "$defs": definitions,
+    }
+
+
+def schema_text(record_type: type[Record]) -> str:
+    """Return the text of the schema file of a record."""
+    return json.dumps(json_schema(record_type), indent=1, ensure_ascii=False) + "\n"
+
+
+def main() -> None:
+    """Write all schema files."""
+    FOLDER.mkdir(exist_ok=True)
+    for record_type in (*WRITTEN_BY_PEOPLE, *STORED):
+        (FOLDER / f"{record_type.__name__}.schema.json").write_text(schema_text(record_type), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,26 @@
+"""The base of every model that crosses a file or the command line: frozen, and unknown keys are errors."""
+
+from typing import ClassVar
+
+from pydantic import BaseModel, ConfigDict
+
+from data_schemas.provenance import Provenance
+
+
+class Model(BaseModel):
+    """Frozen pydantic model; an unknown or misspelt key is an error, never a silent default."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=False, validate_default=True)
+
+
+class Record(Model):
+    """A product of a stage: stored by :mod:`data_schemas.storage` with its kind, version and provenance.
+
+    Attributes
+    ----------
+    provenance
+        Who, when, with what and from which inputs; filled by the storage when the record is written.
+    """
+
+    schema_version: ClassVar[int] = 1
+    provenance: Provenance | None = None

@@ -1,0 +1,153 @@
+"""The calibration rig as its owner describes it (TOML): camera, filter wheel, lights, white reference.
+
+``driver = "simulated"`` opens the simulated bench; the ``[simulated]`` table then says what is painted on it.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from data_schemas.model import Model, Record
+from data_schemas.units import (
+    ChargeE,
+    ExposureS,
+    Fraction,
+    OpticalDensity,
+    PowerMw,
+    RelativeUncertainty,
+    Seed,
+    SignalDn,
+    WavelengthNm,
+    WidthNm,
+)
+
+Driver = Literal["simulated"]
+BayerPattern = Literal["RGGB"]
+
+
+class CameraSettings(Model):
+    """Bayer camera of the rig."""
+
+    driver: Driver = "simulated"
+    model: str = "CM3-U3-13Y3C-CS"
+    width_px: Annotated[int, Field(ge=64, le=8192, multiple_of=2)] = 1280
+    height_px: Annotated[int, Field(ge=64, le=8192, multiple_of=2)] = 1024
+    bit_depth: Literal[8, 10, 12, 14, 16] = 10
+    bayer_pattern: BayerPattern = "RGGB"
+    black_level_dn: SignalDn = 16.0
+    gain_e_per_dn: Annotated[float, Field(gt=0.0, le=1e4, json_schema_extra={"unit": "e/DN"})] = 6.5
+    read_noise_e: ChargeE = 9.0
+    shortest_exposure_s: ExposureS = 1e-4
+    longest_exposure_s: ExposureS = 30.0
+    response: str = Field(
+        default="assumed",
+        description="'assumed' (smooth stand-in curves) or a CSV file with the header "
+        "wavelength_nm,red_percent,green_percent,blue_percent",
+    )
+
+
+class BandPassFilter(Model):
+    """One filter of the wheel; slots count from 1."""
+
+    slot: Annotated[int, Field(ge=1, le=64)]
+    name: str
+    center_nm: WavelengthNm
+    fwhm_nm: WidthNm = 10.0
+    peak_transmission: Annotated[float, Field(gt=0.0, le=1.0)] = 0.6
+    blocking_od: OpticalDensity = 5.0
+
+
+class FilterWheelSettings(Model):
+    """Filter wheel and what is in its slots."""
+
+    driver: Driver = "simulated"
+    model: str = "8-position wheel"
+    filters: tuple[BandPassFilter, ...]
+
+    @model_validator(mode="after")
+    def _no_duplicates(self) -> "FilterWheelSettings":
+        columns: dict[str, list[str]] = {
+            "name": [f.name for f in self.filters],
+            "slot": [str(f.slot) for f in self.filters],
+            "center_nm": [f"{f.center_nm:g}" for f in self.filters],
+        }
+        for what, values in columns.items():
+            twice = sorted({v for v in values if values.count(v) > 1})
+            if twice:
+                raise ValueError(f"{what} {twice[0]} stands in two filters; list each filter once, with its own {what}")
+        if not self.filters:
+            raise ValueError("lists no filter; give at least one [[filter_wheel.filters]] table")
+        return self
+
+
+class LaserSettings(Model):
+    """Excitation laser. The class and power are named so that nobody switches it on unknowingly."""
+
+    driver: Driver = "simulated"
+    wavelength_nm: WavelengthNm = 450.0
+    fwhm_nm: WidthNm = 2.0
+    power_mw: PowerMw = 4.5
+    laser_class: Literal["1", "1M", "2", "2M", "3R", "3B", "4"] = "3R"
+
+
+class LampSettings(Model):
+    """White lamp of known relative spectrum."""
+
+    driver: Driver = "simulated"
+    spectrum: Literal["planck-2856K"] = Field(
+        default="planck-2856K",
+        description="relative spectral irradiance on the sample (tungsten halogen lamp)",
+    )
+
+
+class WhiteReference(Model):
+    """Diffuse white tile with its reflectance (spectrally flat) and standard uncertainty."""
+
+    reflectance: Fraction = 0.98
+    uncertainty_rel: RelativeUncertainty = 0.005
+
+
+class HiddenPaint(Model):
+    """A paper-family paint on the simulated bench; its numbers are the truth the fitter does not see."""
+
+    name: str
+    mode_nm: WavelengthNm
+    fwhm_nm: WidthNm
+    asinh_skewness: Annotated[float, Field(ge=-6.0, le=6.0)]
+    energy_yield: Fraction = Field(description="emitted over incident energy at the laser line")
+    absorption_peak_nm: WavelengthNm
+    reflectance_at_laser: Fraction = 0.05
+    reflectance_long_wavelength: Fraction = 0.75
+
+
+class SimulatedBench(Model):
+    """What the simulated bench holds; ignored by real drivers."""
+
+    seed: Seed = 1
+    paint: HiddenPaint | None = None
+    material: str | None = Field(default=None, description="CSV file of a measured re-radiation matrix")
+
+    @model_validator(mode="after")
+    def _one_sample(self) -> "SimulatedBench":
+        if (self.paint is None) == (self.material is None):
+            raise ValueError("needs exactly one of 'paint' (hidden parameters) and 'material' (a CSV file)")
+        return self
+
+
+class RigFile(Record):
+    """A whole rig."""
+
+    name: str
+    camera: CameraSettings = CameraSettings()
+    filter_wheel: FilterWheelSettings
+    laser: LaserSettings = LaserSettings()
+    lamp: LampSettings = LampSettings()
+    white_reference: WhiteReference = WhiteReference()
+    simulated: SimulatedBench | None = None
+
+    @model_validator(mode="after")
+    def _simulated_needs_a_bench(self) -> "RigFile":
+        drivers = {self.camera.driver, self.filter_wheel.driver, self.laser.driver, self.lamp.driver}
+        if "simulated" in drivers and self.simulated is None:
+            raise ValueError("a simulated device needs a [simulated] table that names a paint or a material")
+        return self

@@ -1,0 +1,76 @@
+"""What the simulation writes: a rendered press, or a sweep of the light angle."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from data_schemas.arrays import ArraySpec
+from data_schemas.design import FingerDesign
+from data_schemas.model import Record
+from data_schemas.units import AngleDeg
+
+Image = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "3"))]
+Distance = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column"), "contact half-width", allow_nan=True)]
+Bands = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "band"), "W/m2/sr, relative")]
+Floats = NDArray[np.float64]
+
+
+class SimulatedPress(Record):
+    """Contact and no-contact images in the camera's linear RGB, or a simple prediction in encoded values.
+
+    distance is the distance from the contact's centre in units of its half-width (radius), NaN off the pad:
+    the contact patch is distance <= 1. Band images and the camera matrix are stored with a render, so that a
+    new yield, white balance or camera needs no new render: RGB = camera_matrix @ bands.
+    """
+
+    name: str
+    label: str = Field(description="how the images came about, for example 'rendered, level b, llvm_ad_rgb'")
+    method: Literal["rendered", "table"]
+    encoding: Literal["linear", "unknown"]
+    no_contact: Image
+    contact: Image
+    distance: Distance
+    variance: Image | None = Field(description="variance of the contact image from render noise")
+    no_contact_bands: Bands | None = None
+    contact_bands: Bands | None = None
+    bands: tuple[str, ...] = ()
+    camera_matrix: Annotated[Floats, ArraySpec("<f8", ("channel", "band"))] | None = None
+    light_angle_deg: AngleDeg | None
+    design: FingerDesign | None
+    paints: dict[str, str] = Field(default={}, description="colour -> SHA-256 of the paint calibration")
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _images_agree(self) -> "SimulatedPress":
+        shapes = {name: getattr(self, name).shape[:2] for name in ("no_contact", "contact", "distance")}
+        if len(set(shapes.values())) != 1:
+            raise ValueError(f"images differ in size: {shapes}")
+        return self
+
+
+class LightAngleSweep(Record):
+    """A named objective at probe points beside the indenter, over the angle of the blue panel.
+
+    ``values[:, r]`` shares every random draw (paint, noise seed) across angles, so that a common scale cannot
+    change the ranking of angles.
+    """
+
+    name: str
+    objective: str = Field(description="name and meaning of the objective")
+    label: str
+    angles_deg: Annotated[Floats, ArraySpec("<f8", ("angle",), "deg")]
+    values: Annotated[Floats, ArraySpec("<f8", ("angle", "repeat"))]
+    basis: Annotated[Floats, ArraySpec("<f8", ("angle", "repeat", "probe", "band"))]
+    bands: tuple[str, ...]
+    probe_points_mm: Annotated[Floats, ArraySpec("<f8", ("probe", "3"), "mm")]
+    design: FingerDesign
+    paints: dict[str, str]
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "LightAngleSweep":
+        if self.values.shape[0] != len(self.angles_deg):
+            raise ValueError(f"values has {self.values.shape[0]} rows for {len(self.angles_deg)} angles")
+        return self

@@ -1,0 +1,240 @@
+"""The only reader and writer of stored records: JSON plus arrays, atomic, hashed, versioned.
+
+A record is one JSON file (an envelope with kind, schema version and the record); arrays of more than
+:data:`INLINE_VALUES` values stand in one ``.npz`` file beside it, whose name carries its SHA-256. The array
+file is written first and the JSON is renamed into place last, so a record is either whole or absent.
+"""
+
+import hashlib
+import io
+import json
+import os
+import tempfile
+import tomllib
+import zipfile
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from data_schemas.errors import ChecksumError, NewerSchemaError, RecordError
+from data_schemas.faults import explain
+from data_schemas.model import Record
+from data_schemas.provenance import Provenance
+
+INLINE_VALUES = 512
+R = TypeVar("R", bound=Record)
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes as 64 hex digits."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file so that it is either whole or absent: part file, fsync, rename, fsync of the folder."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, part = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(part).chmod(0o644)
+        Path(part).replace(path)
+    except BaseException:
+        Path(part).unlink(missing_ok=True)
+        raise
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def write_record(record: Record, path: Path, provenance: Provenance) -> Path:
+    """Store a record at `path` (a new ``.json`` file) and return the path.
+
+    Raises
+    ------
+    RecordError
+        The file exists already: a stored record is never overwritten.
+    """
+    if path.exists():
+        raise RecordError(f"{path}: exists already and is not overwritten; choose another --out or move it away")
+    content = record.model_copy(update={"provenance": provenance}).model_dump(mode="python")
+    arrays: dict[str, NDArray[Any]] = {}
+    body = _to_json(content, "", arrays)
+    array_file = None
+    if arrays:
+        buffer = io.BytesIO()
+        np.savez(buffer, allow_pickle=False, **arrays)
+        digest = hashlib.sha256(buffer.getvalue()).hexdigest()
+        array_file = {"file": f"{path.stem}.{digest[:12]}.npz", "sha256": digest}
+        write_bytes(path.with_name(array_file["file"]), buffer.getvalue())
+    envelope = {
+        "kind": type(record).__name__,
+        "schema_version": record.schema_version,
+        "array_file": array_file,
+        "record": body,
+    }
+    write_bytes(path, (json.dumps(envelope, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode())
+    return path
+
+
+def _to_json(value: Any, name: str, arrays: dict[str, NDArray[Any]]) -> Any:
+    """Return `value` ready for JSON; large arrays go to `arrays` and leave a reference."""
+    if isinstance(value, np.ndarray):
+        if value.size > INLINE_VALUES:
+            arrays[name] = value
+            return {"array": name, "shape": list(value.shape), "dtype": value.dtype.str}
+        return _nan_to_none(value.tolist())
+    if isinstance(value, dict):
+        return {key: _to_json(v, f"{name}.{key}".lstrip("."), arrays) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_to_json(v, f"{name}.{i}".lstrip("."), arrays) for i, v in enumerate(value)]
+    return value
+
+
+def _nan_to_none(value: Any) -> Any:
+    """Replace NaN in nested lists by None (JSON has no NaN)."""
+    if isinstance(value, list):
+        return [_nan_to_none(v) for v in value]
+    return None if isinstance(value, float) and value != value else value
+
+
+def read_record(path: Path, record_type: type[R]) -> R:
+    """Read a stored record and check its kind, version, checksum and every field.
+
+    Raises
+    ------
+    RecordError
+        The file is missing, not JSON, of another kind, or a field is not what it must be.
+    NewerSchemaError
+        The record was written by a newer version.
+    ChecksumError
+        The array file is missing or was changed.
+    """
+    envelope = _load_json(path)
+    kind = envelope.get("kind")
+    if kind != record_type.__name__:
+        raise RecordError(f"{path}: is a {kind or 'file of unknown kind'}, a {record_type.__name__} is needed here")
+    version = envelope.get("schema_version")
+    if not isinstance(version, int) or version < 1:
+        raise RecordError(f"{path}: schema_version is {version!r}; it must be a whole number from 1")
+    if version > record_type.schema_version:
+        raise NewerSchemaError(
+            f"{path}: schema_version {version} was written by a newer finray; this one reads up to "
+            f"{record_type.schema_version}: update with 'pip install -U finray-calib'"
+        )
+    arrays = _load_arrays(path, envelope.get("array_file"))
+    try:
+        return record_type.model_validate(_from_json(path, envelope.get("record"), arrays))
+    except ValidationError as error:
+        raise RecordError(f"{path}: {explain(error, record_type)}") from None
+
+
+def _load_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object."""
+    if path.is_dir():
+        raise RecordError(f"{path}: is a folder; give the .json file of the record")
+    try:
+        loaded = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise RecordError(f"{path}: no such file; give the path of a stored record (.json)") from None
+    except (OSError, ValueError) as error:
+        raise RecordError(f"{path}: cannot be read as JSON ({error}); was it edited or cut off?") from None
+    if not isinstance(loaded, dict):
+        raise RecordError(f"{path}: is not a stored record (a JSON object with 'kind' and 'record')")
+    return loaded
+
+
+def _load_arrays(path: Path, array_file: Any) -> dict[str, NDArray[Any]]:
+    """Read the array file of a record after checking its name and checksum; pickles are never loaded."""
+    if array_file is None:
+        return {}
+    try:
+        name, digest = str(array_file["file"]), str(array_file["sha256"])
+    except (TypeError, KeyError):
+        raise RecordError(f"{path}: array_file must hold 'file' and 'sha256'") from None
+    if Path(name).name != name:
+        raise RecordError(f"{path}: array_file.file = {name!r} must be a plain file name beside the record")
+    source = path.with_name(name)
+    if not source.is_file():
+        raise ChecksumError(f"{source}: is missing; it holds the arrays of {path.name}: keep the two files together")
+    if sha256_of(source) != digest:
+        raise ChecksumError(f"{source}: its SHA-256 differs from the one in {path.name}; the file was changed")
+    try:
+        with np.load(source, allow_pickle=False) as stored:
+            return {key: stored[key] for key in stored.files}
+    except (ValueError, OSError, zipfile.BadZipFile) as error:
+        raise RecordError(f"{source}: cannot be read as numpy arrays ({error})") from None
+
+
+def _from_json(path: Path, value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
+    """Replace array references by the arrays."""
+    if isinstance(value, dict):
+        if value.keys() == {"array", "shape", "dtype"}:
+            array = arrays.get(value["array"])
+            if array is None or list(array.shape) != value["shape"]:
+                raise RecordError(f"{path}: array '{value['array']}' is missing in its array file or has another shape")
+            return array
+        return {key: _from_json(path, v, arrays) for key, v in value.items()}
+    if isinstance(value, list):
+        return [_from_json(path, v, arrays) for v in value]
+    return value
+
+
+def read_toml(path: Path, record_type: type[R]) -> R:
+    """Read a plan, rig or design file that a person wrote (TOML).
+
+    Raises
+    ------
+    RecordError
+        The file is missing, not TOML, or a field is unknown, missing or out of range.
+    """
+    try:
+        with path.open("rb") as file:
+            loaded = tomllib.load(file)
+    except FileNotFoundError:
+        raise RecordError(f"{path}: no such file; give the path of a TOML file") from None
+    except IsADirectoryError:
+        raise RecordError(f"{path}: is a folder; give the path of a TOML file") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise RecordError(f"{path}: cannot be read as TOML ({error})") from None
+    try:
+        return record_type.model_validate(loaded)
+    except ValidationError as error:
+        raise RecordError(f"{path}: {explain(error, record_type)}") from None
+
+
+def write_frame(path: Path, frame: NDArray[np.uint16], description: str) -> str:
+    """Write a raw frame as uncompressed 16-bit TIFF and return its SHA-256; an existing file is refused."""
+    if path.exists():
+        raise RecordError(f"{path}: exists already; a stored frame is never overwritten")
+    buffer = io.BytesIO()
+    tifffile.imwrite(buffer, frame, photometric="minisblack", description=description, metadata=None)
+    write_bytes(path, buffer.getvalue())
+    return hashlib.sha256(buffer.getvalue()).hexdigest()
+
+
+def read_frame(path: Path, sha256: str) -> NDArray[np.uint16]:
+    """Read a raw frame after checking that it is the one that was captured.
+
+    Raises
+    ------
+    ChecksumError
+        The frame is missing or its bytes differ from the recorded checksum.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise ChecksumError(f"{path}: frame is missing; restore it from a copy or capture the session again") from None
+    if hashlib.sha256(content).hexdigest() != sha256:
+        raise ChecksumError(f"{path}: SHA-256 differs from the session's record; the frame was changed, restore it")
+    frame: NDArray[np.uint16] = tifffile.imread(io.BytesIO(content))
+    return frame

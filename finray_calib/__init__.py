@@ -1,0 +1,1 @@
+"""Calibration arithmetic, reports, foreign formats and the command line."""

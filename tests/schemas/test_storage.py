@@ -1,0 +1,241 @@
+"""Round trips, atomicity and refusals of the record storage."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from data_schemas.capture import IndenterPose, PaintPlan, TactileCapture
+from data_schemas.design import FingerDesign
+from data_schemas.errors import ChecksumError, NewerSchemaError, RecordError
+from data_schemas.provenance import provenance
+from data_schemas.radiometry import BandSignals
+from data_schemas.rig import RigFile
+from data_schemas.storage import (
+    INLINE_VALUES,
+    read_frame,
+    read_record,
+    read_toml,
+    sha256_of,
+    write_frame,
+    write_record,
+)
+
+ORIGIN = provenance("pytest", {"input.csv": "0" * 64}, seed=3)
+
+
+def capture(image: np.ndarray) -> TactileCapture:
+    return TactileCapture(
+        name="press",
+        contact=image,
+        no_contact=image,
+        repeat_no_contact=None,
+        layout="Bayer RGGB",
+        encoding="linear",
+        bit_depth=10,
+        black_level_dn=16.0,
+        exposure_s=0.1,
+        light_angle_deg=30.0,
+        indenter=IndenterPose(shape="cylinder", radius_mm=10.0, depth_mm=1.5, position_mm=35.0),
+        contact_circle=None,
+        mm_per_px=None,
+        source="test",
+    )
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    image=arrays(np.uint16, st.tuples(st.integers(1, 40), st.integers(1, 40), st.just(1))),
+    exposure_s=st.floats(1e-6, 3600.0),
+)
+def test_round_trip_keeps_every_bit(tmp_path_factory, image, exposure_s):
+    folder = tmp_path_factory.mktemp("record")
+    record = capture(image).model_copy(update={"exposure_s": exposure_s})
+    path = write_record(record, folder / "press.json", ORIGIN)
+    back = read_record(path, TactileCapture)
+    np.testing.assert_array_equal(back.contact, image)
+    assert back.exposure_s == exposure_s
+    assert back.provenance == ORIGIN
+    assert not back.contact.flags.writeable
+    assert (len(list(folder.glob("*.npz"))) == 1) == (image.size > INLINE_VALUES)
+
+
+def test_no_part_file_is_left_when_writing_fails(tmp_path, monkeypatch):
+    def full_disk(handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full_disk)
+    with pytest.raises(OSError, match="No space"):
+        write_record(capture(np.zeros((30, 30, 1), np.uint16)), tmp_path / "press.json", ORIGIN)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_existing_record_is_not_overwritten(tmp_path):
+    path = write_record(FingerDesign(), tmp_path / "design.json", ORIGIN)
+    before = path.read_bytes()
+    with pytest.raises(RecordError, match="exists already and is not overwritten"):
+        write_record(FingerDesign(name="other"), path, ORIGIN)
+    assert path.read_bytes() == before
+
+
+def test_newer_version_is_refused_with_what_to_do(tmp_path):
+    path = write_record(FingerDesign(), tmp_path / "design.json", ORIGIN)
+    envelope = json.loads(path.read_text())
+    envelope["schema_version"] = 99
+    path.write_text(json.dumps(envelope))
+    with pytest.raises(NewerSchemaError, match=r"design.json: schema_version 99 .*'pip install -U finray-calib"):
+        read_record(path, FingerDesign)
+
+
+@pytest.mark.parametrize("version", ["one", 0, None, 1.5])
+def test_nonsense_version_is_refused(tmp_path, version):
+    path = write_record(FingerDesign(), tmp_path / "design.json", ORIGIN)
+    envelope = json.loads(path.read_text()) | {"schema_version": version}
+    path.write_text(json.dumps(envelope))
+    with pytest.raises(RecordError, match="whole number from 1"):
+        read_record(path, FingerDesign)
+
+
+def test_wrong_kind_folder_missing_and_broken_files(tmp_path):
+    path = write_record(FingerDesign(), tmp_path / "design.json", ORIGIN)
+    with pytest.raises(RecordError, match="is a FingerDesign, a BandSignals is needed"):
+        read_record(path, BandSignals)
+    with pytest.raises(RecordError, match="is a folder"):
+        read_record(tmp_path, FingerDesign)
+    with pytest.raises(RecordError, match="no such file"):
+        read_record(tmp_path / "absent.json", FingerDesign)
+    path.write_bytes(path.read_bytes()[:50])
+    with pytest.raises(RecordError, match="cannot be read as JSON"):
+        read_record(path, FingerDesign)
+    path.write_text("[1]")
+    with pytest.raises(RecordError, match="is not a stored record"):
+        read_record(path, FingerDesign)
+
+
+class TestArrayFile:
+    @pytest.fixture
+    def stored(self, tmp_path) -> tuple[Path, Path]:
+        path = write_record(capture(np.ones((40, 40, 1), np.uint16)), tmp_path / "press.json", ORIGIN)
+        return path, next(tmp_path.glob("*.npz"))
+
+    def test_changed(self, stored):
+        path, array_file = stored
+        content = bytearray(array_file.read_bytes())
+        content[200] ^= 1
+        array_file.write_bytes(bytes(content))
+        with pytest.raises(ChecksumError, match=r"npz: its SHA-256 differs"):
+            read_record(path, TactileCapture)
+
+    def test_missing(self, stored):
+        path, array_file = stored
+        array_file.unlink()
+        with pytest.raises(ChecksumError, match="is missing; it holds the arrays"):
+            read_record(path, TactileCapture)
+
+    def test_path_outside_the_folder(self, stored):
+        path, _ = stored
+        envelope = json.loads(path.read_text())
+        envelope["array_file"]["file"] = "../secret.npz"
+        path.write_text(json.dumps(envelope))
+        with pytest.raises(RecordError, match="must be a plain file name"):
+            read_record(path, TactileCapture)
+
+    def test_without_its_keys(self, stored):
+        path, _ = stored
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"array_file": {}}))
+        with pytest.raises(RecordError, match="must hold 'file' and 'sha256'"):
+            read_record(path, TactileCapture)
+
+    def test_pickles_are_never_loaded(self, stored):
+        path, array_file = stored
+        np.savez(array_file, contact=np.array([{"a": 1}], dtype=object))
+        envelope = json.loads(path.read_text())
+        envelope["array_file"]["sha256"] = sha256_of(array_file)
+        path.write_text(json.dumps(envelope))
+        with pytest.raises(RecordError, match="cannot be read as numpy arrays"):
+            read_record(path, TactileCapture)
+
+    def test_missing_entry(self, stored):
+        path, array_file = stored
+        np.savez(array_file, contact=np.ones((40, 40, 1), np.uint16))
+        envelope = json.loads(path.read_text())
+        envelope["array_file"]["sha256"] = sha256_of(array_file)
+        path.write_text(json.dumps(envelope))
+        with pytest.raises(RecordError, match="'no_contact' is missing in its array file"):
+            read_record(path, TactileCapture)
+
+
+class TestFilesPeopleWrite:
+    def rig(self, tmp_path, text: str) -> Path:
+        path = tmp_path / "rig.toml"
+        path.write_text(text)
+        return path
+
+    def test_unknown_key_names_the_nearest(self, tmp_path):
+        path = self.rig(
+            tmp_path,
+            'name = "r"\n[filter_wheel]\n[[filter_wheel.filters]]\nslot = 1\nname = "405"\ncentre_nm = 405\n',
+        )
+        with pytest.raises(RecordError, match=r"rig.toml: .*centre_nm': unknown key; did you mean 'center_nm'"):
+            read_toml(path, RigFile)
+
+    def test_wrong_unit(self, tmp_path):
+        path = self.rig(
+            tmp_path,
+            'name = "r"\n[filter_wheel]\n[[filter_wheel.filters]]\nslot = 1\nname = "405"\ncenter_nm = 0.405\n',
+        )
+        with pytest.raises(RecordError, match=r"center_nm' \(in nm\): input should be greater than or equal to 200"):
+            read_toml(path, RigFile)
+
+    def test_filter_named_twice(self, tmp_path):
+        one = '[[filter_wheel.filters]]\nslot = {}\nname = "405"\ncenter_nm = {}\n'
+        text = 'name = "r"\n[filter_wheel]\n' + one.format(1, 405) + one.format(2, 450)
+        with pytest.raises(RecordError, match="name 405 stands in two filters"):
+            read_toml(self.rig(tmp_path, text), RigFile)
+
+    def test_missing_field(self, tmp_path):
+        with pytest.raises(RecordError, match="'paint_name': is missing and must be given"):
+            read_toml(self.rig(tmp_path, "[region]\nrow_px=1\ncolumn_px=1\nheight_px=9\nwidth_px=9\n"), PaintPlan)
+
+    def test_light_inside_the_gel(self, tmp_path):
+        path = self.rig(tmp_path, "[light]\nposition_mm = [0.0, 2.0, 0.0]\n")
+        with pytest.raises(RecordError, match="y must be negative"):
+            read_toml(path, FingerDesign)
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            ("[indenter]\ndepth_mm = 6.5\n", "goes through the pad"),
+            ("[indenter]\nposition_mm = 90.0\n", "must lie on the pad"),
+            ("[camera]\nwidth_px = 641\n", "must be even"),
+            ("[mirror]\nreflectance = 88.0\n", r"mirror.reflectance' \(in 1\)"),
+        ],
+    )
+    def test_impossible_design(self, tmp_path, text, message):
+        with pytest.raises(RecordError, match=message):
+            read_toml(self.rig(tmp_path, text), FingerDesign)
+
+    def test_not_toml_missing_and_folder(self, tmp_path):
+        with pytest.raises(RecordError, match="cannot be read as TOML"):
+            read_toml(self.rig(tmp_path, "name = "), RigFile)
+        with pytest.raises(RecordError, match="no such file"):
+            read_toml(tmp_path / "absent.toml", RigFile)
+        with pytest.raises(RecordError, match="is a folder"):
+            read_toml(tmp_path, RigFile)
+
+
+def test_frames_are_checked_and_never_overwritten(tmp_path):
+    path = tmp_path / "frames" / "0001.tiff"
+    frame = np.arange(64, dtype=np.uint16).reshape(8, 8)
+    digest = write_frame(path, frame, "test frame")
+    np.testing.assert_array_equal(read_frame(path, digest), frame)
+    with pytest.raises(RecordError, match="never overwritten"):
+        write_frame(path, frame, "again")
+    with pytest.raises(ChecksumError, match=r"0001.tiff: SHA-256 differs"):
+        read_frame(path, "0" * 64)
+    with pytest.raises(ChecksumError, match="frame is missing"):
+        read_frame(tmp_path / "frames" / "0002.tiff", digest)
