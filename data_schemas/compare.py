@@ -23,9 +23,11 @@ class ErrorRow(Model):
 
     candidate: Literal["do nothing", "simulation", "floor"]
     skill: Interval = Field(description="1 - squared error relative to that of the no-contact image")
-    skill_per_channel: tuple[float, float, float]
+    skill_per_channel: tuple[float | None, float | None, float | None] = Field(
+        description="None where contact does not change the channel"
+    )
     relative_rms: tuple[float, float, float] | None = Field(description="None where values are not linear light")
-    psnr_db: float
+    psnr_db: float | None = Field(description="None for identical images")
     ssim: float = Field(description="mean of the SSIM map over the region; for comparison with papers")
 
 

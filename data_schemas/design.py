@@ -65,6 +65,11 @@ class TactileCamera(Model):
     width_px: Annotated[int, Field(ge=64, le=4096)] = 640
     height_px: Annotated[int, Field(ge=48, le=4096)] = 480
     bit_depth: Literal[8, 10, 12, 14, 16] = 10
+    response: str = Field(
+        default="assumed",
+        description="'assumed' (smooth stand-in curves) or a CSV file with the header "
+        "wavelength_nm,red_percent,green_percent,blue_percent",
+    )
 
     @model_validator(mode="after")
     def _whole_bayer_cells(self) -> "TactileCamera":

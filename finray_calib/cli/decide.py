@@ -1,0 +1,45 @@
+"""``finray decide``: the angle to mount the light at, with probability and risk."""
+
+import argparse
+from pathlib import Path
+
+from finray_calib.cli.options import add_out, add_seed, command_line, require_new, say
+
+HELP = "decide on the light angle from a sweep"
+DESCRIPTION = """\
+Decide on the angle of the blue light from a sweep: the angle, the probability that it is within 5 degrees of
+the best, the expected loss with its 95 % bound, and the range of angles that are as good. A photometric error
+report from a real capture widens the decision; without one it says that it is not validated."""
+
+
+def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb."""
+    parser = verbs.add_parser(
+        "decide", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("sweep", type=Path, metavar="SWEEP", help="record written by 'finray simulate --angles'")
+    parser.add_argument(
+        "--photometric-error", type=Path, action="append", default=[], metavar="REPORT", dest="reports",
+        help="record written by 'finray compare'; may be given several times",
+    )  # fmt: skip
+    add_out(parser, "light-angle-decision.json")
+    add_seed(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Decide and report."""
+    from data_schemas.compare import PhotometricErrorReport
+    from data_schemas.provenance import provenance
+    from data_schemas.simulate import LightAngleSweep
+    from data_schemas.storage import read_record, sha256_of, write_record
+    from finray_calib.decide.decision_record import decide
+
+    out = require_new(arguments.out or Path("light-angle-decision.json"))
+    sweep = read_record(arguments.sweep, LightAngleSweep)
+    reports = [read_record(path, PhotometricErrorReport) for path in arguments.reports]
+    decision = decide(sweep, reports, arguments.seed)
+    inputs = {path.name: sha256_of(path) for path in (arguments.sweep, *arguments.reports)}
+    write_record(decision, out, provenance(command_line(), inputs, arguments.seed))
+    say(f"{out}: {decision.verdict.upper()}")
+    say(f"  {decision.sentence}")

@@ -1,0 +1,57 @@
+"""The command ``finray``: six verbs, one per stage, and what stands beside them."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from data_schemas.errors import FinrayError
+from finray_calib.cli import capture, compare, decide, demo, fit, import_captures, radiometry, simulate
+
+USER_MISTAKE = 2
+INTERRUPTED = 130
+VERBS = (capture, radiometry, fit, simulate, compare, decide, import_captures, demo)
+DESCRIPTION = """\
+Calibrate fluorescent-paint tactile fingers: from a painted sample to a decision on the light angle.
+
+  capture -> radiometry -> fit -> simulate -> compare -> decide
+
+Each verb reads stored records and writes the next one. Start with: finray demo"""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the whole command line; heavy packages are not imported here."""
+    parser = argparse.ArgumentParser(
+        prog="finray", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--version", action="store_true", help="print the version and stop")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
+    for verb in VERBS:
+        verb.add_parser(verbs)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status: 0, 2 for a user's mistake, 130 when interrupted."""
+    parser = build_parser()
+    parsed = parser.parse_args(arguments)
+    if parsed.version:
+        from data_schemas.provenance import package_version
+
+        sys.stdout.write(f"finray {package_version()}\n")
+        return 0
+    if parsed.verb is None:
+        parser.print_help()
+        return USER_MISTAKE
+    try:
+        parsed.run(parsed)
+    except (FinrayError, OSError) as error:
+        sys.stderr.write(f"finray {parsed.verb}: error: {error}\n")
+        return USER_MISTAKE
+    except KeyboardInterrupt:
+        sys.stderr.write(f"finray {parsed.verb}: interrupted; what was stored is whole\n")
+        return INTERRUPTED
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,71 @@
+"""Options that several verbs share, and how a verb speaks to its user."""
+
+import argparse
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from data_schemas.errors import RecordError
+
+Progress = Callable[[int, int, str], None]
+
+
+def add_out(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add ``--out``; stored files are never overwritten."""
+    parser.add_argument("--out", type=Path, metavar="PATH", help=f"where to write (default: {default}); must be new")
+
+
+def add_seed(parser: argparse.ArgumentParser) -> None:
+    """Add ``--seed``; the same seed gives the same numbers."""
+    parser.add_argument("--seed", type=_whole_number, default=1, metavar="N", help="random seed (default: 1)")
+
+
+def _whole_number(text: str) -> int:
+    """Parse a seed."""
+    try:
+        seed = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+    if not 0 <= seed < 2**63:
+        raise argparse.ArgumentTypeError(f"{seed} is out of range; give 0 or more")
+    return seed
+
+
+def command_line() -> str:
+    """Return the command that is running, for the provenance of what it writes."""
+    return shlex.join(["finray", *sys.argv[1:]])
+
+
+def say(text: str) -> None:
+    """Tell the user a result."""
+    sys.stdout.write(text + "\n")
+
+
+def require_new(path: Path) -> Path:
+    """Return `path` if nothing is there yet; found before any work is done."""
+    if path.exists():
+        raise RecordError(f"{path}: exists already and is not overwritten; choose another --out or move it away")
+    return path
+
+
+@contextmanager
+def progress_bar(title: str) -> Iterator[Progress]:
+    """Show a progress bar on standard error (a terminal) while the block runs."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=None)
+
+        def update(done: int, total: int, what: str) -> None:
+            bar.update(task, completed=done, total=total, description=f"{title}: {what}")
+
+        yield update

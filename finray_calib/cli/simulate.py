@@ -1,0 +1,85 @@
+"""``finray simulate``: render a press of a finger, or sweep the angle of its light."""
+
+import argparse
+from pathlib import Path
+
+from finray_calib.cli.options import add_out, add_seed, command_line, progress_bar, require_new, say
+
+HELP = "render a press of a painted finger, or sweep the light angle"
+DESCRIPTION = """\
+Render the contact and no-contact image of a finger with calibrated paints. With --angles, sweep the angle of
+the blue light instead and write the brightness beside the indenter at each angle, for 'finray decide'.
+
+Levels: b (default) the walls re-emit the blue light that reaches them; a the paper's emitter, textured by the
+distance from the light (no angle dependence: for comparison only)."""
+
+
+def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb."""
+    parser = verbs.add_parser(
+        "simulate", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML)")
+    parser.add_argument(
+        "--paint", action="append", default=[], type=_paint, metavar="COLOUR=FILE",
+        help="paint calibration of a wall: --paint red=FILE --paint green=FILE",
+    )  # fmt: skip
+    parser.add_argument("--angles", type=_angles, metavar="FIRST:LAST:STEP", help="light angles in deg, e.g. 0:120:10")
+    parser.add_argument("--level", choices=["a", "b"], default="b", help="how the walls emit (default: b)")
+    parser.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
+    parser.add_argument("--samples", type=int, metavar="N", help="paths per pixel (default 128) or per probe (4000)")
+    add_out(parser, "DESIGN.press.json or DESIGN.sweep.json")
+    add_seed(parser)
+    parser.set_defaults(run=run)
+
+
+def _paint(text: str) -> tuple[str, Path]:
+    """Parse COLOUR=FILE."""
+    colour, separator, file = text.partition("=")
+    if not separator or colour not in {"red", "green"} or not file:
+        raise argparse.ArgumentTypeError(f"{text!r} must be red=FILE or green=FILE")
+    return colour, Path(file)
+
+
+def _angles(text: str) -> list[float]:
+    """Parse FIRST:LAST:STEP in degrees, both ends included."""
+    try:
+        first, last, step = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} must be FIRST:LAST:STEP in deg, for example 0:120:10") from None
+    if not (step > 0 and -90 <= first < last <= 180):
+        raise argparse.ArgumentTypeError(f"{text!r}: needs -90 <= FIRST < LAST <= 180 deg and STEP > 0 deg")
+    count = int((last - first) / step + 1e-9) + 1
+    return [first + i * step for i in range(count)]
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Render or sweep, and report."""
+    from data_schemas.design import FingerDesign
+    from data_schemas.fit import PaintCalibration
+    from data_schemas.provenance import provenance
+    from data_schemas.storage import read_record, read_toml, sha256_of, write_record
+    from sim.experiments.light_angle import light_angle_sweep
+    from sim.experiments.painted_finger import paint_finger
+    from sim.experiments.press import simulate_press
+
+    design = read_toml(arguments.design, FingerDesign)
+    kind = "press" if arguments.angles is None else "sweep"
+    out = require_new(arguments.out or Path(f"{design.name}.{kind}.json"))
+    files = dict(arguments.paint)
+    calibrations = {colour: read_record(path, PaintCalibration) for colour, path in files.items()}
+    digests = {colour: sha256_of(path) for colour, path in files.items()}
+    finger = paint_finger(design, calibrations, arguments.design.parent, arguments.engine)
+    inputs = {arguments.design.name: sha256_of(arguments.design), **{files[c].name: d for c, d in digests.items()}}
+    origin = provenance(command_line(), inputs, arguments.seed)
+    with progress_bar("simulate") as progress:
+        if arguments.angles is None:
+            press = simulate_press(finger, arguments.level, arguments.seed, arguments.samples or 128, digests, progress)
+            write_record(press, out, origin)
+            say(f"{out}: {press.label}")
+        else:
+            sweep = light_angle_sweep(
+                finger, calibrations, arguments.angles, 6, arguments.samples or 4000, arguments.seed, digests, progress
+            )
+            write_record(sweep, out, origin)
+            say(f"{out}: {len(sweep.angles_deg)} angles, {sweep.label}")

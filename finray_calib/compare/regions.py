@@ -1,0 +1,173 @@
+"""Declared contact regions, and which of their pixels may enter a metric.
+
+The score of a simulation depends strongly on the region it is taken over, so a region is always named and
+its size factor travels with it. The default set should hold the contact itself (factor 1) and its surround
+(factor 2): around an indenter the gel bulges, and only a mechanical model can explain that halo.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.errors import CompareError
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """Name a set of pixels to compare.
+
+    Attributes
+    ----------
+    name : str
+        What the region is, for the report ("contact", "contact and halo").
+    mask : ndarray of bool, shape (H, W)
+        True inside the region; stored as a read-only copy.
+    factor : float
+        Size of the region in units of the contact's own radius or half-width.
+
+    Raises
+    ------
+    CompareError
+        If the mask is not a two-dimensional boolean array or is empty.
+    """
+
+    name: str
+    mask: NDArray[np.bool_]
+    factor: float
+
+    def __post_init__(self) -> None:
+        mask = np.array(self.mask)
+        if mask.ndim != 2 or mask.dtype != np.bool_:
+            raise CompareError(
+                f"Region '{self.name}': the mask must be a boolean array (height, width), got {mask.dtype} "
+                f"of shape {mask.shape}. Pass a comparison such as distance <= 2."
+            )
+        if not mask.any():
+            raise CompareError(f"Region '{self.name}' is empty. Check its centre, size and the image shape.")
+        mask.flags.writeable = False
+        object.__setattr__(self, "mask", mask)
+
+
+def disc(shape: tuple[int, int], center_px: tuple[float, float], radius_px: float) -> NDArray[np.bool_]:
+    """Return the pixels of a disc: (row - row_0)^2 + (column - column_0)^2 <= radius^2.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Height and width of the image, px.
+    center_px : (float, float)
+        Row and column of the centre, px; it may lie between pixels or outside the image.
+    radius_px : float
+        Radius, px.
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W)
+
+    Raises
+    ------
+    CompareError
+        If no pixel of the image lies in the disc.
+    """
+    rows, columns = np.ogrid[: shape[0], : shape[1]]
+    mask = (rows - center_px[0]) ** 2 + (columns - center_px[1]) ** 2 <= radius_px**2
+    if not mask.any():
+        raise CompareError(
+            f"The disc of radius {radius_px} px around row {center_px[0]}, column {center_px[1]} has no pixel "
+            f"in an image of {shape[0]} x {shape[1]} px. Give the centre as (row, column)."
+        )
+    return np.asarray(mask)
+
+
+def strip_from_distance(distance_in_half_widths: NDArray[np.float64], factor: float) -> NDArray[np.bool_]:
+    """Return the pixels of a contact strip: distance <= factor.
+
+    Parameters
+    ----------
+    distance_in_half_widths : ndarray of float, shape (H, W)
+        Distance of the pad point seen by each pixel from the contact's centre line, in units of the contact's
+        half-width; NaN where the pixel does not see the pad.
+    factor : float
+        Half-width of the strip in units of the contact's half-width.
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W)
+
+    Raises
+    ------
+    CompareError
+        If no pixel lies in the strip.
+    """
+    # A comparison with NaN is False, so pixels outside the pad drop out.
+    mask = np.asarray(distance_in_half_widths <= factor)
+    if not mask.any():
+        raise CompareError(
+            f"No pixel lies within {factor} half-widths of the contact line. Check that the pad is in view and "
+            "that the distance is given in half-widths of the contact."
+        )
+    return mask
+
+
+def clipped_pixels(data_range_dn: float, *images: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return the pixels where any channel of any image is at or above full scale.
+
+    Only captures belong here: a simulation that clips where the capture does not is wrong, and leaving its
+    pixels out would let it choose what it is judged on.
+
+    Parameters
+    ----------
+    data_range_dn : float
+        Full scale of the images, in their unit (255 for 8 bit).
+    *images : ndarray, shape (H, W, C)
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W)
+    """
+    mask = np.zeros(images[0].shape[:2], dtype=np.bool_)
+    for image in images:
+        mask |= (image >= data_range_dn).any(axis=2)
+    return mask
+
+
+def usable_pixels(mask: NDArray[np.bool_], *images: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return the pixels of a mask that are finite in every channel of every image.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+    *images : ndarray, shape (H, W, C)
+        Images of one common shape.
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W)
+
+    Raises
+    ------
+    CompareError
+        If shapes differ, or no pixel is usable.
+    """
+    shape = images[0].shape
+    if len(shape) != 3 or any(image.shape != shape for image in images):
+        shapes = ", ".join(str(image.shape) for image in images)
+        raise CompareError(
+            f"All images must have one shape (height, width, channels), got {shapes}. Register and crop the "
+            "render to the grid of the capture first."
+        )
+    if mask.shape != shape[:2]:
+        raise CompareError(
+            f"The region mask has shape {mask.shape} but the images are {shape[0]} x {shape[1]} px. Make the "
+            "region for this image size."
+        )
+    usable = mask.copy()
+    for image in images:
+        usable &= np.isfinite(image).all(axis=2)
+    if not usable.any():
+        raise CompareError(
+            f"None of the {int(mask.sum())} pixels of the region is usable: all are clipped or not finite. "
+            "Capture again with a shorter exposure or choose another region."
+        )
+    return usable

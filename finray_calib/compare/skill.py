@@ -1,0 +1,207 @@
+"""Skill of a simulation relative to doing nothing, and the one exposure factor it may be granted.
+
+Full-frame similarity cannot tell a good simulator from an empty background, because contact changes few
+pixels. The skill score asks instead which share of the contact signal (capture minus no-contact image) the
+simulation explains.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.errors import CompareError
+from finray_calib.compare.regions import usable_pixels
+from finray_calib.compare.tiles import tile_indices
+
+
+@dataclass(frozen=True, slots=True)
+class SkillScore:
+    """Hold the skill of one simulation over one region.
+
+    Attributes
+    ----------
+    skill : float
+        1 explains the whole contact signal, 0 is doing nothing, below 0 is worse than nothing.
+    per_channel_skill : ndarray, shape (C,)
+        The same for each channel alone; NaN for a channel that contact does not change at all.
+    weights : ndarray, shape (C,)
+        Weight of each channel's squared error in `skill`.
+    pixels_used, pixels_left_out : int
+        Pixels of the region that entered, and that did not because a value was not finite.
+    """
+
+    skill: float
+    per_channel_skill: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    pixels_used: int
+    pixels_left_out: int
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureFactor:
+    """Hold the exposure factor `k` and its standard uncertainty `u`, both dimensionless."""
+
+    k: float
+    u: float
+
+
+def channel_weights(no_contact: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return 1 / (mean of the no-contact image)^2 per channel.
+
+    With these weights errors count relative to each channel's own brightness, so a dim fluorescent channel
+    counts as much as the bright channel of the light itself.
+
+    Parameters
+    ----------
+    no_contact : ndarray, shape (H, W, C)
+        No-contact image, black level removed, any unit.
+    mask : ndarray of bool, shape (H, W)
+
+    Returns
+    -------
+    ndarray, shape (C,)
+        In 1 / unit^2.
+
+    Raises
+    ------
+    CompareError
+        If a channel's mean over the region is not positive.
+    """
+    image = np.asarray(no_contact, dtype=np.float64)
+    mean = image[usable_pixels(mask, image)].mean(axis=0)
+    if (mean <= 0).any():
+        raise CompareError(
+            f"Channel {int(np.argmin(mean))} of the no-contact image has mean {mean.min():.3g} over the region; "
+            "relative weights need a positive mean. Check the black level or pass channel weights."
+        )
+    return np.asarray(1 / mean**2)
+
+
+def checked_weights(
+    weights: NDArray[np.float64] | None, no_contact: NDArray[np.float64], mask: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Return the channel weights to use: the given ones after a check, else those of the no-contact image.
+
+    Raises
+    ------
+    CompareError
+        If the given weights are not one finite, non-negative number per channel with a positive sum.
+    """
+    if weights is None:
+        return channel_weights(no_contact, mask)
+    given = np.asarray(weights, dtype=np.float64)
+    valid = given.shape == no_contact.shape[2:] and np.isfinite(given).all() and (given >= 0).all()
+    if not (valid and given.sum() > 0):
+        raise CompareError(
+            f"Channel weights must be {no_contact.shape[2]} numbers >= 0, not all zero, got {given.tolist()}. "
+            "Pass ones for the plain pooled score."
+        )
+    return given
+
+
+def skill_score(
+    simulated: NDArray[np.float64],
+    captured: NDArray[np.float64],
+    no_contact: NDArray[np.float64],
+    mask: NDArray[np.bool_],
+    weights: NDArray[np.float64] | None = None,
+    exposure_k: float = 1.0,
+) -> SkillScore:
+    """Return the share of the contact signal that a simulation explains.
+
+    E = 1 - sum_c w_c sum_p (k S - D)^2 / sum_c w_c sum_p (B - D)^2
+
+    with simulation S, capture D, no-contact image B, over the pixels p of the region and the channels c. With
+    S = B and k = 1 it is exactly 0. It is a statement about linear light; on encoded images it is a
+    similarity of code values only. It depends on the region, which belongs beside the number.
+
+    Parameters
+    ----------
+    simulated, captured, no_contact : ndarray, shape (H, W, C)
+        Registered images in one unit; pixels that are not finite in any of them are left out.
+    mask : ndarray of bool, shape (H, W)
+    weights : ndarray, shape (C,), optional
+        Per-channel weights; default `channel_weights`, ones for the plain pooled score.
+    exposure_k : float
+        Factor on the simulation, see `exposure_factor`.
+
+    Returns
+    -------
+    SkillScore
+
+    Raises
+    ------
+    CompareError
+        If shapes or weights are wrong, no pixel is usable, or contact changes no weighted channel.
+
+    References
+    ----------
+    The mean-squared-error skill score of A. H. Murphy, Monthly Weather Review 116 (1988) 2417, with the
+    no-contact image as reference forecast.
+    """
+    simulation, capture, background = (np.asarray(i, dtype=np.float64) for i in (simulated, captured, no_contact))
+    used = usable_pixels(mask, simulation, capture, background)
+    channel_weight = checked_weights(weights, background, used)
+    real = capture[used]
+    error = ((exposure_k * simulation[used] - real) ** 2).sum(axis=0)
+    signal = ((background[used] - real) ** 2).sum(axis=0)
+    if not channel_weight @ signal > 0:
+        raise CompareError(
+            "The capture equals the no-contact image over the whole region, so there is no contact signal to "
+            "explain. Check that the two files differ and that the region covers the contact."
+        )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        per_channel = np.where(signal > 0, 1 - error / signal, np.nan)
+    pixels = int(used.sum())
+    skill = float(1 - (channel_weight @ error) / (channel_weight @ signal))
+    return SkillScore(skill, per_channel, channel_weight, pixels, int(mask.sum()) - pixels)
+
+
+def exposure_factor(
+    simulated: NDArray[np.float64],
+    captured: NDArray[np.float64],
+    mask: NDArray[np.bool_],
+    weights: NDArray[np.float64],
+    tile_px: int = 16,
+) -> ExposureFactor:
+    """Fit the one scalar that brings a simulation to the exposure of the capture.
+
+    k = sum w S D / sum w S^2 over pixels and channels. It is common to all channels, because a gain per
+    channel would hide an error of the paint. The standard uncertainty is the cluster-robust one,
+    u^2 = G / (G - 1) sum_g (sum_{p in g} w S (D - k S))^2 / (sum w S^2)^2, over G square tiles: neighbouring
+    pixels share their error, and counting them as independent would make u far too small. With fewer than two
+    tiles u is NaN.
+
+    Parameters
+    ----------
+    simulated, captured : ndarray, shape (H, W, C)
+    mask : ndarray of bool, shape (H, W)
+    weights : ndarray, shape (C,)
+    tile_px : int
+        Side of a tile, px.
+
+    Returns
+    -------
+    ExposureFactor
+
+    Raises
+    ------
+    CompareError
+        If shapes or weights are wrong, no pixel is usable, or the simulation is black.
+    """
+    simulation, capture = (np.asarray(image, dtype=np.float64) for image in (simulated, captured))
+    used = usable_pixels(mask, simulation, capture)
+    weight = checked_weights(weights, simulation, used)
+    model, real = simulation[used], capture[used]
+    energy = float((weight * model**2).sum())
+    if not energy > 0:
+        raise CompareError("The simulation is black over the region; no exposure factor fits. Check the render.")
+    k = float((weight * model * real).sum()) / energy
+    pull = (weight * model * (real - k * model)).sum(axis=1)
+    tile = tile_indices(used, tile_px)
+    tiles = int(tile.max()) + 1
+    if tiles < 2:
+        return ExposureFactor(k, float("nan"))
+    meat = float((np.bincount(tile, weights=pull) ** 2).sum())
+    return ExposureFactor(k, float(np.sqrt(tiles / (tiles - 1) * meat)) / energy)

@@ -1,0 +1,1 @@
+"""Decide on a light angle from a sweep: probability, regret and the set of equivalent angles."""

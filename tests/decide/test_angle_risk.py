@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+
+from finray_calib.decide.angle_risk import AngleRisk, angle_risk, discrepancy_covariance, verdict_of
+from finray_calib.decide.gaussian_process import CurvePosterior, Matern52
+
+GRID = np.arange(0, 21.0)
+
+
+def peak_at(angle_deg, slope=0.01):
+    return 1 - slope * np.abs(GRID - angle_deg)
+
+
+def risk(p=1.0, regret_95=0.0):
+    return AngleRisk(p, regret_95 / 3, regret_95, ((8.0, 12.0),))
+
+
+def test_risk_of_draws_that_can_be_counted():
+    """100 curves: 90 peak at the chosen 10 deg, 6 at 5 deg, 4 at 20 deg; each loses 1 % of its maximum per deg."""
+    curves = np.array([peak_at(10)] * 90 + [peak_at(5)] * 6 + [peak_at(20)] * 4)
+    result = angle_risk(curves, GRID, 10, tolerance_rel=0.0205)
+    assert result.p_within_5deg == pytest.approx(0.96)
+    assert result.expected_regret_rel == pytest.approx(0.06 * 0.05 + 0.04 * 0.10)
+    assert result.regret_95_rel == pytest.approx(0.05)
+    # Within 2 deg of the peak for 90 of 100 curves only: no angle reaches 95 %.
+    assert result.equivalent_deg == ()
+    wide = angle_risk(curves, GRID, 10, tolerance_rel=0.0505)
+    # 5..10 deg lie within 5 deg of both large groups: 96 %.
+    assert wide.equivalent_deg == ((5.0, 10.0),)
+
+
+def test_two_peaks_give_two_intervals():
+    curve = np.maximum(peak_at(4, 0.05), peak_at(16, 0.05))[None, :]
+    assert angle_risk(curve, GRID, 4, 0.051).equivalent_deg == ((3.0, 5.0), (15.0, 17.0))
+
+
+def test_discrepancy_cannot_act_as_a_common_scale():
+    mean = 1 + 0.3 * np.sin(GRID / 8)
+    posterior = CurvePosterior(GRID, mean, np.zeros((21, 21)))
+    covariance = discrepancy_covariance(posterior, 0.04)
+    relative = covariance / np.outer(mean, mean)
+    assert relative.sum(axis=0) == pytest.approx(np.zeros(21), abs=1e-15)
+    # The difference of two angles is untouched by removing a common scale.
+    plain = Matern52(35.0, 0.04).covariance(GRID, GRID)
+    assert relative[0, 0] + relative[20, 20] - 2 * relative[0, 20] == pytest.approx(2 * (plain[0, 0] - plain[0, 20]))
+    assert np.linalg.eigvalsh(covariance).min() > -1e-15
+
+
+@pytest.mark.parametrize(
+    ("simulation", "full", "verdict"),
+    [
+        (risk(regret_95=0.021), None, "undecided"),
+        (risk(regret_95=0.021), risk(regret_95=0.5), "undecided"),
+        (risk(regret_95=0.01), risk(regret_95=0.021), "model-limited"),
+        (risk(regret_95=0.01), risk(p=0.79, regret_95=0.019), "tie"),
+        (risk(p=0.79, regret_95=0.01), None, "tie"),
+        (risk(p=0.79, regret_95=0.01), risk(p=0.81, regret_95=0.01), "decided"),
+        (risk(regret_95=0.01), risk(regret_95=0.019), "decided"),
+        (risk(p=0.81, regret_95=0.02), None, "decided"),
+    ],
+)
+def test_the_first_rule_that_applies_gives_the_verdict(simulation, full, verdict):
+    assert verdict_of(simulation, full, 0.02) == verdict
