@@ -47,14 +47,22 @@ class CameraSettings(Model):
 
 
 class BandPassFilter(Model):
-    """One filter of the wheel; slots count from 1."""
+    """One filter of the wheel; slots count from 1.
+
+    Nominal transmission: ``peak 2^(-|2 (l - center) / fwhm|^(2 shape_order))`` over a blocking floor of 10^-OD.
+    The standard uncertainties are those of the data sheet or certificate; the fitter carries them.
+    """
 
     slot: Annotated[int, Field(ge=1, le=64)]
     name: str
     center_nm: WavelengthNm
+    center_uncertainty_nm: Annotated[float, Field(ge=0.0, le=10.0, json_schema_extra={"unit": "nm"})] = 0.15
     fwhm_nm: WidthNm = 10.0
+    fwhm_uncertainty_nm: Annotated[float, Field(ge=0.0, le=10.0, json_schema_extra={"unit": "nm"})] = 0.15
+    shape_order: Annotated[float, Field(ge=1.0, le=10.0, description="1 Gaussian, 2 hard-coated flat top")] = 2.0
     peak_transmission: Annotated[float, Field(gt=0.0, le=1.0)] = 0.6
     blocking_od: OpticalDensity = 5.0
+    blocking_uncertainty_od: Annotated[float, Field(ge=0.0, le=3.0, json_schema_extra={"unit": "1"})] = 0.2
 
 
 class FilterWheelSettings(Model):

@@ -13,12 +13,13 @@ WAVELENGTH_NM.flags.writeable = False
 
 
 def filter_transmission(band: BandPassFilter, wavelength_nm: ArrayLike) -> Floats:
-    """Return the nominal transmission of a filter: a Gaussian pass band over its blocking floor (0..1).
+    """Return the nominal transmission of a filter: a pass band over its blocking floor (0..1).
 
-    ``T = max(T_peak 2^(-(2 (l - center) / fwhm)^2), 10^-OD)``
+    ``T = max(T_peak 2^(-|2 (l - center) / fwhm|^(2 p)), 10^-OD)``, with p = 1 a Gaussian and p = 2 the flat top of
+    a hard-coated filter.
     """
-    x = 2 * (np.asarray(wavelength_nm, dtype=float) - band.center_nm) / band.fwhm_nm
-    return np.maximum(band.peak_transmission * 2.0 ** (-(x**2)), 10.0**-band.blocking_od)
+    x = np.abs(2 * (np.asarray(wavelength_nm, dtype=float) - band.center_nm) / band.fwhm_nm)
+    return np.maximum(band.peak_transmission * 2.0 ** -(x ** (2 * band.shape_order)), 10.0**-band.blocking_od)
 
 
 def laser_line(laser: LaserSettings, wavelength_nm: ArrayLike) -> Floats:

@@ -23,7 +23,7 @@ UNIT = re.compile(
 DIMENSIONLESS = re.compile(
     r"(reflectance|transmission|fraction|share|skewness|alpha|index|chi_square|factor|skill|ssim|regret|probability|"
     r"p_within_5deg|regret_95|posterior_predictive_p|yield|estimate|low68|high68|low95|high95|sd|weight|maxima|"
-    r"acceptance|autocorrelation|r_hat|effective_samples|map_estimate|variance)"
+    r"acceptance|shape_order|autocorrelation|r_hat|effective_samples|map_estimate|variance)"
 )
 HEAVY = ("numpy", "scipy", "matplotlib", "mitsuba", "cv2", "colour", "emcee", "pydantic", "rich", "skimage", "tifffile")
 

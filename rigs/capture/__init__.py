@@ -1,0 +1,1 @@
+"""Capture: from a plan and a rig to a stored session of raw frames."""

@@ -1,0 +1,100 @@
+"""The steps of a paint session, in the order in which they are captured."""
+
+from dataclasses import dataclass
+
+from data_schemas.capture import FrameType, LightState, PaintPlan, RegionOfInterest, Target
+from data_schemas.errors import CaptureError
+from data_schemas.rig import BandPassFilter, CameraSettings, RigFile
+
+SMALLEST_REGION_PX = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One thing to photograph: target, light and filter (None without filter: the wheel is swung out)."""
+
+    frame_type: FrameType
+    target: Target
+    light: LightState
+    filter_name: str | None
+    slot: int | None
+
+    @property
+    def label(self) -> str:
+        """The step in words."""
+        behind = f"through filter {self.filter_name}" if self.filter_name is not None else "without filter"
+        return f"{self.frame_type} ({self.target}, {self.light}) {behind}"
+
+
+def paint_steps(plan: PaintPlan, rig: RigFile) -> tuple[Step, ...]:
+    """List the steps of a paint session after checking the plan against the rig.
+
+    White under the lamp (all filters) and the laser (excitation filter), sample beside ColorChecker under room
+    light, sample under the lamp and the laser (all filters). The ColorChecker stands between white and sample
+    because metering runs through the steps backwards and dark frames need a closed box: then the operator swaps
+    the target four times only, and the dark frames before and after see no room light.
+
+    Raises
+    ------
+    CaptureError
+        A filter is unknown, the excitation filter does not pass the laser line or is not in the plan, the
+        region is empty or leaves the frame.
+    """
+    filters = _planned_filters(plan, rig)
+    excitation = _excitation_filter(plan, rig, filters)
+    _check_region(plan.region, rig.camera)
+    return (
+        *(Step("white", "white", "lamp", f.name, f.slot) for f in filters),
+        Step("laser white", "white", "laser", excitation.name, excitation.slot),
+        Step("room light", "sample beside ColorChecker", "room", None, None),
+        *(Step("reflectance", "sample", "lamp", f.name, f.slot) for f in filters),
+        *(Step("fluorescence", "sample", "laser", f.name, f.slot) for f in filters),
+    )
+
+
+def _planned_filters(plan: PaintPlan, rig: RigFile) -> list[BandPassFilter]:
+    """Return the filters of the plan in its order."""
+    known = {f.name: f for f in rig.filter_wheel.filters}
+    names = tuple(known) if plan.filters is None else plan.filters
+    if not names:
+        raise CaptureError("plan.filters: is empty; name at least one filter or leave the field out for all of the rig")
+    for name in names:
+        if name not in known:
+            raise CaptureError(f"plan.filters: the rig has no filter '{name}'; its filters are {', '.join(known)}")
+    return [known[name] for name in names]
+
+
+def _excitation_filter(plan: PaintPlan, rig: RigFile, filters: list[BandPassFilter]) -> BandPassFilter:
+    """Return the filter that passes the laser line."""
+    chosen = next((f for f in filters if f.name == plan.excitation_filter), None)
+    if chosen is None:
+        raise CaptureError(
+            f"plan.excitation_filter: '{plan.excitation_filter}' is not among the filters of the plan "
+            f"({', '.join(f.name for f in filters)})"
+        )
+    off_nm = abs(chosen.center_nm - rig.laser.wavelength_nm)
+    if off_nm > 0.5 * chosen.fwhm_nm:
+        raise CaptureError(
+            f"plan.excitation_filter: filter '{chosen.name}' passes {chosen.center_nm - 0.5 * chosen.fwhm_nm:g} to "
+            f"{chosen.center_nm + 0.5 * chosen.fwhm_nm:g} nm and blocks the laser at {rig.laser.wavelength_nm:g} nm; "
+            "name the filter that passes it"
+        )
+    return chosen
+
+
+def _check_region(region: RegionOfInterest, camera: CameraSettings) -> None:
+    """Refuse a region that is empty or leaves the frame."""
+    for axis, start, size, limit in (
+        ("row_px", region.row_px, region.height_px, camera.height_px),
+        ("column_px", region.column_px, region.width_px, camera.width_px),
+    ):
+        extent = {"row_px": "height_px", "column_px": "width_px"}[axis]
+        if size < SMALLEST_REGION_PX:
+            raise CaptureError(
+                f"plan.region.{extent}: {size} px is empty; {SMALLEST_REGION_PX} to {limit} px are allowed"
+            )
+        if start + size > limit:
+            raise CaptureError(
+                f"plan.region: {axis} = {start} with {extent} = {size} ends at pixel {start + size}, outside the "
+                f"frame; {axis} + {extent} may be at most {limit} px"
+            )

@@ -1,0 +1,124 @@
+"""From a rig file to opened devices: ``with open_rig(rig, folder) as opened:``."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from data_schemas.curves import SpectralCurve, require_coverage
+from data_schemas.rig import RigFile
+from data_schemas.standard_curves import camera_response, halogen_lamp
+from rigs.protocols import Camera, Clock, FilterWheel, Light, Operator
+
+DARK_CURRENT_E_PER_S = 2.0
+PIXEL_NONUNIFORMITY_REL = 0.01
+DARK_OFFSET_SD_E = 2.0
+FULL_WELL_MARGIN = 1.05
+
+
+@dataclass(frozen=True, slots=True)
+class OpenRig:
+    """Opened devices and the known curves of a rig.
+
+    Attributes
+    ----------
+    camera_response
+        Red, green and blue response (sensor and Bayer filter), relative.
+    lamp_spectrum
+        Relative spectral irradiance of the lamp on the target.
+    notes
+        What the user should know about the curves (end values that are held).
+    """
+
+    camera: Camera
+    wheel: FilterWheel
+    laser: Light
+    lamp: Light
+    operator: Operator
+    clock: Clock
+    camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
+    lamp_spectrum: SpectralCurve
+    notes: tuple[str, ...] = ()
+
+
+@contextmanager
+def open_rig(rig: RigFile, folder: Path) -> Iterator[OpenRig]:
+    """Open the devices of a rig for a ``with`` block.
+
+    Parameters
+    ----------
+    rig
+        The rig file's content.
+    folder
+        Where relative paths in the rig file start.
+
+    Raises
+    ------
+    CurveError
+        A curve file is missing or unusable, or misses more than 20 % of a filter's band.
+    """
+    response = camera_response(rig.camera.response, folder)
+    lamp = halogen_lamp()
+    notes = _coverage_notes(rig, (*response, lamp))
+    yield _open_simulated(rig, folder, response, lamp, notes)
+
+
+def _coverage_notes(rig: RigFile, curves: tuple[SpectralCurve, ...]) -> tuple[str, ...]:
+    """Check that every curve covers every filter's nominal passband, weighted with its transmission."""
+    notes = []
+    for optic in rig.filter_wheel.filters:
+        half_widths = np.linspace(-4.0, 4.0, 401)
+        wavelength_nm = optic.center_nm + 0.5 * optic.fwhm_nm * half_widths
+        weight = 2.0 ** -(np.abs(half_widths) ** (2.0 * optic.shape_order))
+        notes += [require_coverage(curve, wavelength_nm, weight, f"filter {optic.name}") for curve in curves]
+    return tuple(note for note in notes if note is not None)
+
+
+def _open_simulated(
+    rig: RigFile,
+    folder: Path,
+    response: tuple[SpectralCurve, SpectralCurve, SpectralCurve],
+    lamp: SpectralCurve,
+    notes: tuple[str, ...],
+) -> OpenRig:
+    """Put the simulated devices over one bench."""
+    # Imported here so that a rig of real devices never loads the simulation.
+    from rigs.simulated.bench import Bench
+    from rigs.simulated.devices import (
+        BenchState,
+        SimulatedCamera,
+        SimulatedClock,
+        SimulatedFilterWheel,
+        SimulatedLight,
+        SimulatedOperator,
+    )
+    from rigs.simulated.sensor import Sensor
+
+    camera, seed = rig.camera, rig.simulated.seed if rig.simulated is not None else 0
+    sensor = Sensor(
+        bit_depth=camera.bit_depth,
+        black_level_dn=camera.black_level_dn,
+        gain_e_per_dn=camera.gain_e_per_dn,
+        read_noise_e=camera.read_noise_e,
+        dark_current_e_per_s=DARK_CURRENT_E_PER_S,
+        full_well_e=FULL_WELL_MARGIN * 2**camera.bit_depth * camera.gain_e_per_dn,
+        prnu_rel=PIXEL_NONUNIFORMITY_REL,
+        dsnu_e=DARK_OFFSET_SD_E,
+        seed=seed,
+    )
+    slots = tuple(sorted(optic.slot for optic in rig.filter_wheel.filters))
+    clock = SimulatedClock()
+    state = BenchState(clock=clock, slot=slots[0])
+    return OpenRig(
+        camera=SimulatedCamera(Bench(rig, folder, response), sensor, state, np.random.default_rng([seed, 2])),
+        wheel=SimulatedFilterWheel(slots, state),
+        laser=SimulatedLight("laser", state),
+        lamp=SimulatedLight("lamp", state),
+        operator=SimulatedOperator(state),
+        clock=clock,
+        camera_response=response,
+        lamp_spectrum=lamp,
+        notes=notes,
+    )

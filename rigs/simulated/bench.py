@@ -1,0 +1,217 @@
+"""The simulated bench: light falls on a target, passes a filter and becomes photo-electrons per second.
+
+Radiance is relative: 1 is a perfect white diffuser under the lamp at 560 nm. The curves differ from what a
+fitter assumes on purpose: flat-topped filters slightly off their nominal centre, width and blocking, a laser
+with a pedestal. Nothing here may be imported by capture or by the calibration arithmetic.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from data_schemas.capture import LightState, Target
+from data_schemas.curves import DonaldsonMatrix, SpectralCurve
+from data_schemas.errors import CaptureError
+from data_schemas.rig import BandPassFilter, LaserSettings, RigFile
+from data_schemas.standard_curves import LAMP_TEMPERATURE_K, planck_relative
+from rigs.simulated.paints import hidden_paint_matrix, measured_material_matrix
+from rigs.simulated.scene import CLOTH_REFLECTANCE, colour_checker_reflectances, lay_out
+from rigs.simulated.sensor import mosaic
+
+Floats = NDArray[np.float64]
+STEP_NM = 0.5
+WAVELENGTH_NM: Floats = np.arange(360.0, 800.0 + STEP_NM, STEP_NM)
+# Real pass bands are a little flatter than the data sheet's shape, which is all that a fitter can know.
+SHAPE_ORDER_RATIO = 1.2
+FILTER_TOLERANCE_NM = 0.2
+BLOCKING_TOLERANCE_OD = 0.15
+LASER_PEDESTAL_REL = 5e-5
+LASER_PEDESTAL_FWHM_NM = 30.0
+ROOM_TEMPERATURE_K = 5000.0
+BOARD_REFLECTANCE = 0.03
+PEAK_QUANTUM_EFFICIENCY = 0.6
+LAMP_LEVEL_E_PER_S_NM = 3.5e5
+LASER_LEVEL_NM_PER_MW = 5.0
+ROOM_LEVEL_REL = 0.05
+TRUTH_NM: Floats = np.arange(470.0, 781.0)
+
+
+def filter_transmission(wavelength_nm: Floats, optic: BandPassFilter, rng: np.random.Generator) -> Floats:
+    r"""Return the transmission of one real filter near its nominal data.
+
+    .. math:: T = T_0 \, 2^{-|2(\lambda - c)/F|^{2 p}} + 10^{-OD}
+
+    Centre and width lie within 0.2 nm of nominal, the optical density within a standard deviation of 0.15; the
+    shape order p is 1.2 times the nominal one.
+
+    Parameters
+    ----------
+    wavelength_nm
+        Wavelength (nm), shape (L,).
+    optic
+        Nominal data.
+    rng
+        Generator of the deviations.
+    """
+    off_center_nm, off_width_nm = rng.uniform(-FILTER_TOLERANCE_NM, FILTER_TOLERANCE_NM, 2)
+    blocking_od = optic.blocking_od + BLOCKING_TOLERANCE_OD * rng.standard_normal()
+    distance = np.abs(2.0 * (wavelength_nm - optic.center_nm - off_center_nm) / (optic.fwhm_nm + off_width_nm))
+    passband = optic.peak_transmission * 2.0 ** -(distance ** (2.0 * SHAPE_ORDER_RATIO * optic.shape_order))
+    return np.asarray(passband + 10.0**-blocking_od)
+
+
+def laser_line(wavelength_nm: Floats, laser: LaserSettings) -> Floats:
+    """Return the spectrum of the laser (nm^-1, integral 1 without its weak pedestal): Gaussian line of its FWHM."""
+
+    def gaussian(fwhm_nm: float) -> Floats:
+        return np.asarray(np.exp(-4.0 * np.log(2.0) * ((wavelength_nm - laser.wavelength_nm) / fwhm_nm) ** 2))
+
+    peak_per_nm = math.sqrt(4.0 * math.log(2.0) / math.pi) / laser.fwhm_nm
+    return peak_per_nm * (gaussian(laser.fwhm_nm) + LASER_PEDESTAL_REL * gaussian(LASER_PEDESTAL_FWHM_NM))
+
+
+def sample_matrix(rig: RigFile, folder: Path) -> DonaldsonMatrix:
+    """Return the re-radiation matrix of what the rig file puts on the bench, on the bench's wavelengths."""
+    bench = rig.simulated
+    if bench is not None and bench.paint is not None:
+        return hidden_paint_matrix(bench.paint, rig.laser.wavelength_nm, WAVELENGTH_NM)
+    if bench is not None and bench.material is not None:
+        return measured_material_matrix(folder / bench.material, WAVELENGTH_NM)
+    raise CaptureError(f"rig '{rig.name}': has no [simulated] table; a simulated bench needs a paint or a material")
+
+
+class Bench:
+    """Spectral and spatial physics of one simulated rig.
+
+    Parameters
+    ----------
+    rig
+        The rig; its ``[simulated]`` table names the sample.
+    folder
+        Where a relative path of a material file starts.
+    response
+        Camera response (red, green, blue).
+    """
+
+    def __init__(self, rig: RigFile, folder: Path, response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]):
+        seed = rig.simulated.seed if rig.simulated is not None else 0
+        rng = np.random.default_rng([seed, 1])
+        self.transmission = {f.slot: filter_transmission(WAVELENGTH_NM, f, rng) for f in rig.filter_wheel.filters}
+        self.response = PEAK_QUANTUM_EFFICIENCY * np.array([curve(WAVELENGTH_NM) for curve in response])
+        self.lights: dict[LightState, Floats] = {
+            "lamp": planck_relative(WAVELENGTH_NM, LAMP_TEMPERATURE_K),
+            "laser": LASER_LEVEL_NM_PER_MW * rig.laser.power_mw * laser_line(WAVELENGTH_NM, rig.laser),
+            "room": ROOM_LEVEL_REL * planck_relative(WAVELENGTH_NM, ROOM_TEMPERATURE_K),
+        }
+        self._white_reflectance = rig.white_reference.reflectance
+        matrix = sample_matrix(rig, folder)
+        self._sample_reflectance = matrix.reflectance(WAVELENGTH_NM)
+        self._sample_reradiation_per_nm = matrix.radiance_factor_per_nm
+        self._scene = lay_out(rig.camera.height_px // 2, rig.camera.width_px // 2, seed)
+        # The frames of one step follow each other with the same light, target and filter.
+        self._latest = lru_cache(maxsize=1)(self._mosaic_electrons_per_s)
+
+    def sample_radiance(self, light: Floats) -> Floats:
+        """Return the relative spectral radiance of the sample: reflected plus re-radiated `light`, shape (L,)."""
+        reradiated: Floats = self._sample_reradiation_per_nm @ light * STEP_NM
+        return self._sample_reflectance * light + reradiated
+
+    def band_electrons_per_s(self, radiance: Floats, slot: int | None) -> Floats:
+        """Integrate relative radiance (L,) to electrons per second of a red, green and blue pixel, shape (3,)."""
+        transmission = 1.0 if slot is None else self.transmission[slot]
+        return LAMP_LEVEL_E_PER_S_NM * STEP_NM * (self.response @ (transmission * radiance))
+
+    def darkness(self) -> Floats:
+        """Return the photo-electrons per second with all lights off: zeros, shape (H, W)."""
+        height, width = self._scene.sample.shape
+        return np.zeros((2 * height, 2 * width))
+
+    def electrons_per_s(self, target: Target, light: LightState, slot: int | None) -> Floats:
+        """Return the photo-electrons per second of every pixel, shape (H, W), read-only.
+
+        Parameters
+        ----------
+        target
+            What lies in view.
+        light
+            The one light that shines ("lamp", "laser" or "room").
+        slot
+            Slot of the filter in the beam; None is no filter.
+        """
+        return self._latest(target, light, slot)
+
+    def _mosaic_electrons_per_s(self, target: Target, light: LightState, slot: int | None) -> Floats:
+        """Compose cloth, sample or tile and ColorChecker under one light."""
+        scene, spectrum = self._scene, self.lights[light]
+        rgb = np.empty((*scene.sample.shape, 3))
+        rgb[:] = self.band_electrons_per_s(CLOTH_REFLECTANCE * spectrum, slot)
+        if target == "sample beside ColorChecker":
+            patches = np.vstack([np.full(len(spectrum), BOARD_REFLECTANCE), colour_checker_reflectances(WAVELENGTH_NM)])
+            electrons = np.array([self.band_electrons_per_s(patch * spectrum, slot) for patch in patches])
+            on_board = scene.patch >= 0
+            rgb[on_board] = electrons[scene.patch[on_board]]
+        white = target == "white"
+        radiance = self._white_reflectance * spectrum if white else self.sample_radiance(spectrum)
+        texture = scene.texture["white" if white else "sample"]
+        rgb[scene.sample] = texture[scene.sample, None] * self.band_electrons_per_s(radiance, slot)
+        rgb *= {"lamp": scene.lamp, "laser": scene.laser, "room": scene.room}[light][..., None]
+        frame = mosaic(rgb)
+        frame.flags.writeable = False
+        return frame
+
+
+@dataclass(frozen=True, slots=True)
+class BenchTruth:
+    """What a calibration of the simulated bench should find; for reports and tests only.
+
+    Attributes
+    ----------
+    emission
+        Emission per nm for light at the laser line (nm^-1), 470 to 780 nm in 1 nm steps.
+    mode_nm, fwhm_nm
+        Maximum and full width at half maximum of that emission (nm).
+    energy_yield
+        Emitted over incident energy at the laser line, up to 780 nm.
+    reflectance
+        Non-fluorescent reflectance.
+    reflectance_at_laser
+        Its value at the laser line.
+    """
+
+    emission: SpectralCurve
+    mode_nm: float
+    fwhm_nm: float
+    energy_yield: float
+    reflectance: SpectralCurve
+    reflectance_at_laser: float
+
+
+def bench_truth(rig: RigFile, folder: Path) -> BenchTruth:
+    """Return the truth behind a simulated rig; never used by capture, radiometry or fit.
+
+    Mode and width of a hidden paint come from a cubic spline through its fine grid, those of a measured material
+    from the monotone cubic (PCHIP) through its bands, whose maximum always lies on a measured wavelength.
+    """
+    matrix = sample_matrix(rig, folder)
+    column = matrix.emission_at(rig.laser.wavelength_nm)
+    hidden = rig.simulated is not None and rig.simulated.paint is not None
+    through = (CubicSpline if hidden else PchipInterpolator)(column.wavelength_nm, column.values)
+    fine_nm = np.linspace(TRUTH_NM[0], TRUTH_NM[-1], 100 * (len(TRUTH_NM) - 1) + 1)
+    values = through(fine_nm)
+    above = fine_nm[values >= 0.5 * values.max()]
+    counted = column.wavelength_nm <= TRUTH_NM[-1]
+    return BenchTruth(
+        emission=SpectralCurve(
+            name=column.name, wavelength_nm=TRUTH_NM, values=through(TRUTH_NM), source=column.source
+        ),
+        mode_nm=float(fine_nm[values.argmax()]),
+        fwhm_nm=float(above[-1] - above[0]),
+        energy_yield=float(np.trapezoid(column.values[counted], column.wavelength_nm[counted])),
+        reflectance=matrix.reflectance,
+        reflectance_at_laser=float(matrix.reflectance(rig.laser.wavelength_nm)),
+    )

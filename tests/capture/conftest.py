@@ -1,0 +1,32 @@
+from pathlib import Path
+
+import pytest
+
+from data_schemas.capture import CaptureSession, PaintPlan
+from data_schemas.rig import RigFile
+from rigs.capture.paint_session import capture_paint_session
+from rigs.presets import paint_plan, simulated_rig
+
+WIDTH_PX, HEIGHT_PX = 160, 128
+
+
+@pytest.fixture(scope="session")
+def rig() -> RigFile:
+    """The red paint on a small sensor."""
+    return simulated_rig("red", width_px=WIDTH_PX, height_px=HEIGHT_PX)
+
+
+@pytest.fixture(scope="session")
+def plan(rig: RigFile) -> PaintPlan:
+    return paint_plan("red", rig.camera)
+
+
+@pytest.fixture(scope="session")
+def captured(
+    rig: RigFile, plan: PaintPlan, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, CaptureSession, list[tuple[int, int, str]]]:
+    """A whole session: its folder, its record and the calls of its progress function."""
+    out = tmp_path_factory.mktemp("session") / "paint"
+    calls: list[tuple[int, int, str]] = []
+    session = capture_paint_session(rig, plan, Path(), out, "finray capture", lambda *call: calls.append(call))
+    return out, session, calls

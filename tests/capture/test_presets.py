@@ -1,0 +1,44 @@
+from pathlib import Path
+
+import pytest
+
+from data_schemas.capture import PaintPlan
+from data_schemas.errors import CaptureError
+from data_schemas.rig import RigFile
+from data_schemas.storage import read_toml
+from rigs.capture.plan import paint_steps
+from rigs.presets import paint_plan, simulated_rig
+from rigs.toml_text import write_plan, write_rig
+
+
+@pytest.mark.parametrize("sample", ["red", "green", 'curves/"odd" name.csv'])
+def test_rig_and_plan_survive_their_text(tmp_path: Path, sample: str) -> None:
+    rig, plan = simulated_rig(sample, "cameras/imx219.csv", seed=5), paint_plan("red")
+    assert read_toml(write_rig(rig, tmp_path / "rig.toml"), RigFile) == rig
+    assert read_toml(write_plan(plan, tmp_path / "plan.toml"), PaintPlan) == plan
+    chosen = plan.model_copy(update={"filters": ("450", "500")})
+    assert read_toml(write_plan(chosen, tmp_path / "two.toml"), PaintPlan) == chosen
+    with pytest.raises(CaptureError, match="exists already and is not overwritten"):
+        write_plan(plan, tmp_path / "plan.toml")
+
+
+def test_preset_is_the_papers_rig_and_its_plan_fits() -> None:
+    rig = simulated_rig("green", seed=7)
+    assert [f.center_nm for f in rig.filter_wheel.filters] == [405, 450, 500, 532, 560, 600, 630, 660]
+    assert rig.simulated is not None
+    assert rig.simulated.seed == 7
+    assert rig.simulated.paint is not None
+    assert rig.simulated.paint.name == "green"
+    plan = paint_plan("green")
+    assert (plan.region.height_px, plan.region.width_px) == (220, 220)
+    assert (plan.region.row_px, plan.region.column_px) == (402, 530)
+    assert len(paint_steps(plan, rig)) == 26
+
+
+def test_material_and_response_files_are_named_in_the_rig() -> None:
+    rig = simulated_rig("curves/orange.csv", "cameras/imx219.csv")
+    assert rig.simulated is not None
+    assert rig.simulated.paint is None
+    assert rig.simulated.material == "curves/orange.csv"
+    assert rig.camera.response == "cameras/imx219.csv"
+    assert rig.name == "simulated rig, orange"
