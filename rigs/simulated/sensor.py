@@ -1,5 +1,6 @@
 """From photo-electrons to raw counts: the only model of an image sensor (the tactile renderer uses it too)."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.uint16]
+BAND_ROWS = 64
 # From here on the largest difference of the two cumulative distributions is below 0.002.
 CORNISH_FISHER_FROM_E = 10.0
 # Variance of (z^2 - 1)/6 plus that of rounding to whole electrons.
@@ -84,20 +86,34 @@ class Sensor:
         """
         height, width = electrons_per_s.shape
         sensitivity, offset_e = self.fixed_pattern((height, width))
-        mean_e = electrons_per_s * sensitivity
+        counts = np.empty((height, width), dtype=np.uint16)
+        bands = [slice(first, first + BAND_ROWS) for first in range(0, height, BAND_ROWS)]
+
+        def expose_band(band: slice, band_rng: np.random.Generator) -> None:
+            mean_e = electrons_per_s[band] * sensitivity[band]
+            counts[band] = self._count(mean_e, offset_e[band], exposure_s, band_rng)
+
+        # Bands fit the cache, and numpy releases the interpreter lock: as many of them run as there are cores.
+        with ThreadPoolExecutor() as pool:
+            list(pool.map(expose_band, bands, rng.spawn(len(bands))))
+        return counts
+
+    def _count(self, electrons_per_s: Floats, offset_e: Floats, exposure_s: float, rng: np.random.Generator) -> Counts:
+        """Expose a band of rows; `electrons_per_s` is overwritten."""
+        mean_e = electrons_per_s
         mean_e += self.dark_current_e_per_s
         mean_e *= exposure_s
         # Far beyond the full well the draw is clipped anyway.
         np.minimum(mean_e, 4.0 * self.full_well_e, out=mean_e)
-        counts = poisson_charge(mean_e, rng)
-        np.minimum(counts, self.full_well_e, out=counts)
-        counts += offset_e
-        counts += self.read_noise_e * rng.standard_normal((height, width), dtype=np.float32)
-        counts /= self.gain_e_per_dn
-        counts += self.black_level_dn
-        np.rint(counts, out=counts)
-        np.clip(counts, 0, self.full_scale_dn, out=counts)
-        return counts.astype(np.uint16)
+        charge_e = poisson_charge(mean_e, rng)
+        np.minimum(charge_e, self.full_well_e, out=charge_e)
+        charge_e += offset_e
+        charge_e += self.read_noise_e * rng.standard_normal(charge_e.shape, dtype=np.float32)
+        charge_e /= self.gain_e_per_dn
+        charge_e += self.black_level_dn
+        np.rint(charge_e, out=charge_e)
+        np.clip(charge_e, 0, self.full_scale_dn, out=charge_e)
+        return charge_e.astype(np.uint16)
 
 
 @lru_cache(maxsize=2)

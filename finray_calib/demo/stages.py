@@ -1,0 +1,196 @@
+"""The six stages of the demo, each from stored records to stored records."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import TypeVar
+
+import numpy as np
+
+from data_schemas.capture import CaptureSession, TactileCapture
+from data_schemas.compare import PhotometricErrorReport
+from data_schemas.decide import LightAngleDecision
+from data_schemas.design import FingerDesign
+from data_schemas.fit import PaintCalibration
+from data_schemas.model import Record
+from data_schemas.provenance import provenance
+from data_schemas.radiometry import BandSignals
+from data_schemas.rig import RigFile
+from data_schemas.simulate import LightAngleSweep, SimulatedPress
+from data_schemas.standard_curves import camera_response
+from data_schemas.storage import read_record, sha256_of, write_record
+from finray_calib.compare.comparison_record import compare_press
+from finray_calib.decide.decision_record import decide
+from finray_calib.fit.paint_calibration import calibrate_paint
+from finray_calib.radiometry.band_signals import band_signals
+from rigs.capture.paint_session import capture_paint_session
+from rigs.capture.read_session import read_frame_of, read_session
+from rigs.presets import paint_plan, simulated_rig
+from rigs.simulated.bench import BenchTruth, bench_truth
+from rigs.toml_text import write_plan, write_rig
+from sim.experiments.digital_twin import capture_twin, hidden_design
+from sim.experiments.light_angle import light_angle_sweep
+from sim.experiments.painted_finger import PaintedFinger, paint_optics
+from sim.experiments.press import simulate_press
+from sim.optics.paint_bands import PaintOptics
+
+COLOURS = ("red", "green")
+ANGLES_DEG = tuple(float(a) for a in range(0, 121, 10))
+SWEEP_REPEATS = 6
+Progress = Callable[[int, int, str], None]
+R = TypeVar("R", bound=Record)
+
+
+@dataclass(frozen=True, slots=True)
+class DemoSettings:
+    """What a demo runs on.
+
+    Attributes
+    ----------
+    out
+        Folder that receives everything.
+    materials
+        Colour -> CSV file of a measured re-radiation matrix; a hidden paper-family paint where left out.
+    sensor
+        CSV file of a measured camera response; the assumed one when None.
+    seed
+        Seed of the bench, the fits, the renders and the decision.
+    command
+        Command line for the provenance.
+    samples_per_pixel, twin_samples_per_pixel, probe_samples
+        Paths per pixel of the simulation and of the digital twin, and per probe of the sweep.
+    """
+
+    out: Path
+    materials: Mapping[str, Path]
+    sensor: Path | None
+    seed: int
+    command: str
+    samples_per_pixel: int = 128
+    twin_samples_per_pixel: int = 256
+    probe_samples: int = 4000
+
+
+class Demo:
+    """Run the stages in order; every product is stored and the next stage reads it back from its file."""
+
+    def __init__(self, settings: DemoSettings, renderer: ModuleType) -> None:
+        self.settings = settings
+        self.renderer = renderer
+
+    def path(self, name: str) -> Path:
+        """Return the path of a product."""
+        return self.settings.out / name
+
+    def rig(self, colour: str) -> RigFile:
+        """Return the simulated rig with the sample of one colour."""
+        material = self.settings.materials.get(colour)
+        sensor = None if self.settings.sensor is None else str(self.settings.sensor.resolve())
+        sample = colour if material is None else str(material.resolve())
+        return simulated_rig(sample, sensor, seed=self.settings.seed + COLOURS.index(colour))
+
+    def capture(self, colour: str, progress: Progress) -> CaptureSession:
+        """Capture a paint session on the simulated rig."""
+        rig, folder = self.rig(colour), self.path(colour)
+        plan = paint_plan(f"{colour} paint", rig.camera)
+        write_rig(rig, folder / "rig.toml")
+        write_plan(plan, folder / "plan.toml")
+        return capture_paint_session(rig, plan, folder, folder / "session", self.settings.command, progress)
+
+    def radiometry(self, colour: str) -> BandSignals:
+        """Reduce the stored session to band signals."""
+        folder = self.path(colour) / "session"
+        bands = band_signals(read_session(folder), lambda frame: read_frame_of(folder, frame))
+        return self._store(bands, f"{colour}/bands.json", [f"{colour}/session/session.json"])
+
+    def fit(self, colour: str) -> PaintCalibration:
+        """Fit the emission spectrum to the stored band signals."""
+        bands = read_record(self.path(f"{colour}/bands.json"), BandSignals)
+        paint = calibrate_paint(bands, self.settings.seed)
+        return self._store(paint, f"{colour}/paint.json", [f"{colour}/bands.json"])
+
+    def truth(self, colour: str) -> BenchTruth:
+        """Return what the bench hid; it enters the digital twin and the report, never a stage."""
+        return bench_truth(self.rig(colour), self.path(colour))
+
+    def calibrations(self) -> dict[str, PaintCalibration]:
+        """Read both stored paint calibrations."""
+        return {colour: read_record(self.path(f"{colour}/paint.json"), PaintCalibration) for colour in COLOURS}
+
+    def design(self) -> FingerDesign:
+        """Return the finger of the demo: 70 x 35 mm pad, 20 mm cylinder, the sensor under test in its camera."""
+        design = FingerDesign()
+        if self.settings.sensor is None:
+            return design
+        camera = design.camera.model_copy(update={"response": str(self.settings.sensor.resolve())})
+        return design.model_copy(update={"camera": camera})
+
+    def simulate(self, progress: Progress) -> SimulatedPress:
+        """Render the press with the fitted paints."""
+        finger = self._finger(self.design(), {c: paint_optics(p) for c, p in self.calibrations().items()})
+        press = simulate_press(
+            finger, "b", self.settings.seed, self.settings.samples_per_pixel, self._digests(), progress
+        )
+        return self._store(press, "press.json", [f"{c}/paint.json" for c in COLOURS])
+
+    def sweep(self, progress: Progress) -> LightAngleSweep:
+        """Sweep the light angle with the fitted paints."""
+        calibrations = self.calibrations()
+        finger = self._finger(self.design(), {c: paint_optics(p) for c, p in calibrations.items()})
+        sweep = light_angle_sweep(
+            finger, calibrations, ANGLES_DEG, SWEEP_REPEATS, self.settings.probe_samples, self.settings.seed,
+            self._digests(), progress,
+        )  # fmt: skip
+        return self._store(sweep, "sweep.json", [f"{c}/paint.json" for c in COLOURS])
+
+    def twin(self, progress: Progress) -> TactileCapture:
+        """Capture the digital twin: hidden true paints, another light angle, coating and seed."""
+        paints = {colour: true_paint_optics(colour, self.truth(colour)) for colour in COLOURS}
+        finger = self._finger(hidden_design(self.design()), paints)
+        capture = capture_twin(
+            finger, self.design().light.angle_deg, self.settings.seed + 1000, self.settings.twin_samples_per_pixel,
+            progress,
+        )  # fmt: skip
+        return self._store(capture, "tactile-capture.json", [])
+
+    def compare(self) -> PhotometricErrorReport:
+        """Compare the stored render with the stored capture."""
+        press = read_record(self.path("press.json"), SimulatedPress)
+        capture = read_record(self.path("tactile-capture.json"), TactileCapture)
+        report = compare_press(press, capture, self.settings.seed)
+        return self._store(report, "photometric-error.json", ["press.json", "tactile-capture.json"])
+
+    def decide(self) -> LightAngleDecision:
+        """Decide on the light angle from the stored sweep and report."""
+        sweep = read_record(self.path("sweep.json"), LightAngleSweep)
+        report = read_record(self.path("photometric-error.json"), PhotometricErrorReport)
+        decision = decide(sweep, [report], self.settings.seed)
+        return self._store(decision, "light-angle-decision.json", ["sweep.json", "photometric-error.json"])
+
+    def _finger(self, design: FingerDesign, paints: Mapping[str, PaintOptics]) -> PaintedFinger:
+        """Join design, paints, the tactile camera's response and the renderer."""
+        return PaintedFinger(design, paints, camera_response(design.camera.response, self.settings.out), self.renderer)
+
+    def _digests(self) -> dict[str, str]:
+        """Return the SHA-256 of both paint calibrations."""
+        return {colour: sha256_of(self.path(f"{colour}/paint.json")) for colour in COLOURS}
+
+    def _store(self, record: R, name: str, inputs: list[str]) -> R:
+        """Store a product with its provenance and return it as the next stage reads it."""
+        origin = provenance(self.settings.command, {i: sha256_of(self.path(i)) for i in inputs}, self.settings.seed)
+        return read_record(write_record(record, self.path(name), origin), type(record))
+
+
+def true_paint_optics(colour: str, truth: BenchTruth) -> PaintOptics:
+    """Return the optics of the paint that really lies on the bench (measurement noise below zero is cut)."""
+    emission, reflectance = truth.emission, truth.reflectance
+    wavelength_nm = emission.wavelength_nm
+    blue_nm = np.arange(380.0, wavelength_nm[0])
+    grid_nm = np.concatenate([blue_nm, wavelength_nm])
+    return PaintOptics(
+        name=f"true {colour} paint",
+        wavelength_nm=grid_nm,
+        emission_per_nm=np.concatenate([np.zeros_like(blue_nm), np.maximum(emission.values, 0.0)]),
+        reflectance=np.clip(reflectance(grid_nm), 0.0, 1.0),
+    )

@@ -1,0 +1,1 @@
+"""From band values to the posterior of a paint's emission."""

@@ -1,0 +1,169 @@
+"""A heavy-tailed mixture fitted to the posterior: where the walkers start and where they may jump to."""
+
+from collections.abc import Callable
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln, logsumexp
+
+from finray_calib.fit.map_search import Maxima
+from finray_calib.fit.prior import EmissionPrior
+
+FloatArray = NDArray[np.float64]
+
+_DEGREES_OF_FREEDOM = 5.0  # tails heavier than the posterior's keep the importance weights bounded
+_INFLATION = 1.2  # of the Laplace sd: a proposal a little too wide costs less than one too narrow
+_LEAST_MASS = 0.05  # of the best maximum's: the Laplace mass is only an estimate
+_PRIOR_SHARE = 0.05
+_COMPONENTS = 12
+_MOST_ROUNDS = 20
+_DRAWS_PER_ROUND = 2000
+_LEAST_EFFECTIVE = 0.1  # effective share of the draws below which the weights are tempered
+_GOOD_EFFECTIVE = 0.5  # effective share of the draws at which adaptation stops
+_GOOD_ROUNDS = 3  # one round can be lucky and miss a tail
+_LEAST_SHARE = 0.01  # of a component: fewer draws cannot carry a covariance
+
+
+class MixtureProposal:
+    """Student t components with 5 degrees of freedom plus a share of prior draws.
+
+    q(theta) = sum_k s_k t_5(theta; centre_k, covariance_k) + s_0 prior(theta), s_0 = 1 - sum_k s_k = 0.05.
+
+    Parameters
+    ----------
+    shares
+        (K,) relative weights of the components.
+    centres
+        (K, 6) centres.
+    covariances
+        (K, 6, 6) scale matrices.
+    prior
+        Prior of the parameters.
+    """
+
+    def __init__(self, shares: FloatArray, centres: FloatArray, covariances: FloatArray, prior: EmissionPrior) -> None:
+        self._prior = prior
+        self._shares = np.append(shares / shares.sum() * (1 - _PRIOR_SHARE), _PRIOR_SHARE)
+        self._centres = centres
+        self._covariances = covariances
+        self._factors = np.linalg.cholesky(covariances)
+        self._whiten = np.linalg.inv(self._factors)
+        dimension, df = centres.shape[1], _DEGREES_OF_FREEDOM
+        constant = gammaln((df + dimension) / 2) - gammaln(df / 2) - dimension / 2 * np.log(df * np.pi)
+        self._ln_norm = constant - np.log(np.diagonal(self._factors, axis1=1, axis2=2)).sum(axis=1)
+
+    @classmethod
+    def around(cls, maxima: Maxima, prior: EmissionPrior) -> Self:
+        """Return one component per maximum: its Laplace approximation, slightly widened, weighted by its mass."""
+        mass = np.exp(maxima.ln_laplace_mass - maxima.ln_laplace_mass.max())
+        covariances = np.asarray(np.linalg.inv(maxima.information) * _INFLATION**2, dtype=np.float64)
+        return cls(np.maximum(mass, _LEAST_MASS), maxima.theta, _symmetric(covariances), prior)
+
+    def adapted(self, log_density: Callable[[FloatArray], FloatArray], rng: np.random.Generator) -> Self:
+        """Return a mixture of up to ten components fitted to a density by population Monte Carlo.
+
+        Each round draws from the mixture, weights the draws by density / mixture, and updates shares, centres
+        and covariances by one step of expectation maximisation for Student t mixtures. While the weights are
+        too uneven they are tempered.
+
+        References
+        ----------
+        Cappe, Douc, Guillin, Marin, Robert, Adaptive importance sampling in general mixture classes,
+        Statistics and Computing 18 (2008) 447-459.
+        """
+        mixture, good = self, 0
+        for round_ in range(_MOST_ROUNDS):
+            theta = mixture.draw(_DRAWS_PER_ROUND, rng)
+            ln_weight = log_density(theta) - mixture.log_density(theta)
+            is_good = effective_number(normalised(ln_weight)) > _GOOD_EFFECTIVE * _DRAWS_PER_ROUND
+            good = good + 1 if is_good else 0
+            if good == _GOOD_ROUNDS:
+                break
+            weight = tempered_weights(ln_weight, _LEAST_EFFECTIVE * _DRAWS_PER_ROUND)
+            if round_ == 0:
+                mixture = self._split(theta, weight, rng)
+            mixture = mixture.updated(theta, weight)
+        return mixture
+
+    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Return (count, 6) draws in random order."""
+        counts = rng.multinomial(count, self._shares)
+        prior_draws = self._prior.draw(counts[-1], rng)
+        which = np.repeat(np.arange(len(self._centres)), counts[:-1])
+        stretch = np.sqrt(_DEGREES_OF_FREEDOM / rng.chisquare(_DEGREES_OF_FREEDOM, which.size))
+        normal = stretch[:, None] * rng.standard_normal((which.size, self._centres.shape[1]))
+        draws = self._centres[which] + np.einsum("nij,nj->ni", self._factors[which], normal)
+        return np.asarray(rng.permutation(np.concatenate([prior_draws, draws])))
+
+    def log_density(self, theta: FloatArray) -> FloatArray:
+        """Return the normalised log density of (n, 6) rows, (n,)."""
+        return np.asarray(logsumexp(self._ln_terms(theta, self._squared_distance(theta)), axis=1))
+
+    def _squared_distance(self, theta: FloatArray) -> FloatArray:
+        """Return the squared Mahalanobis distances, (n, K)."""
+        z = np.einsum("kij,nkj->nki", self._whiten, theta[:, None, :] - self._centres)
+        return np.asarray((z**2).sum(axis=2))
+
+    def _ln_terms(self, theta: FloatArray, squared: FloatArray) -> FloatArray:
+        """Return the logarithms of the K + 1 terms of the density, (n, K + 1)."""
+        exponent = (_DEGREES_OF_FREEDOM + theta.shape[1]) / 2
+        ln_t = self._ln_norm - exponent * np.log1p(squared / _DEGREES_OF_FREEDOM)
+        return np.asarray(np.column_stack([ln_t, self._prior.log_density(theta)]) + np.log(self._shares))
+
+    def _split(self, theta: FloatArray, weight: FloatArray, rng: np.random.Generator) -> Self:
+        """Return the mixture with components of the present shapes moved to weighted draws."""
+        centres = theta[rng.choice(len(theta), _COMPONENTS, p=weight)]
+        nearest = self._ln_terms(centres, self._squared_distance(centres))[:, :-1].argmax(axis=1)
+        shares = np.full(_COMPONENTS, 1.0)
+        return type(self)(shares, centres, self._covariances[nearest], self._prior)
+
+    def updated(self, theta: FloatArray, weight: FloatArray) -> Self:
+        """Return the mixture after one step of expectation maximisation on (n, 6) draws with (n,) weights."""
+        squared = self._squared_distance(theta)
+        terms = self._ln_terms(theta, squared)
+        member = np.exp(terms - logsumexp(terms, axis=1, keepdims=True))[:, :-1] * weight[:, None]
+        share = member.sum(axis=0)
+        keep = share > _LEAST_SHARE
+        if not keep.any():
+            return self
+        scaled = member * (_DEGREES_OF_FREEDOM + theta.shape[1]) / (_DEGREES_OF_FREEDOM + squared)
+        centres = (scaled.T @ theta)[keep] / scaled.sum(axis=0)[keep, None]
+        apart = theta[:, None, :] - centres
+        covariances = np.einsum("nk,nki,nkj->kij", scaled[:, keep], apart, apart) / share[keep, None, None]
+        shrunk = covariances + 0.02 * self._covariances[keep]  # keeps the rank when a component holds few draws
+        return type(self)(share[keep], centres, _symmetric(shrunk), self._prior)
+
+
+def tempered_weights(ln_weight: FloatArray, least_effective: float) -> FloatArray:
+    """Return normalised weights w^a with the largest a <= 1 on a grid whose effective number is high enough.
+
+    The effective number of weights is 1 / sum(w^2); a is lowered by factors of 0.8.
+
+    Parameters
+    ----------
+    ln_weight
+        (n,) logarithms, minus infinity allowed.
+    least_effective
+        Demanded effective number.
+    """
+    power = 1.0
+    while effective_number(normalised(power * ln_weight)) < least_effective and power > 1e-4:
+        power *= 0.8
+    return normalised(power * ln_weight)
+
+
+def normalised(ln_weight: FloatArray) -> FloatArray:
+    """Return the weights of logarithms, (n,), with sum 1."""
+    weight = np.exp(ln_weight - ln_weight.max())
+    return np.asarray(weight / weight.sum())
+
+
+def effective_number(weight: FloatArray) -> float:
+    """Return the effective number 1 / sum(w^2) of normalised weights."""
+    return float(1 / (weight**2).sum())
+
+
+def _symmetric(matrices: FloatArray) -> FloatArray:
+    """Return matrices without the asymmetry of rounding."""
+    return np.asarray((matrices + matrices.swapaxes(1, 2)) / 2)

@@ -1,0 +1,97 @@
+"""From linear images to what a screen shows: white balance, sRGB transfer, outlines, PNG bytes and data URIs."""
+
+import base64
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.capture import TactileCapture
+from data_schemas.errors import RecordError
+
+FloatImage = NDArray[np.float64]
+ByteImage = NDArray[np.uint8]
+
+WHITE_PERCENTILE = 99.5
+"""Share of pixels, in per cent, that must not clip in the display; the rest are glints and hot pixels."""
+
+
+def capture_rgb(capture: TactileCapture, image: NDArray[np.uint16]) -> FloatImage:
+    """Return one image of a capture as RGB above black level, DN; a Bayer frame at half size, cell by cell.
+
+    Parameters
+    ----------
+    capture
+        The capture that the image belongs to (its layout and black level).
+    image
+        (H, W, 1) RGGB counts or (H, W, 3) RGB counts.
+    """
+    counts = image.astype(np.float64) - capture.black_level_dn
+    if capture.layout == "RGB":
+        return counts
+    plane = counts[..., 0]
+    green = (plane[0::2, 1::2] + plane[1::2, 0::2]) / 2
+    return np.stack([plane[0::2, 0::2], green, plane[1::2, 1::2]], axis=2)
+
+
+def display_white(image: NDArray[np.floating]) -> FloatImage:
+    """Return the value of each channel that a display shall show as white, (3,): a high percentile.
+
+    Raises
+    ------
+    RecordError
+        When a channel has no light to balance by.
+    """
+    white = np.nanpercentile(np.asarray(image, dtype=np.float64), WHITE_PERCENTILE, axis=(0, 1))
+    if not (white > 0).all():
+        raise RecordError(
+            f"display image: the {WHITE_PERCENTILE} % brightest pixels per channel are {white.tolist()}; every channel "
+            "must be above 0 to be shown white-balanced: check black level and exposure"
+        )
+    return np.asarray(white)
+
+
+def to_display(image: NDArray[np.floating], white: FloatImage, linear: bool) -> ByteImage:
+    """Return 8-bit sRGB code values of an image: divided by the white of each channel, then the sRGB transfer.
+
+    s = 12.92 v up to v = 0.0031308, else 1.055 v^(1/2.4) - 0.055 (IEC 61966-2-1). Encoded values (`linear`
+    False) have their curve already and are only scaled.
+
+    Parameters
+    ----------
+    image
+        (H, W, 3), any unit; NaN is shown black.
+    white
+        (3,) value per channel shown as white, same unit.
+    """
+    value = np.clip(np.nan_to_num(np.asarray(image, dtype=np.float64)) / white, 0.0, 1.0)
+    if linear:
+        value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+    return np.asarray(np.rint(255 * value), dtype=np.uint8)
+
+
+def with_outline(image: ByteImage, mask: NDArray[np.bool_]) -> ByteImage:
+    """Return the image with the border of a mask drawn as a white line beside a black one (seen on any ground).
+
+    The mask is stretched to the image when their sizes differ.
+    """
+    height, width = image.shape[:2]
+    inside = cv2.resize(mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    outer = cv2.dilate(inside, cross) > inside
+    inner = inside > cv2.erode(inside, cross, borderValue=1)
+    drawn = image.copy()
+    drawn[outer] = 0
+    drawn[inner] = 255
+    return drawn
+
+
+def png_bytes(rgb: ByteImage) -> bytes:
+    """Return an (H, W, 3) sRGB image as PNG bytes."""
+    _, encoded = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))
+    return encoded.tobytes()
+
+
+def png_data_uri(rgb: ByteImage) -> str:
+    """Return an (H, W, 3) sRGB image as a PNG data URI for an HTML image."""
+    return "data:image/png;base64," + base64.b64encode(png_bytes(rgb)).decode("ascii")

@@ -1,0 +1,218 @@
+"""The tables of the report as rows of text; the first cell of a row is its heading."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_schemas.compare import ErrorRow, PhotometricErrorReport
+from data_schemas.decide import AngleStatement
+from data_schemas.fit import Estimate
+from finray_calib.reports.demo_results import COLOURS, DemoResults, PaintResult
+from finray_calib.reports.number_text import decimals_for, fixed, percent, probability, significant, skill_text
+from finray_calib.reports.statements import estimate_text, holds
+
+_FURTHER_QUANTITIES = {
+    "peak_per_nm": ("peak", "1/nm"),
+    "location_nm": ("location (\u03bb\u2080 of the paper)", "nm"),
+    "scale_nm": ("scale (\u03b3)", "nm"),
+    "skewness": ("skewness (\u03c9)", ""),
+    "amplitude_nm": ("amplitude (h)", "nm"),
+    "reflectance_at_laser": ("reflectance at the laser", ""),
+    "share_below_laser": ("share below the laser line", ""),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class TableGroup:
+    """Rows under a common heading; an empty heading shows none."""
+
+    heading: str
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ReportTable:
+    """One table: caption, column headings and groups of rows."""
+
+    caption: str
+    columns: tuple[str, ...]
+    groups: tuple[TableGroup, ...]
+    is_words: bool = False
+
+
+def _table(caption: str, columns: tuple[str, ...], rows: list[tuple[str, ...]], is_words: bool = False) -> ReportTable:
+    """Return a table of one group without a heading."""
+    return ReportTable(caption, columns, (TableGroup("", tuple(rows)),), is_words)
+
+
+def capture_table(results: DemoResults) -> ReportTable:
+    """List what was captured of each paint."""
+    rows: list[tuple[str, ...]] = []
+    for colour in COLOURS:
+        session = results.paints[colour].session
+        kinds = Counter(frame.frame_type for frame in session.frames)
+        exposures = [frame.exposure_s for frame in session.frames]
+        saturated = max((frame.saturated_fraction for frame in session.frames), default=0.0)
+        rows.append(
+            (
+                f"{colour}: {session.plan.paint_name}",
+                session.rig.name,
+                str(len(session.frames)),
+                ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items())),
+                _range(exposures, "s"),
+                "none" if saturated == 0 else f"up to {percent(saturated)} of a region",
+            )
+        )
+    return _table(
+        "Frames of the two paint sessions",
+        ("paint", "rig", "frames", "of which", "exposures", "saturated"),
+        rows,
+        is_words=True,
+    )
+
+
+def _range(values: list[float], unit: str) -> str:
+    """Return the smallest and largest value."""
+    if not values:
+        return "none"
+    return f"{significant(min(values), 2)} to {significant(max(values), 2)} {unit}"
+
+
+def signals_table(paint: PaintResult) -> ReportTable:
+    """List the fluorescence signal of every filter and channel with its standard deviation."""
+    bands = paint.bands
+    sd = np.sqrt(np.diag(bands.fluorescence_covariance)).reshape(-1, 3)
+    rows: list[tuple[str, ...]] = [
+        (
+            f"{band.center_nm:g}",
+            *(_signal(*numbers) for numbers in zip(bands.fluorescence[i], sd[i], bands.flags[i], strict=True)),
+        )
+        for i, band in enumerate(bands.optics.filters)
+    ]
+    caption = (
+        f"{paint.colour.capitalize()} paint: fluorescence relative to white, in thousandths, \u00b1 standard deviation"
+    )
+    return _table(caption, ("filter (nm)", "red", "green", "blue"), rows)
+
+
+def _signal(value: float, sd: float, flag: str) -> str:
+    """Return value and standard deviation in thousandths, or the flag of a value that is not used."""
+    if flag != "ok":
+        return flag
+    places = min(decimals_for(1e3 * sd), 4)
+    return f"{fixed(1e3 * value, places)} \u00b1 {fixed(1e3 * sd, places)}"
+
+
+def fit_table(paint: PaintResult) -> ReportTable:
+    """List every fitted quantity; those with a known truth first, with the verdict on the interval."""
+    fit, truth = paint.calibration, paint.truth
+    name = "measured" if truth.is_measured else "truth"
+    compared: list[tuple[str, Estimate, float, str]] = [
+        ("mode", fit.parameters["mode_nm"], truth.mode_nm, "nm"),
+        ("FWHM", fit.parameters["fwhm_nm"], truth.fwhm_nm, "nm"),
+        ("energy yield", fit.energy_yield, truth.energy_yield, ""),
+    ]
+    rows: list[tuple[str, ...]] = [
+        (
+            label,
+            estimate_text(value, unit),
+            f"{fixed(true, 1)} nm" if unit else significant(true, 4),
+            "inside" if holds(value, true) else "OUTSIDE",
+        )
+        for label, value, true, unit in compared
+    ]
+    rows += [
+        (label, estimate_text(fit.parameters[key], unit), "", "")
+        for key, (label, unit) in _FURTHER_QUANTITIES.items()
+        if key in fit.parameters
+    ]
+    caption = f"{paint.colour.capitalize()} paint: median and 95 % interval"
+    return _table(caption, ("quantity", "fit", name, "interval"), rows)
+
+
+def bands_table(paint: PaintResult) -> ReportTable:
+    """List chi-square and posterior predictive p of every band, and of all together."""
+    fit = paint.calibration
+    rows: list[tuple[str, ...]] = [
+        (
+            f"{band.center_nm:g} nm",
+            fixed(band.chi_square, 1),
+            str(band.degrees_of_freedom),
+            probability(band.posterior_predictive_p),
+        )
+        if band.degrees_of_freedom > 0
+        else (f"{band.center_nm:g} nm", "not used", "0", "")
+        for band in fit.bands
+    ]
+    rows.append(("all bands", fixed(fit.chi_square, 1), str(fit.degrees_of_freedom), ""))
+    caption = f"{paint.colour.capitalize()} paint: how well the fit explains each band"
+    return _table(caption, ("filter", "chi-square", "values", "predictive p"), rows)
+
+
+def error_table(report: PhotometricErrorReport) -> ReportTable:
+    """List do nothing, simulation and floor for every region."""
+    groups = tuple(
+        TableGroup(
+            f"{region.region}: up to {region.factor:g} times the contact half-width, {region.pixels} pixels, "
+            f"{_clipped(region.clipped_fraction)}",
+            tuple(_error_cells(row) for row in region.rows),
+        )
+        for region in report.regions
+    )
+    columns = ("candidate", "skill [95 %]", "skill R, G, B", "relative RMS R, G, B", "PSNR", "SSIM")
+    return ReportTable("Every candidate against the captured contact image", columns, groups)
+
+
+def _clipped(fraction: float) -> str:
+    """Say how much of a region is clipped."""
+    return "none clipped" if fraction == 0 else f"{percent(fraction)} clipped"
+
+
+def _error_cells(row: ErrorRow) -> tuple[str, ...]:
+    """Return the cells of one candidate."""
+    spread = "withheld" if row.relative_rms is None else ", ".join(percent(value) for value in row.relative_rms)
+    return (
+        row.candidate,
+        skill_text(row.skill.estimate, row.skill.low95, row.skill.high95),
+        ", ".join("none" if value is None else fixed(value, 2) for value in row.skill_per_channel),
+        spread,
+        "identical" if row.psnr_db is None else f"{fixed(row.psnr_db, 1)} dB",
+        fixed(row.ssim, 3),
+    )
+
+
+def decision_table(results: DemoResults) -> ReportTable:
+    """List what is claimed with the sim-to-real error, beside what the renders alone would claim."""
+    decision = results.decision
+    both = (decision.statement, decision.statement_simulation_only)
+    rows: list[tuple[str, ...]] = [
+        ("true optimum within 5 deg, probability", *(probability(s.p_within_5deg) for s in both)),
+        ("expected loss", *(percent(s.expected_regret) for s in both)),
+        ("loss not exceeded with 95 % probability", *(percent(s.regret_95) for s in both)),
+        (f"angles equivalent within {percent(decision.tolerance_rel)}", *(equivalent_text(s) for s in both)),
+    ]
+    first = "with sim-to-real error" if decision.validated else "not validated"
+    return _table(f"Light at {decision.angle_deg:.0f} deg", ("claim", first, "renders alone"), rows, is_words=True)
+
+
+def equivalent_text(statement: AngleStatement) -> str:
+    """Return the equivalent angles as ranges in deg."""
+    ranges = [
+        f"{low:.0f} to {high:.0f} deg" if high > low else f"{low:.0f} deg" for low, high in statement.equivalent_deg
+    ]
+    return ", ".join(ranges) or "none"
+
+
+def provenance_table(results: DemoResults) -> ReportTable:
+    """List origin, version, seed and input hashes."""
+    origin = results.provenance
+    rows: list[tuple[str, ...]] = [
+        ("made (UTC)", origin.created_utc),
+        ("finray-calib", origin.package_version),
+        ("source commit", origin.git_commit or "not run from a source tree"),
+        ("Python", origin.python_version),
+        ("seed", "none" if origin.seed is None else str(origin.seed)),
+    ]
+    rows += [(f"SHA-256 of {name}", digest) for name, digest in sorted(origin.input_sha256.items())]
+    return _table("Where this report comes from", ("item", "value"), rows, is_words=True)

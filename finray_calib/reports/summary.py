@@ -1,0 +1,166 @@
+"""Every number of the report as plain JSON types; a number that is not finite becomes null."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from data_schemas.decide import AngleStatement
+from data_schemas.fit import Estimate
+from data_schemas.simulate import LightAngleSweep
+from finray_calib.reports.curve_agreement import curve_agreement
+from finray_calib.reports.demo_results import COLOURS, STAGES, DemoResults, PaintResult
+
+Json = dict[str, Any]
+
+
+def summary(results: DemoResults) -> Json:
+    """Return every number of the report.
+
+    Parameters
+    ----------
+    results
+        The six stages of one run.
+
+    Returns
+    -------
+    dict
+        Keys `stages` (wall times, s), `paints` (`red`, `green`), `simulation`, `photometric_error`, `decision`,
+        `provenance` and `command`. Fractions are 0 to 1; other units are the suffix of the key.
+    """
+    plain: Json = _plain(
+        {
+            "stages": {stage: results.stage_wall_times_s[stage] for stage in STAGES},
+            "paints": {colour: _paint(results.paints[colour]) for colour in COLOURS},
+            "simulation": _simulation(results),
+            "photometric_error": _photometric_error(results),
+            "decision": _decision(results),
+            "provenance": results.provenance.model_dump(mode="json"),
+            "command": results.command,
+        }
+    )
+    return plain
+
+
+def _paint(paint: PaintResult) -> Json:
+    """Return what was measured and fitted for one paint, beside the truth."""
+    fit, truth = paint.calibration, paint.truth
+    agreement = curve_agreement(paint)
+    return {
+        "paint_name": fit.paint_name,
+        "truth_kind": truth.kind,
+        "mode_nm": _estimate(fit.parameters["mode_nm"], truth.mode_nm),
+        "fwhm_nm": _estimate(fit.parameters["fwhm_nm"], truth.fwhm_nm),
+        "energy_yield": _estimate(fit.energy_yield, truth.energy_yield),
+        "parameters": {name: _estimate(value) for name, value in fit.parameters.items()},
+        "curve_error_rel": agreement.error_rel,
+        "curve_coverage_95": agreement.coverage_95_rel,
+        "chi_square": fit.chi_square,
+        "degrees_of_freedom": fit.degrees_of_freedom,
+        "chi_square_p": agreement.chi_square_p,
+        "chi_square_per_band": {band.filter_name: band.chi_square for band in fit.bands},
+        "bands": [band.model_dump(mode="json") for band in fit.bands],
+        "band_signals": _band_signals(paint),
+        "reflectance": {
+            band.name: _estimate(value) for band, value in zip(fit.optics.filters, fit.reflectance, strict=True)
+        },
+        "diagnostics": fit.diagnostics.model_dump(mode="json"),
+        "frames": len(paint.session.frames),
+        "region_pixels": paint.bands.region_pixels,
+        "warnings": list(fit.warnings),
+    }
+
+
+def _band_signals(paint: PaintResult) -> list[Json]:
+    """Return measured and predicted signals, filter by filter; lists run over the red, green and blue channel."""
+    fit, bands = paint.calibration, paint.bands
+    return [
+        {
+            "filter_name": band.name,
+            "measured": fit.measured[i].tolist(),
+            "measured_sd": fit.measured_sd[i].tolist(),
+            "predicted": fit.predicted[i].tolist(),
+            "predicted_sd": fit.predicted_sd[i].tolist(),
+            "total_radiance_factor": bands.reflectance[i].tolist(),
+            "flags": list(bands.flags[i]),
+        }
+        for i, band in enumerate(bands.optics.filters)
+    ]
+
+
+def _simulation(results: DemoResults) -> Json:
+    """Return how the images and the sweep came about."""
+    press, sweep = results.press, results.sweep
+    return {
+        "label": press.label,
+        "method": press.method,
+        "light_angle_deg": press.light_angle_deg,
+        "height_px": press.contact.shape[0],
+        "width_px": press.contact.shape[1],
+        "sweep_label": sweep.label,
+        "sweep_angles": len(sweep.angles_deg),
+        "sweep_repeats": sweep.values.shape[1],
+        "renderer_note": results.renderer_note,
+    }
+
+
+def _photometric_error(results: DemoResults) -> Json:
+    """Return the whole report but its map."""
+    return results.report.model_dump(mode="json", exclude={"error_map", "provenance"})
+
+
+def _decision(results: DemoResults) -> Json:
+    """Return the decision with and without the sim-to-real error, beside the truth where it is known."""
+    decision = results.decision
+    true = None if results.true_sweep is None else true_loss(results.true_sweep, decision.angle_deg)
+    return {
+        "angle_deg": decision.angle_deg,
+        **_statement(decision.statement),
+        "verdict": decision.verdict,
+        "sentence": decision.sentence,
+        "objective": decision.objective,
+        "tolerance_rel": decision.tolerance_rel,
+        "validated": decision.validated,
+        "discrepancy_rel": decision.discrepancy_rel,
+        "simulation_only": _statement(decision.statement_simulation_only),
+        "true_best_angle_deg": None if true is None else true[0],
+        "true_regret": None if true is None else true[1],
+    }
+
+
+def true_loss(true_sweep: LightAngleSweep, angle_deg: float) -> tuple[float, float]:
+    """Return the best rendered angle of the true finger in deg, and the loss of another angle relative to it.
+
+    Linear between the rendered angles; a loss below the sweep's own noise is not distinguishable from none.
+    """
+    curve = (true_sweep.values / true_sweep.values.mean(axis=0)).mean(axis=1)
+    best = int(np.argmax(curve))
+    at_angle = float(np.interp(angle_deg, true_sweep.angles_deg, curve))
+    return float(true_sweep.angles_deg[best]), 1.0 - at_angle / float(curve[best])
+
+
+def _statement(statement: AngleStatement) -> Json:
+    """Return probability, loss and equivalent angles."""
+    return {
+        "p_within_5deg": statement.p_within_5deg,
+        "expected_regret": statement.expected_regret,
+        "regret_95": statement.regret_95,
+        "equivalent_deg": [list(interval) for interval in statement.equivalent_deg],
+    }
+
+
+def _estimate(value: Estimate, truth: float | None = None) -> Json:
+    """Return estimate and 95 % interval, beside the truth where it is known."""
+    numbers: Json = {"estimate": value.estimate, "low95": value.low95, "high95": value.high95}
+    return numbers if truth is None else {**numbers, "truth": truth}
+
+
+def _plain(value: Any) -> Any:
+    """Return plain JSON types: numpy scalars as numbers, tuples as lists, null for what is not finite."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

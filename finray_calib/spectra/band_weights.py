@@ -1,0 +1,230 @@
+"""From curves of filter, camera, lamp, white and laser to the weights that turn an emission curve into band values."""
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from data_schemas.errors import CurveError, FitError
+
+FloatArray = NDArray[np.float64]
+_Scalar = TypeVar("_Scalar", bound=np.generic)
+
+
+@dataclass(frozen=True, slots=True)
+class EmissionWeights:
+    """Linear map from an emission curve and a reflectance to the normalised band values of the rig.
+
+    y = emission @ f + rho * m * reflected_laser, with f the bispectral radiance factor per nm of emission
+    (nm^-1), rho the reflectance at the laser line and m the blocking multiplier (1 in the excitation band).
+    Rows are band-major: band 0 channels R, G, B, then band 1, and so on.
+
+    Attributes
+    ----------
+    wavelength_nm
+        (L,) grid, nm.
+    emission
+        (N, L) weights in nm, quadrature included.
+    reflected_laser
+        (N,) value of a perfect reflector of the laser, dimensionless.
+    is_excitation
+        (N,) True for the rows of the excitation band.
+    band_index
+        (N,) index of the band of each row.
+    laser_nm
+        Centroid of the laser line, nm.
+    """
+
+    wavelength_nm: FloatArray
+    emission: FloatArray
+    reflected_laser: FloatArray
+    is_excitation: NDArray[np.bool_]
+    band_index: NDArray[np.int64]
+    laser_nm: float
+
+    def __post_init__(self) -> None:
+        rows, length = self.emission.shape
+        for name, shape in (
+            ("wavelength_nm", (length,)),
+            ("reflected_laser", (rows,)),
+            ("is_excitation", (rows,)),
+            ("band_index", (rows,)),
+        ):
+            if getattr(self, name).shape != shape:
+                raise FitError(f"emission weights: '{name}' has shape {getattr(self, name).shape}, must be {shape}")
+        for name in ("wavelength_nm", "emission", "reflected_laser", "is_excitation", "band_index"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @property
+    def bands(self) -> int:
+        """Number of bands."""
+        return int(self.band_index[-1]) + 1
+
+
+def emission_weights(
+    wavelength_nm: ArrayLike,
+    transmission: ArrayLike,
+    response: ArrayLike,
+    lamp: ArrayLike,
+    white_reflectance: ArrayLike,
+    laser: ArrayLike,
+    excitation_band: int,
+    channel_weights: ArrayLike,
+) -> EmissionWeights:
+    """Return the weights of y_bc = (F_bc / W_bc) / V for a sample of emission f and laser reflectance rho.
+
+    With D_bc = int R E T_b Q_c dl (white under the lamp) and V = sum_c w_c int R s T_e Q_c dl / D_ec (white
+    under the laser through the excitation filter e)::
+
+        y_bc = [ int f T_b Q_c dl + rho m_b int s T_b Q_c dl ] / D_bc / V
+
+    Whole curves are integrated by the trapezoidal rule on the given grid; the value at a filter's centre is
+    wrong by up to 5 %. The laser is scaled to unit area. Valid when the grid covers every filter's pass band
+    and resolves the laser line (1 nm steps for a 2 nm line).
+
+    Parameters
+    ----------
+    wavelength_nm
+        (L,) increasing grid, nm.
+    transmission
+        (B, L) filter transmission T_b, 0 to 1, blocking floor included.
+    response
+        (C, L) camera response Q_c, any common unit.
+    lamp
+        (L,) relative spectral power E of the white lamp.
+    white_reflectance
+        (L,) reflectance R of the white reference, 0 to 1.
+    laser
+        (L,) laser line s, any scale.
+    excitation_band
+        Index e of the filter that passes the laser.
+    channel_weights
+        (C,) weights w_c of the channels in V; they sum to 1.
+
+    Returns
+    -------
+    EmissionWeights
+        Rows in band-major order, B * C of them.
+
+    Raises
+    ------
+    CurveError
+        When a curve has a wrong shape, is not finite or is negative, or the grid does not increase.
+    FitError
+        When the white signal of a band and channel is zero, the excitation band does not exist or passes no
+        laser light, or the channel weights do not sum to 1.
+    """
+    wavelength = _curve("wavelength_nm", wavelength_nm, 1, None)
+    if wavelength.size < 2 or (np.diff(wavelength) <= 0).any():
+        raise CurveError("wavelength_nm: must be two or more increasing wavelengths in nm")
+    filters, camera = (
+        _curve(n, v, 2, wavelength.size) for n, v in (("transmission", transmission), ("response", response))
+    )
+    light, white, line = (
+        _curve(n, v, 1, wavelength.size)
+        for n, v in (("lamp", lamp), ("white_reflectance", white_reflectance), ("laser", laser))
+    )
+    share = _channel_shares(channel_weights, len(camera))
+    if not 0 <= excitation_band < len(filters):
+        raise FitError(f"excitation_band: {excitation_band} does not exist, there are bands 0 to {len(filters) - 1}")
+    quadrature = _trapezoid(wavelength)
+    line = _unit_area("laser", line, quadrature)
+    passed = filters[:, None, :] * camera[None, :, :] * quadrature
+    white_signal = passed @ (white * light)
+    if (white_signal <= 0).any():
+        band, channel = np.argwhere(white_signal <= 0)[0]
+        raise FitError(
+            f"white signal of band {band}, channel {channel} is zero: lamp, white reference, filter and camera "
+            "curves have no common wavelength; check their ranges in nm"
+        )
+    laser_white = passed[excitation_band] @ (white * line)
+    visible = float(share @ (laser_white / white_signal[excitation_band]))
+    if visible <= 0:
+        raise FitError(f"excitation band {excitation_band} passes no laser light: check filter and laser curves")
+    scale = 1.0 / (white_signal * visible)
+    bands = np.repeat(np.arange(len(filters)), len(camera))
+    return EmissionWeights(
+        wavelength_nm=wavelength,
+        emission=(passed * scale[..., None]).reshape(bands.size, -1),
+        reflected_laser=((passed @ line) * scale).ravel(),
+        is_excitation=bands == excitation_band,
+        band_index=bands,
+        laser_nm=float(wavelength @ (line * quadrature)),
+    )
+
+
+def band_average(curve: ArrayLike, weights: ArrayLike) -> FloatArray:
+    """Return the weighted mean of a curve in each band, sum(curve * weights) / sum(weights).
+
+    With the weights int E T_b Q_c dl of a lamp this is the band reflectance of a non-fluorescent sample.
+
+    Parameters
+    ----------
+    curve
+        (L,) values on the grid of the weights.
+    weights
+        (..., L) weights, quadrature included, not negative.
+
+    Returns
+    -------
+    numpy.ndarray
+        (...) in the unit of the curve.
+
+    Raises
+    ------
+    CurveError
+        When the weights have another length than the curve, or are negative.
+    FitError
+        When all weights of a band are zero.
+    """
+    values = np.asarray(curve, dtype=np.float64)
+    table = np.asarray(weights, dtype=np.float64)
+    _curve("weights", np.atleast_2d(table), 2, values.size)
+    total = table.sum(axis=-1)
+    if (total <= 0).any():
+        raise FitError("band average: all weights of a band are zero; check the filter and lamp curves")
+    return np.asarray(table @ values / total)
+
+
+def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
+    """Return a view that cannot be written through; the caller's array stays writable."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def _curve(name: str, values: ArrayLike, dimensions: int, length: int | None) -> FloatArray:
+    """Return checked values: right shape, finite, not negative."""
+    array = np.array(values, dtype=np.float64)
+    if array.ndim != dimensions or (length is not None and array.shape[-1] != length):
+        wanted = f"{dimensions} dimension(s)" + ("" if length is None else f" and {length} wavelengths")
+        raise CurveError(f"{name}: shape {array.shape} is wrong, must have {wanted}")
+    if not (np.isfinite(array) & (array >= 0)).all():
+        raise CurveError(f"{name}: {int((~(array >= 0)).sum())} values are negative or not finite; must be 0 or more")
+    return array
+
+
+def _channel_shares(channel_weights: ArrayLike, channels: int) -> FloatArray:
+    """Return the checked weights of the channels."""
+    share = _curve("channel_weights", channel_weights, 1, channels)
+    if abs(share.sum() - 1) > 1e-9:  # rounding of decimals written by hand is far below
+        raise FitError(f"channel_weights: sum is {share.sum():g}, must be 1")
+    return share
+
+
+def _trapezoid(wavelength_nm: FloatArray) -> FloatArray:
+    """Return the trapezoidal weights of a grid, nm."""
+    step = np.diff(wavelength_nm)
+    weights = np.zeros_like(wavelength_nm)
+    weights[:-1] += step / 2
+    weights[1:] += step / 2
+    return weights
+
+
+def _unit_area(name: str, curve: FloatArray, quadrature: FloatArray) -> FloatArray:
+    """Return the curve divided by its area."""
+    area = float(curve @ quadrature)
+    if area <= 0:
+        raise CurveError(f"{name}: area is zero on the grid; check its wavelength range in nm")
+    return curve / area

@@ -1,0 +1,458 @@
+"""A small made-up run of all six stages, from a seed: the numbers look like those of a real run, and are not."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.capture import CaptureSession, Frame, IndenterPose, PaintPlan, RegionOfInterest, TactileCapture
+from data_schemas.compare import ErrorRow, Interval, PhotometricErrorReport, RegionError
+from data_schemas.curves import SpectralCurve
+from data_schemas.decide import AngleStatement, LightAngleDecision
+from data_schemas.design import FingerDesign
+from data_schemas.fit import BandResidual, Diagnostics, Estimate, PaintCalibration
+from data_schemas.provenance import Provenance
+from data_schemas.radiometry import BandSignals, Optics
+from data_schemas.rig import (
+    BandPassFilter,
+    FilterWheelSettings,
+    HiddenPaint,
+    LaserSettings,
+    RigFile,
+    SimulatedBench,
+    WhiteReference,
+)
+from data_schemas.simulate import LightAngleSweep, SimulatedPress
+from finray_calib.reports.demo_results import Colour, DemoResults, PaintResult, PaintTruth
+
+Floats = NDArray[np.float64]
+SEED = 20261121
+WAVELENGTH_NM = np.arange(400.0, 781.0, 2.0)
+CENTERS_NM = (405.0, 450.0, 500.0, 532.0, 560.0, 600.0, 630.0, 660.0)
+SAMPLED = ("mode_nm", "ln_fwhm_nm", "kappa", "ln_peak_per_nm", "ln_reflected_laser", "ln_blocking")
+PRIOR_MEAN = np.array([560.0, np.log(45.0), 0.0, np.log(3e-3), np.log(0.1), 0.0])
+PRIOR_SD = np.array([60.0, 0.4, 1.5, 1.2, 1.5, 1.0])
+POSTERIOR_SD = np.array([0.8, 0.02, 0.15, 0.02, 0.01, 0.6])
+NOISE_REL = 0.012
+HEIGHT_PX, WIDTH_PX = 96, 128
+
+
+def example_results(seed: int = SEED, paint_name: str = "fluorescent red", measured_green: bool = True) -> DemoResults:
+    """Return a whole run; the green paint has a tail that the fitted curve misses."""
+    rng = np.random.default_rng(seed)
+    optics = _optics()
+    red = _paint("red", paint_name, (606.0, 48.0, 4.5e-3), 0.0, optics, rng)
+    green = _paint("green", "fluorescent green", (519.0, 36.0, 6.2e-3), 0.22 if measured_green else 0.0, optics, rng)
+    if not measured_green:
+        green = replace(green, truth=replace(green.truth, kind="hidden paper-family paint"))
+    press, capture, report = _comparison(rng)
+    sweep, true_sweep = _sweep(rng, 32.0, 3), _sweep(rng, 34.0, 1)
+    return DemoResults(
+        paints={"red": red, "green": green},
+        press=press,
+        capture=capture,
+        report=report,
+        sweep=sweep,
+        decision=example_decision("tie"),
+        stage_wall_times_s={
+            "capture": 8.2,
+            "radiometry": 3.1,
+            "fit": 11.4,
+            "simulate": 44.0,
+            "compare": 1.6,
+            "decide": 0.9,
+        },
+        renderer_note="Rendered with the path tracer, level b (paint as a textured emitter), 64 samples per pixel.",
+        command="finray demo --out demo-run --seed 1",
+        provenance=Provenance(
+            created_utc="2026-11-21T20:00:00+00:00",
+            command="finray demo --out demo-run --seed 1",
+            package_version="0.1.0",
+            git_commit="0123456789abcdef0123456789abcdef01234567",
+            python_version="3.11.2",
+            input_sha256={"demo.toml": "ab" * 32},
+            seed=seed,
+        ),
+        true_sweep=true_sweep,
+    )
+
+
+def _bell(x: Floats, center: float, fwhm: float) -> Floats:
+    """Return a bell curve of height 1."""
+    return np.asarray(np.exp(-4 * np.log(2) * ((x - center) / fwhm) ** 2))
+
+
+def _emission(x: Floats, mode_nm: float, fwhm_nm: float, peak_per_nm: float) -> Floats:
+    """Return a curve with a Lorentzian tail on the long side and a bell on the short side."""
+    tail = 1 / (1 + (2 * (x - mode_nm) / (1.15 * fwhm_nm)) ** 2)
+    return np.asarray(peak_per_nm * np.where(x > mode_nm, tail, _bell(x, mode_nm, 0.85 * fwhm_nm)))
+
+
+def _curve(name: str, values: Floats, source: str = "assumed") -> SpectralCurve:
+    """Return a curve on the common grid."""
+    return SpectralCurve(name=name, wavelength_nm=WAVELENGTH_NM, values=values, source=source)
+
+
+def _optics() -> Optics:
+    """Return the known curves of the example rig."""
+    red, green, blue = (
+        _curve(n, _bell(WAVELENGTH_NM, c, 100.0)) for n, c in (("R", 610.0), ("G", 535.0), ("B", 455.0))
+    )
+    return Optics(
+        filters=_filters(),
+        excitation_filter="450",
+        laser=LaserSettings(),
+        lamp=_curve("lamp", WAVELENGTH_NM / 560.0, "Planck at 2856 K"),
+        white_reference=WhiteReference(),
+        camera_response=(red, green, blue),
+    )
+
+
+def _filters() -> tuple[BandPassFilter, ...]:
+    """Return the eight filters of the wheel."""
+    return tuple(BandPassFilter(slot=i + 1, name=f"{c:g}", center_nm=c) for i, c in enumerate(CENTERS_NM))
+
+
+def _estimate(median: float, sd: float) -> Estimate:
+    """Return a normal posterior summary."""
+    return Estimate(
+        estimate=median,
+        sd=sd,
+        low68=median - sd,
+        high68=median + sd,
+        low95=median - 1.96 * sd,
+        high95=median + 1.96 * sd,
+    )
+
+
+def _paint(
+    colour: Colour,
+    name: str,
+    shape: tuple[float, float, float],
+    second_peak_rel: float,
+    optics: Optics,
+    rng: np.random.Generator,
+) -> PaintResult:
+    """Return one paint; `second_peak_rel` adds a peak to the truth that the fitted curve does not have."""
+    mode_nm, fwhm_nm, peak_per_nm = shape
+    truth_values = _emission(WAVELENGTH_NM, *shape)
+    truth_values = truth_values + second_peak_rel * peak_per_nm * _bell(WAVELENGTH_NM, mode_nm + 70.0, 50.0)
+    bands, predicted = _bands(name, truth_values, shape, optics, rng)
+    kind = "hidden paper-family paint" if second_peak_rel == 0 else "measured material green.csv"
+    truth = PaintTruth(_curve("truth", truth_values), mode_nm, fwhm_nm, float(truth_values.sum() * 2.0), kind)
+    return PaintResult(
+        colour=colour,
+        session=_session(name),
+        bands=bands,
+        calibration=_calibration(name, shape, optics, bands, predicted, rng),
+        truth=truth,
+        room_light_rgb8=_preview(colour, rng),
+    )
+
+
+def _bands(
+    name: str, truth: Floats, shape: tuple[float, float, float], optics: Optics, rng: np.random.Generator
+) -> tuple[BandSignals, Floats]:
+    """Return band signals of the truth, and what the fitted curve predicts."""
+    at_filters = [np.interp(CENTERS_NM, WAVELENGTH_NM, curve) for curve in (truth, _emission(WAVELENGTH_NM, *shape))]
+    shares = np.array([[1.0, 0.97, 1.03]])
+    true, predicted = (90.0 * values[:, None] * shares + 1e-5 for values in at_filters)
+    true[1] = predicted[1] = 0.06 * shares
+    signal = true * (1 + 0.008 * rng.standard_normal(true.shape))
+    weak = signal < 3e-4
+    bands = BandSignals(
+        paint_name=name,
+        optics=optics,
+        fluorescence=signal,
+        fluorescence_covariance=np.diag((NOISE_REL * signal + 1e-5).ravel() ** 2),
+        reflectance=0.2 + 0.5 * signal / signal.max() + 0.01 * rng.standard_normal(signal.shape),
+        reflectance_covariance=np.eye(24) * 1e-4,
+        channel_weights=np.array([0.3, 0.4, 0.3]),
+        flags=tuple(tuple("weak" if w else "ok" for w in row) for row in weak),
+        saturated_fraction=np.zeros((8, 3)),
+        region_pixels=51_200,
+        notes=("camera response R covers 400 to 780 nm; its end value is held for 0.4 % of the weight of 405 nm",),
+    )
+    return bands, predicted
+
+
+def _calibration(
+    name: str,
+    shape: tuple[float, float, float],
+    optics: Optics,
+    bands: BandSignals,
+    predicted: Floats,
+    rng: np.random.Generator,
+) -> PaintCalibration:
+    """Return the posterior of a paint."""
+    mode_nm, fwhm_nm, peak_per_nm = shape
+    center = np.array([mode_nm - 0.4, np.log(fwhm_nm * 1.01), 1.1, np.log(peak_per_nm), np.log(0.06), 0.1])
+    draws = center + POSTERIOR_SD * rng.standard_normal((400, 6))
+    fit = _emission(WAVELENGTH_NM, mode_nm - 0.4, fwhm_nm * 1.01, peak_per_nm * 0.995)
+    spread = 0.015 * fit + 1e-2 * peak_per_nm * _bell(WAVELENGTH_NM, mode_nm, 2 * fwhm_nm)
+    measured_sd = np.sqrt(np.diag(bands.fluorescence_covariance)).reshape(8, 3)
+    chi = (((bands.fluorescence - predicted) / measured_sd) ** 2 * bands.usable()).sum(axis=1)
+    return PaintCalibration(
+        paint_name=name,
+        family="skew-Cauchy curve of four parameters",
+        parameters={
+            "mode_nm": _estimate(mode_nm - 0.4, 0.8),
+            "fwhm_nm": _estimate(1.01 * fwhm_nm, 0.9),
+            "skewness": _estimate(1.34, 0.2),
+            "peak_per_nm": _estimate(peak_per_nm, 2e-5),
+        },
+        prior={p: f"normal({m:.3g}, {s:g})" for p, m, s in zip(SAMPLED, PRIOR_MEAN, PRIOR_SD, strict=True)},
+        sampled=SAMPLED,
+        map_estimate=dict(zip(SAMPLED, center.tolist(), strict=True)),
+        draws=draws,
+        prior_draws=PRIOR_MEAN + PRIOR_SD * rng.standard_normal((400, 6)),
+        wavelength_nm=WAVELENGTH_NM,
+        emission_per_nm=fit,
+        emission_low95_per_nm=np.maximum(fit - 2 * spread, 0.0),
+        emission_high95_per_nm=fit + 2 * spread,
+        emission_low68_per_nm=np.maximum(fit - spread, 0.0),
+        emission_high68_per_nm=fit + spread,
+        energy_yield=_estimate(float(fit.sum() * 2.0), 0.004),
+        reflectance=tuple(_estimate(0.2 + 0.06 * i, 0.012) for i in range(8)),
+        reflectance_method="radiance factor less the fitted fluorescence",
+        optics=optics,
+        usable=bands.usable(),
+        measured=bands.fluorescence,
+        measured_sd=measured_sd,
+        predicted=predicted,
+        predicted_sd=NOISE_REL * predicted,
+        bands=tuple(
+            BandResidual(
+                filter_name=f.name,
+                center_nm=f.center_nm,
+                chi_square=float(chi[i]),
+                degrees_of_freedom=int(bands.usable()[i].sum()),
+                posterior_predictive_p=float(np.clip(np.exp(-chi[i] / 6), 0.0, 1.0)),
+            )
+            for i, f in enumerate(optics.filters)
+        ),
+        chi_square=float(chi.sum()),
+        degrees_of_freedom=int(bands.usable().sum()) - 6,
+        diagnostics=Diagnostics(
+            walkers=48,
+            steps=3000,
+            converged=True,
+            acceptance_fraction=0.31,
+            autocorrelation_time=dict.fromkeys(SAMPLED, 41.0),
+            r_hat=dict.fromkeys(SAMPLED, 1.004),
+            effective_samples=dict.fromkeys(SAMPLED, 2350.0),
+            maxima=(88.1, 71.4),
+        ),
+        warnings=("3.1 % of the fitted emission lies below the laser line, where none can be",),
+    )
+
+
+def _session(name: str) -> CaptureSession:
+    """Return a session with a few frames."""
+    optics = _optics()
+    kinds = ("dark", "white", "reflectance", "fluorescence")
+    frames = tuple(
+        Frame(
+            sequence=i,
+            file=f"frames/{i:04d}.tiff",
+            frame_type=kinds[i % 4],
+            target="white" if kinds[i % 4] == "white" else "sample",
+            light="laser" if kinds[i % 4] == "fluorescence" else "lamp",
+            filter_name=f"{CENTERS_NM[i % 8]:g}",
+            slot_before=i % 8 + 1,
+            slot_after=i % 8 + 1,
+            exposure_requested_s=0.01 * (i + 1),
+            exposure_s=0.01 * (i + 1),
+            captured_utc="2026-11-21T20:00:00+00:00",
+            saturated_fraction=0.0,
+            sha256="0" * 64,
+        )
+        for i in range(64)
+    )
+    return CaptureSession(
+        plan=PaintPlan(paint_name=name, region=RegionOfInterest(row_px=10, column_px=10, height_px=64, width_px=64)),
+        rig=_rig(name),
+        camera_response=optics.camera_response,
+        lamp=optics.lamp,
+        frames=frames,
+    )
+
+
+def _rig(name: str) -> RigFile:
+    """Return the simulated rig."""
+    paint = HiddenPaint(
+        name=name, mode_nm=606.0, fwhm_nm=48.0, asinh_skewness=1.0, energy_yield=0.2, absorption_peak_nm=470.0
+    )
+    return RigFile(
+        name="simulated bench",
+        filter_wheel=FilterWheelSettings(filters=_filters()),
+        simulated=SimulatedBench(paint=paint),
+    )
+
+
+def _preview(colour: Colour, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Return a painted square on grey."""
+    image = np.full((60, 80, 3), 120.0)
+    image[12:48, 16:64] = {"red": (225.0, 84.0, 62.0), "green": (92.0, 205.0, 88.0)}[colour]
+    return np.asarray(np.clip(image + 4 * rng.standard_normal(image.shape), 0, 255), dtype=np.uint8)
+
+
+def _comparison(rng: np.random.Generator) -> tuple[SimulatedPress, TactileCapture, PhotometricErrorReport]:
+    """Return a press of a cylinder across the pad, its capture and their comparison."""
+    rows, columns = np.mgrid[0:HEIGHT_PX, 0:WIDTH_PX].astype(float)
+    distance = np.abs(columns - 0.5 * WIDTH_PX) / 12.0
+    fall = np.stack(
+        [0.2 + 0.6 * rows / HEIGHT_PX, 0.8 - 0.6 * rows / HEIGHT_PX, 0.3 + 0.5 * _bell(columns, 20.0, 90.0)], 2
+    )
+    dent = 1 - 0.35 * _bell(distance, 0.0, 1.6) + 0.12 * _bell(distance, 1.5, 0.9)
+    real_dent = 1 - 0.38 * _bell(distance, 0.05, 1.5) + 0.10 * _bell(distance, 1.5, 0.9)
+    distance[:4] = np.nan
+    simulated, captured = fall * dent[..., None], fall * real_dent[..., None]
+    press = SimulatedPress(
+        name="cylinder press",
+        label="rendered, level b, llvm_ad_rgb",
+        method="rendered",
+        encoding="linear",
+        no_contact=fall,
+        contact=simulated,
+        distance=distance,
+        variance=None,
+        light_angle_deg=30.0,
+        design=FingerDesign(),
+        notes=("48 samples per pixel; render noise 0.6 % of the mean",),
+    )
+    capture = TactileCapture(
+        name="cylinder press, simulated twin",
+        contact=_raw(captured, rng),
+        no_contact=_raw(fall, rng),
+        repeat_no_contact=_raw(fall, rng),
+        layout="Bayer RGGB",
+        encoding="linear",
+        bit_depth=10,
+        black_level_dn=16.0,
+        exposure_s=0.02,
+        light_angle_deg=30.0,
+        indenter=IndenterPose(shape="cylinder", radius_mm=10.0, depth_mm=1.5, position_mm=35.0),
+        contact_circle=None,
+        mm_per_px=0.3,
+        source="simulated bench",
+    )
+    error = (simulated - captured).mean(axis=2) / fall.mean(axis=2) + 0.003 * rng.standard_normal(distance.shape)
+    error[:4] = np.nan
+    return press, capture, _report(error)
+
+
+def _raw(image: Floats, rng: np.random.Generator) -> NDArray[np.uint16]:
+    """Return an RGGB frame of twice the image's size in counts."""
+    height, width = image.shape[:2]
+    frame = np.zeros((2 * height, 2 * width, 1))
+    for (row, column), channel in {(0, 0): 0, (0, 1): 1, (1, 0): 1, (1, 1): 2}.items():
+        frame[row::2, column::2, 0] = image[..., channel]
+    counts = 16 + 700 * frame + 3 * rng.standard_normal(frame.shape)
+    return np.asarray(np.clip(np.rint(counts), 0, 1023), dtype=np.uint16)
+
+
+def _report(error: Floats) -> PhotometricErrorReport:
+    """Return the comparison's report over contact and halo."""
+    return PhotometricErrorReport(
+        simulated="cylinder press",
+        captured="cylinder press, simulated twin",
+        label="rendered, level b, llvm_ad_rgb",
+        values="linear light",
+        headline_region="contact and halo",
+        headline_skill=Interval(estimate=0.931, low95=0.913, high95=0.949),
+        regions=(_region("contact", 1.0, 2300, 0.957), _region("contact and halo", 2.0, 4600, 0.931)),
+        ssim_full_frame={"do nothing": 0.93, "simulation": 0.984, "floor": 0.991},
+        ssim_settings="SSIM after Wang 2004 (Gaussian 1.5 px, 11 x 11)",
+        exposure_factor=1.034,
+        exposure_factor_sd=0.002,
+        channel_weights=(1.2, 1.0, 0.8),
+        objective_error_rel=0.018,
+        objective_error_sd_rel=0.006,
+        light_angle_deg=30.0,
+        error_map=error,
+        notes=("one capture: the intervals do not know what another press would give",),
+    )
+
+
+def _region(name: str, factor: float, pixels: int, skill: float) -> RegionError:
+    """Return the three rows of a region."""
+    return RegionError(
+        region=name,
+        factor=factor,
+        pixels=pixels,
+        clipped_fraction=0.0,
+        rows=(
+            _row("do nothing", 0.0, 0.0, 0.21),
+            _row("simulation", skill, 0.018, 0.041),
+            _row("floor", 0.9984, 0.0002, 0.006),
+        ),
+    )
+
+
+def _row(candidate: str, skill: float, half: float, rms: float) -> ErrorRow:
+    """Return one row with a symmetric interval."""
+    return ErrorRow.model_validate(
+        {
+            "candidate": candidate,
+            "skill": {"estimate": skill, "low95": skill - half, "high95": skill + half},
+            "skill_per_channel": (skill, skill + 0.7 * half, skill - half),
+            "relative_rms": (rms, 0.9 * rms, 1.2 * rms),
+            "psnr_db": 20.0 - 20 * np.log10(rms / 0.2),
+            "ssim": 0.9 + 0.09 * skill,
+        }
+    )
+
+
+def _sweep(rng: np.random.Generator, best_deg: float, repeats: int) -> LightAngleSweep:
+    """Return a noisy hill over the angle."""
+    angles_deg = np.arange(0.0, 121.0, 10.0)
+    hill = _hill(angles_deg, best_deg)[:, None] * (1 + 0.008 * rng.standard_normal((angles_deg.size, repeats)))
+    values = hill * (1 + 0.05 * rng.standard_normal(repeats))
+    return LightAngleSweep(
+        name="blue panel",
+        objective="mean brightness beside the indenter",
+        label="13 angles, level b, half the resolution",
+        angles_deg=angles_deg,
+        values=values,
+        basis=np.ones((angles_deg.size, repeats, 2, 3)),
+        bands=("blue", "green", "red"),
+        probe_points_mm=np.zeros((2, 3)),
+        design=FingerDesign(),
+        paints={"red": "0" * 64, "green": "1" * 64},
+    )
+
+
+def _hill(angle_deg: Floats, best_deg: float) -> Floats:
+    """Return a smooth hill with its top at `best_deg`."""
+    return np.asarray(0.25 + 0.75 * np.exp(-0.5 * ((angle_deg - best_deg) / 34.0) ** 2))
+
+
+def example_decision(verdict: str, validated: bool = True) -> LightAngleDecision:
+    """Return a decision with the given verdict."""
+    grid_deg = np.arange(0.0, 121.0)
+    mean = _hill(grid_deg, 32.0)
+    statement = AngleStatement(
+        p_within_5deg=0.71, expected_regret=0.0031, regret_95=0.0142, equivalent_deg=((25.0, 39.0),)
+    )
+    alone = AngleStatement(p_within_5deg=0.93, expected_regret=0.0008, regret_95=0.0041, equivalent_deg=((27.0, 37.0),))
+    return LightAngleDecision.model_validate(
+        {
+            "objective": "mean brightness beside the indenter",
+            "angle_deg": 32.0,
+            "verdict": verdict,
+            "sentence": "32 deg: true optimum within 5 deg with probability 0.71; expected loss 0.3 %, at most 1.4 % "
+            "with 95 % probability; 25-39 deg are equivalent within 2 %.",
+            "tolerance_rel": 0.02,
+            "validated": validated,
+            "discrepancy_rel": 0.018 if validated else None,
+            "statement": statement if validated else alone,
+            "statement_simulation_only": alone,
+            "grid_deg": grid_deg,
+            "mean": mean,
+            "low95": mean - 0.035,
+            "high95": mean + 0.035,
+            "low95_simulation_only": mean - 0.012,
+            "high95_simulation_only": mean + 0.012,
+        }
+    )

@@ -1,0 +1,123 @@
+"""Images for the screen and figures: known values, outlines, and marks that do not rely on colour."""
+
+import base64
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+import pytest
+from example_records import example_decision, example_results
+
+from data_schemas.errors import RecordError
+from finray_calib.reports.compare_figures import error_map_figure, score_figure
+from finray_calib.reports.decide_figures import angle_figure, on_curve_scale
+from finray_calib.reports.fit_figures import bands_figure, emission_figure, marginals_figure, reflectance_figure
+from finray_calib.reports.images import (
+    capture_rgb,
+    display_white,
+    png_bytes,
+    png_data_uri,
+    to_display,
+    with_outline,
+)
+from finray_calib.reports.style import CANDIDATES, CHANNELS
+
+RESULTS = example_results()
+
+
+def test_srgb_transfer_of_known_values() -> None:
+    # Mid grey 0.2140 is code value 127 or 128 of sRGB (IEC 61966-2-1), 0.001 lies on the straight part.
+    image = np.array([[[0.0, 0.001, 0.2140], [1.0, 2.0, np.nan]]])
+    assert to_display(image, np.ones(3), linear=True).tolist() == [[[0, 3, 127], [255, 255, 0]]]
+    assert to_display(image, np.ones(3), linear=False)[0, 0].tolist() == [0, 0, 55]
+
+
+def test_white_balance_makes_a_grey_card_grey_and_refuses_a_dark_channel() -> None:
+    card = np.full((20, 20, 3), (2.0, 5.0, 0.3))
+    assert np.unique(to_display(card, display_white(card), linear=True)).tolist() == [255]
+    with pytest.raises(RecordError, match=r"every channel must be above 0 to be shown white-balanced"):
+        display_white(card * [1.0, 1.0, 0.0])
+
+
+def test_a_bayer_frame_becomes_half_size_rgb_above_black() -> None:
+    capture = RESULTS.capture
+    frame = np.zeros((4, 6, 1), dtype=np.uint16)
+    frame[0::2, 0::2], frame[0::2, 1::2], frame[1::2, 0::2], frame[1::2, 1::2] = 116, 216, 236, 316
+    assert np.array_equal(capture_rgb(capture, frame), np.full((2, 3, 3), (100.0, 210.0, 300.0)))
+    rgb = np.full((2, 2, 3), 20, dtype=np.uint16)
+    assert np.array_equal(capture_rgb(capture.model_copy(update={"layout": "RGB"}), rgb), np.full((2, 2, 3), 4.0))
+
+
+def test_an_outline_is_a_white_line_beside_a_black_one_on_any_grid() -> None:
+    grey = np.full((40, 40, 3), 90, dtype=np.uint8)
+    mask = np.zeros((20, 20), dtype=bool)
+    mask[5:15, 5:15] = True
+    drawn = with_outline(grey, mask)[..., 0]
+    assert drawn[20, [8, 9, 10, 11, 20]].tolist() == [90, 0, 255, 90, 90]
+    assert np.array_equal(with_outline(grey, np.ones((20, 20), dtype=bool)), grey)
+
+
+def test_png_holds_the_same_pixels() -> None:
+    image = np.random.default_rng(1).integers(0, 256, (5, 7, 3)).astype(np.uint8)
+    decoded = cv2.imdecode(np.frombuffer(png_bytes(image), np.uint8), cv2.IMREAD_COLOR)
+    assert decoded is not None
+    assert np.array_equal(decoded[..., ::-1], image)
+    assert base64.b64decode(png_data_uri(image).split(",")[1]) == png_bytes(image)
+
+
+def test_every_figure_is_well_formed_and_undated() -> None:
+    paint, outline = RESULTS.paints["green"], RESULTS.press.distance <= 2.0
+    makers = {
+        "emission": lambda: emission_figure(paint),
+        "bands": lambda: bands_figure(paint),
+        "marginals": lambda: marginals_figure(paint),
+        "reflectance": lambda: reflectance_figure(paint),
+        "error map": lambda: error_map_figure(RESULTS.report, outline),
+        "scores": lambda: score_figure(RESULTS.report),
+        "angle": lambda: angle_figure(RESULTS.decision, RESULTS.sweep, RESULTS.true_sweep),
+    }
+    for name, make in makers.items():
+        svg = make()
+        assert ElementTree.fromstring(svg).tag.endswith("svg"), name
+        assert "<dc:date>" not in svg, name
+
+
+def test_series_differ_by_marker_and_not_only_by_colour() -> None:
+    assert len({marker for _, marker, _ in CHANNELS}) == len(CHANNELS)
+    assert len({marker for marker, _ in CANDIDATES.values()}) == len(CANDIDATES)
+
+
+def test_the_angle_figure_shows_more_when_there_is_more() -> None:
+    validated = angle_figure(example_decision("tie"), RESULTS.sweep, RESULTS.true_sweep)
+    alone = angle_figure(example_decision("tie", validated=False), RESULTS.sweep, None)
+    assert len(validated) > len(alone)
+
+
+def test_a_sweep_on_the_scale_of_the_curve_ignores_the_scale_of_each_repeat() -> None:
+    scaled = RESULTS.sweep.model_copy(update={"values": RESULTS.sweep.values * [2.0, 70.0, 0.1]})
+    one, other = (on_curve_scale(sweep, RESULTS.decision) for sweep in (RESULTS.sweep, scaled))
+    np.testing.assert_allclose(one, other, rtol=1e-12)  # only rounding may differ
+    curve = np.interp(RESULTS.sweep.angles_deg, RESULTS.decision.grid_deg, RESULTS.decision.mean)
+    np.testing.assert_allclose(one.mean(axis=0), curve.mean(), rtol=1e-12)
+
+
+def test_names_with_mathematics_and_negative_scores_are_drawn() -> None:
+    region = RESULTS.report.regions[0]
+    worse = region.rows[1].skill.model_copy(update={"estimate": -3.0, "low95": -4.0, "high95": -2.0})
+    rows = (region.rows[0], region.rows[1].model_copy(update={"skill": worse}))
+    report = RESULTS.report.model_copy(
+        update={"regions": (region.model_copy(update={"region": "$\\frac{ a very long name", "rows": rows}),)}
+    )
+    assert "<svg" in score_figure(report)
+
+
+def test_an_error_map_without_error_or_outline_is_drawn() -> None:
+    report = RESULTS.report.model_copy(update={"error_map": np.zeros((8, 10), dtype=np.float32)})
+    assert "<svg" in error_map_figure(report, np.ones((8, 10), dtype=bool))
+
+
+def test_unknown_parameters_and_many_of_them_are_drawn() -> None:
+    paint = RESULTS.paints["red"]
+    fit = paint.calibration.model_copy(update={"sampled": ("mode_nm", "ln_fwhm_nm", "stokes_shift_nm")})
+    assert "<svg" in marginals_figure(replace(paint, calibration=fit))

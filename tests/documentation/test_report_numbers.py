@@ -1,0 +1,226 @@
+"""Numbers and sentences of the report: nothing falsely precise, nothing kinder than the records."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from example_records import example_decision, example_results
+
+from data_schemas.compare import Interval
+from finray_calib.reports import statements
+from finray_calib.reports.comparison_table import WIDTH_COLUMNS, comparison_lines
+from finray_calib.reports.curve_agreement import curve_agreement
+from finray_calib.reports.number_text import (
+    decimals_for,
+    duration,
+    fixed,
+    interval_text,
+    percent,
+    probability,
+    significant,
+)
+from finray_calib.reports.report_tables import bands_table, decision_table, error_table, fit_table, signals_table
+from finray_calib.reports.summary import summary, true_loss
+
+RESULTS = example_results()
+
+
+@pytest.mark.parametrize(
+    ("numbers", "unit", "text"),
+    [
+        ((597.1234, 596.0, 598.3), "nm", "597.1 [596.0, 598.3] nm"),
+        ((0.93123, 0.9121, 0.9483), "", "0.931 [0.912, 0.948]"),
+        ((1234.5, 1100.2, 1350.9), "px", "1230 [1100, 1350] px"),
+        ((0.0, 0.0, 0.0), "", "0"),
+        ((1e-9, -2e-4, 2e-4), "", "0.00000 [-0.00020, 0.00020]"),
+    ],
+)
+def test_an_interval_shows_the_digits_it_supports(numbers: tuple[float, float, float], unit: str, text: str) -> None:
+    assert interval_text(*numbers, unit) == text
+
+
+def test_numbers_as_text() -> None:
+    assert [fixed(v, 1) for v in (-0.01, np.nan, np.inf, -np.inf)] == ["0.0", "not given", "infinite", "-infinite"]
+    assert [significant(v) for v in (0.0, 0.012345, 123456.0, 2e-7, 48.0)] == [
+        "0",
+        "0.0123",
+        "1.23e+05",
+        "2.00e-07",
+        "48.0",
+    ]
+    assert [percent(v) for v in (0.02, 0.0142, 0.381, 0.0, 0.0004, 3380.2)] == [
+        "2 %",
+        "1.4 %",
+        "38 %",
+        "0 %",
+        "below 0.1 %",
+        "3380 times",
+    ]
+    assert [probability(v) for v in (1.0, 0.0, 0.714)] == ["above 0.99", "below 0.01", "0.71"]
+    assert [duration(v) for v in (0.94, 44.4, 150.0)] == ["0.9 s", "44 s", "2.5 min"]
+    assert decimals_for(0.0) == 3
+
+
+def test_summary_has_the_promised_keys_in_plain_json() -> None:
+    numbers = json.loads(json.dumps(summary(RESULTS), allow_nan=False))
+    assert set(numbers["stages"]) == {"capture", "radiometry", "fit", "simulate", "compare", "decide"}
+    for colour in ("red", "green"):
+        paint = numbers["paints"][colour]
+        for key in ("mode_nm", "fwhm_nm", "energy_yield"):
+            assert set(paint[key]) == {"estimate", "low95", "high95", "truth"}
+        assert len(paint["chi_square_per_band"]) == 8
+        assert paint["chi_square"] == pytest.approx(sum(paint["chi_square_per_band"].values()))
+    assert numbers["photometric_error"]["headline_skill"]["estimate"] == 0.931
+    assert [row["candidate"] for row in numbers["photometric_error"]["regions"][0]["rows"]] == [
+        "do nothing",
+        "simulation",
+        "floor",
+    ]
+    wanted = {
+        "angle_deg": 32.0,
+        "p_within_5deg": 0.71,
+        "expected_regret": 0.0031,
+        "regret_95": 0.0142,
+        "verdict": "tie",
+    }
+    assert {key: numbers["decision"][key] for key in wanted} == wanted
+
+
+def test_summary_turns_what_is_not_finite_into_null() -> None:
+    report = RESULTS.report.model_copy(update={"objective_error_rel": float("nan")})
+    numbers = summary(replace(RESULTS, report=report, true_sweep=None))
+    assert numbers["photometric_error"]["objective_error_rel"] is None
+    assert numbers["decision"]["true_regret"] is None
+
+
+def test_curve_agreement_of_a_known_shift_and_of_the_truth_itself() -> None:
+    paint = RESULTS.paints["red"]
+    fit = paint.calibration
+    itself = paint.truth.emission.model_copy(update={"values": fit.emission_per_nm})
+    perfect = curve_agreement(replace(paint, truth=replace(paint.truth, emission=itself)))
+    assert (perfect.error_rel, perfect.coverage_95_rel) == (0.0, 1.0)
+    twice = paint.truth.emission.model_copy(update={"values": 2 * fit.emission_per_nm})
+    half = curve_agreement(replace(paint, truth=replace(paint.truth, emission=twice)))
+    assert half.error_rel == pytest.approx(0.5, rel=1e-12)  # |f - 2f| / |2f|, up to rounding
+    assert half.coverage_95_rel == 0.0
+
+
+def test_a_stiff_model_is_called_too_stiff_and_a_lucky_one_unlucky() -> None:
+    green, red = RESULTS.paints["green"], RESULTS.paints["red"]
+    coverage = curve_agreement(green).coverage_95_rel
+    assert coverage < statements.GOOD_COVERAGE
+    assert f"covers {percent(coverage)} of the measured curve" in statements.model_statement(green)
+    assert "too stiff for this paint and its intervals are too narrow" in statements.model_statement(green)
+    assert "The band signals reject the fit" in statements.model_statement(green)
+    assert "describes this paint within its stated uncertainty" in statements.model_statement(red)
+    calm = green.calibration.model_copy(update={"chi_square": 12.0, "degrees_of_freedom": 15})
+    hidden = replace(green, calibration=calm, truth=replace(green.truth, kind="hidden paper-family paint"))
+    assert "the luck of this one session" in statements.model_statement(hidden)
+    assert "The band signals alone do not reveal it (chi-square, p = 0.68)" in statements.model_statement(hidden)
+    red_truth = replace(green, truth=replace(green.truth, kind="hidden paper-family paint"))
+    assert "the measurement or the fit has gone wrong" in statements.model_statement(red_truth)
+    few = replace(green, calibration=calm.model_copy(update={"degrees_of_freedom": -2}))
+    assert "too few band values to test the fit" in statements.model_statement(few)
+
+
+def test_warnings_name_their_stage_and_are_listed_once() -> None:
+    note = "48 samples per pixel; render noise 0.6 % of the mean"
+    report = RESULTS.report.model_copy(update={"notes": (note, "no repeat")})
+    found = statements.warnings(replace(RESULTS, report=report))
+    assert [text for text in found if note in text] == [f"simulate, compare: {note}"]
+    assert "compare: no repeat" in found
+    assert sum(text.startswith("radiometry (red paint), radiometry (green paint): camera") for text in found) == 1
+
+
+@pytest.mark.parametrize(
+    ("verdict", "meaning"),
+    [
+        ("decided", "Mount the light at 32 deg"),
+        ("tie", "take the one that is easiest to build"),
+        ("undecided", "More angles or more repeats would help"),
+        ("model-limited", "More renders will not help"),
+    ],
+)
+def test_each_verdict_says_what_to_do(verdict: str, meaning: str) -> None:
+    assert meaning in statements.verdict_meaning(example_decision(verdict))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "meaning"),
+    [
+        (0.91, 0.95, "explains 93 % of the squared change"),
+        (-0.1, 0.95, "cannot be told from leaving the image unchanged"),
+        (-0.9, -0.1, "worse than leaving the image unchanged"),
+    ],
+)
+def test_the_simulation_is_praised_only_as_far_as_its_interval(low: float, high: float, meaning: str) -> None:
+    estimate = 0.93 if high > 0.93 else (low + high) / 2
+    skill = Interval(estimate=estimate, low95=low, high95=high)
+    report = RESULTS.report.model_copy(update={"headline_skill": skill})
+    sentence = statements.simulation_sentence(report)
+    assert meaning in sentence
+    assert "Doing nothing scores 0; a perfect simulation would score 0.998" in sentence
+
+
+def test_a_missing_floor_is_said() -> None:
+    regions = tuple(region.model_copy(update={"rows": region.rows[:2]}) for region in RESULTS.report.regions)
+    report = RESULTS.report.model_copy(update={"regions": regions})
+    assert "no repeat was captured" in statements.simulation_sentence(report)
+
+
+def test_a_bad_chain_is_called_not_converged() -> None:
+    diagnostics = RESULTS.paints["red"].calibration.diagnostics
+    assert statements.chain_statement(diagnostics).startswith("converged; largest R-hat 1.004")
+    for worse in ({"converged": False}, {"r_hat": {"kappa": 1.2}}, {"effective_samples": {"kappa": 80.0}}):
+        bad = diagnostics.model_copy(update=worse)
+        assert statements.chain_statement(bad).startswith("NOT converged")
+        paint = RESULTS.paints["red"]
+        paint = replace(paint, calibration=paint.calibration.model_copy(update={"diagnostics": bad}))
+        assert "do not use this fit" in statements.paint_sentence(paint)
+        assert "this fit must not be used" in statements.model_statement(paint)
+    assert "do not use" not in statements.paint_sentence(RESULTS.paints["red"])
+
+
+def test_true_loss_of_a_known_curve() -> None:
+    sweep = RESULTS.sweep
+    values = np.interp(sweep.angles_deg, [0.0, 30.0, 120.0], [0.5, 1.0, 0.1])[:, None] * [1.0, 3.0, 0.2]
+    best_deg, loss = true_loss(sweep.model_copy(update={"values": values}), 60.0)
+    assert best_deg == 30.0
+    assert loss == pytest.approx(0.3, rel=1e-12)  # a straight line from 1 at 30 deg to 0.1 at 120 deg
+    assert statements.truth_statement(replace(RESULTS, true_sweep=None)) is None
+
+
+def test_tables_name_what_is_not_used_or_outside() -> None:
+    cells = {cell for group in signals_table(RESULTS.paints["red"]).groups for row in group.rows for cell in row}
+    assert "weak" in cells
+    assert [row[-1] for row in fit_table(RESULTS.paints["green"]).groups[0].rows[:3]] == ["inside", "inside", "OUTSIDE"]
+    assert "not used" in {row[1] for row in bands_table(RESULTS.paints["red"]).groups[0].rows}
+    assert decision_table(RESULTS).groups[0].rows[3] == (
+        "angles equivalent within 2 %",
+        "25 to 39 deg",
+        "27 to 37 deg",
+    )
+
+
+def test_withheld_and_identical_values_are_words() -> None:
+    row = RESULTS.report.regions[0].rows[1]
+    odd = row.model_copy(update={"relative_rms": None, "psnr_db": None, "skill_per_channel": (0.9, None, 0.8)})
+    region = RESULTS.report.regions[0].model_copy(update={"rows": (odd,), "clipped_fraction": 0.02})
+    report = RESULTS.report.model_copy(
+        update={"regions": (region,), "withheld": ("relative RMS: encoding unknown",), "exposure_factor": None}
+    )
+    assert error_table(report).groups[0].rows[0][2:5] == ("0.90, none, 0.80", "withheld", "identical")
+    assert error_table(report).groups[0].heading.endswith("2 % clipped")
+    text = comparison_lines(report)
+    for words in ("withheld: relative RMS", "identical", "0.90 - 0.80", "2.0% clipped", "not fitted (1)"):
+        assert words in text
+
+
+def test_terminal_table_fits_100_columns_and_holds_every_row() -> None:
+    long_name = RESULTS.report.model_copy(update={"simulated": "s" * 300, "label": "l" * 300})
+    lines = comparison_lines(long_name).splitlines()
+    assert max(map(len, lines)) <= WIDTH_COLUMNS
+    for candidate in ("do nothing", "simulation", "floor"):
+        assert sum(line.startswith(candidate) for line in lines) == 2
+    assert lines[-1] == "headline: skill 0.931 [0.913, 0.949] over contact and halo"

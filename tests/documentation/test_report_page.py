@@ -1,0 +1,180 @@
+"""The demo's page: verdict first, self-contained, accessible, safe, and equal bytes for equal input."""
+
+import base64
+import json
+import re
+from collections import Counter
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+from example_records import example_decision, example_results
+
+from data_schemas.errors import RecordError
+from finray_calib.reports.demo_report import demo_report
+from finray_calib.reports.demo_results import STAGES
+from finray_calib.reports.summary import summary
+
+HOSTILE = "<script>alert(1)</script>"
+VOID = {"meta", "img", "br", "link", "hr"}
+
+
+class Page(HTMLParser):
+    """Collects tags with their attributes, the text outside scripts and styles, and tags that were never closed."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text: list[str] = []
+        self.open: list[str] = []
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if not {"script", "style"} & set(self.open):
+            self.text.append(data)
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+    @property
+    def prose(self) -> str:
+        return " ".join(" ".join(self.text).split())
+
+
+@pytest.fixture(scope="module")
+def html() -> str:
+    return demo_report(example_results())
+
+
+@pytest.fixture(scope="module")
+def page(html: str) -> Page:
+    return Page(html)
+
+
+def test_every_tag_is_closed_in_order(page: Page) -> None:
+    assert page.open == []
+
+
+def test_the_verdict_stands_before_every_stage_image_and_table(page: Page, html: str) -> None:
+    verdict = html.index("32 deg: true optimum within")
+    assert verdict < min(html.index("<img"), html.index("<table"), *(html.index(f'id="{stage}"') for stage in STAGES))
+    assert html.index("How far to trust this") < html.index('id="capture"')
+    positions = [html.index(f'id="{stage}"') for stage in STAGES]
+    assert positions == sorted(positions)
+    assert "Several angles do equally well" in page.prose
+
+
+def test_the_page_needs_nothing_from_outside_and_no_script(page: Page, html: str) -> None:
+    markup = re.sub(r"data:image/[^\"]*", "", html)
+    assert "http" not in markup
+    assert "url(" not in markup
+    assert page.all("link") == []
+    assert [script["type"] for script in page.all("script")] == ["application/json"]
+    assert not any(name.startswith("on") for _, attributes in page.tags for name in attributes)
+    for image in page.all("img"):
+        source = image["src"]
+        assert source is not None
+        assert source.startswith(("data:image/png;base64,", "data:image/svg+xml;base64,"))
+
+
+def test_the_figures_themselves_load_nothing(page: Page) -> None:
+    sources = [str(image["src"]) for image in page.all("img")]
+    drawings = [base64.b64decode(s.split(",")[1]).decode() for s in sources if s.startswith("data:image/svg")]
+    assert len(drawings) == 11  # four for each paint, error map, scores, angle
+    for svg in drawings:
+        assert "<script" not in svg
+        assert all(ref.startswith(("#", "data:")) for ref in re.findall(r'href="([^"]*)"', svg))
+
+
+def test_every_image_says_its_conclusion_in_words(page: Page) -> None:
+    texts = [image["alt"] for image in page.all("img")]
+    assert all(text is not None and len(text) > 20 for text in texts)
+    assert any("too stiff for this paint" in str(text) for text in texts)
+
+
+def test_table_headings_have_a_scope_and_every_table_a_caption(page: Page) -> None:
+    assert Counter(tag for tag, _ in page.tags)["caption"] == len(page.all("table")) > 0
+    assert {heading.get("scope") for heading in page.all("th")} == {"col", "row", "rowgroup"}
+
+
+def test_ids_are_unique_and_labels_and_links_point_to_them(page: Page) -> None:
+    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    assert {str(a["href"]).removeprefix("#") for a in page.all("a")} <= set(ids)
+    assert {a["aria-labelledby"] for _, a in page.tags if "aria-labelledby" in a} <= set(ids)
+    assert page.all("html")[0]["lang"] == "en"
+
+
+def test_text_colours_have_a_contrast_of_at_least_4_5(html: str) -> None:
+    grounds = ("#ffffff", "#f0f6fb", "#f6f8fa")  # page, verdict box, table groups and code
+    for ink in re.findall(r"--(?:ink|muted|accent): (#[0-9a-f]{6})", html):
+        assert min(_contrast(ink, ground) for ground in grounds) >= 4.5
+
+
+def _contrast(one: str, other: str) -> float:
+    """Contrast ratio after WCAG 2.1."""
+    lighter, darker = sorted((_luminance(one), _luminance(other)), reverse=True)
+    return (lighter + 0.05) / (darker + 0.05)
+
+
+def _luminance(colour: str) -> float:
+    """Relative luminance after WCAG 2.1."""
+    values = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    linear = [v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in values]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def test_the_embedded_json_is_the_summary(html: str) -> None:
+    block = re.search(r'<script type="application/json" id="summary">(.*?)</script>', html, re.DOTALL)
+    assert block is not None
+    assert json.loads(block[1]) == summary(example_results())
+
+
+def test_equal_input_gives_equal_bytes_whatever_the_users_matplotlib_settings(html: str) -> None:
+    import matplotlib as mpl
+
+    with mpl.rc_context({"font.size": 20.0, "axes.grid": False, "svg.hashsalt": None}):
+        assert demo_report(example_results()) == html
+
+
+@pytest.fixture(scope="module")
+def hostile() -> str:
+    """Return the page of an unvalidated, model-limited run whose red paint has a hostile name."""
+    results = example_results(paint_name=HOSTILE)
+    return demo_report(replace(results, decision=example_decision("model-limited", validated=False), true_sweep=None))
+
+
+def test_hostile_names_stay_text(hostile: str) -> None:
+    assert HOSTILE not in hostile
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in hostile
+    assert len(Page(hostile).all("script")) == 1
+    block = re.search(r'id="summary">(.*?)</script>', hostile, re.DOTALL)
+    assert block is not None
+    assert json.loads(block[1])["paints"]["red"]["paint_name"] == HOSTILE
+
+
+def test_another_verdict_is_named_in_title_and_box(hostile: str) -> None:
+    text = Page(hostile).prose
+    assert "model-limited: finray demo report" in text
+    assert "More renders will not help" in text
+    assert "not validated against a capture" in text
+    assert "hidden true finger" not in text
+
+
+def test_results_without_a_paint_or_a_stage_are_refused() -> None:
+    results = example_results()
+    with pytest.raises(RecordError, match=r"paints are \['red'\]; give exactly 'red' and 'green'"):
+        replace(results, paints={"red": results.paints["red"]})
+    with pytest.raises(RecordError, match=r"wall times \(s\) are given for \['fit'\]; give exactly one for each stage"):
+        replace(results, stage_wall_times_s={"fit": 1.0})
+    region = results.report.model_copy(update={"headline_region": "elsewhere"})
+    with pytest.raises(RecordError, match="headline region 'elsewhere' is not among its regions"):
+        demo_report(replace(results, report=region))

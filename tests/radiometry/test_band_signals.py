@@ -1,0 +1,205 @@
+"""Band signals against known light: bias, stated covariance, flags and refusals."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from data_schemas.capture import CaptureSession, RegionOfInterest
+from data_schemas.errors import RadiometryError
+from finray_calib.radiometry.band_signals import band_signals
+from finray_calib.radiometry.region import region_channels
+from rigs.capture.paint_session import capture_paint_session
+from rigs.capture.read_session import read_frame_of
+from rigs.presets import paint_plan, simulated_rig
+from tests.radiometry.sessions import (
+    FILTERS,
+    REGION,
+    expected,
+    record,
+    synthetic_session,
+)
+
+# Every statistical test below errs with this probability when the code is right.
+ERROR_RATE = 1e-4
+
+
+def test_region_takes_whole_bayer_cells():
+    rows, columns = np.indices((12, 12))
+    frame = (100 * rows + columns).astype(np.uint16)
+    red, green, blue = region_channels(frame, RegionOfInterest(row_px=3, column_px=5, height_px=5, width_px=4))
+    assert sorted(red) == [204, 206, 404, 406]
+    assert sorted(green) == [205, 207, 304, 306, 405, 407, 504, 506]
+    assert sorted(blue) == [305, 307, 505, 507]
+
+
+@pytest.mark.parametrize(
+    ("region", "message"),
+    [
+        (REGION.model_copy(update={"height_px": 0}), "0 x 48 px is empty or too small"),
+        (REGION.model_copy(update={"width_px": 3}), "48 x 3 px is empty or too small"),
+        (REGION.model_copy(update={"row_px": 40}), "rows 40 to 88 .* reach beyond the frame of 64 x 64 px"),
+    ],
+)
+def test_region_that_is_no_region(region, message):
+    with pytest.raises(RadiometryError, match=message):
+        region_channels(np.zeros((64, 64), np.uint16), region)
+
+
+def test_stated_covariance_is_the_real_scatter():
+    """Over 60 sessions of the same light, chi-square of the deviations with the stated covariance."""
+    rng = np.random.default_rng(20261121)
+    truth, reflectance = expected()
+    chi2 = {"fluorescence": 0.0, "reflectance": 0.0}
+    sessions = 60
+    for _ in range(sessions):
+        synthetic = synthetic_session(rng)
+        # The white tile's reflectance is exact here, so its uncertainty is taken out of the claim.
+        white = synthetic.session.rig.white_reference.model_copy(update={"uncertainty_rel": 0.0})
+        rig = synthetic.session.rig.model_copy(update={"white_reference": white})
+        bands = band_signals(synthetic.session.model_copy(update={"rig": rig}), synthetic.read)
+        for name, true in (("fluorescence", truth), ("reflectance", reflectance)):
+            deviation = (getattr(bands, name) - true).ravel()
+            chi2[name] += deviation @ np.linalg.solve(getattr(bands, f"{name}_covariance"), deviation)
+    freedom = truth.size * sessions
+    for name, value in chi2.items():
+        # The repeatability is itself estimated from some 13 ratios a session, which widens the law of chi-square: a
+        # factor 1.25 on the degrees of freedom covers it; a covariance that is wrong by 30 % still fails.
+        assert stats.chi2.sf(value / 1.25, freedom) > ERROR_RATE, name
+        assert stats.chi2.cdf(value * 1.25, freedom) > ERROR_RATE, name
+
+
+def test_repeatability_is_found_from_the_brackets():
+    bands = band_signals(*_parts(synthetic_session(np.random.default_rng(3), repeatability_rel=0.01)))
+    note = next(n for n in bands.notes if "repeatability" in n)
+    found = float(note.split(": ")[1].split(" %")[0])
+    # 13 steps give the standard deviation to 20 %: 0.4 .. 2 is far outside chance
+    assert 0.4 < found < 2.0
+
+
+def _parts(synthetic) -> tuple[CaptureSession, object]:
+    return synthetic.session, synthetic.read
+
+
+def test_missing_step_and_missing_darks():
+    rng = np.random.default_rng(1)
+    lost = synthetic_session(
+        rng, change=lambda f, _: [x for x in f if (x.frame_type, x.filter_name) != ("white", "600")]
+    )
+    with pytest.raises(RadiometryError, match=r"no 'white' frame through filter 600"):
+        band_signals(*_parts(lost))
+    undark = synthetic_session(rng, change=lambda f, _: [x for x in f if x.frame_type != "dark"])
+    with pytest.raises(RadiometryError, match="no dark frames"):
+        band_signals(*_parts(undark))
+    darks = [x for x in synthetic_session(rng).session.frames if x.frame_type == "dark"]
+    one = darks[0].exposure_s
+    partial = synthetic_session(
+        rng, change=lambda f, _: [x for x in f if x.frame_type != "dark" or x.exposure_s != one]
+    )
+    with pytest.raises(RadiometryError, match=r"no dark frame of .* s; capture darks of the same exposure"):
+        band_signals(*_parts(partial))
+
+
+def test_saturated_band_names_the_frame_and_what_to_do():
+    def burn(frames, images):
+        for f in frames:
+            if (f.frame_type, f.filter_name) == ("fluorescence", "600"):
+                images[f.file] = np.full((64, 64), 1023, np.uint16)
+        return frames
+
+    with pytest.raises(RadiometryError, match=r"\d{4}.tiff: filter 600 is saturated .* lower plan.target_fraction"):
+        band_signals(*_parts(synthetic_session(np.random.default_rng(1), change=burn)))
+
+
+def test_one_saturated_channel_is_flagged_and_not_usable():
+    def burn_blue(frames, images):
+        for f in frames:
+            if (f.frame_type, f.filter_name) == ("white", "450"):
+                images[f.file][1::2, 1::2] = 1023
+        return frames
+
+    bands = band_signals(*_parts(synthetic_session(np.random.default_rng(1), change=burn_blue)))
+    assert bands.flags[0] == ("ok", "ok", "saturated")
+    assert bands.saturated_fraction[0, 2] == 1.0
+    assert not bands.usable()[0, 2]
+    assert bands.usable().sum() == 11
+
+
+def test_shorter_exposure_of_the_bracket_replaces_a_saturated_one():
+    def burn_longest(frames, images):
+        for f in frames:
+            if (f.frame_type, f.filter_name) == ("white", "500"):
+                longest = max(x.exposure_s for x in frames if x.frame_type == "white" and x.filter_name == "500")
+                if f.exposure_s == longest:
+                    images[f.file] = np.full((64, 64), 1023, np.uint16)
+        return frames
+
+    bands = band_signals(*_parts(synthetic_session(np.random.default_rng(1), change=burn_longest)))
+    truth, _ = expected()
+    assert bands.flags[1] == ("ok", "ok", "ok")
+    sd = np.sqrt(np.diag(bands.fluorescence_covariance)).reshape(-1, 3)[1]
+    assert (np.abs(bands.fluorescence[1] - truth[1]) < stats.norm.isf(ERROR_RATE / 6) * sd).all()
+
+
+def test_dark_white_is_weak():
+    def dim(frames, images):
+        for f in frames:
+            if (f.frame_type, f.filter_name) == ("white", "660"):
+                images[f.file][1::2, 1::2] = 16
+        return frames
+
+    bands = band_signals(*_parts(synthetic_session(np.random.default_rng(1), change=dim)))
+    assert bands.flags[3][2] == "weak"
+    assert np.isfinite(bands.fluorescence_covariance).all()
+
+
+def test_laser_that_misses_the_tile():
+    def laser_off(frames, images):
+        for f in frames:
+            if f.frame_type == "laser white":
+                images[f.file] = np.full((64, 64), 15, np.uint16)
+        return frames
+
+    with pytest.raises(RadiometryError, match="no signal through the excitation filter"):
+        band_signals(*_parts(synthetic_session(np.random.default_rng(1), change=laser_off)))
+
+
+def test_filters_of_the_plan_only():
+    session = record(synthetic_session(np.random.default_rng(2)).session.frames)
+    synthetic = synthetic_session(np.random.default_rng(2))
+    plan = session.plan.model_copy(update={"filters": FILTERS[:3]})
+    bands = band_signals(synthetic.session.model_copy(update={"plan": plan}), synthetic.read)
+    assert [f.name for f in bands.optics.filters] == list(FILTERS[:3])
+
+
+def test_session_of_the_simulated_rig_against_the_bench_physics(tmp_path):
+    """The whole bench (uneven laser, texture, non-uniform pixels, leaks) against its own noise-free integrals."""
+    from pathlib import Path
+
+    from data_schemas.standard_curves import camera_response
+    from rigs.simulated.bench import Bench
+
+    rig = simulated_rig("red", seed=4, width_px=320, height_px=256)
+    plan = paint_plan("red", rig.camera)
+    out = tmp_path / "session"
+    session = capture_paint_session(rig, plan, Path(), out, "pytest")
+    bands = band_signals(session, lambda frame: read_frame_of(out, frame))
+
+    bench = Bench(rig, Path(), camera_response("assumed", Path()))
+    slots = [f.slot for f in rig.filter_wheel.filters]
+    signal = {
+        (what, light): np.array([bench.band_electrons_per_s(radiance, slot) for slot in slots])
+        for light in ("lamp", "laser")
+        for what, radiance in (
+            ("white", rig.white_reference.reflectance * bench.lights[light]),
+            ("sample", bench.sample_radiance(bench.lights[light])),
+        )
+    }
+    level = signal["white", "laser"][1] / signal["white", "lamp"][1] @ bands.channel_weights
+    truth = signal["sample", "laser"] / signal["white", "lamp"] / level
+    usable = bands.usable()
+    sd = np.sqrt(np.diag(bands.fluorescence_covariance)).reshape(-1, 3)
+    z = (bands.fluorescence - truth)[usable] / sd[usable]
+    assert usable.sum() >= 20
+    assert np.abs(z).max() < stats.norm.isf(ERROR_RATE / usable.sum() / 2)
+    # Under the laser the tile is some thousand times darker at 600 nm than at 450 nm: a plain ratio would divide by it.
+    assert signal["white", "laser"][5].max() / signal["white", "laser"][1].max() < 1e-3
