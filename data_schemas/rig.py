@@ -49,7 +49,7 @@ class CameraSettings(Model):
 class BandPassFilter(Model):
     """One filter of the wheel; slots count from 1.
 
-    Nominal transmission: ``peak 2^(-|2 (l - center) / fwhm|^(2 shape_order))`` over a blocking floor of 10^-OD.
+    Nominal transmission: ``peak 2^(-|2 (l - center) / fwhm|^(2 shape_order)) + 10^-OD``.
     The standard uncertainties are those of the data sheet or certificate; the fitter carries them.
     """
 

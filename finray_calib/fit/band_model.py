@@ -5,7 +5,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from finray_calib.spectra.band_weights import EmissionWeights
 from finray_calib.spectra.skew_cauchy import from_mode_parameters, skew_cauchy
 
 PARAMETER_NAMES: Final = ("mode_nm", "ln_fwhm_nm", "kappa", "ln_peak_per_nm", "ln_reflected_laser", "ln_blocking")
@@ -31,26 +30,3 @@ def emission_curves(theta: FloatArray, wavelength_nm: FloatArray) -> FloatArray:
     """
     paper = (column[:, None] for column in from_mode_parameters(*theta[:, :4].T))
     return skew_cauchy(wavelength_nm, *paper)
-
-
-def predict_bands(theta: FloatArray, weights: EmissionWeights) -> FloatArray:
-    """Return the normalised band values y = emission @ f + rho m_b reflected_laser of parameter rows.
-
-    m_b is 1 in the excitation band and exp(ln_blocking) in all others. The paper's curve is used as it is,
-    also below the laser line, where it is not physical.
-
-    Parameters
-    ----------
-    theta
-        (n, 6) parameters in the order of PARAMETER_NAMES.
-    weights
-        Weights of the rig, N rows.
-
-    Returns
-    -------
-    numpy.ndarray
-        (n, N) dimensionless band values, band-major.
-    """
-    emitted = emission_curves(theta, weights.wavelength_nm) @ weights.emission.T
-    ln_reflected = theta[:, 4, None] + np.where(weights.is_excitation, 0.0, theta[:, 5, None])
-    return np.asarray(emitted + np.exp(ln_reflected) * weights.reflected_laser)

@@ -131,9 +131,10 @@ class EmissionPosterior:
     def spectrum_bands(self, wavelength_nm: FloatArray) -> SpectrumBands:
         """Return the posterior mean curve and its pointwise 68 % and 95 % limits at (L,) wavelengths, nm.
 
+        Zero below the laser line: no paint emits below its excitation.
         The bands hold what the four-parameter family allows; a real paint may leave the family.
         """
-        curves = emission_curves(self.draws, wavelength_nm)
+        curves = emission_curves(self.draws, wavelength_nm) * (wavelength_nm >= self.laser_nm)
         low95, low68, high68, high95 = np.quantile(curves, [0.025, 0.16, 0.84, 0.975], axis=0)
         return SpectrumBands(curves.mean(axis=0), low95, high95, low68, high68)
 

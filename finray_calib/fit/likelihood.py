@@ -1,4 +1,4 @@
-"""The likelihood of band values with measurement noise and a calibration error common to the channels of a band."""
+"""The likelihood of band values with measurement noise and the imperfections of the rig."""
 
 from dataclasses import dataclass
 
@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import FitError
-from finray_calib.fit.band_model import predict_bands
+from finray_calib.fit.nuisances import NuisanceModel, marginal_chi2, whitening
 from finray_calib.fit.prior import EmissionPrior
+from finray_calib.spectra.band_tolerances import BandTolerances
 from finray_calib.spectra.band_weights import EmissionWeights, read_only
 
 FloatArray = NDArray[np.float64]
@@ -34,6 +35,8 @@ class BandData:
         Weights of the rig with B C rows.
     band_calibration_rel
         Relative standard uncertainty of each band's calibration, common to its channels.
+    tolerances
+        Tolerances of the filters' centre, width and blocking; perfectly known filters when None.
 
     Raises
     ------
@@ -47,6 +50,7 @@ class BandData:
     usable: NDArray[np.bool_]
     weights: EmissionWeights
     band_calibration_rel: float = 0.01
+    tolerances: BandTolerances | None = None
 
     def __post_init__(self) -> None:
         rows = self.weights.band_index.size
@@ -86,14 +90,16 @@ class BandData:
         """Rows of the usable entries in band-major order."""
         return np.flatnonzero(self.usable.ravel())
 
+    def model(self) -> NuisanceModel:
+        """Return the predictions of the rig with its imperfections."""
+        return NuisanceModel(self.weights, self.band_calibration_rel, self.tolerances)
+
 
 class LogPosterior:
     """Log posterior density of parameter rows given band data and a prior.
 
-    y ~ N(mu, S + r^2 mu_b mu_b^T inside each band b), mu = the model's prediction. The calibration term is
-    evaluated at the model, so its log determinant counts: at the data it would favour low values. The best
-    calibration errors k of the bands solve (I + U^T S^-1 U) k = U^T S^-1 (y - mu), U = r mu in each band; then
-    chi2 = (y - mu - U k)^T S^-1 (y - mu - U k) + k^T k.
+    y ~ N(mu, S + U U^T), with the imperfection columns U of :class:`NuisanceModel` evaluated at the model, so that
+    their log determinant counts: at the data they would favour low values.
 
     Parameters
     ----------
@@ -106,13 +112,12 @@ class LogPosterior:
     def __init__(self, data: BandData, prior: EmissionPrior) -> None:
         self.data = data
         self.prior = prior
-        kept = data.kept
-        self._y = data.y.ravel()[kept]
-        measured = data.covariance[np.ix_(kept, kept)]
-        self._precision = np.linalg.inv(measured)
-        self._constant = -0.5 * (kept.size * np.log(2 * np.pi) + np.linalg.slogdet(measured)[1])
-        bands = data.weights.band_index[kept]
-        self._in_band = (bands[:, None] == np.unique(bands)).astype(np.float64)
+        self._model = data.model()
+        self._kept = data.kept
+        self._y = data.y.ravel()[self._kept]
+        measured = data.covariance[np.ix_(self._kept, self._kept)]
+        self._whiten = whitening(measured)
+        self._constant = -0.5 * (self._kept.size * np.log(2 * np.pi) + np.linalg.slogdet(measured)[1])
 
     def __call__(self, theta: FloatArray) -> FloatArray:
         """Return the log posterior density (up to the evidence) of (n, 6) rows, (n,)."""
@@ -124,22 +129,14 @@ class LogPosterior:
 
     def log_likelihood(self, theta: FloatArray) -> FloatArray:
         """Return ln p(y | theta) of (n, 6) rows, (n,)."""
-        predicted = self.predict_usable(theta)
-        residual = self._y - predicted
-        system, spread = self._calibration_system(predicted)
-        projected = (spread * (residual @ self._precision)) @ self._in_band
-        error = np.linalg.solve(system, projected[..., None])[..., 0]
-        # as a least-squares sum chi2 has only positive terms: the textbook difference cancels for absurd theta
-        # and would make them look perfect
-        rest = residual - spread * (error @ self._in_band.T)
-        chi2 = ((rest @ self._precision) * rest).sum(axis=1) + (error**2).sum(axis=1)
-        lower = np.linalg.cholesky(system)
-        ln_det = 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+        mu, columns = self._model.predict(theta)
+        residual = self._y - mu[:, self._kept]
+        chi2, ln_det = marginal_chi2(residual, columns[:, self._kept], self._whiten)
         return np.asarray(self._constant - 0.5 * (chi2 + ln_det))
 
     def predict_usable(self, theta: FloatArray) -> FloatArray:
         """Return the predicted usable band values of (n, 6) rows, (n, K)."""
-        return predict_bands(theta, self.data.weights)[:, self.data.kept]
+        return self._model.predict(theta)[0][:, self._kept]
 
     def information(self, theta: FloatArray) -> FloatArray:
         """Return the expected (Fisher) information plus the prior precision at one theta, (6, 6).
@@ -151,16 +148,7 @@ class LogPosterior:
         low = np.maximum(theta - step, self.prior.low - np.diagonal(step))
         moved = self.predict_usable(np.concatenate([theta + step, low]))
         jacobian = (moved[:6] - moved[6:]) / (2 * _DIFFERENCE_STEP * self.prior.sd[:, None])
-        predicted = self.predict_usable(theta[None])
-        system, spread = self._calibration_system(predicted)
-        weighted = jacobian @ self._precision
-        projected = (spread * weighted) @ self._in_band
-        calibrated = weighted @ jacobian.T - projected @ np.linalg.solve(system[0], projected.T)
-        return np.asarray(calibrated + np.diag(self.prior.sd**-2.0))
-
-    def _calibration_system(self, predicted: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return I + U^T S^-1 U, (n, B, B), and the values of U = r mu, (n, K), of the rank-one terms."""
-        spread = self.data.band_calibration_rel * predicted
-        inner = spread[:, :, None] * self._precision * spread[:, None, :]
-        system = self._in_band.T @ inner @ self._in_band
-        return system + np.eye(self._in_band.shape[1]), spread
+        spread = self._whiten @ self._model.predict(theta[None])[1][0, self._kept]
+        whitened = self._whiten @ jacobian.T
+        marginal = whitened.T @ np.linalg.solve(spread @ spread.T + np.eye(len(spread)), whitened)
+        return np.asarray(marginal + np.diag(self.prior.sd**-2.0))

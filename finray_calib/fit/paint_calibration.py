@@ -14,6 +14,7 @@ from finray_calib.fit.prior import EmissionPrior
 from finray_calib.fit.reflectance import METHOD, reflectance
 from finray_calib.fit.sampler import SamplerSettings
 from finray_calib.fit.summary import summarise
+from finray_calib.spectra.band_tolerances import tolerances_of
 from finray_calib.spectra.rig_curves import WAVELENGTH_NM, weights_of
 
 Floats = NDArray[np.float64]
@@ -55,6 +56,7 @@ def calibrate_paint(
         usable=bands.usable(),
         weights=weights_of(bands.optics, bands.channel_weights),
         band_calibration_rel=BAND_CALIBRATION_REL,
+        tolerances=tolerances_of(bands.optics, bands.channel_weights),
     )
     posterior = fit_emission(data, prior, settings, rng)
     curve = posterior.spectrum_bands(WAVELENGTH_NM)

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
-from finray_calib.fit.band_model import predict_bands
 from finray_calib.fit.likelihood import BandData
+from finray_calib.fit.nuisances import marginal_chi2, whitening
 
 FloatArray = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ def check_bands(data: BandData, draws: FloatArray) -> BandCheck:
     ----------
     Gelman, Meng, Stern, Posterior predictive assessment of model fitness, Statistica Sinica 6 (1996) 733-807.
     """
-    predicted = predict_bands(draws, data.weights)
+    predicted, columns = data.model().predict(draws)
     mean = predicted.mean(axis=0)
     bands = data.weights.bands
     chi2, p_value = np.full(bands, np.nan), np.full(bands, np.nan)
@@ -65,18 +65,10 @@ def check_bands(data: BandData, draws: FloatArray) -> BandCheck:
         rows = data.kept[data.weights.band_index[data.kept] == band]
         freedom[band] = rows.size
         if rows.size:
-            chi2[band] = _band_chi2(data, rows, mean[None])[0]
-            p_value[band] = chi2_distribution.sf(_band_chi2(data, rows, predicted), rows.size).mean()
+            whiten = whitening(data.covariance[np.ix_(rows, rows)])
+            y = data.y.ravel()[rows]
+            chi2[band] = marginal_chi2(y - mean[None, rows], columns.mean(axis=0)[None, rows], whiten)[0][0]
+            each = marginal_chi2(y - predicted[:, rows], columns[:, rows], whiten)[0]
+            p_value[band] = chi2_distribution.sf(each, rows.size).mean()
     shape = data.y.shape
     return BandCheck(chi2, freedom, p_value, mean.reshape(shape), predicted.std(axis=0, ddof=1).reshape(shape))
-
-
-def _band_chi2(data: BandData, rows: NDArray[np.int64], predicted: FloatArray) -> FloatArray:
-    """Return the chi-square of one band's rows for (n, N) predictions, (n,), by Sherman-Morrison."""
-    precision = np.linalg.inv(data.covariance[np.ix_(rows, rows)])
-    mu = predicted[:, rows]
-    residual = data.y.ravel()[rows] - mu
-    shift = data.band_calibration_rel * mu
-    weighted = residual @ precision
-    calibration = (weighted * shift).sum(axis=1) ** 2 / (1 + ((shift @ precision) * shift).sum(axis=1))
-    return np.asarray((weighted * residual).sum(axis=1) - calibration)

@@ -16,8 +16,13 @@ _Scalar = TypeVar("_Scalar", bound=np.generic)
 class EmissionWeights:
     """Linear map from an emission curve and a reflectance to the normalised band values of the rig.
 
-    y = emission @ f + rho * m * reflected_laser, with f the bispectral radiance factor per nm of emission
-    (nm^-1), rho the reflectance at the laser line and m the blocking multiplier (1 in the excitation band).
+    y = emission @ f + rho * reflected_laser with f the bispectral radiance factor per nm of emission (nm^-1) and
+    rho the reflectance at the laser line. The part of all light that passes a filter outside its pass band is
+    also kept apart, because its blocking is known poorly: with m times the nominal leak
+
+        y = [(emission + (m - 1) leaked_emission) @ f + rho (reflected_laser + (m - 1) leaked_laser)]
+            / [1 + (m - 1) leaked_white]
+
     Rows are band-major: band 0 channels R, G, B, then band 1, and so on.
 
     Attributes
@@ -28,6 +33,9 @@ class EmissionWeights:
         (N, L) weights in nm, quadrature included.
     reflected_laser
         (N,) value of a perfect reflector of the laser, dimensionless.
+    leaked_emission, leaked_laser, leaked_white
+        (N, L), (N,), (N,) share of the leak in the emission weights, in the reflected laser and in the white
+        signal under the lamp; zero in the excitation band.
     is_excitation
         (N,) True for the rows of the excitation band.
     band_index
@@ -39,21 +47,21 @@ class EmissionWeights:
     wavelength_nm: FloatArray
     emission: FloatArray
     reflected_laser: FloatArray
+    leaked_emission: FloatArray
+    leaked_laser: FloatArray
+    leaked_white: FloatArray
     is_excitation: NDArray[np.bool_]
     band_index: NDArray[np.int64]
     laser_nm: float
 
     def __post_init__(self) -> None:
         rows, length = self.emission.shape
-        for name, shape in (
-            ("wavelength_nm", (length,)),
-            ("reflected_laser", (rows,)),
-            ("is_excitation", (rows,)),
-            ("band_index", (rows,)),
-        ):
+        shapes: dict[str, tuple[int, ...]] = {"emission": (rows, length), "leaked_emission": (rows, length)}
+        shapes |= dict.fromkeys(("reflected_laser", "leaked_laser", "leaked_white"), (rows,))
+        shapes |= {"wavelength_nm": (length,), "is_excitation": (rows,), "band_index": (rows,)}
+        for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise FitError(f"emission weights: '{name}' has shape {getattr(self, name).shape}, must be {shape}")
-        for name in ("wavelength_nm", "emission", "reflected_laser", "is_excitation", "band_index"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
@@ -71,6 +79,7 @@ def emission_weights(
     laser: ArrayLike,
     excitation_band: int,
     channel_weights: ArrayLike,
+    leak: ArrayLike = 0.0,
 ) -> EmissionWeights:
     """Return the weights of y_bc = (F_bc / W_bc) / V for a sample of emission f and laser reflectance rho.
 
@@ -79,9 +88,10 @@ def emission_weights(
 
         y_bc = [ int f T_b Q_c dl + rho m_b int s T_b Q_c dl ] / D_bc / V
 
-    Whole curves are integrated by the trapezoidal rule on the given grid; the value at a filter's centre is
-    wrong by up to 5 %. The laser is scaled to unit area. Valid when the grid covers every filter's pass band
-    and resolves the laser line (1 nm steps for a 2 nm line).
+    Whole curves are integrated by the trapezoidal rule on the given grid; the value at a filter's centre is wrong
+    by up to 5 %. No paint emits below its excitation: f counts from the laser's centroid upwards. The laser is
+    scaled to unit area. Valid when the grid covers every filter's pass band and resolves the laser line (1 nm
+    steps for a 2 nm line).
 
     Parameters
     ----------
@@ -101,6 +111,8 @@ def emission_weights(
         Index e of the filter that passes the laser.
     channel_weights
         (C,) weights w_c of the channels in V; they sum to 1.
+    leak
+        (B,) or one transmission 10^-OD outside the pass band, contained in `transmission` at all wavelengths.
 
     Returns
     -------
@@ -143,14 +155,22 @@ def emission_weights(
     if visible <= 0:
         raise FitError(f"excitation band {excitation_band} passes no laser light: check filter and laser curves")
     scale = 1.0 / (white_signal * visible)
+    laser_nm = float(wavelength @ (line * quadrature))
+    emitted = passed * (wavelength >= laser_nm)
     bands = np.repeat(np.arange(len(filters)), len(camera))
+    floor = np.broadcast_to(np.asarray(leak, dtype=np.float64), len(filters)).copy()
+    floor[excitation_band] = 0.0
+    leaked = floor[:, None, None] * camera * quadrature
     return EmissionWeights(
         wavelength_nm=wavelength,
-        emission=(passed * scale[..., None]).reshape(bands.size, -1),
+        emission=(emitted * scale[..., None]).reshape(bands.size, -1),
         reflected_laser=((passed @ line) * scale).ravel(),
+        leaked_emission=(leaked * (wavelength >= laser_nm) * scale[..., None]).reshape(bands.size, -1),
+        leaked_laser=((leaked @ line) * scale).ravel(),
+        leaked_white=((leaked @ (white * light)) / white_signal).ravel(),
         is_excitation=bands == excitation_band,
         band_index=bands,
-        laser_nm=float(wavelength @ (line * quadrature)),
+        laser_nm=laser_nm,
     )
 
 

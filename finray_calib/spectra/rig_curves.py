@@ -15,11 +15,12 @@ WAVELENGTH_NM.flags.writeable = False
 def filter_transmission(band: BandPassFilter, wavelength_nm: ArrayLike) -> Floats:
     """Return the nominal transmission of a filter: a pass band over its blocking floor (0..1).
 
-    ``T = max(T_peak 2^(-|2 (l - center) / fwhm|^(2 p)), 10^-OD)``, with p = 1 a Gaussian and p = 2 the flat top of
+    ``T = T_peak 2^(-|2 (l - center) / fwhm|^(2 p)) + 10^-OD``, with p = 1 a Gaussian and p = 2 the flat top of
     a hard-coated filter.
     """
     x = np.abs(2 * (np.asarray(wavelength_nm, dtype=float) - band.center_nm) / band.fwhm_nm)
-    return np.maximum(band.peak_transmission * 2.0 ** -(x ** (2 * band.shape_order)), 10.0**-band.blocking_od)
+    passed = band.peak_transmission * np.exp2(-(x ** (2 * band.shape_order)))
+    return np.asarray(passed + 10.0**-band.blocking_od)
 
 
 def laser_line(laser: LaserSettings, wavelength_nm: ArrayLike) -> Floats:
@@ -49,4 +50,5 @@ def weights_of(optics: Optics, channel_weights: ArrayLike) -> EmissionWeights:
         laser_line(optics.laser, grid),
         names.index(optics.excitation_filter),
         channel_weights,
+        np.array([10.0**-f.blocking_od for f in optics.filters]),
     )

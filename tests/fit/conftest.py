@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from finray_calib.fit.band_model import predict_bands
 from finray_calib.fit.likelihood import BandData
 from finray_calib.spectra.band_weights import emission_weights
+from tests.fit.predictions import predict_bands
 
 CENTER_NM = (405, 450, 500, 532, 560, 600, 630, 660)
 CHANNEL_NM = ((600, 80), (535, 90), (460, 80))
@@ -27,6 +27,7 @@ class ClosedFormRig:
     center_nm = CENTER_NM
     channel_weights = CHANNEL_WEIGHTS
     excitation = EXCITATION
+    leak = BLOCKING
 
     def transmission(self, band, wavelength):
         return 0.6 * line(wavelength, CENTER_NM[band], 10.0) + BLOCKING
@@ -54,6 +55,7 @@ class ClosedFormRig:
             "laser": self.laser(wavelength),
             "excitation_band": EXCITATION,
             "channel_weights": CHANNEL_WEIGHTS,
+            "leak": BLOCKING,
         }
 
 

@@ -4,7 +4,7 @@ from scipy.integrate import quad
 from scipy.stats import chi2, norm
 
 from data_schemas.errors import FitError
-from finray_calib.fit.band_model import PARAMETER_NAMES, predict_bands
+from finray_calib.fit.band_model import PARAMETER_NAMES
 from finray_calib.fit.emission import fit_emission
 from finray_calib.fit.likelihood import BandData
 from finray_calib.fit.predictive import check_bands
@@ -12,6 +12,7 @@ from finray_calib.fit.prior import EmissionPrior
 from finray_calib.fit.sampler import SamplerSettings
 from finray_calib.fit.summary import summarise
 from finray_calib.spectra.skew_cauchy import SkewCauchy
+from tests.fit.predictions import predict_bands
 
 
 @pytest.fixture(scope="module")

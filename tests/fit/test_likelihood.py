@@ -3,9 +3,9 @@ import pytest
 from scipy.stats import multivariate_normal, norm, truncnorm
 
 from data_schemas.errors import FitError
-from finray_calib.fit.band_model import predict_bands
 from finray_calib.fit.likelihood import BandData, LogPosterior
 from finray_calib.fit.prior import EmissionPrior
+from tests.fit.predictions import predict_bands
 
 
 def plain_log_posterior(theta, data, prior):

@@ -1,0 +1,81 @@
+"""How the band values of a rig move within the tolerances of its filters."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from data_schemas.radiometry import Optics
+from data_schemas.rig import BandPassFilter
+from finray_calib.spectra.band_weights import read_only
+from finray_calib.spectra.rig_curves import weights_of
+
+Floats = NDArray[np.float64]
+LN_10 = float(np.log(10.0))
+
+
+@dataclass(frozen=True, slots=True)
+class BandTolerances:
+    """Change of the band weights per standard uncertainty of each filter's centre and width, and of its blocking.
+
+    For the N rows of :class:`EmissionWeights`, band-major.
+
+    Attributes
+    ----------
+    emission_shift
+        (2, N, L) change of a row's emission weights for one standard uncertainty of its own filter's centre and
+        width, the laser level V held.
+    laser_shift
+        (2, N) the same for the reflected laser.
+    level_shift
+        (2,) relative change of V for one standard uncertainty of the excitation filter's centre and width.
+    blocking_sd
+        (N,) standard deviation of ln(leak) of a row's filter around the common blocking; 0 where the filter
+        passes the laser.
+    """
+
+    emission_shift: Floats
+    laser_shift: Floats
+    level_shift: Floats
+    blocking_sd: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("emission_shift", "laser_shift", "level_shift", "blocking_sd"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+
+def tolerances_of(optics: Optics, channel_weights: ArrayLike) -> BandTolerances:
+    """Return the tolerances of a rig by forward differences of one standard uncertainty.
+
+    Valid while a tolerance is small against the filter's width: the response is taken as linear in it.
+
+    Parameters
+    ----------
+    optics
+        Nominal curves with the filters' uncertainties.
+    channel_weights
+        (3,) weights of the channels in V.
+    """
+    nominal = weights_of(optics, channel_weights)
+    excitation = optics.excitation_filter
+    emission, laser, level = [], [], []
+    for field in ("center_nm", "fwhm_nm"):
+        only = weights_of(_moved(optics, field, {excitation}), channel_weights)
+        others = ~nominal.is_excitation
+        ratio = float(only.emission[others].sum() / nominal.emission[others].sum())  # V_nominal / V_moved
+        moved = weights_of(_moved(optics, field, {f.name for f in optics.filters}), channel_weights)
+        emission.append(moved.emission / ratio - nominal.emission)
+        laser.append(moved.reflected_laser / ratio - nominal.reflected_laser)
+        level.append(1 / ratio - 1)
+    blocking = np.array([0.0 if f.name == excitation else LN_10 * f.blocking_uncertainty_od for f in optics.filters])
+    return BandTolerances(np.array(emission), np.array(laser), np.array(level), blocking[nominal.band_index])
+
+
+def _moved(optics: Optics, field: str, names: set[str]) -> Optics:
+    """Return the optics with some filters moved by one standard uncertainty."""
+
+    def move(band: BandPassFilter) -> BandPassFilter:
+        uncertainty = band.center_uncertainty_nm if field == "center_nm" else band.fwhm_uncertainty_nm
+        return band.model_copy(update={field: getattr(band, field) + uncertainty})
+
+    return optics.model_copy(update={"filters": tuple(move(f) if f.name in names else f for f in optics.filters)})

@@ -1,0 +1,1 @@
+"""The finger: mechanics, optics and the studies that join them."""

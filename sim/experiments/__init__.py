@@ -1,0 +1,1 @@
+"""Studies of the finger: each returns a record; reports draw them."""

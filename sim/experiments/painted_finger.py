@@ -1,0 +1,92 @@
+"""A finger design with calibrated paints: what every study renders."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.curves import SpectralCurve
+from data_schemas.design import FingerDesign
+from data_schemas.errors import SimulateError
+from data_schemas.fit import PaintCalibration
+from data_schemas.standard_curves import camera_response
+from sim.optics.paint_bands import PaintBands, PaintOptics, camera_matrix
+from sim.optics.variants import Preference, choose_variant, open_renderer
+
+Floats = NDArray[np.float64]
+CameraResponse = tuple[SpectralCurve, SpectralCurve, SpectralCurve]
+COLOURS = ("red", "green")
+RESPONSE_NM: Floats = np.arange(380.0, 781.0, 1.0)
+RESPONSE_NM.flags.writeable = False
+
+
+@dataclass(frozen=True, slots=True)
+class PaintedFinger:
+    """Everything a render needs.
+
+    Attributes
+    ----------
+    design
+        Geometry, materials and light.
+    paints
+        Optics of the "red" and the "green" paint.
+    response
+        Tactile camera: red, green and blue curve.
+    renderer
+        Opened by :func:`sim.optics.variants.open_renderer`.
+    """
+
+    design: FingerDesign
+    paints: Mapping[str, PaintOptics]
+    response: CameraResponse
+    renderer: ModuleType
+
+    def __post_init__(self) -> None:
+        missing = [colour for colour in COLOURS if colour not in self.paints]
+        if missing:
+            raise SimulateError(
+                f"no paint for the {missing[0]} wall: give --paint red=FILE and --paint green=FILE (both written by "
+                "'finray fit')"
+            )
+
+    def camera_matrix(self, bands: PaintBands) -> Floats:
+        """Return the (3, 3) matrix from bands to camera RGB."""
+        return camera_matrix(np.array([curve(RESPONSE_NM) for curve in self.response]), RESPONSE_NM, bands)
+
+
+def paint_optics(calibration: PaintCalibration) -> PaintOptics:
+    """Return the optics of a calibrated paint: fitted emission, reflectance interpolated between the filters."""
+    wavelength_nm = calibration.wavelength_nm
+    centers = [f.center_nm for f in calibration.optics.filters]
+    order = np.argsort(centers)
+    reflectance = np.clip([r.estimate for r in calibration.reflectance], 0.0, 1.0)
+    return PaintOptics(
+        name=calibration.paint_name,
+        wavelength_nm=wavelength_nm,
+        emission_per_nm=np.maximum(calibration.emission_per_nm, 0.0),
+        reflectance=np.interp(wavelength_nm, np.array(centers)[order], reflectance[order]),
+    )
+
+
+def paint_finger(
+    design: FingerDesign, calibrations: Mapping[str, PaintCalibration], folder: Path, engine: Preference = "auto"
+) -> PaintedFinger:
+    """Join a design with its calibrated paints and open the renderer.
+
+    Parameters
+    ----------
+    design
+        The finger.
+    calibrations
+        Calibration of the "red" and of the "green" paint.
+    folder
+        Where relative paths in the design start.
+    engine
+        Which renderer to open.
+    """
+    response = camera_response(design.camera.response, folder)
+    paints = {colour: paint_optics(calibration) for colour, calibration in calibrations.items()}
+    return PaintedFinger(design, paints, response, open_renderer(choose_variant(engine)))

@@ -1,0 +1,76 @@
+"""Render one press of a painted finger as a record."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.simulate import SimulatedPress
+from sim.experiments.painted_finger import PaintedFinger
+from sim.optics.paint_bands import BAND_NAMES
+from sim.optics.render import PressRender, Progress, render_press
+from sim.optics.wall_emission import Level
+
+Floats = NDArray[np.float64]
+
+
+def simulate_press(
+    finger: PaintedFinger,
+    level: Level,
+    seed: int,
+    samples_per_pixel: int,
+    paint_sha256: Mapping[str, str],
+    progress: Progress | None = None,
+) -> SimulatedPress:
+    """Render the contact and no-contact image of a finger in its camera's linear RGB.
+
+    Parameters
+    ----------
+    finger
+        Design, paints, camera response and renderer.
+    level
+        "b": walls re-emit the blue light that reaches them; "a": the paper's distance-textured emitter.
+    seed, samples_per_pixel
+        Random seed and paths per pixel.
+    paint_sha256
+        Colour -> SHA-256 of the paint calibration the optics came from.
+    """
+    render = render_press(finger.design, finger.paints, finger.renderer, level, seed, samples_per_pixel, progress)
+    matrix = finger.camera_matrix(render.bands)
+    return SimulatedPress(
+        name=f"{finger.design.name}, press of {finger.design.indenter.depth_mm:g} mm",
+        label=render.label,
+        method="rendered",
+        encoding="linear",
+        no_contact=camera_rgb(render.no_contact_bands, matrix),
+        contact=camera_rgb(render.contact_bands, matrix),
+        distance=render.distance_in_half_widths.astype(np.float32),
+        variance=camera_rgb(render.contact_variance, matrix**2),
+        no_contact_bands=render.no_contact_bands,
+        contact_bands=render.contact_bands,
+        bands=BAND_NAMES,
+        camera_matrix=matrix,
+        light_angle_deg=finger.design.light.angle_deg,
+        design=finger.design,
+        paints=dict(paint_sha256),
+        notes=_notes(finger, render),
+    )
+
+
+def camera_rgb(bands: NDArray[np.float32], matrix: Floats) -> NDArray[np.float32]:
+    """Return camera RGB (rows, columns, 3) = C @ bands."""
+    return np.einsum("cb,ijb->ijc", matrix, bands.astype(np.float64)).astype(np.float32)
+
+
+def _notes(finger: PaintedFinger, render: PressRender) -> tuple[str, ...]:
+    """Say what the numbers rest on."""
+    notes = [
+        f"camera response: {finger.response[0].source}",
+        "the press is analytic (a cylinder with a volume-preserving bulge), not a mechanical simulation",
+    ]
+    notes += [
+        f"{colour} paint: {share:.1%} of the fitted emission lay below the LED's upper edge and was cut"
+        for colour, share in render.bands.cut_share.items()
+        if share > 0.001
+    ]
+    return tuple(notes)

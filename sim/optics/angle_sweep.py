@@ -1,0 +1,208 @@
+"""Sweep the light angle and measure the radiance of the coated face at probe points instead of rendering pictures."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.design import FingerDesign
+from data_schemas.errors import SimulateError
+from sim.optics.paint_bands import PaintBands, PaintOptics
+from sim.optics.pressed_pad import contact_half_width_mm, pressed_profile
+from sim.optics.render import BAKE_SAMPLES, Progress, check_paints, open_scene, stream_seed
+from sim.optics.scene import band_film
+from sim.optics.wall_baking import indirect_irradiance, light_walls
+
+# each repeat bakes its own walls, so that the repeats show the bake's noise; together they sample it well
+_BAKE_SHARE = 0.2
+
+_Probe = Callable[[int], NDArray[np.float64]]
+
+
+@dataclass(frozen=True, slots=True)
+class AngleSweep:
+    """Band radiances at probe points for each light angle.
+
+    ``radiance_rel`` is (angle, repeat, probe, 3 bands), in units of the panel's radiance. Within a repeat all
+    angles use the same random numbers; repeats are independent. ``probe_points_mm`` is (probe, 3): x, y, z on the
+    coated face.
+    """
+
+    angles_deg: NDArray[np.float64]
+    radiance_rel: NDArray[np.float64]
+    probe_points_mm: NDArray[np.float64]
+    bands: PaintBands
+    samples: int
+    seed: int
+    duration_s: float
+    variant: str
+    label: str
+
+
+def sweep_light_angle(
+    design: FingerDesign,
+    paints: Mapping[str, PaintOptics],
+    renderer: ModuleType,
+    angles_deg: Sequence[float] | NDArray[np.float64],
+    repeats: int = 6,
+    seed: int = 0,
+    samples: int = 4000,
+    probe_points_mm: NDArray[np.float64] | None = None,
+    progress: Progress | None = None,
+) -> AngleSweep:
+    """Measure the coated face's radiance at probe points for each light angle.
+
+    The radiance is that towards the inner face along the pad's normal, seen from inside the gel. The walls are baked
+    anew for each angle and repeat (level b; level a knows no angle and cannot drive the decision).
+
+    Parameters
+    ----------
+    design
+        The finger with its press; its own light angle is replaced.
+    paints
+        Optics of the paints "red" and "green".
+    renderer
+        From :func:`sim.optics.variants.open_renderer`. A scalar variant works too, with much more noise.
+    angles_deg
+        Light angles: the panel's normal from the pad plane.
+    repeats
+        Independent repeats, which give the noise.
+    seed
+        Random seed, >= 0.
+    samples
+        Paths per probe, angle and repeat.
+    probe_points_mm
+        Points (x, z) on the pad, shape (probe, 2); by default :func:`default_probe_points_mm`.
+    progress
+        Called after each angle.
+
+    Raises
+    ------
+    SimulateError
+        When there is nothing to sweep, a probe lies outside the pad, or a paint is missing or gains energy.
+    """
+    start = time.monotonic()
+    angles = np.asarray(angles_deg, dtype=np.float64)
+    if angles.ndim != 1 or angles.size == 0 or repeats < 1 or samples < 1:
+        raise SimulateError(
+            f"a sweep needs a list of angles in deg, at least one repeat and at least one sample; got angles "
+            f"of shape {angles.shape}, {repeats} repeats and {samples} samples"
+        )
+    points = _on_coat(design, default_probe_points_mm(design) if probe_points_mm is None else probe_points_mm)
+    bands = check_paints(design, paints)
+    radiance = np.empty((angles.size, repeats, len(points), 3))
+    for i, angle in enumerate(angles):
+        finger = _at_angle(design, float(angle))
+        radiance[i] = _measure_repeats(finger, bands, renderer, points, samples, repeats, seed)
+        if progress is not None:
+            progress(f"light angle {angle:g} deg", (i + 1) / angles.size)
+    variant = renderer.variant()
+    duration_s = time.monotonic() - start
+    label = f"rendered probes, level b, {variant}"
+    return AngleSweep(angles, radiance, points, bands, samples, seed, duration_s, variant, label)
+
+
+def default_probe_points_mm(design: FingerDesign) -> NDArray[np.float64]:
+    """Return four points (x, z): on both edges of the contact, a sixth of the width left and right of the middle."""
+    pad, half_width = design.pad, contact_half_width_mm(design)
+    z = np.clip(
+        design.indenter.position_mm + np.array([-half_width, half_width]), 0.05 * pad.length_mm, 0.95 * pad.length_mm
+    )
+    return np.array([[x, z_edge] for z_edge in z for x in (-pad.width_mm / 6.0, pad.width_mm / 6.0)])
+
+
+def _at_angle(design: FingerDesign, angle_deg: float) -> FingerDesign:
+    """Return the design with another light angle, checked by the record's own bounds."""
+    light = type(design.light).model_validate({**design.light.model_dump(), "angle_deg": angle_deg})
+    return design.model_copy(update={"light": light})
+
+
+def _on_coat(design: FingerDesign, points_xz_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return probe points (x, y, z) on the coated face."""
+    points = np.asarray(points_xz_mm, dtype=np.float64)
+    pad = design.pad
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise SimulateError(f"probe_points_mm must hold (x, z) per probe, shape (probe, 2), got {points.shape}")
+    outside = (np.abs(points[:, 0]) >= pad.width_mm / 2.0) | (points[:, 1] <= 0.0) | (points[:, 1] >= pad.length_mm)
+    if outside.any():
+        x, z = points[outside][0]
+        raise SimulateError(
+            f"the probe at x = {x:g} mm, z = {z:g} mm lies outside the pad (|x| < {pad.width_mm / 2.0:g} mm, 0 < z < "
+            f"{pad.length_mm:g} mm); move it onto the pad"
+        )
+    return np.column_stack([points[:, 0], pressed_profile(design, points[:, 1]), points[:, 1]])
+
+
+def _measure_repeats(
+    design: FingerDesign,
+    bands: PaintBands,
+    renderer: ModuleType,
+    points_mm: NDArray[np.float64],
+    samples: int,
+    repeats: int,
+    seed: int,
+) -> NDArray[np.float64]:
+    """Return the band radiance (repeat, probe, 3) at the points for one light angle."""
+    scene, integrator = open_scene(design, bands, renderer, sensor=_meter(renderer, points_mm[0]))
+    if integrator is None:
+        read = _stock_probe(scene, renderer, points_mm, samples)
+    else:
+        read = _traced_probe(scene, integrator, renderer, points_mm, samples)
+    bake_samples = max(1, round(BAKE_SAMPLES[integrator is None] * _BAKE_SHARE))
+    bakes = indirect_irradiance(scene, design, renderer, seed, bake_samples, repeats)
+    values = []
+    for repeat, indirect in enumerate(bakes):
+        light_walls(scene, design, bands, renderer, "b", indirect)
+        values.append(read(stream_seed(seed, repeat)))
+    return np.stack(values)
+
+
+def _traced_probe(
+    scene: Any, integrator: Any, renderer: ModuleType, points_mm: NDArray[np.float64], samples: int
+) -> _Probe:
+    """Trace all probes' rays as one wavefront of the compiled integrator."""
+    count = len(points_mm) * samples
+    origins = np.repeat(_ray_origins_mm(points_mm), samples, axis=0).T.astype(np.float32)
+    rays = renderer.Ray3f(renderer.Point3f(np.ascontiguousarray(origins)), renderer.Vector3f(0.0, 1.0, 0.0))
+    sampler = renderer.load_dict({"type": "independent"})
+
+    def measure(seed: int) -> NDArray[np.float64]:
+        sampler.seed(seed, count)
+        radiance, _, _ = integrator.sample(scene, sampler, rays, None, renderer.Bool(True))
+        values = np.asarray(radiance.numpy(), dtype=np.float64).reshape(3, len(points_mm), samples)
+        return np.asarray(values.mean(axis=2).T)
+
+    return measure
+
+
+def _stock_probe(scene: Any, renderer: ModuleType, points_mm: NDArray[np.float64], samples: int) -> _Probe:
+    """Render one-pixel radiance meters with Mitsuba's own path tracer."""
+    meters = [renderer.load_dict(_meter(renderer, point)) for point in points_mm]
+
+    def measure(seed: int) -> NDArray[np.float64]:
+        images = [
+            renderer.render(scene, sensor=meter, spp=samples, seed=stream_seed(seed, k))
+            for k, meter in enumerate(meters)
+        ]
+        return np.array([np.array(image, dtype=np.float64).reshape(3) for image in images])
+
+    return measure
+
+
+def _ray_origins_mm(points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return points in the gel, halfway between inner and coated face."""
+    return np.asarray(points_mm * np.array([1.0, 0.5, 1.0]))
+
+
+def _meter(renderer: ModuleType, point_mm: NDArray[np.float64]) -> dict[str, Any]:
+    """Return a one-pixel radiance meter that looks at a point of the coated face along the normal."""
+    origin = _ray_origins_mm(point_mm)
+    transform = renderer.ScalarTransform4f().look_at(
+        origin=origin.tolist(), target=(origin + np.array([0.0, 1.0, 0.0])).tolist(), up=[1.0, 0.0, 0.0]
+    )
+    sampler = {"type": "independent", "sample_count": 16}
+    return {"type": "radiancemeter", "to_world": transform, "film": band_film(1, 1), "sampler": sampler}

@@ -1,0 +1,150 @@
+"""Choose a Mitsuba variant that really runs here, and open it: the one door to the renderer.
+
+LLVM 15 and 16 load and then abort the whole process at the first compiled kernel, so a library is taken only
+after a child process has rendered a small picture with it.
+"""
+
+import functools
+import importlib
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Literal
+
+from data_schemas.errors import MissingExtraError
+
+LLVM_VARIANT = "llvm_ad_rgb"
+SCALAR_VARIANT = "scalar_rgb"
+MINIMUM_LLVM_MAJOR = 17
+INSTALL_NOTE = "install LLVM 17 or newer to render faster and with less noise (Debian: apt-get install libllvm19)"
+
+_LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
+_PROOF_TIMEOUT_S = 120.0
+_LIBRARY_PATTERNS = (
+    (Path(sys.prefix), "llvm/**/libLLVM*.so*"),
+    (Path("/usr/lib"), "llvm-*/lib/libLLVM*.so*"),
+    (Path("/usr/lib"), "*-linux-gnu/libLLVM*.so*"),
+    (Path("/usr/lib64"), "libLLVM*.so*"),
+    (Path("/usr/local/lib"), "libLLVM*.so*"),
+    (Path("/opt/homebrew/opt"), "llvm*/lib/libLLVM*.dylib"),
+)
+_PROOF = f"""
+import mitsuba
+mitsuba.set_variant("{LLVM_VARIANT}")
+scene = mitsuba.cornell_box()
+scene["sensor"]["film"].update(width=8, height=8)
+mean = float(mitsuba.TensorXf(mitsuba.render(mitsuba.load_dict(scene), spp=2)).numpy().mean())
+raise SystemExit(0 if 0.0 < mean < 1e6 else "the proof picture is empty")
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class RendererChoice:
+    """The variant to render with, the LLVM library behind it, and a plain note for the user."""
+
+    variant: str
+    llvm_library: str | None
+    note: str
+
+
+def choose_variant(
+    prefer: Literal["auto", "llvm", "scalar"] = "auto", libraries: Sequence[str] | None = None
+) -> RendererChoice:
+    """Return the fastest Mitsuba variant that is proven to work on this machine.
+
+    Parameters
+    ----------
+    prefer
+        "auto" takes LLVM when it works and the scalar variant otherwise; "llvm" insists; "scalar" needs no LLVM.
+    libraries
+        Paths of LLVM libraries to try in this order; by default the one named by ``DRJIT_LIBLLVM_PATH``, else
+        those of the system from the newest version down.
+
+    Returns
+    -------
+    RendererChoice
+        A proven library is also put into ``DRJIT_LIBLLVM_PATH`` so that Dr.Jit loads this one and no other.
+
+    Raises
+    ------
+    MissingExtraError
+        When LLVM is demanded and no library passes the proof.
+    """
+    if prefer == "scalar":
+        return RendererChoice(SCALAR_VARIANT, None, "scalar variant as asked")
+    failures = []
+    for path in find_llvm_libraries() if libraries is None else libraries:
+        failure = prove_llvm_library(path)
+        if failure is None:
+            os.environ[_LIBRARY_VARIABLE] = path
+            return RendererChoice(LLVM_VARIANT, path, f"compiled with {Path(path).name}")
+        failures.append(f"{path}: {failure}")
+    tried = "; ".join(failures) if failures else f"no LLVM library of version >= {MINIMUM_LLVM_MAJOR} was found"
+    if prefer == "llvm":
+        raise MissingExtraError(f"the renderer was asked for with LLVM, but {tried}; {INSTALL_NOTE}")
+    return RendererChoice(SCALAR_VARIANT, None, f"{tried}; {INSTALL_NOTE}")
+
+
+def find_llvm_libraries() -> list[str]:
+    """Return the LLVM libraries worth a proof: the preset one, else version >= 17 from the newest down."""
+    preset = os.environ.get(_LIBRARY_VARIABLE)
+    if preset:
+        return [preset]
+    found: dict[str, int] = {}
+    for root, pattern in _LIBRARY_PATTERNS:
+        for path in root.glob(pattern):
+            library = path.resolve()
+            version = re.match(r"libLLVM(?:-|\.so\.|\.)?(\d+)", library.name)
+            if version and library.is_file() and int(version.group(1)) >= MINIMUM_LLVM_MAJOR:
+                found[str(library)] = int(version.group(1))
+    return sorted(found, key=lambda path: (-found[path], path))
+
+
+@functools.cache
+def prove_llvm_library(path: str) -> str | None:
+    """Render a small picture in a child process with this library; None when it worked, else the reason."""
+    environment = {**os.environ, _LIBRARY_VARIABLE: path}
+    try:
+        child = subprocess.run(
+            [sys.executable, "-c", _PROOF],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=_PROOF_TIMEOUT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"the proof picture took longer than {_PROOF_TIMEOUT_S:.0f} s"
+    if child.returncode == 0:
+        return None
+    lines = child.stderr.strip().splitlines()
+    return f"the proof picture ended with status {child.returncode}" + (f" ({lines[-1][:160]})" if lines else "")
+
+
+def open_renderer(choice: RendererChoice, threads: int | None = None) -> ModuleType:
+    """Import Mitsuba, set the chosen variant and limit its threads.
+
+    Parameters
+    ----------
+    choice
+        From :func:`choose_variant`.
+    threads
+        Number of worker threads; by default the processors this process may use.
+
+    Returns
+    -------
+    module
+        ``mitsuba`` with the variant set.
+    """
+    mitsuba = importlib.import_module("mitsuba")
+    drjit = importlib.import_module("drjit")
+    if mitsuba.variant() != choice.variant:
+        mitsuba.set_variant(choice.variant)
+    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+    drjit.set_thread_count(threads if threads is not None else available)
+    return mitsuba

@@ -1,0 +1,179 @@
+"""Press renders and light-angle sweeps end to end, on small pictures."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from data_schemas.design import FingerDesign, LightPanel, Mirror, TactileCamera
+from data_schemas.errors import SimulateError
+from sim.optics.angle_sweep import default_probe_points_mm, sweep_light_angle
+from sim.optics.paint_bands import paint_bands
+from sim.optics.pressed_pad import without_press
+from sim.optics.refracted_light import trace_crossing
+from sim.optics.render import BAKE_SAMPLES, render_press
+from sim.optics.scene import finger_scene
+from sim.optics.variants import choose_variant, open_renderer
+
+DESIGN = FingerDesign(camera=TactileCamera(width_px=96, height_px=72))
+STANDARD_ERRORS = 3.0
+# sums of float32 samples in another order
+FLOAT32 = 1e-4
+
+
+@pytest.fixture(autouse=True)
+def _short_bakes(monkeypatch):
+    """Small pictures need no smooth walls."""
+    monkeypatch.setitem(BAKE_SAMPLES, True, 3000)
+    monkeypatch.setitem(BAKE_SAMPLES, False, 10_000)
+
+
+def pad_pixels(render):
+    return np.isfinite(render.contact_coat_uv_mm[..., 0]) & np.isfinite(render.no_contact_coat_uv_mm[..., 0])
+
+
+def test_scalar_fallback_renders_a_press(scalar, paints):
+    steps = []
+    render = render_press(
+        DESIGN, paints, scalar, samples_per_pixel=8, progress=lambda what, share: steps.append((what, share))
+    )
+    assert render.variant == "scalar_rgb"
+    assert render.label == "rendered, level b, scalar_rgb"
+    assert steps == [("rendered no contact", 0.5), ("rendered contact", 1.0)]
+    assert render.contact_bands.shape == (36, 48, 3)
+    assert render.contact_bands.dtype == np.float32
+    assert np.isfinite(render.contact_bands).all()
+    assert (render.contact_bands[pad_pixels(render)].mean(axis=0) > 0.0).all()
+    assert set(render.timings_s) >= {"render contact", "render no contact", "total"}
+
+
+def test_scalar_sweep_and_level_a_work(scalar, paints):
+    sweep = sweep_light_angle(DESIGN, paints, scalar, [0.0, 90.0], repeats=2, samples=200)
+    assert sweep.radiance_rel.shape == (2, 2, 4, 3)
+    assert (sweep.radiance_rel[..., :2].mean(axis=(0, 1, 2)) > 0.0).all()
+    render = render_press(DESIGN, paints, scalar, level="a", samples_per_pixel=2)
+    assert render.label == "rendered, level a (paper's emitter), scalar_rgb"
+
+
+def test_a_panel_turned_away_leaves_finite_light(scalar, paints):
+    away = DESIGN.model_copy(update={"light": LightPanel(angle_deg=-90.0)})
+    render = render_press(away, paints, scalar, samples_per_pixel=2)
+    assert np.isfinite(render.contact_bands).all()
+
+
+def test_distances_are_measured_in_half_widths(scalar, paints):
+    render = render_press(DESIGN, paints, scalar, samples_per_pixel=2)
+    z = render.contact_coat_uv_mm[..., 0]
+    np.testing.assert_array_equal(np.isnan(z), np.isnan(render.distance_in_half_widths))
+    np.testing.assert_allclose(
+        render.distance_in_half_widths[np.isfinite(z)], np.abs(z[np.isfinite(z)] - 35.0) / np.sqrt(27.75)
+    )
+    flat = render_press(without_press(DESIGN), paints, scalar, samples_per_pixel=2)
+    assert np.isnan(flat.distance_in_half_widths).all()
+
+
+def test_what_cannot_be_rendered_is_refused(scalar, paints):
+    with pytest.raises(SimulateError, match="missing: green"):
+        render_press(DESIGN, {"red": paints["red"]}, scalar)
+    for samples in (0, 7):
+        with pytest.raises(SimulateError, match=f"even number of at least 2 .*, got {samples}"):
+            render_press(DESIGN, paints, scalar, samples_per_pixel=samples)
+
+
+def test_what_cannot_be_swept_is_refused(scalar, paints):
+    with pytest.raises(SimulateError, match="needs a list of angles in deg"):
+        sweep_light_angle(DESIGN, paints, scalar, [])
+    with pytest.raises(SimulateError, match="at least one repeat"):
+        sweep_light_angle(DESIGN, paints, scalar, [30.0], repeats=0)
+    with pytest.raises(SimulateError, match="x = 20 mm, z = 35 mm lies outside the pad"):
+        sweep_light_angle(DESIGN, paints, scalar, [30.0], probe_points_mm=np.array([[20.0, 35.0]]))
+    with pytest.raises(SimulateError, match=r"shape \(probe, 2\)"):
+        sweep_light_angle(DESIGN, paints, scalar, [30.0], probe_points_mm=np.zeros((4, 3)))
+    with pytest.raises(ValidationError, match="less than or equal to 180"):
+        sweep_light_angle(DESIGN, paints, scalar, [400.0])
+
+
+def test_default_probes_flank_the_contact_and_stay_on_the_pad():
+    points = default_probe_points_mm(DESIGN)
+    np.testing.assert_allclose(np.abs(points[:, 1] - 35.0), np.sqrt(27.75))
+    edge = FingerDesign(indenter=DESIGN.indenter.model_copy(update={"position_mm": 69.0}))
+    assert default_probe_points_mm(edge)[:, 1].max() < 70.0
+
+
+@pytest.mark.renderer
+def test_the_same_seed_gives_the_same_image_and_another_seed_another(llvm, paints):
+    first, again, other = (render_press(DESIGN, paints, llvm, seed=s, samples_per_pixel=4) for s in (3, 3, 4))
+    np.testing.assert_allclose(first.contact_bands, again.contact_bands, rtol=FLOAT32)
+    assert np.mean(first.contact_bands != other.contact_bands) > 0.5
+
+
+@pytest.mark.renderer
+def test_doubling_the_red_paint_doubles_the_red_band_alone(llvm, paints):
+    brighter = {**paints, "red": replace(paints["red"], emission_per_nm=2.0 * paints["red"].emission_per_nm)}
+    one, two = (render_press(DESIGN, p, llvm, seed=1, samples_per_pixel=4).contact_bands for p in (paints, brighter))
+    np.testing.assert_allclose(two[..., 0], 2.0 * one[..., 0], rtol=FLOAT32, atol=1e-12)
+    np.testing.assert_allclose(two[..., 1:], one[..., 1:], rtol=FLOAT32, atol=1e-12)
+
+
+@pytest.mark.renderer
+def test_compiled_and_scalar_renderers_agree(llvm_choice, paints):
+    means = {}
+    for choice in (llvm_choice, choose_variant("scalar")):
+        renderer, values = open_renderer(choice), []
+        for seed in range(5):
+            render = render_press(DESIGN, paints, renderer, seed=seed, samples_per_pixel=8)
+            values.append(render.contact_bands[pad_pixels(render)].mean(axis=0))
+        # over seeds, because the noise of a bake is common to all pixels of a render
+        means[choice.variant] = (np.mean(values, axis=0), np.std(values, axis=0, ddof=1) / np.sqrt(len(values)))
+    (fast, fast_error), (slow, slow_error) = means.values()
+    assert (fast_error < 0.10 * fast).all()
+    assert (slow_error < 0.15 * slow).all()
+    assert (np.abs(fast - slow) < STANDARD_ERRORS * np.hypot(fast_error, slow_error)).all()
+
+
+@pytest.mark.renderer
+def test_a_press_changes_the_light_near_the_contact_and_hardly_elsewhere(llvm, paints):
+    render = render_press(DESIGN, paints, llvm, samples_per_pixel=128)
+    pixels = pad_pixels(render)
+    change = render.contact_bands - render.no_contact_bands
+    variance = render.contact_variance + render.no_contact_variance
+
+    def significance(where):
+        return change[where].sum(axis=0) / np.sqrt(variance[where].sum(axis=0))
+
+    near, far = (pixels & m for m in (render.distance_in_half_widths < 1.0, render.distance_in_half_widths > 4.0))
+    relative = [np.abs(change[w].sum(0)) / render.no_contact_bands[w].sum(0) for w in (near, far)]
+    # by chance one of three bands exceeds four standard errors in 0.02 % of renders
+    assert np.abs(significance(near)).max() > 4.0
+    assert relative[0].max() > 5.0 * relative[1].max()
+
+
+@pytest.mark.renderer
+def test_direct_light_without_mirror_follows_the_cosine_of_the_refracted_elevation(llvm, paints):
+    from sim.optics.paths import band_integrator
+
+    angles, curve = np.arange(0.0, 91.0, 15.0), []
+    point, sampler = np.array([0.0, 6.0, 24.0]), llvm.load_dict({"type": "independent"})
+    for angle in angles:
+        small = LightPanel(angle_deg=angle, width_mm=1.0, height_mm=1.0)
+        design = without_press(FingerDesign(mirror=Mirror(reflectance=0.0), light=small, camera=DESIGN.camera))
+        scene = finger_scene(design, paint_bands(paints["red"], paints["green"], small), llvm)
+        sampler.seed(1, 2000)
+        rays = llvm.Ray3f(llvm.Point3f(0.0, 3.0, 24.0), llvm.Vector3f(0.0, 1.0, 0.0))
+        # two surfaces: coated face and panel, so direct light only
+        radiance = band_integrator(design, max_depth=2).sample(scene, sampler, rays)[0]
+        curve.append(float(radiance.numpy()[2].mean()))
+    panel = np.array(small.position_mm)
+    crossing = trace_crossing(point, panel, np.array([0.0, 1.0, 0.0]), design.pad.refractive_index).crossing_mm
+    elevation = np.arctan2(-panel[1], crossing[2] - panel[2])
+    expected = np.cos(np.radians(angles) - elevation)
+    # a panel of 1 mm at 20 mm, drawn with the same random numbers at each angle: parts in a thousand
+    np.testing.assert_allclose(np.array(curve) / max(curve), expected / expected.max(), atol=5e-3)
+
+
+@pytest.mark.renderer
+def test_sweeps_share_random_numbers_within_a_repeat_and_not_between(llvm, paints):
+    one, two = (sweep_light_angle(DESIGN, paints, llvm, a, repeats=2, samples=300) for a in ([30.0], [10.0, 30.0]))
+    np.testing.assert_allclose(one.radiance_rel[0], two.radiance_rel[1], rtol=FLOAT32)
+    assert (one.radiance_rel[0, 0] != one.radiance_rel[0, 1]).all()

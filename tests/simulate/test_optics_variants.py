@@ -1,0 +1,59 @@
+import subprocess
+import sys
+
+import pytest
+
+from data_schemas.errors import MissingExtraError
+from sim.optics import variants
+
+
+def test_importing_the_optics_does_not_import_the_renderer():
+    code = (
+        "import sys, sim, sim.optics.render, sim.optics.angle_sweep, sim.optics.scene\n"
+        "raise SystemExit('mitsuba' in sys.modules or 'drjit' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_scalar_needs_no_llvm():
+    choice = variants.choose_variant("scalar", libraries=[])
+    assert (choice.variant, choice.llvm_library) == ("scalar_rgb", None)
+
+
+def test_without_llvm_falls_back_and_says_how_to_install_it():
+    choice = variants.choose_variant("auto", libraries=[])
+    assert choice.variant == "scalar_rgb"
+    assert "apt-get install libllvm19" in choice.note
+
+
+def test_the_proof_refuses_a_bogus_library(tmp_path):
+    bogus = tmp_path / "libLLVM-19.so"
+    bogus.write_bytes(b"not a library")
+    choice = variants.choose_variant("auto", libraries=[str(bogus)])
+    assert choice.variant == "scalar_rgb"
+    assert "ended with status" in choice.note
+    with pytest.raises(MissingExtraError, match=r"asked for with LLVM, but .*libLLVM-19\.so: the proof picture ended"):
+        variants.choose_variant("llvm", libraries=[str(bogus)])
+
+
+def test_a_proof_that_hangs_is_refused(monkeypatch):
+    monkeypatch.setattr(variants, "_PROOF_TIMEOUT_S", 0.01)
+    assert "longer than" in str(variants.prove_llvm_library("/nonexistent/libLLVM-hanging.so"))
+
+
+def test_libraries_are_tried_from_the_newest_and_old_ones_never(tmp_path, monkeypatch):
+    for name in ("libLLVM-14.so.1", "libLLVM-16.so.1", "libLLVM.so.19.1", "libLLVM.so.22.1", "libLLVM-17.so.1"):
+        (tmp_path / name).touch()
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
+    monkeypatch.setattr(variants, "_LIBRARY_PATTERNS", ((tmp_path, "libLLVM*"),))
+    names = [path.rsplit("/", 1)[1] for path in variants.find_llvm_libraries()]
+    assert names == ["libLLVM.so.22.1", "libLLVM.so.19.1", "libLLVM-17.so.1"]
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/preset/libLLVM.so")
+    assert variants.find_llvm_libraries() == ["/preset/libLLVM.so"]
+
+
+@pytest.mark.renderer
+def test_a_proven_library_is_opened(llvm_choice):
+    assert llvm_choice.variant == "llvm_ad_rgb"
+    assert variants.open_renderer(llvm_choice, threads=1).variant() == "llvm_ad_rgb"
+    assert variants.open_renderer(variants.choose_variant("scalar")).variant() == "scalar_rgb"
