@@ -1,8 +1,8 @@
 """Do the fit's intervals hold the truth as often as they say?
 
-Draws paints from the prior, simulates the band values of a nominal eight-filter rig from the model (0.3 % of
-the signal plus a small floor, and 1 % calibration error per band), fits each, and counts how often the
-equal-tailed 68 % and 95 % intervals hold the truth. A calibrated fit stays within the binomial limits.
+Draws paints from the prior, simulates the band values of the paper's eight-filter rig from the model (0.3 % of
+the signal plus a small floor, 1 % calibration error per band, filters off their nominal centre, width and
+blocking), fits each, and counts how often the equal-tailed 68 % and 95 % intervals hold the truth. A calibrated fit stays within the binomial limits.
 
     python benchmarks/coverage_of_intervals.py --paints 100 --seed 20261121 --out coverage.json
 
@@ -22,52 +22,57 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import binom, kstest
 
-from finray_calib.fit.band_model import PARAMETER_NAMES, predict_bands
+from data_schemas.radiometry import Optics
+from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
+from finray_calib.fit.band_model import PARAMETER_NAMES
 from finray_calib.fit.emission import fit_emission
 from finray_calib.fit.likelihood import BandData
+from finray_calib.fit.nuisances import NuisanceModel
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.fit.sampler import SamplerSettings
-from finray_calib.spectra.band_weights import EmissionWeights, emission_weights
+from finray_calib.spectra.band_tolerances import BandTolerances, tolerances_of
+from finray_calib.spectra.band_weights import EmissionWeights
+from finray_calib.spectra.rig_curves import weights_of
+from rigs.presets import simulated_rig
 
-CENTER_NM = (405, 450, 500, 532, 560, 600, 630, 660)
+CHANNEL_WEIGHTS = (0.01, 0.09, 0.9)
 NOISE_REL = 0.003
-NOISE_FLOOR = 2e-4
+NOISE_FLOOR = 2e-6  # some hundredths of a DN in the mean of a region of 10,000 pixels
 CALIBRATION_REL = 0.01
 JUDGED = ("mode_nm", "ln_fwhm_nm")  # intervals of ln FWHM hold exactly when those of FWHM do
 
 
-def nominal_weights() -> EmissionWeights:
-    """Return the weights of Gaussian 10 nm filters with an OD5 floor, a Bayer camera and a white LED."""
-    wavelength = np.arange(380.0, 781.0)
+def nominal_rig() -> tuple[EmissionWeights, BandTolerances]:
+    """Return the weights and tolerances of the paper's eight filters with a Bayer camera and a halogen lamp."""
+    rig = simulated_rig("red")
+    optics = Optics(
+        filters=rig.filter_wheel.filters,
+        excitation_filter="450",
+        laser=rig.laser,
+        lamp=halogen_lamp(),
+        white_reference=rig.white_reference,
+        camera_response=assumed_camera_response(),
+    )
+    return weights_of(optics, CHANNEL_WEIGHTS), tolerances_of(optics, CHANNEL_WEIGHTS)
 
-    def line(center, fwhm):
-        return np.exp(-4 * np.log(2) * ((wavelength - center) / fwhm) ** 2)
 
-    transmission = np.array([np.maximum(0.6 * line(center, 10.0), 1e-5) for center in CENTER_NM])
-    response = np.array([0.01 + line(center, fwhm) for center, fwhm in ((600, 80), (535, 90), (460, 80))])
-    lamp = 0.3 + line(450, 25) + line(570, 130)
-    white = np.full(wavelength.size, 0.97)
-    return emission_weights(wavelength, transmission, response, lamp, white, line(450, 2), 1, [0.25, 0.5, 0.25])
-
-
-def simulate(theta, weights, rng) -> BandData:
-    """Return simulated band values of one paint."""
-    mu = predict_bands(theta[None], weights)[0]
-    sd = np.hypot(NOISE_REL * mu, NOISE_FLOOR)
-    calibration = 1 + CALIBRATION_REL * rng.standard_normal(weights.bands)[weights.band_index]
-    y = mu * calibration + sd * rng.standard_normal(mu.size)
+def simulate(theta, weights, tolerances, rng) -> BandData:
+    """Return simulated band values of one paint: the model, its imperfections drawn, and measurement noise."""
+    mu, columns = NuisanceModel(weights, CALIBRATION_REL, tolerances).predict(theta[None])
+    sd = np.hypot(NOISE_REL * mu[0], NOISE_FLOOR)
+    y = mu[0] + columns[0] @ rng.standard_normal(columns.shape[2]) + sd * rng.standard_normal(mu.size)
     shape = (weights.bands, -1)
     usable = np.ones(mu.size, bool).reshape(shape)
-    return BandData(y.reshape(shape), np.diag(sd**2), usable, weights, CALIBRATION_REL)
+    return BandData(y.reshape(shape), np.diag(sd**2), usable, weights, CALIBRATION_REL, tolerances)
 
 
 def rank_of_truth(task):
     """Return the share of posterior draws below the truth per parameter, convergence, maxima and seconds."""
     seed, index, most_steps = task
     rng = np.random.default_rng([seed, index])
-    prior, weights = EmissionPrior(), nominal_weights()
+    prior = EmissionPrior()
     theta = prior.draw(1, rng)[0]
-    data = simulate(theta, weights, rng)
+    data = simulate(theta, *nominal_rig(), rng)
     start = time.perf_counter()
     posterior = fit_emission(data, prior, SamplerSettings(most_steps=most_steps), rng)
     seconds = time.perf_counter() - start

@@ -52,6 +52,7 @@ class PhotometricErrorReport(Record):
     captured: str
     label: str
     values: Literal["linear light", "encoded values, encoding unknown"]
+    block_px: Annotated[int, Field(ge=1, description="images were averaged over blocks of this side")]
     headline_region: str
     headline_skill: Interval
     regions: tuple[RegionError, ...]

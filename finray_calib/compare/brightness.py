@@ -20,8 +20,19 @@ class BrightnessError:
     sd_rel: float
 
 
-def brightness_beside_contact(image: Floats, distance: Floats) -> float:
-    """Return the mean of R + G + B over the ring of 1 to 1.5 contact half-widths; NaN pixels are left out.
+def brightness_beside_contact(image: Floats, distance: Floats, white: Floats) -> float:
+    """Return the white-balanced brightness over the ring of 1 to 1.5 contact half-widths.
+
+    The mean over pixels and channels of ``image / white``; pixels with NaN are left out.
+
+    Parameters
+    ----------
+    image
+        (H, W, 3) linear light.
+    distance
+        (H, W) distance from the contact's centre in half-widths, NaN off the pad.
+    white
+        (3,) level per channel that counts as one.
 
     Raises
     ------
@@ -34,7 +45,7 @@ def brightness_beside_contact(image: Floats, distance: Floats) -> float:
             f"no usable pixel lies {RING[0]:g} to {RING[1]:g} contact half-widths from the indenter: the press is too "
             "near the edge of the image, or the image is clipped there"
         )
-    return float(image[ring].sum(axis=-1).mean())
+    return float((image[ring] / white).mean())
 
 
 def brightness_error(
@@ -47,13 +58,16 @@ def brightness_error(
 ) -> BrightnessError:
     """Return (simulated - captured) / captured of the brightness beside the indenter.
 
-    The uncertainty holds the repeatability of the capture (difference of two no-contact images, over sqrt 2)
-    and the exposure factor's; it does not know how the error depends on the angle of the light.
+    Every channel counts relative to its no-contact level, as in the sweep's objective. The uncertainty holds the
+    repeatability of the capture (difference of two no-contact images, over sqrt 2) and that of the exposure
+    factor; it does not know how the error depends on the angle of the light.
     """
-    real = brightness_beside_contact(captured, distance)
-    error = brightness_beside_contact(simulated, distance) / real - 1
+    pad = np.isfinite(distance) & np.isfinite(no_contact).all(axis=-1)
+    white = no_contact[pad].mean(axis=0)
+    real = brightness_beside_contact(captured, distance, white)
+    error = brightness_beside_contact(simulated, distance, white) / real - 1
     repeatability = 0.0
     if repeat is not None:
-        first, second = (brightness_beside_contact(i, distance) for i in (no_contact, repeat))
+        first, second = (brightness_beside_contact(i, distance, white) for i in (no_contact, repeat))
         repeatability = abs(second / first - 1) / np.sqrt(2)
-    return BrightnessError(error, float(np.hypot(repeatability, factor_sd_rel)))
+    return BrightnessError(error, float(np.hypot(repeatability, np.nan_to_num(factor_sd_rel))))

@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from data_schemas.capture import TactileCapture
 from data_schemas.compare import ErrorRow, Interval, PhotometricErrorReport
 from data_schemas.compare import RegionError as RegionRecord
-from data_schemas.errors import CompareError
 from data_schemas.simulate import SimulatedPress
 from finray_calib.compare import photometric_error as table
+from finray_calib.compare.blocks import LARGEST_BLOCK_PX, LARGEST_NOISE_REL
 from finray_calib.compare.brightness import brightness_error
 from finray_calib.compare.interval import Interval as BootstrapInterval
-from finray_calib.compare.linear_image import rgb_image
+from finray_calib.compare.prepared_images import prepare_images
 from finray_calib.compare.regions import Region, strip_from_distance
 
 Floats = NDArray[np.float64]
@@ -39,33 +39,22 @@ def compare_press(press: SimulatedPress, capture: TactileCapture, seed: int) -> 
     CompareError
         The images differ in size, or linear light would be compared with encoded values.
     """
-    images = {
-        name: None if counts is None else rgb_image(counts, capture)
-        for name, counts in (
-            ("contact", capture.contact),
-            ("no_contact", capture.no_contact),
-            ("repeat", capture.repeat_no_contact),
-        )
-    }
-    contact, no_contact, repeat = images["contact"], images["no_contact"], images["repeat"]
-    if contact is None or no_contact is None:
-        raise CompareError(f"{capture.name}: needs a contact and a no-contact image")
-    _require_comparable(press, capture, contact.shape)
+    images = prepare_images(press, capture)
     linear = capture.encoding == "linear"
-    distance = press.distance.astype(np.float64)
-    regions = [Region(name, strip_from_distance(distance, factor), factor) for name, factor in FACTORS.items()]
-    scale = _common_scale(press, no_contact) if linear else 1.0
-    simulated, simulated_background = (scale * i.astype(np.float64) for i in (press.contact, press.no_contact))
+    regions = [Region(name, strip_from_distance(images.distance, factor), factor) for name, factor in FACTORS.items()]
     result = table.photometric_error(
-        simulated, contact, no_contact, repeat, regions, 2.0**capture.bit_depth - 1 - capture.black_level_dn,
-        linear, np.random.default_rng(seed), fit_exposure=linear, simulated_no_contact=simulated_background,
-        weights=None if linear else np.ones(3),
+        images.simulated, images.contact, images.no_contact, images.repeat, regions,
+        2.0**capture.bit_depth - 1 - capture.black_level_dn, linear, np.random.default_rng(seed), fit_exposure=linear,
+        simulated_no_contact=images.simulated_no_contact, weights=None if linear else np.ones(3),
     )  # fmt: skip
     factor = result.exposure.k if result.exposure else 1.0
     factor_sd = result.exposure.u if result.exposure else 0.0
+    simulated = factor * images.simulated
     brightness = None
     if linear:
-        brightness = brightness_error(factor * simulated, contact, no_contact, repeat, distance, factor_sd / factor)
+        brightness = brightness_error(
+            simulated, images.contact, images.no_contact, images.repeat, images.distance, factor_sd / factor
+        )
     rows = {r.region.name: r for r in result.regions}
     return PhotometricErrorReport(
         simulated=press.name,
@@ -77,40 +66,17 @@ def compare_press(press: SimulatedPress, capture: TactileCapture, seed: int) -> 
         regions=tuple(_region(r) for r in result.regions),
         ssim_full_frame=_full_frame_ssim(rows[DILATED]),
         ssim_settings=SSIM_SETTINGS,
-        exposure_factor=factor * scale if linear else None,
-        exposure_factor_sd=factor_sd * scale if linear else None,
+        exposure_factor=factor * images.scale if linear else None,
+        exposure_factor_sd=factor_sd * images.scale if linear and np.isfinite(factor_sd) else None,
         channel_weights=_three(rows[DILATED].channel_weights),
         objective_error_rel=brightness.error_rel if brightness else None,
         objective_error_sd_rel=brightness.sd_rel if brightness else None,
         light_angle_deg=capture.light_angle_deg,
-        error_map=_error_map(factor * simulated, contact, no_contact),
+        block_px=images.block_px,
+        error_map=_error_map(simulated, images.contact, images.no_contact),
         withheld=() if linear else _withheld(capture),
-        notes=_notes(press, capture),
+        notes=_notes(press, capture, images.block_px),
     )
-
-
-def _require_comparable(press: SimulatedPress, capture: TactileCapture, shape: tuple[int, ...]) -> None:
-    """Refuse images of different size or encoding, with what to do."""
-    if press.contact.shape != shape:
-        raise CompareError(
-            f"{press.name} has {press.contact.shape[1]} x {press.contact.shape[0]} px, {capture.name} has {shape[1]} x "
-            f"{shape[0]} px: simulate with the camera of the capture (design: camera.width_px, camera.height_px)"
-        )
-    if press.encoding != capture.encoding:
-        raise CompareError(
-            f"{press.name} holds {press.encoding} values, {capture.name} {capture.encoding} ones: linear light cannot "
-            "be compared with an image whose encoding is unknown; capture raw frames, or compare a table prediction"
-        )
-
-
-def _common_scale(press: SimulatedPress, no_contact: Floats) -> float:
-    """Return DN per unit of radiance that brings a render to the level of the capture (refined by the factor)."""
-    simulated = press.no_contact.astype(np.float64)
-    usable = np.isfinite(press.distance) & np.isfinite(no_contact).all(axis=-1)
-    total = simulated[usable].sum()
-    if not usable.any() or total <= 0:
-        raise CompareError(f"{press.name}: the no-contact image is black where the capture sees the pad")
-    return float(no_contact[usable].sum() / total)
 
 
 def _interval(value: BootstrapInterval) -> Interval:
@@ -176,9 +142,14 @@ def _withheld(capture: TactileCapture) -> tuple[str, ...]:
     )
 
 
-def _notes(press: SimulatedPress, capture: TactileCapture) -> tuple[str, ...]:
+def _notes(press: SimulatedPress, capture: TactileCapture, block_px: int) -> tuple[str, ...]:
     """Collect what a reader must know."""
     notes = list(press.notes)
+    if block_px > 1:
+        notes.append(
+            f"compared over blocks of {block_px} x {block_px} px, so that render noise stays below "
+            f"{LARGEST_NOISE_REL:.0%} of the level (or as near as blocks of {LARGEST_BLOCK_PX} px come)"
+        )
     if capture.repeat_no_contact is None:
         notes.append("no repeat of the no-contact image: the floor is not known")
     return tuple(notes)

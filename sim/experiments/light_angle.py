@@ -9,13 +9,14 @@ from data_schemas.fit import PaintCalibration
 from data_schemas.simulate import LightAngleSweep
 from finray_calib.spectra.skew_cauchy import SkewCauchy
 from sim.experiments.painted_finger import PaintedFinger
-from sim.optics.angle_sweep import Progress, sweep_light_angle
+from sim.optics.angle_sweep import sweep_light_angle
 from sim.optics.paint_bands import BAND_NAMES, PaintBands, PaintOptics, paint_bands
+from sim.optics.render import Progress
 
 Floats = NDArray[np.float64]
 OBJECTIVE = (
-    "brightness beside the indenter: camera R + G + B of the coating at probe points on both edges of the contact, "
-    "seen along the pad's normal"
+    "white-balanced brightness beside the indenter: mean of camera R, G and B of the coating, each relative to its own "
+    "mean over the sweep, at probe points on both edges of the contact, seen along the pad's normal"
 )
 
 
@@ -31,22 +32,24 @@ def light_angle_sweep(
 ) -> LightAngleSweep:
     """Measure the objective at every angle, with one draw of both paints and one noise seed per repeat.
 
-    The value of a repeat is ``sum_b w_b basis_b`` with band weights ``w = (sum of the rows of C) * gain``: the
-    camera matrix C and the gain (yield of the draw over the mean yield) are those of the repeat's posterior
-    draw, the same at every angle, so that a common scale cannot change the ranking.
+    A repeat's camera signal is ``C diag(gain) basis``; the camera matrix C and the gain (yield of the draw over the
+    mean yield) are those of the repeat's posterior draw, the same at every angle, so that a common scale cannot
+    change the ranking. The value is the mean of the three channels, each relative to its mean over the sweep: the
+    blue channel, tens of times brighter in raw counts, would otherwise be the only one that counts.
     """
     sweep = sweep_light_angle(
         finger.design, finger.paints, finger.renderer, angles_deg, repeats, seed, samples, progress=progress
     )
     rng = np.random.default_rng(seed)
-    weights = np.array([_band_weights(finger, calibrations, sweep.bands, rng) for _ in range(repeats)])
+    to_camera = np.array([_camera_of_draw(finger, calibrations, sweep.bands, rng) for _ in range(repeats)])
     basis = sweep.radiance_rel
+    rgb = np.einsum("rcb,arpb->arc", to_camera, basis) / basis.shape[2]
     return LightAngleSweep(
         name=f"{finger.design.name}, light angle",
         objective=OBJECTIVE,
         label=sweep.label,
         angles_deg=sweep.angles_deg,
-        values=np.einsum("rb,arpb->ar", weights, basis) / basis.shape[2],
+        values=(rgb / rgb.mean(axis=(0, 1))).mean(axis=2),
         basis=basis,
         bands=BAND_NAMES,
         probe_points_mm=sweep.probe_points_mm,
@@ -56,14 +59,14 @@ def light_angle_sweep(
     )
 
 
-def _band_weights(
+def _camera_of_draw(
     finger: PaintedFinger, calibrations: Mapping[str, PaintCalibration], mean: PaintBands, rng: np.random.Generator
 ) -> Floats:
-    """Return the weight of each band for one draw of both paints."""
+    """Return the (channel, band) matrix for one draw of both paints."""
     drawn = {colour: _draw(finger.paints[colour], calibrations.get(colour), rng) for colour in ("red", "green")}
     bands = paint_bands(drawn["red"], drawn["green"], finger.design.light)
     gain = [bands.energy_conversion[c] / mean.energy_conversion[c] for c in ("red", "green")]
-    return finger.camera_matrix(bands).sum(axis=0) * np.array([*gain, 1.0])
+    return np.asarray(finger.camera_matrix(bands) * np.array([*gain, 1.0]))
 
 
 def _draw(paint: PaintOptics, calibration: PaintCalibration | None, rng: np.random.Generator) -> PaintOptics:

@@ -59,7 +59,8 @@ def simulate_press(
 
 def camera_rgb(bands: NDArray[np.float32], matrix: Floats) -> NDArray[np.float32]:
     """Return camera RGB (rows, columns, 3) = C @ bands."""
-    return np.einsum("cb,ijb->ijc", matrix, bands.astype(np.float64)).astype(np.float32)
+    rgb: Floats = np.einsum("cb,ijb->ijc", matrix, bands.astype(np.float64))
+    return rgb.astype(np.float32)
 
 
 def _notes(finger: PaintedFinger, render: PressRender) -> tuple[str, ...]:

@@ -99,7 +99,7 @@ def sweep_light_angle(
         finger = _at_angle(design, float(angle))
         radiance[i] = _measure_repeats(finger, bands, renderer, points, samples, repeats, seed)
         if progress is not None:
-            progress(f"light angle {angle:g} deg", (i + 1) / angles.size)
+            progress(i + 1, angles.size, f"light angle {angle:g} deg")
     variant = renderer.variant()
     duration_s = time.monotonic() - start
     label = f"rendered probes, level b, {variant}"

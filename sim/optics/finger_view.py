@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
+from data_schemas.errors import SimulateError
 from sim.optics.pressed_pad import pressed_profile
 from sim.optics.refracted_light import panel_frame
 
@@ -22,6 +23,8 @@ _MIRROR_OVERHANG_MM = 4.0
 _CAMERA = np.array([-15.0, -2.0])
 _CAMERA_AIM_DEG = 14.0
 _BISECTIONS = 48
+# around the coat's pixels, to hold the painted walls beside them
+_WINDOW_MARGIN = 0.15
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +54,57 @@ class CameraPose:
     tan_half_height: float
     columns_px: int
     rows_px: int
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Rectangle of pixels that see the pad."""
+
+    first_row: int
+    last_row: int
+    first_column: int
+    last_column: int
+
+    @classmethod
+    def around(cls, *positions: NDArray[np.float64]) -> "Window":
+        """Return the rectangle around all pixels that see the coat in any map, with a margin for the walls.
+
+        Raises
+        ------
+        SimulateError
+            When no pixel sees the coat.
+        """
+        seen = np.logical_or.reduce([np.isfinite(p[..., 0]) for p in positions])
+        if not seen.any():
+            raise SimulateError(
+                "the camera does not see the coated face: check camera.field_of_view_deg, the mirror and the panel's "
+                "position in the design"
+            )
+        ends = []
+        for axis in (1, 0):
+            where = np.flatnonzero(seen.any(axis=axis))
+            margin = int(np.ceil(_WINDOW_MARGIN * len(where)))
+            ends += [max(0, int(where[0]) - margin), min(seen.shape[1 - axis], int(where[-1]) + 1 + margin)]
+        return cls(*ends)
+
+    @property
+    def rows(self) -> slice:
+        """Rows of the window."""
+        return slice(self.first_row, self.last_row)
+
+    @property
+    def columns(self) -> slice:
+        """Columns of the window."""
+        return slice(self.first_column, self.last_column)
+
+    def film_crop(self) -> dict[str, int]:
+        """Return the window as the crop of a renderer's film."""
+        return {
+            "crop_offset_x": self.first_column,
+            "crop_offset_y": self.first_row,
+            "crop_width": self.last_column - self.first_column,
+            "crop_height": self.last_row - self.first_row,
+        }
 
 
 def mirror_shape(design: FingerDesign) -> MirrorShape:

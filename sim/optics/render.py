@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
-from sim.optics.finger_view import coat_positions
+from sim.optics.finger_view import Window, coat_positions
 from sim.optics.paint_bands import PaintBands, PaintOptics, paint_bands
 from sim.optics.pressed_pad import contact_half_width_mm, without_press
-from sim.optics.scene import finger_scene
+from sim.optics.scene import camera_sensor, finger_scene
 from sim.optics.variants import SCALAR_VARIANT
 from sim.optics.wall_baking import indirect_irradiance, light_walls
 from sim.optics.wall_emission import LEVEL_NAMES, Level, unbaked_emission
@@ -22,8 +22,11 @@ from sim.optics.wall_emission import LEVEL_NAMES, Level, unbaked_emission
 BAKE_SAMPLES = {False: 64_000, True: 12_000}
 """Paths per wall of one bake, by whether the variant is scalar (there each path costs a call from Python)."""
 
-Progress = Callable[[str, float], None]
-"""Called with what is being done and the share that is finished, 0..1."""
+SURROUNDINGS_SHARE = 8
+"""Pixels that see neither coat nor walls get this many times fewer paths: nothing is measured there."""
+
+Progress = Callable[[int, int, str], None]
+"""Called with the number of finished steps, of all steps, and what was done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +84,8 @@ def render_press(
     seed
         Random seed, >= 0.
     samples_per_pixel
-        Paths per pixel, an even number >= 2: two independent halves are rendered.
+        Paths per pixel that sees the pad, an even number >= 2: two independent halves are rendered. The
+        surroundings get an eighth.
     progress
         Called after each step.
 
@@ -97,14 +101,16 @@ def render_press(
     start = time.monotonic()
     bands = check_paints(design, paints)
     timings: dict[str, float] = {}
-    images, variances, maps = {}, {}, {}
-    for step, (name, finger) in enumerate((("no contact", without_press(design)), ("contact", design))):
+    images, variances = {}, {}
+    fingers = {"no contact": without_press(design), "contact": design}
+    maps = {name: coat_positions(finger) for name, finger in fingers.items()}
+    window = Window.around(*maps.values())
+    for step, (name, finger) in enumerate(fingers.items()):
         begun = time.monotonic()
-        maps[name] = coat_positions(finger)
         halves = []
         for half in (0, 1):
             image, bake_s = _render_half(
-                finger, bands, renderer, level, stream_seed(seed, half), samples_per_pixel // 2
+                finger, bands, renderer, level, stream_seed(seed, half), samples_per_pixel // 2, window
             )
             halves.append(image)
             timings[f"bake {name}"] = timings.get(f"bake {name}", 0.0) + bake_s
@@ -112,7 +118,7 @@ def render_press(
         variances[name] = np.float32(0.25) * (halves[0] - halves[1]) ** 2
         timings[f"render {name}"] = time.monotonic() - begun - timings[f"bake {name}"]
         if progress is not None:
-            progress(f"rendered {name}", (step + 1) / 2.0)
+            progress(step + 1, len(fingers), f"rendered {name}")
     timings["total"] = time.monotonic() - start
     variant = renderer.variant()
     return PressRender(
@@ -168,9 +174,15 @@ def open_scene(design: FingerDesign, bands: PaintBands, renderer: ModuleType, **
 
 
 def _render_half(
-    design: FingerDesign, bands: PaintBands, renderer: ModuleType, level: Level, seed: int, samples_per_pixel: int
+    design: FingerDesign,
+    bands: PaintBands,
+    renderer: ModuleType,
+    level: Level,
+    seed: int,
+    samples_per_pixel: int,
+    window: Window,
 ) -> tuple[NDArray[np.float32], float]:
-    """Bake the walls and render once; return the image and the seconds of the bake."""
+    """Bake the walls and render once, the window finely; return the image and the seconds of the bake."""
     begun = time.monotonic()
     scene, integrator = open_scene(design, bands, renderer)
     samples = BAKE_SAMPLES[renderer.variant() == SCALAR_VARIANT]
@@ -178,8 +190,12 @@ def _render_half(
     light_walls(scene, design, bands, renderer, level, indirect)
     bake_s = time.monotonic() - begun
     extra = {} if integrator is None else {"integrator": integrator}
-    image = renderer.render(scene, spp=samples_per_pixel, seed=seed, **extra)
-    return np.array(image, dtype=np.float32), bake_s
+    coarse = max(1, samples_per_pixel // SURROUNDINGS_SHARE)
+    image = np.array(renderer.render(scene, spp=coarse, seed=seed, **extra), dtype=np.float32)
+    sensor = renderer.load_dict(camera_sensor(design, renderer, window))
+    fine = renderer.render(scene, sensor=sensor, spp=samples_per_pixel, seed=stream_seed(seed, 1), **extra)
+    image[window.rows, window.columns] = np.array(fine, dtype=np.float32)
+    return image, bake_s
 
 
 def _distance_in_half_widths(design: FingerDesign, coat_uv_mm: NDArray[np.float64]) -> NDArray[np.float64]:

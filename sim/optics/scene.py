@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign, LightPanel
-from sim.optics.finger_view import MirrorShape, camera_pose, mirror_shape
+from sim.optics.finger_view import MirrorShape, Window, camera_pose, mirror_shape
 from sim.optics.gel_surfaces import Surface, check_closed, gel_surfaces
 from sim.optics.paint_bands import PaintBands
 from sim.optics.refracted_light import panel_frame
@@ -121,9 +121,10 @@ def panel_shape(light: LightPanel, renderer: ModuleType) -> dict[str, Any]:
     }
 
 
-def camera_sensor(design: FingerDesign, renderer: ModuleType) -> dict[str, Any]:
-    """Return the camera at the base, one pixel per Bayer cell."""
+def camera_sensor(design: FingerDesign, renderer: ModuleType, window: Window | None = None) -> dict[str, Any]:
+    """Return the camera at the base, one pixel per Bayer cell; with a window, only these pixels."""
     pose = camera_pose(design)
+    crop = {} if window is None else window.film_crop()
     return {
         "type": "perspective",
         "fov": float(np.degrees(2.0 * np.arctan(pose.tan_half_width))),
@@ -134,7 +135,7 @@ def camera_sensor(design: FingerDesign, renderer: ModuleType) -> dict[str, Any]:
             target=(pose.centre_mm + pose.forward).tolist(),
             up=(-pose.down).tolist(),
         ),
-        "film": band_film(pose.columns_px, pose.rows_px),
+        "film": band_film(pose.columns_px, pose.rows_px) | crop,
         "sampler": {"type": "independent", "sample_count": 16},
     }
 

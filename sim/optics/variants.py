@@ -43,6 +43,9 @@ raise SystemExit(0 if 0.0 < mean < 1e6 else "the proof picture is empty")
 """
 
 
+Preference = Literal["auto", "llvm", "scalar"]
+
+
 @dataclass(frozen=True, slots=True)
 class RendererChoice:
     """The variant to render with, the LLVM library behind it, and a plain note for the user."""
@@ -52,9 +55,7 @@ class RendererChoice:
     note: str
 
 
-def choose_variant(
-    prefer: Literal["auto", "llvm", "scalar"] = "auto", libraries: Sequence[str] | None = None
-) -> RendererChoice:
+def choose_variant(prefer: Preference = "auto", libraries: Sequence[str] | None = None) -> RendererChoice:
     """Return the fastest Mitsuba variant that is proven to work on this machine.
 
     Parameters

@@ -359,6 +359,7 @@ def _report(error: Floats) -> PhotometricErrorReport:
         captured="cylinder press, simulated twin",
         label="rendered, level b, llvm_ad_rgb",
         values="linear light",
+        block_px=1,
         headline_region="contact and halo",
         headline_skill=Interval(estimate=0.931, low95=0.913, high95=0.949),
         regions=(_region("contact", 1.0, 2300, 0.957), _region("contact and halo", 2.0, 4600, 0.931)),
