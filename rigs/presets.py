@@ -29,6 +29,7 @@ GREEN_PAINT = HiddenPaint(
     asinh_skewness=0.9,
     energy_yield=0.30,
     absorption_peak_nm=470.0,
+    reflectance_long_wavelength=0.25,
 )
 DEFAULT_PAINTS = {"red": RED_PAINT, "green": GREEN_PAINT}
 

@@ -11,7 +11,7 @@ Render the contact and no-contact image of a finger with calibrated paints. With
 the blue light instead and write the brightness beside the indenter at each angle, for 'finray decide'.
 
 Levels: b (default) the walls re-emit the blue light that reaches them; a the paper's emitter, textured by the
-distance from the light (no angle dependence: for comparison only)."""
+distance from the light (linear as printed, or inverse square; no angle dependence: for comparison only)."""
 
 
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -25,7 +25,9 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         help="paint calibration of a wall: --paint red=FILE --paint green=FILE",
     )  # fmt: skip
     parser.add_argument("--angles", type=_angles, metavar="FIRST:LAST:STEP", help="light angles in deg, e.g. 0:120:10")
-    parser.add_argument("--level", choices=["a", "b"], default="b", help="how the walls emit (default: b)")
+    parser.add_argument(
+        "--level", choices=["a", "a_inverse_square", "b"], default="b", help="how the walls emit (default: b)"
+    )
     parser.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
     parser.add_argument("--samples", type=int, metavar="N", help="paths per pixel (default 128) or per probe (4000)")
     add_out(parser, "DESIGN.press.json or DESIGN.sweep.json")

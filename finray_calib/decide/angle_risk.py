@@ -14,8 +14,8 @@ Verdict = Literal["decided", "tie", "undecided", "model-limited"]
 NEARBY_DEG = 5.0
 #: Probability with which regret stays below its bound, and with which an equivalent angle is within tolerance.
 CONFIDENCE = 0.95
-#: Below this probability of the optimum lying nearby, the best angle does not count as identified.
-IDENTIFIED = 0.80
+#: A set of equivalent angles wider than this leaves the choice to the mechanical designer.
+WIDE_SET_DEG = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ def verdict_of(simulation_only: AngleRisk, with_discrepancy: AngleRisk | None, t
     """Return the first verdict that applies.
 
     "undecided": regret from render noise alone exceeds the tolerance. "model-limited": regret with the
-    sim-to-real error does. "tie": the optimum is not identified, but the loss is small. Else "decided".
+    sim-to-real error does. "tie": the loss is small over an interval wider than 10 deg. Else "decided".
 
     Parameters
     ----------
@@ -117,7 +117,8 @@ def verdict_of(simulation_only: AngleRisk, with_discrepancy: AngleRisk | None, t
         return "undecided"
     if final.regret_95_rel > tolerance_rel:
         return "model-limited"
-    return "tie" if final.p_within_5deg < IDENTIFIED else "decided"
+    widest_deg = max((high - low for low, high in final.equivalent_deg), default=0.0)
+    return "tie" if widest_deg > WIDE_SET_DEG else "decided"
 
 
 def _intervals(grid_deg: NDArray[np.float64], member: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:

@@ -3,7 +3,7 @@
 from finray_calib.decide.angle_risk import CONFIDENCE, NEARBY_DEG, AngleRisk, Verdict
 
 _CONSEQUENCE: dict[Verdict, str] = {
-    "tie": "the best angle is not identified, and any equivalent angle will do",
+    "tie": "a tie, any of these angles will do",
     "undecided": "undecided, more renders are needed",
     "model-limited": "the sim-to-real error exceeds the advantage, so more renders will not decide",
 }

@@ -16,15 +16,17 @@ from data_schemas.storage import write_bytes
 from finray_calib.demo.stages import Demo, DemoSettings
 from finray_calib.reports.demo_report import demo_report
 from finray_calib.reports.demo_results import COLOURS, Colour, DemoResults, PaintResult, PaintTruth
-from finray_calib.reports.images import display_white, to_display
+from finray_calib.reports.images import to_display
 from finray_calib.reports.summary import summary
 from rigs.capture.read_session import read_frame_of
+from rigs.simulated.scene import lay_out
 from rigs.simulated.sensor import bayer_planes
 from sim.optics.variants import RendererChoice, choose_variant, open_renderer
 
 Count = Callable[[int, int, str], None]
 OpenBar = Callable[[str], AbstractContextManager[Count]]
 PREVIEW_STEP = 2
+WHITE_PATCH = 19  # of the ColorChecker
 
 
 @dataclass
@@ -68,17 +70,20 @@ def run_demo(settings: DemoSettings, engine: RendererChoice | None, open_bar: Op
     paints = {colour: _paint(demo, colour, times) for colour in COLOURS}
     with times.of("simulate") as count:
         press = demo.simulate(count)
+        demo.simulate(count, "a")
         sweep = demo.sweep(count)
+        true_sweep = demo.true_sweep(count)
     with times.of("capture") as count:
         capture = demo.twin(count)
     with times.of("compare"):
-        report = demo.compare()
+        report, report_level_a = demo.compare(), demo.compare("a")
     with times.of("decide"):
         decision = demo.decide()
     results = DemoResults(
         paints=paints, press=press, capture=capture, report=report, sweep=sweep, decision=decision,
         stage_wall_times_s=times.seconds, renderer_note=choice.note, command=settings.command,
-        provenance=provenance(settings.command, {}, settings.seed),
+        provenance=provenance(settings.command, {}, settings.seed), true_sweep=true_sweep,
+        report_level_a=report_level_a,
     )  # fmt: skip
     text = json.dumps(summary(results), indent=1, allow_nan=False, ensure_ascii=False)
     write_bytes(settings.out / "summary.json", (text + "\n").encode())
@@ -112,10 +117,11 @@ def _paint(demo: Demo, colour: Colour, times: StageTimes) -> PaintResult:
 
 
 def _room_light_preview(demo: Demo, colour: Colour, session: CaptureSession) -> NDArray[np.uint8]:
-    """Return the room-light frame as a small white-balanced picture."""
+    """Return the room-light frame as a small picture, balanced so that the ColorChecker's white patch is white."""
     frame = next((f for f in session.frames if f.frame_type == "room light"), None)
     if frame is None:
         raise CaptureError(f"session of the {colour} paint: holds no room-light frame")
-    planes = bayer_planes(read_frame_of(demo.path(colour) / "session", frame)).astype(np.float64)
-    image = (planes - session.rig.camera.black_level_dn)[::PREVIEW_STEP, ::PREVIEW_STEP]
-    return to_display(image, display_white(image), linear=True)
+    planes = bayer_planes(read_frame_of(demo.path(colour) / "session", frame)) - session.rig.camera.black_level_dn
+    height, width = planes.shape[:2]
+    white = planes[lay_out(height, width, seed=0).patch == WHITE_PATCH].mean(axis=0)
+    return to_display(planes[::PREVIEW_STEP, ::PREVIEW_STEP], white, linear=True)

@@ -34,10 +34,14 @@ from sim.experiments.light_angle import light_angle_sweep
 from sim.experiments.painted_finger import PaintedFinger, paint_optics
 from sim.experiments.press import simulate_press
 from sim.optics.paint_bands import PaintOptics
+from sim.optics.wall_emission import Level
 
 COLOURS = ("red", "green")
 ANGLES_DEG = tuple(float(a) for a in range(0, 121, 10))
-SWEEP_REPEATS = 6
+SWEEP_REPEATS, TRUE_SWEEP_REPEATS = 6, 3
+TWIN_SEED = 1000
+PRESS = {"a": "press-level-a.json", "b": "press.json"}
+REPORT = {"a": "photometric-error-level-a.json", "b": "photometric-error.json"}
 Progress = Callable[[int, int, str], None]
 R = TypeVar("R", bound=Record)
 
@@ -126,40 +130,44 @@ class Demo:
         camera = design.camera.model_copy(update={"response": str(self.settings.sensor.resolve())})
         return design.model_copy(update={"camera": camera})
 
-    def simulate(self, progress: Progress) -> SimulatedPress:
-        """Render the press with the fitted paints."""
+    def simulate(self, progress: Progress, level: Level = "b") -> SimulatedPress:
+        """Render the press with the fitted paints; level "a" is the paper's emitter, for comparison."""
         finger = self._finger(self.design(), {c: paint_optics(p) for c, p in self.calibrations().items()})
-        press = simulate_press(
-            finger, "b", self.settings.seed, self.settings.samples_per_pixel, self._digests(), progress
-        )
-        return self._store(press, "press.json", [f"{c}/paint.json" for c in COLOURS])
+        samples = self.settings.samples_per_pixel
+        press = simulate_press(finger, level, self.settings.seed, samples, self._digests(), progress)
+        return self._store(press, PRESS[level], [f"{c}/paint.json" for c in COLOURS])
 
     def sweep(self, progress: Progress) -> LightAngleSweep:
         """Sweep the light angle with the fitted paints."""
         calibrations = self.calibrations()
         finger = self._finger(self.design(), {c: paint_optics(p) for c, p in calibrations.items()})
-        sweep = light_angle_sweep(
-            finger, calibrations, ANGLES_DEG, SWEEP_REPEATS, self.settings.probe_samples, self.settings.seed,
-            self._digests(), progress,
-        )  # fmt: skip
+        sweep = self._swept(finger, calibrations, SWEEP_REPEATS, self.settings.seed, progress)
         return self._store(sweep, "sweep.json", [f"{c}/paint.json" for c in COLOURS])
+
+    def true_sweep(self, progress: Progress) -> LightAngleSweep:
+        """Sweep the light angle of the hidden true finger: what the decision is worth, for the report only."""
+        sweep = self._swept(self.true_finger(), {}, TRUE_SWEEP_REPEATS, self.settings.seed + TWIN_SEED, progress)
+        return self._store(sweep, "true-sweep.json", [])
+
+    def true_finger(self) -> PaintedFinger:
+        """Return the finger as it was really built: true paints, light and coating a little off."""
+        paints = {colour: true_paint_optics(colour, self.truth(colour)) for colour in COLOURS}
+        return self._finger(hidden_design(self.design()), paints)
 
     def twin(self, progress: Progress) -> TactileCapture:
         """Capture the digital twin: hidden true paints, another light angle, coating and seed."""
-        paints = {colour: true_paint_optics(colour, self.truth(colour)) for colour in COLOURS}
-        finger = self._finger(hidden_design(self.design()), paints)
         capture = capture_twin(
-            finger, self.design().light.angle_deg, self.settings.seed + 1000, self.settings.twin_samples_per_pixel,
-            progress,
+            self.true_finger(), self.design().light.angle_deg, self.settings.seed + TWIN_SEED,
+            self.settings.twin_samples_per_pixel, progress,
         )  # fmt: skip
         return self._store(capture, "tactile-capture.json", [])
 
-    def compare(self) -> PhotometricErrorReport:
-        """Compare the stored render with the stored capture."""
-        press = read_record(self.path("press.json"), SimulatedPress)
+    def compare(self, level: Level = "b") -> PhotometricErrorReport:
+        """Compare the stored render of a level with the stored capture."""
+        press = read_record(self.path(PRESS[level]), SimulatedPress)
         capture = read_record(self.path("tactile-capture.json"), TactileCapture)
         report = compare_press(press, capture, self.settings.seed)
-        return self._store(report, "photometric-error.json", ["press.json", "tactile-capture.json"])
+        return self._store(report, REPORT[level], [PRESS[level], "tactile-capture.json"])
 
     def decide(self) -> LightAngleDecision:
         """Decide on the light angle from the stored sweep and report."""
@@ -167,6 +175,19 @@ class Demo:
         report = read_record(self.path("photometric-error.json"), PhotometricErrorReport)
         decision = decide(sweep, [report], self.settings.seed)
         return self._store(decision, "light-angle-decision.json", ["sweep.json", "photometric-error.json"])
+
+    def _swept(
+        self,
+        finger: PaintedFinger,
+        calibrations: Mapping[str, PaintCalibration],
+        repeats: int,
+        seed: int,
+        progress: Progress,
+    ) -> LightAngleSweep:
+        """Sweep the light angle of a finger."""
+        digests = self._digests() if calibrations else {}
+        samples = self.settings.probe_samples
+        return light_angle_sweep(finger, calibrations, ANGLES_DEG, repeats, samples, seed, digests, progress)
 
     def _finger(self, design: FingerDesign, paints: Mapping[str, PaintOptics]) -> PaintedFinger:
         """Join design, paints, the tactile camera's response and the renderer."""

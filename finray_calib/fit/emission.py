@@ -18,6 +18,9 @@ from finray_calib.spectra.skew_cauchy import from_mode_parameters, share_below
 
 FloatArray = NDArray[np.float64]
 
+_REFERENCE_ROUNDS = 2
+"""The filters' tolerances act at the best fit; the first round starts from calibration errors alone."""
+
 YIELD_RANGE_NM = (470.0, 780.0)
 """Wavelengths over which the energy yield is counted, nm: above the laser, to the end of the visible."""
 
@@ -170,6 +173,9 @@ def fit_emission(
     """
     log_posterior = LogPosterior(data, prior)
     maxima = find_maxima(log_posterior, rng)
+    for _ in range(_REFERENCE_ROUNDS if data.tolerances is not None else 0):
+        log_posterior = LogPosterior(data, prior, maxima.theta[0])
+        maxima = find_maxima(log_posterior, rng)
     proposal = MixtureProposal.around(maxima, prior).adapted(log_posterior, rng)
     draws, diagnostics = sample_posterior(log_posterior, proposal, settings, rng)
-    return EmissionPosterior(draws, maxima, diagnostics, check_bands(data, draws), data.weights.laser_nm)
+    return EmissionPosterior(draws, maxima, diagnostics, check_bands(log_posterior, draws), data.weights.laser_nm)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import FitError
-from finray_calib.fit.nuisances import NuisanceModel, marginal_chi2, whitening
+from finray_calib.fit.nuisances import calibration_columns, predict_bands, tolerance_columns
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.spectra.band_tolerances import BandTolerances
 from finray_calib.spectra.band_weights import EmissionWeights, read_only
@@ -90,16 +90,23 @@ class BandData:
         """Rows of the usable entries in band-major order."""
         return np.flatnonzero(self.usable.ravel())
 
-    def model(self) -> NuisanceModel:
-        """Return the predictions of the rig with its imperfections."""
-        return NuisanceModel(self.weights, self.band_calibration_rel, self.tolerances)
+    def imperfections(self, reference: FloatArray | None = None) -> FloatArray:
+        """Return the imperfection columns U of the usable rows, (K, M).
+
+        Parameters
+        ----------
+        reference
+            (6,) parameters at which the filters' tolerances act; calibration errors alone when None.
+        """
+        y = np.nan_to_num(self.y.ravel())
+        columns = [calibration_columns(y, self.weights, self.band_calibration_rel)]
+        if reference is not None and self.tolerances is not None:
+            columns.append(tolerance_columns(reference, self.weights, self.tolerances))
+        return np.concatenate(columns, axis=1)[self.kept]
 
 
 class LogPosterior:
-    """Log posterior density of parameter rows given band data and a prior.
-
-    y ~ N(mu, S + U U^T), with the imperfection columns U of :class:`NuisanceModel` evaluated at the model, so that
-    their log determinant counts: at the data they would favour low values.
+    """Log posterior density of parameter rows given band data and a prior: y ~ N(mu(theta), S + U U^T).
 
     Parameters
     ----------
@@ -107,17 +114,20 @@ class LogPosterior:
         Measured band values.
     prior
         Prior of the six parameters.
+    reference
+        (6,) parameters at which the filters' tolerances act, see :meth:`BandData.imperfections`.
     """
 
-    def __init__(self, data: BandData, prior: EmissionPrior) -> None:
+    def __init__(self, data: BandData, prior: EmissionPrior, reference: FloatArray | None = None) -> None:
         self.data = data
         self.prior = prior
-        self._model = data.model()
         self._kept = data.kept
         self._y = data.y.ravel()[self._kept]
-        measured = data.covariance[np.ix_(self._kept, self._kept)]
-        self._whiten = whitening(measured)
-        self._constant = -0.5 * (self._kept.size * np.log(2 * np.pi) + np.linalg.slogdet(measured)[1])
+        imperfections = data.imperfections(reference)
+        self.covariance = data.covariance[np.ix_(self._kept, self._kept)] + imperfections @ imperfections.T
+        factor = np.linalg.cholesky(self.covariance)
+        self._whiten: FloatArray = np.asarray(np.linalg.inv(factor), dtype=np.float64)
+        self._constant = -0.5 * self._kept.size * np.log(2 * np.pi) - np.log(np.diagonal(factor)).sum()
 
     def __call__(self, theta: FloatArray) -> FloatArray:
         """Return the log posterior density (up to the evidence) of (n, 6) rows, (n,)."""
@@ -129,26 +139,21 @@ class LogPosterior:
 
     def log_likelihood(self, theta: FloatArray) -> FloatArray:
         """Return ln p(y | theta) of (n, 6) rows, (n,)."""
-        mu, columns = self._model.predict(theta)
-        residual = self._y - mu[:, self._kept]
-        chi2, ln_det = marginal_chi2(residual, columns[:, self._kept], self._whiten)
-        return np.asarray(self._constant - 0.5 * (chi2 + ln_det))
+        residual = (self._y - self.predict_usable(theta)) @ self._whiten.T
+        return np.asarray(self._constant - 0.5 * (residual**2).sum(axis=1))
 
     def predict_usable(self, theta: FloatArray) -> FloatArray:
         """Return the predicted usable band values of (n, 6) rows, (n, K)."""
-        return self._model.predict(theta)[0][:, self._kept]
+        return predict_bands(theta, self.data.weights)[:, self._kept]
 
     def information(self, theta: FloatArray) -> FloatArray:
         """Return the expected (Fisher) information plus the prior precision at one theta, (6, 6).
 
-        J^T C^-1 J + diag(1 / sd^2), J by central differences; the small term of the covariance's own slope is
-        left out. Its inverse is the Laplace covariance.
+        J^T C^-1 J + diag(1 / sd^2), J by central differences. Its inverse is the Laplace covariance.
         """
         step = _DIFFERENCE_STEP * np.diag(self.prior.sd)
         low = np.maximum(theta - step, self.prior.low - np.diagonal(step))
         moved = self.predict_usable(np.concatenate([theta + step, low]))
         jacobian = (moved[:6] - moved[6:]) / (2 * _DIFFERENCE_STEP * self.prior.sd[:, None])
-        spread = self._whiten @ self._model.predict(theta[None])[1][0, self._kept]
-        whitened = self._whiten @ jacobian.T
-        marginal = whitened.T @ np.linalg.solve(spread @ spread.T + np.eye(len(spread)), whitened)
-        return np.asarray(marginal + np.diag(self.prior.sd**-2.0))
+        whitened = jacobian @ self._whiten.T
+        return np.asarray(whitened @ whitened.T + np.diag(self.prior.sd**-2.0))

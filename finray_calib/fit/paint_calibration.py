@@ -20,6 +20,10 @@ from finray_calib.spectra.rig_curves import WAVELENGTH_NM, weights_of
 Floats = NDArray[np.float64]
 FAMILY = "zheng2014 (skew-Cauchy, the paper's)"
 BAND_CALIBRATION_REL = 0.01
+# What a region's photon noise does not know: the shape of each channel's response inside a band, and stray light in
+# camera and enclosure. Without them a tail of a thousandth of the peak would be trusted to a hundredth of itself.
+CHANNEL_RESPONSE_REL = 0.003
+STRAY_LIGHT_REL = 0.003
 PRIOR_DRAWS = 2000
 SMALLEST_P = 0.01
 SMALLEST_EFFECTIVE_SAMPLES = 400.0
@@ -52,7 +56,7 @@ def calibrate_paint(
     rng = np.random.default_rng(seed)
     data = BandData(
         y=bands.fluorescence,
-        covariance=bands.fluorescence_covariance,
+        covariance=bands.fluorescence_covariance + _channel_covariance(bands),
         usable=bands.usable(),
         weights=weights_of(bands.optics, bands.channel_weights),
         band_calibration_rel=BAND_CALIBRATION_REL,
@@ -94,6 +98,14 @@ def calibrate_paint(
         diagnostics=diagnostics,
         warnings=_warnings(posterior, residuals, diagnostics),
     )
+
+
+def _channel_covariance(bands: BandSignals) -> Floats:
+    """Return the variances of channel response and stray light, the latter relative to the brightest emission band."""
+    y, usable = bands.fluorescence, bands.usable()
+    emission = usable & np.array([[f.name != bands.optics.excitation_filter] for f in bands.optics.filters])
+    brightest = float(np.abs(y[emission]).max()) if emission.any() else 0.0
+    return np.diag(((CHANNEL_RESPONSE_REL * y) ** 2 + (STRAY_LIGHT_REL * brightest) ** 2).ravel())
 
 
 def _estimate(draws: Floats) -> Estimate:

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
-from finray_calib.fit.likelihood import BandData
-from finray_calib.fit.nuisances import marginal_chi2, whitening
+from finray_calib.fit.likelihood import LogPosterior
+from finray_calib.fit.nuisances import predict_bands
 
 FloatArray = NDArray[np.float64]
 
@@ -28,7 +28,8 @@ class BandCheck:
     predicted_mean
         (B, C) posterior mean of the predicted band values, dimensionless.
     predicted_sd
-        (B, C) posterior standard deviation of the predicted band values, without measurement noise.
+        (B, C) standard deviation of the predicted band values: posterior and imperfections of the rig together,
+        without measurement noise.
     """
 
     chi2: FloatArray
@@ -38,17 +39,17 @@ class BandCheck:
     predicted_sd: FloatArray
 
 
-def check_bands(data: BandData, draws: FloatArray) -> BandCheck:
+def check_bands(log_posterior: LogPosterior, draws: FloatArray) -> BandCheck:
     """Return the per-band posterior predictive check.
 
-    T_b(theta) = (y - mu)_b^T C_b(theta)^-1 (y - mu)_b with C_b the covariance of the band's usable channels,
-    calibration error included. A replicate's T_b is chi-square with as many degrees of freedom as usable
-    channels, so the predictive p is the mean over draws of the chi-square survival function of T_b.
+    T_b(theta) = (y - mu)_b^T C_bb^-1 (y - mu)_b with C the covariance of measurement and imperfections, over the
+    band's usable channels. A replicate's T_b is chi-square with as many degrees of freedom as usable channels, so
+    the predictive p is the mean over draws of the chi-square survival function of T_b.
 
     Parameters
     ----------
-    data
-        Measured band values.
+    log_posterior
+        Measured band values with their covariance.
     draws
         (N, 6) posterior draws.
 
@@ -56,19 +57,20 @@ def check_bands(data: BandData, draws: FloatArray) -> BandCheck:
     ----------
     Gelman, Meng, Stern, Posterior predictive assessment of model fitness, Statistica Sinica 6 (1996) 733-807.
     """
-    predicted, columns = data.model().predict(draws)
-    mean = predicted.mean(axis=0)
-    bands = data.weights.bands
+    data = log_posterior.data
+    predicted = predict_bands(draws, data.weights)
+    mean, variance = predicted.mean(axis=0), predicted.var(axis=0, ddof=1)
+    bands, of_row = data.weights.bands, data.weights.band_index[data.kept]
     chi2, p_value = np.full(bands, np.nan), np.full(bands, np.nan)
-    freedom = np.zeros(bands, dtype=np.int64)
-    for band in range(bands):
-        rows = data.kept[data.weights.band_index[data.kept] == band]
-        freedom[band] = rows.size
-        if rows.size:
-            whiten = whitening(data.covariance[np.ix_(rows, rows)])
-            y = data.y.ravel()[rows]
-            chi2[band] = marginal_chi2(y - mean[None, rows], columns.mean(axis=0)[None, rows], whiten)[0][0]
-            each = marginal_chi2(y - predicted[:, rows], columns[:, rows], whiten)[0]
-            p_value[band] = chi2_distribution.sf(each, rows.size).mean()
+    freedom = np.array([(of_row == band).sum() for band in range(bands)], dtype=np.int64)
+    for band in np.flatnonzero(freedom):
+        members = np.flatnonzero(of_row == band)
+        rows = data.kept[members]
+        precision = np.linalg.inv(log_posterior.covariance[np.ix_(members, members)])
+        residual = data.y.ravel()[rows] - np.vstack([mean, predicted])[:, rows]
+        each = ((residual @ precision) * residual).sum(axis=1)
+        chi2[band], p_value[band] = each[0], chi2_distribution.sf(each[1:], rows.size).mean()
+    measured = np.diag(data.covariance)[data.kept]
+    variance[data.kept] += np.diag(log_posterior.covariance) - measured
     shape = data.y.shape
-    return BandCheck(chi2, freedom, p_value, mean.reshape(shape), predicted.std(axis=0, ddof=1).reshape(shape))
+    return BandCheck(chi2, freedom, p_value, mean.reshape(shape), np.sqrt(variance).reshape(shape))

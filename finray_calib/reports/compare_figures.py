@@ -12,7 +12,9 @@ SHOWN_PERCENTILE = 99.0
 
 
 @styled()
-def error_map_figure(report: PhotometricErrorReport, outline: NDArray[np.bool_]) -> str:
+def error_map_figure(
+    report: PhotometricErrorReport, outline: NDArray[np.bool_], window: tuple[slice, slice] | None = None
+) -> str:
     """Draw the error map with its colour bar and the outline of the headline region.
 
     Parameters
@@ -21,19 +23,23 @@ def error_map_figure(report: PhotometricErrorReport, outline: NDArray[np.bool_])
         Comparison whose map is drawn.
     outline
         (H, W) mask of the headline region, on any grid of the same view.
+    window
+        Rows and columns of that grid to show; all when None.
     """
     error = np.abs(report.error_map)
-    height, width = error.shape
-    figure = new_figure(5.4, 5.4 * height / width * 0.8 + 0.1)
+    height, width = outline.shape
+    rows, columns = window or (slice(0, height), slice(0, width))
+    view = (min(rows.stop, height) - rows.start) / (min(columns.stop, width) - columns.start)
+    figure = new_figure(5.4, 5.4 * 0.8 * view + 0.1)
     axes = figure.subplots()
     top = float(np.nanpercentile(error, SHOWN_PERCENTILE))
     extent = (0.0, float(width), float(height), 0.0)
     drawn = axes.imshow(error, cmap="cividis", vmin=0.0, vmax=top if top > 0 else 1.0, extent=extent)
-    rows = (np.arange(outline.shape[0]) + 0.5) * height / outline.shape[0]
-    columns = (np.arange(outline.shape[1]) + 0.5) * width / outline.shape[1]
     if outline.any() and not outline.all():
-        axes.contour(columns, rows, outline.astype(float), levels=[0.5], colors="white", linewidths=2.6)
-        axes.contour(columns, rows, outline.astype(float), levels=[0.5], colors=INK, linewidths=1.2, linestyles="--")
+        centers = np.arange(width) + 0.5, np.arange(height) + 0.5
+        axes.contour(*centers, outline.astype(float), levels=[0.5], colors="white", linewidths=2.6)
+        axes.contour(*centers, outline.astype(float), levels=[0.5], colors=INK, linewidths=1.2, linestyles="--")
+    axes.set(xlim=(columns.start, min(columns.stop, width)), ylim=(min(rows.stop, height), rows.start))
     axes.set_axis_off()
     bar = figure.colorbar(drawn, ax=axes, shrink=0.9, extend="max")
     bar.set_label("error / untouched level (1)")

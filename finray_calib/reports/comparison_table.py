@@ -31,7 +31,7 @@ def comparison_lines(report: PhotometricErrorReport) -> str:
     lines = [f"{_cut(report.simulated)} against {_cut(report.captured)}", _cut(report.label, WIDTH_COLUMNS)]
     lines.append(f"values: {report.values}; exposure factor: {_exposure(report)}")
     for region in report.regions:
-        lines += ["", _cut(_heading(region), WIDTH_COLUMNS), _line([title for title, _ in _COLUMNS])]
+        lines += ["", _cut(_heading(report, region), WIDTH_COLUMNS), _line([title for title, _ in _COLUMNS])]
         lines += [_line(_cells(row)) for row in region.rows]
     skill = report.headline_skill
     headline = skill_text(skill.estimate, skill.low95, skill.high95)
@@ -40,10 +40,11 @@ def comparison_lines(report: PhotometricErrorReport) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _heading(region: RegionError) -> str:
+def _heading(report: PhotometricErrorReport, region: RegionError) -> str:
     """Return the name and size of a region."""
     clipped = f", {region.clipped_fraction:.1%} clipped" if region.clipped_fraction > 0 else ""
-    return f"{region.region} ({region.factor:g} half-widths, {region.pixels} px{clipped})"
+    unit = "px" if report.block_px == 1 else f"blocks of {report.block_px} x {report.block_px} px"
+    return f"{region.region} ({region.factor:g} half-widths, {region.pixels} {unit}{clipped})"
 
 
 def _exposure(report: PhotometricErrorReport) -> str:

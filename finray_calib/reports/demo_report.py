@@ -2,11 +2,11 @@
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from finray_calib.reports import statements
+from finray_calib.reports import statements, trust
 from finray_calib.reports.demo_results import COLOURS, DemoResults, headline, row_of
 from finray_calib.reports.demo_sections import sections
-from finray_calib.reports.number_text import fixed, percent, probability
-from finray_calib.reports.report_tables import equivalent_text, provenance_table
+from finray_calib.reports.number_text import fixed, percent, probability, unbroken
+from finray_calib.reports.report_tables import provenance_table
 from finray_calib.reports.summary import summary
 
 TEMPLATE = "demo_report.html.j2"
@@ -32,14 +32,15 @@ def demo_report(results: DemoResults) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["unbroken"] = unbroken
     return environment.get_template(TEMPLATE).render(
         decision=results.decision,
         verdict_meaning=statements.verdict_meaning(results.decision),
         key_numbers=_key_numbers(results),
         findings=_findings(results),
-        trust=_trust(results),
-        assumptions=statements.assumptions(results),
-        warnings=statements.warnings(results),
+        limits=trust.limits(results),
+        assumptions=trust.assumptions(results),
+        notes=trust.all_notes(results),
         sections=sections(results),
         provenance=provenance_table(results),
         command=results.command,
@@ -53,7 +54,7 @@ def _key_numbers(results: DemoResults) -> tuple[tuple[str, str, str], ...]:
     claim, skill, floor = decision.statement, report.headline_skill, row_of(headline(report), "floor")
     ceiling = "no repeat captured" if floor is None else f"at best {fixed(floor.skill.estimate, 3)}"
     return (
-        ("Light angle", f"{decision.angle_deg:.0f} deg", f"equivalent: {equivalent_text(claim)}"),
+        ("Light angle", f"{decision.angle_deg:.0f} deg", f"equivalent: {statements.equivalent_text(claim)}"),
         ("True best within 5 deg", probability(claim.p_within_5deg), "probability"),
         ("Expected loss", percent(claim.expected_regret), f"at most {percent(claim.regret_95)} with 95 % probability"),
         (
@@ -69,14 +70,3 @@ def _findings(results: DemoResults) -> tuple[str, ...]:
     truth = statements.truth_statement(results)
     paints = [statements.paint_sentence(results.paints[colour]) for colour in COLOURS]
     return (statements.simulation_sentence(results.report), *paints, *([] if truth is None else [truth]))
-
-
-def _trust(results: DemoResults) -> tuple[str, ...]:
-    """Return what limits the trust in this report, computed from the records."""
-    return (
-        results.renderer_note,
-        *(statements.model_statement(results.paints[colour]) for colour in COLOURS),
-        statements.validation_statement(results.decision),
-        f"The capture \u201c{results.capture.name}\u201d comes from: {results.capture.source}.",
-        f"Photometric values are {results.report.values}; {results.report.ssim_settings}.",
-    )

@@ -85,6 +85,9 @@ class DemoResults:
         The command that reproduces the run.
     true_sweep
         The same objective over the angle for the hidden true finger, or None when it was not rendered.
+    report_level_a
+        The paper's emitter (light textured by distance, the same at every angle) against the same capture, or
+        None when it was not rendered.
 
     Raises
     ------
@@ -103,6 +106,7 @@ class DemoResults:
     command: str
     provenance: Provenance
     true_sweep: LightAngleSweep | None = None
+    report_level_a: PhotometricErrorReport | None = None
 
     def __post_init__(self) -> None:
         if set(self.paints) != set(COLOURS):

@@ -37,12 +37,17 @@ def capture_rgb(capture: TactileCapture, image: NDArray[np.uint16]) -> FloatImag
 def display_white(image: NDArray[np.floating]) -> FloatImage:
     """Return the value of each channel that a display shall show as white, (3,): a high percentile.
 
+    Parameters
+    ----------
+    image
+        (..., 3) pixels to balance by, any unit.
+
     Raises
     ------
     RecordError
         When a channel has no light to balance by.
     """
-    white = np.nanpercentile(np.asarray(image, dtype=np.float64), WHITE_PERCENTILE, axis=(0, 1))
+    white = np.nanpercentile(np.asarray(image, dtype=np.float64).reshape(-1, 3), WHITE_PERCENTILE, axis=0)
     if not (white > 0).all():
         raise RecordError(
             f"display image: the {WHITE_PERCENTILE} % brightest pixels per channel are {white.tolist()}; every channel "

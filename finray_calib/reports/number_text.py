@@ -1,6 +1,7 @@
 """Numbers as a reader should see them: as many digits as the interval supports, never more."""
 
 import math
+import re
 
 _SIGNIFICANT_OF_HALF_WIDTH = 2
 _MOST_DECIMALS = 6
@@ -41,7 +42,7 @@ def significant(value: float, digits: int = 3) -> str:
         return fixed(value, 0)
     if not 1e-4 <= abs(value) < 1e5:
         return f"{value:.{digits - 1}e}"
-    return fixed(value, max(digits - 1 - math.floor(math.log10(abs(value))), 0))
+    return fixed(value, digits - 1 - math.floor(math.log10(abs(value))))
 
 
 def percent(fraction: float) -> str:
@@ -72,3 +73,9 @@ def duration(seconds: float) -> str:
 def skill_text(estimate: float, low: float, high: float) -> str:
     """Return a skill score with its interval, at most three decimals."""
     return interval_text(estimate, low, high, most_decimals=3)
+
+
+def unbroken(text: str) -> str:
+    """Return the text with no-break spaces between number and unit and inside [low, high], so that lines keep them."""
+    units = re.sub(r"(?<=\d) (?=(?:%|nm|deg|dB|DN|mm|ms|s|px|pixels)(?![\w/]))", "\u00a0", text)
+    return re.sub(r"\[[^\[\]]{0,40}\]", lambda found: found[0].replace(" ", "\u00a0"), units)

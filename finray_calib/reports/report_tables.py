@@ -5,12 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_schemas.compare import ErrorRow, PhotometricErrorReport
-from data_schemas.decide import AngleStatement
+from data_schemas.compare import ErrorRow, PhotometricErrorReport, RegionError
 from data_schemas.fit import Estimate
-from finray_calib.reports.demo_results import COLOURS, DemoResults, PaintResult
+from finray_calib.reports.demo_results import COLOURS, DemoResults, PaintResult, row_of
 from finray_calib.reports.number_text import decimals_for, fixed, percent, probability, significant, skill_text
-from finray_calib.reports.statements import estimate_text, holds
+from finray_calib.reports.statements import equivalent_text, estimate_text, holds
 
 _FURTHER_QUANTITIES = {
     "peak_per_nm": ("peak", "1/nm"),
@@ -105,30 +104,24 @@ def _signal(value: float, sd: float, flag: str) -> str:
 
 
 def fit_table(paint: PaintResult) -> ReportTable:
-    """List every fitted quantity; those with a known truth first, with the verdict on the interval."""
+    """List every fitted quantity; those with a known truth first, with its place in the interval."""
     fit, truth = paint.calibration, paint.truth
-    name = "measured" if truth.is_measured else "truth"
     compared: list[tuple[str, Estimate, float, str]] = [
         ("mode", fit.parameters["mode_nm"], truth.mode_nm, "nm"),
         ("FWHM", fit.parameters["fwhm_nm"], truth.fwhm_nm, "nm"),
         ("energy yield", fit.energy_yield, truth.energy_yield, ""),
     ]
-    rows: list[tuple[str, ...]] = [
-        (
-            label,
-            estimate_text(value, unit),
-            f"{fixed(true, 1)} nm" if unit else significant(true, 4),
-            "inside" if holds(value, true) else "OUTSIDE",
-        )
-        for label, value, true, unit in compared
-    ]
+    rows: list[tuple[str, ...]] = []
+    for label, value, true, unit in compared:
+        number = f"{fixed(true, 1)} {unit}" if unit else significant(true, 4)
+        rows.append((label, estimate_text(value, unit), f"{number}, {'inside' if holds(value, true) else 'OUTSIDE'}"))
     rows += [
-        (label, estimate_text(fit.parameters[key], unit), "", "")
+        (label, estimate_text(fit.parameters[key], unit), "")
         for key, (label, unit) in _FURTHER_QUANTITIES.items()
         if key in fit.parameters
     ]
     caption = f"{paint.colour.capitalize()} paint: median and 95 % interval"
-    return _table(caption, ("quantity", "fit", name, "interval"), rows)
+    return _table(caption, ("quantity", "fit", "measured" if truth.is_measured else "truth"), rows)
 
 
 def bands_table(paint: PaintResult) -> ReportTable:
@@ -150,18 +143,33 @@ def bands_table(paint: PaintResult) -> ReportTable:
     return _table(caption, ("filter", "chi-square", "values", "predictive p"), rows)
 
 
-def error_table(report: PhotometricErrorReport) -> ReportTable:
-    """List do nothing, simulation and floor for every region."""
+def error_table(report: PhotometricErrorReport, report_level_a: PhotometricErrorReport | None = None) -> ReportTable:
+    """List do nothing, simulation, the paper's emitter where it was rendered, and floor for every region."""
+    paper = {} if report_level_a is None else {region.region: region for region in report_level_a.regions}
     groups = tuple(
-        TableGroup(
-            f"{region.region}: up to {region.factor:g} times the contact half-width, {region.pixels} pixels, "
-            f"{_clipped(region.clipped_fraction)}",
-            tuple(_error_cells(row) for row in region.rows),
-        )
+        TableGroup(region_heading(report, region), _region_rows(region, paper.get(region.region)))
         for region in report.regions
     )
     columns = ("candidate", "skill [95 %]", "skill R, G, B", "relative RMS R, G, B", "PSNR", "SSIM")
     return ReportTable("Every candidate against the captured contact image", columns, groups)
+
+
+def region_heading(report: PhotometricErrorReport, region: RegionError) -> str:
+    """Return name and size of a region; blocks that were averaged count as one."""
+    unit = "pixels" if report.block_px == 1 else f"blocks of {report.block_px} x {report.block_px} px"
+    extent = "the contact half-width" if region.factor == 1 else f"{region.factor:g} contact half-widths"
+    return f"{region.region}: up to {extent}, {region.pixels} {unit}, {_clipped(region.clipped_fraction)}"
+
+
+def _region_rows(region: RegionError, paper: RegionError | None) -> tuple[tuple[str, ...], ...]:
+    """Return the rows of a region, with the paper's emitter below the simulation."""
+    rows: list[tuple[str, ...]] = []
+    for row in region.rows:
+        rows.append(_error_cells(row))
+        other = None if paper is None or row.candidate != "simulation" else row_of(paper, "simulation")
+        if other is not None:
+            rows.append(("simulation, paper's emitter", *_error_cells(other)[1:]))
+    return tuple(rows)
 
 
 def _clipped(fraction: float) -> str:
@@ -194,14 +202,6 @@ def decision_table(results: DemoResults) -> ReportTable:
     ]
     first = "with sim-to-real error" if decision.validated else "not validated"
     return _table(f"Light at {decision.angle_deg:.0f} deg", ("claim", first, "renders alone"), rows, is_words=True)
-
-
-def equivalent_text(statement: AngleStatement) -> str:
-    """Return the equivalent angles as ranges in deg."""
-    ranges = [
-        f"{low:.0f} to {high:.0f} deg" if high > low else f"{low:.0f} deg" for low, high in statement.equivalent_deg
-    ]
-    return ", ".join(ranges) or "none"
 
 
 def provenance_table(results: DemoResults) -> ReportTable:

@@ -1,10 +1,10 @@
 """What the numbers mean, in plain sentences; every sentence is computed from the records."""
 
 from data_schemas.compare import PhotometricErrorReport
-from data_schemas.decide import LightAngleDecision
+from data_schemas.decide import AngleStatement, LightAngleDecision
 from data_schemas.fit import Diagnostics, Estimate
 from finray_calib.reports.curve_agreement import CurveAgreement, curve_agreement
-from finray_calib.reports.demo_results import COLOURS, DemoResults, PaintResult, headline, row_of
+from finray_calib.reports.demo_results import DemoResults, PaintResult, headline, row_of
 from finray_calib.reports.number_text import fixed, interval_text, percent, skill_text
 from finray_calib.reports.summary import true_loss
 
@@ -18,26 +18,35 @@ FEWEST_EFFECTIVE_SAMPLES = 400.0  # both limits after Vehtari and others, 2021
 def verdict_meaning(decision: LightAngleDecision) -> str:
     """Say what the verdict tells a designer to do."""
     tolerance, angle = percent(decision.tolerance_rel), f"{decision.angle_deg:.0f} deg"
+    loss, alone = percent(decision.statement.regret_95), percent(decision.statement_simulation_only.regret_95)
     if decision.verdict == "decided":
         return (
-            f"Mount the light at {angle}: the best angle is identified, and the loss stays within {tolerance} "
-            "with 95 % probability."
+            f"Mount the light at {angle}: the loss against the best angle stays within {tolerance} with 95 % "
+            f"probability, and only angles nearby do as well ({equivalent_text(decision.statement)})."
         )
     if decision.verdict == "tie":
         return (
-            f"Several angles do equally well. {angle} is as good a choice as any of the equivalent angles, which lose "
-            f"at most {tolerance} with 95 % probability: take the one that is easiest to build."
+            f"Any of these angles will do: {equivalent_text(decision.statement)}. Each loses at most {tolerance} "
+            "against the best angle with 95 % probability; take the one that is easiest to build."
         )
     if decision.verdict == "undecided":
         return (
-            f"The renders do not yet bound the loss at {tolerance}: {angle} is the best guess so far. More angles or "
-            "more repeats would help."
+            f"The renders alone do not yet show a choice that loses at most {tolerance}: {angle} is the best guess so "
+            f"far, and may lose {alone}. More angles or more repeats would help."
         )
     return (
-        f"The renders alone would settle on {angle}, but the difference between simulation and capture is larger "
-        "than the advantage of one angle over another. More renders will not help; a better model or more captures "
-        "would."
+        f"By the renders alone {angle} loses at most {alone}; with the difference between simulation and capture it "
+        f"may lose {loss}, more than the {tolerance} that count as equal. More renders will not help; a better model "
+        "or more captures would."
     )
+
+
+def equivalent_text(statement: AngleStatement) -> str:
+    """Return the equivalent angles as ranges in deg."""
+    ranges = [
+        f"{low:.0f} to {high:.0f} deg" if high > low else f"{low:.0f} deg" for low, high in statement.equivalent_deg
+    ]
+    return ", ".join(ranges) or "none"
 
 
 def simulation_sentence(report: PhotometricErrorReport) -> str:
@@ -57,6 +66,19 @@ def simulation_sentence(report: PhotometricErrorReport) -> str:
         ceiling = _ceiling(floor.skill.estimate)
         bound = f"a perfect simulation would score {ceiling}, limited by how well the capture itself repeats"
     return f"{meaning} over the region \u201c{report.headline_region}\u201d. Doing nothing scores 0; {bound}."
+
+
+def level_a_sentence(report: PhotometricErrorReport, report_level_a: PhotometricErrorReport) -> str:
+    """Say how the paper's emitter scores beside the default one."""
+    default, paper = (
+        skill_text(skill.estimate, skill.low95, skill.high95)
+        for skill in (report.headline_skill, report_level_a.headline_skill)
+    )
+    return (
+        "With the paper's emitter (walls textured by distance, the same from every angle) the skill over "
+        f"\u201c{report_level_a.headline_region}\u201d is {paper}; with walls that re-emit the light reaching them "
+        f"(the default) it is {default}."
+    )
 
 
 def _ceiling(skill: float) -> str:
@@ -155,17 +177,6 @@ def chain_statement(diagnostics: Diagnostics) -> str:
     )
 
 
-def validation_statement(decision: LightAngleDecision) -> str:
-    """Say whether the sim-to-real error entered the decision."""
-    if not decision.validated or decision.discrepancy_rel is None:
-        return "The decision is not validated against a capture: it holds only if the simulation is right."
-    return (
-        f"The decision carries a sim-to-real error of {percent(decision.discrepancy_rel)} (standard deviation of "
-        "the objective), taken from the comparison with one capture at one light angle; that it holds at other "
-        "angles is assumed."
-    )
-
-
 def truth_statement(results: DemoResults) -> str | None:
     """Say what the chosen angle costs on the hidden true finger, or None when that was not rendered."""
     if results.true_sweep is None:
@@ -176,42 +187,6 @@ def truth_statement(results: DemoResults) -> str | None:
         f"On the hidden true finger the best rendered angle is {best_deg:.0f} deg, and the chosen "
         f"{results.decision.angle_deg:.0f} deg loses {cost} against it."
     )
-
-
-def assumptions(results: DemoResults) -> tuple[str, ...]:
-    """List what was taken for granted: curves of the rig and numbers of the finger."""
-    optics = results.paints["red"].bands.optics
-    sources = sorted({curve.source for curve in optics.camera_response})
-    listed = [
-        f"Camera response: {'; '.join(sources)}. Lamp spectrum: {optics.lamp.source}.",
-        f"Paint emission: {results.paints['red'].calibration.family}.",
-    ]
-    design = results.press.design
-    if design is not None:
-        known = ", ".join(f"{name} ({origin})" for name, origin in sorted(design.origin.items()) if origin != "assumed")
-        listed.append(
-            f"Finger {design.name}: known are {known}; every other number is assumed."
-            if known
-            else f"Finger {design.name}: every number is assumed."
-        )
-    return tuple(listed)
-
-
-def warnings(results: DemoResults) -> tuple[str, ...]:
-    """Collect the warnings and notes of all records, each listed once with the stages it comes from."""
-    found: list[tuple[str, str]] = []
-    for colour in COLOURS:
-        paint = results.paints[colour]
-        found += [(f"capture ({colour} paint)", note) for note in paint.session.notes]
-        found += [(f"radiometry ({colour} paint)", note) for note in paint.bands.notes]
-        found += [(f"fit ({colour} paint)", note) for note in paint.calibration.warnings]
-    found += [("simulate", note) for note in (*results.press.notes, *results.sweep.notes)]
-    found += [("compare", note) for note in (*results.report.withheld, *results.report.notes)]
-    found += [("decide", note) for note in results.decision.notes]
-    stages: dict[str, list[str]] = {}
-    for stage, note in found:
-        stages.setdefault(note, []).append(stage)
-    return tuple(f"{', '.join(dict.fromkeys(named))}: {note}" for note, named in stages.items())
 
 
 def bands_conclusion(paint: PaintResult) -> str:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from data_schemas.compare import PhotometricErrorReport
 from data_schemas.decide import AngleStatement
 from data_schemas.fit import Estimate
 from data_schemas.simulate import LightAngleSweep
@@ -25,15 +26,17 @@ def summary(results: DemoResults) -> Json:
     Returns
     -------
     dict
-        Keys `stages` (wall times, s), `paints` (`red`, `green`), `simulation`, `photometric_error`, `decision`,
-        `provenance` and `command`. Fractions are 0 to 1; other units are the suffix of the key.
+        Keys `stages` (wall times, s), `paints` (`red`, `green`), `simulation`, `photometric_error`,
+        `photometric_error_level_a` (the paper's emitter; null when not rendered), `decision`, `provenance` and
+        `command`. Fractions are 0 to 1; other units are the suffix of the key.
     """
     plain: Json = _plain(
         {
             "stages": {stage: results.stage_wall_times_s[stage] for stage in STAGES},
             "paints": {colour: _paint(results.paints[colour]) for colour in COLOURS},
             "simulation": _simulation(results),
-            "photometric_error": _photometric_error(results),
+            "photometric_error": _photometric_error(results.report),
+            "photometric_error_level_a": _photometric_error(results.report_level_a),
             "decision": _decision(results),
             "provenance": results.provenance.model_dump(mode="json"),
             "command": results.command,
@@ -104,9 +107,9 @@ def _simulation(results: DemoResults) -> Json:
     }
 
 
-def _photometric_error(results: DemoResults) -> Json:
+def _photometric_error(report: PhotometricErrorReport | None) -> Json | None:
     """Return the whole report but its map."""
-    return results.report.model_dump(mode="json", exclude={"error_map", "provenance"})
+    return None if report is None else report.model_dump(mode="json", exclude={"error_map", "provenance"})
 
 
 def _decision(results: DemoResults) -> Json:

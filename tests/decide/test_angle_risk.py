@@ -11,8 +11,8 @@ def peak_at(angle_deg, slope=0.01):
     return 1 - slope * np.abs(GRID - angle_deg)
 
 
-def risk(p=1.0, regret_95=0.0):
-    return AngleRisk(p, regret_95 / 3, regret_95, ((8.0, 12.0),))
+def risk(wide_deg=4.0, regret_95=0.0):
+    return AngleRisk(0.9, regret_95 / 3, regret_95, ((2.0, 3.0), (8.0, 8.0 + wide_deg)))
 
 
 def test_risk_of_draws_that_can_be_counted():
@@ -52,11 +52,11 @@ def test_discrepancy_cannot_act_as_a_common_scale():
         (risk(regret_95=0.021), None, "undecided"),
         (risk(regret_95=0.021), risk(regret_95=0.5), "undecided"),
         (risk(regret_95=0.01), risk(regret_95=0.021), "model-limited"),
-        (risk(regret_95=0.01), risk(p=0.79, regret_95=0.019), "tie"),
-        (risk(p=0.79, regret_95=0.01), None, "tie"),
-        (risk(p=0.79, regret_95=0.01), risk(p=0.81, regret_95=0.01), "decided"),
+        (risk(regret_95=0.01), risk(wide_deg=10.5, regret_95=0.019), "tie"),
+        (risk(wide_deg=10.5, regret_95=0.01), None, "tie"),
+        (risk(wide_deg=10.5, regret_95=0.01), risk(wide_deg=10.0, regret_95=0.01), "decided"),
         (risk(regret_95=0.01), risk(regret_95=0.019), "decided"),
-        (risk(p=0.81, regret_95=0.02), None, "decided"),
+        (risk(regret_95=0.02), None, "decided"),
     ],
 )
 def test_the_first_rule_that_applies_gives_the_verdict(simulation, full, verdict):

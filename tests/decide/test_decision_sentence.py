@@ -3,19 +3,19 @@ from finray_calib.decide.decision_sentence import decision_sentence
 
 
 def test_a_decision_reads_as_one_sentence():
-    risk = AngleRisk(0.93, 0.00304, 0.0161, ((24.0, 37.0),))
+    risk = AngleRisk(0.93, 0.00304, 0.0161, ((27.0, 34.0),))
     assert decision_sentence(30.0, risk, "decided", False, 0.02, None) == (
         "30 deg: true optimum within 5 deg with probability 0.93; expected loss 0.3 %, at most 1.6 % with 95 % "
-        "probability; 24-37 deg are equivalent within 2 %; not validated against a capture."
+        "probability; 27-34 deg are equivalent within 2 %; not validated against a capture."
     )
 
 
 def test_several_intervals_and_small_numbers():
-    risk = AngleRisk(0.5, 0.000374, 0.0012, ((3.0, 8.0), (70.0, 75.0)))
+    risk = AngleRisk(0.5, 0.000374, 0.0012, ((3.0, 8.0), (60.0, 75.0)))
     assert decision_sentence(5.0, risk, "tie", False, 0.025, 0.1) == (
         "5 deg: true optimum within 5 deg with probability 0.50; expected loss 0.037 %, at most 0.12 % with 95 % "
-        "probability; 3-8 deg and 70-75 deg are equivalent within 2.5 %; the best angle is not identified, and any "
-        "equivalent angle will do; a sim-to-real error of 10 % is included."
+        "probability; 3-8 deg and 60-75 deg are equivalent within 2.5 %; a tie, any of these angles will do; a "
+        "sim-to-real error of 10 % is included."
     )
 
 

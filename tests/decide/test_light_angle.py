@@ -62,7 +62,6 @@ def test_shared_draws_matter():
     assert together.noise_rel == pytest.approx(0.01, rel=0.35)
     assert apart.noise_rel > 0.03
     assert together.simulation_only.p_within_5deg > 0.95
-    assert together.verdict == "decided"
     assert apart.simulation_only.regret_95_rel > 2 * together.simulation_only.regret_95_rel
 
 
@@ -78,7 +77,7 @@ def test_each_verdict_is_reached():
     assert "the sim-to-real error exceeds the advantage" in limited.sentence
     flat = decide(sweep(1 + 0.004 * PEAK, rng, noise=0.005, repeats=5))
     assert flat.verdict == "tie"
-    assert "any equivalent angle will do" in flat.sentence
+    assert "any of these angles will do" in flat.sentence
 
 
 def test_a_sim_to_real_error_widens_the_risk_and_moves_nothing_else():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from finray_calib.fit.likelihood import BandData
+from finray_calib.fit.nuisances import predict_bands
 from finray_calib.spectra.band_weights import emission_weights
-from tests.fit.predictions import predict_bands
 
 CENTER_NM = (405, 450, 500, 532, 560, 600, 630, 660)
 CHANNEL_NM = ((600, 80), (535, 90), (460, 80))

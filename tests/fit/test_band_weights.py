@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import quad
 
 from data_schemas.errors import CurveError, FitError
+from finray_calib.fit.nuisances import predict_bands
 from finray_calib.spectra.band_weights import band_average, emission_weights
 from finray_calib.spectra.skew_cauchy import SkewCauchy
-from tests.fit.predictions import predict_bands
 
 GRID = np.arange(380.0, 781.0)
 

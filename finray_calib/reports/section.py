@@ -1,0 +1,46 @@
+"""What a section of the report is made of."""
+
+from dataclasses import dataclass
+
+from finray_calib.reports.images import ByteImage, png_data_uri
+from finray_calib.reports.report_tables import ReportTable
+from finray_calib.reports.style import svg_data_uri
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """An image inside the page; the alternative text carries its conclusion, the caption says what to see."""
+
+    source: str
+    alternative: str
+    caption: str
+    is_raster: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Content:
+    """What one stage shows: a sentence, rows of pictures, remarks and tables."""
+
+    lead: str
+    picture_rows: tuple[tuple[Picture, ...], ...] = ()
+    remarks: tuple[str, ...] = ()
+    tables: tuple[ReportTable, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One stage of the report."""
+
+    stage: str
+    wall_time: str
+    content: Content
+
+
+def raster(rgb8: ByteImage, alternative: str, caption: str) -> Picture:
+    """Return an (H, W, 3) sRGB image as a picture."""
+    return Picture(png_data_uri(rgb8), alternative, caption, is_raster=True)
+
+
+def drawing(svg: str, alternative: str, caption: str) -> Picture:
+    """Return SVG text as a picture."""
+    return Picture(svg_data_uri(svg), alternative, caption)
