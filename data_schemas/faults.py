@@ -6,6 +6,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 LARGEST_NUMBER_OF_FAULTS = 5
+OUT_OF_BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 
 
 def explain(error: ValidationError, model: type[BaseModel]) -> str:
@@ -28,7 +29,7 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
 def _fault(fault: Any, model: type[BaseModel]) -> str:
     """Explain one fault."""
     location = [str(part) for part in fault["loc"]]
-    field = ".".join(location)
+    field = _path(fault["loc"])
     message = str(fault["msg"]).removeprefix("Value error, ").removeprefix("Assertion failed, ")
     if fault["type"] == "extra_forbidden":
         known = sorted(_fields_at(model, location[:-1]) - {"provenance"})
@@ -43,7 +44,14 @@ def _fault(fault: Any, model: type[BaseModel]) -> str:
         f", got {given!r}" if isinstance(given, str | int | float | bool) and not message.endswith(repr(given)) else ""
     )
     place = f"'{field}'{f' (in {unit})' if unit else ''}: " if field else ""
-    return f"{place}{message[:1].lower()}{message[1:]}{shown}"
+    hint = f"; is it in {unit}?" if unit and unit != "1" and fault["type"] in OUT_OF_BOUNDS else ""
+    return f"{place}{message[:1].lower()}{message[1:]}{shown}{hint}"
+
+
+def _path(location: tuple[str | int, ...]) -> str:
+    """Return ``filters (entry 1).center_nm``: people count from one."""
+    path = "".join(f" (entry {part + 1})" if isinstance(part, int) else f".{part}" for part in location)
+    return path.removeprefix(".")
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli.options import add_out, command_line, progress_bar, require_new, say
+from finray_calib.cli.options import add_out, command_line, naming, progress_bar, require_new, say
 
 HELP = "capture the filtered images of a paint sample"
 DESCRIPTION = """\
@@ -26,13 +26,17 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
 def run(arguments: argparse.Namespace) -> None:
     """Capture and report."""
     from data_schemas.capture import PaintPlan
+    from data_schemas.errors import CaptureError
     from data_schemas.rig import RigFile
     from data_schemas.storage import read_toml
     from rigs.capture.paint_session import capture_paint_session
+    from rigs.capture.plan import paint_steps
 
     plan = read_toml(arguments.plan, PaintPlan)
     rig = read_toml(arguments.rig, RigFile)
     out = require_new(arguments.out or Path(f"{plan.paint_name}-session"))
+    with naming(CaptureError, arguments.plan):
+        paint_steps(plan, rig)
     with progress_bar("capture") as progress:
         session = capture_paint_session(rig, plan, arguments.rig.parent, out, command_line(), progress)
     say(f"{out}: {len(session.frames)} frames of '{plan.paint_name}'")

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli.options import add_out, add_seed, command_line, require_new, say
+from finray_calib.cli.options import add_out, add_seed, command_line, input_digests, naming, require_new, say
 
 HELP = "compare a simulated press with a tactile capture"
 DESCRIPTION = """\
@@ -28,17 +28,19 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
 def run(arguments: argparse.Namespace) -> None:
     """Compare and report."""
     from data_schemas.capture import TactileCapture
+    from data_schemas.errors import CompareError
     from data_schemas.provenance import provenance
     from data_schemas.simulate import SimulatedPress
-    from data_schemas.storage import read_record, sha256_of, write_record
+    from data_schemas.storage import read_record, write_record
     from finray_calib.compare.comparison_record import compare_press
     from finray_calib.reports.comparison_table import comparison_lines
 
     out = require_new(arguments.out or Path("photometric-error.json"))
     press = read_record(arguments.simulated, SimulatedPress)
     capture = read_record(arguments.capture, TactileCapture)
-    report = compare_press(press, capture, arguments.seed)
-    inputs = {path.name: sha256_of(path) for path in (arguments.simulated, arguments.capture)}
+    with naming(CompareError, arguments.simulated, arguments.capture):
+        report = compare_press(press, capture, arguments.seed)
+    inputs = input_digests([arguments.simulated, arguments.capture])
     write_record(report, out, provenance(command_line(), inputs, arguments.seed))
     say(comparison_lines(report))
     say(f"{out}: written")

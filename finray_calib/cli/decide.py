@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli.options import add_out, add_seed, command_line, require_new, say
+from finray_calib.cli.options import add_out, add_seed, command_line, input_digests, naming, require_new, say
 
 HELP = "decide on the light angle from a sweep"
 DESCRIPTION = """\
@@ -30,16 +30,19 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
 def run(arguments: argparse.Namespace) -> None:
     """Decide and report."""
     from data_schemas.compare import PhotometricErrorReport
+    from data_schemas.errors import DecideError
     from data_schemas.provenance import provenance
     from data_schemas.simulate import LightAngleSweep
-    from data_schemas.storage import read_record, sha256_of, write_record
+    from data_schemas.storage import read_record, write_record
     from finray_calib.decide.decision_record import decide
 
     out = require_new(arguments.out or Path("light-angle-decision.json"))
+    paths = [arguments.sweep, *arguments.reports]
     sweep = read_record(arguments.sweep, LightAngleSweep)
     reports = [read_record(path, PhotometricErrorReport) for path in arguments.reports]
-    decision = decide(sweep, reports, arguments.seed)
-    inputs = {path.name: sha256_of(path) for path in (arguments.sweep, *arguments.reports)}
+    with naming(DecideError, *paths):
+        decision = decide(sweep, reports, arguments.seed)
+    inputs = input_digests(paths)
     write_record(decision, out, provenance(command_line(), inputs, arguments.seed))
     say(f"{out}: {decision.verdict.upper()}")
     say(f"  {decision.sentence}")

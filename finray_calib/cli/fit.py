@@ -3,7 +3,16 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli.options import add_out, add_seed, command_line, progress_bar, require_new, say
+from finray_calib.cli.options import (
+    add_out,
+    add_seed,
+    command_line,
+    input_digests,
+    naming,
+    progress_bar,
+    require_new,
+    say,
+)
 
 HELP = "fit the emission spectrum of a paint, with uncertainty"
 DESCRIPTION = """\
@@ -25,17 +34,17 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
 
 def run(arguments: argparse.Namespace) -> None:
     """Fit and report."""
+    from data_schemas.errors import FitError
     from data_schemas.provenance import provenance
     from data_schemas.radiometry import BandSignals
-    from data_schemas.storage import read_record, sha256_of, write_record
+    from data_schemas.storage import read_record, write_record
     from finray_calib.fit.paint_calibration import calibrate_paint
 
     bands = read_record(arguments.bands, BandSignals)
     out = require_new(arguments.out or Path(f"{bands.paint_name}.paint.json"))
-    with progress_bar("fit"):
+    with progress_bar("fit"), naming(FitError, arguments.bands):
         paint = calibrate_paint(bands, arguments.seed)
-    inputs = {arguments.bands.name: sha256_of(arguments.bands)}
-    write_record(paint, out, provenance(command_line(), inputs, arguments.seed))
+    write_record(paint, out, provenance(command_line(), input_digests([arguments.bands]), arguments.seed))
     say(f"{out}: emission of '{paint.paint_name}' ({paint.family})")
     for name in ("mode_nm", "fwhm_nm"):
         value = paint.parameters[name]

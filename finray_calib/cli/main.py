@@ -45,12 +45,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         parsed.run(parsed)
     except (FinrayError, OSError) as error:
-        sys.stderr.write(f"finray {parsed.verb}: error: {error}\n")
+        sys.stderr.write(f"finray {parsed.verb}: error: {_one_line(error)}\n")
         return USER_MISTAKE
     except KeyboardInterrupt:
         sys.stderr.write(f"finray {parsed.verb}: interrupted; what was stored is whole\n")
         return INTERRUPTED
     return 0
+
+
+def _one_line(error: Exception) -> str:
+    """Return the message in one line; errors of the operating system name the file and what to check."""
+    text = str(error)
+    if isinstance(error, OSError) and error.filename is not None:
+        text = f"{error.filename}: {error.strerror}; check the path, its permissions and the space on the disk"
+    return " ".join(text.split())
 
 
 if __name__ == "__main__":

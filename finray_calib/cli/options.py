@@ -1,13 +1,14 @@
 """Options that several verbs share, and how a verb speaks to its user."""
 
 import argparse
+import os
 import shlex
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from data_schemas.errors import RecordError
+from data_schemas.errors import FinrayError, RecordError
 
 Progress = Callable[[int, int, str], None]
 
@@ -47,7 +48,36 @@ def require_new(path: Path) -> Path:
     """Return `path` if nothing is there yet; found before any work is done."""
     if path.exists():
         raise RecordError(f"{path}: exists already and is not overwritten; choose another --out or move it away")
+    return require_place(path)
+
+
+def require_place(path: Path) -> Path:
+    """Return `path` if its nearest existing folder can be written to."""
+    above = next(folder for folder in path.absolute().parents if folder.exists())
+    if not above.is_dir():
+        raise RecordError(f"{path}: cannot be written, because {above} is no folder; choose another --out")
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise RecordError(
+            f"{path}: cannot be written, because the folder {above} does not allow it; choose another --out or change "
+            "its permissions"
+        )
     return path
+
+
+@contextmanager
+def naming(kind: type[FinrayError], *paths: Path) -> Iterator[None]:
+    """Put the names of the files in front of an error of this kind, whose raiser does not know them."""
+    try:
+        yield
+    except kind as error:
+        raise type(error)(f"{' and '.join(map(str, paths))}: {error}") from None
+
+
+def input_digests(paths: Iterable[Path]) -> dict[str, str]:
+    """Return path as given -> SHA-256; file names alone would collide (red/paint.json, green/paint.json)."""
+    from data_schemas.storage import sha256_of
+
+    return {path.as_posix(): sha256_of(path) for path in paths}
 
 
 @contextmanager
@@ -62,7 +92,9 @@ def progress_bar(title: str) -> Iterator[Progress]:
         TextColumn("{task.percentage:>3.0f} %"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    # Disabled in a log file or a pipe, where it would only leave an empty line.
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(title, total=None)
 
         def update(done: int, total: int, what: str) -> None:

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli.options import add_out, command_line, require_new, say
+from finray_calib.cli.options import add_out, command_line, input_digests, naming, require_new, say
 
 HELP = "turn captured frames into one value per filter and channel, with covariance"
 DESCRIPTION = """\
@@ -24,16 +24,18 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
 
 def run(arguments: argparse.Namespace) -> None:
     """Reduce and report."""
+    from data_schemas.errors import RadiometryError
     from data_schemas.provenance import provenance
-    from data_schemas.storage import sha256_of, write_record
+    from data_schemas.storage import write_record
     from finray_calib.radiometry.band_signals import band_signals
+    from rigs.capture.paint_session import SESSION_NAME
     from rigs.capture.read_session import read_frame_of, read_session
 
     session = read_session(arguments.session)
     out = require_new(arguments.out or Path(f"{session.plan.paint_name}.bands.json"))
-    bands = band_signals(session, lambda frame: read_frame_of(arguments.session, frame))
-    source = arguments.session / "session.json"
-    write_record(bands, out, provenance(command_line(), {source.name: sha256_of(source)}))
+    with naming(RadiometryError, arguments.session):
+        bands = band_signals(session, lambda frame: read_frame_of(arguments.session, frame))
+    write_record(bands, out, provenance(command_line(), input_digests([arguments.session / SESSION_NAME])))
     say(f"{out}: {len(bands.flags)} filters x 3 channels over {bands.region_pixels} px")
     for band, row in zip(bands.optics.filters, bands.flags, strict=True):
         bad = [f"{name} {flag}" for name, flag in zip(("red", "green", "blue"), row, strict=True) if flag != "ok"]

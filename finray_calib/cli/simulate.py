@@ -3,9 +3,10 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli.options import add_out, add_seed, command_line, progress_bar, require_new, say
+from finray_calib.cli.options import add_out, add_seed, command_line, input_digests, progress_bar, require_new, say
 
 HELP = "render a press of a painted finger, or sweep the light angle"
+SMALLEST_STEP_DEG = 0.5
 DESCRIPTION = """\
 Render the contact and no-contact image of a finger with calibrated paints. With --angles, sweep the angle of
 the blue light instead and write the brightness beside the indenter at each angle, for 'finray decide'.
@@ -29,7 +30,7 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         "--level", choices=["a", "a_inverse_square", "b"], default="b", help="how the walls emit (default: b)"
     )
     parser.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
-    parser.add_argument("--samples", type=int, metavar="N", help="paths per pixel (default 128) or per probe (4000)")
+    parser.add_argument("--samples", type=_even, metavar="N", help="paths per pixel (default 128) or per probe (4000)")
     add_out(parser, "DESIGN.press.json or DESIGN.sweep.json")
     add_seed(parser)
     parser.set_defaults(run=run)
@@ -43,14 +44,23 @@ def _paint(text: str) -> tuple[str, Path]:
     return colour, Path(file)
 
 
+def _even(text: str) -> int:
+    """Parse an even number: a press is rendered as two independent halves, whose difference is the noise."""
+    if not text.isdecimal() or int(text) < 2 or int(text) % 2:
+        raise argparse.ArgumentTypeError(f"{text!r} must be an even whole number from 2, for example 128")
+    return int(text)
+
+
 def _angles(text: str) -> list[float]:
     """Parse FIRST:LAST:STEP in degrees, both ends included."""
     try:
         first, last, step = (float(part) for part in text.split(":"))
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} must be FIRST:LAST:STEP in deg, for example 0:120:10") from None
-    if not (step > 0 and -90 <= first < last <= 180):
-        raise argparse.ArgumentTypeError(f"{text!r}: needs -90 <= FIRST < LAST <= 180 deg and STEP > 0 deg")
+    if not (SMALLEST_STEP_DEG <= step <= last - first and first >= -90 and last <= 180):
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: needs -90 <= FIRST < LAST <= 180 deg and a STEP of {SMALLEST_STEP_DEG:g} deg to LAST - FIRST"
+        )
     count = int((last - first) / step + 1e-9) + 1
     return [first + i * step for i in range(count)]
 
@@ -58,6 +68,7 @@ def _angles(text: str) -> list[float]:
 def run(arguments: argparse.Namespace) -> None:
     """Render or sweep, and report."""
     from data_schemas.design import FingerDesign
+    from data_schemas.errors import SimulateError
     from data_schemas.fit import PaintCalibration
     from data_schemas.provenance import provenance
     from data_schemas.storage import read_record, read_toml, sha256_of, write_record
@@ -69,11 +80,17 @@ def run(arguments: argparse.Namespace) -> None:
     kind = "press" if arguments.angles is None else "sweep"
     out = require_new(arguments.out or Path(f"{design.name}.{kind}.json"))
     files = dict(arguments.paint)
+    if len(files) < len(arguments.paint):
+        raise SimulateError("--paint: a colour is given twice; give one file for red and one for green")
+    if arguments.angles is not None and arguments.level != "b":
+        raise SimulateError(
+            f"--level {arguments.level}: its walls know no light angle, so that a sweep would show nothing; leave out "
+            "--level, or --angles"
+        )
     calibrations = {colour: read_record(path, PaintCalibration) for colour, path in files.items()}
     digests = {colour: sha256_of(path) for colour, path in files.items()}
     finger = paint_finger(design, calibrations, arguments.design.parent, arguments.engine)
-    inputs = {arguments.design.name: sha256_of(arguments.design), **{files[c].name: d for c, d in digests.items()}}
-    origin = provenance(command_line(), inputs, arguments.seed)
+    origin = provenance(command_line(), input_digests([arguments.design, *files.values()]), arguments.seed)
     with progress_bar("simulate") as progress:
         if arguments.angles is None:
             press = simulate_press(finger, arguments.level, arguments.seed, arguments.samples or 128, digests, progress)

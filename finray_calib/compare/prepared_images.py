@@ -10,6 +10,8 @@ from data_schemas.errors import CompareError
 from data_schemas.simulate import SimulatedPress
 from finray_calib.compare.blocks import block_mean, block_side_px
 from finray_calib.compare.linear_image import rgb_image
+from finray_calib.compare.structural_similarity import WINDOW_PX
+from finray_calib.compare.tiles import MINIMUM_TILES
 
 Floats = NDArray[np.float64]
 
@@ -57,6 +59,7 @@ def prepare_images(press: SimulatedPress, capture: TactileCapture) -> PreparedIm
     scale = _common_scale(press, no_contact) if capture.encoding == "linear" else 1.0
     variance = None if press.variance is None else press.variance.astype(np.float64)
     side = block_side_px(press.contact.astype(np.float64), variance, np.isfinite(distance))
+    _require_blocks(press.name, block_mean(distance, side), side)
 
     def binned(image: NDArray[np.floating]) -> Floats:
         return block_mean(image.astype(np.float64), side)
@@ -84,6 +87,18 @@ def _require_comparable(press: SimulatedPress, capture: TactileCapture, shape: t
         raise CompareError(
             f"{press.name} holds {press.encoding} values, {capture.name} {capture.encoding} ones: linear light cannot "
             "be compared with an image whose encoding is unknown; capture raw frames, or compare a table prediction"
+        )
+
+
+def _require_blocks(name: str, distance: Floats, side: int) -> None:
+    """Refuse a render whose noise needs blocks so large that too few are left."""
+    on_contact = int((distance <= 1.0).sum())
+    if side > 1 and (min(distance.shape) < WINDOW_PX or on_contact < MINIMUM_TILES):
+        raise CompareError(
+            f"{name} is so noisy that it must be averaged over blocks of {side} x {side} px, which leaves "
+            f"{distance.shape[1]} x {distance.shape[0]} blocks and {on_contact} of them on the contact; at least "
+            f"{WINDOW_PX} x {WINDOW_PX} and {MINIMUM_TILES} are needed: simulate with more "
+            "--samples or a camera with more pixels"
         )
 
 

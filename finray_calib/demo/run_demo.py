@@ -21,7 +21,7 @@ from finray_calib.reports.summary import summary
 from rigs.capture.read_session import read_frame_of
 from rigs.simulated.scene import lay_out
 from rigs.simulated.sensor import bayer_planes
-from sim.optics.variants import RendererChoice, choose_variant, open_renderer
+from sim.optics.variants import RendererChoice, open_renderer
 
 Count = Callable[[int, int, str], None]
 OpenBar = Callable[[str], AbstractContextManager[Count]]
@@ -45,7 +45,7 @@ class StageTimes:
         self.seconds[stage] = self.seconds.get(stage, 0.0) + time.monotonic() - start
 
 
-def run_demo(settings: DemoSettings, engine: RendererChoice | None, open_bar: OpenBar) -> DemoResults:
+def run_demo(settings: DemoSettings, engine: RendererChoice, open_bar: OpenBar) -> DemoResults:
     """Run capture, radiometry, fit, simulate, compare and decide; write all products, summary and report.
 
     Parameters
@@ -53,7 +53,7 @@ def run_demo(settings: DemoSettings, engine: RendererChoice | None, open_bar: Op
     settings
         Where to write and what to run on.
     engine
-        Renderer; the best available when None.
+        Renderer.
     open_bar
         Opens a progress bar for a stage.
 
@@ -64,8 +64,7 @@ def run_demo(settings: DemoSettings, engine: RendererChoice | None, open_bar: Op
     """
     if settings.out.exists() and (not settings.out.is_dir() or any(settings.out.iterdir())):
         raise RecordError(f"{settings.out}: exists already and is not empty; choose another --out or move it away")
-    choice = engine or choose_variant()
-    demo = Demo(settings, open_renderer(choice))
+    demo = Demo(settings, open_renderer(engine))
     times = StageTimes(open_bar)
     paints = {colour: _paint(demo, colour, times) for colour in COLOURS}
     with times.of("simulate") as count:
@@ -81,7 +80,7 @@ def run_demo(settings: DemoSettings, engine: RendererChoice | None, open_bar: Op
         decision = demo.decide()
     results = DemoResults(
         paints=paints, press=press, capture=capture, report=report, sweep=sweep, decision=decision,
-        stage_wall_times_s=times.seconds, renderer_note=choice.note, command=settings.command,
+        stage_wall_times_s=times.seconds, renderer_note=engine.note, command=settings.command,
         provenance=provenance(settings.command, {}, settings.seed), true_sweep=true_sweep,
         report_level_a=report_level_a,
     )  # fmt: skip

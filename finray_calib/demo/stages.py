@@ -47,6 +47,20 @@ R = TypeVar("R", bound=Record)
 
 
 @dataclass(frozen=True, slots=True)
+class RenderEffort:
+    """Paths per pixel of the simulation and of the digital twin, and per probe of the sweep."""
+
+    samples_per_pixel: int
+    twin_samples_per_pixel: int
+    probe_samples: int
+
+
+COMPILED_EFFORT = RenderEffort(samples_per_pixel=128, twin_samples_per_pixel=192, probe_samples=4000)
+# The scalar renderer is some six times slower on the image and calls Python for every probe.
+SCALAR_EFFORT = RenderEffort(samples_per_pixel=16, twin_samples_per_pixel=32, probe_samples=1000)
+
+
+@dataclass(frozen=True, slots=True)
 class DemoSettings:
     """What a demo runs on.
 
@@ -62,8 +76,8 @@ class DemoSettings:
         Seed of the bench, the fits, the renders and the decision.
     command
         Command line for the provenance.
-    samples_per_pixel, twin_samples_per_pixel, probe_samples
-        Paths per pixel of the simulation and of the digital twin, and per probe of the sweep.
+    effort
+        Paths of the renders.
     """
 
     out: Path
@@ -71,9 +85,7 @@ class DemoSettings:
     sensor: Path | None
     seed: int
     command: str
-    samples_per_pixel: int = 128
-    twin_samples_per_pixel: int = 256
-    probe_samples: int = 4000
+    effort: RenderEffort = COMPILED_EFFORT
 
 
 class Demo:
@@ -133,7 +145,7 @@ class Demo:
     def simulate(self, progress: Progress, level: Level = "b") -> SimulatedPress:
         """Render the press with the fitted paints; level "a" is the paper's emitter, for comparison."""
         finger = self._finger(self.design(), {c: paint_optics(p) for c, p in self.calibrations().items()})
-        samples = self.settings.samples_per_pixel
+        samples = self.settings.effort.samples_per_pixel // (1 if level == "b" else 2)
         press = simulate_press(finger, level, self.settings.seed, samples, self._digests(), progress)
         return self._store(press, PRESS[level], [f"{c}/paint.json" for c in COLOURS])
 
@@ -158,7 +170,7 @@ class Demo:
         """Capture the digital twin: hidden true paints, another light angle, coating and seed."""
         capture = capture_twin(
             self.true_finger(), self.design().light.angle_deg, self.settings.seed + TWIN_SEED,
-            self.settings.twin_samples_per_pixel, progress,
+            self.settings.effort.twin_samples_per_pixel, progress,
         )  # fmt: skip
         return self._store(capture, "tactile-capture.json", [])
 
@@ -186,7 +198,7 @@ class Demo:
     ) -> LightAngleSweep:
         """Sweep the light angle of a finger."""
         digests = self._digests() if calibrations else {}
-        samples = self.settings.probe_samples
+        samples = self.settings.effort.probe_samples
         return light_angle_sweep(finger, calibrations, ANGLES_DEG, repeats, samples, seed, digests, progress)
 
     def _finger(self, design: FingerDesign, paints: Mapping[str, PaintOptics]) -> PaintedFinger:

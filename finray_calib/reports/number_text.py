@@ -77,5 +77,5 @@ def skill_text(estimate: float, low: float, high: float) -> str:
 
 def unbroken(text: str) -> str:
     """Return the text with no-break spaces between number and unit and inside [low, high], so that lines keep them."""
-    units = re.sub(r"(?<=\d) (?=(?:%|nm|deg|dB|DN|mm|ms|s|px|pixels)(?![\w/]))", "\u00a0", text)
+    units = re.sub(r"(?<=[\d\]]) (?=(?:%|nm|deg|dB|DN|mm|ms|s|px|pixels)(?![\w/]))", "\u00a0", text)
     return re.sub(r"\[[^\[\]]{0,40}\]", lambda found: found[0].replace(" ", "\u00a0"), units)

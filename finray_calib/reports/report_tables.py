@@ -8,18 +8,27 @@ import numpy as np
 from data_schemas.compare import ErrorRow, PhotometricErrorReport, RegionError
 from data_schemas.fit import Estimate
 from finray_calib.reports.demo_results import COLOURS, DemoResults, PaintResult, row_of
-from finray_calib.reports.number_text import decimals_for, fixed, percent, probability, significant, skill_text
+from finray_calib.reports.number_text import (
+    decimals_for,
+    fixed,
+    interval_text,
+    percent,
+    probability,
+    significant,
+    skill_text,
+)
 from finray_calib.reports.statements import equivalent_text, estimate_text, holds
 
 _FURTHER_QUANTITIES = {
-    "peak_per_nm": ("peak", "1/nm"),
-    "location_nm": ("location (\u03bb\u2080 of the paper)", "nm"),
-    "scale_nm": ("scale (\u03b3)", "nm"),
-    "skewness": ("skewness (\u03c9)", ""),
-    "amplitude_nm": ("amplitude (h)", "nm"),
-    "reflectance_at_laser": ("reflectance at the laser", ""),
-    "share_below_laser": ("share below the laser line", ""),
+    "peak_per_nm": ("peak", 1e3, "10\u207b\u00b3/nm"),
+    "location_nm": ("location (\u03bb\u2080)", 1.0, "nm"),
+    "scale_nm": ("scale (\u03b3)", 1.0, "nm"),
+    "skewness": ("skewness (\u03c9)", 1.0, ""),
+    "amplitude_nm": ("amplitude (h)", 1.0, "nm"),
+    "reflectance_at_laser": ("reflectance at the laser", 1.0, ""),
+    "share_below_laser": ("share below the laser line", 1e2, "%"),
 }
+"""Label with the paper's symbol, factor for display, unit after it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,29 +55,21 @@ def _table(caption: str, columns: tuple[str, ...], rows: list[tuple[str, ...]], 
 
 
 def capture_table(results: DemoResults) -> ReportTable:
-    """List what was captured of each paint."""
-    rows: list[tuple[str, ...]] = []
-    for colour in COLOURS:
-        session = results.paints[colour].session
-        kinds = Counter(frame.frame_type for frame in session.frames)
-        exposures = [frame.exposure_s for frame in session.frames]
-        saturated = max((frame.saturated_fraction for frame in session.frames), default=0.0)
-        rows.append(
-            (
-                f"{colour}: {session.plan.paint_name}",
-                session.rig.name,
-                str(len(session.frames)),
-                ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items())),
-                _range(exposures, "s"),
-                "none" if saturated == 0 else f"up to {percent(saturated)} of a region",
-            )
-        )
-    return _table(
-        "Frames of the two paint sessions",
-        ("paint", "rig", "frames", "of which", "exposures", "saturated"),
-        rows,
-        is_words=True,
-    )
+    """List what was captured of each paint, one column for each."""
+    sessions = [results.paints[colour].session for colour in COLOURS]
+    kinds = [Counter(frame.frame_type for frame in session.frames) for session in sessions]
+    exposures = [[frame.exposure_s for frame in session.frames] for session in sessions]
+    saturated = [max((frame.saturated_fraction for frame in session.frames), default=0.0) for session in sessions]
+    rows: list[tuple[str, ...]] = [
+        ("paint", *(session.plan.paint_name for session in sessions)),
+        ("rig", *(session.rig.name for session in sessions)),
+        ("frames", *(str(len(session.frames)) for session in sessions)),
+        ("of which", *(", ".join(f"{n} {kind}" for kind, n in sorted(count.items())) for count in kinds)),
+        ("exposures", *(_range(times, "s") for times in exposures)),
+        ("saturated", *("none" if share == 0 else f"up to {percent(share)} of a region" for share in saturated)),
+    ]
+    columns = ("session", *(f"{colour} paint" for colour in COLOURS))
+    return _table("Frames of the two paint sessions", columns, rows, is_words=True)
 
 
 def _range(values: list[float], unit: str) -> str:
@@ -115,12 +116,12 @@ def fit_table(paint: PaintResult) -> ReportTable:
     for label, value, true, unit in compared:
         number = f"{fixed(true, 1)} {unit}" if unit else significant(true, 4)
         rows.append((label, estimate_text(value, unit), f"{number}, {'inside' if holds(value, true) else 'OUTSIDE'}"))
-    rows += [
-        (label, estimate_text(fit.parameters[key], unit), "")
-        for key, (label, unit) in _FURTHER_QUANTITIES.items()
-        if key in fit.parameters
-    ]
-    caption = f"{paint.colour.capitalize()} paint: median and 95 % interval"
+    for key, (label, factor, unit) in _FURTHER_QUANTITIES.items():
+        if key in fit.parameters:
+            value = fit.parameters[key]
+            shown = interval_text(factor * value.estimate, factor * value.low95, factor * value.high95, unit)
+            rows.append((label, shown, ""))
+    caption = f"{paint.colour.capitalize()} paint: median and 95 % interval; symbols are the paper's"
     return _table(caption, ("quantity", "fit", "measured" if truth.is_measured else "truth"), rows)
 
 
@@ -150,7 +151,7 @@ def error_table(report: PhotometricErrorReport, report_level_a: PhotometricError
         TableGroup(region_heading(report, region), _region_rows(region, paper.get(region.region)))
         for region in report.regions
     )
-    columns = ("candidate", "skill [95 %]", "skill R, G, B", "relative RMS R, G, B", "PSNR", "SSIM")
+    columns = ("candidate", "skill [95 %]", "skill R, G, B", "relative RMS R, G, B", "PSNR (dB)", "SSIM")
     return ReportTable("Every candidate against the captured contact image", columns, groups)
 
 
@@ -185,7 +186,7 @@ def _error_cells(row: ErrorRow) -> tuple[str, ...]:
         skill_text(row.skill.estimate, row.skill.low95, row.skill.high95),
         ", ".join("none" if value is None else fixed(value, 2) for value in row.skill_per_channel),
         spread,
-        "identical" if row.psnr_db is None else f"{fixed(row.psnr_db, 1)} dB",
+        "identical" if row.psnr_db is None else fixed(row.psnr_db, 1),
         fixed(row.ssim, 3),
     )
 

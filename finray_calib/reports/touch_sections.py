@@ -106,12 +106,13 @@ def _strip(results: DemoResults) -> tuple[Picture, ...]:
 def _drawings(results: DemoResults) -> tuple[Picture, ...]:
     """Return error map and scores."""
     report = results.report
+    blank = "; blank: clipped in the capture" if np.isnan(report.error_map).any() else ""
     return (
         drawing(
             error_map_figure(report, _scored(results), pad_window(results.press)),
             _error_alternative(report),
             "Difference of simulation and capture, RMS over the channels, relative to the mean untouched level; "
-            f"{OUTLINED}. What to see: bright spots are where the simulation is wrong.",
+            f"{OUTLINED}{blank}. What to see: bright spots are where the simulation is wrong.",
         ),
         drawing(
             score_figure(report),

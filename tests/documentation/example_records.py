@@ -74,6 +74,7 @@ def example_results(seed: int = SEED, paint_name: str = "fluorescent red", measu
             seed=seed,
         ),
         true_sweep=true_sweep,
+        report_level_a=_scored(report, 0.702),
     )
 
 
@@ -308,24 +309,27 @@ def _comparison(rng: np.random.Generator) -> tuple[SimulatedPress, TactileCaptur
     real_dent = 1 - 0.38 * _bell(distance, 0.05, 1.5) + 0.10 * _bell(distance, 1.5, 0.9)
     distance[:4] = np.nan
     simulated, captured = fall * dent[..., None], fall * real_dent[..., None]
+    matrix = np.array([[0.72, 0.2, 0.01], [0.18, 0.73, 0.08], [0.01, 0.15, 0.91]])
     press = SimulatedPress(
         name="cylinder press",
         label="rendered, level b, llvm_ad_rgb",
         method="rendered",
         encoding="linear",
-        no_contact=fall,
-        contact=simulated,
+        no_contact=fall @ matrix.T,
+        contact=simulated @ matrix.T,
         distance=distance,
         variance=None,
+        bands=("red", "green", "led"),
+        camera_matrix=matrix,
         light_angle_deg=30.0,
         design=FingerDesign(),
         notes=("48 samples per pixel; render noise 0.6 % of the mean",),
     )
     capture = TactileCapture(
         name="cylinder press, simulated twin",
-        contact=_raw(captured, rng),
-        no_contact=_raw(fall, rng),
-        repeat_no_contact=_raw(fall, rng),
+        contact=_raw(captured @ matrix.T, rng),
+        no_contact=_raw(fall @ matrix.T, rng),
+        repeat_no_contact=_raw(fall @ matrix.T, rng),
         layout="Bayer RGGB",
         encoding="linear",
         bit_depth=10,
@@ -374,6 +378,15 @@ def _report(error: Floats) -> PhotometricErrorReport:
         error_map=error,
         notes=("one capture: the intervals do not know what another press would give",),
     )
+
+
+def _scored(report: PhotometricErrorReport, skill: float) -> PhotometricErrorReport:
+    """Return the report of another simulation of the same press, with one skill everywhere."""
+    row = _row("simulation", skill, 0.02, 0.11)
+    regions = tuple(
+        region.model_copy(update={"rows": (region.rows[0], row, region.rows[2])}) for region in report.regions
+    )
+    return report.model_copy(update={"headline_skill": row.skill, "regions": regions})
 
 
 def _region(name: str, factor: float, pixels: int, skill: float) -> RegionError:

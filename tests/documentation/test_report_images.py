@@ -22,6 +22,7 @@ from finray_calib.reports.images import (
     with_outline,
 )
 from finray_calib.reports.style import CANDIDATES, CHANNELS
+from finray_calib.reports.touch_images import is_unmixed, pad_window, touch_pair
 
 RESULTS = example_results()
 
@@ -56,6 +57,47 @@ def test_an_outline_is_a_white_line_beside_a_black_one_on_any_grid() -> None:
     drawn = with_outline(grey, mask)[..., 0]
     assert drawn[20, [8, 9, 10, 11, 20]].tolist() == [90, 0, 255, 90, 90]
     assert np.array_equal(with_outline(grey, np.ones((20, 20), dtype=bool)), grey)
+
+
+def test_unmixing_shows_the_light_of_each_source_whatever_the_camera() -> None:
+    rng = np.random.default_rng(3)
+    press = RESULTS.press
+    bands, nowhere = rng.uniform(0.1, 1.0, (*press.distance.shape, 3)), np.zeros(press.distance.shape, dtype=bool)
+    assert press.camera_matrix is not None
+    camera = bands @ press.camera_matrix.T
+    window = pad_window(press)
+    pad = np.isfinite(press.distance)
+    expected = to_display(bands, display_white(bands[pad]), linear=True)[window].astype(int)
+    shown, touched = touch_pair(press, camera, 0.5 * camera, nowhere)
+    # Rounding of the inverse may move a value over the edge between two codes.
+    assert np.abs(shown - expected).max() <= 1
+    half = to_display(0.5 * bands, display_white(bands[pad]), linear=True)[window].astype(int)
+    assert np.abs(touched - half).max() <= 1  # the touched image keeps the white of the untouched one
+    blue_first = press.model_copy(
+        update={"bands": ("led", "green", "red"), "camera_matrix": press.camera_matrix[:, ::-1].copy()}
+    )
+    assert np.abs(touch_pair(blue_first, camera, camera, nowhere)[0] - expected).max() <= 1
+
+
+def test_glare_beside_the_pad_does_not_set_the_scale() -> None:
+    press, nowhere = RESULTS.press, np.zeros(RESULTS.press.distance.shape, dtype=bool)
+    glare = press.no_contact.copy()
+    glare[~np.isfinite(press.distance)] = 1e3
+    plain, bright = (touch_pair(press, image, image, nowhere)[0] for image in (press.no_contact, glare))
+    on_pad = np.isfinite(press.distance)[pad_window(press)]
+    assert np.array_equal(plain[on_pad], bright[on_pad])
+
+
+def test_images_are_not_unmixed_without_matrix_or_linear_light() -> None:
+    press, nowhere = RESULTS.press, np.zeros(RESULTS.press.distance.shape, dtype=bool)
+    assert is_unmixed(press)
+    for update in ({"camera_matrix": None}, {"encoding": "unknown"}, {"bands": ("a", "b", "c")}):
+        plain = press.model_copy(update=update)
+        assert not is_unmixed(plain)
+        shown, _ = touch_pair(plain, press.no_contact, press.contact, nowhere)
+        white = display_white(press.no_contact[np.isfinite(press.distance)])
+        linear = plain.encoding == "linear"
+        assert np.array_equal(shown, to_display(press.no_contact, white, linear)[pad_window(press)])
 
 
 def test_png_holds_the_same_pixels() -> None:

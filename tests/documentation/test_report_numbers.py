@@ -8,7 +8,7 @@ import pytest
 from example_records import example_decision, example_results
 
 from data_schemas.compare import Interval
-from finray_calib.reports import statements
+from finray_calib.reports import statements, trust
 from finray_calib.reports.comparison_table import WIDTH_COLUMNS, comparison_lines
 from finray_calib.reports.curve_agreement import curve_agreement
 from finray_calib.reports.number_text import (
@@ -19,9 +19,11 @@ from finray_calib.reports.number_text import (
     percent,
     probability,
     significant,
+    unbroken,
 )
 from finray_calib.reports.report_tables import bands_table, decision_table, error_table, fit_table, signals_table
 from finray_calib.reports.summary import summary, true_loss
+from finray_calib.reports.touch_sections import compare_section
 
 RESULTS = example_results()
 
@@ -42,9 +44,10 @@ def test_an_interval_shows_the_digits_it_supports(numbers: tuple[float, float, f
 
 def test_numbers_as_text() -> None:
     assert [fixed(v, 1) for v in (-0.01, np.nan, np.inf, -np.inf)] == ["0.0", "not given", "infinite", "-infinite"]
-    assert [significant(v) for v in (0.0, 0.012345, 123456.0, 2e-7, 48.0)] == [
+    assert [significant(v) for v in (0.0, 0.012345, 27756.49, 123456.0, 2e-7, 48.0)] == [
         "0",
         "0.0123",
+        "27800",
         "1.23e+05",
         "2.00e-07",
         "48.0",
@@ -124,22 +127,52 @@ def test_a_stiff_model_is_called_too_stiff_and_a_lucky_one_unlucky() -> None:
     assert "too few band values to test the fit" in statements.model_statement(few)
 
 
-def test_warnings_name_their_stage_and_are_listed_once() -> None:
+def test_every_note_is_listed_once_under_the_stage_that_made_it() -> None:
     note = "48 samples per pixel; render noise 0.6 % of the mean"
-    report = RESULTS.report.model_copy(update={"notes": (note, "no repeat")})
-    found = statements.warnings(replace(RESULTS, report=report))
-    assert [text for text in found if note in text] == [f"simulate, compare: {note}"]
-    assert "compare: no repeat" in found
-    assert sum(text.startswith("radiometry (red paint), radiometry (green paint): camera") for text in found) == 1
+    report = RESULTS.report.model_copy(update={"notes": (note, "no repeat"), "withheld": ("PSNR: no scale",)})
+    decision = RESULTS.decision.model_copy(update={"notes": ("no repeat", "one angle")})
+    green = RESULTS.paints["green"]
+    warned = green.calibration.model_copy(update={"warnings": ("two maxima",)})
+    paints = {**RESULTS.paints, "green": replace(green, calibration=warned)}
+    results = replace(RESULTS, paints=paints, report=report, decision=decision)
+    assert trust.all_notes(results) == (
+        f"radiometry, both paints: {green.bands.notes[0]}",
+        f"fit, red paint: {RESULTS.paints['red'].calibration.warnings[0]}",
+        "fit, green paint: two maxima",
+        f"simulate: {note}",
+        "compare: PSNR: no scale",
+        "compare: no repeat",
+        "decide: one angle",
+    )
+    assert "Warning of the green paint's fit: two maxima." in trust.limits(results)
+    assert "Withheld: PSNR: no scale." in trust.limits(results)
+
+
+def test_assumptions_name_what_nobody_measured() -> None:
+    listed = trust.assumptions(RESULTS)
+    assert listed[0] == "Calibration rig: camera response assumed; lamp spectrum Planck at 2856 K."
+    assert "every other number is assumed" in listed[2]
+    assert listed[3].startswith("Simulation: 48 samples per pixel")
+    bare = RESULTS.press.model_copy(update={"design": None, "notes": ()})
+    assert len(trust.assumptions(replace(RESULTS, press=bare))) == 2
+    assert RESULTS.press.design is not None
+    unknown = RESULTS.press.model_copy(update={"design": RESULTS.press.design.model_copy(update={"origin": {}})})
+    assert "every number is assumed" in trust.assumptions(replace(RESULTS, press=unknown))[2]
+
+
+def test_lines_break_neither_between_number_and_unit_nor_inside_an_interval() -> None:
+    assert unbroken("4.4 % of 597 nm") == "4.4\u00a0% of 597\u00a0nm"
+    assert unbroken("0.95 [0.92, 0.97] s") == "0.95 [0.92,\u00a00.97]\u00a0s"
+    assert unbroken("5 months, 3 deg/s") == "5 months, 3 deg/s"
 
 
 @pytest.mark.parametrize(
     ("verdict", "meaning"),
     [
-        ("decided", "Mount the light at 32 deg"),
-        ("tie", "take the one that is easiest to build"),
-        ("undecided", "More angles or more repeats would help"),
-        ("model-limited", "More renders will not help"),
+        ("decided", "stays within 2 % with 95 % probability, and only angles nearby do as well (25 to 39 deg)"),
+        ("tie", "Any of these angles will do: 25 to 39 deg"),
+        ("undecided", "may lose 0.4 %. More angles or more repeats would help"),
+        ("model-limited", "loses at most 0.4 %; with the difference between simulation and capture it may lose 1.4 %"),
     ],
 )
 def test_each_verdict_says_what_to_do(verdict: str, meaning: str) -> None:
@@ -194,7 +227,11 @@ def test_true_loss_of_a_known_curve() -> None:
 def test_tables_name_what_is_not_used_or_outside() -> None:
     cells = {cell for group in signals_table(RESULTS.paints["red"]).groups for row in group.rows for cell in row}
     assert "weak" in cells
-    assert [row[-1] for row in fit_table(RESULTS.paints["green"]).groups[0].rows[:3]] == ["inside", "inside", "OUTSIDE"]
+    fitted = fit_table(RESULTS.paints["green"]).groups[0].rows
+    assert [row[-1].split(", ")[1] for row in fitted[:3]] == ["inside", "inside", "OUTSIDE"]
+    assert fitted[0][-1] == "519.0 nm, inside"
+    peak = RESULTS.paints["green"].calibration.parameters["peak_per_nm"]
+    assert fitted[3][1].startswith(f"{1e3 * peak.estimate:.3f} [")
     assert "not used" in {row[1] for row in bands_table(RESULTS.paints["red"]).groups[0].rows}
     assert decision_table(RESULTS).groups[0].rows[3] == (
         "angles equivalent within 2 %",
@@ -215,6 +252,40 @@ def test_withheld_and_identical_values_are_words() -> None:
     text = comparison_lines(report)
     for words in ("withheld: relative RMS", "identical", "0.90 - 0.80", "2.0% clipped", "not fitted (1)"):
         assert words in text
+
+
+def test_blocks_are_named_where_pixels_were_averaged() -> None:
+    report = RESULTS.report.model_copy(update={"block_px": 8})
+    assert "4600 blocks of 8 x 8 px" in error_table(report).groups[1].heading
+    assert "4600 blocks of 8 x 8 px" in comparison_lines(report)
+    assert "4600 pixels" in error_table(RESULTS.report).groups[1].heading
+
+
+def test_the_lead_of_the_comparison_names_grid_and_unit_of_the_exposure_factor() -> None:
+    numbers = {"block_px": 8, "exposure_factor": 27756.49, "exposure_factor_sd": None}
+    blocks = replace(RESULTS, report=RESULTS.report.model_copy(update=numbers))
+    lead = compare_section(blocks).lead
+    assert "over blocks of 8 x 8 px" in lead
+    assert "one exposure factor for all channels, 27800 DN per unit of panel radiance" in lead
+    lead = compare_section(RESULTS).lead
+    assert "pixel by pixel" in lead
+    assert "1.0340 \u00b1 0.0020 DN" in lead
+    unscaled = RESULTS.report.model_copy(update={"exposure_factor": None})
+    assert "without any scaling" in compare_section(replace(RESULTS, report=unscaled)).lead
+
+
+def test_the_papers_emitter_stands_below_the_simulation() -> None:
+    assert RESULTS.report_level_a is not None
+    with_it = error_table(RESULTS.report, RESULTS.report_level_a).groups[0].rows
+    names = ["do nothing", "simulation", "simulation, paper's emitter", "floor"]
+    assert [row[0] for row in with_it] == names
+    assert with_it[2][1] == "0.702 [0.682, 0.722]"
+    assert [row[0] for row in error_table(RESULTS.report).groups[0].rows] == [names[0], names[1], names[3]]
+    sentence = statements.level_a_sentence(RESULTS.report, RESULTS.report_level_a)
+    assert "is 0.702 [0.682, 0.722]" in sentence
+    assert "(the default) it is 0.931 [0.913, 0.949]" in sentence
+    assert summary(RESULTS)["photometric_error_level_a"]["headline_skill"]["estimate"] == 0.702
+    assert summary(replace(RESULTS, report_level_a=None))["photometric_error_level_a"] is None
 
 
 def test_terminal_table_fits_100_columns_and_holds_every_row() -> None:

@@ -64,12 +64,12 @@ def test_every_tag_is_closed_in_order(page: Page) -> None:
 
 
 def test_the_verdict_stands_before_every_stage_image_and_table(page: Page, html: str) -> None:
-    verdict = html.index("32 deg: true optimum within")
+    verdict = html.index("32\u00a0deg: true optimum within")
     assert verdict < min(html.index("<img"), html.index("<table"), *(html.index(f'id="{stage}"') for stage in STAGES))
     assert html.index("How far to trust this") < html.index('id="capture"')
     positions = [html.index(f'id="{stage}"') for stage in STAGES]
     assert positions == sorted(positions)
-    assert "Several angles do equally well" in page.prose
+    assert "Any of these angles will do: 25 to 39 deg" in page.prose
 
 
 def test_the_page_needs_nothing_from_outside_and_no_script(page: Page, html: str) -> None:
@@ -147,9 +147,11 @@ def test_equal_input_gives_equal_bytes_whatever_the_users_matplotlib_settings(ht
 
 @pytest.fixture(scope="module")
 def hostile() -> str:
-    """Return the page of an unvalidated, model-limited run whose red paint has a hostile name."""
+    """Return the page of a smaller, unvalidated, model-limited run whose red paint has a hostile name."""
     results = example_results(paint_name=HOSTILE)
-    return demo_report(replace(results, decision=example_decision("model-limited", validated=False), true_sweep=None))
+    press = results.press.model_copy(update={"camera_matrix": None})
+    decision = example_decision("model-limited", validated=False)
+    return demo_report(replace(results, press=press, decision=decision, true_sweep=None, report_level_a=None))
 
 
 def test_hostile_names_stay_text(hostile: str) -> None:
@@ -167,6 +169,35 @@ def test_another_verdict_is_named_in_title_and_box(hostile: str) -> None:
     assert "More renders will not help" in text
     assert "not validated against a capture" in text
     assert "hidden true finger" not in text
+
+
+def test_true_finger_and_paper_emitter_are_told_only_where_they_were_rendered(page: Page, hostile: str) -> None:
+    for words in ("On the hidden true finger", "With the paper's emitter", "simulation, paper's emitter 0.702"):
+        assert words in page.prose
+        assert words not in Page(hostile).prose
+
+
+def test_the_display_of_the_images_is_explained(page: Page, hostile: str) -> None:
+    assert "unmixed into red emission (shown red), green emission (green) and LED light (blue)" in page.prose
+    assert "each channel is balanced for the screen" in Page(hostile).prose
+    assert "the numbers use the camera's linear values" in page.prose
+
+
+def test_trust_is_short_and_all_notes_wait_in_a_fold(page: Page, html: str) -> None:
+    trust = html[html.index('<h2 id="trust"') : html.index("</section>\n\n<nav")]
+    fold = trust[trust.index("<details>") :]
+    assert "<li>Renderer: Rendered with the path tracer" in trust
+    assert len(Page(trust.split("<h3>")[0]).prose.split()) < 220  # a minute of reading at 220 words per minute
+    assert "All notes of the records (4)" in fold
+    for line in ("radiometry, both paints: camera response R", "fit, both paints: 3.1 %", "simulate: 48 samples"):
+        assert line in " ".join(fold.split()).replace("\u00a0", " ")
+    assert "details::details-content { content-visibility: visible" in html  # open in print
+
+
+def test_every_scrolling_table_can_be_reached_by_keyboard(page: Page) -> None:
+    boxes = [attributes for _, attributes in page.tags if attributes.get("class") == "scroll"]
+    assert len(boxes) == len(page.all("table"))
+    assert all(box["tabindex"] == "0" and box["role"] == "region" and box["aria-label"] for box in boxes)
 
 
 def test_results_without_a_paint_or_a_stage_are_refused() -> None:
