@@ -61,10 +61,10 @@ class PhotometricErrorReport(Record):
     exposure_factor: float | None = Field(description="one factor for all channels; None when not fitted")
     exposure_factor_sd: float | None
     channel_weights: tuple[float, float, float]
-    objective_error_rel: float | None = Field(
+    objective_error_rel: Annotated[float, Field(ge=-1e3, le=1e3)] | None = Field(
         description="simulated minus captured brightness beside the indenter, relative, after the exposure factor"
     )
-    objective_error_sd_rel: float | None
+    objective_error_sd_rel: Annotated[float, Field(ge=0.0, le=1e3)] | None
     light_angle_deg: float | None
     error_map: Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column"), allow_nan=True)]
     withheld: tuple[str, ...] = Field(default=(), description="figures that are not given, and why")

@@ -25,6 +25,15 @@ class Optics(Model):
     white_reference: WhiteReference
     camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
 
+    @model_validator(mode="after")
+    def _excitation_filter_exists(self) -> "Optics":
+        names = [f.name for f in self.filters]
+        if self.excitation_filter not in names:
+            raise ValueError(
+                f"excitation_filter {self.excitation_filter!r} is none of the filters ({', '.join(names)})"
+            )
+        return self
+
 
 class BandSignals(Record):
     """One value per filter x Bayer channel (red, green, blue) over the painted region, with full covariance.

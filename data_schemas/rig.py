@@ -45,6 +45,15 @@ class CameraSettings(Model):
         "wavelength_nm,red_percent,green_percent,blue_percent",
     )
 
+    @model_validator(mode="after")
+    def _exposures_in_order(self) -> "CameraSettings":
+        if self.longest_exposure_s <= self.shortest_exposure_s:
+            raise ValueError(
+                f"longest_exposure_s = {self.longest_exposure_s:g} s must exceed shortest_exposure_s = "
+                f"{self.shortest_exposure_s:g} s"
+            )
+        return self
+
 
 class BandPassFilter(Model):
     """One filter of the wheel; slots count from 1.

@@ -146,7 +146,7 @@ def _load_json(path: Path) -> dict[str, Any]:
         loaded = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise RecordError(f"{path}: no such file; give the path of a stored record (.json)") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise RecordError(f"{path}: cannot be read as JSON ({error}); was it edited or cut off?") from None
     if not isinstance(loaded, dict):
         raise RecordError(f"{path}: is not a stored record (a JSON object with 'kind' and 'record')")
@@ -179,7 +179,7 @@ def _from_json(path: Path, value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
     """Replace array references by the arrays."""
     if isinstance(value, dict):
         if value.keys() == {"array", "shape", "dtype"}:
-            array = arrays.get(value["array"])
+            array = arrays.get(str(value["array"]))
             if array is None or list(array.shape) != value["shape"]:
                 raise RecordError(f"{path}: array '{value['array']}' is missing in its array file or has another shape")
             return array

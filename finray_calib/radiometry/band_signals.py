@@ -69,6 +69,11 @@ def band_signals(session: CaptureSession, read: ReadFrame) -> BandSignals:
         raise RadiometryError("session.frames: no dark frames; capture darks before and after the session")
     steps = step_signals(session, read, darks)
     white, lamp, laser = (_table(session, steps, kind, names) for kind in ("white", "reflectance", "fluorescence"))
+    if session.plan.excitation_filter not in names:
+        raise RadiometryError(
+            f"session.plan.excitation_filter: {session.plan.excitation_filter!r} is none of the captured filters "
+            f"({', '.join(names)})"
+        )
     excitation = names.index(session.plan.excitation_filter)
     laser_white = _table(session, steps, "laser white", [session.plan.excitation_filter])
     repeatability = _repeatability_rel(steps)

@@ -8,12 +8,12 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.curves import SpectralCurve
+from data_schemas.curves import SpectralCurve, require_coverage
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
 from data_schemas.fit import PaintCalibration
 from data_schemas.standard_curves import camera_response
-from sim.optics.paint_bands import PaintBands, PaintOptics, camera_matrix
+from sim.optics.paint_bands import BAND_NAMES, PaintBands, PaintOptics, camera_matrix
 from sim.optics.variants import Preference, choose_variant, open_renderer
 
 Floats = NDArray[np.float64]
@@ -53,7 +53,16 @@ class PaintedFinger:
             )
 
     def camera_matrix(self, bands: PaintBands) -> Floats:
-        """Return the (3, 3) matrix from bands to camera RGB."""
+        """Return the (3, 3) matrix from bands to camera RGB.
+
+        Raises
+        ------
+        CurveError
+            A response curve misses more than 20 % of a band.
+        """
+        for curve in self.response:
+            for name, band in zip(BAND_NAMES, bands.bands, strict=True):
+                require_coverage(curve, band.wavelength_nm, band.density_per_nm, f"the {name} band")
         return camera_matrix(np.array([curve(RESPONSE_NM) for curve in self.response]), RESPONSE_NM, bands)
 
 

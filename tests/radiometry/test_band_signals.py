@@ -163,6 +163,13 @@ def test_laser_that_misses_the_tile():
         band_signals(*_parts(synthetic_session(np.random.default_rng(1), change=laser_off)))
 
 
+def test_excitation_filter_that_was_not_captured():
+    synthetic = synthetic_session(np.random.default_rng(2))
+    plan = synthetic.session.plan.model_copy(update={"excitation_filter": "451"})
+    with pytest.raises(RadiometryError, match=r"excitation_filter: '451' is none of the captured filters \(450, 500"):
+        band_signals(synthetic.session.model_copy(update={"plan": plan}), synthetic.read)
+
+
 def test_filters_of_the_plan_only():
     session = record(synthetic_session(np.random.default_rng(2)).session.frames)
     synthetic = synthetic_session(np.random.default_rng(2))

@@ -111,6 +111,9 @@ def test_wrong_kind_folder_missing_and_broken_files(tmp_path):
     path.write_bytes(path.read_bytes()[:50])
     with pytest.raises(RecordError, match="cannot be read as JSON"):
         read_record(path, FingerDesign)
+    path.write_text("[" * 100_000)
+    with pytest.raises(RecordError, match="cannot be read as JSON"):
+        read_record(path, FingerDesign)
     path.write_text("[1]")
     with pytest.raises(RecordError, match="is not a stored record"):
         read_record(path, FingerDesign)
@@ -195,6 +198,14 @@ class TestFilesPeopleWrite:
         one = '[[filter_wheel.filters]]\nslot = {}\nname = "405"\ncenter_nm = {}\n'
         text = 'name = "r"\n[filter_wheel]\n' + one.format(1, 405) + one.format(2, 450)
         with pytest.raises(RecordError, match="name 405 stands in two filters"):
+            read_toml(self.rig(tmp_path, text), RigFile)
+
+    def test_exposure_range_turned_round(self, tmp_path):
+        text = (
+            'name = "r"\n[camera]\nshortest_exposure_s = 2.0\nlongest_exposure_s = 1.0\n[filter_wheel]\n'
+            '[[filter_wheel.filters]]\nslot = 1\nname = "405"\ncenter_nm = 405\n'
+        )
+        with pytest.raises(RecordError, match=r"longest_exposure_s = 1 s must exceed shortest_exposure_s = 2 s"):
             read_toml(self.rig(tmp_path, text), RigFile)
 
     def test_missing_field(self, tmp_path):

@@ -1,0 +1,62 @@
+"""One small laboratory for all tests of this folder: a captured session, its band signals, a paint, made-up records."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from data_schemas.provenance import provenance
+from data_schemas.storage import write_record
+from rigs.presets import paint_plan, simulated_rig
+from rigs.toml_text import write_plan, write_rig
+from tests.command_line.records import capture_of, press, sweep
+from tests.command_line.running import succeed
+
+FINGER = 'name = "small finger"\n[camera]\nwidth_px = 512\nheight_px = 384\n'
+
+
+@pytest.fixture(scope="session")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with rig, plan and finger files, a session, its bands, and made-up records; tests only read it."""
+    folder = tmp_path_factory.mktemp("lab")
+    rig = simulated_rig("red", width_px=320, height_px=256)
+    write_rig(rig, folder / "rig.toml")
+    write_plan(paint_plan("red", rig.camera), folder / "plan.toml")
+    (folder / "finger.toml").write_text(FINGER)
+    origin = provenance("pytest")
+    linear, encoded = press(), press("unknown")
+    for name, record in {
+        "press": linear,
+        "black-press": press(level=0.0),
+        "noisy-press": press(variance=1e6),
+        "encoded-press": encoded,
+        "capture": capture_of(linear, 50.0),
+        "cut-capture": capture_of(linear, 50.0, slice(0, 40)),
+        "encoded-capture": capture_of(encoded, 0.5, encoding="unknown"),
+        "sweep": sweep(),
+        "short-sweep": sweep(last_deg=20.0),
+    }.items():
+        write_record(record, folder / f"{name}.json", origin)
+    succeed(f"capture {folder}/plan.toml --rig {folder}/rig.toml --out {folder}/session")
+    succeed(f"radiometry {folder}/session --out {folder}/bands.json")
+    succeed(f"compare {folder}/press.json {folder}/capture.json --out {folder}/report.json")
+    succeed(f"compare {folder}/encoded-press.json {folder}/encoded-capture.json --out {folder}/encoded-report.json")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def paints(lab: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with red/paint.json (fitted, seed 5) and green/paint.json (a copy: same name, another folder)."""
+    folder = tmp_path_factory.mktemp("paints")
+    succeed(f"fit {lab}/bands.json --seed 5 --out {folder}/red/paint.json")
+    shutil.copytree(folder / "red", folder / "green")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def rendered(lab: Path, paints: Path) -> Path:
+    """Folder of the paints with press.json and sweep.json simulated from them."""
+    finger = f"simulate {lab}/finger.toml --paint red={paints}/red/paint.json --paint green={paints}/green/paint.json"
+    succeed(f"{finger} --engine scalar --samples 4 --seed 6 --out {paints}/press.json")
+    succeed(f"{finger} --engine scalar --samples 40 --seed 6 --angles 0:90:30 --out {paints}/sweep.json")
+    return paints
