@@ -28,7 +28,9 @@ class ErrorRow(Model):
     )
     relative_rms: tuple[float, float, float] | None = Field(description="None where values are not linear light")
     psnr_db: float | None = Field(description="None for identical images")
-    ssim: float = Field(description="mean of the SSIM map over the region; for comparison with papers")
+    ssim: float | None = Field(
+        description="mean of the SSIM map over the region; for comparison with papers; None without a complete window"
+    )
 
 
 class RegionError(Model):
@@ -56,7 +58,7 @@ class PhotometricErrorReport(Record):
     headline_region: str
     headline_skill: Interval
     regions: tuple[RegionError, ...]
-    ssim_full_frame: dict[str, float]
+    ssim_full_frame: dict[str, float | None]
     ssim_settings: str
     exposure_factor: float | None = Field(description="one factor for all channels; None when not fitted")
     exposure_factor_sd: float | None

@@ -114,17 +114,17 @@ def _row(candidate: str, row: table.PhotometricRow) -> ErrorRow:
             "skill_per_channel": tuple(channels),
             "relative_rms": None if row.relative_rms is None else tuple(r.estimate for r in row.relative_rms),
             "psnr_db": row.psnr_db if np.isfinite(row.psnr_db) else None,
-            "ssim": row.ssim_in_region,
+            "ssim": row.ssim_in_region if np.isfinite(row.ssim_in_region) else None,
         }
     )
 
 
-def _full_frame_ssim(result: table.RegionError) -> dict[str, float]:
+def _full_frame_ssim(result: table.RegionError) -> dict[str, float | None]:
     """Return the full-frame SSIM of each candidate, for comparison with papers."""
     rows = {"do nothing": result.do_nothing, "simulation": result.simulation}
     if result.floor is not None:
         rows["floor"] = result.floor
-    return {name: row.ssim_full_frame for name, row in rows.items()}
+    return {name: r.ssim_full_frame if np.isfinite(r.ssim_full_frame) else None for name, r in rows.items()}
 
 
 def _error_map(simulated: Floats, captured: Floats, no_contact: Floats) -> NDArray[np.float32]:

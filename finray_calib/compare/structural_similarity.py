@@ -34,10 +34,13 @@ class StructuralSimilarity:
     def mean_within(self, mask: NDArray[np.bool_]) -> float:
         """Return the mean of the map over a boolean mask of shape (H, W).
 
+        NaN when no window centred in it is complete: the mask lies on the border, or every window holds a pixel
+        that is not finite.
+
         Raises
         ------
         CompareError
-            If the mask has another shape, or no window centred in it is complete.
+            If the mask has another shape.
         """
         return _mean_within(self.ssim_map, mask)
 
@@ -72,8 +75,7 @@ def structural_similarity(
     Raises
     ------
     CompareError
-        If shapes differ, the images are smaller than the window, the range is not positive, or no window is
-        complete.
+        If shapes differ, the images are smaller than the window, or the range is not positive.
 
     References
     ----------
@@ -122,7 +124,7 @@ def _windowed_mean(image: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _mean_within(ssim_map: NDArray[np.float64], mask: NDArray[np.bool_]) -> float:
-    """Return the mean of the finite map values inside a mask."""
+    """Return the mean of the finite map values inside a mask; NaN when there is none."""
     if mask.shape != ssim_map.shape:
         raise CompareError(
             f"The mask has shape {mask.shape} but the images are {ssim_map.shape[0]} x {ssim_map.shape[1]} px. "
@@ -130,9 +132,4 @@ def _mean_within(ssim_map: NDArray[np.float64], mask: NDArray[np.bool_]) -> floa
         )
     values = ssim_map[mask]
     values = values[np.isfinite(values)]
-    if values.size == 0:
-        raise CompareError(
-            f"No {WINDOW_PX} x {WINDOW_PX} px window centred in the mask is complete: the mask lies on the border "
-            "or all its windows hold a pixel that is not finite. Use a larger region."
-        )
-    return float(values.mean())
+    return float(values.mean()) if values.size else float("nan")

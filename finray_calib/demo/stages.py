@@ -57,7 +57,7 @@ class RenderEffort:
 
 COMPILED_EFFORT = RenderEffort(samples_per_pixel=128, twin_samples_per_pixel=192, probe_samples=4000)
 # The scalar renderer is some six times slower on the image and calls Python for every probe.
-SCALAR_EFFORT = RenderEffort(samples_per_pixel=16, twin_samples_per_pixel=32, probe_samples=1000)
+SCALAR_EFFORT = RenderEffort(samples_per_pixel=40, twin_samples_per_pixel=80, probe_samples=2000)
 
 
 @dataclass(frozen=True, slots=True)

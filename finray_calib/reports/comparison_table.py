@@ -66,7 +66,7 @@ def _cells(row: ErrorRow) -> list[str]:
         channels,
         spread,
         "identical" if row.psnr_db is None else fixed(row.psnr_db, 1),
-        fixed(row.ssim, 3),
+        "none" if row.ssim is None else fixed(row.ssim, 3),
     ]
 
 

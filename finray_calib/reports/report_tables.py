@@ -187,7 +187,7 @@ def _error_cells(row: ErrorRow) -> tuple[str, ...]:
         ", ".join("none" if value is None else fixed(value, 2) for value in row.skill_per_channel),
         spread,
         "identical" if row.psnr_db is None else fixed(row.psnr_db, 1),
-        fixed(row.ssim, 3),
+        "none" if row.ssim is None else fixed(row.ssim, 3),
     )
 
 
