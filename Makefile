@@ -56,7 +56,7 @@ llvm:
 	 if [ "$$(id -u)" = 0 ]; then as=""; elif [ -t 0 ]; then as="sudo"; else as="sudo -n"; fi; \
 	 if $$as apt-get update -qq && $$as apt-get install -y -qq --no-install-recommends libllvm19; then exit 0; fi; \
 	 echo; \
-	 echo "libllvm19 could not be installed. finray still runs, with the slower scalar renderer and simpler emitters."; \
+	 echo "libllvm19 could not be installed. finray still runs, with the scalar renderer: fewer paths and more noise."; \
 	 echo "For the full renderer ask your administrator for:  apt-get install libllvm19"; \
 	 echo
 

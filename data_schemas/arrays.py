@@ -6,13 +6,14 @@ record's ``.npz`` file (see :mod:`data_schemas.storage`). Dimensions of the same
 model: use :func:`check_dimensions` in a validator.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from operator import attrgetter
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import BaseModel, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
 _JSON_TYPE = {"f": "number", "u": "integer", "i": "integer", "b": "boolean"}
@@ -93,16 +94,38 @@ class ArraySpec:
         return {"anyOf": [items, reference], "unit": self.unit, "dimensions": list(self.dims)}
 
 
-def check_dimensions(values: Mapping[str, tuple[NDArray[Any] | None, ArraySpec]]) -> None:
-    """Raise ValueError when two fields disagree on the length of a dimension of the same name."""
+def check_dimensions(record: BaseModel, lists: Mapping[str, str] | None = None) -> None:
+    """Refuse a record two of whose fields disagree on the length of a dimension of the same name.
+
+    Parameters
+    ----------
+    record
+        Its array fields carry an :class:`ArraySpec`; those that are None are left out.
+    lists
+        Field that is no array (dots lead into inner models) -> the dimension that it runs along.
+
+    Raises
+    ------
+    ValueError
+        Two lengths differ; the message names both fields.
+    """
+    lengths = [(field, name, len(attrgetter(field)(record))) for field, name in (lists or {}).items()]
     seen: dict[str, tuple[int, str]] = {}
-    for field, (array, spec) in values.items():
-        if array is None:
-            continue
-        for name, size in zip(spec.dims, array.shape, strict=True):
-            length, owner = seen.setdefault(name, (size, field))
-            if length != size:
-                raise ValueError(f"'{field}' has {size} along '{name}' but '{owner}' has {length}")
+    for field, name, size in (*lengths, *_array_lengths(record)):
+        length, owner = seen.setdefault(name, (size, field))
+        if length != size:
+            raise ValueError(f"'{field}' has {size} along '{name}' but '{owner}' has {length}")
+
+
+def _array_lengths(record: BaseModel) -> Iterator[tuple[str, str, int]]:
+    """Yield (field, dimension, length) of every array of a record."""
+    for field, info in type(record).model_fields.items():
+        array = getattr(record, field)
+        # the spec of an optional array stands inside the union
+        inner = (m for part in get_args(info.annotation) for m in getattr(part, "__metadata__", ()))
+        spec = next((m for m in (*info.metadata, *inner) if isinstance(m, ArraySpec)), None)
+        if spec is not None and array is not None:
+            yield from ((field, name, size) for name, size in zip(spec.dims, array.shape, strict=True))
 
 
 def _nan_for_none(value: Any) -> Any:

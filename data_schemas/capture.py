@@ -1,6 +1,6 @@
 """Capture plans, what a capture session stores, and tactile captures."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,14 +10,13 @@ from data_schemas.arrays import ArraySpec, check_dimensions
 from data_schemas.curves import SpectralCurve
 from data_schemas.model import Model, Record
 from data_schemas.rig import RigFile
-from data_schemas.units import AngleDeg, DurationS, ExposureS, Fraction, LengthMm, PositionMm, SignalDn
+from data_schemas.units import AngleDeg, ExposureS, Fraction, LengthMm, PositionMm, SignalDn
 
 LightState = Literal["off", "lamp", "laser", "room"]
 Target = Literal["white", "sample", "sample beside ColorChecker"]
 FrameType = Literal["dark", "white", "reflectance", "fluorescence", "laser white", "room light"]
 Encoding = Literal["linear", "unknown"]
 PixelLayout = Literal["RGB", "Bayer RGGB"]
-Bytes8 = NDArray[np.uint8]
 
 
 class RegionOfInterest(Model):
@@ -43,7 +42,7 @@ class PaintPlan(Record):
         default=0.7, description="brightest pixel of the region as a fraction of full scale"
     )
     bracket: tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...] = Field(
-        default=(1.0, 0.25), description="exposures of each step relative to the metered one"
+        default=(1.0, 0.25), min_length=1, description="exposures of each step relative to the metered one"
     )
     darks_per_exposure: Annotated[int, Field(ge=1, le=50)] = 2
 
@@ -123,15 +122,14 @@ class TactileCapture(Record):
     contact_circle: ContactCircle | None
     mm_per_px: LengthMm | None
     source: str
-    warm_up_s: DurationS | None = None
 
     @model_validator(mode="after")
     def _images_agree(self) -> "TactileCapture":
-        fields: Any = type(self).model_fields
-        names = ("contact", "no_contact")
-        spec = next(m for m in fields["contact"].metadata if isinstance(m, ArraySpec))
-        check_dimensions({n: (getattr(self, n), spec) for n in (*names, "repeat_no_contact")})
+        check_dimensions(self)
         samples = {"RGB": 3, "Bayer RGGB": 1}[self.layout]
         if self.contact.shape[2] != samples:
             raise ValueError(f"layout {self.layout} needs {samples} sample(s) per pixel, got {self.contact.shape[2]}")
+        rows, columns = self.contact.shape[:2]
+        if self.layout != "RGB" and (rows % 2 or columns % 2):
+            raise ValueError(f"layout {self.layout} needs even rows and columns (2 x 2 cells), got {rows} x {columns}")
         return self

@@ -18,6 +18,8 @@ Floats = NDArray[np.float64]
 CAMERA_COLUMNS = ["wavelength_nm", "red_percent", "green_percent", "blue_percent"]
 CHANNELS = ("red", "green", "blue")
 FIRST_STOKES_NM = 15.0
+# Decimal wavelengths are read with rounding errors; a real difference of steps is far larger.
+STEP_TOLERANCE_NM = 1e-6
 
 
 def read_table(path: Path) -> tuple[list[str], Floats]:
@@ -83,6 +85,12 @@ def read_donaldson_matrix(path: Path) -> DonaldsonMatrix:
 
     Emission is kept only where it is at least 15 nm above the excitation (Stokes side): nearer to the
     diagonal the measured bands overlap, and below it the entries are noise. Negative noise is kept.
+
+    Raises
+    ------
+    CurveError
+        The file is not a matrix of finite numbers, a wavelength axis does not increase within 200 to 2500 nm, or
+        the emission steps are uneven: entries are per emission band, whose width is the step.
     """
     header, table = read_table(path)
     if header[0] != "emission_nm":
@@ -95,7 +103,7 @@ def read_donaldson_matrix(path: Path) -> DonaldsonMatrix:
     try:
         for axis, name in ((emission, "emission"), (excitation, "excitation")):
             SpectralCurve(name=name, wavelength_nm=axis, values=axis, source=path.name)
-        band_nm = float(np.median(np.diff(emission)))
+        band_nm = _even_step_nm(path, emission)
         stokes_nm = emission[:, None] - excitation[None, :]
         diagonal = np.array([_diagonal(emission, excitation, values, e) for e in emission])
         known = np.isfinite(diagonal)
@@ -114,6 +122,18 @@ def read_donaldson_matrix(path: Path) -> DonaldsonMatrix:
         )
     except ValidationError as error:
         raise CurveError(f"{path}: {_first_message(error)}") from None
+
+
+def _even_step_nm(path: Path, emission_nm: Floats) -> float:
+    """Return the step of the emission axis (nm)."""
+    steps_nm = np.diff(emission_nm)
+    if np.ptp(steps_nm) > STEP_TOLERANCE_NM:
+        raise CurveError(
+            f"{path}: emission_nm steps range from {steps_nm.min():g} to {steps_nm.max():g} nm; entries are per "
+            f"emission band, so that the steps must be equal (within {STEP_TOLERANCE_NM:g} nm): give the matrix on "
+            "evenly spaced emission wavelengths"
+        )
+    return float(np.median(steps_nm))
 
 
 def _diagonal(emission: Floats, excitation: Floats, values: Floats, wavelength_nm: float) -> float:

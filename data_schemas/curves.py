@@ -48,7 +48,8 @@ class SpectralCurve(Model):
     name, source
         What it is and where it comes from (file, data sheet, "assumed").
     uncertainty_rel
-        Standard uncertainty relative to the value, common to all wavelengths.
+        Standard uncertainty relative to the value, common to all wavelengths: a scale, which cancels wherever a
+        signal is referred to white in the same band.
     """
 
     name: str
@@ -70,12 +71,6 @@ class SpectralCurve(Model):
         x = np.asarray(wavelength_nm, dtype=float)
         values: Floats = np.interp(x, self.wavelength_nm, self.values)
         return values
-
-    def relative_uncertainty(self, wavelength_nm: ArrayLike) -> Floats:
-        """Return the relative standard uncertainty; at least 0.5 where an end value is held."""
-        x = np.asarray(wavelength_nm, dtype=float)
-        held = (x < self.wavelength_nm[0]) | (x > self.wavelength_nm[-1])
-        return np.where(held, max(HELD_UNCERTAINTY_REL, self.uncertainty_rel), self.uncertainty_rel)
 
     def share_outside(self, wavelength_nm: ArrayLike, weight: ArrayLike) -> float:
         """Return the share of a band's weight that lies outside the range of the curve (0..1)."""

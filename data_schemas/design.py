@@ -4,9 +4,10 @@ Axes: x across the pad, y from the inner (camera side) face into the gel, z alon
 The light angle is the angle of the panel's normal from the pad plane: 0 along the pad, 90 straight into it.
 """
 
+import difflib
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BaseModel, Field, field_validator, model_validator
 
 from data_schemas.model import Model, Record
 from data_schemas.units import AngleDeg, Fraction, LengthMm, PositionMm, WavelengthNm, WidthNm
@@ -107,6 +108,22 @@ class FingerDesign(Record):
         },
         description="where a number comes from; every number that is not listed is assumed",
     )
+
+    @field_validator("origin")
+    @classmethod
+    def _origins_of_known_fields(cls, origin: dict[str, Origin]) -> dict[str, Origin]:
+        known = [
+            f"{part}.{name}"
+            for part, field in cls.model_fields.items()
+            if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)
+            for name in field.annotation.model_fields
+        ]
+        for name in origin:
+            if name not in known:
+                near = difflib.get_close_matches(name, known, cutoff=0.5)
+                hint = f"did you mean {' or '.join(near)}?" if near else f"fields are {', '.join(known)}"
+                raise ValueError(f"'{name}' is no field of the design; {hint}")
+        return origin
 
     @model_validator(mode="after")
     def _press_inside_the_pad(self) -> "FingerDesign":

@@ -4,9 +4,9 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from data_schemas.arrays import ArraySpec
+from data_schemas.arrays import ArraySpec, check_dimensions
 from data_schemas.model import Model, Record
 from data_schemas.radiometry import Optics
 from data_schemas.units import WavelengthNm
@@ -27,11 +27,13 @@ class Estimate(Model):
 
 
 class Diagnostics(Model):
-    """Does the chain deserve trust? R-hat below 1.02 and more than 400 effective samples, else a warning."""
+    """Does the chain deserve trust? R-hat at most 1.01 and at least 400 effective samples, else a warning."""
 
     walkers: int
     steps: int
-    converged: bool = Field(description="chain longer than 50 autocorrelation times")
+    converged: bool = Field(
+        description="longer than 50 autocorrelation times, R-hat at most 1.01, 400 effective samples"
+    )
     acceptance_fraction: float
     autocorrelation_time: dict[str, float]
     r_hat: dict[str, float]
@@ -84,3 +86,9 @@ class PaintCalibration(Record):
     degrees_of_freedom: int
     diagnostics: Diagnostics
     warnings: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "PaintCalibration":
+        along_filters = dict.fromkeys(("optics.filters", "bands", "reflectance"), "filter")
+        check_dimensions(self, {"sampled": "parameter", **along_filters})
+        return self

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from data_schemas.arrays import ArraySpec
+from data_schemas.arrays import ArraySpec, check_dimensions
 from data_schemas.design import FingerDesign
 from data_schemas.model import Record
 from data_schemas.units import AngleDeg
@@ -36,7 +36,7 @@ class SimulatedPress(Record):
     no_contact_bands: Bands | None = None
     contact_bands: Bands | None = None
     bands: tuple[str, ...] = ()
-    camera_matrix: Annotated[Floats, ArraySpec("<f8", ("channel", "band"))] | None = None
+    camera_matrix: Annotated[Floats, ArraySpec("<f8", ("3", "band"))] | None = None
     light_angle_deg: AngleDeg | None
     design: FingerDesign | None
     paints: dict[str, str] = Field(default={}, description="colour -> SHA-256 of the paint calibration")
@@ -44,9 +44,7 @@ class SimulatedPress(Record):
 
     @model_validator(mode="after")
     def _images_agree(self) -> "SimulatedPress":
-        shapes = {name: getattr(self, name).shape[:2] for name in ("no_contact", "contact", "distance")}
-        if len(set(shapes.values())) != 1:
-            raise ValueError(f"images differ in size: {shapes}")
+        check_dimensions(self, {"bands": "band"})
         return self
 
 
@@ -71,6 +69,5 @@ class LightAngleSweep(Record):
 
     @model_validator(mode="after")
     def _lengths_agree(self) -> "LightAngleSweep":
-        if self.values.shape[0] != len(self.angles_deg):
-            raise ValueError(f"values has {self.values.shape[0]} rows for {len(self.angles_deg)} angles")
+        check_dimensions(self, {"bands": "band"})
         return self

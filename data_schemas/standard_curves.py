@@ -57,8 +57,9 @@ def halogen_lamp() -> SpectralCurve:
 def assumed_camera_response() -> tuple[SpectralCurve, SpectralCurve, SpectralCurve]:
     """Return smooth stand-in curves of a Bayer camera (red, green, blue) with an infrared-cut filter.
 
-    Response means signal per unit spectral radiance (power, not photons), relative. Red and green pass about
-    1 % of blue light near 450 nm. Good for planning and for simulated rigs; no real camera is calibrated by it.
+    Response means signal per unit spectral radiance (power, not photons), relative. At 450 nm red passes 1.0 % of
+    what blue passes and green 7.7 %, most of it the tail of its own bell. Good for planning and for simulated rigs; no
+    real camera is calibrated by it.
     """
     wavelength_nm = np.arange(380.0, 781.0, 2.0)
     infrared_cut = 1.0 / (1.0 + np.exp((wavelength_nm - INFRARED_CUT_NM) / INFRARED_CUT_WIDTH_NM))

@@ -2,9 +2,11 @@
 
 A record is one JSON file (an envelope with kind, schema version and the record); arrays of more than
 :data:`INLINE_VALUES` values stand in one ``.npz`` file beside it, whose name carries its SHA-256. The array
-file is written first and the JSON is renamed into place last, so a record is either whole or absent.
+file is written first and the JSON gets its name last, so a record is either whole or absent. A name that is taken
+is refused by the file system itself: of two writers at the same moment one wins.
 """
 
+import errno
 import hashlib
 import io
 import json
@@ -26,6 +28,8 @@ from data_schemas.model import Record
 from data_schemas.provenance import Provenance
 
 INLINE_VALUES = 512
+# What os.link says on file systems without hard links (FAT, some network and container mounts).
+NO_HARD_LINKS = frozenset({errno.EPERM, errno.EACCES, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS})
 R = TypeVar("R", bound=Record)
 
 
@@ -36,7 +40,13 @@ def sha256_of(path: Path) -> str:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file so that it is either whole or absent: part file, fsync, rename, fsync of the folder."""
+    """Write a new file so that it is either whole or absent: part file, fsync, link to its name, fsync of the folder.
+
+    Raises
+    ------
+    RecordError
+        Something has this name already: nothing stored is overwritten.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, part = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
     try:
@@ -45,7 +55,7 @@ def write_bytes(path: Path, content: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         Path(part).chmod(0o644)
-        Path(part).replace(path)
+        _give_name(Path(part), path)
     except BaseException:
         Path(part).unlink(missing_ok=True)
         raise
@@ -54,6 +64,37 @@ def write_bytes(path: Path, content: bytes) -> None:
         os.fsync(folder)
     finally:
         os.close(folder)
+
+
+def _give_name(part: Path, path: Path) -> None:
+    """Turn a finished part file into `path`, which must be free; linking refuses a taken name in one step."""
+    try:
+        os.link(part, path)
+    except FileExistsError:
+        raise _taken(path) from None
+    except OSError as error:
+        if error.errno not in NO_HARD_LINKS:
+            raise
+        # Without hard links a moment is left between look and rename.
+        if path.exists():
+            raise _taken(path) from None
+        part.replace(path)
+    else:
+        part.unlink()
+
+
+def _taken(path: Path) -> RecordError:
+    """Return the error for a name that is taken."""
+    return RecordError(f"{path}: exists already and is not overwritten; choose another --out or move it away")
+
+
+def _write_arrays(path: Path, content: bytes, sha256: str) -> None:
+    """Write an array file; one with the same content, left by an earlier or simultaneous writer, serves as well."""
+    try:
+        write_bytes(path, content)
+    except RecordError:
+        if not path.is_file() or sha256_of(path) != sha256:
+            raise
 
 
 def write_record(record: Record, path: Path, provenance: Provenance) -> Path:
@@ -65,7 +106,7 @@ def write_record(record: Record, path: Path, provenance: Provenance) -> Path:
         The file exists already: a stored record is never overwritten.
     """
     if path.exists():
-        raise RecordError(f"{path}: exists already and is not overwritten; choose another --out or move it away")
+        raise _taken(path)
     content = record.model_copy(update={"provenance": provenance}).model_dump(mode="python")
     arrays: dict[str, NDArray[Any]] = {}
     body = _to_json(content, "", arrays)
@@ -75,7 +116,7 @@ def write_record(record: Record, path: Path, provenance: Provenance) -> Path:
         np.savez(buffer, allow_pickle=False, **arrays)
         digest = hashlib.sha256(buffer.getvalue()).hexdigest()
         array_file = {"file": f"{path.stem}.{digest[:12]}.npz", "sha256": digest}
-        write_bytes(path.with_name(array_file["file"]), buffer.getvalue())
+        _write_arrays(path.with_name(array_file["file"]), buffer.getvalue(), digest)
     envelope = {
         "kind": type(record).__name__,
         "schema_version": record.schema_version,
@@ -161,7 +202,7 @@ def _load_arrays(path: Path, array_file: Any) -> dict[str, NDArray[Any]]:
         name, digest = str(array_file["file"]), str(array_file["sha256"])
     except (TypeError, KeyError):
         raise RecordError(f"{path}: array_file must hold 'file' and 'sha256'") from None
-    if Path(name).name != name:
+    if not name or name == ".." or Path(name).name != name:
         raise RecordError(f"{path}: array_file.file = {name!r} must be a plain file name beside the record")
     source = path.with_name(name)
     if not source.is_file():
@@ -214,8 +255,6 @@ def read_toml(path: Path, record_type: type[R]) -> R:
 
 def write_frame(path: Path, frame: NDArray[np.uint16], description: str) -> str:
     """Write a raw frame as uncompressed 16-bit TIFF and return its SHA-256; an existing file is refused."""
-    if path.exists():
-        raise RecordError(f"{path}: exists already; a stored frame is never overwritten")
     buffer = io.BytesIO()
     tifffile.imwrite(buffer, frame, photometric="minisblack", description=description, metadata=None)
     write_bytes(path, buffer.getvalue())

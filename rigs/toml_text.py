@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 from data_schemas.capture import PaintPlan
-from data_schemas.errors import CaptureError
 from data_schemas.rig import BandPassFilter, RigFile, SimulatedBench
 from data_schemas.storage import write_bytes
 
@@ -21,8 +20,6 @@ def write_plan(plan: PaintPlan, path: Path) -> Path:
 
 def _write(path: Path, text: str) -> Path:
     """Write a new text file."""
-    if path.exists():
-        raise CaptureError(f"{path}: exists already and is not overwritten; choose another name")
     write_bytes(path, text.encode())
     return path
 

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli.options import add_out, command_line, naming, progress_bar, require_new, say
+from finray_calib.cli.options import add_out, command_line, file_name, naming, progress_bar, require_new, say
 
 HELP = "capture the filtered images of a paint sample"
 DESCRIPTION = """\
@@ -34,7 +34,7 @@ def run(arguments: argparse.Namespace) -> None:
 
     plan = read_toml(arguments.plan, PaintPlan)
     rig = read_toml(arguments.rig, RigFile)
-    out = require_new(arguments.out or Path(f"{plan.paint_name}-session"))
+    out = require_new(arguments.out or Path(f"{file_name(plan.paint_name)}-session"))
     with naming(CaptureError, arguments.plan):
         paint_steps(plan, rig)
     with progress_bar("capture") as progress:

@@ -7,6 +7,7 @@ from finray_calib.cli.options import (
     add_out,
     add_seed,
     command_line,
+    file_name,
     input_digests,
     naming,
     progress_bar,
@@ -41,7 +42,7 @@ def run(arguments: argparse.Namespace) -> None:
     from finray_calib.fit.paint_calibration import calibrate_paint
 
     bands = read_record(arguments.bands, BandSignals)
-    out = require_new(arguments.out or Path(f"{bands.paint_name}.paint.json"))
+    out = require_new(arguments.out or Path(f"{file_name(bands.paint_name)}.paint.json"))
     with progress_bar("fit"), naming(FitError, arguments.bands):
         paint = calibrate_paint(bands, arguments.seed)
     write_record(paint, out, provenance(command_line(), input_digests([arguments.bands]), arguments.seed))

@@ -22,7 +22,7 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     parser.add_argument(
         "--predict-from", type=Path, metavar="FOLDER", help="other sensor whose table makes a prediction"
     )
-    add_out(parser, "FOLDER.capture.json (and FOLDER.press.json beside it)")
+    add_out(parser, "FOLDER.capture.json, with --predict-from also FOLDER.press.json beside it")
     parser.set_defaults(run=run)
 
 
@@ -34,7 +34,9 @@ def run(arguments: argparse.Namespace) -> None:
 
     folder: Path = arguments.folder
     out = require_new(arguments.out or Path(f"{folder.resolve().name}.capture.json"))
-    press_out = require_new(out.with_name(f"{out.name.removesuffix('.json').removesuffix('.capture')}.press.json"))
+    press_out = out.with_name(f"{out.name.removesuffix('.json').removesuffix('.capture')}.press.json")
+    if arguments.predict_from is not None:
+        require_new(press_out)
     capture = tactile_capture(folder)
     press = None if arguments.predict_from is None else table_prediction(folder, arguments.predict_from)
     sources = [folder] if arguments.predict_from is None else [folder, arguments.predict_from]

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -11,6 +12,7 @@ from pathlib import Path
 from data_schemas.errors import FinrayError, RecordError
 
 Progress = Callable[[int, int, str], None]
+LONGEST_NAME = 80
 
 
 def add_out(parser: argparse.ArgumentParser, default: str) -> None:
@@ -42,6 +44,15 @@ def command_line() -> str:
 def say(text: str) -> None:
     """Tell the user a result."""
     sys.stdout.write(text + "\n")
+
+
+def file_name(name: str) -> str:
+    """Return a paint's or finger's name as a plain file name: ASCII letters, digits and ``_ . ( ) + -``, at most 80.
+
+    Other characters become "-". A name never starts with a dot, which would hide the file or leave the folder, nor
+    with a dash, which the next command would take for an option; what is empty then is "unnamed".
+    """
+    return re.sub(r"[^A-Za-z0-9_.()+-]", "-", name).lstrip(".-")[:LONGEST_NAME] or "unnamed"
 
 
 def require_new(path: Path) -> Path:

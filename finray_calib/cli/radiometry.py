@@ -3,7 +3,16 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli.options import add_out, command_line, input_digests, naming, require_new, say
+from finray_calib.cli.options import (
+    add_out,
+    command_line,
+    file_name,
+    input_digests,
+    naming,
+    progress_bar,
+    require_new,
+    say,
+)
 
 HELP = "turn captured frames into one value per filter and channel, with covariance"
 DESCRIPTION = """\
@@ -32,8 +41,8 @@ def run(arguments: argparse.Namespace) -> None:
     from rigs.capture.read_session import read_frame_of, read_session
 
     session = read_session(arguments.session)
-    out = require_new(arguments.out or Path(f"{session.plan.paint_name}.bands.json"))
-    with naming(RadiometryError, arguments.session):
+    out = require_new(arguments.out or Path(f"{file_name(session.plan.paint_name)}.bands.json"))
+    with progress_bar("radiometry"), naming(RadiometryError, arguments.session):
         bands = band_signals(session, lambda frame: read_frame_of(arguments.session, frame))
     write_record(bands, out, provenance(command_line(), input_digests([arguments.session / SESSION_NAME])))
     say(f"{out}: {len(bands.flags)} filters x 3 channels over {bands.region_pixels} px")

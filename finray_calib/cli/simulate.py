@@ -3,7 +3,16 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli.options import add_out, add_seed, command_line, input_digests, progress_bar, require_new, say
+from finray_calib.cli.options import (
+    add_out,
+    add_seed,
+    command_line,
+    file_name,
+    input_digests,
+    progress_bar,
+    require_new,
+    say,
+)
 
 HELP = "render a press of a painted finger, or sweep the light angle"
 SMALLEST_STEP_DEG = 0.5
@@ -78,7 +87,7 @@ def run(arguments: argparse.Namespace) -> None:
 
     design = read_toml(arguments.design, FingerDesign)
     kind = "press" if arguments.angles is None else "sweep"
-    out = require_new(arguments.out or Path(f"{design.name}.{kind}.json"))
+    out = require_new(arguments.out or Path(f"{file_name(design.name)}.{kind}.json"))
     files = dict(arguments.paint)
     if len(files) < len(arguments.paint):
         raise SimulateError("--paint: a colour is given twice; give one file for red and one for green")

@@ -19,7 +19,9 @@ from finray_calib.compare.regions import Region, strip_from_distance
 Floats = NDArray[np.float64]
 PATCH, DILATED = "contact patch", "contact patch dilated 2x"
 FACTORS = {PATCH: 1.0, DILATED: 2.0}
-SSIM_SETTINGS = "Wang 2004: Gaussian sigma 1.5, 11 x 11, K1 0.01, K2 0.03, population covariance, border cropped"
+SSIM_SETTINGS = (
+    "Wang 2004 on the compared values: sigma 1.5, 11 x 11, K1 0.01, K2 0.03, population covariance, no border"
+)
 
 
 def compare_press(press: SimulatedPress, capture: TactileCapture, seed: int) -> PhotometricErrorReport:
@@ -63,7 +65,7 @@ def compare_press(press: SimulatedPress, capture: TactileCapture, seed: int) -> 
         values="linear light" if linear else "encoded values, encoding unknown",
         headline_region=DILATED,
         headline_skill=_interval(rows[DILATED].simulation.skill),
-        regions=tuple(_region(r) for r in result.regions),
+        regions=tuple(_region(r, images.clipped) for r in result.regions),
         ssim_full_frame=_full_frame_ssim(rows[DILATED]),
         ssim_settings=SSIM_SETTINGS,
         exposure_factor=factor * images.scale if linear else None,
@@ -90,7 +92,7 @@ def _three(values: Sequence[float] | Floats) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def _region(result: table.RegionError) -> RegionRecord:
+def _region(result: table.RegionError, clipped: NDArray[np.bool_]) -> RegionRecord:
     """Return the record of one region."""
     rows = [_row("do nothing", result.do_nothing), _row("simulation", result.simulation)]
     if result.floor is not None:
@@ -99,7 +101,7 @@ def _region(result: table.RegionError) -> RegionRecord:
         region=result.region.name,
         factor=result.region.factor,
         pixels=result.pixels_used,
-        clipped_fraction=result.clipped_fraction_rel,
+        clipped_fraction=float(clipped[result.region.mask].mean()),
         rows=tuple(rows),
     )
 

@@ -16,7 +16,11 @@ def rgb_image(counts: NDArray[np.uint16], capture: TactileCapture) -> Floats:
     A value that was clipped in any sample of its cell is NaN.
     """
     full_scale = 2**capture.bit_depth - 1
-    values = np.where(counts >= full_scale, np.nan, counts - capture.black_level_dn)
+    return per_cell(np.where(counts >= full_scale, np.nan, counts - capture.black_level_dn), capture)
+
+
+def per_cell(values: Floats, capture: TactileCapture) -> Floats:
+    """Return (H, W, 3) of an RGB image as it is, of a Bayer image one RGB value per cell."""
     if capture.layout == "RGB":
         return values
     plane = values[..., 0]

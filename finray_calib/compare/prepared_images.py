@@ -26,6 +26,8 @@ class PreparedImages:
         (H, W, 3) render, brought to the level of the capture in linear light.
     contact, no_contact, repeat
         (H, W, 3) capture; the repeat may be missing.
+    clipped
+        (H, W) whether a sample of the block is at full scale in a captured image.
     distance
         (H, W) distance from the contact's centre in half-widths, NaN off the pad.
     scale
@@ -39,6 +41,7 @@ class PreparedImages:
     contact: Floats
     no_contact: Floats
     repeat: Floats | None
+    clipped: NDArray[np.bool_]
     distance: Floats
     scale: float
     block_px: int
@@ -61,6 +64,9 @@ def prepare_images(press: SimulatedPress, capture: TactileCapture) -> PreparedIm
     side = block_side_px(press.contact.astype(np.float64), variance, np.isfinite(distance))
     _require_blocks(press.name, block_mean(distance, side), side)
 
+    captured = [contact, no_contact] if repeat is None else [contact, no_contact, repeat]
+    clipped = np.logical_or.reduce([np.isnan(image).any(axis=-1) for image in captured])
+
     def binned(image: NDArray[np.floating]) -> Floats:
         return block_mean(image.astype(np.float64), side)
 
@@ -70,6 +76,7 @@ def prepare_images(press: SimulatedPress, capture: TactileCapture) -> PreparedIm
         contact=binned(contact),
         no_contact=binned(no_contact),
         repeat=None if repeat is None else binned(repeat),
+        clipped=block_mean(clipped.astype(np.float64), side) > 0,
         distance=binned(distance),
         scale=scale,
         block_px=side,

@@ -94,11 +94,13 @@ def _notes(sweep: LightAngleSweep, decision: AngleDecision) -> tuple[str, ...]:
         *sweep.notes,
         f"the panel sits at x, y, z = {', '.join(f'{p:g}' for p in light.position_mm)} mm and the mirror reflects "
         f"{sweep.design.mirror.reflectance:.0%}: the best angle depends on both and on the probe points",
-        f"scatter of one value about the curve: {decision.noise_rel:.1%}",
+        f"scatter of one value about the curve: {decision.noise_rel:.1%}, of render noise and paint draws together; "
+        "both are averaged over the repeats",
     ]
     if decision.validated:
         notes.append(
             "how the sim-to-real error depends on the angle is unknown: it enters as a random curve of that size with "
-            "a correlation length of 35 deg"
+            "a correlation length of 35 deg; the size of one report's error stands in for its standard deviation, and "
+            "is taken in the image beside the indenter, not at the sweep's probe points"
         )
     return tuple(notes)

@@ -50,8 +50,9 @@ def decision_sentence(
             f"no angle is within {_percent(tolerance_rel)} of the best with {_percent(CONFIDENCE)} probability"
         )
     if at_range_end:
-        parts.append("the best angle is at the end of the sweep, so the optimum may lie outside it")
-    parts += [_CONSEQUENCE[verdict]] if verdict in _CONSEQUENCE else []
+        parts.append("the best angle is at the end of the sweep, so the optimum may lie outside it: widen the sweep")
+    elif verdict in _CONSEQUENCE:
+        parts.append(_CONSEQUENCE[verdict])
     if discrepancy_rel is None:
         parts.append("not validated against a capture")
     else:

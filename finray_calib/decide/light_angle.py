@@ -178,7 +178,8 @@ def _decision(
     half_band = _BAND_QUANTILE * fit.posterior.standard_deviation
     best_deg = float(grid_deg[fit.best])
     at_range_end = fit.best in (0, len(grid_deg) - 1)
-    verdict = verdict_of(simulation_only, with_discrepancy, tolerance_rel)
+    # an optimum at the end of the sweep may lie outside it: no risk inside the range says anything
+    verdict: Verdict = "undecided" if at_range_end else verdict_of(simulation_only, with_discrepancy, tolerance_rel)
     risk = with_discrepancy or simulation_only
     return AngleDecision(
         objective_name=objective_name,

@@ -12,6 +12,10 @@ from scipy.stats import rankdata
 
 FloatArray = NDArray[np.float64]
 
+LARGEST_R_HAT = 1.01
+SMALLEST_EFFECTIVE_SAMPLES = 400.0
+"""A chain is trusted below this R-hat and above this effective sample size (Vehtari and others, 2021)."""
+
 _WINDOW = 5.0  # Sokal: sum the autocorrelation to the first lag beyond five autocorrelation times
 
 

@@ -21,8 +21,8 @@ FloatArray = NDArray[np.float64]
 _REFERENCE_ROUNDS = 2
 """The filters' tolerances act at the best fit; the first round starts from calibration errors alone."""
 
-YIELD_RANGE_NM = (470.0, 780.0)
-"""Wavelengths over which the energy yield is counted, nm: above the laser, to the end of the visible."""
+YIELD_END_NM = 780.0
+"""The energy yield is counted from the laser line to here, nm: the end of the visible."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,12 +116,12 @@ class EmissionPosterior:
 
     @property
     def energy_yield(self) -> FloatArray:
-        """Draws of the integral of the emission curve over 470 to 780 nm, (N,), dimensionless.
+        """Draws of the integral of the emission curve from the laser line to 780 nm, (N,), dimensionless.
 
         Emitted over incident energy relative to a perfect white; above 1 it is not physical.
         """
         area = np.pi * self.amplitude_nm / (2 * self.scale_nm)
-        return np.asarray(area * (self._share_below(YIELD_RANGE_NM[1]) - self._share_below(YIELD_RANGE_NM[0])))
+        return np.asarray(area * (self._share_below(YIELD_END_NM) - self._share_below(self.laser_nm)))
 
     @property
     def share_below_laser(self) -> FloatArray:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.curves import HELD_UNCERTAINTY_REL
 from data_schemas.fit import BandResidual, Diagnostics, Estimate, PaintCalibration
 from data_schemas.radiometry import BandSignals
 from finray_calib.fit.band_model import PARAMETER_NAMES
@@ -15,7 +16,7 @@ from finray_calib.fit.reflectance import METHOD, reflectance
 from finray_calib.fit.sampler import SamplerSettings
 from finray_calib.fit.summary import summarise
 from finray_calib.spectra.band_tolerances import tolerances_of
-from finray_calib.spectra.rig_curves import WAVELENGTH_NM, weights_of
+from finray_calib.spectra.rig_curves import WAVELENGTH_NM, held_shares, weights_of
 
 Floats = NDArray[np.float64]
 FAMILY = "zheng2014 (skew-Cauchy, the paper's)"
@@ -26,7 +27,6 @@ CHANNEL_RESPONSE_REL = 0.003
 STRAY_LIGHT_REL = 0.003
 PRIOR_DRAWS = 2000
 SMALLEST_P = 0.01
-SMALLEST_EFFECTIVE_SAMPLES = 400.0
 LARGEST_SHARE_BELOW_LASER = 0.05
 
 
@@ -89,23 +89,28 @@ def calibrate_paint(
         optics=bands.optics,
         usable=bands.usable(),
         measured=bands.fluorescence,
-        measured_sd=np.sqrt(np.diag(bands.fluorescence_covariance)).reshape(-1, 3),
+        measured_sd=np.sqrt(np.diag(data.covariance)).reshape(-1, 3),
         predicted=predicted,
         predicted_sd=sd,
         bands=residuals,
-        chi_square=sum(r.chi_square for r in residuals),
-        degrees_of_freedom=sum(r.degrees_of_freedom for r in residuals) - len(PARAMETER_NAMES),
+        chi_square=posterior.bands.total_chi2,
+        degrees_of_freedom=data.kept.size - len(PARAMETER_NAMES),
         diagnostics=diagnostics,
         warnings=_warnings(posterior, residuals, diagnostics),
     )
 
 
 def _channel_covariance(bands: BandSignals) -> Floats:
-    """Return the variances of channel response and stray light, the latter relative to the brightest emission band."""
+    """Return the variances of channel response, held ends of curves, and stray light.
+
+    Stray light is relative to the brightest emission band. Where a curve holds its end value, that share of the
+    band's weight carries a relative uncertainty of 0.5.
+    """
     y, usable = bands.fluorescence, bands.usable()
     emission = usable & np.array([[f.name != bands.optics.excitation_filter] for f in bands.optics.filters])
     brightest = float(np.abs(y[emission]).max()) if emission.any() else 0.0
-    return np.diag(((CHANNEL_RESPONSE_REL * y) ** 2 + (STRAY_LIGHT_REL * brightest) ** 2).ravel())
+    relative = np.hypot(CHANNEL_RESPONSE_REL, HELD_UNCERTAINTY_REL * held_shares(bands.optics))
+    return np.diag(((relative * y) ** 2 + (STRAY_LIGHT_REL * brightest) ** 2).ravel())
 
 
 def _estimate(draws: Floats) -> Estimate:
@@ -199,7 +204,7 @@ def _warnings(
         )
     if len(diagnostics.maxima) > 1 and diagnostics.maxima[0] - diagnostics.maxima[1] < 5:
         warnings.append(f"the bands leave an ambiguity: {len(diagnostics.maxima)} maxima of the posterior")
-    if not diagnostics.converged or min(diagnostics.effective_samples.values()) < SMALLEST_EFFECTIVE_SAMPLES:
+    if not diagnostics.converged:
         warnings.append("the chain has not converged: use more steps before quoting the intervals")
     below = float(np.median(posterior.share_below_laser))
     if below > LARGEST_SHARE_BELOW_LASER:

@@ -25,6 +25,8 @@ class BandCheck:
     p_value
         (B,) posterior predictive probability of a larger chi-square; near 0 where the curve cannot follow the
         data. NaN where no channel is usable.
+    total_chi2
+        Chi-square of all usable values with their full covariance at the posterior mean prediction.
     predicted_mean
         (B, C) posterior mean of the predicted band values, dimensionless.
     predicted_sd
@@ -35,6 +37,7 @@ class BandCheck:
     chi2: FloatArray
     degrees_of_freedom: NDArray[np.int64]
     p_value: FloatArray
+    total_chi2: float
     predicted_mean: FloatArray
     predicted_sd: FloatArray
 
@@ -73,4 +76,6 @@ def check_bands(log_posterior: LogPosterior, draws: FloatArray) -> BandCheck:
     measured = np.diag(data.covariance)[data.kept]
     variance[data.kept] += np.diag(log_posterior.covariance) - measured
     shape = data.y.shape
-    return BandCheck(chi2, freedom, p_value, mean.reshape(shape), np.sqrt(variance).reshape(shape))
+    residual = data.y.ravel()[data.kept] - mean[data.kept]
+    total = float(residual @ np.linalg.solve(log_posterior.covariance, residual))
+    return BandCheck(chi2, freedom, p_value, total, mean.reshape(shape), np.sqrt(variance).reshape(shape))

@@ -26,6 +26,8 @@ PLATEAU_UNCERTAINTY_REL = 0.5
 # The absorption ends where the emission rises to this share of its peak on the blue side.
 FOOT_SHARE = 0.10
 _NORMAL_68, _NORMAL_95 = 0.994458, 1.959964
+# Without a usable channel nothing is known but that a reflectance lies between 0 and 1.
+UNKNOWN = Estimate(estimate=0.5, sd=12**-0.5, low68=0.16, high68=0.84, low95=0.025, high95=0.975)
 
 
 def reflectance(bands: BandSignals, emission_per_nm: Floats, at_laser: Estimate) -> tuple[Estimate, ...]:
@@ -40,43 +42,33 @@ def reflectance(bands: BandSignals, emission_per_nm: Floats, at_laser: Estimate)
     at_laser
         Reflectance at the laser line from the fit; used for the excitation filter.
     """
-    total, total_sd = _over_channels(bands)
-    emitted = _emitted(bands, emission_per_nm)
+    variance = np.diag(bands.reflectance_covariance).reshape(-1, 3)
+    usable = bands.usable() & (variance > 0)
+    response = np.array([[c(f.center_nm) for c in bands.optics.camera_response] for f in bands.optics.filters])
+    best = np.where(usable, response, -np.inf).argmax(axis=1)  # the channel that sees most of the band and least leak
     estimates = []
     for b, band in enumerate(bands.optics.filters):
         if band.name == bands.optics.excitation_filter:
             estimates.append(at_laser)
-            continue
-        sd = float(np.hypot(total_sd[b], PLATEAU_UNCERTAINTY_REL * emitted[b]))
-        estimates.append(_normal(float(total[b] - emitted[b]), sd))
+        elif not usable[b].any():
+            estimates.append(UNKNOWN)
+        else:
+            channel = int(best[b])
+            emitted = _emitted(bands, b, channel, emission_per_nm)
+            sd = float(np.hypot(np.sqrt(variance[b, channel]), PLATEAU_UNCERTAINTY_REL * emitted))
+            estimates.append(_normal(float(bands.reflectance[b, channel]) - emitted, sd))
     return tuple(estimates)
 
 
-def _over_channels(bands: BandSignals) -> tuple[Floats, Floats]:
-    """Return the total radiance factor per filter: the channel of least variance, and its sd."""
-    variance = np.diag(bands.reflectance_covariance).reshape(-1, 3)
-    usable = bands.usable() & (variance > 0)
-    best = np.where(usable, variance, np.inf).argmin(axis=1)
-    rows = np.arange(len(best))
-    known = usable.any(axis=1)
-    return (
-        np.where(known, bands.reflectance[rows, best], 0.5),
-        np.where(known, np.sqrt(np.abs(variance[rows, best])), 0.5),
-    )
-
-
-def _emitted(bands: BandSignals, emission_per_nm: Floats) -> Floats:
-    """Return the re-emitted part of the total radiance factor per filter."""
-    lamp = bands.optics.lamp(WAVELENGTH_NM)
+def _emitted(bands: BandSignals, band: int, channel: int, emission_per_nm: Floats) -> float:
+    """Return the re-emitted part of the total radiance factor in one filter and channel."""
+    optics = bands.optics
+    lamp = optics.lamp(WAVELENGTH_NM)
+    passed = filter_transmission(optics.filters[band], WAVELENGTH_NM) * optics.camera_response[channel](WAVELENGTH_NM)
     peak = int(emission_per_nm.argmax())
     foot = int(np.argmax(emission_per_nm[: peak + 1] >= FOOT_SHARE * emission_per_nm[peak]))
-    absorbed = float(np.trapezoid(lamp[: foot + 1], WAVELENGTH_NM[: foot + 1])) if foot else 0.0
-    above = np.where(np.arange(len(WAVELENGTH_NM)) >= foot, emission_per_nm, 0.0)
-    shares = []
-    for band in bands.optics.filters:
-        passed = filter_transmission(band, WAVELENGTH_NM)
-        shares.append(float((passed * above).sum() / (passed * lamp).sum()) * absorbed)
-    return np.array(shares)
+    absorbed = float(np.trapezoid(lamp[: foot + 1], WAVELENGTH_NM[: foot + 1]))
+    return float((passed * emission_per_nm).sum() / (passed * lamp).sum()) * absorbed
 
 
 def _normal(value: float, sd: float) -> Estimate:

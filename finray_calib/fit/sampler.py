@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import FitError
-from finray_calib.fit.diagnostics import ChainDiagnostics, autocorrelation_time, bulk_ess, rank_r_hat
+from finray_calib.fit.diagnostics import (
+    LARGEST_R_HAT,
+    SMALLEST_EFFECTIVE_SAMPLES,
+    ChainDiagnostics,
+    autocorrelation_time,
+    bulk_ess,
+    rank_r_hat,
+)
 from finray_calib.fit.mixture_proposal import tempered_weights
 
 FloatArray = NDArray[np.float64]
@@ -58,7 +65,7 @@ class SamplerSettings:
     block_steps: int = 300
     most_steps: int = 8000
     autocorrelation_times: float = 50.0
-    largest_r_hat: float = 1.05
+    largest_r_hat: float = LARGEST_R_HAT
     kept_draws: int = 4000
 
     def __post_init__(self) -> None:
@@ -152,10 +159,11 @@ def _diagnose(chain: FloatArray, acceptance: float, settings: SamplerSettings) -
     columns = [chain[:, :, i] for i in range(chain.shape[2])]
     tau = np.array([autocorrelation_time(c) for c in columns])
     r_hat = np.array([rank_r_hat(c) for c in columns])
-    long_enough = len(chain) >= settings.autocorrelation_times * tau.max()
+    ess = np.array([bulk_ess(c) for c in columns])
+    long_enough = len(chain) >= settings.autocorrelation_times * tau.max() and ess.min() >= SMALLEST_EFFECTIVE_SAMPLES
     return ChainDiagnostics(
         r_hat=r_hat,
-        bulk_ess=np.array([bulk_ess(c) for c in columns]),
+        bulk_ess=ess,
         autocorrelation_steps=tau,
         acceptance=acceptance,
         steps=len(chain),

@@ -33,18 +33,17 @@ from finray_calib.radiometry.step_signals import (
 
 Floats = NDArray[np.float64]
 SMALLEST_WHITE_SNR = 30.0
-CHANNELS = ("red", "green", "blue")
 # The repeatability of lamp and laser is never taken as better than this: a handful of log ratios cannot show it.
 SMALLEST_REPEATABILITY_REL = 5e-4
 
 
 @dataclass(frozen=True, slots=True)
 class _Table:
-    """Signals of one frame type over (filter, channel): value, noise variance, exposures per filter."""
+    """Signals of one frame type over (filter, channel): value, noise variance, shares of the exposures per filter."""
 
     signal: Floats
     variance: Floats
-    exposures: Floats
+    shares: tuple[Floats, ...]
     saturated: Floats
 
 
@@ -147,7 +146,7 @@ def _table(session: CaptureSession, steps: dict[StepKey, StepSignal], kind: Fram
     return _Table(
         signal=np.array([r.signal_dn_per_s for r in rows]),
         variance=np.array([r.variance for r in rows]),
-        exposures=np.array([float(r.exposures) for r in rows]),
+        shares=tuple(r.shares for r in rows),
         saturated=np.array([r.saturated_fraction for r in rows]),
     )
 
@@ -190,13 +189,14 @@ def _channel_weights(laser_white: _Table, white: _Table, excitation: int) -> Flo
 
 
 def _step_covariance(table: _Table, repeatability: float) -> Floats:
-    """Return the covariance of a table's signals: noise on the diagonal, repeatability common to a filter."""
+    """Return the covariance of a table's signals: noise on the diagonal, and each exposure's own light level."""
     signal = np.nan_to_num(table.signal)
     n = signal.size
     covariance = np.diag(np.nan_to_num(table.variance).ravel())
     for b in range(len(signal)):
         block = slice(3 * b, 3 * b + 3)
-        covariance[block, block] += repeatability**2 / table.exposures[b] * np.outer(signal[b], signal[b])
+        common = table.shares[b].T @ table.shares[b]
+        covariance[block, block] += repeatability**2 * common * np.outer(signal[b], signal[b])
     return covariance.reshape(n, n)
 
 

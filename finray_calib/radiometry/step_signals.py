@@ -34,8 +34,8 @@ class StepSignal:
         Merged signal (3,) and the variance of its noise (3,); NaN where every exposure is saturated.
     saturated_fraction
         Smallest saturated fraction of the region over the exposures (3,).
-    exposures
-        Number of exposures that entered.
+    shares
+        (exposures, 3) weight of each exposure in the merged signal; the columns sum to 1 (0 where saturated).
     log_ratios
         Logarithms of later exposures' signals over the first one's, averaged over channels.
     log_ratio_noise_variance
@@ -45,7 +45,7 @@ class StepSignal:
     signal_dn_per_s: Floats
     variance: Floats
     saturated_fraction: Floats
-    exposures: int
+    shares: Floats
     log_ratios: tuple[float, ...]
     log_ratio_noise_variance: tuple[float, ...]
 
@@ -61,11 +61,11 @@ class DarkLevel:
 
 def dark_levels(session: CaptureSession, read: ReadFrame) -> dict[float, DarkLevel]:
     """Return the dark level of the region for each exposure time, from the frames before and after."""
-    means: dict[float, list[Floats]] = {}
+    means: dict[float, list[Floats]] = {}  # by the exposure asked for: what is read back may jitter
     pixels = np.ones(3)
     for frame in _of_type(session, "dark"):
         channels = region_channels(read(frame), session.plan.region)
-        means.setdefault(frame.exposure_s, []).append(np.array([c.mean() for c in channels]))
+        means.setdefault(frame.exposure_requested_s, []).append(np.array([c.mean() for c in channels]))
         pixels = np.array([c.size for c in channels])
     noise = _noise_variance_dn2(np.zeros(3), session.rig.camera) / pixels
     levels = {}
@@ -89,7 +89,7 @@ def step_signals(session: CaptureSession, read: ReadFrame, darks: dict[float, Da
     for frame in session.frames:
         if frame.frame_type == "dark" or frame.filter_name is None:
             continue
-        dark = darks.get(frame.exposure_s)
+        dark = darks.get(frame.exposure_requested_s)
         if dark is None:
             raise RadiometryError(
                 f"{frame.file}: no dark frame of {frame.exposure_s:g} s; capture darks of the same exposure time"
@@ -137,7 +137,7 @@ def _merge(exposures: list[tuple[Floats, Floats, Floats]]) -> StepSignal:
         signal_dn_per_s=np.where(lost, np.nan, (weight * signal).sum(axis=0) / safe),
         variance=np.where(lost, np.nan, 1 / safe),
         saturated_fraction=saturated.min(axis=0),
-        exposures=len(exposures),
+        shares=weight / safe,
         log_ratios=ratios,
         log_ratio_noise_variance=noise,
     )

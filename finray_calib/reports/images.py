@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from data_schemas.capture import TactileCapture
 from data_schemas.errors import RecordError
+from finray_calib.compare.linear_image import per_cell
 
 FloatImage = NDArray[np.float64]
 ByteImage = NDArray[np.uint8]
@@ -26,12 +27,7 @@ def capture_rgb(capture: TactileCapture, image: NDArray[np.uint16]) -> FloatImag
     image
         (H, W, 1) RGGB counts or (H, W, 3) RGB counts.
     """
-    counts = image.astype(np.float64) - capture.black_level_dn
-    if capture.layout == "RGB":
-        return counts
-    plane = counts[..., 0]
-    green = (plane[0::2, 1::2] + plane[1::2, 0::2]) / 2
-    return np.stack([plane[0::2, 0::2], green, plane[1::2, 1::2]], axis=2)
+    return per_cell(image.astype(np.float64) - capture.black_level_dn, capture)
 
 
 def display_white(image: NDArray[np.floating]) -> FloatImage:

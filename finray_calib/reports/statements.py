@@ -3,6 +3,7 @@
 from data_schemas.compare import PhotometricErrorReport
 from data_schemas.decide import AngleStatement, LightAngleDecision
 from data_schemas.fit import Diagnostics, Estimate
+from finray_calib.fit.diagnostics import LARGEST_R_HAT, SMALLEST_EFFECTIVE_SAMPLES
 from finray_calib.reports.curve_agreement import CurveAgreement, curve_agreement
 from finray_calib.reports.demo_results import DemoResults, PaintResult, headline, row_of
 from finray_calib.reports.number_text import fixed, interval_text, percent, skill_text
@@ -11,8 +12,6 @@ from finray_calib.reports.summary import true_loss
 GOOD_COVERAGE = 0.80
 """A 95 % band that holds less of the curve than this is called too narrow."""
 SMALL_P = 0.01
-LARGEST_R_HAT = 1.02
-FEWEST_EFFECTIVE_SAMPLES = 400.0  # both limits after Vehtari and others, 2021
 
 
 def verdict_meaning(decision: LightAngleDecision) -> str:
@@ -164,7 +163,7 @@ def _p_text(p: float) -> str:
 def is_converged(diagnostics: Diagnostics) -> bool:
     """Whether the chain is long enough, mixed, and holds enough effective samples."""
     r_hat, samples = max(diagnostics.r_hat.values()), min(diagnostics.effective_samples.values())
-    return diagnostics.converged and r_hat < LARGEST_R_HAT and samples > FEWEST_EFFECTIVE_SAMPLES
+    return diagnostics.converged and r_hat <= LARGEST_R_HAT and samples >= SMALLEST_EFFECTIVE_SAMPLES
 
 
 def chain_statement(diagnostics: Diagnostics) -> str:
@@ -172,7 +171,7 @@ def chain_statement(diagnostics: Diagnostics) -> str:
     r_hat, samples = max(diagnostics.r_hat.values()), min(diagnostics.effective_samples.values())
     return (
         f"{'converged' if is_converged(diagnostics) else 'NOT converged'}; largest R-hat {r_hat:.3f} (below "
-        f"{LARGEST_R_HAT} wanted), at least {samples:.0f} effective samples (above {FEWEST_EFFECTIVE_SAMPLES:.0f} "
+        f"{LARGEST_R_HAT} wanted), at least {samples:.0f} effective samples (above {SMALLEST_EFFECTIVE_SAMPLES:.0f} "
         "wanted)."
     )
 

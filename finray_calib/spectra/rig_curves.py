@@ -52,3 +52,13 @@ def weights_of(optics: Optics, channel_weights: ArrayLike) -> EmissionWeights:
         channel_weights,
         np.array([10.0**-f.blocking_od for f in optics.filters]),
     )
+
+
+def held_shares(optics: Optics) -> Floats:
+    """Return the share of each band's weight over which the response or the lamp holds an end value, (B, 3)."""
+    shares = []
+    for band in optics.filters:
+        passed = filter_transmission(band.model_copy(update={"blocking_od": 12.0}), WAVELENGTH_NM)
+        lamp = optics.lamp.share_outside(WAVELENGTH_NM, passed)
+        shares.append([np.hypot(c.share_outside(WAVELENGTH_NM, passed), lamp) for c in optics.camera_response])
+    return np.array(shares)

@@ -6,6 +6,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from data_schemas.errors import CaptureError
 from rigs.protocols import Clock
 
 JOURNAL_NAME = "journal.jsonl"
@@ -20,11 +21,22 @@ class Journal:
         Folder of the session.
     clock
         Where the time of each line comes from.
+
+    Raises
+    ------
+    CaptureError
+        The folder holds a journal already: another capture writes there.
     """
 
     def __init__(self, folder: Path, clock: Clock):
         self._clock = clock
-        self._file = (folder / JOURNAL_NAME).open("a", encoding="utf-8")
+        try:
+            self._file = (folder / JOURNAL_NAME).open("x", encoding="utf-8")
+        except FileExistsError:
+            raise CaptureError(
+                f"{folder / JOURNAL_NAME}: exists already, so that another capture writes into this folder; choose "
+                "another --out"
+            ) from None
 
     def append(self, event: str, **what: Any) -> None:
         """Write one line (start, step, frame, note or stop) and wait until it is on the disk."""

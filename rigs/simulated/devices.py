@@ -145,12 +145,10 @@ class SimulatedLight:
 
 @dataclass(slots=True)
 class SimulatedOperator:
-    """Operator who places every target at once and counts the swaps."""
+    """Operator who places every target at once."""
 
     state: BenchState
-    swaps: int = 0
 
     def place(self, target: Target) -> None:
         """Put `target` in view."""
-        self.swaps += target != self.state.target
         self.state.target = target

@@ -51,7 +51,7 @@ def lay_out(height: int, width: int, seed: int) -> Scene:
     y = ((np.arange(height) - 0.5 * (height - 1)) / height)[:, None]
     x = ((np.arange(width) - 0.5 * (width - 1)) / height)[None, :]
     spot_distance2 = (y - SPOT_CENTER_REL[0]) ** 2 + (x - SPOT_CENTER_REL[1]) ** 2
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng([seed, 3])
     return Scene(
         lamp=1.0 + LAMP_GRADIENT_REL[0] * y + LAMP_GRADIENT_REL[1] * x,
         laser=np.exp(-0.5 * spot_distance2 / SPOT_SD_REL**2),

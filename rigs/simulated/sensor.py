@@ -119,7 +119,7 @@ class Sensor:
 @lru_cache(maxsize=2)
 def _fixed_pattern(seed: int, prnu_rel: float, dsnu_e: float, shape: tuple[int, int]) -> tuple[Floats, Floats]:
     """Draw the fixed pattern; cached because every frame of a session needs it."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng([seed, 4])
     sensitivity = np.clip(1.0 + prnu_rel * rng.standard_normal(shape), 0.0, None)
     offset_e = dsnu_e * rng.standard_normal(shape)
     for pattern in (sensitivity, offset_e):

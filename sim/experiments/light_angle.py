@@ -55,7 +55,7 @@ def light_angle_sweep(
         probe_points_mm=sweep.probe_points_mm,
         design=finger.design,
         paints=dict(paint_sha256),
-        notes=(f"camera response: {finger.response[0].source}",),
+        notes=(f"camera response: {finger.response[0].source}", *finger.coverage_notes(sweep.bands)),
     )
 
 

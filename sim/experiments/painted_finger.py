@@ -52,17 +52,30 @@ class PaintedFinger:
                 "'finray fit')"
             )
 
-    def camera_matrix(self, bands: PaintBands) -> Floats:
-        """Return the (3, 3) matrix from bands to camera RGB.
+    def coverage_notes(self, bands: PaintBands) -> tuple[str, ...]:
+        """Say for which bands a response curve ends too early and its end value is held.
 
         Raises
         ------
         CurveError
             A response curve misses more than 20 % of a band.
         """
-        for curve in self.response:
-            for name, band in zip(BAND_NAMES, bands.bands, strict=True):
-                require_coverage(curve, band.wavelength_nm, band.density_per_nm, f"the {name} band")
+        notes = (
+            require_coverage(curve, band.wavelength_nm, band.density_per_nm, f"the {name} band")
+            for curve in self.response
+            for name, band in zip(BAND_NAMES, bands.bands, strict=True)
+        )
+        return tuple(f"camera response: {note}" for note in notes if note is not None)
+
+    def camera_matrix(self, bands: PaintBands) -> Floats:
+        """Return the (3, 3) matrix from bands to camera RGB; :meth:`coverage_notes` says what it rests on.
+
+        Raises
+        ------
+        CurveError
+            A response curve misses more than 20 % of a band.
+        """
+        self.coverage_notes(bands)
         return camera_matrix(np.array([curve(RESPONSE_NM) for curve in self.response]), RESPONSE_NM, bands)
 
 

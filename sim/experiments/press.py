@@ -67,6 +67,7 @@ def _notes(finger: PaintedFinger, render: PressRender) -> tuple[str, ...]:
     """Say what the numbers rest on."""
     notes = [
         f"camera response: {finger.response[0].source}",
+        *finger.coverage_notes(render.bands),
         "the press is analytic (a cylinder with a volume-preserving bulge), not a mechanical simulation",
     ]
     notes += [

@@ -4,6 +4,7 @@ import colour
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.ndimage import gaussian_filter
 
 from data_schemas.rig import BandPassFilter, LaserSettings, RigFile
 from data_schemas.standard_curves import camera_response, halogen_lamp, planck_relative
@@ -16,7 +17,7 @@ from rigs.simulated.bench import (
     filter_transmission,
     laser_line,
 )
-from rigs.simulated.scene import colour_checker_reflectances, lay_out
+from rigs.simulated.scene import TEXTURE_LENGTH_CELLS, colour_checker_reflectances, lay_out
 from rigs.simulated.sensor import bayer_planes
 
 FILTER = BandPassFilter(slot=1, name="600", center_nm=600.0)
@@ -127,6 +128,15 @@ def test_laser_spot_falls_to_about_60_percent_at_the_edge_of_the_region() -> Non
     for texture in scene.texture.values():
         assert 0.01 < texture.std() < 0.02
         assert texture.mean() == pytest.approx(1.0, abs=1e-12)
+
+
+def test_texture_and_fixed_pattern_share_no_random_numbers() -> None:
+    texture = lay_out(64, 64, seed=3).texture["white"]
+    for seed in (3, [3, 4]):
+        draws = np.random.default_rng(seed).standard_normal((64, 64))
+        # Smoothing over some 25 cells leaves about 160 independent values: 5 / sqrt(160) is 0.4, the shared stream 0.9.
+        smooth = gaussian_filter(draws, TEXTURE_LENGTH_CELLS, mode="wrap")
+        assert abs(np.corrcoef(texture.ravel(), smooth.ravel())[0, 1]) < 0.4
 
 
 def test_room_light_frame_shows_the_colour_checker(bench: Bench) -> None:

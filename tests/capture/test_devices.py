@@ -8,7 +8,7 @@ from data_schemas.errors import CaptureError, CurveError
 from data_schemas.rig import BandPassFilter, RigFile
 from rigs.open_rig import OpenRig, open_rig
 from rigs.presets import simulated_rig
-from rigs.simulated.devices import BenchState, SimulatedClock, SimulatedFilterWheel, SimulatedOperator
+from rigs.simulated.devices import BenchState, SimulatedClock, SimulatedFilterWheel
 
 
 def with_response(rig: RigFile, file: str) -> RigFile:
@@ -68,13 +68,6 @@ def test_wheel_goes_the_shorter_way_within_its_deadline() -> None:
     with pytest.raises(CaptureError, match=r"has no slot 9; its slots are 1, 2, 3"):
         wheel.go_to(9, 1.0)
     assert wheel.position() == 8
-
-
-def test_operator_counts_swaps() -> None:
-    operator = SimulatedOperator(BenchState(clock=SimulatedClock(), slot=1))
-    for target in ("white", "sample", "sample"):
-        operator.place(target)
-    assert operator.swaps == 1
 
 
 def test_exposure_beyond_the_deadline_is_refused(rig: RigFile) -> None:

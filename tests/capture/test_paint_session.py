@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.capture import CaptureSession, Frame, PaintPlan
+from data_schemas.capture import CaptureSession, Frame, PaintPlan, Target
 from data_schemas.errors import CaptureError, ChecksumError, RecordError, SaturatedError
 from data_schemas.rig import RigFile
 from data_schemas.storage import sha256_of
@@ -17,8 +17,7 @@ from rigs.capture.paint_session import capture_paint_session, capture_with
 from rigs.capture.plan import paint_steps
 from rigs.capture.read_session import read_frame_of, read_session
 from rigs.open_rig import OpenRig, open_rig
-from rigs.protocols import Camera, FilterWheel, RawFrame
-from rigs.simulated.devices import SimulatedOperator
+from rigs.protocols import Camera, FilterWheel, Operator, RawFrame
 from rigs.simulated.sensor import bayer_planes
 
 Captured = tuple[Path, CaptureSession, list[tuple[int, int, str]]]
@@ -250,15 +249,32 @@ def test_light_that_does_not_obey_is_noticed(rig: RigFile, plan: PaintPlan, tmp_
             capture(replace(opened, lamp=StuckLight(on=True)), rig, plan, tmp_path / "b")
 
 
+@dataclass
+class CountingOperator:
+    inner: Operator
+    placed: Target = "sample"
+    swaps: int = 0
+
+    def place(self, target: Target) -> None:
+        self.swaps += target != self.placed
+        self.placed = target
+        self.inner.place(target)
+
+
 def test_operator_swaps_the_target_four_times(rig: RigFile, plan: PaintPlan, tmp_path: Path) -> None:
     with open_rig(rig, Path()) as opened:
-        operator = opened.operator
-        assert isinstance(operator, SimulatedOperator)
-        operator.place("sample")
-        operator.swaps = 0
+        opened.operator.place("sample")
+        operator = CountingOperator(opened.operator)
         small = plan.model_copy(update={"filters": ("450",), "bracket": (1.0,), "darks_per_exposure": 1})
-        capture(opened, rig, small, tmp_path)
+        capture(replace(opened, operator=operator), rig, small, tmp_path)
         assert operator.swaps == 4
+
+
+def test_second_capture_into_the_same_folder_is_refused(rig: RigFile, plan: PaintPlan, tmp_path: Path) -> None:
+    (tmp_path / "journal.jsonl").write_text("{}\n")
+    with open_rig(rig, Path()) as opened, pytest.raises(CaptureError, match=r"journal\.jsonl: exists already.*--out"):
+        capture(opened, rig, plan, tmp_path)
+    assert (tmp_path / "journal.jsonl").read_text() == "{}\n"
 
 
 def test_too_bright_light_names_filter_and_limits(rig: RigFile, plan: PaintPlan, tmp_path: Path) -> None:

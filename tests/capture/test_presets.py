@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from data_schemas.capture import PaintPlan
-from data_schemas.errors import CaptureError
+from data_schemas.errors import RecordError
 from data_schemas.rig import RigFile
 from data_schemas.storage import read_toml
 from rigs.capture.plan import paint_steps
@@ -18,7 +18,7 @@ def test_rig_and_plan_survive_their_text(tmp_path: Path, sample: str) -> None:
     assert read_toml(write_plan(plan, tmp_path / "plan.toml"), PaintPlan) == plan
     chosen = plan.model_copy(update={"filters": ("450", "500")})
     assert read_toml(write_plan(chosen, tmp_path / "two.toml"), PaintPlan) == chosen
-    with pytest.raises(CaptureError, match="exists already and is not overwritten"):
+    with pytest.raises(RecordError, match="exists already and is not overwritten"):
         write_plan(plan, tmp_path / "plan.toml")
 
 

@@ -72,6 +72,9 @@ def test_fixed_pattern_repeats_with_the_seed_and_has_the_stated_spread() -> None
     assert offset_e.std() == pytest.approx(6.0, rel=spread)
     np.testing.assert_array_equal(sensitivity, replace(sensor, read_noise_e=1.0).fixed_pattern(SHAPE)[0])
     assert not np.array_equal(sensitivity, replace(sensor, seed=4).fixed_pattern(SHAPE)[0])
+    # independent of every other draw from the same seed: |correlation| stays below 4 / sqrt(pixels)
+    other = np.random.default_rng(sensor.seed).standard_normal(SHAPE)
+    assert abs(np.corrcoef(sensitivity.ravel(), other.ravel())[0, 1]) < 4 / np.sqrt(PIXELS)
     frames = [sensor.expose(flat(3000.0), 1.0, np.random.default_rng(n)).astype(float) for n in range(40)]
     expected = 100.0 + (3000.0 * sensitivity + 5.0 + offset_e) / 2.0
     residual = np.mean(frames, axis=0) - expected

@@ -19,6 +19,7 @@ from tests.command_line.running import edit, finray, load, tree
 
 COMMAND = Path(sys.executable).with_name("finray")
 CAMERA = "wavelength_nm,red_percent,green_percent,blue_percent\n"
+MATRIX = "emission_nm,450,460\n"
 Prepare = Callable[[Path, Path], object]
 
 
@@ -194,6 +195,12 @@ CASES = (
         r"camera\.csv: header is nm,r,g,b; a camera response needs wavelength_nm,red_percent",
         curve("380,1,2,3\n720,1,2,3\n", header="nm,r,g,b\n"),
     ),
+    Case(
+        "plan without exposures",
+        BAD_PLAN,
+        r"plan\.toml: 'bracket': tuple should have at least 1 item",
+        edited("plan.toml", "bracket = [1.0, 0.25]", "bracket = []"),
+    ),
     # session
     Case("no session folder", "radiometry {tmp}/session", r"session: no such folder; give the folder that 'finray cap"),
     Case(
@@ -351,6 +358,24 @@ CASES = (
         "demo --engine scalar --red {tmp}/camera.csv --out {tmp}/demo",
         r"camera\.csv: the first column is 'wavelength_nm'; a re-radiation matrix needs 'emission_nm'",
         curve("380,1,2,3\n720,1,2,3\n"),
+    ),
+    Case(
+        "material with unsorted wavelengths",
+        "demo --engine scalar --red {tmp}/ink.csv --out {tmp}/demo",
+        r"ink\.csv: wavelengths must increase from row to row: 450 nm follows 460 nm; sort the rows",
+        file("ink.csv", MATRIX + "460,0.1,0.1\n450,0.1,0\n470,0,0\n"),
+    ),
+    Case(
+        "NaN in a material",
+        "demo --engine scalar --red {tmp}/ink.csv --out {tmp}/demo",
+        r"ink\.csv, line 3: NaN or infinite value; remove or measure the row again",
+        file("ink.csv", MATRIX + "450,0.1,0\n460,nan,0.1\n470,0,0\n"),
+    ),
+    Case(
+        "material with uneven steps",
+        "demo --engine scalar --red {tmp}/ink.csv --out {tmp}/demo",
+        r"ink\.csv: emission_nm steps range from 10 to 30 nm; .* give the matrix on evenly spaced",
+        file("ink.csv", MATRIX + "450,0.1,0\n460,0.1,0.1\n490,0,0\n"),
     ),
     Case(
         "sensor that ends at 420 nm",

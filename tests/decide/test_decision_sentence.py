@@ -24,5 +24,5 @@ def test_what_is_missing_is_said():
     assert decision_sentence(90.0, risk, "undecided", True, 0.02, None) == (
         "90 deg: true optimum within 5 deg with probability 0.40; expected loss 5 %, at most 100 % with 95 % "
         "probability; no angle is within 2 % of the best with 95 % probability; the best angle is at the end of the "
-        "sweep, so the optimum may lie outside it; undecided, more renders are needed; not validated against a capture."
+        "sweep, so the optimum may lie outside it: widen the sweep; not validated against a capture."
     )

@@ -41,7 +41,7 @@ def test_derived_draws_are_those_of_the_curve(posterior):
         assert curve.mode_nm == pytest.approx(posterior.mode_nm[i], rel=1e-9)
         assert curve.fwhm_nm == pytest.approx(posterior.fwhm_nm[i], rel=1e-9)
         assert curve.peak_value == pytest.approx(posterior.peak_per_nm[i], rel=1e-9)
-        visible = quad(curve, 470, 780, points=[curve.location_nm], epsabs=1e-12)[0]
+        visible = quad(curve, 450, 780, points=[curve.location_nm], epsabs=1e-12)[0]
         assert posterior.energy_yield[i] == pytest.approx(visible, abs=2e-6 * curve.area)
         below = quad(curve, -np.inf, posterior.laser_nm, epsabs=1e-12)[0] / curve.area
         assert posterior.share_below_laser[i] == pytest.approx(below, abs=2e-6)

@@ -54,7 +54,6 @@ def test_curve_holds_its_end_values(x):
     curve = SpectralCurve(name="q", wavelength_nm=[400.0, 700.0], values=[1.0, 2.0], source="test")
     value = float(curve(x))
     assert value == pytest.approx(np.clip(1.0 + (x - 400.0) / 300.0, 1.0, 2.0))
-    assert (curve.relative_uncertainty(x) >= 0.5) == (x < 400.0 or x > 700.0)
 
 
 def test_coverage_rule():
@@ -86,6 +85,10 @@ def matrix_file(tmp_path, rows):
         (["450,0.1,red", "460,0,0.1"], "line 3: .* not a number"),
         (["0.45,0.1,0", "0.46,0,0.1"], "are they in nm"),
         (["450,0.1,0"], "at least two rows"),
+        (
+            ["450,0.1,0", "460,0,0.1", "480,0,0"],
+            r"paint.csv: emission_nm steps range from 10 to 20 nm; .*must be equal",
+        ),
     ],
 )
 def test_bad_matrix_file(tmp_path, rows, message):

@@ -1,6 +1,10 @@
 """Round trips, atomicity and refusals of the record storage."""
 
+import errno
 import json
+import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +25,7 @@ from data_schemas.storage import (
     read_record,
     read_toml,
     sha256_of,
+    write_bytes,
     write_frame,
     write_record,
 )
@@ -49,7 +54,9 @@ def capture(image: np.ndarray) -> TactileCapture:
 
 @settings(max_examples=25, deadline=None)
 @given(
-    image=arrays(np.uint16, st.tuples(st.integers(1, 40), st.integers(1, 40), st.just(1))),
+    image=arrays(
+        np.uint16, st.tuples(st.integers(1, 20), st.integers(1, 20), st.just(1)).map(lambda s: (2 * s[0], 2 * s[1], 1))
+    ),
     exposure_s=st.floats(1e-6, 3600.0),
 )
 def test_round_trip_keeps_every_bit(tmp_path_factory, image, exposure_s):
@@ -80,6 +87,65 @@ def test_existing_record_is_not_overwritten(tmp_path):
     with pytest.raises(RecordError, match="exists already and is not overwritten"):
         write_record(FingerDesign(name="other"), path, ORIGIN)
     assert path.read_bytes() == before
+
+
+def test_of_two_writers_at_the_same_moment_one_wins_whole(tmp_path, monkeypatch):
+    both_ready, link = threading.Barrier(2, timeout=20), os.link
+
+    def link_together(source: str, target: Path) -> None:
+        both_ready.wait()
+        link(source, target)
+
+    monkeypatch.setattr("os.link", link_together)
+    images = [np.full((30, 30, 1), value, np.uint16) for value in (1, 2)]
+
+    def write(image: np.ndarray) -> str:
+        try:
+            write_record(capture(image), tmp_path / "press.json", ORIGIN)
+        except RecordError as error:
+            return str(error)
+        return "won"
+
+    with ThreadPoolExecutor(2) as pool:
+        outcomes = list(pool.map(write, images))
+    winner = outcomes.index("won")
+    assert "exists already and is not overwritten" in outcomes[1 - winner]
+    np.testing.assert_array_equal(read_record(tmp_path / "press.json", TactileCapture).contact, images[winner])
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_array_file_with_the_same_content_is_used_again(tmp_path):
+    record = capture(np.ones((30, 30, 1), np.uint16))
+    path = write_record(record, tmp_path / "press.json", ORIGIN)
+    path.unlink()
+    np.testing.assert_array_equal(read_record(write_record(record, path, ORIGIN), TactileCapture).contact, 1)
+    path.unlink()
+    next(tmp_path.glob("*.npz")).write_bytes(b"other content under this name")
+    with pytest.raises(RecordError, match=r"npz: exists already and is not overwritten"):
+        write_record(record, path, ORIGIN)
+    assert not path.exists()
+
+
+@pytest.mark.parametrize("number", [errno.EPERM, errno.ENOTSUP, errno.ENOSYS])
+def test_file_system_without_hard_links(tmp_path, monkeypatch, number):
+    def no_link(source: str, target: Path) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("os.link", no_link)
+    write_bytes(tmp_path / "a", b"first")
+    with pytest.raises(RecordError, match="exists already and is not overwritten"):
+        write_bytes(tmp_path / "a", b"second")
+    assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("a", b"first")]
+
+
+def test_other_faults_of_linking_are_reported_and_leave_nothing(tmp_path, monkeypatch):
+    def broken(source: str, target: Path) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("os.link", broken)
+    with pytest.raises(OSError, match="Input/output error"):
+        write_bytes(tmp_path / "a", b"first")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_newer_version_is_refused_with_what_to_do(tmp_path):
@@ -139,10 +205,11 @@ class TestArrayFile:
         with pytest.raises(ChecksumError, match="is missing; it holds the arrays"):
             read_record(path, TactileCapture)
 
-    def test_path_outside_the_folder(self, stored):
+    @pytest.mark.parametrize("name", ["../secret.npz", "", ".", ".."])
+    def test_path_outside_the_folder(self, stored, name):
         path, _ = stored
         envelope = json.loads(path.read_text())
-        envelope["array_file"]["file"] = "../secret.npz"
+        envelope["array_file"]["file"] = name
         path.write_text(json.dumps(envelope))
         with pytest.raises(RecordError, match="must be a plain file name"):
             read_record(path, TactileCapture)
@@ -212,6 +279,11 @@ class TestFilesPeopleWrite:
         with pytest.raises(RecordError, match="'paint_name': is missing and must be given"):
             read_toml(self.rig(tmp_path, "[region]\nrow_px=1\ncolumn_px=1\nheight_px=9\nwidth_px=9\n"), PaintPlan)
 
+    def test_no_exposure(self, tmp_path):
+        text = 'paint_name = "red"\nbracket = []\n[region]\nrow_px=1\ncolumn_px=1\nheight_px=9\nwidth_px=9\n'
+        with pytest.raises(RecordError, match=r"'bracket': tuple should have at least 1 item"):
+            read_toml(self.rig(tmp_path, text), PaintPlan)
+
     def test_light_inside_the_gel(self, tmp_path):
         path = self.rig(tmp_path, "[light]\nposition_mm = [0.0, 2.0, 0.0]\n")
         with pytest.raises(RecordError, match="y must be negative"):
@@ -224,6 +296,14 @@ class TestFilesPeopleWrite:
             ("[indenter]\nposition_mm = 90.0\n", "must lie on the pad"),
             ("[camera]\nwidth_px = 641\n", "must be even"),
             ("[mirror]\nreflectance = 88.0\n", r"mirror.reflectance' \(in 1\)"),
+            (
+                '[origin]\n"pad.lenght_mm" = "measured"\n',
+                r"'origin': 'pad\.lenght_mm' is no field of the design; did you mean pad\.length_mm",
+            ),
+            (
+                '[origin]\nxyz = "measured"\n',
+                r"'xyz' is no field of the design; fields are pad\.length_mm, pad\.width_mm",
+            ),
         ],
     )
     def test_impossible_design(self, tmp_path, text, message):
@@ -244,7 +324,7 @@ def test_frames_are_checked_and_never_overwritten(tmp_path):
     frame = np.arange(64, dtype=np.uint16).reshape(8, 8)
     digest = write_frame(path, frame, "test frame")
     np.testing.assert_array_equal(read_frame(path, digest), frame)
-    with pytest.raises(RecordError, match="never overwritten"):
+    with pytest.raises(RecordError, match="not overwritten"):
         write_frame(path, frame, "again")
     with pytest.raises(ChecksumError, match=r"0001.tiff: SHA-256 differs"):
         read_frame(path, "0" * 64)

@@ -1,0 +1,106 @@
+"""Records whose arrays and lists disagree in size are refused with both fields and both sizes."""
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from data_schemas.capture import TactileCapture
+from data_schemas.fit import PaintCalibration
+from data_schemas.model import Record
+from data_schemas.simulate import LightAngleSweep, SimulatedPress
+from tests.command_line.records import press, sweep
+from tests.documentation.example_records import example_results
+from tests.schemas.test_storage import capture
+
+RESULTS = example_results()
+
+
+def changed(record: Record, **fields: object) -> Record:
+    """Validate the record again with some fields replaced."""
+    return type(record).model_validate({**dict(record), **fields})
+
+
+@pytest.mark.parametrize("record", [RESULTS.press, RESULTS.sweep, RESULTS.capture, RESULTS.paints["red"].calibration])
+def test_consistent_record_is_accepted(record):
+    assert isinstance(changed(record), SimulatedPress | LightAngleSweep | TactileCapture | PaintCalibration)
+
+
+@pytest.mark.parametrize(
+    ("shape", "message"),
+    [
+        ((5, 4, 1), r"layout Bayer RGGB needs even rows and columns \(2 x 2 cells\), got 5 x 4"),
+        ((4, 5, 1), "needs even rows and columns .* got 4 x 5"),
+        ((4, 4, 3), r"layout Bayer RGGB needs 1 sample\(s\) per pixel, got 3"),
+    ],
+)
+def test_bayer_capture(shape, message):
+    with pytest.raises(ValidationError, match=message):
+        capture(np.ones(shape, np.uint16))
+
+
+def test_capture_images_of_different_size():
+    with pytest.raises(ValidationError, match="'repeat_no_contact' has 6 along 'row' but 'contact' has 4"):
+        changed(capture(np.ones((4, 4, 1), np.uint16)), repeat_no_contact=np.ones((6, 4, 1), np.uint16))
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"contact": np.ones((60, 81, 3))}, "'contact' has 81 along 'column' but 'no_contact' has 80"),
+        ({"distance": np.ones((59, 80))}, "'distance' has 59 along 'row' but 'no_contact' has 60"),
+        ({"variance": np.ones((61, 80, 3))}, "'variance' has 61 along 'row' but 'no_contact' has 60"),
+        (
+            {"bands": ("a",), "contact_bands": np.ones((60, 79, 1))},
+            "'contact_bands' has 79 along 'column' but 'no_contact' has 80",
+        ),
+        (
+            {"bands": ("a", "b"), "no_contact_bands": np.ones((60, 80, 3))},
+            "'no_contact_bands' has 3 along 'band' but 'bands' has 2",
+        ),
+        (
+            {"bands": ("a", "b"), "camera_matrix": np.ones((3, 3))},
+            "'camera_matrix' has 3 along 'band' but 'bands' has 2",
+        ),
+        ({"bands": ("a", "b"), "camera_matrix": np.ones((2, 2))}, r"must have shape \(3, band\), got \(2, 2\)"),
+    ],
+)
+def test_simulated_press(fields, message):
+    with pytest.raises(ValidationError, match=message):
+        changed(press(), **fields)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"values": np.ones((12, 6))}, "'values' has 12 along 'angle' but 'angles_deg' has 13"),
+        ({"basis": np.ones((12, 6, 2, 3))}, "'basis' has 12 along 'angle' but 'angles_deg' has 13"),
+        ({"basis": np.ones((13, 5, 2, 3))}, "'basis' has 5 along 'repeat' but 'values' has 6"),
+        ({"basis": np.ones((13, 6, 2, 4))}, "'basis' has 4 along 'band' but 'bands' has 3"),
+        ({"probe_points_mm": np.zeros((4, 3))}, "'probe_points_mm' has 4 along 'probe' but 'basis' has 2"),
+    ],
+)
+def test_light_angle_sweep(fields, message):
+    with pytest.raises(ValidationError, match=message):
+        changed(sweep(), **fields)
+
+
+CALIBRATION = RESULTS.paints["red"].calibration
+FILTERS = len(CALIBRATION.optics.filters)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("emission_low95_per_nm", np.ones(3), "has 3 along 'wavelength' but 'wavelength_nm' has"),
+        ("draws", np.ones((9, 99)), rf"has 99 along 'parameter' but 'sampled' has {len(CALIBRATION.sampled)}"),
+        ("prior_draws", np.ones((9, 99)), "has 99 along 'parameter' but 'sampled' has"),
+        ("measured", np.ones((1, 3)), f"has 1 along 'filter' but 'optics.filters' has {FILTERS}"),
+        ("predicted_sd", np.ones((1, 3)), "has 1 along 'filter' but 'optics.filters' has"),
+        ("usable", np.ones((1, 3), np.bool_), "has 1 along 'filter' but 'optics.filters' has"),
+        ("bands", CALIBRATION.bands[:-1], f"has {FILTERS - 1} along 'filter' but 'optics.filters' has {FILTERS}"),
+        ("reflectance", CALIBRATION.reflectance[:-1], f"has {FILTERS - 1} along 'filter' but 'optics.filters' has"),
+    ],
+)  # fmt: skip
+def test_paint_calibration(field, value, message):
+    with pytest.raises(ValidationError, match=f"'{field}' {message}"):
+        changed(CALIBRATION, **{field: value})
