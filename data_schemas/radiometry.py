@@ -12,7 +12,7 @@ from data_schemas.model import Model, Record
 from data_schemas.rig import BandPassFilter, LaserSettings, WhiteReference
 
 Floats = NDArray[np.float64]
-Flag = Literal["ok", "weak", "saturated", "missing"]
+Flag = Literal["ok", "weak", "saturated"]
 
 
 class Optics(Model):

@@ -11,7 +11,7 @@ import hashlib
 import io
 import json
 import os
-import tempfile
+import secrets
 import tomllib
 import zipfile
 from pathlib import Path
@@ -48,17 +48,15 @@ def write_bytes(path: Path, content: bytes) -> None:
         Something has this name already: nothing stored is overwritten.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, part = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     try:
-        with os.fdopen(handle, "wb") as file:
+        with part.open("xb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        Path(part).chmod(0o644)
-        _give_name(Path(part), path)
-    except BaseException:
-        Path(part).unlink(missing_ok=True)
-        raise
+        _give_name(part, path)
+    finally:
+        part.unlink(missing_ok=True)
     folder = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(folder)
@@ -79,8 +77,6 @@ def _give_name(part: Path, path: Path) -> None:
         if path.exists():
             raise _taken(path) from None
         part.replace(path)
-    else:
-        part.unlink()
 
 
 def _taken(path: Path) -> RecordError:

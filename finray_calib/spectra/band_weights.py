@@ -174,39 +174,6 @@ def emission_weights(
     )
 
 
-def band_average(curve: ArrayLike, weights: ArrayLike) -> FloatArray:
-    """Return the weighted mean of a curve in each band, sum(curve * weights) / sum(weights).
-
-    With the weights int E T_b Q_c dl of a lamp this is the band reflectance of a non-fluorescent sample.
-
-    Parameters
-    ----------
-    curve
-        (L,) values on the grid of the weights.
-    weights
-        (..., L) weights, quadrature included, not negative.
-
-    Returns
-    -------
-    numpy.ndarray
-        (...) in the unit of the curve.
-
-    Raises
-    ------
-    CurveError
-        When the weights have another length than the curve, or are negative.
-    FitError
-        When all weights of a band are zero.
-    """
-    values = np.asarray(curve, dtype=np.float64)
-    table = np.asarray(weights, dtype=np.float64)
-    _curve("weights", np.atleast_2d(table), 2, values.size)
-    total = table.sum(axis=-1)
-    if (total <= 0).any():
-        raise FitError("band average: all weights of a band are zero; check the filter and lamp curves")
-    return np.asarray(table @ values / total)
-
-
 def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
     """Return a view that cannot be written through; the caller's array stays writable."""
     view = array.view()

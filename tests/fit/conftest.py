@@ -5,9 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from data_schemas.radiometry import Optics
+from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
 from finray_calib.fit.likelihood import BandData
 from finray_calib.fit.nuisances import predict_bands
 from finray_calib.spectra.band_weights import emission_weights
+from rigs.presets import simulated_rig
 
 CENTER_NM = (405, 450, 500, 532, 560, 600, 630, 660)
 CHANNEL_NM = ((600, 80), (535, 90), (460, 80))
@@ -87,3 +90,17 @@ def simulate_bands(weights):
         return BandData(y.reshape(8, 3), np.diag(sd**2), usable, weights)
 
     return simulate
+
+
+@pytest.fixture(scope="session")
+def optics() -> Optics:
+    """The curves of the paper's eight filters with a Bayer camera and a halogen lamp."""
+    rig = simulated_rig("red")
+    return Optics(
+        filters=rig.filter_wheel.filters,
+        excitation_filter="450",
+        laser=rig.laser,
+        lamp=halogen_lamp(),
+        white_reference=rig.white_reference,
+        camera_response=assumed_camera_response(),
+    )

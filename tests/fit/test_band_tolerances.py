@@ -5,29 +5,14 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from data_schemas.radiometry import Optics
-from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
 from finray_calib.fit.likelihood import BandData, LogPosterior
 from finray_calib.fit.nuisances import predict_bands, tolerance_columns
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.spectra.band_tolerances import tolerances_of
 from finray_calib.spectra.rig_curves import weights_of
-from rigs.presets import simulated_rig
 
 SHARES = (0.1, 0.3, 0.6)
 PLAIN = np.array([597.0, np.log(48.0), 1.8, np.log(0.004), np.log(0.05), 0.0])
-
-
-@pytest.fixture(scope="module")
-def optics() -> Optics:
-    rig = simulated_rig("red")
-    return Optics(
-        filters=rig.filter_wheel.filters,
-        excitation_filter="450",
-        laser=rig.laser,
-        lamp=halogen_lamp(),
-        white_reference=rig.white_reference,
-        camera_response=assumed_camera_response(),
-    )
 
 
 def moved(optics: Optics, name: str, **change: float) -> Optics:

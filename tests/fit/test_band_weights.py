@@ -6,7 +6,7 @@ from scipy.integrate import quad
 
 from data_schemas.errors import CurveError, FitError
 from finray_calib.fit.nuisances import predict_bands
-from finray_calib.spectra.band_weights import band_average, emission_weights
+from finray_calib.spectra.band_weights import emission_weights
 from finray_calib.spectra.skew_cauchy import SkewCauchy
 
 GRID = np.arange(380.0, 781.0)
@@ -79,11 +79,6 @@ def test_rows_are_band_major_and_the_laser_is_found(weights):
         weights.emission[0, 0] = 1.0
 
 
-def test_band_average_of_a_line_is_its_value_at_the_centroid():
-    table = np.array([np.exp(-(((GRID - c) / 6) ** 2)) for c in (500, 600)])
-    assert np.allclose(band_average(0.1 + 1e-3 * GRID, table), [0.6, 0.7], rtol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
@@ -115,10 +110,3 @@ def test_excitation_filter_that_blocks_the_laser_is_refused(rig):
 def test_weights_of_different_lengths_are_refused(weights):
     with pytest.raises(FitError, match="'reflected_laser' has shape"):
         replace(weights, reflected_laser=np.ones(5))
-
-
-def test_band_average_without_weight_is_refused():
-    with pytest.raises(FitError, match="all weights of a band are zero"):
-        band_average(np.ones(4), np.zeros((2, 4)))
-    with pytest.raises(CurveError, match="weights: shape"):
-        band_average(np.ones(4), np.ones((2, 5)))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from data_schemas.fit import Estimate
-from data_schemas.radiometry import BandSignals, Optics
-from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
+from data_schemas.radiometry import BandSignals
+from data_schemas.standard_curves import assumed_camera_response
 from finray_calib.fit.paint_calibration import calibrate_paint
 from finray_calib.fit.reflectance import reflectance
 from finray_calib.fit.sampler import SamplerSettings
@@ -16,19 +16,6 @@ from rigs.presets import simulated_rig
 from rigs.simulated.bench import Bench, bench_truth
 
 SHARES = np.array([0.01, 0.09, 0.9])
-
-
-@pytest.fixture(scope="module")
-def optics() -> Optics:
-    rig = simulated_rig("red")
-    return Optics(
-        filters=rig.filter_wheel.filters,
-        excitation_filter="450",
-        laser=rig.laser,
-        lamp=halogen_lamp(),
-        white_reference=rig.white_reference,
-        camera_response=assumed_camera_response(),
-    )
 
 
 @pytest.fixture(scope="module")

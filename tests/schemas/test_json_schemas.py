@@ -26,7 +26,7 @@ def test_no_schema_file_is_left_over():
 def test_stored_record_validates(tmp_path, size):
     record = capture(np.ones((size, size, 1), np.uint16))
     path = write_record(record, tmp_path / "press.json", provenance("pytest"))
-    jsonschema.Draft202012Validator(json_schema(type(record))).validate(json.loads(path.read_text()))
+    assert jsonschema.Draft202012Validator(json_schema(type(record))).is_valid(json.loads(path.read_text()))
 
 
 def test_schema_refuses_a_wrong_record(tmp_path):

@@ -1,0 +1,417 @@
+"""Every mistake of a user that the command line must explain: what it is, the command, what must be said."""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from data_schemas.storage import read_frame, write_frame
+from tests.command_line.running import edit, load
+
+CAMERA = "wavelength_nm,red_percent,green_percent,blue_percent\n"
+MATRIX = "emission_nm,450,460\n"
+Prepare = Callable[[Path, Path], object]
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Arguments ({lab}, {paints} and {tmp} are folders), the message, and what makes the input bad."""
+
+    what: str
+    arguments: str
+    message: str
+    prepare: Prepare | None = None
+
+
+def edited(name: str, old: str, new: str) -> Prepare:
+    """Copy a file of the laboratory to {tmp} with one text replaced."""
+
+    def prepare(lab: Path, tmp: Path) -> None:
+        shutil.copy(lab / name, tmp / name)
+        edit(tmp / name, old, new)
+
+    return prepare
+
+
+def curve(rows: str, header: str = CAMERA) -> Prepare:
+    """Put a rig with a camera response of these rows into {tmp}."""
+
+    def prepare(lab: Path, tmp: Path) -> None:
+        (tmp / "camera.csv").write_text(header + rows)
+        edited("rig.toml", 'response = "assumed"', 'response = "camera.csv"')(lab, tmp)
+
+    return prepare
+
+
+def session(change: Callable[[Path], object]) -> Prepare:
+    """Copy the session to {tmp} and change it."""
+    return lambda lab, tmp: change(shutil.copytree(lab / "session", tmp / "session"))
+
+
+def frames(folder: Path, kind: str, filter_name: str | None) -> list[dict[str, str]]:
+    """Return the stored frames of one kind through one filter."""
+    stored = load(folder / "session.json")["record"]["frames"]
+    return [f for f in stored if (f["frame_type"], f["filter_name"]) == (kind, filter_name)]
+
+
+def without_a_frame(folder: Path) -> None:
+    (folder / frames(folder, "white", "532")[0]["file"]).unlink()
+
+
+def with_a_changed_bit(folder: Path) -> None:
+    path = folder / frames(folder, "white", "532")[0]["file"]
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+
+
+def with_a_saturated_band(folder: Path) -> None:
+    for frame in frames(folder, "fluorescence", "600"):
+        path = folder / frame["file"]
+        full = np.full_like(read_frame(path, frame["sha256"]), 1023)
+        path.unlink()
+        edit(folder / "session.json", frame["sha256"], write_frame(path, full, "saturated"))
+
+
+def without_array_file(lab: Path, tmp: Path) -> None:
+    shutil.copy(lab / "capture.json", tmp / "capture.json")
+
+
+def file(name: str, text: str) -> Prepare:
+    """Write a text file into {tmp}."""
+    return lambda _, tmp: (tmp / name).write_text(text)
+
+
+CAPTURE = "capture {lab}/plan.toml --rig {lab}/rig.toml"
+BAD_PLAN = "capture {tmp}/plan.toml --rig {lab}/rig.toml"
+BAD_RIG = "capture {lab}/plan.toml --rig {tmp}/rig.toml"
+SIMULATE = "simulate {lab}/finger.toml --paint red={paints}/red/paint.json --engine scalar"
+BOTH = SIMULATE + " --paint green={paints}/green/paint.json"
+BAD_FINGER = BOTH.replace("{lab}", "{tmp}")
+NEW = "'pip install -U finray-calib'"
+
+CASES = (
+    # plan and rig
+    Case(
+        "no plan", "capture {tmp}/plan.toml --rig {lab}/rig.toml", r"plan\.toml: no such file; give the path of a TOML"
+    ),
+    Case("no rig", "capture {lab}/plan.toml --rig {tmp}/rig.toml", r"rig\.toml: no such file; give the path of a TOML"),
+    Case(
+        "plan is a folder", "capture {lab} --rig {lab}/rig.toml", r"lab\S*: is a folder; give the path of a TOML file"
+    ),
+    Case("plan is no TOML", BAD_PLAN, r"plan\.toml: cannot be read as TOML \(.* line 1", file("plan.toml", "{}")),
+    Case(
+        "plan and rig exchanged",
+        "capture {lab}/rig.toml --rig {lab}/plan.toml",
+        r"rig\.toml: 'paint_name': is missing and must be given; .*known keys are bracket",
+    ),
+    Case(
+        "unknown key",
+        BAD_RIG,
+        r"rig\.toml: 'filter_wheel\.filters \(entry 1\)\.fwhm': unknown key; did you mean 'fwhm_nm'\?",
+        edited("rig.toml", "fwhm_nm", "fwhm"),
+    ),
+    Case(
+        "wrong unit",
+        BAD_RIG,
+        r"filters \(entry 1\)\.center_nm' \(in nm\): .* greater than or equal to 200, got 0\.405; is it in nm\?",
+        edited("rig.toml", "center_nm = 405.0", "center_nm = 0.405"),
+    ),
+    Case(
+        "unit in the value",
+        BAD_RIG,
+        r"'laser\.power_mw' \(in mW\): input should be a valid number, .* got '4\.5 mW'",
+        edited("rig.toml", "power_mw = 4.5", 'power_mw = "4.5 mW"'),
+    ),
+    Case(
+        "filter named twice in the rig",
+        BAD_RIG,
+        r"rig\.toml: 'filter_wheel': name 450 stands in two filters; list each filter once, with its own name",
+        edited("rig.toml", 'name = "405"', 'name = "450"'),
+    ),
+    Case(
+        "filter named twice in the plan",
+        BAD_PLAN,
+        r"plan\.toml: filters: '450' is named twice; name each filter once",
+        edited("plan.toml", "# filters = [...]", 'filters = ["450", "600", "450"] #'),
+    ),
+    Case(
+        "filter that the rig lacks",
+        BAD_PLAN,
+        r"plan\.toml: plan\.filters: the rig has no filter '451'; its filters are 405, 450, 500",
+        edited("plan.toml", "# filters = [...]", 'filters = ["450", "451"] #'),
+    ),
+    Case(
+        "excitation filter that blocks the laser",
+        BAD_PLAN,
+        r"plan\.toml: .*filter '500' passes 495 to 505 nm and blocks the laser at 450 nm; name the filter that passes",
+        edited("plan.toml", 'excitation_filter = "450"', 'excitation_filter = "500"'),
+    ),
+    Case(
+        "empty region",
+        BAD_PLAN,
+        r"plan\.toml: plan\.region\.height_px: 0 px is empty; 2 to 256 px are allowed",
+        edited("plan.toml", "height_px = 56", "height_px = 0"),
+    ),
+    Case(
+        "region outside the frame",
+        BAD_PLAN,
+        r"plan\.toml: plan\.region: row_px = 250 with height_px = 56 ends at pixel 306, outside .* at most 256 px",
+        edited("plan.toml", "row_px = 100", "row_px = 250"),
+    ),
+    # curves
+    Case("no curve file", BAD_RIG, r"no\.csv: no such file", edited("rig.toml", '"assumed"\n', '"no.csv"\n')),
+    Case(
+        "unsorted wavelengths",
+        BAD_RIG,
+        r"camera\.csv: wavelengths must increase .*: 450 nm follows 500 nm; sort the rows",
+        curve("400,1,2,3\n500,1,2,3\n450,1,2,3\n700,1,2,3\n"),
+    ),
+    Case(
+        "NaN in a curve",
+        BAD_RIG,
+        r"camera\.csv, line 3: NaN or infinite value; remove or measure the row again",
+        curve("400,1,2,3\n500,1,nan,3\n700,1,2,3\n"),
+    ),
+    Case(
+        "curve that ends at 420 nm",
+        BAD_RIG,
+        r"camera\.csv: curve 'red' covers 380 to 420 nm, but .* of filter 450 lies outside \(at most 20% is allowed\)",
+        curve("380,1,2,3\n420,1,2,3\n"),
+    ),
+    Case(
+        "other columns",
+        BAD_RIG,
+        r"camera\.csv: header is nm,r,g,b; a camera response needs wavelength_nm,red_percent",
+        curve("380,1,2,3\n720,1,2,3\n", header="nm,r,g,b\n"),
+    ),
+    Case(
+        "plan without exposures",
+        BAD_PLAN,
+        r"plan\.toml: 'bracket': tuple should have at least 1 item",
+        edited("plan.toml", "bracket = [1.0, 0.25]", "bracket = []"),
+    ),
+    # session
+    Case("no session folder", "radiometry {tmp}/session", r"session: no such folder; give the folder that 'finray cap"),
+    Case(
+        "folder that is no session", "radiometry {lab}", r"holds no capture session \(session\.json\); give the folder"
+    ),
+    Case(
+        "session not finished",
+        "radiometry {tmp}/session",
+        r"session: the capture was not finished \(session\.json is missing\); .*capture again into another folder",
+        session(lambda folder: (folder / "session.json").unlink()),
+    ),
+    Case(
+        "missing frame",
+        "radiometry {tmp}/session",
+        r"frames/\d+_white_532_\d+us\.tiff: frame is missing; restore it from a copy or capture the session again",
+        session(without_a_frame),
+    ),
+    Case(
+        "changed frame",
+        "radiometry {tmp}/session",
+        r"frames/\d+_white_532_\d+us\.tiff: SHA-256 differs .*; the frame was changed, restore it",
+        session(with_a_changed_bit),
+    ),
+    Case(
+        "saturated band",
+        "radiometry {tmp}/session",
+        r"session: frames/\d+_fluorescence_600_\S+: filter 600 is saturated in all channels .*lower plan\.target_fra",
+        session(with_a_saturated_band),
+    ),
+    Case(
+        "newer session",
+        "radiometry {tmp}/session",
+        rf"session\.json: schema_version 9 was written by a newer finray; this one reads up to 1: update with {NEW}",
+        session(lambda folder: edit(folder / "session.json", '"schema_version": 1', '"schema_version": 9')),
+    ),
+    # stored records
+    Case(
+        "no record", "fit {tmp}/bands.json", r"bands\.json: no such file; give the path of a stored record \(\.json\)"
+    ),
+    Case("record is a folder", "fit {lab}/session", r"session: is a folder; give the \.json file of the record"),
+    Case(
+        "wrong kind",
+        "fit {paints}/red/paint.json",
+        r"paint\.json: is a PaintCalibration, a BandSignals is needed here",
+    ),
+    Case("no JSON", "fit {lab}/plan.toml", r"plan\.toml: cannot be read as JSON \(.*\); was it edited or cut off\?"),
+    Case(
+        "newer record",
+        "decide {tmp}/sweep.json",
+        rf"sweep\.json: schema_version 2 was written by a newer finray; .* update with {NEW}",
+        edited("sweep.json", '"schema_version": 1', '"schema_version": 2'),
+    ),
+    Case(
+        "record without its arrays",
+        "compare {lab}/press.json {tmp}/capture.json",
+        r"\.npz: is missing; it holds the arrays of capture\.json: keep the two files together",
+        without_array_file,
+    ),
+    Case(
+        "NaN in a record",
+        "decide {tmp}/sweep.json",
+        r"sweep\.json: 'angles_deg': must be finite, got 1 NaN",
+        edited("sweep.json", "0.0,", "NaN,"),
+    ),
+    # simulate
+    Case(
+        "no paint",
+        "simulate {lab}/finger.toml --engine scalar",
+        r"no paint for the red wall: give --paint red=FILE and",
+    ),
+    Case("only the red paint", SIMULATE, r"no paint for the green wall: give --paint red=FILE and --paint green=FILE"),
+    Case(
+        "two red paints",
+        BOTH + " --paint red={lab}/no.json",
+        r"--paint: a colour is given twice; give one file for red",
+    ),
+    Case("bands as paint", SIMULATE + " --paint green={lab}/bands.json", r"bands\.json: is a BandSignals, a PaintCal"),
+    Case(
+        "sweep of the paper's emitter",
+        BOTH + " --angles 0:90:10 --level a",
+        r"--level a: its walls know no light angle",
+    ),
+    Case(
+        "unknown key in a finger",
+        BAD_FINGER,
+        r"finger\.toml: 'camera\.hight_px': unknown key; did you mean 'height_px'\?",
+        edited("finger.toml", "height_px", "hight_px"),
+    ),
+    Case(
+        "angle out of range",
+        BAD_FINGER,
+        r"finger\.toml: 'light\.angle_deg' \(in deg\): .* less than or equal to 180, got 500; is it in deg\?",
+        edited("finger.toml", "[camera]", "[light]\nangle_deg = 500\n[camera]"),
+    ),
+    Case(
+        "indenter through the pad",
+        BAD_FINGER,
+        r"finger\.toml: indenter\.depth_mm = 6\.5 mm goes through the pad; it must be below .* 6\.0 mm",
+        edited("finger.toml", "[camera]", "[indenter]\ndepth_mm = 6.5\n[camera]"),
+    ),
+    # compare and decide
+    Case(
+        "images of different size",
+        "compare {lab}/press.json {lab}/cut-capture.json",
+        r"press\.json and \S+cut-capture\.json: strip has 80 x 60 px, .* has 80 x 40 px: simulate with the camera of",
+    ),
+    Case(
+        "encoded capture and linear render",
+        "compare {lab}/press.json {lab}/encoded-capture.json",
+        r"encoded-capture\.json: .*linear light cannot be compared with an image whose encoding is unknown; capt",
+    ),
+    Case(
+        "render with much noise",
+        "compare {lab}/noisy-press.json {lab}/capture.json",
+        r"noisy-press\.json .* blocks of 8 x 8 px, which leaves 10 x 7 blocks .* at least 11 x 11 .*: simulate with",
+    ),
+    Case(
+        "black render",
+        "compare {lab}/black-press.json {lab}/capture.json",
+        r"black-press\.json .* image is black where",
+    ),
+    Case(
+        "compare exchanged",
+        "compare {lab}/capture.json {lab}/press.json",
+        r"capture\.json: is a TactileCapture, a Simu",
+    ),
+    Case(
+        "three angles",
+        "decide {lab}/short-sweep.json",
+        r"short-sweep\.json: The sweep has 3 angles; at least 4 are need",
+    ),
+    Case(
+        "report on encoded values",
+        "decide {lab}/sweep.json --photometric-error {lab}/encoded-report.json",
+        r"sweep\.json and \S+encoded-report\.json: .*carries no brightness error, .* in linear light \(raw frames\)",
+    ),
+    # import and demo
+    Case(
+        "no 9DTact folder",
+        "import 9dtact {lab}/session",
+        r"rectify_crop_ref\.png: no such file\. Give the folder of one",
+    ),
+    Case(
+        "no material",
+        "demo --engine scalar --red {tmp}/no.csv --out {tmp}/d",
+        r"no\.csv: no such file; give the path of",
+    ),
+    Case(
+        "no green material",
+        "demo --engine scalar --green {tmp}/no.csv --out {tmp}/d",
+        r"no\.csv: no such file; give the",
+    ),
+    Case(
+        "camera response as material",
+        "demo --engine scalar --red {tmp}/camera.csv --out {tmp}/demo",
+        r"camera\.csv: the first column is 'wavelength_nm'; a re-radiation matrix needs 'emission_nm'",
+        curve("380,1,2,3\n720,1,2,3\n"),
+    ),
+    Case(
+        "material with unsorted wavelengths",
+        "demo --engine scalar --red {tmp}/ink.csv --out {tmp}/demo",
+        r"ink\.csv: wavelengths must increase from row to row: 450 nm follows 460 nm; sort the rows",
+        file("ink.csv", MATRIX + "460,0.1,0.1\n450,0.1,0\n470,0,0\n"),
+    ),
+    Case(
+        "NaN in a material",
+        "demo --engine scalar --red {tmp}/ink.csv --out {tmp}/demo",
+        r"ink\.csv, line 3: NaN or infinite value; remove or measure the row again",
+        file("ink.csv", MATRIX + "450,0.1,0\n460,nan,0.1\n470,0,0\n"),
+    ),
+    Case(
+        "material with uneven steps",
+        "demo --engine scalar --red {tmp}/ink.csv --out {tmp}/demo",
+        r"ink\.csv: emission_nm steps range from 10 to 30 nm; .* give the matrix on evenly spaced",
+        file("ink.csv", MATRIX + "450,0.1,0\n460,0.1,0.1\n490,0,0\n"),
+    ),
+    Case(
+        "sensor that ends at 420 nm",
+        "demo --engine scalar --sensor {tmp}/camera.csv --out {tmp}/demo",
+        r"camera\.csv: curve 'red' covers 380 to 420 nm, but .* \(at most 20% is allowed\); give a curve that covers",
+        curve("380,1,2,3\n420,1,2,3\n"),
+    ),
+    Case(
+        "demo into a full folder",
+        "demo --engine scalar --out {lab}",
+        r"exists already and is not empty; choose another",
+    ),
+    # --out
+    Case(
+        "out is a session", CAPTURE + " --out {lab}/session", r"session: exists already and is not overwritten; choose"
+    ),
+    Case(
+        "out is a record", "fit {lab}/bands.json --out {lab}/sweep.json", r"sweep\.json: exists already and is not over"
+    ),
+    Case(
+        "out below a file",
+        CAPTURE + " --out {lab}/plan.toml/s",
+        r"plan\.toml/s: cannot be written, because .* no folder",
+    ),
+    Case(
+        "out where nothing can be", CAPTURE + " --out /proc/session", r"/proc/session: No such file .*; check the path"
+    ),
+)
+
+USAGE = (
+    Case("no rig given", "capture {lab}/plan.toml", r"the following arguments are required: --rig"),
+    Case("no such verb", "calibrate", r"invalid choice: 'calibrate' \(choose from .*'capture', 'radiometry', 'fit'"),
+    Case(
+        "paint of another colour",
+        "simulate {lab}/finger.toml --paint blue=x",
+        r"'blue=x' must be red=FILE or green=FILE",
+    ),
+    Case("paint without file", "simulate {lab}/finger.toml --paint red", r"'red' must be red=FILE or green=FILE"),
+    Case("angles in words", BOTH + " --angles all", r"'all' must be FIRST:LAST:STEP in deg, for example 0:120:10"),
+    Case("angles backwards", BOTH + " --angles 120:0:10", r"'120:0:10': needs -90 <= FIRST < LAST <= 180 deg"),
+    Case("angles too near", BOTH + " --angles 0:120:1e-9", r"needs .* and a STEP of 0\.5 deg to LAST - FIRST"),
+    Case("angles that are NaN", BOTH + " --angles nan:nan:nan", r"'nan:nan:nan': needs -90 <= FIRST < LAST"),
+    Case("no samples", BOTH + " --samples 0", r"'0' must be an even whole number from 2, for example 128"),
+    Case("negative seed", "fit {lab}/bands.json --seed -1", r"argument --seed: -1 is out of range; give 0 or more"),
+    Case("seed in words", "decide {lab}/sweep.json --seed one", r"argument --seed: 'one' is not a whole number"),
+    Case("unknown format", "import taxidermy {lab}", r"invalid choice: 'taxidermy' \(choose from '?9dtact"),
+)
