@@ -158,6 +158,7 @@ def main() -> int:
     )
     if arguments.out:
         record = {"arguments": {k: str(v) for k, v in vars(arguments).items()}, "table": table, "paints": results}
+        arguments.out.parent.mkdir(parents=True, exist_ok=True)
         arguments.out.write_text(json.dumps(record, indent=1))
     return 0 if all(table[name]["passed"] for name in JUDGED) else 1
 
