@@ -1,33 +1,26 @@
 """Paint calibration: the fitted emission spectrum with its uncertainty."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from data_schemas.arrays import ArraySpec, check_dimensions
+from data_schemas.estimate import Estimate
 from data_schemas.model import Model, Record
 from data_schemas.radiometry import Optics
-from data_schemas.units import WavelengthNm
+from data_schemas.reradiation import Reradiation
+from data_schemas.units import Fraction, WavelengthNm
 
 Floats = NDArray[np.float64]
 Curve = Annotated[Floats, ArraySpec("<f8", ("wavelength",))]
+FamilyCurves = Annotated[Floats, ArraySpec("<f8", ("family", "wavelength"))]
+SamplingMethod = Literal["importance sampling", "adapted importance sampling", "emcee"]
 
 
-class Estimate(Model):
-    """Posterior summary of one number: median, standard deviation and equal-tailed intervals."""
-
-    estimate: float
-    sd: Annotated[float, Field(ge=0.0)]
-    low68: float
-    high68: float
-    low95: float
-    high95: float
-
-
-class Diagnostics(Model):
-    """Does the chain deserve trust? R-hat at most 1.01 and at least 400 effective samples, else a warning."""
+class ChainCheck(Model):
+    """A run of emcee: the fallback of importance sampling, or the independent check of it."""
 
     walkers: int
     steps: int
@@ -36,9 +29,26 @@ class Diagnostics(Model):
     )
     acceptance_fraction: float
     autocorrelation_time: dict[str, float]
-    r_hat: dict[str, float]
+    r_hat: dict[str, float] = Field(description="rank-normalised split R-hat, bulk and folded")
     effective_samples: dict[str, float]
-    maxima: tuple[float, ...] = Field(description="log posterior of the distinct maxima NLopt found, best first")
+    mean_shift_sd: dict[str, float] = Field(
+        description="difference of the posterior means to the stored draws, in posterior standard deviations"
+    )
+
+
+class Diagnostics(Model):
+    """Do the draws deserve trust?"""
+
+    method: SamplingMethod
+    trusted: bool = Field(
+        description="importance sampling: Pareto k at most 0.7 and 800 effective draws; emcee: converged"
+    )
+    pareto_k: float
+    effective_samples: float
+    ln_evidence: float
+    ln_evidence_sd: float
+    maxima: tuple[float, ...] = Field(description="log posterior of the distinct maxima that were found, best first")
+    chain: ChainCheck | None = Field(default=None, description="emcee, where it took over or was asked for as a check")
 
 
 class BandResidual(Model):
@@ -48,20 +58,65 @@ class BandResidual(Model):
     center_nm: WavelengthNm
     chi_square: float
     degrees_of_freedom: int
-    posterior_predictive_p: Annotated[float, Field(ge=0.0, le=1.0)]
+    posterior_predictive_p: Fraction
+    explained: bool = Field(description="False where the posterior predictive p is below 0.01")
+    calibration_pull: Estimate = Field(
+        description="posterior of the filter's calibration error in prior standard deviations"
+    )
+
+
+class DiscrepancySettings(Model):
+    """Hyper-parameters of the discrepancy between paint and family."""
+
+    amplitude_rel: Fraction
+    length_nm: float
+    floor_rel: Fraction
+    reabsorption_rel: Fraction
+    origin: str
+
+
+class FamilyResult(Model):
+    """What one family of emission curves makes of the same bands."""
+
+    name: str
+    title: str
+    with_discrepancy: bool
+    quantities: dict[str, Estimate] = Field(description="mode_nm, fwhm_nm, skew, peak_per_nm, energy_yield")
+    ln_evidence: float
+    ln_evidence_sd: float
+    probability: Fraction = Field(description="among the families with discrepancy, all equally likely beforehand")
+    left_out_bands: float | None = Field(description="sum of ln p(band | other bands), nats; higher predicts better")
+    left_out_bands_sd: float | None = Field(description="standard error of its difference to the chosen family's")
+    left_out_pareto_k: float | None = Field(description="largest over the bands; above 0.7 the sum is only indicative")
+    chi_square: float
+    method: SamplingMethod
+    pareto_k: float
+
+
+class PriorSensitivity(Model):
+    """Shift of a posterior mean, in its standard deviations, when all priors are made half and twice as wide."""
+
+    halved: float
+    doubled: float
 
 
 class PaintCalibration(Record):
-    """Emission spectrum of one paint: posterior of the paper's skew-Cauchy family.
+    """Emission spectrum of one paint with its uncertainty.
 
-    The emission is a bispectral radiance factor per nm for excitation at the laser line (nm^-1). The paper's
-    symbols: location_nm = lambda_0 (not the peak), scale_nm = gamma, skewness = omega, amplitude = h.
+    The emission is a bispectral radiance factor per nm for excitation at the laser line (nm^-1): a curve of the
+    family plus the discrepancy. ``paper`` holds the paper's skew-Cauchy without discrepancy, in its symbols:
+    location_nm = lambda_0 (not the peak), scale_nm = gamma, skewness = omega, amplitude_nm = h.
     """
 
     paint_name: str
     family: str
-    parameters: dict[str, Estimate] = Field(description="sampled and derived quantities by name")
+    family_title: str
+    family_choice: str = Field(description="why this family, and how sure that is")
+    discrepancy: DiscrepancySettings
+    parameters: dict[str, Estimate] = Field(description="quantities of the emission, then the sampled parameters")
+    paper: dict[str, Estimate]
     prior: dict[str, str] = Field(description="prior of each sampled parameter, in words")
+    prior_sensitivity: dict[str, PriorSensitivity]
     sampled: tuple[str, ...]
     map_estimate: dict[str, float]
     draws: Annotated[Floats, ArraySpec("<f8", ("draw", "parameter"))]
@@ -72,9 +127,18 @@ class PaintCalibration(Record):
     emission_high95_per_nm: Curve
     emission_low68_per_nm: Curve
     emission_high68_per_nm: Curve
+    emission_draws_per_nm: Annotated[Floats, ArraySpec("<f8", ("curve draw", "wavelength"), "1/nm")]
     energy_yield: Estimate = Field(description="emitted over incident energy, emission above the laser line to 780 nm")
+    band_integrals: tuple[Estimate, ...] = Field(
+        description="emission through each filter: integral of emission times transmission over that of transmission"
+    )
+    families: tuple[FamilyResult, ...]
+    family_emission_per_nm: FamilyCurves
+    family_low95_per_nm: FamilyCurves
+    family_high95_per_nm: FamilyCurves
     reflectance: tuple[Estimate, ...] = Field(description="non-fluorescent reflectance at each filter")
     reflectance_method: str
+    reradiation: Reradiation
     optics: Optics
     usable: Annotated[NDArray[np.bool_], ArraySpec("|b1", ("filter", "3"))]
     measured: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))]
@@ -89,6 +153,6 @@ class PaintCalibration(Record):
 
     @model_validator(mode="after")
     def _lengths_agree(self) -> "PaintCalibration":
-        along_filters = dict.fromkeys(("optics.filters", "bands", "reflectance"), "filter")
-        check_dimensions(self, {"sampled": "parameter", **along_filters})
+        along_filters = dict.fromkeys(("optics.filters", "bands", "reflectance", "band_integrals"), "filter")
+        check_dimensions(self, {"sampled": "parameter", "families": "family", **along_filters})
         return self

@@ -17,9 +17,11 @@ from finray_calib.cli.options import (
 
 HELP = "fit the emission spectrum of a paint, with uncertainty"
 DESCRIPTION = """\
-Fit the paper's skew-Cauchy emission spectrum to band signals: NLopt finds the maxima of the posterior, emcee
-samples it. Writes the posterior draws, the spectrum with its 95 % band, how well each filter is explained,
-and convergence diagnostics."""
+Fit the emission spectrum of a paint to band signals. Four families of curves are fitted, each with a Gaussian
+process for what a real paint does beyond its family; the bands and measured paints decide which one is reported, and
+the paper's skew-Cauchy is always shown beside it. Writes posterior draws, the spectrum with its 95 % band, how well
+each filter is explained, and how far the draws can be trusted."""
+FAMILY_NAMES = ("auto", "log_normal_wavenumber", "zheng2014", "skew_t", "gaussian_mixture")
 
 
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -28,6 +30,19 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         "fit", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("bands", type=Path, metavar="BANDS", help="record written by 'finray radiometry'")
+    parser.add_argument(
+        "--family", choices=FAMILY_NAMES, default="auto", help="family to report (default: the bands choose)"
+    )
+    parser.add_argument("--no-discrepancy", action="store_true", help="take the paint to be exactly of the family")
+    parser.add_argument("--check", action="store_true", help="sample again with emcee, as an independent check")
+    parser.add_argument(
+        "--other-light",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="BANDS",
+        help="band signals of the same paint under another excitation light (repeatable): constrains the absorption",
+    )
     add_out(parser, "PAINT.paint.json")
     add_seed(parser)
     parser.set_defaults(run=run)
@@ -39,20 +54,36 @@ def run(arguments: argparse.Namespace) -> None:
     from data_schemas.provenance import provenance
     from data_schemas.radiometry import BandSignals
     from data_schemas.storage import read_record, write_record
-    from finray_calib.fit.paint_calibration import calibrate_paint
+    from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
+    from finray_calib.fit.paint_calibration import FitOptions, calibrate_paint
 
     bands = read_record(arguments.bands, BandSignals)
+    others = [read_record(path, BandSignals) for path in arguments.other_light]
     out = require_new(arguments.out or Path(f"{file_name(bands.paint_name)}.paint.json"))
-    with progress_bar("fit"), naming(FitError, arguments.bands):
-        paint = calibrate_paint(bands, arguments.seed)
-    write_record(paint, out, provenance(command_line(), input_digests([arguments.bands]), arguments.seed))
-    say(f"{out}: emission of '{paint.paint_name}' ({paint.family})")
-    for name in ("mode_nm", "fwhm_nm"):
-        value = paint.parameters[name]
-        interval = f"[{value.low95:.1f}, {value.high95:.1f}] nm (95 %)"
-        say(f"  {name.removesuffix('_nm'):10s} {value.estimate:.1f} {interval}")
-    y = paint.energy_yield
-    say(f"  yield      {y.estimate:.3f} [{y.low95:.3f}, {y.high95:.3f}] (95 %)")
-    say(f"  chi-square {paint.chi_square:.1f} for {paint.degrees_of_freedom} degrees of freedom")
+    options = FitOptions(
+        family=None if arguments.family == "auto" else arguments.family,
+        discrepancy=NO_DISCREPANCY if arguments.no_discrepancy else PAINT_DISCREPANCY,
+        check_by_emcee=arguments.check,
+    )
+    files = [arguments.bands, *arguments.other_light]
+    with progress_bar("fit"), naming(FitError, *files):
+        paint = calibrate_paint(bands, arguments.seed, options, others)
+    write_record(paint, out, provenance(command_line(), input_digests(files), arguments.seed))
+    say(f"{out}: emission of '{paint.paint_name}' ({paint.family_title})")
+    for name, label, unit in (
+        ("mode_nm", "mode", " nm"),
+        ("fwhm_nm", "FWHM", " nm"),
+        ("energy_yield", "yield", ""),
+        ("reflectance_at_laser", "reflectance at the laser", ""),
+    ):
+        value, digits = paint.parameters[name], 1 if unit else 3
+        low, high = f"{value.low95:.{digits}f}", f"{value.high95:.{digits}f}"
+        say(f"  {label:26s} {value.estimate:.{digits}f} [{low}, {high}]{unit} (95 %)")
+    stokes = paint.reradiation.stokes_shift_nm
+    belief = ", from the prior: one light does not measure it" if paint.reradiation.prior_driven else ""
+    say(f"  {'Stokes shift':26s} {stokes.estimate:.0f} [{stokes.low95:.0f}, {stokes.high95:.0f}] nm (95 %{belief})")
+    say(f"  family: {paint.family_choice}")
+    trust = "trusted" if paint.diagnostics.trusted else "NOT trusted"
+    say(f"  draws: {paint.diagnostics.method}, {trust} (Pareto k {paint.diagnostics.pareto_k:.2f})")
     for warning in paint.warnings:
         say(f"  warning: {warning}")

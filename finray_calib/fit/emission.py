@@ -1,181 +1,214 @@
-"""Fit the emission of one paint: from band values to posterior draws with their diagnostics."""
+"""Posterior of a paint's emission for one family: the whole path from band values to draws."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from finray_calib.fit.band_model import PARAMETER_NAMES, emission_curves
+from data_schemas.errors import FitError
+from data_schemas.fit import SamplingMethod
+from finray_calib.fit.curve_draws import CurveDraws, curve_draws
 from finray_calib.fit.diagnostics import ChainDiagnostics
+from finray_calib.fit.discrepancy import Discrepancy
+from finray_calib.fit.importance import WeightedSample, importance_sample
 from finray_calib.fit.likelihood import BandData, LogPosterior
 from finray_calib.fit.map_search import Maxima, find_maxima
 from finray_calib.fit.mixture_proposal import MixtureProposal
 from finray_calib.fit.predictive import BandCheck, check_bands
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.fit.sampler import SamplerSettings, sample_posterior
-from finray_calib.spectra.band_weights import read_only
-from finray_calib.spectra.skew_cauchy import from_mode_parameters, share_below
+from finray_calib.spectra.curve_quantities import CurveQuantities, curve_quantities
+from finray_calib.spectra.emission_families import EmissionFamily
 
 FloatArray = NDArray[np.float64]
 
-_REFERENCE_ROUNDS = 2
-"""The filters' tolerances act at the best fit; the first round starts from calibration errors alone."""
-
-YIELD_END_NM = 780.0
-"""The energy yield is counted from the laser line to here, nm: the end of the visible."""
+_REFERENCE_ROUNDS: Final = 2
+"""The filters' tolerances act at a reference fit that is refined twice; the first is fitted without them."""
 
 
 @dataclass(frozen=True, slots=True)
-class SpectrumBands:
-    """Pointwise posterior of the emission curve, each field (L,) in nm^-1: mean and equal-tailed limits."""
+class FitSettings:
+    """Size of the sampling.
 
-    mean: FloatArray
-    low95: FloatArray
-    high95: FloatArray
-    low68: FloatArray
-    high68: FloatArray
+    Attributes
+    ----------
+    importance_draws
+        Draws of the proposal.
+    kept_draws
+        Draws of equal weight that are kept.
+    chain
+        Settings of emcee, which takes over when importance sampling cannot be trusted.
+
+    Raises
+    ------
+    FitError
+        When there are too few draws for 95 % limits.
+    """
+
+    importance_draws: int = 8000
+    kept_draws: int = 2000
+    chain: SamplerSettings = SamplerSettings()
+
+    def __post_init__(self) -> None:
+        if not 100 <= self.kept_draws <= self.importance_draws:
+            raise FitError(
+                f"fit settings: kept_draws {self.kept_draws} must be at least 100 and at most importance_draws "
+                f"{self.importance_draws}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
+class Sampling:
+    """How the draws were made and whether they can be trusted.
+
+    Attributes
+    ----------
+    method
+        "importance sampling", "adapted importance sampling" or "emcee".
+    sample
+        The last importance sample; its evidence holds whatever the method.
+    chain
+        Diagnostics of emcee where it took over.
+    """
+
+    method: SamplingMethod
+    sample: WeightedSample
+    chain: ChainDiagnostics | None
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the draws support 95 % limits."""
+        return self.sample.trusted if self.chain is None else self.chain.converged
+
+
+@dataclass(frozen=True)
 class EmissionPosterior:
     """Posterior of a paint's emission.
 
     Attributes
     ----------
-    draws
-        (N, 6) posterior draws in the order of :attr:`parameter_names`.
+    log_posterior
+        What was sampled: data, family, prior and discrepancy.
     maxima
-        All distinct maxima with their log posterior, best first; more than one means that the bands leave a
-        real ambiguity.
-    diagnostics
-        Convergence of the chains.
+        All distinct maxima, best first; more than one means that the bands leave a real ambiguity.
+    proposal
+        Mixture that covers the posterior.
+    draws
+        (N, D) posterior draws of equal weight, columns as in ``log_posterior.prior.names``.
+    sampling
+        Method and diagnostics.
+    curve_draws
+        One emission curve with discrepancy for each draw.
     bands
         Posterior predictive check of each band.
-    laser_nm
-        Centroid of the laser line, nm.
     """
 
-    draws: FloatArray
+    log_posterior: LogPosterior
     maxima: Maxima
-    diagnostics: ChainDiagnostics
+    proposal: MixtureProposal
+    draws: FloatArray
+    sampling: Sampling
+    curve_draws: CurveDraws
     bands: BandCheck
-    laser_nm: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "draws", read_only(self.draws))
 
     @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Names of the columns of the draws."""
-        return PARAMETER_NAMES
+    def family(self) -> EmissionFamily:
+        """Family of emission curves."""
+        return self.log_posterior.family
 
     @property
-    def map_estimate(self) -> FloatArray:
-        """Parameters of the highest maximum, (6,)."""
-        return np.asarray(self.maxima.theta[0])
+    def wavelength_nm(self) -> FloatArray:
+        """Grid of the curves, (L,), nm."""
+        return self.log_posterior.data.weights.wavelength_nm
 
     @property
-    def mode_nm(self) -> FloatArray:
-        """Draws of the wavelength of the maximum, (N,), nm."""
-        return np.asarray(self.draws[:, 0])
+    def laser_nm(self) -> float:
+        """Centroid of the laser line, nm."""
+        return self.log_posterior.data.weights.laser_nm
 
-    @property
-    def fwhm_nm(self) -> FloatArray:
-        """Draws of the full width at half maximum, (N,), nm."""
-        return np.asarray(np.exp(self.draws[:, 1]))
-
-    @property
-    def peak_per_nm(self) -> FloatArray:
-        """Draws of the height of the maximum, (N,), nm^-1."""
-        return np.asarray(np.exp(self.draws[:, 3]))
-
-    @property
-    def location_nm(self) -> FloatArray:
-        """Draws of l0 of the paper, (N,), nm."""
-        return from_mode_parameters(*self.draws[:, :4].T)[0]
-
-    @property
-    def scale_nm(self) -> FloatArray:
-        """Draws of g (gamma) of the paper, (N,), nm."""
-        return from_mode_parameters(*self.draws[:, :4].T)[1]
-
-    @property
-    def skewness(self) -> FloatArray:
-        """Draws of w (omega) of the paper, (N,)."""
-        return np.asarray(np.sinh(self.draws[:, 2]))
-
-    @property
-    def amplitude_nm(self) -> FloatArray:
-        """Draws of h of the paper, (N,), nm (nm^-1 times nm^2)."""
-        return from_mode_parameters(*self.draws[:, :4].T)[3]
+    @cached_property
+    def quantities(self) -> CurveQuantities:
+        """Quantities of each drawn curve, discrepancy included."""
+        return curve_quantities(self.curve_draws.curves, self.wavelength_nm)
 
     @property
     def reflectance_at_laser(self) -> FloatArray:
         """Draws of the reflectance at the laser line, (N,)."""
-        return np.asarray(np.exp(self.draws[:, 4]))
+        return np.asarray(np.exp(self.draws[:, self.log_posterior.problem.shapes]))
 
-    @property
-    def energy_yield(self) -> FloatArray:
-        """Draws of the integral of the emission curve from the laser line to 780 nm, (N,), dimensionless.
-
-        Emitted over incident energy relative to a perfect white; above 1 it is not physical.
-        """
-        area = np.pi * self.amplitude_nm / (2 * self.scale_nm)
-        return np.asarray(area * (self._share_below(YIELD_END_NM) - self._share_below(self.laser_nm)))
-
-    @property
+    @cached_property
     def share_below_laser(self) -> FloatArray:
-        """Draws of the share of the curve's area below the laser line, (N,).
+        """Draws of the share of the family curve's area that lies below the laser line, (N,).
 
         Emission there would gain energy: a large share says that the curve's blue tail is not physical.
         """
-        return self._share_below(self.laser_nm)
-
-    def spectrum_bands(self, wavelength_nm: FloatArray) -> SpectrumBands:
-        """Return the posterior mean curve and its pointwise 68 % and 95 % limits at (L,) wavelengths, nm.
-
-        Zero below the laser line: no paint emits below its excitation.
-        The bands hold what the four-parameter family allows; a real paint may leave the family.
-        """
-        curves = emission_curves(self.draws, wavelength_nm) * (wavelength_nm >= self.laser_nm)
-        low95, low68, high68, high95 = np.quantile(curves, [0.025, 0.16, 0.84, 0.975], axis=0)
-        return SpectrumBands(curves.mean(axis=0), low95, high95, low68, high68)
-
-    def _share_below(self, wavelength_nm: float) -> FloatArray:
-        """Return draws of the share of the area below a wavelength, (N,)."""
-        return share_below((wavelength_nm - self.location_nm) / self.scale_nm, self.skewness)
+        curves = self.family.curves(self.draws, self.wavelength_nm)
+        below = curves[:, self.wavelength_nm < self.laser_nm].sum(axis=1)
+        return np.asarray(below / curves.sum(axis=1))
 
 
 def fit_emission(
-    data: BandData, prior: EmissionPrior, settings: SamplerSettings, rng: np.random.Generator
+    data: BandData,
+    family: EmissionFamily,
+    prior: EmissionPrior,
+    discrepancy: Discrepancy,
+    settings: FitSettings,
+    rng: np.random.Generator,
 ) -> EmissionPosterior:
     """Return the posterior of a paint's emission from its band values.
 
-    Finds all maxima, then samples p(theta | y) proportional to N(y; mu(theta), C(theta)) prior(theta). Valid as
-    far as the paint's emission is a skew-Cauchy curve: read :attr:`EmissionPosterior.bands` before the
+    Finds all maxima, samples p(theta | y) and draws one curve with its discrepancy for each sample. Valid as far as
+    the discrepancy describes how the paint leaves the family: read :attr:`EmissionPosterior.bands` before the
     intervals.
 
     Parameters
     ----------
     data
         Band values with covariance, usable entries and the rig's weights.
+    family
+        Family of emission curves.
     prior
-        Prior of the six parameters.
+        Prior of the quantities common to all families.
+    discrepancy
+        How far the paint may leave the family.
     settings
-        Length and size of the sampling.
+        Size of the sampling.
     rng
         Source of all randomness.
-
-    Returns
-    -------
-    EmissionPosterior
-        Draws, maxima, diagnostics and band checks.
     """
-    log_posterior = LogPosterior(data, prior)
+    log_posterior = LogPosterior(data, family, prior, discrepancy)
     maxima = find_maxima(log_posterior, rng)
     for _ in range(_REFERENCE_ROUNDS if data.tolerances is not None else 0):
-        log_posterior = LogPosterior(data, prior, maxima.theta[0])
+        reference = log_posterior.reference_at(maxima.theta[0])
+        log_posterior = LogPosterior(data, family, prior, discrepancy, reference)
         maxima = find_maxima(log_posterior, rng)
-    proposal = MixtureProposal.around(maxima, prior).adapted(log_posterior, rng)
-    draws, diagnostics = sample_posterior(log_posterior, proposal, settings, rng)
-    return EmissionPosterior(draws, maxima, diagnostics, check_bands(log_posterior, draws), data.weights.laser_nm)
+    proposal, draws, sampling = draw_posterior(log_posterior, maxima, settings, rng)
+    curves = curve_draws(log_posterior, draws, rng)
+    return EmissionPosterior(
+        log_posterior, maxima, proposal, draws, sampling, curves, check_bands(log_posterior, draws)
+    )
+
+
+def draw_posterior(
+    log_posterior: LogPosterior, maxima: Maxima, settings: FitSettings, rng: np.random.Generator
+) -> tuple[MixtureProposal, FloatArray, Sampling]:
+    """Return proposal, draws of equal weight and how they were made.
+
+    Importance sampling around the maxima; where its diagnostic k or its effective number says no, the same with a
+    proposal adapted to the posterior; where that says no, emcee with jumps between all maxima.
+    """
+    proposal = MixtureProposal.around(maxima, log_posterior.prior)
+    sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
+    method: SamplingMethod = "importance sampling"
+    if not sample.trusted:
+        method = "adapted importance sampling"
+        proposal = proposal.adapted(log_posterior, rng)
+        sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
+    if sample.trusted:
+        return proposal, sample.resampled(settings.kept_draws, rng), Sampling(method, sample, None)
+    chain, diagnostics = sample_posterior(log_posterior, proposal, settings.chain, rng)
+    chosen = rng.permutation(len(chain))[: settings.kept_draws]
+    return proposal, chain[chosen], Sampling("emcee", sample, diagnostics)
+

@@ -1,22 +1,27 @@
-"""The likelihood of band values with measurement noise and the imperfections of the rig."""
+"""The likelihood of band values with noise, the imperfections of the rig, and the discrepancy of the paint."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import FitError
-from finray_calib.fit.nuisances import calibration_columns, predict_bands, tolerance_columns
-from finray_calib.fit.prior import EmissionPrior
+from finray_calib.fit.discrepancy import NO_DISCREPANCY, Discrepancy
+from finray_calib.fit.nuisances import calibration_columns, tolerance_columns
+from finray_calib.fit.posterior_kernel import Problem, covariances, log_posterior, predictions
+from finray_calib.fit.prior import EmissionPrior, Prior
+from finray_calib.spectra.band_quadrature import BandQuadrature, band_quadrature
 from finray_calib.spectra.band_tolerances import BandTolerances
 from finray_calib.spectra.band_weights import EmissionWeights, read_only
+from finray_calib.spectra.emission_families import EmissionFamily, tables
 
 FloatArray = NDArray[np.float64]
 
 LEAST_BANDS = 4
 """Fewest bands with a usable channel: a mode, a width, a skewness and a height need as many."""
 
-_DIFFERENCE_STEP = 1e-4  # in prior standard deviations: truncation 1e-8, rounding 1e-11, both far below the noise
+_HESSIAN_STEP = 1e-3  # in prior standard deviations: truncation 1e-6, rounding 1e-9 of the curvature
+_LENGTHS_APART = 5.0  # bands further apart than five correlation lengths share no discrepancy (e^-12)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +42,8 @@ class BandData:
         Relative standard uncertainty of each band's calibration, common to its channels.
     tolerances
         Tolerances of the filters' centre, width and blocking; perfectly known filters when None.
+    quadrature
+        Few-node rule of the weights.
 
     Raises
     ------
@@ -51,6 +58,7 @@ class BandData:
     weights: EmissionWeights
     band_calibration_rel: float = 0.01
     tolerances: BandTolerances | None = None
+    quadrature: BandQuadrature = field(init=False)
 
     def __post_init__(self) -> None:
         rows = self.weights.band_index.size
@@ -84,76 +92,166 @@ class BandData:
             ) from None
         for name in ("y", "covariance", "usable"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
+        object.__setattr__(self, "quadrature", band_quadrature(self.weights))
+
+    def without_band(self, band: int) -> "BandData":
+        """Return the data with one band left out.
+
+        Raises
+        ------
+        FitError
+            When fewer than four bands remain.
+        """
+        usable = self.usable.copy()
+        usable[band] = False
+        return replace(self, usable=usable)
 
     @property
     def kept(self) -> NDArray[np.int64]:
         """Rows of the usable entries in band-major order."""
         return np.flatnonzero(self.usable.ravel())
 
-    def imperfections(self, reference: FloatArray | None = None) -> FloatArray:
+    def imperfections(self, reference: "Reference | None" = None) -> FloatArray:
         """Return the imperfection columns U of the usable rows, (K, M).
 
         Parameters
         ----------
         reference
-            (6,) parameters at which the filters' tolerances act; calibration errors alone when None.
+            The emission at which the filters' tolerances act; calibration errors alone when None.
         """
         y = np.nan_to_num(self.y.ravel())
         columns = [calibration_columns(y, self.weights, self.band_calibration_rel)]
         if reference is not None and self.tolerances is not None:
-            columns.append(tolerance_columns(reference, self.weights, self.tolerances))
+            columns.append(
+                tolerance_columns(
+                    reference.curve, reference.reflected_laser, reference.blocking, self.weights, self.tolerances
+                )
+            )
         return np.concatenate(columns, axis=1)[self.kept]
 
 
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """An emission curve on the weights' grid (L,), nm^-1, with the reflectance at the laser and the blocking."""
+
+    curve: FloatArray
+    reflected_laser: float
+    blocking: float
+
+
 class LogPosterior:
-    """Log posterior density of parameter rows given band data and a prior: y ~ N(mu(theta), S + U U^T).
+    """Log posterior density of parameter rows: y ~ N(mu(theta), S + U U^T + discrepancy(theta)).
+
+    Theta is the family's parameters, the logarithm of the reflectance at the laser and, when the filters leak, the
+    logarithm of their blocking.
 
     Parameters
     ----------
     data
         Measured band values.
+    family
+        Family of emission curves.
     prior
-        Prior of the six parameters.
+        Prior of the quantities common to all families.
+    discrepancy
+        How far the paint may leave the family.
     reference
-        (6,) parameters at which the filters' tolerances act, see :meth:`BandData.imperfections`.
+        Where the filters' tolerances act, see :meth:`BandData.imperfections`.
     """
 
-    def __init__(self, data: BandData, prior: EmissionPrior, reference: FloatArray | None = None) -> None:
-        self.data = data
-        self.prior = prior
-        self._kept = data.kept
-        self._y = data.y.ravel()[self._kept]
-        imperfections = data.imperfections(reference)
-        self.covariance = data.covariance[np.ix_(self._kept, self._kept)] + imperfections @ imperfections.T
-        factor = np.linalg.cholesky(self.covariance)
-        self._whiten: FloatArray = np.asarray(np.linalg.inv(factor), dtype=np.float64)
-        self._constant = -0.5 * self._kept.size * np.log(2 * np.pi) - np.log(np.diagonal(factor)).sum()
+    def __init__(
+        self,
+        data: BandData,
+        family: EmissionFamily,
+        prior: EmissionPrior,
+        discrepancy: Discrepancy = NO_DISCREPANCY,
+        reference: Reference | None = None,
+    ) -> None:
+        self.data, self.family, self.discrepancy = data, family, discrepancy
+        self.has_blocking = bool((data.weights.leaked_laser > 0).any() or (data.weights.leaked_emission > 0).any())
+        self.prior = prior.of(family, with_blocking=self.has_blocking)
+        self.imperfections = data.imperfections(reference)
+        self.problem = _problem(self)
 
     def __call__(self, theta: FloatArray) -> FloatArray:
-        """Return the log posterior density (up to the evidence) of (n, 6) rows, (n,)."""
-        inside = self.prior.contains(theta)
-        result = np.full(len(theta), -np.inf)
-        if inside.any():
-            result[inside] = self.prior.log_density(theta[inside]) + self.log_likelihood(theta[inside])
-        return result
+        """Return the log posterior density (up to the evidence) of (n, D) rows, (n,)."""
+        return np.asarray(log_posterior(self.problem, np.ascontiguousarray(theta), True))
 
     def log_likelihood(self, theta: FloatArray) -> FloatArray:
-        """Return ln p(y | theta) of (n, 6) rows, (n,)."""
-        residual = (self._y - self.predict_usable(theta)) @ self._whiten.T
-        return np.asarray(self._constant - 0.5 * (residual**2).sum(axis=1))
+        """Return ln p(y | theta) of (n, D) rows inside the prior, (n,)."""
+        return np.asarray(log_posterior(self.problem, np.ascontiguousarray(theta), False))
 
     def predict_usable(self, theta: FloatArray) -> FloatArray:
-        """Return the predicted usable band values of (n, 6) rows, (n, K)."""
-        return predict_bands(theta, self.data.weights)[:, self._kept]
+        """Return the predicted usable band values of (n, D) rows, without discrepancy, (n, K)."""
+        return np.asarray(predictions(self.problem, np.ascontiguousarray(theta)))
+
+    def covariances(self, theta: FloatArray) -> FloatArray:
+        """Return the covariance of the usable band values at (n, D) rows, (n, K, K)."""
+        return np.asarray(covariances(self.problem, np.ascontiguousarray(theta)))
+
+    def reference_at(self, theta: FloatArray) -> Reference:
+        """Return the emission, reflectance and blocking of one parameter vector (D,)."""
+        curve = self.family.curves(theta[None], self.data.weights.wavelength_nm)[0]
+        blocking = float(np.exp(theta[-1])) if self.has_blocking else 1.0
+        return Reference(curve, float(np.exp(theta[self.problem.shapes])), blocking)
 
     def information(self, theta: FloatArray) -> FloatArray:
-        """Return the expected (Fisher) information plus the prior precision at one theta, (6, 6).
+        """Return minus the Hessian of the log posterior at one theta, (D, D), made positive definite.
 
-        J^T C^-1 J + diag(1 / sd^2), J by central differences. Its inverse is the Laplace covariance.
+        Central differences of the density. In prior standard deviations no direction is allowed less than a
+        quarter of the prior's own precision, so that the inverse is a covariance even at a saddle.
         """
-        step = _DIFFERENCE_STEP * np.diag(self.prior.sd)
-        low = np.maximum(theta - step, self.prior.low - np.diagonal(step))
-        moved = self.predict_usable(np.concatenate([theta + step, low]))
-        jacobian = (moved[:6] - moved[6:]) / (2 * _DIFFERENCE_STEP * self.prior.sd[:, None])
-        whitened = jacobian @ self._whiten.T
-        return np.asarray(whitened @ whitened.T + np.diag(self.prior.sd**-2.0))
+        prior, size = self.prior, self.prior.size
+        step = np.full(size, _HESSIAN_STEP) * prior.sd
+        theta = np.clip(theta, prior.low + 2.1 * step, prior.high - 2.1 * step)
+        first, second = np.tril_indices(size)
+        unit = np.diag(step)
+        moves = [a * unit[first] + b * unit[second] for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
+        values = self((theta + np.concatenate(moves)).reshape(-1, size)).reshape(4, -1)
+        curvature = -(values[0] - values[1] - values[2] + values[3]) / (4 * _HESSIAN_STEP**2)
+        scaled = np.zeros((size, size))
+        scaled[first, second] = scaled[second, first] = np.nan_to_num(curvature)
+        roots, directions = np.linalg.eigh(scaled)
+        scaled = (directions * np.maximum(roots, 0.25)) @ directions.T
+        return np.asarray(scaled / np.outer(prior.sd, prior.sd))
+
+
+def _problem(posterior: LogPosterior) -> Problem:
+    """Return the arrays of the compiled functions."""
+    data, prior, discrepancy = posterior.data, posterior.prior, posterior.discrepancy
+    kept, weights = data.kept, data.weights
+    rule = data.quadrature
+    u = posterior.imperfections
+    covariance = data.covariance[np.ix_(kept, kept)] + u @ u.T
+    factor = np.linalg.cholesky(covariance)
+    nodes = rule.nodes_nm.ravel()
+    centres = rule.nodes_nm.mean(axis=1)
+    near = np.abs(centres[:, None] - centres) < _LENGTHS_APART * discrepancy.length_nm
+    row = {name: np.ascontiguousarray(getattr(rule, name)[kept]) for name in ("in_band", "out_of_band", "leaked")}
+    own = {name: getattr(weights, name)[kept] for name in ("leaked_laser", "leaked_white")}
+    return Problem(
+        family=posterior.family.code,
+        shapes=len(posterior.family.parameter_names),
+        has_blocking=posterior.has_blocking,
+        table=np.ascontiguousarray(tables()),
+        band=np.ascontiguousarray(weights.band_index[kept]),
+        nodes_nm=np.ascontiguousarray(rule.nodes_nm),
+        grid_nm=np.ascontiguousarray(rule.grid_nm),
+        laser=weights.reflected_laser[kept],
+        y=data.y.ravel()[kept],
+        covariance=covariance,
+        whiten=np.ascontiguousarray(np.linalg.inv(factor)),
+        ln_norm=float(-0.5 * kept.size * np.log(2 * np.pi) - np.log(np.diagonal(factor)).sum()),
+        discrepancy=discrepancy.acts,
+        kernel=discrepancy.smooth_kernel(nodes, nodes),
+        near=near.astype(np.int64),
+        floor_rel=discrepancy.floor_rel,
+        reabsorption_rel=discrepancy.reabsorption_rel,
+        prior_mean=prior.mean,
+        prior_sd=prior.sd,
+        low=prior.low,
+        high=prior.high,
+        ln_prior_norm=prior.ln_norm,
+        **row,
+        **own,
+    )

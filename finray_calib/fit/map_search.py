@@ -1,4 +1,4 @@
-"""Every maximum of the posterior, found by NLopt from many starting points."""
+"""Every maximum of the posterior: compiled Levenberg-Marquardt from many starts, each end finished by NLopt."""
 
 from contextlib import suppress
 from dataclasses import dataclass
@@ -8,17 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from finray_calib.fit.likelihood import LogPosterior
+from finray_calib.fit.posterior_kernel import climb
 
 FloatArray = NDArray[np.float64]
 
-_DRAWS = 1024
+_DRAWS = 512
 _STARTS_PER_STRATUM = 2
 _MODE_STRATA = 4
-_EVALUATIONS = 400
+_CLIMB_STEPS = 60
+_EVALUATIONS = 60
 _GRADIENT_STEP = 1e-5  # in prior standard deviations
 _BOX_SD = 8.0  # box of the parameters without truncation: nothing within reach of any data lies outside
 _SAME_MAXIMUM = 1.0  # in posterior standard deviations
-_KEEP_WITHIN = 25.0  # nats below the best; a lower maximum holds no mass that a finite chain could see
+_SURELY_SAME = 0.05  # in prior standard deviations: ends this close need no curvature to be one
+_LEAST = -1e12  # nats: stands in for minus infinity, whose differences are not numbers
+_KEEP_WITHIN = 25.0  # nats below the best; a lower maximum holds no mass that a finite sample could see
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +32,11 @@ class Maxima:
     Attributes
     ----------
     theta
-        (k, 6) parameters.
+        (k, D) parameters.
     log_posterior
         (k,) log posterior density.
     information
-        (k, 6, 6) expected information plus prior precision; the inverse is the Laplace covariance.
+        (k, D, D) minus the Hessian; the inverse is the Laplace covariance.
     """
 
     theta: FloatArray
@@ -41,16 +45,19 @@ class Maxima:
 
     @property
     def ln_laplace_mass(self) -> FloatArray:
-        """Log of the posterior mass of each maximum in the Laplace approximation, up to a constant, (k,)."""
-        return np.asarray(self.log_posterior - 0.5 * np.linalg.slogdet(self.information)[1])
+        """Log of the posterior mass of each maximum in the Laplace approximation, (k,)."""
+        size = self.theta.shape[1]
+        curvature = np.linalg.slogdet(self.information)[1]
+        return np.asarray(self.log_posterior + 0.5 * size * np.log(2 * np.pi) - 0.5 * curvature)
 
 
 def find_maxima(log_posterior: LogPosterior, rng: np.random.Generator) -> Maxima:
     """Return all distinct maxima that a stratified multi-start search finds.
 
-    Prior draws are scaled to the data (height from the brightest band, reflectance from the excitation band);
-    the best of each stratum of mode and sign of skewness start NLopt's SLSQP in prior standard deviations.
-    Maxima closer than one posterior standard deviation are one; those 25 nats below the best are dropped.
+    Prior draws are scaled to the data (height from the brightest band, reflectance from the excitation band); the
+    best of each stratum of mode and sign of skewness start Levenberg-Marquardt; NLopt's SLSQP finishes each distinct
+    end on the exact density. Maxima closer than one posterior standard deviation are one; those 25 nats below the
+    best are dropped.
 
     Parameters
     ----------
@@ -59,53 +66,59 @@ def find_maxima(log_posterior: LogPosterior, rng: np.random.Generator) -> Maxima
     rng
         Source of the starting points.
     """
-    starts = starting_points(log_posterior, rng)
-    ends = [_climb(log_posterior, start) for start in starts]
+    problem, prior = log_posterior.problem, log_posterior.prior
+    ends = [climb(problem, start, _CLIMB_STEPS) for start in starting_points(log_posterior, rng)]
     ends.sort(key=lambda end: -end[1])
     kept: list[tuple[FloatArray, float, FloatArray]] = []
+    seen: list[FloatArray] = []
     for theta, value in ends:
-        if value < ends[0][1] - _KEEP_WITHIN:
+        if value < ends[0][1] - _KEEP_WITHIN or not np.isfinite(value):
             break
-        if all(_distance(theta - other, precision) > _SAME_MAXIMUM for other, _, precision in kept):
-            kept.append((theta, value, log_posterior.information(theta)))
+        if any((np.abs(theta - other) < _SURELY_SAME * prior.sd).all() for other in seen):
+            continue
+        seen.append(theta)
+        if any(_distance(theta - other, precision) < _SAME_MAXIMUM for other, _, precision in kept):
+            continue
+        end, best = _finish(log_posterior, theta)
+        if all(_distance(end - other, precision) > _SAME_MAXIMUM for other, _, precision in kept):
+            kept.append((end, best, log_posterior.information(end)))
+    kept.sort(key=lambda maximum: -maximum[1])
     thetas, values, informations = zip(*kept, strict=True)
     return Maxima(np.array(thetas), np.array(values), np.array(informations))
 
 
 def starting_points(log_posterior: LogPosterior, rng: np.random.Generator) -> FloatArray:
-    """Return (n, 6) starting points: the best scaled prior draws of each stratum of mode and skewness sign."""
+    """Return (n, D) starting points: the best scaled prior draws of each stratum of mode and skewness sign."""
     prior, data = log_posterior.prior, log_posterior.data
     theta = prior.draw(_DRAWS, rng)
     kept, y = data.kept, data.y.ravel()[data.kept]
     excitation = data.weights.is_excitation[kept]
     predicted = log_posterior.predict_usable(theta)
-    shift = np.zeros((_DRAWS, 2))
-    for column, rows in enumerate((~excitation, excitation)):
+    for column, rows in ((2, ~excitation), (log_posterior.problem.shapes, excitation)):
         if rows.any():
             brightest = max(float(y[rows].max()), np.finfo(float).tiny)
-            shift[:, column] = np.log(brightest / predicted[:, rows].max(axis=1))
-    limit = _BOX_SD * prior.sd[3:5]
-    theta[:, 3:5] = np.clip(theta[:, 3:5] + shift, prior.mean[3:5] - limit, prior.mean[3:5] + limit)
+            limit = _BOX_SD * prior.sd[column]
+            moved = theta[:, column] + np.log(brightest / predicted[:, rows].max(axis=1))
+            theta[:, column] = np.clip(moved, prior.mean[column] - limit, prior.mean[column] + limit)
     order = np.argsort(-log_posterior(theta))
-    edges = np.linspace(prior.mode_low_nm, prior.mode_high_nm, _MODE_STRATA + 1)[1:-1]
-    stratum = 2 * np.digitize(theta[order, 0], edges) + (theta[order, 2] > 0)
+    edges = np.linspace(prior.low[0], prior.high[0], _MODE_STRATA + 1)[1:-1]
+    stratum = 2 * np.digitize(theta[order, 0], edges) + (theta[order, 3] > prior.mean[3])
     best = [order[stratum == s][:_STARTS_PER_STRATUM] for s in range(2 * _MODE_STRATA)]
     return np.asarray(theta[np.concatenate(best)])
 
 
-def _climb(log_posterior: LogPosterior, start: FloatArray) -> tuple[FloatArray, float]:
-    """Return the maximum reached from `start` and its log posterior density."""
+def _finish(log_posterior: LogPosterior, start: FloatArray) -> tuple[FloatArray, float]:
+    """Return the maximum that NLopt reaches from `start` and its log posterior density."""
     prior = log_posterior.prior
     scale, dimension = prior.sd, start.size
     steps = np.vstack([np.zeros(dimension), np.eye(dimension), -np.eye(dimension)]) * _GRADIENT_STEP
     low = np.maximum((prior.low - prior.mean) / scale, -_BOX_SD) + _GRADIENT_STEP
     high = np.minimum((prior.high - prior.mean) / scale, _BOX_SD) - _GRADIENT_STEP
-
     best_z, best_value = np.clip((start - prior.mean) / scale, low, high), -np.inf
 
     def density(z: FloatArray, gradient: FloatArray) -> float:
         nonlocal best_z, best_value
-        values = log_posterior(prior.mean + (z + steps) * scale)
+        values = np.maximum(log_posterior(prior.mean + (z + steps) * scale), _LEAST)
         if gradient.size:
             gradient[:] = (values[1 : dimension + 1] - values[dimension + 1 :]) / (2 * _GRADIENT_STEP)
         if values[0] > best_value:

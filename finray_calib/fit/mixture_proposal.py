@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
 from finray_calib.fit.map_search import Maxima
-from finray_calib.fit.prior import EmissionPrior
+from finray_calib.fit.prior import Prior
 
 FloatArray = NDArray[np.float64]
 
@@ -35,14 +35,14 @@ class MixtureProposal:
     shares
         (K,) relative weights of the components.
     centres
-        (K, 6) centres.
+        (K, D) centres.
     covariances
-        (K, 6, 6) scale matrices.
+        (K, D, D) scale matrices.
     prior
         Prior of the parameters.
     """
 
-    def __init__(self, shares: FloatArray, centres: FloatArray, covariances: FloatArray, prior: EmissionPrior) -> None:
+    def __init__(self, shares: FloatArray, centres: FloatArray, covariances: FloatArray, prior: Prior) -> None:
         self._prior = prior
         self._shares = np.append(shares / shares.sum() * (1 - _PRIOR_SHARE), _PRIOR_SHARE)
         self._centres = centres
@@ -54,7 +54,7 @@ class MixtureProposal:
         self._ln_norm = constant - np.log(np.diagonal(self._factors, axis1=1, axis2=2)).sum(axis=1)
 
     @classmethod
-    def around(cls, maxima: Maxima, prior: EmissionPrior) -> Self:
+    def around(cls, maxima: Maxima, prior: Prior) -> Self:
         """Return one component per maximum: its Laplace approximation, slightly widened, weighted by its mass."""
         mass = np.exp(maxima.ln_laplace_mass - maxima.ln_laplace_mass.max())
         covariances = np.asarray(np.linalg.inv(maxima.information) * _INFLATION**2, dtype=np.float64)
@@ -87,7 +87,7 @@ class MixtureProposal:
         return mixture
 
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """Return (count, 6) draws in random order."""
+        """Return (count, D) draws in random order."""
         counts = rng.multinomial(count, self._shares)
         prior_draws = self._prior.draw(counts[-1], rng)
         which = np.repeat(np.arange(len(self._centres)), counts[:-1])
@@ -97,7 +97,7 @@ class MixtureProposal:
         return np.asarray(rng.permutation(np.concatenate([prior_draws, draws])))
 
     def log_density(self, theta: FloatArray) -> FloatArray:
-        """Return the normalised log density of (n, 6) rows, (n,)."""
+        """Return the normalised log density of (n, D) rows, (n,)."""
         return np.asarray(logsumexp(self._ln_terms(theta, self._squared_distance(theta)), axis=1))
 
     def _squared_distance(self, theta: FloatArray) -> FloatArray:
@@ -119,7 +119,7 @@ class MixtureProposal:
         return type(self)(shares, centres, self._covariances[nearest], self._prior)
 
     def updated(self, theta: FloatArray, weight: FloatArray) -> Self:
-        """Return the mixture after one step of expectation maximisation on (n, 6) draws with (n,) weights."""
+        """Return the mixture after one step of expectation maximisation on (n, D) draws with (n,) weights."""
         squared = self._squared_distance(theta)
         terms = self._ln_terms(theta, squared)
         member = np.exp(terms - logsumexp(terms, axis=1, keepdims=True))[:, :-1] * weight[:, None]

@@ -1,4 +1,4 @@
-r"""The band values that the model predicts, and the directions in which the rig's imperfections move them.
+r"""The directions in which the rig's imperfections move the band values.
 
 .. math:: y = \mu(\theta) + U k + e, \quad k \sim N(0, I), \quad e \sim N(0, S)
 
@@ -14,19 +14,35 @@ errors of 1 % the bias of taking them at the data is 1e-4.
 import numpy as np
 from numpy.typing import NDArray
 
-from finray_calib.fit.band_model import emission_curves
 from finray_calib.spectra.band_tolerances import BandTolerances
 from finray_calib.spectra.band_weights import EmissionWeights
 
 FloatArray = NDArray[np.float64]
 
 
-def predict_bands(theta: FloatArray, weights: EmissionWeights) -> FloatArray:
-    """Return the band values (n, N) of (n, 6) parameter rows.
+def band_values(
+    curves: FloatArray, reflected_laser: FloatArray, weights: EmissionWeights, blocking: FloatArray | float = 1.0
+) -> FloatArray:
+    """Return the band values (n, N) of emission curves on the full wavelength grid.
 
-    The value is that of :class:`EmissionWeights` with m = exp(ln_blocking) times the nominal leak.
+    The value is that of :class:`EmissionWeights` with m = `blocking` times the nominal leak.
+
+    Parameters
+    ----------
+    curves
+        (n, L) emission on the weights' grid, nm^-1.
+    reflected_laser
+        (n,) reflectance at the laser line.
+    weights
+        Weights of the rig.
+    blocking
+        (n,) or one multiplier of the nominal leak.
     """
-    return _parts(theta, weights)[0]
+    reflectance = np.asarray(reflected_laser)[:, None]
+    more = np.broadcast_to(np.asarray(blocking, dtype=np.float64) - 1, len(curves))[:, None]
+    leaked = curves @ weights.leaked_emission.T + reflectance * weights.leaked_laser
+    mu = curves @ weights.emission.T + reflectance * weights.reflected_laser + more * leaked
+    return np.asarray(mu / (1 + more * weights.leaked_white))
 
 
 def calibration_columns(y: FloatArray, weights: EmissionWeights, band_calibration_rel: float) -> FloatArray:
@@ -44,31 +60,22 @@ def calibration_columns(y: FloatArray, weights: EmissionWeights, band_calibratio
     return _per_band(band_calibration_rel * y, weights)
 
 
-def tolerance_columns(theta: FloatArray, weights: EmissionWeights, tolerances: BandTolerances) -> FloatArray:
-    """Return the columns of the filters' blocking, centre and width, (N, 3 B), at one parameter vector (6,)."""
-    mu, leaked, white = (part[0] for part in _parts(theta[None], weights))
-    leak = np.exp(theta[5])
-    slope = leak * (leaked - mu * weights.leaked_white) / white  # d mu / d ln(leak of the row's filter)
+def tolerance_columns(
+    curve: FloatArray, reflected_laser: float, blocking: float, weights: EmissionWeights, tolerances: BandTolerances
+) -> FloatArray:
+    """Return the columns of the filters' blocking, centre and width, (N, 3 B), for one reference curve (L,)."""
+    mu = band_values(curve[None], np.array([reflected_laser]), weights, blocking)[0]
+    leaked = weights.leaked_emission @ curve + reflected_laser * weights.leaked_laser
+    white = 1 + (blocking - 1) * weights.leaked_white
+    slope = blocking * (leaked - mu * weights.leaked_white) / white  # d mu / d ln(leak of the row's filter)
     columns = [_per_band(tolerances.blocking_sd * slope, weights)]
-    curve = emission_curves(theta[None], weights.wavelength_nm)[0]
     excitation = int(weights.band_index[np.argmax(weights.is_excitation)])
     for kind in range(2):
-        own = tolerances.emission_shift[kind] @ curve + np.exp(theta[4]) * tolerances.laser_shift[kind]
+        own = tolerances.emission_shift[kind] @ curve + reflected_laser * tolerances.laser_shift[kind]
         moved = _per_band(own, weights)
         moved[:, excitation] -= tolerances.level_shift[kind] * mu
         columns.append(moved)
     return np.concatenate(columns, axis=1)
-
-
-def _parts(theta: FloatArray, weights: EmissionWeights) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the band values, their nominally leaked part and the change of the white signal, each (n, N)."""
-    curves = emission_curves(theta, weights.wavelength_nm)
-    reflectance = np.exp(theta[:, 4, None])
-    leaked = curves @ weights.leaked_emission.T + reflectance * weights.leaked_laser
-    more = np.expm1(theta[:, 5, None])
-    white = 1 + more * weights.leaked_white
-    mu = (curves @ weights.emission.T + reflectance * weights.reflected_laser + more * leaked) / white
-    return mu, leaked, white
 
 
 def _per_band(values: FloatArray, weights: EmissionWeights) -> FloatArray:

@@ -1,80 +1,129 @@
 """From band signals to the stored paint calibration."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.curves import HELD_UNCERTAINTY_REL
-from data_schemas.fit import BandResidual, Diagnostics, Estimate, PaintCalibration
+from data_schemas.curves import HELD_UNCERTAINTY_REL, SpectralCurve
+from data_schemas.errors import FitError
+from data_schemas.estimate import Estimate
+from data_schemas.fit import PaintCalibration
 from data_schemas.radiometry import BandSignals
-from finray_calib.fit.band_model import PARAMETER_NAMES
-from finray_calib.fit.emission import EmissionPosterior, fit_emission
+from data_schemas.reradiation import Reradiation
+from finray_calib.fit import calibration_records as records
+from finray_calib.fit.absorption_fit import AbsorptionPrior, ExcitationYield, fit_absorption
+from finray_calib.fit.chain_check import check_by_chain
+from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY, Discrepancy
+from finray_calib.fit.emission import EmissionPosterior, FitSettings, fit_emission
+from finray_calib.fit.family_choice import DEFAULT_FAMILY, choose_family, score_families
+from finray_calib.fit.leave_one_band_out import leave_one_band_out
 from finray_calib.fit.likelihood import BandData
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.fit.reflectance import METHOD, reflectance
-from finray_calib.fit.sampler import SamplerSettings
-from finray_calib.fit.summary import summarise
 from finray_calib.spectra.band_tolerances import tolerances_of
+from finray_calib.spectra.emission_families import FAMILIES, family_named
+from finray_calib.spectra.reradiation_matrix import reradiation_matrix
 from finray_calib.spectra.rig_curves import WAVELENGTH_NM, held_shares, weights_of
 
 Floats = NDArray[np.float64]
-FAMILY = "zheng2014 (skew-Cauchy, the paper's)"
-BAND_CALIBRATION_REL = 0.01
+
+BAND_CALIBRATION_REL: Final = 0.01
 # What a region's photon noise does not know: the shape of each channel's response inside a band, and stray light in
 # camera and enclosure. Without them a tail of a thousandth of the peak would be trusted to a hundredth of itself.
-CHANNEL_RESPONSE_REL = 0.003
-STRAY_LIGHT_REL = 0.003
-PRIOR_DRAWS = 2000
-SMALLEST_P = 0.01
-LARGEST_SHARE_BELOW_LASER = 0.05
+CHANNEL_RESPONSE_REL: Final = 0.003
+STRAY_LIGHT_REL: Final = 0.003
+PAPER_FAMILY: Final = "zheng2014"
+PRIOR_DRAWS: Final = 2000
+CURVE_DRAWS: Final = 400
+_ABOVE_EXCITATION_NM: Final = 20.0  # emission is compared between lights only beyond the longest light's own line
+
+
+@dataclass(frozen=True, slots=True)
+class FitOptions:
+    """What to fit and how.
+
+    Attributes
+    ----------
+    family
+        Name of the family to report; None lets the bands choose, see :func:`choose_family`.
+    discrepancy
+        How far the paint may leave the family.
+    prior
+        Prior of the quantities common to all families.
+    settings
+        Size of the sampling.
+    check_by_emcee
+        Whether to sample the reported posterior again with emcee, as an independent check.
+    """
+
+    family: str | None = None
+    discrepancy: Discrepancy = PAINT_DISCREPANCY
+    prior: EmissionPrior = EmissionPrior()
+    settings: FitSettings = FitSettings()
+    check_by_emcee: bool = False
 
 
 def calibrate_paint(
-    bands: BandSignals,
-    seed: int,
-    prior: EmissionPrior | None = None,
-    settings: SamplerSettings | None = None,
+    bands: BandSignals, seed: int, options: FitOptions | None = None, other_lights: Sequence[BandSignals] = ()
 ) -> PaintCalibration:
-    """Fit the paper's emission family to band signals and return the calibration record.
+    """Fit all families of emission curves to band signals and return the calibration record.
 
     Parameters
     ----------
     bands
         Band signals of one paint.
     seed
-        Seed of the starts and of the sampler.
-    prior, settings
-        Prior and sampler settings; defaults are documented in their classes.
+        Seed of all randomness.
+    options
+        What to fit; the defaults are those of :class:`FitOptions`.
+    other_lights
+        Band signals of the same paint under other excitation lights, which constrain its absorption.
 
     Raises
     ------
     FitError
-        Fewer than four usable bands, or values that are not numbers.
+        Fewer than four usable bands, values that are not numbers, an unknown family, or another light at the same
+        wavelength.
     """
-    prior, settings = prior or EmissionPrior(), settings or SamplerSettings()
+    options = options or FitOptions()
+    if options.family is not None:
+        family_named(options.family)
     rng = np.random.default_rng(seed)
-    data = BandData(
-        y=bands.fluorescence,
-        covariance=bands.fluorescence_covariance + _channel_covariance(bands),
-        usable=bands.usable(),
-        weights=weights_of(bands.optics, bands.channel_weights),
-        band_calibration_rel=BAND_CALIBRATION_REL,
-        tolerances=tolerances_of(bands.optics, bands.channel_weights),
-    )
-    posterior = fit_emission(data, prior, settings, rng)
-    curve = posterior.spectrum_bands(WAVELENGTH_NM)
-    at_laser = _estimate(posterior.reflectance_at_laser)
-    predicted, sd = posterior.bands.predicted_mean, posterior.bands.predicted_sd
-    residuals = _residuals(bands, posterior)
-    diagnostics = _diagnostics(posterior, settings)
+    data = band_data(bands)
+    posteriors = {name: _fit(data, name, options.discrepancy, options, rng) for name in FAMILIES}
+    left_out = {name: leave_one_band_out(p.log_posterior, p.draws) for name, p in posteriors.items()}
+    scores = score_families(posteriors, left_out)
+    chosen, why = choose_family(scores)
+    if options.family is not None and options.family != chosen:
+        why = f"{options.family}: asked for; the rule would take {why}"
+    chosen = options.family or chosen
+    posterior, paper = posteriors[chosen], _fit(data, PAPER_FAMILY, NO_DISCREPANCY, options, rng)
+    check = check_by_chain(posterior, options.settings.chain, rng) if options.check_by_emcee else None
+    curve = records.curve_bands(posterior.curve_draws.curves)
+    at_laser = records.estimate(posterior.reflectance_at_laser)
+    reflected = reflectance(bands, curve.mean, at_laser)
+    drawn = posterior.curve_draws.curves[:CURVE_DRAWS]
+    reradiation = _reradiation(bands, drawn, reflected, [_yields(b, chosen, options, rng) for b in other_lights], rng)
+    diffuse = reradiation_matrix(drawn, WAVELENGTH_NM, reradiation, _reflected_curve(bands, reflected), bands.paint_name)
+    residuals = records.residuals(bands, posterior)
+    others = {**posteriors, f"{PAPER_FAMILY} alone": paper}
+    shown = [records.curve_bands(p.curve_draws.curves) for p in others.values()]
+    prior = posterior.log_posterior.prior
     return PaintCalibration(
         paint_name=bands.paint_name,
-        family=FAMILY,
-        parameters=_parameters(posterior),
-        prior=_prior_in_words(prior),
-        sampled=PARAMETER_NAMES,
-        map_estimate=dict(zip(PARAMETER_NAMES, map(float, posterior.map_estimate), strict=True)),
+        family=chosen,
+        family_title=posterior.family.title,
+        family_choice=why,
+        discrepancy=records.discrepancy(options.discrepancy),
+        parameters=records.parameters(posterior),
+        paper=records.paper_parameters(paper),
+        prior=dict(zip(prior.names, prior.words, strict=True)),
+        prior_sensitivity=records.prior_sensitivity(posterior),
+        sampled=prior.names,
+        map_estimate=dict(zip(prior.names, map(float, posterior.maxima.theta[0]), strict=True)),
         draws=posterior.draws,
         prior_draws=prior.draw(PRIOR_DRAWS, rng),
         wavelength_nm=WAVELENGTH_NM,
@@ -83,21 +132,53 @@ def calibrate_paint(
         emission_high95_per_nm=curve.high95,
         emission_low68_per_nm=curve.low68,
         emission_high68_per_nm=curve.high68,
-        energy_yield=_estimate(posterior.energy_yield),
-        reflectance=reflectance(bands, curve.mean, at_laser),
+        emission_draws_per_nm=drawn,
+        energy_yield=records.estimate(posterior.quantities.energy_yield),
+        band_integrals=records.band_integrals(bands, posterior),
+        families=records.families(others, scores),
+        family_emission_per_nm=np.array([s.mean for s in shown]),
+        family_low95_per_nm=np.array([s.low95 for s in shown]),
+        family_high95_per_nm=np.array([s.high95 for s in shown]),
+        reflectance=reflected,
         reflectance_method=METHOD,
+        reradiation=reradiation,
         optics=bands.optics,
         usable=bands.usable(),
         measured=bands.fluorescence,
         measured_sd=np.sqrt(np.diag(data.covariance)).reshape(-1, 3),
-        predicted=predicted,
-        predicted_sd=sd,
+        predicted=posterior.bands.predicted_mean,
+        predicted_sd=posterior.bands.predicted_sd,
         bands=residuals,
         chi_square=posterior.bands.total_chi2,
-        degrees_of_freedom=data.kept.size - len(PARAMETER_NAMES),
-        diagnostics=diagnostics,
-        warnings=_warnings(posterior, residuals, diagnostics),
+        degrees_of_freedom=data.kept.size - prior.size,
+        diagnostics=records.diagnostics(posterior, check),
+        warnings=(*records.warnings(posterior, residuals, check), *diffuse.warnings),
     )
+
+
+def band_data(bands: BandSignals) -> BandData:
+    """Return the data of the likelihood for the band signals of a region.
+
+    Raises
+    ------
+    FitError
+        Fewer than four usable bands, or values that are not numbers.
+    """
+    return BandData(
+        y=bands.fluorescence,
+        covariance=bands.fluorescence_covariance + _channel_covariance(bands),
+        usable=bands.usable(),
+        weights=weights_of(bands.optics, bands.channel_weights),
+        band_calibration_rel=BAND_CALIBRATION_REL,
+        tolerances=tolerances_of(bands.optics, bands.channel_weights),
+    )
+
+
+def _fit(
+    data: BandData, family: str, discrepancy: Discrepancy, options: FitOptions, rng: np.random.Generator
+) -> EmissionPosterior:
+    """Return the posterior of one family."""
+    return fit_emission(data, FAMILIES[family], options.prior, discrepancy, options.settings, rng)
 
 
 def _channel_covariance(bands: BandSignals) -> Floats:
@@ -113,100 +194,43 @@ def _channel_covariance(bands: BandSignals) -> Floats:
     return np.diag(((relative * y) ** 2 + (STRAY_LIGHT_REL * brightest) ** 2).ravel())
 
 
-def _estimate(draws: Floats) -> Estimate:
-    """Return the record of a posterior summary."""
-    summary = summarise(draws)
-    return Estimate(
-        estimate=summary.estimate,
-        sd=summary.sd,
-        low68=summary.low68,
-        high68=summary.high68,
-        low95=summary.low95,
-        high95=summary.high95,
-    )
+def _yields(
+    bands: BandSignals, family: str, options: FitOptions, rng: np.random.Generator
+) -> tuple[float, EmissionPosterior]:
+    """Return the wavelength of another light and the emission that it excites."""
+    name = family if family in FAMILIES else DEFAULT_FAMILY
+    posterior = _fit(band_data(bands), name, options.discrepancy, options, rng)
+    return bands.optics.laser.wavelength_nm, posterior
 
 
-def _parameters(posterior: EmissionPosterior) -> dict[str, Estimate]:
-    """Summarise the sampled parameters, the quantities of the curve and the paper's symbols."""
-    quantities: Mapping[str, Floats] = {
-        **{name: posterior.draws[:, i] for i, name in enumerate(PARAMETER_NAMES)},
-        "mode_nm": posterior.mode_nm,
-        "fwhm_nm": posterior.fwhm_nm,
-        "peak_per_nm": posterior.peak_per_nm,
-        "location_nm": posterior.location_nm,
-        "scale_nm": posterior.scale_nm,
-        "skewness": posterior.skewness,
-        "amplitude_nm": posterior.amplitude_nm,
-        "reflectance_at_laser": posterior.reflectance_at_laser,
-        "share_below_laser": posterior.share_below_laser,
-    }
-    return {name: _estimate(draws) for name, draws in quantities.items()}
-
-
-def _prior_in_words(prior: EmissionPrior) -> dict[str, str]:
-    """Describe the prior of each sampled parameter."""
-    p = prior
-    texts = (
-        f"normal({p.mode_mean_nm:g}, {p.mode_sd_nm:g}) nm, cut to {p.mode_low_nm:g}..{p.mode_high_nm:g} nm",
-        f"log-normal, median {p.fwhm_median_nm:g} nm, sd of the logarithm {p.ln_fwhm_sd:g}",
-        f"normal(0, {p.kappa_sd:g}), cut to +-{p.kappa_limit:g}",
-        f"log-normal, median {p.peak_median_per_nm:g} 1/nm, sd of the logarithm {p.ln_peak_sd:g}",
-        f"log-normal, median {p.reflected_laser_median:g}, sd of the logarithm {p.ln_reflected_laser_sd:g}",
-        f"log-normal multiplier of the filters' blocking, median 1, sd of the logarithm {p.ln_blocking_sd:g}",
-    )
-    return dict(zip(PARAMETER_NAMES, texts, strict=True))
-
-
-def _residuals(bands: BandSignals, posterior: EmissionPosterior) -> tuple[BandResidual, ...]:
-    """Return how well each filter is explained; a filter without usable channels has no degrees of freedom."""
-    check = posterior.bands
-    return tuple(
-        BandResidual(
-            filter_name=band.name,
-            center_nm=band.center_nm,
-            chi_square=float(np.nan_to_num(check.chi2[b])),
-            degrees_of_freedom=int(check.degrees_of_freedom[b]),
-            posterior_predictive_p=float(np.nan_to_num(check.p_value[b], nan=1.0)),
+def _reradiation(
+    bands: BandSignals,
+    drawn: Floats,
+    reflected: tuple[Estimate, ...],
+    lights: Sequence[tuple[float, EmissionPosterior]],
+    rng: np.random.Generator,
+) -> Reradiation:
+    """Return the absorption: prior-driven with one light, constrained by the yields of several."""
+    laser_nm = bands.optics.laser.wavelength_nm
+    counted_nm = max([laser_nm, *(nm for nm, _ in lights)]) + _ABOVE_EXCITATION_NM
+    every: Mapping[float, Floats] = {laser_nm: drawn, **{nm: p.curve_draws.curves for nm, p in lights}}
+    if len(every) != 1 + len(lights):
+        raise FitError(
+            f"other lights: two sessions have the same excitation ({', '.join(f'{nm:g}' for nm, _ in lights)} nm and "
+            f"the first at {laser_nm:g} nm); give one session per light"
         )
-        for b, band in enumerate(bands.optics.filters)
+    yields = []
+    for nm, curves in every.items():
+        area = curves[:, counted_nm <= WAVELENGTH_NM].sum(axis=1)
+        yields.append(ExcitationYield(nm, float(area.mean()), float(np.clip(area.std() / area.mean(), 1e-4, 0.5))))
+    least = _reflected_curve(bands, reflected, lowest=True)
+    return fit_absorption(drawn, WAVELENGTH_NM, laser_nm, yields, AbsorptionPrior(), rng, least)
+
+
+def _reflected_curve(bands: BandSignals, reflected: tuple[Estimate, ...], *, lowest: bool = False) -> SpectralCurve:
+    """Return the reflectance (or its lower 95 % limit) between the filters' centres."""
+    pairs = sorted(
+        (f.center_nm, r.low95 if lowest else r.estimate) for f, r in zip(bands.optics.filters, reflected, strict=True)
     )
-
-
-def _diagnostics(posterior: EmissionPosterior, settings: SamplerSettings) -> Diagnostics:
-    """Return the record of the chain's convergence."""
-    chain = posterior.diagnostics
-
-    def by_name(values: Floats) -> dict[str, float]:
-        return dict(zip(PARAMETER_NAMES, map(float, values), strict=True))
-
-    return Diagnostics(
-        walkers=settings.walkers,
-        steps=chain.steps,
-        converged=chain.converged,
-        acceptance_fraction=float(chain.acceptance),
-        autocorrelation_time=by_name(chain.autocorrelation_steps),
-        r_hat=by_name(chain.r_hat),
-        effective_samples=by_name(chain.bulk_ess),
-        maxima=tuple(float(v) for v in posterior.maxima.log_posterior),
-    )
-
-
-def _warnings(
-    posterior: EmissionPosterior, residuals: tuple[BandResidual, ...], diagnostics: Diagnostics
-) -> tuple[str, ...]:
-    """Say what a reader of the numbers must know."""
-    warnings = []
-    bad = [r.filter_name for r in residuals if r.posterior_predictive_p < SMALLEST_P]
-    if bad:
-        warnings.append(
-            f"the family cannot explain filter{'s' if len(bad) > 1 else ''} {', '.join(bad)} (posterior predictive p < "
-            f"{SMALLEST_P:g}): the paint is not of this family and the intervals are too narrow"
-        )
-    if len(diagnostics.maxima) > 1 and diagnostics.maxima[0] - diagnostics.maxima[1] < 5:
-        warnings.append(f"the bands leave an ambiguity: {len(diagnostics.maxima)} maxima of the posterior")
-    if not diagnostics.converged:
-        warnings.append("the chain has not converged: use more steps before quoting the intervals")
-    below = float(np.median(posterior.share_below_laser))
-    if below > LARGEST_SHARE_BELOW_LASER:
-        warnings.append(f"{below:.0%} of the fitted emission lies below the laser line, which no paint can do")
-    return tuple(warnings)
+    nm, values = np.array(pairs).T
+    return SpectralCurve(name="reflectance", wavelength_nm=nm, values=values, source="filters of the session")

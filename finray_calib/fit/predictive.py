@@ -7,9 +7,11 @@ from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
 from finray_calib.fit.likelihood import LogPosterior
-from finray_calib.fit.nuisances import predict_bands
+from finray_calib.fit.nuisances import band_values
 
 FloatArray = NDArray[np.float64]
+
+_MOST_DRAWS = 500  # enough for a p-value to 2 %
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,19 +21,19 @@ class BandCheck:
     Attributes
     ----------
     chi2
-        (B,) chi-square of the posterior mean prediction; NaN where no channel is usable.
+        (B,) posterior mean chi-square; NaN where no channel is usable.
     degrees_of_freedom
         (B,) usable channels of the band.
     p_value
         (B,) posterior predictive probability of a larger chi-square; near 0 where the curve cannot follow the
         data. NaN where no channel is usable.
     total_chi2
-        Chi-square of all usable values with their full covariance at the posterior mean prediction.
+        Posterior mean chi-square of all usable values with their full covariance.
     predicted_mean
-        (B, C) posterior mean of the predicted band values, dimensionless.
+        (B, C) posterior mean of the band values of the family's curve, dimensionless.
     predicted_sd
-        (B, C) standard deviation of the predicted band values: posterior and imperfections of the rig together,
-        without measurement noise.
+        (B, C) standard deviation of the predicted band values: posterior, imperfections of the rig and discrepancy
+        together, without measurement noise. Where a value is not usable: of the posterior alone.
     """
 
     chi2: FloatArray
@@ -45,37 +47,46 @@ class BandCheck:
 def check_bands(log_posterior: LogPosterior, draws: FloatArray) -> BandCheck:
     """Return the per-band posterior predictive check.
 
-    T_b(theta) = (y - mu)_b^T C_bb^-1 (y - mu)_b with C the covariance of measurement and imperfections, over the
-    band's usable channels. A replicate's T_b is chi-square with as many degrees of freedom as usable channels, so
-    the predictive p is the mean over draws of the chi-square survival function of T_b.
+    T_b(theta) = (y - mu)_b^T C_bb^-1 (y - mu)_b with C the covariance of measurement, imperfections and discrepancy,
+    over the band's usable channels. A replicate's T_b is chi-square with as many degrees of freedom as usable
+    channels, so the predictive p is the mean over draws of the chi-square survival function of T_b.
 
     Parameters
     ----------
     log_posterior
         Measured band values with their covariance.
     draws
-        (N, 6) posterior draws.
+        (N, D) posterior draws.
 
     References
     ----------
     Gelman, Meng, Stern, Posterior predictive assessment of model fitness, Statistica Sinica 6 (1996) 733-807.
     """
-    data = log_posterior.data
-    predicted = predict_bands(draws, data.weights)
-    mean, variance = predicted.mean(axis=0), predicted.var(axis=0, ddof=1)
-    bands, of_row = data.weights.bands, data.weights.band_index[data.kept]
+    data, p = log_posterior.data, log_posterior.problem
+    draws = draws[:: max(1, len(draws) // _MOST_DRAWS)]
+    predicted, covariance = log_posterior.predict_usable(draws), log_posterior.covariances(draws)
+    residual = p.y - predicted
+    bands = data.weights.bands
     chi2, p_value = np.full(bands, np.nan), np.full(bands, np.nan)
-    freedom = np.array([(of_row == band).sum() for band in range(bands)], dtype=np.int64)
+    freedom = np.bincount(p.band, minlength=bands).astype(np.int64)
     for band in np.flatnonzero(freedom):
-        members = np.flatnonzero(of_row == band)
-        rows = data.kept[members]
-        precision = np.linalg.inv(log_posterior.covariance[np.ix_(members, members)])
-        residual = data.y.ravel()[rows] - np.vstack([mean, predicted])[:, rows]
-        each = ((residual @ precision) * residual).sum(axis=1)
-        chi2[band], p_value[band] = each[0], chi2_distribution.sf(each[1:], rows.size).mean()
+        rows = np.flatnonzero(p.band == band)
+        own = residual[:, rows]
+        each = np.einsum("ni,ni->n", own, np.linalg.solve(covariance[:, rows][:, :, rows], own[..., None])[..., 0])
+        chi2[band], p_value[band] = each.mean(), chi2_distribution.sf(each, rows.size).mean()
+    total = np.einsum("ni,ni->n", residual, np.linalg.solve(covariance, residual[..., None])[..., 0])
+    curves = log_posterior.family.curves(draws, data.weights.wavelength_nm)
+    leak = np.exp(draws[:, -1]) if log_posterior.has_blocking else 1.0
+    every = band_values(curves, np.exp(draws[:, p.shapes]), data.weights, leak)
+    variance = every.var(axis=0, ddof=1)
     measured = np.diag(data.covariance)[data.kept]
-    variance[data.kept] += np.diag(log_posterior.covariance) - measured
+    variance[data.kept] += np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0) - measured
     shape = data.y.shape
-    residual = data.y.ravel()[data.kept] - mean[data.kept]
-    total = float(residual @ np.linalg.solve(log_posterior.covariance, residual))
-    return BandCheck(chi2, freedom, p_value, total, mean.reshape(shape), np.sqrt(variance).reshape(shape))
+    return BandCheck(
+        chi2,
+        freedom,
+        p_value,
+        float(total.mean()),
+        every.mean(axis=0).reshape(shape),
+        np.sqrt(np.maximum(variance, 0.0)).reshape(shape),
+    )

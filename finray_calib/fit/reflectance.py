@@ -13,7 +13,7 @@ laser does not measure it, so half of the subtracted light is carried as standar
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.fit import Estimate
+from data_schemas.estimate import Estimate
 from data_schemas.radiometry import BandSignals
 from finray_calib.spectra.rig_curves import WAVELENGTH_NM, filter_transmission
 

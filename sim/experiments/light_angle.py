@@ -73,6 +73,5 @@ def _draw(paint: PaintOptics, calibration: PaintCalibration | None, rng: np.rand
     """Return the paint with the emission of one posterior draw (or as it is, without a calibration)."""
     if calibration is None:
         return paint
-    mode_nm, ln_fwhm_nm, kappa, ln_peak_per_nm = calibration.draws[rng.integers(len(calibration.draws))][:4]
-    emission = SkewCauchy.from_mode(mode_nm, ln_fwhm_nm, kappa, ln_peak_per_nm)(paint.wavelength_nm)
+    emission = calibration.emission_draws_per_nm[rng.integers(len(calibration.emission_draws_per_nm))]
     return PaintOptics(paint.name, paint.wavelength_nm, emission, paint.reflectance)

@@ -1,0 +1,346 @@
+"""The compiled fit of every pixel: curve with analytic derivatives, Levenberg-Marquardt steps, normal matrix.
+
+The parameters of a pixel are those of its family (mode, ln FWHM, ln peak, the family's own one) and, linear, the
+reflectance at the laser. All functions work on scratch arrays of their thread: nothing is allocated per pixel.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from finray_calib.spectra.family_kernels import KAPPA_END, KAPPA_STEP, SKEW_CAUCHY
+
+FloatArray = NDArray[np.float64]
+
+SHAPES = 4
+PARAMETERS = 5
+FEWEST_BANDS = 4
+CURVE_CONSTANTS = 9
+RESULTS = 2 * (PARAMETERS + 1) + 1
+"""Values per pixel: estimates (mode, FWHM, peak, own, reflectance, yield), their sds in that order, chi-square."""
+
+NOT_FITTED, NOT_CONVERGED, CONVERGED = 0, 1, 2
+
+_LN_2 = math.log(2.0)
+_SYMMETRIC = 1e-4  # below this log-asymmetry the series of the logarithm is exact to 1e-7
+_MOST_STEPS = 40
+_CLOSE = 1e-4  # squared distance to the optimum in standard deviations, before the last step: 0.01 sd
+_LOWEST_SCALE = 0.05  # of the starting height: a pixel without signal starts at a twentieth of the region's
+
+
+class PixelProblem(NamedTuple):
+    """What all pixels share; 3 channels, B bands, Q nodes a band, G grid points of the yield.
+
+    The band value of channel c is sum_q in_band f(node) + floor exp(ln peak) + reflectance laser.
+    """
+
+    family: int
+    table: FloatArray  # (3, K) mode offset, peak and width of the unit skew-Cauchy curve over kappa
+    nodes_nm: FloatArray  # (B, Q)
+    in_band: FloatArray  # (3, B, Q)
+    floor: FloatArray  # (3, B) out-of-band emission of the region's curve, for a peak of 1
+    laser: FloatArray  # (3, B)
+    used: NDArray[np.bool_]  # (3, B)
+    excitation: int
+    grid_nm: FloatArray  # (G,)
+    grid_weight_nm: FloatArray  # (G,)
+    mean: FloatArray  # (5,) prior and start
+    precision: FloatArray  # (5,) of the prior
+    longest_step: FloatArray  # (5,)
+    own_low: float
+    own_high: float
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def curve_constants(p: PixelProblem, theta: FloatArray, k: FloatArray) -> None:
+    """Fill what the curve of one parameter vector needs at each wavelength."""
+    if p.family == SKEW_CAUCHY:
+        m, peak, width, dm, dpeak, dwidth = _unit_shape(p.table, theta[3])
+        k[0], k[1], k[2] = theta[0], width * math.exp(-theta[1]), m
+        k[3], k[4], k[5] = math.sinh(theta[3]), math.cosh(theta[3]), math.exp(theta[2]) / peak
+        k[6], k[7], k[8] = dm, dpeak / peak, dwidth / width
+    else:
+        nu, width, s = 1e4 / theta[0], math.exp(theta[1]), theta[3]
+        tilt, share = math.tanh(s / 2), 0.25 / math.cosh(s / 2) ** 2
+        # the half-width condition is the root x of a x^2 + b x = c, so its derivatives are those of an implicit one
+        a, b, c = width * share, 1e4 + width * nu * tilt, width * nu * nu
+        x = 2 * c / (b + math.sqrt(b * b + 4 * a * c))
+        slope = (2 * a * x + b) * x
+        d_nu = -nu / theta[0]
+        k[0], k[1], k[2], k[3] = nu, 1 / x, s, math.exp(theta[2])
+        k[4] = d_nu / x
+        k[5] = (2 * width * nu - width * tilt * x) * d_nu / slope
+        k[6] = (c - a * x * x - width * nu * tilt * x) / slope
+        k[7] = (a * tilt * x * x - 2 * width * nu * share * x) / slope
+        k[8] = math.sinh(s)
+
+
+@njit(cache=True, inline="always")  # type: ignore[untyped-decorator]
+def curve_and_slopes(family: int, k: FloatArray, wavelength_nm: float) -> tuple[float, float, float, float]:
+    """Return the curve and its derivatives by mode, ln FWHM and own parameter; that by ln peak is the curve."""
+    if family == SKEW_CAUCHY:
+        z = (wavelength_nm - k[0]) * k[1] + k[2]
+        w_z = k[3] * z
+        bell, step = 1 / (1 + z * z), math.atan(w_z) / math.pi + 0.5
+        kick = 1 / (math.pi * (1 + w_z * w_z))
+        f = k[5] * bell * step
+        by_z = k[5] * bell * (k[3] * kick - 2 * z * bell * step)
+        off = z - k[2]
+        own = by_z * (off * k[8] + k[6]) - f * k[7] + k[5] * bell * kick * z * k[4]
+        return f, -by_z * k[1], -off * by_z, own
+    u, s = (1e4 / wavelength_nm - k[0]) * k[1], k[2]
+    a = 1 - 2 * u * k[8]
+    if a <= 0:
+        return 0.0, 0.0, 0.0, 0.0
+    if abs(s) < _SYMMETRIC:
+        g, by_u, by_s = -2 * u - 2 * u * u * s, -2 - 4 * u * s, -2 * u * u
+    else:
+        g = math.log(a) / s
+        by_u = -2 * k[8] / (a * s)
+        by_s = (-2 * u * math.sqrt(1 + k[8] * k[8]) / a - g) / s
+    f = k[3] * math.exp(-_LN_2 * g * g)
+    fall = -2 * _LN_2 * g * f
+    return f, fall * by_u * (-k[4] - u * k[5]), -fall * by_u * u * k[6], fall * (by_s - by_u * u * k[7])
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _unit_shape(table: FloatArray, kappa: float) -> tuple[float, float, float, float, float, float]:
+    """Return mode offset, peak and width of the unit skew-Cauchy curve and their derivatives by kappa."""
+    a = min(abs(kappa), KAPPA_END - 1e-9) / KAPPA_STEP + 1
+    i = int(a)
+    t = a - i
+    w0, w1 = ((-0.5 * t + 1.0) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1.0
+    w2, w3 = ((-1.5 * t + 2.0) * t + 0.5) * t, (0.5 * t - 0.5) * t * t
+    d0, d1 = (-1.5 * t + 2.0) * t - 0.5, (4.5 * t - 5.0) * t
+    d2, d3 = (-4.5 * t + 4.0) * t + 0.5, (1.5 * t - 1.0) * t
+    m = w0 * table[0, i - 1] + w1 * table[0, i] + w2 * table[0, i + 1] + w3 * table[0, i + 2]
+    p = w0 * table[1, i - 1] + w1 * table[1, i] + w2 * table[1, i + 1] + w3 * table[1, i + 2]
+    v = w0 * table[2, i - 1] + w1 * table[2, i] + w2 * table[2, i + 1] + w3 * table[2, i + 2]
+    dm = (d0 * table[0, i - 1] + d1 * table[0, i] + d2 * table[0, i + 1] + d3 * table[0, i + 2]) / KAPPA_STEP
+    dp = (d0 * table[1, i - 1] + d1 * table[1, i] + d2 * table[1, i + 1] + d3 * table[1, i + 2]) / KAPPA_STEP
+    dv = (d0 * table[2, i - 1] + d1 * table[2, i] + d2 * table[2, i + 1] + d3 * table[2, i + 2]) / KAPPA_STEP
+    return (m, p, v, dm, dp, dv) if kappa >= 0 else (-m, p, v, dm, -dp, -dv)
+
+
+class PixelWork(NamedTuple):
+    """Scratch arrays of one thread."""
+
+    y: FloatArray  # (B,)
+    inverse_sd: FloatArray  # (B,) 0 where the band is not used
+    theta: FloatArray  # (5,)
+    moved: FloatArray  # (5,)
+    constants: FloatArray
+    residual: FloatArray  # (B,) in standard deviations
+    jacobian: FloatArray  # (B, 5) in standard deviations
+    normal: FloatArray  # (5, 5) lower triangle
+    gradient: FloatArray  # (5,)
+    factor: FloatArray  # (5, 5) lower triangle
+    step: FloatArray  # (5,)
+    slope: FloatArray  # (5,)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def pixel_work(bands: int) -> PixelWork:
+    """Return scratch arrays for so many bands."""
+    n = PARAMETERS
+    return PixelWork(
+        np.empty(bands),
+        np.zeros(bands),
+        np.empty(n),
+        np.empty(n),
+        np.empty(CURVE_CONSTANTS),
+        np.empty(bands),
+        np.zeros((bands, n)),
+        np.empty((n, n)),
+        np.empty(n),
+        np.empty((n, n)),
+        np.empty(n),
+        np.empty(n),
+    )
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def pixel_cost(p: PixelProblem, c: int, theta: FloatArray, w: PixelWork) -> float:
+    """Fill residuals and Jacobian of a pixel of channel c; return chi-square plus the prior's square sum."""
+    curve_constants(p, theta, w.constants)
+    peak, total = math.exp(theta[2]), 0.0
+    for b in range(len(w.y)):
+        if w.inverse_sd[b] == 0:
+            continue
+        mu = by_height = p.floor[c, b] * peak
+        mu += theta[4] * p.laser[c, b]
+        by_mode = by_width = by_own = 0.0
+        if b != p.excitation:
+            for q in range(p.nodes_nm.shape[1]):
+                f, d_mode, d_width, d_own = curve_and_slopes(p.family, w.constants, p.nodes_nm[b, q])
+                weight = p.in_band[c, b, q]
+                by_height += weight * f
+                mu += weight * f
+                by_mode += weight * d_mode
+                by_width += weight * d_width
+                by_own += weight * d_own
+        inverse = w.inverse_sd[b]
+        w.residual[b] = (mu - w.y[b]) * inverse
+        w.jacobian[b, 0], w.jacobian[b, 1], w.jacobian[b, 2] = by_mode * inverse, by_width * inverse, by_height * inverse
+        w.jacobian[b, 3], w.jacobian[b, 4] = by_own * inverse, p.laser[c, b] * inverse
+        total += w.residual[b] ** 2
+    for j in range(PARAMETERS):
+        total += (theta[j] - p.mean[j]) ** 2 * p.precision[j]
+    return total
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _fill_normal(p: PixelProblem, w: PixelWork) -> None:
+    """Fill the normal matrix and the gradient at w.theta from its residuals and Jacobian."""
+    for j in range(PARAMETERS):
+        w.gradient[j] = (w.theta[j] - p.mean[j]) * p.precision[j]
+        for k in range(j):
+            w.normal[j, k] = 0.0
+        w.normal[j, j] = p.precision[j]
+    for b in range(len(w.y)):
+        if w.inverse_sd[b] == 0:
+            continue
+        for j in range(PARAMETERS):
+            w.gradient[j] += w.jacobian[b, j] * w.residual[b]
+            for k in range(j + 1):
+                w.normal[j, k] += w.jacobian[b, j] * w.jacobian[b, k]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _factorise(w: PixelWork, damping: float) -> None:
+    """Fill w.factor with the Cholesky factor of the normal matrix, its diagonal raised by the damping."""
+    for j in range(PARAMETERS):
+        for k in range(j + 1):
+            s = w.normal[j, k] * (1 + damping) if j == k else w.normal[j, k]
+            for m in range(k):
+                s -= w.factor[j, m] * w.factor[k, m]
+            w.factor[j, k] = math.sqrt(s) if j == k else s / w.factor[k, k]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _solve(factor: FloatArray, right: FloatArray, out: FloatArray) -> float:
+    """Fill `out` with the solution for a right side; return right' times the solution, a squared length."""
+    length = 0.0
+    for j in range(PARAMETERS):
+        s = right[j]
+        for m in range(j):
+            s -= factor[j, m] * out[m]
+        out[j] = s / factor[j, j]
+        length += out[j] ** 2
+    for j in range(PARAMETERS - 1, -1, -1):
+        s = out[j]
+        for m in range(j + 1, PARAMETERS):
+            s -= factor[m, j] * out[m]
+        out[j] = s / factor[j, j]
+    return length
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _start(p: PixelProblem, c: int, w: PixelWork) -> None:
+    """Set w.theta to the region's fit, its height scaled to the pixel's emission bands by a weighted dot product."""
+    w.theta[:] = p.mean
+    pixel_cost(p, c, w.theta, w)
+    along = length = 0.0
+    for b in range(len(w.y)):
+        if w.inverse_sd[b] > 0 and b != p.excitation:
+            emitted = w.jacobian[b, 2]
+            along += emitted * (emitted - w.residual[b])
+            length += emitted * emitted
+    if length > 0:
+        w.theta[2] += math.log(max(along / length, _LOWEST_SCALE))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def fit_pixel(p: PixelProblem, c: int, w: PixelWork) -> bool:
+    """Move w.theta to the maximum of the posterior of the pixel in w.y; leave residuals and normal matrix there.
+
+    Gauss-Newton steps, damped only after a step that climbs. Returns whether the steps ended.
+    """
+    _start(p, c, w)
+    cost, damping, converged = pixel_cost(p, c, w.theta, w), 0.0, False
+    _fill_normal(p, w)
+    for _ in range(_MOST_STEPS):
+        _factorise(w, damping)
+        distance = _solve(w.factor, w.gradient, w.step)
+        converged = distance < _CLOSE
+        for j in range(PARAMETERS):
+            limit = p.longest_step[j]
+            w.moved[j] = w.theta[j] - min(max(w.step[j], -limit), limit)
+        w.moved[3] = min(max(w.moved[3], p.own_low), p.own_high)
+        trial = pixel_cost(p, c, w.moved, w)
+        if trial <= cost:
+            w.theta[:] = w.moved
+            cost = trial
+            damping = damping * 0.1 if damping > 1e-3 else 0.0
+            _fill_normal(p, w)
+        else:
+            damping = max(10 * damping, 1e-2)
+        if converged:
+            break
+    return converged
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _report(p: PixelProblem, c: int, w: PixelWork, out: NDArray[np.float32]) -> None:
+    """Fill the results of a pixel from the fit that is in w."""
+    _factorise(w, 0.0)
+    area = 0.0
+    w.slope[:] = 0.0
+    pixel_cost(p, c, w.theta, w)
+    for g in range(len(p.grid_nm)):
+        f, d_mode, d_width, d_own = curve_and_slopes(p.family, w.constants, p.grid_nm[g])
+        weight = p.grid_weight_nm[g]
+        area += weight * f
+        w.slope[0] += weight * d_mode
+        w.slope[1] += weight * d_width
+        w.slope[3] += weight * d_own
+    w.slope[2] = area
+    n = PARAMETERS
+    out[n], out[2 * n + 1] = area, math.sqrt(_solve(w.factor, w.slope, w.step))
+    for j in range(n):
+        w.slope[:] = 0.0
+        w.slope[j] = 1.0
+        scale = math.exp(w.theta[j]) if j == 1 or j == 2 else 1.0
+        out[j] = scale if j == 1 or j == 2 else w.theta[j]
+        out[n + 1 + j] = scale * math.sqrt(_solve(w.factor, w.slope, w.step))
+    chi_square = 0.0
+    for b in range(len(w.y)):
+        if w.inverse_sd[b] > 0:
+            chi_square += w.residual[b] ** 2
+    out[2 * n + 2] = chi_square
+
+
+@njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
+def fit_pixels(
+    p: PixelProblem,
+    y: NDArray[np.float32],
+    sd: NDArray[np.float32],
+    channel: NDArray[np.uint8],
+    usable: NDArray[np.bool_],
+    out: NDArray[np.float32],
+    status: NDArray[np.uint8],
+    bands: NDArray[np.uint8],
+) -> None:
+    """Fit all pixels of (B, R, C) signals; fill results (RESULTS, R, C), status and number of bands (R, C)."""
+    for row in prange(y.shape[1]):
+        w, result = pixel_work(y.shape[0]), np.empty(RESULTS, np.float32)
+        for column in range(y.shape[2]):
+            c, count = channel[row, column], 0
+            for b in range(y.shape[0]):
+                w.y[b] = y[b, row, column]
+                spread = sd[b, row, column]
+                good = p.used[c, b] and math.isfinite(w.y[b]) and math.isfinite(spread) and spread > 0
+                w.inverse_sd[b] = 1.0 / spread if good else 0.0
+                count += good
+            bands[row, column] = count
+            if not usable[row, column] or count < FEWEST_BANDS:
+                out[:, row, column] = np.nan
+                status[row, column] = NOT_FITTED
+                continue
+            status[row, column] = CONVERGED if fit_pixel(p, c, w) else NOT_CONVERGED
+            _report(p, c, w, result)
+            for i in range(RESULTS):
+                out[i, row, column] = result[i]

@@ -1,0 +1,304 @@
+"""The compiled log posterior: band values of a curve, covariance with discrepancy, normal log density."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from finray_calib.fit.discrepancy import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM
+from finray_calib.spectra.family_kernels import CONSTANTS, constants, value
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_LN_2PI = math.log(2 * math.pi)
+
+
+class Problem(NamedTuple):
+    """Everything the compiled functions need; K usable rows, B bands, Q nodes a band, G grid points, D parameters.
+
+    Theta is the family's parameters, then ln(reflectance at the laser), then ln(blocking) where it is sampled.
+    """
+
+    family: int
+    shapes: int  # number of the family's parameters
+    has_blocking: bool
+    table: FloatArray
+    band: IntArray  # (K,)
+    nodes_nm: FloatArray  # (B, Q)
+    in_band: FloatArray  # (K, Q)
+    grid_nm: FloatArray  # (G,)
+    out_of_band: FloatArray  # (K, G)
+    leaked: FloatArray  # (K, G)
+    laser: FloatArray  # (K,)
+    leaked_laser: FloatArray  # (K,)
+    leaked_white: FloatArray  # (K,)
+    y: FloatArray  # (K,)
+    covariance: FloatArray  # (K, K) measurement and imperfections
+    whiten: FloatArray  # (K, K) inverse Cholesky factor of the covariance
+    ln_norm: float  # of the normal density with that covariance
+    discrepancy: bool
+    kernel: FloatArray  # (B Q, B Q) smooth part between all nodes
+    near: IntArray  # (B, B) 1 where two bands share discrepancy
+    floor_rel: float
+    reabsorption_rel: float
+    prior_mean: FloatArray  # (D,)
+    prior_sd: FloatArray
+    low: FloatArray
+    high: FloatArray
+    ln_prior_norm: float
+
+
+class Work(NamedTuple):
+    """Scratch arrays of one evaluation."""
+
+    c: FloatArray
+    at_nodes: FloatArray
+    at_grid: FloatArray
+    mu: FloatArray
+    scaled: FloatArray
+    edge: FloatArray
+    factor: FloatArray
+    z: FloatArray
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def scratch(p: Problem) -> Work:
+    """Return scratch arrays of the right sizes."""
+    rows, nodes = p.in_band.shape
+    return Work(
+        np.empty(CONSTANTS),
+        np.empty(p.nodes_nm.shape),
+        np.empty(len(p.grid_nm)),
+        np.empty(rows),
+        np.empty((rows, nodes)),
+        np.empty(rows),
+        np.empty((rows, rows)),
+        np.empty(rows),
+    )
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def predict(p: Problem, theta: FloatArray, w: Work) -> None:
+    """Fill w.mu with the band values of one parameter vector, and the curve at nodes and grid."""
+    constants(p.family, theta, p.table, w.c)
+    for b in range(p.nodes_nm.shape[0]):
+        for q in range(p.nodes_nm.shape[1]):
+            w.at_nodes[b, q] = value(p.family, w.c, p.nodes_nm[b, q])
+    for g in range(len(p.grid_nm)):
+        w.at_grid[g] = value(p.family, w.c, p.grid_nm[g])
+    rho = math.exp(theta[p.shapes])
+    more = math.expm1(theta[p.shapes + 1]) if p.has_blocking else 0.0
+    for i in range(len(p.y)):
+        emitted, leaked = 0.0, p.leaked_laser[i] * rho
+        for q in range(p.nodes_nm.shape[1]):
+            emitted += p.in_band[i, q] * w.at_nodes[p.band[i], q]
+        for g in range(len(p.grid_nm)):
+            emitted += p.out_of_band[i, g] * w.at_grid[g]
+        if more != 0.0:
+            for g in range(len(p.grid_nm)):
+                leaked += p.leaked[i, g] * w.at_grid[g]
+        w.mu[i] = (emitted + rho * p.laser[i] + more * leaked) / (1 + more * p.leaked_white[i])
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def add_discrepancy(p: Problem, theta: FloatArray, w: Work) -> None:
+    """Fill w.factor with covariance plus discrepancy (lower triangle), for the curve that predict() left."""
+    floor = p.floor_rel * math.exp(theta[2])
+    width = math.exp(theta[1])
+    nodes = p.nodes_nm.shape[1]
+    for i in range(len(p.y)):
+        edge, b = 0.0, p.band[i]
+        for q in range(nodes):
+            a = p.in_band[i, q] * (w.at_nodes[b, q] + floor)
+            w.scaled[i, q] = a
+            if p.reabsorption_rel > 0:
+                u = (p.nodes_nm[b, q] - theta[0] + EDGE_OFFSET_FWHM * width) / (EDGE_WIDTH_FWHM * width)
+                edge += a / (1 + math.exp(min(u, 60.0)))
+        w.edge[i] = p.reabsorption_rel * edge
+    for i in range(len(p.y)):
+        for j in range(i + 1):
+            total = p.covariance[i, j] + w.edge[i] * w.edge[j]
+            if p.near[p.band[i], p.band[j]]:
+                for q in range(nodes):
+                    row, part = p.band[i] * nodes + q, 0.0
+                    for r in range(nodes):
+                        part += p.kernel[row, p.band[j] * nodes + r] * w.scaled[j, r]
+                    total += w.scaled[i, q] * part
+            w.factor[i, j] = total
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def factorise(a: FloatArray) -> float:
+    """Replace the lower triangle by its Cholesky factor; return half the log determinant."""
+    half = 0.0
+    for i in range(len(a)):
+        for j in range(i + 1):
+            s = a[i, j]
+            for k in range(j):
+                s -= a[i, k] * a[j, k]
+            if i == j:
+                a[i, i] = math.sqrt(max(s, 1e-300))
+                half += math.log(a[i, i])
+            else:
+                a[i, j] = s / a[j, j]
+    return half
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def whitened_residual(p: Problem, theta: FloatArray, w: Work) -> float:
+    """Fill w.z with the whitened residual of predict(); return the log normalisation."""
+    rows = len(p.y)
+    if not p.discrepancy:
+        for i in range(rows):
+            s = 0.0
+            for j in range(i + 1):
+                s += p.whiten[i, j] * (p.y[j] - w.mu[j])
+            w.z[i] = s
+        return p.ln_norm
+    add_discrepancy(p, theta, w)
+    half = factorise(w.factor)
+    for i in range(rows):
+        s = p.y[i] - w.mu[i]
+        for j in range(i):
+            s -= w.factor[i, j] * w.z[j]
+        w.z[i] = s / w.factor[i, i]
+    return -0.5 * rows * _LN_2PI - half
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def log_prior(p: Problem, theta: FloatArray) -> float:
+    """Return the log prior density, minus infinity outside the truncation."""
+    s = p.ln_prior_norm
+    for d in range(len(theta)):
+        if not (p.low[d] <= theta[d] <= p.high[d]):
+            return -math.inf
+        s -= 0.5 * ((theta[d] - p.prior_mean[d]) / p.prior_sd[d]) ** 2
+    return s
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def log_likelihood_one(p: Problem, theta: FloatArray, w: Work) -> float:
+    """Return ln p(y | theta) of one parameter vector."""
+    predict(p, theta, w)
+    s = whitened_residual(p, theta, w)
+    for i in range(len(p.y)):
+        s -= 0.5 * w.z[i] * w.z[i]
+    return s if math.isfinite(s) else -math.inf
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def log_posterior(p: Problem, theta: FloatArray, with_prior: bool) -> FloatArray:
+    """Return the log posterior (or likelihood) of (n, D) rows, (n,)."""
+    out, w = np.empty(len(theta)), scratch(p)
+    for i in range(len(theta)):
+        prior = log_prior(p, theta[i])
+        out[i] = prior
+        if prior > -math.inf:
+            out[i] = log_likelihood_one(p, theta[i], w) + (prior if with_prior else 0.0)
+    return out
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def predictions(p: Problem, theta: FloatArray) -> FloatArray:
+    """Return the predicted usable band values of (n, D) rows, (n, K)."""
+    out, w = np.empty((len(theta), len(p.y))), scratch(p)
+    for i in range(len(theta)):
+        predict(p, theta[i], w)
+        out[i] = w.mu
+    return out
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def covariances(p: Problem, theta: FloatArray) -> FloatArray:
+    """Return the covariance of the usable band values at each of (n, D) rows, (n, K, K)."""
+    rows = len(p.y)
+    out, w = np.empty((len(theta), rows, rows)), scratch(p)
+    for n in range(len(theta)):
+        if p.discrepancy:
+            predict(p, theta[n], w)
+            add_discrepancy(p, theta[n], w)
+        for i in range(rows):
+            for j in range(i + 1):
+                c = w.factor[i, j] if p.discrepancy else p.covariance[i, j]
+                out[n, i, j] = c
+                out[n, j, i] = c
+    return out
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def climb(p: Problem, start: FloatArray, iterations: int) -> tuple[FloatArray, float]:
+    """Return where Levenberg-Marquardt steps from `start` end, and its log posterior.
+
+    The covariance is held within a step and renewed at every accepted one; steps are accepted by the true density.
+    """
+    size, rows = len(start), len(p.y)
+    w, theta, moved = scratch(p), start.copy(), start.copy()
+    jacobian, normal, step, gradient = np.empty((rows, size)), np.empty((size, size)), np.empty(size), np.empty(size)
+    best = log_likelihood_one(p, theta, w) + log_prior(p, theta)
+    damping, fresh = 1e-2, True
+    residual, factor = np.empty(rows), np.empty((rows, rows))
+    for _ in range(iterations):
+        if fresh:
+            log_likelihood_one(p, theta, w)
+            residual[:] = w.z
+            mu = w.mu.copy()
+            if p.discrepancy:
+                factor[:] = w.factor
+            for d in range(size):
+                h = 1e-5 * p.prior_sd[d]
+                moved[:] = theta
+                moved[d] += h
+                predict(p, moved, w)
+                for i in range(rows):
+                    s = 0.0
+                    if p.discrepancy:
+                        s = (w.mu[i] - mu[i]) / h
+                        for j in range(i):
+                            s -= factor[i, j] * jacobian[j, d]
+                        s /= factor[i, i]
+                    else:
+                        for j in range(i + 1):
+                            s += p.whiten[i, j] * (w.mu[j] - mu[j]) / h
+                    jacobian[i, d] = s
+            fresh = False
+        for d in range(size):
+            gradient[d] = -(theta[d] - p.prior_mean[d]) / p.prior_sd[d] ** 2
+            for i in range(rows):
+                gradient[d] += jacobian[i, d] * residual[i]
+            for e in range(d + 1):
+                s = 0.0
+                for i in range(rows):
+                    s += jacobian[i, d] * jacobian[i, e]
+                if e == d:
+                    s = (s + p.prior_sd[d] ** -2) * (1 + damping)
+                normal[d, e] = s
+        factorise(normal)
+        for d in range(size):
+            s = gradient[d]
+            for e in range(d):
+                s -= normal[d, e] * step[e]
+            step[d] = s / normal[d, d]
+        for d in range(size - 1, -1, -1):
+            s = step[d]
+            for e in range(d + 1, size):
+                s -= normal[e, d] * step[e]
+            step[d] = s / normal[d, d]
+        for d in range(size):
+            limit = p.prior_sd[d]
+            moved[d] = theta[d] + min(max(step[d], -limit), limit)
+            moved[d] = min(max(moved[d], p.low[d] + 1e-6 * limit), p.high[d] - 1e-6 * limit)
+        new = log_likelihood_one(p, moved, w) + log_prior(p, moved)
+        if new > best:
+            gain, best = new - best, new
+            theta[:] = moved
+            damping, fresh = max(damping * 0.2, 1e-9), True
+            if gain < 1e-5:
+                break
+        else:
+            damping *= 6
+            if damping > 1e8:
+                break
+    return theta, best

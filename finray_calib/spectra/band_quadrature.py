@@ -1,0 +1,120 @@
+r"""Few-node quadrature of the band integrals: Gauss nodes inside each pass band, one shared grid for the rest.
+
+A band value is :math:`\int w_{bc}(\lambda) f(\lambda)\,d\lambda`. Inside the pass band a Gauss rule of the measure
+:math:`\sum_c w_{bc}` (Stieltjes recursion, Golub and Welsch) has nodes common to the band's channels, and each
+channel its own interpolatory weights. The blocking floor is a thousand times weaker but forty times wider: its
+weights are projected on hat functions of a 10 nm grid that all bands share. Six nodes a band and 41 shared ones
+replace 401 wavelengths; one rule for both parts would lose up to a fifth of a weak band.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from finray_calib.spectra.band_weights import EmissionWeights, read_only
+
+FloatArray = NDArray[np.float64]
+
+NODES: Final = 6
+GRID_STEP_NM: Final = 10.0
+PASS_BAND_SHARE: Final = 1e-4
+"""A wavelength belongs to the pass band where it exceeds the leak and this share of the band's largest weight."""
+
+
+@dataclass(frozen=True, slots=True)
+class BandQuadrature:
+    """Nodes and weights of all rows (band-major) of :class:`EmissionWeights`.
+
+    Attributes
+    ----------
+    nodes_nm
+        (B, Q) Gauss nodes of each band, nm.
+    in_band
+        (N, Q) weights at the nodes of the row's band, nm.
+    grid_nm
+        (G,) shared grid, nm.
+    out_of_band
+        (N, G) weights of the remainder, nm.
+    leaked
+        (N, G) weights of the nominal leak, nm.
+    """
+
+    nodes_nm: FloatArray
+    in_band: FloatArray
+    grid_nm: FloatArray
+    out_of_band: FloatArray
+    leaked: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+
+def band_quadrature(weights: EmissionWeights, nodes: int = NODES) -> BandQuadrature:
+    """Return the two-part rule of a rig.
+
+    Valid for curves that a polynomial of degree 2 Q - 1 describes inside a pass band and straight lines over 10 nm
+    describe outside; for emission 20 nm wide or wider the error is below 1e-3 of the band value.
+
+    Parameters
+    ----------
+    weights
+        Weights of the rig on a fine grid.
+    nodes
+        Gauss nodes in each band, Q.
+
+    References
+    ----------
+    Golub, Welsch, Calculation of Gauss quadrature rules, Math. Comp. 23 (1969) 221-230.
+    """
+    wavelength = weights.wavelength_nm
+    grid = np.arange(wavelength[0], wavelength[-1] + GRID_STEP_NM / 2, GRID_STEP_NM)
+    hats = np.maximum(0.0, 1 - np.abs(wavelength - grid[:, None]) / GRID_STEP_NM)
+    positions, in_band = [], np.zeros((len(weights.emission), nodes))
+    remainder = weights.emission.copy()
+    for band in range(weights.bands):
+        rows = np.flatnonzero(weights.band_index == band)
+        measure, leak = (part[rows].sum(axis=0) for part in (weights.emission, weights.leaked_emission))
+        inside = measure - leak > np.maximum(leak, PASS_BAND_SHARE * measure.max())
+        if inside.sum() <= nodes:  # the band lies below the laser: it sees emission through its leak only
+            positions.append(np.full(nodes, weights.laser_nm))
+            continue
+        x = gauss_nodes(wavelength[inside], measure[inside], nodes)
+        positions.append(x)
+        in_band[rows] = weights.emission[np.ix_(rows, inside)] @ _lagrange(x, wavelength[inside])
+        remainder[np.ix_(rows, inside)] = 0.0
+    return BandQuadrature(
+        np.array(positions), in_band, grid, remainder @ hats.T, weights.leaked_emission @ hats.T
+    )
+
+
+def gauss_nodes(x: FloatArray, weight: FloatArray, count: int) -> FloatArray:
+    """Return the nodes of the Gauss rule of the discrete measure sum_i weight_i delta(x - x_i), increasing.
+
+    The rule is exact for polynomials of degree 2 count - 1. Needs more than `count` points of positive weight.
+    """
+    total = weight.sum()
+    mean = float(weight @ x / total)
+    scale = float(np.sqrt(weight @ (x - mean) ** 2 / total))
+    t = (x - mean) / scale
+    before, now, norm_before = np.zeros_like(t), np.ones_like(t), 1.0
+    diagonal, off = [], []
+    for _ in range(count):
+        norm = float(weight @ now**2)
+        diagonal.append(float(weight @ (t * now**2)) / norm)
+        off.append(norm / norm_before)
+        before, now = now, (t - diagonal[-1]) * now - (off[-1] if len(off) > 1 else 0.0) * before
+        norm_before = norm
+    beside = np.diag(np.sqrt(off[1:]), 1)
+    return np.asarray(mean + scale * np.linalg.eigvalsh(np.diag(diagonal) + beside + beside.T))
+
+
+def _lagrange(nodes: FloatArray, x: FloatArray) -> FloatArray:
+    """Return the Lagrange polynomials of the nodes at (L,) points, (L, Q)."""
+    columns = []
+    for k, node in enumerate(nodes):
+        others = np.delete(nodes, k)
+        columns.append(np.prod((x[:, None] - others) / (node - others), axis=1))
+    return np.stack(columns, axis=1)

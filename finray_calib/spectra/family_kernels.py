@@ -1,0 +1,169 @@
+"""Compiled emission curves of all families: one scalar function, so that likelihood and pixel maps share it.
+
+Every family takes its parameters in the order mode, ln FWHM, ln peak, then its own. :func:`constants` turns them
+into the numbers that :func:`value` needs at each wavelength.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+SKEW_CAUCHY: Final = 0
+SKEW_T: Final = 1
+LOG_NORMAL: Final = 2
+GAUSSIAN_MIXTURE: Final = 3
+
+CONSTANTS: Final = 6
+"""Length of the array that :func:`constants` fills."""
+
+KAPPA_STEP: Final = 0.05
+KAPPA_END: Final = 8.0
+LN_TAIL_STEP: Final = 0.1
+LN_TAIL_START: Final = -0.6
+LN_TAIL_END: Final = 4.2
+"""Grid of the shape table: asinh(skewness) from 0, and the logarithm of the tail's degrees of freedom."""
+
+_BISECTIONS = 50  # halves a bracket of 40 scale lengths to 4e-14
+_LN_2 = math.log(2.0)
+_SYMMETRIC = 1e-5  # below this log-asymmetry the log-normal is a Gaussian to 1e-10
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def skew_t_unit(z: float, skewness: float, tail: float) -> float:
+    """Return (1 + z^2/n)^(-(n+1)/2) (atan(w z)/pi + 1/2); n = 1 is the paper's skew-Cauchy curve."""
+    return math.exp(-(tail + 1) / 2 * math.log1p(z * z / tail)) * (math.atan(skewness * z) / math.pi + 0.5)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _mode(w: float, n: float) -> float:
+    """Return where the unit curve is largest, by bisection of its logarithmic slope."""
+    low, high = (0.0, 1.5) if w > 0 else (-1.5, 0.0)
+    for _ in range(_BISECTIONS):
+        z = (low + high) / 2
+        slope = -(n + 1) * z / (n + z * z) * (math.atan(w * z) / math.pi + 0.5) + w / math.pi / (1 + (w * z) ** 2)
+        if slope > 0:
+            low = z
+        else:
+            high = z
+    return (low + high) / 2
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _half(w: float, n: float, half: float, inside: float, outside: float) -> float:
+    """Return where the unit curve falls to `half` between a point inside and one outside."""
+    for _ in range(_BISECTIONS):
+        z = (inside + outside) / 2
+        if skew_t_unit(z, w, n) > half:
+            inside = z
+        else:
+            outside = z
+    return (inside + outside) / 2
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def shape_table() -> FloatArray:
+    """Return mode offset, peak and full width of the unit skew-t curve on the grid of kappa and ln n, (3, K, N).
+
+    One grid step beyond each end, for cubic interpolation.
+    """
+    kappas = round(KAPPA_END / KAPPA_STEP) + 3
+    tails = round((LN_TAIL_END - LN_TAIL_START) / LN_TAIL_STEP) + 3
+    table = np.empty((3, kappas, tails))
+    for i in range(kappas):
+        w = math.sinh((i - 1) * KAPPA_STEP)
+        for j in range(tails):
+            n = math.exp(LN_TAIL_START + (j - 1) * LN_TAIL_STEP)
+            m = _mode(w, n)
+            p = skew_t_unit(m, w, n)
+            table[0, i, j], table[1, i, j] = m, p
+            table[2, i, j] = _half(w, n, p / 2, m, m + 40.0) - _half(w, n, p / 2, m, m - 40.0)
+    return table
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _cubic(t: float, weight: FloatArray) -> None:
+    """Fill the weights of cubic (Catmull-Rom) interpolation at the fraction t of a cell."""
+    weight[0] = ((-0.5 * t + 1.0) * t - 0.5) * t
+    weight[1] = (1.5 * t - 2.5) * t * t + 1.0
+    weight[2] = ((-1.5 * t + 2.0) * t + 0.5) * t
+    weight[3] = (0.5 * t - 0.5) * t * t
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def skew_t_shape(kappa: float, ln_tail: float, table: FloatArray) -> tuple[float, float, float]:
+    """Return mode offset m, peak p and width v of the unit curve by cubic interpolation of the table."""
+    a = min(abs(kappa), KAPPA_END - 1e-9) / KAPPA_STEP + 1
+    b = (min(max(ln_tail, LN_TAIL_START), LN_TAIL_END - 1e-9) - LN_TAIL_START) / LN_TAIL_STEP + 1
+    i, j = int(a), int(b)
+    along, across = np.empty(4), np.empty(4)
+    _cubic(a - i, along)
+    _cubic(b - j, across)
+    m = p = v = 0.0
+    for r in range(4):
+        for c in range(4):
+            weight = along[r] * across[c]
+            m += weight * table[0, i + r - 1, j + c - 1]
+            p += weight * table[1, i + r - 1, j + c - 1]
+            v += weight * table[2, i + r - 1, j + c - 1]
+    return (m if kappa >= 0 else -m), p, v
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def constants(family: int, theta: FloatArray, table: FloatArray, out: FloatArray) -> None:
+    """Fill the constants of a curve from its parameters (mode, ln FWHM, ln peak, the family's own)."""
+    mode, width, peak = theta[0], math.exp(theta[1]), math.exp(theta[2])
+    if family == SKEW_CAUCHY or family == SKEW_T:
+        ln_tail = theta[4] if family == SKEW_T else 0.0
+        m, p, v = skew_t_shape(theta[3], ln_tail, table)
+        scale = width / v
+        out[0], out[1], out[2] = mode - m * scale, 1 / scale, math.sinh(theta[3])
+        out[3], out[4] = peak / p, math.exp(ln_tail)
+    elif family == LOG_NORMAL:
+        nu, s = 1e4 / mode, theta[3]
+        r = math.exp(s)
+        a = width * r / (1 + r) ** 2
+        b = 1e4 - width * nu * (1 - r) / (1 + r)
+        width_kk = 2 * width * nu * nu / (b + math.sqrt(b * b + 4 * a * width * nu * nu))
+        out[0], out[1], out[2], out[3] = nu, 1 / width_kk, s, peak
+    else:
+        out[0], out[1], out[2] = mode, 1 / width, peak
+        out[3], out[4] = mode + theta[3], math.exp(-theta[4]) / width
+        out[5] = peak * math.exp(theta[5])
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def value(family: int, c: FloatArray, wavelength_nm: float) -> float:
+    """Return the curve at one wavelength from its constants."""
+    if family == SKEW_CAUCHY:
+        z = (wavelength_nm - c[0]) * c[1]
+        return c[3] / (1 + z * z) * (math.atan(c[2] * z) / math.pi + 0.5)
+    if family == SKEW_T:
+        return c[3] * skew_t_unit((wavelength_nm - c[0]) * c[1], c[2], c[4])
+    if family == LOG_NORMAL:
+        u = (1e4 / wavelength_nm - c[0]) * c[1]
+        if abs(c[2]) < _SYMMETRIC:
+            return c[3] * math.exp(-4 * _LN_2 * u * u)
+        a = 1 - u * 2 * math.sinh(c[2])
+        if a <= 0:
+            return 0.0
+        g = math.log(a) / c[2]
+        return c[3] * math.exp(-_LN_2 * g * g)
+    u, t = (wavelength_nm - c[0]) * c[1], (wavelength_nm - c[3]) * c[4]
+    return c[2] * math.exp(-4 * _LN_2 * u * u) + c[5] * math.exp(-4 * _LN_2 * t * t)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def curves(family: int, theta: FloatArray, table: FloatArray, wavelength_nm: FloatArray) -> FloatArray:
+    """Return the curves of (n, >= D) parameter rows at (L,) wavelengths, (n, L)."""
+    out = np.empty((len(theta), len(wavelength_nm)))
+    c = np.empty(CONSTANTS)
+    for i in range(len(theta)):
+        constants(family, theta[i], table, c)
+        for j in range(len(wavelength_nm)):
+            out[i, j] = value(family, c, wavelength_nm[j])
+    return out
