@@ -10,11 +10,20 @@ from data_schemas.arrays import ArraySpec, check_dimensions
 from data_schemas.curves import SpectralCurve
 from data_schemas.model import Model, Record
 from data_schemas.rig import RigFile
-from data_schemas.units import AngleDeg, ExposureS, Fraction, LengthMm, PositionMm, SignalDn
+from data_schemas.units import AngleDeg, DurationS, EnergyJ, ExposureS, Fraction, LengthMm, PositionMm, SignalDn
 
 LightState = Literal["off", "lamp", "laser", "room"]
 Target = Literal["white", "sample", "sample beside ColorChecker"]
-FrameType = Literal["dark", "white", "reflectance", "fluorescence", "laser white", "room light"]
+FrameType = Literal[
+    "dark",
+    "white",
+    "reflectance",
+    "fluorescence",
+    "laser white",
+    "room light",
+    "fluorescence repeat",
+    "tilted fluorescence",
+]
 Encoding = Literal["linear", "unknown"]
 PixelLayout = Literal["RGB", "Bayer RGGB"]
 
@@ -45,13 +54,27 @@ class PaintPlan(Record):
         default=(1.0, 0.25), min_length=1, description="exposures of each step relative to the metered one"
     )
     darks_per_exposure: Annotated[int, Field(ge=1, le=50)] = 2
+    second_tilt_deg: Annotated[float, Field(ge=5.0, le=75.0, json_schema_extra={"unit": "deg"})] | None = Field(
+        default=None,
+        description="second angle between the laser beam and the sample's normal (the first is 0): tests whether the "
+        "paint is diffuse; left out, the sample is not tilted",
+    )
+    second_tilt_filters: tuple[str, str] | None = Field(
+        default=None, description="the two filters of the tilted sample, such as the two brightest of the paint"
+    )
 
     @model_validator(mode="after")
     def _filters_once(self) -> "PaintPlan":
-        names = self.filters or ()
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
-            raise ValueError(f"filters: {twice[0]!r} is named twice; name each filter once")
+        for field, names in (("filters", self.filters or ()), ("second_tilt_filters", self.second_tilt_filters or ())):
+            twice = sorted({n for n in names if names.count(n) > 1})
+            if twice:
+                raise ValueError(f"{field}: {twice[0]!r} is named twice; name each filter once")
+        return self
+
+    @model_validator(mode="after")
+    def _tilt_is_whole(self) -> "PaintPlan":
+        if (self.second_tilt_deg is None) != (self.second_tilt_filters is None):
+            raise ValueError("second_tilt_deg and second_tilt_filters go together: give both or leave both out")
         return self
 
 
@@ -69,6 +92,13 @@ class Frame(Model):
     exposure_requested_s: ExposureS
     exposure_s: ExposureS
     captured_utc: str
+    middle_s: DurationS = Field(default=0.0, description="middle of the exposure on the journal's monotonic clock")
+    laser_dose_j: EnergyJ = Field(
+        default=0.0,
+        description="laser light that fell on the sample from the start of the session to the middle of this exposure: "
+        "power x time with the laser on and the sample in view, metering included",
+    )
+    tilt_deg: AngleDeg = Field(default=0.0, description="between the laser beam and the sample's normal")
     saturated_fraction: Fraction = Field(description="pixels of the region at full scale")
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
 

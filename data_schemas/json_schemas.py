@@ -4,23 +4,29 @@ import json
 from pathlib import Path
 from typing import Any
 
+from data_schemas.camera import CameraCharacterisation, CameraPlan, CameraSession
 from data_schemas.capture import CaptureSession, PaintPlan, TactileCapture
 from data_schemas.compare import PhotometricErrorReport
 from data_schemas.decide import LightAngleDecision
 from data_schemas.design import FingerDesign
 from data_schemas.fit import PaintCalibration
 from data_schemas.model import Record
-from data_schemas.radiometry import BandSignals
+from data_schemas.paint_map import PaintMap
+from data_schemas.radiometry import BandSignals, PixelSignals
 from data_schemas.rig import RigFile
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
 
 FOLDER = Path(__file__).resolve().parent / "json_schema"
-WRITTEN_BY_PEOPLE: tuple[type[Record], ...] = (RigFile, PaintPlan, FingerDesign)
+WRITTEN_BY_PEOPLE: tuple[type[Record], ...] = (RigFile, PaintPlan, CameraPlan, FingerDesign)
 STORED: tuple[type[Record], ...] = (
     CaptureSession,
+    CameraSession,
+    CameraCharacterisation,
     TactileCapture,
     BandSignals,
+    PixelSignals,
     PaintCalibration,
+    PaintMap,
     SimulatedPress,
     LightAngleSweep,
     PhotometricErrorReport,

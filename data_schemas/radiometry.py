@@ -6,12 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from data_schemas.arrays import ArraySpec
+from data_schemas.arrays import ArraySpec, check_dimensions
+from data_schemas.capture import RegionOfInterest
 from data_schemas.curves import SpectralCurve
 from data_schemas.model import Model, Record
 from data_schemas.rig import BandPassFilter, LaserSettings, WhiteReference
+from data_schemas.units import AngleDeg, EnergyJ
 
 Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
 Flag = Literal["ok", "weak", "saturated"]
 
 
@@ -35,6 +38,32 @@ class Optics(Model):
         return self
 
 
+class Bleaching(Model):
+    """Loss of emission by the laser's light: ``-d ln F / d dose`` from the first laser filter and its repeat."""
+
+    filter_name: str
+    loss_per_j: float = Field(description="relative loss per joule of laser light on the sample", allow_inf_nan=False)
+    sd_per_j: Annotated[float, Field(ge=0.0)]
+    dose_span_j: EnergyJ = Field(description="dose between the first frames and their repeat")
+    resolved: bool = Field(
+        description="the loss exceeds three standard deviations and was corrected (to the dose of the first laser "
+        "frame); otherwise nothing was corrected and the trend is part of the covariance"
+    )
+
+
+class TiltRatio(Model):
+    """Signal of the tilted over the untilted sample through one filter, over the cosine of the tilt.
+
+    1 for a diffuse paint: its irradiance falls with the cosine, its radiance is the same in all directions.
+    """
+
+    filter_name: str
+    tilt_deg: AngleDeg
+    cosine_factor: float
+    sd: Annotated[float, Field(ge=0.0)]
+    diffuse: bool = Field(description="1 lies within two standard deviations")
+
+
 class BandSignals(Record):
     """One value per filter x Bayer channel (red, green, blue) over the painted region, with full covariance.
 
@@ -46,7 +75,7 @@ class BandSignals(Record):
     reflectance
         Sample over white, both under the lamp, times the white reference's reflectance: the total radiance
         factor under that lamp; it includes fluorescence that the lamp excites.
-    The covariances are over the flattened (filter, channel) index, filter-major.
+    The covariances are over the flattened (filter, channel) index, filter-major; :attr:`notes` list what they hold.
     """
 
     paint_name: str
@@ -59,6 +88,8 @@ class BandSignals(Record):
     flags: tuple[tuple[Flag, Flag, Flag], ...]
     saturated_fraction: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))]
     region_pixels: Annotated[int, Field(ge=1)]
+    bleaching: Bleaching | None = Field(default=None, description="none when no filter was captured twice")
+    tilt_ratios: tuple[TiltRatio, ...] = Field(default=(), description="test of a diffuse paint, if it was captured")
     notes: tuple[str, ...] = ()
 
     @model_validator(mode="after")
@@ -77,3 +108,47 @@ class BandSignals(Record):
     def usable(self) -> NDArray[np.bool_]:
         """Return the (filter, channel) mask of values the fitter may use."""
         return np.array([[flag == "ok" for flag in row] for row in self.flags])
+
+
+class PixelSignals(Record):
+    """Fluorescence of every raw pixel behind every filter, in its own Bayer channel.
+
+    fluorescence
+        ``(F / W) / V`` as in :class:`BandSignals`, with the laser's level at the pixel: V of the region times the
+        profile of the laser spot there. The weights of a region's channel hold for its pixels. NaN where the white
+        is too dim, an exposure is lost, or the laser does not reach.
+    fluorescence_sd
+        What differs from pixel to pixel: photon and read noise, quantisation, dark offset, profile. What the
+        pixels share is `common_sd_rel`. The white tile's own texture stays in the map.
+    profile
+        Laser over lamp irradiance relative to the region's mean, smoothed.
+    """
+
+    paint_name: str
+    optics: Optics
+    area: RegionOfInterest = Field(description="what the arrays cover, in pixels of the raw frame")
+    fluorescence: Annotated[Floats32, ArraySpec("<f4", ("filter", "row", "column"), allow_nan=True)]
+    fluorescence_sd: Annotated[Floats32, ArraySpec("<f4", ("filter", "row", "column"), allow_nan=True)]
+    channel: Annotated[NDArray[np.uint8], ArraySpec("|u1", ("row", "column"))] = Field(
+        description="0 red, 1 green, 2 blue"
+    )
+    usable: Annotated[NDArray[np.bool_], ArraySpec("|b1", ("row", "column"))] = Field(
+        description="the laser's profile is known and at least four filters have a value"
+    )
+    profile: Annotated[Floats32, ArraySpec("<f4", ("row", "column"), allow_nan=True)]
+    profile_sd_rel: Annotated[Floats32, ArraySpec("<f4", ("row", "column"), allow_nan=True)]
+    common_sd_rel: Annotated[Floats, ArraySpec("<f8", ("filter", "3"), allow_nan=True)] = Field(
+        description="standard deviation of the region's value, common to all pixels of a filter and channel"
+    )
+    channel_weights: Annotated[Floats, ArraySpec("<f8", ("3",))]
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _sizes_agree(self) -> "PixelSignals":
+        check_dimensions(self, {"optics.filters": "filter"})
+        rows, columns = self.channel.shape
+        if (self.area.height_px, self.area.width_px) != (rows, columns):
+            raise ValueError(
+                f"area is {self.area.height_px} x {self.area.width_px} px but the arrays have {rows} x {columns}"
+            )
+        return self

@@ -135,6 +135,9 @@ class HiddenPaint(Model):
     absorption_peak_nm: WavelengthNm
     reflectance_at_laser: Fraction = 0.05
     reflectance_long_wavelength: Fraction = 0.75
+    bleaching_per_j: Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "1/J"})] = Field(
+        default=0.0, description="relative loss of emission per joule of laser light on the sample"
+    )
 
 
 class SimulatedBench(Model):

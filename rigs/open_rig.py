@@ -110,7 +110,7 @@ def _open_simulated(
     )
     slots = tuple(sorted(optic.slot for optic in rig.filter_wheel.filters))
     clock = SimulatedClock()
-    state = BenchState(clock=clock, slot=slots[0])
+    state = BenchState(clock=clock, slot=slots[0], laser_power_mw=rig.laser.power_mw)
     return OpenRig(
         camera=SimulatedCamera(Bench(rig, folder, response), sensor, state, np.random.default_rng([seed, 2])),
         wheel=SimulatedFilterWheel(slots, state),

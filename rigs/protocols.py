@@ -93,3 +93,7 @@ class Operator(Protocol):
         means room light on both and the wheel swung out of the beam.
         """
         ...
+
+    def tilt(self, angle_deg: float) -> None:
+        """Turn the sample until its normal and the laser beam enclose `angle_deg`; 0 faces the laser (no deadline)."""
+        ...

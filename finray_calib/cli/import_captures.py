@@ -2,14 +2,26 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from finray_calib.cli.options import add_out, command_line, require_new, say
 
-HELP = "import captures made elsewhere (9DTact calibration folders)"
+if TYPE_CHECKING:
+    from data_schemas.capture import TactileCapture
+    from data_schemas.simulate import SimulatedPress
+
+HELP = "import captures made elsewhere (9DTact folders, Raspberry Pi images)"
 DESCRIPTION = """\
-Import a sensor folder of 9DTact as a tactile capture. With --predict-from, also write a simple prediction of
-the press: the darkening-to-depth table of the other sensor applied to this one, labelled "table, not
-rendered". Compare the two with 'finray compare'."""
+Import the images of one press as a tactile capture.
+
+9dtact: a sensor folder. With --predict-from, also write a simple prediction of the press: the
+darkening-to-depth table of the other sensor applied to this one, labelled "table, not rendered". Compare the
+two with 'finray compare'.
+
+raspberry-pi: a folder with contact, no_contact and, if there is one, repeat_no_contact (all DNG or 16-bit
+TIFF, or all PNG or JPEG), the metadata of each image beside it (contact.json, from rpicam-still --metadata)
+and press.toml (name, [indenter]). Images with auto exposure or auto white balance are refused."""
+SOURCES = {".png", ".npy", ".jpg", ".jpeg", ".dng", ".tif", ".tiff", ".json", ".toml"}
 
 
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -17,11 +29,17 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     parser = verbs.add_parser(
         "import", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("format", choices=["9dtact"], help="format of the folder")
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="sensor folder, for example sensor_1")
+    parser.add_argument("format", choices=["9dtact", "raspberry-pi"], help="format of the folder")
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of one sensor or one press")
     parser.add_argument(
-        "--predict-from", type=Path, metavar="FOLDER", help="other sensor whose table makes a prediction"
+        "--predict-from", type=Path, metavar="FOLDER", help="9dtact: other sensor whose table makes a prediction"
     )
+    pi = parser.add_argument_group("raspberry-pi")
+    pi.add_argument("--tuning", type=Path, metavar="FILE", help="libcamera tuning file that the camera used")
+    pi.add_argument("--undo-colour", action="store_true", help="undo colour matrix and white balance (PNG, JPEG)")
+    pi.add_argument("--flatten-shading", action="store_true", help="flatten the lens shading by the tuning (raw)")
+    pi.add_argument("--bayer-order", choices=["RGGB", "BGGR", "GRBG", "GBRG"], help="of 16-bit TIFFs")
+    pi.add_argument("--bit-depth", type=int, choices=[8, 10, 12, 14, 16], help="of 16-bit TIFFs")
     add_out(parser, "FOLDER.capture.json, with --predict-from also FOLDER.press.json beside it")
     parser.set_defaults(run=run)
 
@@ -30,23 +48,46 @@ def run(arguments: argparse.Namespace) -> None:
     """Import and report."""
     from data_schemas.provenance import provenance
     from data_schemas.storage import sha256_of, write_record
-    from finray_calib.exchange.nine_dtact_records import table_prediction, tactile_capture
 
     folder: Path = arguments.folder
     out = require_new(arguments.out or Path(f"{folder.resolve().name}.capture.json"))
     press_out = out.with_name(f"{out.name.removesuffix('.json').removesuffix('.capture')}.press.json")
     if arguments.predict_from is not None:
         require_new(press_out)
-    capture = tactile_capture(folder)
-    press = None if arguments.predict_from is None else table_prediction(folder, arguments.predict_from)
-    sources = [folder] if arguments.predict_from is None else [folder, arguments.predict_from]
-    files = sorted(f for source in sources for f in source.rglob("*") if f.suffix in {".png", ".npy"})
+    capture, press = _raspberry_pi(arguments) if arguments.format == "raspberry-pi" else _nine_dtact(arguments)
+    sources = [f for f in (folder, arguments.predict_from) if f is not None]
+    files = sorted(f for source in sources for f in source.rglob("*") if f.suffix.lower() in SOURCES)
+    files += [] if arguments.tuning is None else [arguments.tuning]
     origin = provenance(
         command_line(), {f"{f.parent.parent.name}/{f.parent.name}/{f.name}": sha256_of(f) for f in files}
     )
     write_record(capture, out, origin)
     rows, columns = capture.contact.shape[:2]
     say(f"{out}: {capture.name}, {columns} x {rows} px, encoding {capture.encoding}")
+    say(f"  {capture.source}")
     if press is not None:
         write_record(press, press_out, origin)
         say(f"{press_out}: {press.name} ({press.label})")
+
+
+def _nine_dtact(arguments: argparse.Namespace) -> "tuple[TactileCapture, SimulatedPress | None]":
+    """Import a 9DTact sensor folder, with a prediction if asked."""
+    from finray_calib.exchange.nine_dtact_records import table_prediction, tactile_capture
+
+    other: Path | None = arguments.predict_from
+    return tactile_capture(arguments.folder), None if other is None else table_prediction(arguments.folder, other)
+
+
+def _raspberry_pi(arguments: argparse.Namespace) -> "tuple[TactileCapture, None]":
+    """Import a folder of Raspberry Pi images."""
+    from finray_calib.exchange.raspberry_pi_folder import ImportOptions, tactile_capture
+    from finray_calib.exchange.raspberry_pi_images import read_tuning
+
+    options = ImportOptions(
+        tuning=None if arguments.tuning is None else read_tuning(arguments.tuning),
+        undo_colour=arguments.undo_colour,
+        flatten_shading=arguments.flatten_shading,
+        bayer_order=arguments.bayer_order,
+        bit_depth=arguments.bit_depth,
+    )
+    return tactile_capture(arguments.folder, options), None

@@ -1,24 +1,15 @@
-"""``finray radiometry``: turn the frames of a session into band signals with covariance."""
+"""``finray radiometry``: turn the frames of a session into band signals with covariance, or characterise a camera."""
 
 import argparse
 from pathlib import Path
 
-from finray_calib.cli.options import (
-    add_out,
-    command_line,
-    file_name,
-    input_digests,
-    naming,
-    progress_bar,
-    require_new,
-    say,
-)
+from finray_calib.cli.options import add_out
 
 HELP = "turn captured frames into one value per filter and channel, with covariance"
 DESCRIPTION = """\
 Correct a paint session for dark level and exposure, refer it to the white reference, and write one value per
 filter and Bayer channel over the painted region: fluorescence (under the laser) and reflectance (under the
-lamp), each with its full covariance and quality flags."""
+lamp), each with its full covariance and quality flags. A camera session becomes a camera characterisation."""
 
 
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -27,28 +18,31 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         "radiometry", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("session", type=Path, metavar="SESSION", help="folder written by 'finray capture'")
-    add_out(parser, "PAINT.bands.json")
+    add_out(parser, "PAINT.bands.json, CAMERA.camera.json")
+    parser.add_argument(
+        "--camera", type=Path, metavar="FILE", help="use the gain, read noise and black level of this characterisation"
+    )
+    parser.add_argument(
+        "--pixels",
+        action="store_true",
+        help="also write PAINT.pixels.json: every pixel of the region behind each filter",
+    )
+    parser.add_argument("--whole-frame", action="store_true", help="with --pixels: every pixel of the frame")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Reduce and report."""
+    """Reduce what was captured and report."""
     from data_schemas.errors import RadiometryError
-    from data_schemas.provenance import provenance
-    from data_schemas.storage import write_record
-    from finray_calib.radiometry.band_signals import band_signals
-    from rigs.capture.paint_session import SESSION_NAME
-    from rigs.capture.read_session import read_frame_of, read_session
+    from finray_calib.cli.characterise_camera import characterise
+    from finray_calib.cli.reduce_paint import reduce_paint
+    from rigs.capture.read_session import session_kind
 
-    session = read_session(arguments.session)
-    out = require_new(arguments.out or Path(f"{file_name(session.plan.paint_name)}.bands.json"))
-    with progress_bar("radiometry"), naming(RadiometryError, arguments.session):
-        bands = band_signals(session, lambda frame: read_frame_of(arguments.session, frame))
-    write_record(bands, out, provenance(command_line(), input_digests([arguments.session / SESSION_NAME])))
-    say(f"{out}: {len(bands.flags)} filters x 3 channels over {bands.region_pixels} px")
-    for band, row in zip(bands.optics.filters, bands.flags, strict=True):
-        bad = [f"{name} {flag}" for name, flag in zip(("red", "green", "blue"), row, strict=True) if flag != "ok"]
-        if bad:
-            say(f"  filter {band.name}: {', '.join(bad)}")
-    for note in bands.notes:
-        say(f"  note: {note}")
+    if arguments.whole_frame and not arguments.pixels:
+        raise RadiometryError("--whole-frame: says how far the map of --pixels reaches; give --pixels too")
+    if session_kind(arguments.session) == "paint":
+        reduce_paint(arguments.session, arguments.out, arguments.camera, arguments.pixels, arguments.whole_frame)
+        return
+    if arguments.camera is not None or arguments.pixels:
+        raise RadiometryError(f"{arguments.session}: is a camera session; --camera and --pixels are for paint sessions")
+    characterise(arguments.session, arguments.out)

@@ -15,7 +15,8 @@ from data_schemas.provenance import provenance
 from data_schemas.storage import write_bytes
 from finray_calib.demo.stages import Demo, DemoSettings
 from finray_calib.reports.demo_report import demo_report
-from finray_calib.reports.demo_results import COLOURS, Colour, DemoResults, PaintResult, PaintTruth
+from finray_calib.reports.demo_results import COLOURS, Colour, DemoResults, PaintResult
+from finray_calib.reports.fitted_paint import PaintTruth
 from finray_calib.reports.images import to_display
 from finray_calib.reports.summary import summary
 from rigs.capture.read_session import read_frame_of

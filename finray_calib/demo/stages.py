@@ -22,7 +22,7 @@ from data_schemas.standard_curves import camera_response
 from data_schemas.storage import read_record, sha256_of, write_record
 from finray_calib.compare.comparison_record import compare_press
 from finray_calib.decide.decision_record import decide
-from finray_calib.fit.paint_calibration import calibrate_paint
+from finray_calib.fit.paint_calibration import FitOptions, calibrate_paint
 from finray_calib.radiometry.band_signals import band_signals
 from rigs.capture.paint_session import capture_paint_session
 from rigs.capture.read_session import read_frame_of, read_session
@@ -121,9 +121,9 @@ class Demo:
         return self._store(bands, f"{colour}/bands.json", [f"{colour}/session/session.json"])
 
     def fit(self, colour: str) -> PaintCalibration:
-        """Fit the emission spectrum to the stored band signals."""
+        """Fit the emission spectrum to the stored band signals, with emcee as the independent check."""
         bands = read_record(self.path(f"{colour}/bands.json"), BandSignals)
-        paint = calibrate_paint(bands, self.settings.seed)
+        paint = calibrate_paint(bands, self.settings.seed, FitOptions(check_by_emcee=True))
         return self._store(paint, f"{colour}/paint.json", [f"{colour}/bands.json"])
 
     def truth(self, colour: str) -> BenchTruth:

@@ -29,7 +29,7 @@ from finray_calib.spectra.absorption import absorptance, photon_yield, smooth_co
 Floats = NDArray[np.float64]
 EXCITATION_NM: Floats = np.arange(300.0, 781.0, 5.0)
 EXCITATION_NM.flags.writeable = False
-CANDIDATES = 40_000
+CANDIDATES = 20_000
 REDRAWS = 40
 LARGEST_YIELD_SD_REL = 0.5
 FEWEST_SHAPES = 50

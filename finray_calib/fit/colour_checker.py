@@ -2,17 +2,9 @@
 
 The 24 patches in the room-light frame give a matrix from camera RGB to XYZ; the paint's XYZ is compared with that of
 every patch by CIEDE2000, and the reflectance curve of the closest patch stands in for the paint's.
-
-The stand-in is rough, and a fluorescent paint also glows in room light, which shifts its colour. Measured on four
-fluorescent materials (relative RMS of the patch's curve from the measured reflectance): 0.14 to 0.36 when the colour
-is that of the reflectance alone (root mean square 0.28), up to 0.47 when room light makes the paint glow (0.35). The
-stated uncertainty, with its term for an ambiguous match, covers both: root mean square error over uncertainty 0.8 to
-1.1 over five lights and three cameras.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +13,12 @@ from data_schemas.capture import CaptureSession, Frame
 from data_schemas.colour_checker import ColourCheckerMatch, PatchDistance
 from data_schemas.curves import SpectralCurve
 from data_schemas.errors import FitError, RadiometryError
-from data_schemas.fit import Estimate
+from data_schemas.estimate import Estimate
 from data_schemas.radiometry import Optics
 from data_schemas.rig import BandPassFilter
+from finray_calib.fit.colour_match import PATCH_SET, match_colour, match_uncertainty_rel, patch_colours, reflectance_sd
 from finray_calib.radiometry.find_colour_checker import (
     LARGEST_CLIPPED_FRACTION,
-    PATCHES,
     ColourCheckerPatches,
     find_colour_checker,
     linear_cells,
@@ -35,100 +27,7 @@ from finray_calib.spectra.rig_curves import WAVELENGTH_NM, filter_transmission
 
 Floats = NDArray[np.float64]
 ReadFrame = Callable[[Frame], NDArray[np.uint16]]
-PATCH_SET = "BabelColor Average"
-MATCH_UNCERTAINTY_REL = 0.30
-# Two patches whose distances differ by less than this factor are about equally likely to be the closest.
-AMBIGUOUS_FACTOR = 1.25
 _NORMAL_68, _NORMAL_95 = 0.994458, 1.959964
-
-
-@dataclass(frozen=True, slots=True)
-class PatchColours:
-    """The 24 patches of the chart under D65 for the 2 degree observer.
-
-    Attributes
-    ----------
-    names
-        In the chart's order.
-    reflectance
-        (24, L) on :data:`WAVELENGTH_NM`; end values are held outside the measured 380 to 730 nm.
-    xyz
-        (24, 3) tristimulus values, Y of a perfect diffuser 1.
-    white_xyz
-        (3,) those of a perfect diffuser.
-    """
-
-    names: tuple[str, ...]
-    reflectance: Floats
-    xyz: Floats
-    white_xyz: Floats
-
-
-@dataclass(frozen=True, slots=True)
-class ColourMatch:
-    """Distances (24,) of a paint from the patches, and how well the camera predicts the patches themselves (24,)."""
-
-    paint_delta_e: Floats
-    camera_delta_e: Floats
-
-
-@cache
-def patch_colours() -> PatchColours:
-    """Return the patches: averages over 30 charts ("BabelColor Average" of colour-science), colours under D65."""
-    import colour  # takes seconds to import and only the room-light frame needs it
-
-    shape = colour.SpectralShape(WAVELENGTH_NM[0], WAVELENGTH_NM[-1], 1)
-    observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(shape).values
-    weights = colour.SDS_ILLUMINANTS["D65"].copy().align(shape).values[:, None] * observer
-    weights = weights / weights[:, 1].sum()
-    spectra = colour.SDS_COLOURCHECKERS[PATCH_SET]
-    reflectance = np.array([np.interp(WAVELENGTH_NM, sd.wavelengths, sd.values) for sd in spectra.values()])
-    names = tuple(name.partition(" (")[0] for name in spectra)
-    return PatchColours(names, reflectance, reflectance @ weights, weights.sum(axis=0))
-
-
-def match_colour(patch_rgb: Floats, paint_rgb: Floats) -> ColourMatch:
-    """Compare the paint's colour with the 24 patches by CIEDE2000.
-
-    ``XYZ = rgb A`` with the (3, 3) matrix A by least squares on the patches seen in the same frame. Camera errors are
-    those of leaving one patch out. Valid where chart and paint are lit alike.
-
-    Parameters
-    ----------
-    patch_rgb
-        (24, 3) linear camera values of the patches.
-    paint_rgb
-        (3,) of the paint, same scale.
-
-    References
-    ----------
-    CIE 142-2001; Sharma, Wu, Dalal, Color Research and Application 30 (2005) 21.
-    """
-    reference = patch_colours()
-    matrix = _camera_matrix(patch_rgb, reference.xyz)
-    left_out = np.array(
-        [
-            patch_rgb[n] @ _camera_matrix(np.delete(patch_rgb, n, axis=0), np.delete(reference.xyz, n, axis=0))
-            for n in range(PATCHES)
-        ]
-    )
-    return ColourMatch(
-        paint_delta_e=_delta_e(np.broadcast_to(paint_rgb @ matrix, (PATCHES, 3)), reference.xyz),
-        camera_delta_e=_delta_e(left_out, reference.xyz),
-    )
-
-
-def match_uncertainty_rel(match: ColourMatch) -> float:
-    """Return the relative standard uncertainty of the closest patch's reflectance as the paint's.
-
-    The measured 0.30; where the runner-up is about as close (within a factor 1.25), half the relative RMS difference
-    of the two curves is added in quadrature.
-    """
-    first, second = np.argsort(match.paint_delta_e)[:2]
-    if match.paint_delta_e[second] > AMBIGUOUS_FACTOR * match.paint_delta_e[first]:
-        return MATCH_UNCERTAINTY_REL
-    one, other = patch_colours().reflectance[[first, second]]
-    return float(np.hypot(MATCH_UNCERTAINTY_REL, 0.5 * np.linalg.norm(other - one) / np.linalg.norm(one)))
 
 
 def colour_checker_reflectance(session: CaptureSession, read: ReadFrame, optics: Optics) -> ColourCheckerMatch:
@@ -169,21 +68,6 @@ def colour_checker_reflectance(session: CaptureSession, read: ReadFrame, optics:
     raise FitError("no room-light frame can be used; " + "; ".join(faults))
 
 
-def _camera_matrix(rgb: Floats, xyz: Floats) -> Floats:
-    """Return the least-squares (3, 3) matrix from camera RGB to XYZ."""
-    return np.asarray(np.linalg.lstsq(rgb, xyz, rcond=None)[0])
-
-
-def _delta_e(first_xyz: Floats, second_xyz: Floats) -> Floats:
-    """Return CIEDE2000 of pairs of XYZ under D65; what the matrix drives below zero counts as black."""
-    import colour
-
-    reference = patch_colours()
-    white_xy = reference.white_xyz[:2] / reference.white_xyz.sum()
-    first, second = (colour.XYZ_to_Lab(np.maximum(xyz, 0.0), white_xy) for xyz in (first_xyz, second_xyz))
-    return np.asarray(colour.delta_E(first, second, method="CIE 2000"), dtype=np.float64)
-
-
 def _dark(session: CaptureSession, frame: Frame, read: ReadFrame) -> Floats | float:
     """Return the mean dark frame of the same exposure (DN), or the camera's black level if there is none."""
     darks = [f for f in session.frames if f.frame_type == "dark"]
@@ -212,22 +96,24 @@ def _record(
     """Match and put into words."""
     reference = patch_colours()
     match = match_colour(patches.mean_dn, paint_dn)
-    uncertainty_rel = match_uncertainty_rel(match)
-    ranked = [PatchDistance(patch=reference.names[n], delta_e=match.paint_delta_e[n]) for n in _order(match)]
+    uncertainty_rel, sd = match_uncertainty_rel(match), reflectance_sd(match)
+    order = np.argsort(match.paint_delta_e)
+    ranked = [PatchDistance(patch=reference.names[n], delta_e=match.paint_delta_e[n]) for n in order]
     closest, runner_up = ranked[:2]
     curve = SpectralCurve(
         name=f"ColorChecker {closest.patch}",
         wavelength_nm=WAVELENGTH_NM,
-        values=reference.reflectance[_order(match)[0]],
+        values=reference.reflectance[order[0]],
         uncertainty_rel=uncertainty_rel,
         source=f"colour-science, {PATCH_SET}",
     )
     return ColourCheckerMatch(
         patches=tuple(ranked),
         reflectance=curve,
-        at_filters=tuple(_at_filter(curve, band) for band in filters),
-        camera_error_median=float(np.median(match.camera_delta_e)),
-        camera_error_largest=float(match.camera_delta_e.max()),
+        reflectance_sd=sd,
+        at_filters=tuple(_at_filter(curve, band, sd) for band in filters),
+        camera_median_delta_e=float(np.median(match.camera_delta_e)),
+        camera_largest_delta_e=float(match.camera_delta_e.max()),
         patch_mean_dn=patches.mean_dn,
         patch_sd_dn=patches.sd_dn,
         paint_mean_dn=paint_dn,
@@ -237,21 +123,16 @@ def _record(
             f"reflectance of ColorChecker patch '{closest.patch}', the closest to the paint in room light (CIEDE2000 "
             f"{closest.delta_e:.1f}; next '{runner_up.patch}' {runner_up.delta_e:.1f}; the camera predicts the patches "
             f"themselves within {np.median(match.camera_delta_e):.1f}): a stand-in with {uncertainty_rel:.0%} relative "
-            "standard uncertainty; light that the paint re-emits is part of its colour"
+            f"standard uncertainty (+- {sd:.2f} at every wavelength); light that the paint re-emits is part of its "
+            "colour"
         ),
     )
 
 
-def _order(match: ColourMatch) -> list[int]:
-    """Return the patches, closest first."""
-    return [int(n) for n in np.argsort(match.paint_delta_e)]
-
-
-def _at_filter(curve: SpectralCurve, band: BandPassFilter) -> Estimate:
+def _at_filter(curve: SpectralCurve, band: BandPassFilter, sd: float) -> Estimate:
     """Return the curve averaged over a filter's pass band, with its uncertainty; ends are cut at 0 and 1."""
     passed = filter_transmission(band, WAVELENGTH_NM)
     value = float((passed * curve(WAVELENGTH_NM)).sum() / passed.sum())
-    sd = curve.uncertainty_rel * value
     low68, high68, low95, high95 = (
         float(np.clip(value + z * sd, 0.0, 1.0)) for z in (-_NORMAL_68, _NORMAL_68, -_NORMAL_95, _NORMAL_95)
     )

@@ -8,11 +8,12 @@ misfit to the data asks for (Matheron's rule):
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from finray_calib.fit.discrepancy import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM
+from finray_calib.fit.discrepancy import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM, Discrepancy
 from finray_calib.fit.likelihood import LogPosterior
 
 FloatArray = NDArray[np.float64]
@@ -89,8 +90,14 @@ def _smooth_draws(
     log_posterior: LogPosterior, wavelength_nm: FloatArray, count: int, rng: np.random.Generator
 ) -> FloatArray:
     """Return draws of the Gaussian process from its prior, (n, L)."""
-    kernel = log_posterior.discrepancy.smooth_kernel(wavelength_nm, wavelength_nm)
-    roots, directions = np.linalg.eigh(kernel)
-    large = roots > _RANK_TOLERANCE * max(float(roots[-1]), np.finfo(float).tiny)
-    root = directions[:, large] * np.sqrt(roots[large])
+    root = _process_root(log_posterior.discrepancy, wavelength_nm.tobytes())
     return np.asarray(rng.standard_normal((count, root.shape[1])) @ root.T)
+
+
+@lru_cache(maxsize=4)
+def _process_root(discrepancy: Discrepancy, wavelengths: bytes) -> FloatArray:
+    """Return a factor of the process's covariance, (L, rank); all families of a fit share it."""
+    wavelength_nm = np.frombuffer(wavelengths)
+    roots, directions = np.linalg.eigh(discrepancy.smooth_kernel(wavelength_nm, wavelength_nm))
+    large = roots > _RANK_TOLERANCE * max(float(roots[-1]), np.finfo(float).tiny)
+    return np.asarray(directions[:, large] * np.sqrt(roots[large]))

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
-from scipy.stats import rankdata
 
 FloatArray = NDArray[np.float64]
 
@@ -128,7 +127,8 @@ def _split(chains: FloatArray) -> FloatArray:
 
 def _normal_scores(values: FloatArray) -> FloatArray:
     """Return the normal quantiles of the fractional ranks."""
-    ranks = rankdata(values, axis=None).reshape(values.shape)
+    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
+    ranks = (np.cumsum(count) - (count - 1) / 2)[place].reshape(values.shape)  # repeated values share their mean rank
     return np.asarray(ndtri((ranks - 0.375) / (values.size + 0.25)))
 
 

@@ -16,6 +16,7 @@ from finray_calib.fit.importance import WeightedSample, importance_sample
 from finray_calib.fit.likelihood import BandData, LogPosterior
 from finray_calib.fit.map_search import Maxima, find_maxima
 from finray_calib.fit.mixture_proposal import MixtureProposal
+from finray_calib.fit.pareto_smoothing import LARGEST_PARETO_K
 from finray_calib.fit.predictive import BandCheck, check_bands
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.fit.sampler import SamplerSettings, sample_posterior
@@ -24,6 +25,7 @@ from finray_calib.spectra.emission_families import EmissionFamily
 
 FloatArray = NDArray[np.float64]
 
+_MORE: Final = 5
 _REFERENCE_ROUNDS: Final = 2
 """The filters' tolerances act at a reference fit that is refined twice; the first is fitted without them."""
 
@@ -47,8 +49,8 @@ class FitSettings:
         When there are too few draws for 95 % limits.
     """
 
-    importance_draws: int = 8000
-    kept_draws: int = 2000
+    importance_draws: int = 6000
+    kept_draws: int = 1000
     chain: SamplerSettings = SamplerSettings()
 
     def __post_init__(self) -> None:
@@ -180,9 +182,12 @@ def fit_emission(
     """
     log_posterior = LogPosterior(data, family, prior, discrepancy)
     maxima = find_maxima(log_posterior, rng)
-    for _ in range(_REFERENCE_ROUNDS if data.tolerances is not None else 0):
-        reference = log_posterior.reference_at(maxima.theta[0])
-        log_posterior = LogPosterior(data, family, prior, discrepancy, reference)
+    if data.tolerances is not None:
+        best = maxima.theta[0]
+        for _ in range(_REFERENCE_ROUNDS):
+            reference = log_posterior.reference_at(best)
+            log_posterior = LogPosterior(data, family, prior, discrepancy, reference)
+            best = log_posterior.climb(best)
         maxima = find_maxima(log_posterior, rng)
     proposal, draws, sampling = draw_posterior(log_posterior, maxima, settings, rng)
     curves = curve_draws(log_posterior, draws, rng)
@@ -206,6 +211,8 @@ def draw_posterior(
         method = "adapted importance sampling"
         proposal = proposal.adapted(log_posterior, rng)
         sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
+        if not sample.trusted and sample.pareto_k <= LARGEST_PARETO_K:  # sound but thin: more of the same
+            sample = importance_sample(log_posterior, proposal, _MORE * settings.importance_draws, rng)
     if sample.trusted:
         return proposal, sample.resampled(settings.kept_draws, rng), Sampling(method, sample, None)
     chain, diagnostics = sample_posterior(log_posterior, proposal, settings.chain, rng)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from data_schemas.errors import FitError
 from finray_calib.fit.discrepancy import NO_DISCREPANCY, Discrepancy
 from finray_calib.fit.nuisances import calibration_columns, tolerance_columns
-from finray_calib.fit.posterior_kernel import Problem, covariances, log_posterior, predictions
+from finray_calib.fit.posterior_kernel import Problem, climb, covariances, log_posterior, predictions
 from finray_calib.fit.prior import EmissionPrior, Prior
 from finray_calib.spectra.band_quadrature import BandQuadrature, band_quadrature
 from finray_calib.spectra.band_tolerances import BandTolerances
@@ -21,7 +21,8 @@ LEAST_BANDS = 4
 """Fewest bands with a usable channel: a mode, a width, a skewness and a height need as many."""
 
 _HESSIAN_STEP = 1e-3  # in prior standard deviations: truncation 1e-6, rounding 1e-9 of the curvature
-_LENGTHS_APART = 5.0  # bands further apart than five correlation lengths share no discrepancy (e^-12)
+_CLIMB_STEPS = 60
+_LENGTHS_APART = 4.0  # bands further apart than four correlation lengths share no discrepancy (e^-8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +190,10 @@ class LogPosterior:
         """Return the covariance of the usable band values at (n, D) rows, (n, K, K)."""
         return np.asarray(covariances(self.problem, np.ascontiguousarray(theta)))
 
+    def climb(self, start: FloatArray) -> FloatArray:
+        """Return the local maximum that Levenberg-Marquardt steps from `start` (D,) reach, (D,)."""
+        return np.asarray(climb(self.problem, np.ascontiguousarray(start), _CLIMB_STEPS)[0])
+
     def reference_at(self, theta: FloatArray) -> Reference:
         """Return the emission, reflectance and blocking of one parameter vector (D,)."""
         curve = self.family.curves(theta[None], self.data.weights.wavelength_nm)[0]
@@ -227,6 +232,8 @@ def _problem(posterior: LogPosterior) -> Problem:
     nodes = rule.nodes_nm.ravel()
     centres = rule.nodes_nm.mean(axis=1)
     near = np.abs(centres[:, None] - centres) < _LENGTHS_APART * discrepancy.length_nm
+    emits = np.bincount(weights.band_index, np.abs(rule.in_band).sum(axis=1)) > 0
+    near &= emits[:, None] & emits
     row = {name: np.ascontiguousarray(getattr(rule, name)[kept]) for name in ("in_band", "out_of_band", "leaked")}
     own = {name: getattr(weights, name)[kept] for name in ("leaked_laser", "leaked_white")}
     return Problem(

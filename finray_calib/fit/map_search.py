@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from finray_calib.fit.likelihood import LogPosterior
-from finray_calib.fit.posterior_kernel import climb
 
 FloatArray = NDArray[np.float64]
 
 _DRAWS = 512
 _STARTS_PER_STRATUM = 2
 _MODE_STRATA = 4
-_CLIMB_STEPS = 60
 _EVALUATIONS = 60
 _GRADIENT_STEP = 1e-5  # in prior standard deviations
 _BOX_SD = 8.0  # box of the parameters without truncation: nothing within reach of any data lies outside
@@ -66,9 +64,9 @@ def find_maxima(log_posterior: LogPosterior, rng: np.random.Generator) -> Maxima
     rng
         Source of the starting points.
     """
-    problem, prior = log_posterior.problem, log_posterior.prior
-    ends = [climb(problem, start, _CLIMB_STEPS) for start in starting_points(log_posterior, rng)]
-    ends.sort(key=lambda end: -end[1])
+    prior = log_posterior.prior
+    tops = np.array([log_posterior.climb(start) for start in starting_points(log_posterior, rng)])
+    ends = sorted(zip(tops, log_posterior(tops), strict=True), key=lambda end: -end[1])
     kept: list[tuple[FloatArray, float, FloatArray]] = []
     seen: list[FloatArray] = []
     for theta, value in ends:

@@ -20,8 +20,8 @@ _COMPONENTS = 12
 _MOST_ROUNDS = 20
 _DRAWS_PER_ROUND = 2000
 _LEAST_EFFECTIVE = 0.1  # effective share of the draws below which the weights are tempered
-_GOOD_EFFECTIVE = 0.5  # effective share of the draws at which adaptation stops
-_GOOD_ROUNDS = 3  # one round can be lucky and miss a tail
+_GOOD_EFFECTIVE = 0.4  # effective share of the draws at which adaptation stops
+_GOOD_ROUNDS = 2  # one round can be lucky and miss a tail
 _LEAST_SHARE = 0.01  # of a component: fewer draws cannot carry a covariance
 
 
@@ -102,8 +102,8 @@ class MixtureProposal:
 
     def _squared_distance(self, theta: FloatArray) -> FloatArray:
         """Return the squared Mahalanobis distances, (n, K)."""
-        z = np.einsum("kij,nkj->nki", self._whiten, theta[:, None, :] - self._centres)
-        return np.asarray((z**2).sum(axis=2))
+        z = (theta - self._centres[:, None]) @ self._whiten.swapaxes(1, 2)
+        return np.asarray(np.square(z).sum(axis=2).T)
 
     def _ln_terms(self, theta: FloatArray, squared: FloatArray) -> FloatArray:
         """Return the logarithms of the K + 1 terms of the density, (n, K + 1)."""
@@ -129,8 +129,9 @@ class MixtureProposal:
             return self
         scaled = member * (_DEGREES_OF_FREEDOM + theta.shape[1]) / (_DEGREES_OF_FREEDOM + squared)
         centres = (scaled.T @ theta)[keep] / scaled.sum(axis=0)[keep, None]
-        apart = theta[:, None, :] - centres
-        covariances = np.einsum("nk,nki,nkj->kij", scaled[:, keep], apart, apart) / share[keep, None, None]
+        apart = theta - centres[:, None]
+        weighted = apart * scaled[:, keep].T[..., None]
+        covariances = weighted.swapaxes(1, 2) @ apart / share[keep, None, None]
         shrunk = covariances + 0.02 * self._covariances[keep]  # keeps the rank when a component holds few draws
         return type(self)(share[keep], centres, _symmetric(shrunk), self._prior)
 

@@ -8,12 +8,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from finray_calib.fit.discrepancy import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM
+from finray_calib.spectra.band_quadrature import NODES
 from finray_calib.spectra.family_kernels import CONSTANTS, constants, value
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _LN_2PI = math.log(2 * math.pi)
+_REORDER = {"reassoc", "contract", "arcp", "nsz"}  # sums may be reordered; infinities keep their meaning
 
 
 class Problem(NamedTuple):
@@ -59,12 +61,13 @@ class Work(NamedTuple):
     at_grid: FloatArray
     mu: FloatArray
     scaled: FloatArray
+    pull: FloatArray
     edge: FloatArray
     factor: FloatArray
     z: FloatArray
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
 def scratch(p: Problem) -> Work:
     """Return scratch arrays of the right sizes."""
     rows, nodes = p.in_band.shape
@@ -74,63 +77,76 @@ def scratch(p: Problem) -> Work:
         np.empty(len(p.grid_nm)),
         np.empty(rows),
         np.empty((rows, nodes)),
+        np.empty(p.nodes_nm.shape),
         np.empty(rows),
         np.empty((rows, rows)),
         np.empty(rows),
     )
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
 def predict(p: Problem, theta: FloatArray, w: Work) -> None:
     """Fill w.mu with the band values of one parameter vector, and the curve at nodes and grid."""
-    constants(p.family, theta, p.table, w.c)
-    for b in range(p.nodes_nm.shape[0]):
-        for q in range(p.nodes_nm.shape[1]):
-            w.at_nodes[b, q] = value(p.family, w.c, p.nodes_nm[b, q])
-    for g in range(len(p.grid_nm)):
-        w.at_grid[g] = value(p.family, w.c, p.grid_nm[g])
+    c, at_nodes, at_grid = w.c, w.at_nodes, w.at_grid
+    constants(p.family, theta, p.table, c)
+    for b in range(at_nodes.shape[0]):
+        for q in range(NODES):
+            at_nodes[b, q] = value(p.family, c, p.nodes_nm[b, q])
+    for g in range(len(at_grid)):
+        at_grid[g] = value(p.family, c, p.grid_nm[g])
     rho = math.exp(theta[p.shapes])
     more = math.expm1(theta[p.shapes + 1]) if p.has_blocking else 0.0
     for i in range(len(p.y)):
-        emitted, leaked = 0.0, p.leaked_laser[i] * rho
-        for q in range(p.nodes_nm.shape[1]):
-            emitted += p.in_band[i, q] * w.at_nodes[p.band[i], q]
-        for g in range(len(p.grid_nm)):
-            emitted += p.out_of_band[i, g] * w.at_grid[g]
-        if more != 0.0:
-            for g in range(len(p.grid_nm)):
-                leaked += p.leaked[i, g] * w.at_grid[g]
-        w.mu[i] = (emitted + rho * p.laser[i] + more * leaked) / (1 + more * p.leaked_white[i])
+        b, emitted, leaked = p.band[i], 0.0, 0.0
+        for q in range(NODES):
+            emitted += p.in_band[i, q] * at_nodes[b, q]
+        for g in range(len(at_grid)):
+            emitted += p.out_of_band[i, g] * at_grid[g]
+        if p.has_blocking:
+            for g in range(len(at_grid)):
+                leaked += p.leaked[i, g] * at_grid[g]
+        laser = p.laser[i] + more * p.leaked_laser[i]
+        w.mu[i] = (emitted + more * leaked + rho * laser) / (1 + more * p.leaked_white[i])
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
 def add_discrepancy(p: Problem, theta: FloatArray, w: Work) -> None:
     """Fill w.factor with covariance plus discrepancy (lower triangle), for the curve that predict() left."""
+    scaled, pull, edge, factor, kernel = w.scaled, w.pull, w.edge, w.factor, p.kernel
     floor = p.floor_rel * math.exp(theta[2])
     width = math.exp(theta[1])
-    nodes = p.nodes_nm.shape[1]
-    for i in range(len(p.y)):
-        edge, b = 0.0, p.band[i]
-        for q in range(nodes):
-            a = p.in_band[i, q] * (w.at_nodes[b, q] + floor)
-            w.scaled[i, q] = a
-            if p.reabsorption_rel > 0:
+    rows, bands = len(p.y), len(pull)
+    if p.reabsorption_rel > 0:
+        for b in range(bands):
+            for q in range(NODES):
                 u = (p.nodes_nm[b, q] - theta[0] + EDGE_OFFSET_FWHM * width) / (EDGE_WIDTH_FWHM * width)
-                edge += a / (1 + math.exp(min(u, 60.0)))
-        w.edge[i] = p.reabsorption_rel * edge
-    for i in range(len(p.y)):
-        for j in range(i + 1):
-            total = p.covariance[i, j] + w.edge[i] * w.edge[j]
-            if p.near[p.band[i], p.band[j]]:
-                for q in range(nodes):
-                    row, part = p.band[i] * nodes + q, 0.0
-                    for r in range(nodes):
-                        part += p.kernel[row, p.band[j] * nodes + r] * w.scaled[j, r]
-                    total += w.scaled[i, q] * part
-            w.factor[i, j] = total
+                pull[b, q] = p.reabsorption_rel / (1 + math.exp(min(u, 60.0)))
+    for i in range(rows):
+        b, s = p.band[i], 0.0
+        for q in range(NODES):
+            scaled[i, q] = p.in_band[i, q] * (w.at_nodes[b, q] + floor)
+        if p.reabsorption_rel > 0:
+            for q in range(NODES):
+                s += scaled[i, q] * pull[b, q]
+        edge[i] = s
+    for j in range(rows):
+        own = p.band[j]
+        for b in range(own, bands):
+            if p.near[b, own]:
+                for q in range(NODES):
+                    part = 0.0
+                    for r in range(NODES):
+                        part += kernel[b * NODES + q, own * NODES + r] * scaled[j, r]
+                    pull[b, q] = part
+        for i in range(j, rows):
+            total, b = p.covariance[i, j] + edge[i] * edge[j], p.band[i]
+            if p.near[b, own]:
+                for q in range(NODES):
+                    total += scaled[i, q] * pull[b, q]
+            factor[i, j] = total
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
 def factorise(a: FloatArray) -> float:
     """Replace the lower triangle by its Cholesky factor; return half the log determinant."""
     half = 0.0
@@ -147,7 +163,7 @@ def factorise(a: FloatArray) -> float:
     return half
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
 def whitened_residual(p: Problem, theta: FloatArray, w: Work) -> float:
     """Fill w.z with the whitened residual of predict(); return the log normalisation."""
     rows = len(p.y)
@@ -168,7 +184,7 @@ def whitened_residual(p: Problem, theta: FloatArray, w: Work) -> float:
     return -0.5 * rows * _LN_2PI - half
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
 def log_prior(p: Problem, theta: FloatArray) -> float:
     """Return the log prior density, minus infinity outside the truncation."""
     s = p.ln_prior_norm
@@ -179,7 +195,7 @@ def log_prior(p: Problem, theta: FloatArray) -> float:
     return s
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
 def log_likelihood_one(p: Problem, theta: FloatArray, w: Work) -> float:
     """Return ln p(y | theta) of one parameter vector."""
     predict(p, theta, w)
@@ -189,7 +205,7 @@ def log_likelihood_one(p: Problem, theta: FloatArray, w: Work) -> float:
     return s if math.isfinite(s) else -math.inf
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
 def log_posterior(p: Problem, theta: FloatArray, with_prior: bool) -> FloatArray:
     """Return the log posterior (or likelihood) of (n, D) rows, (n,)."""
     out, w = np.empty(len(theta)), scratch(p)
@@ -201,7 +217,7 @@ def log_posterior(p: Problem, theta: FloatArray, with_prior: bool) -> FloatArray
     return out
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
 def predictions(p: Problem, theta: FloatArray) -> FloatArray:
     """Return the predicted usable band values of (n, D) rows, (n, K)."""
     out, w = np.empty((len(theta), len(p.y))), scratch(p)
@@ -211,7 +227,7 @@ def predictions(p: Problem, theta: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
 def covariances(p: Problem, theta: FloatArray) -> FloatArray:
     """Return the covariance of the usable band values at each of (n, D) rows, (n, K, K)."""
     rows = len(p.y)
@@ -228,7 +244,7 @@ def covariances(p: Problem, theta: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
 def climb(p: Problem, start: FloatArray, iterations: int) -> tuple[FloatArray, float]:
     """Return where Levenberg-Marquardt steps from `start` end, and its log posterior.
 

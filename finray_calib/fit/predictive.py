@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import gammaincc
 
 from finray_calib.fit.likelihood import LogPosterior
 from finray_calib.fit.nuisances import band_values
@@ -73,7 +73,7 @@ def check_bands(log_posterior: LogPosterior, draws: FloatArray) -> BandCheck:
         rows = np.flatnonzero(p.band == band)
         own = residual[:, rows]
         each = np.einsum("ni,ni->n", own, np.linalg.solve(covariance[:, rows][:, :, rows], own[..., None])[..., 0])
-        chi2[band], p_value[band] = each.mean(), chi2_distribution.sf(each, rows.size).mean()
+        chi2[band], p_value[band] = each.mean(), gammaincc(rows.size / 2, each / 2).mean()
     total = np.einsum("ni,ni->n", residual, np.linalg.solve(covariance, residual[..., None])[..., 0])
     curves = log_posterior.family.curves(draws, data.weights.wavelength_nm)
     leak = np.exp(draws[:, -1]) if log_posterior.has_blocking else 1.0

@@ -113,7 +113,7 @@ class EmissionPrior:
     def __post_init__(self) -> None:
         medians = (self.fwhm_median_nm, self.peak_median_per_nm, self.reflected_laser_median)
         sds = (self.mode_sd_nm, self.ln_fwhm_sd, self.ln_peak_sd, self.ln_reflected_laser_sd, self.ln_blocking_sd)
-        if not min(*medians, *sds) > 0:
+        if not all(value > 0 for value in (*medians, *sds)):
             raise FitError("emission prior: every median and standard deviation must be positive")
         if not self.mode_low_nm < self.mode_high_nm:
             raise FitError(

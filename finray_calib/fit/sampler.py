@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import emcee
 import numpy as np
 from numpy.typing import NDArray
 
@@ -106,6 +105,8 @@ def sample_posterior(
     tuple
         (N, D) thinned draws and the ChainDiagnostics.
     """
+    import emcee  # here, because it loads scipy.stats, which takes longer than the usual fit
+
     start = initial_walkers(log_density, proposal, settings.walkers, rng)
     sampler = emcee.EnsembleSampler(
         settings.walkers, start.shape[1], log_density, vectorize=True, moves=_moves(proposal, rng)
@@ -139,6 +140,8 @@ def initial_walkers(log_density: LogDensity, proposal: Proposal, walkers: int, r
 
 def _moves(proposal: Proposal, rng: np.random.Generator) -> list[tuple[Any, float]]:
     """Return the mixture of emcee moves."""
+    import emcee
+
     jump_rng = np.random.default_rng(rng.integers(2**63))
 
     def jump(coordinates: FloatArray, _: object) -> tuple[FloatArray, FloatArray]:

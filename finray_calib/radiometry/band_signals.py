@@ -11,6 +11,10 @@ Under the laser the white reference sends almost nothing through the 500-660 nm 
 the white under the *lamp* in the same filter, and to the laser only where the white reflects it. The pixel
 non-uniformity and the overall transmission of each filter cancel; an uneven laser spot cancels as long as
 the paint is uniform over the region.
+
+The covariance is :math:`J C J^T` with the Jacobian J of these formulas and the covariance C of all signals
+(:mod:`~finray_calib.radiometry.signal_covariance`), plus what is common to all bands: the white reference, the
+texture of paint and tile, and bleaching. A wrong gain of the camera cancels in every ratio.
 """
 
 from dataclasses import dataclass
@@ -18,37 +22,35 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.capture import CaptureSession, FrameType
-from data_schemas.errors import RadiometryError
+from data_schemas.capture import CaptureSession
 from data_schemas.radiometry import BandSignals, Flag, Optics
-from finray_calib.radiometry.region import region_channels
-from finray_calib.radiometry.step_signals import (
-    LARGEST_SATURATED_FRACTION,
-    ReadFrame,
-    StepKey,
-    StepSignal,
-    dark_levels,
-    step_signals,
-)
+from finray_calib.radiometry.bleaching import BleachingTrend, bleaching_note, bleaching_trend
+from finray_calib.radiometry.dark_levels import ReadFrame
+from finray_calib.radiometry.diffuse_test import tilt_note, tilt_ratios
+from finray_calib.radiometry.laser_level import channel_weights, laser_level, positive
+from finray_calib.radiometry.region import whole_cells
+from finray_calib.radiometry.session_steps import SessionSteps, captured_filters, session_steps, signals_of
+from finray_calib.radiometry.signal_covariance import signal_covariance
+from finray_calib.radiometry.step_signals import StepSignal
+from finray_calib.radiometry.uniformity import texture_variance_rel
 
 Floats = NDArray[np.float64]
 SMALLEST_WHITE_SNR = 30.0
-# The repeatability of lamp and laser is never taken as better than this: a handful of log ratios cannot show it.
-SMALLEST_REPEATABILITY_REL = 5e-4
 
 
 @dataclass(frozen=True, slots=True)
-class _Table:
-    """Signals of one frame type over (filter, channel): value, noise variance, shares of the exposures per filter."""
+class _Values:
+    """Values over the flattened (filter, channel) index, their covariance, and the sd of texture in them."""
 
-    signal: Floats
-    variance: Floats
-    shares: tuple[Floats, ...]
-    saturated: Floats
+    values: Floats
+    covariance: Floats
+    texture_sd_rel: float
 
 
 def band_signals(session: CaptureSession, read: ReadFrame) -> BandSignals:
     """Turn a paint session into fluorescence and reflectance per filter and channel, with covariance.
+
+    Frames are read one at a time; memory does not grow with their number.
 
     Parameters
     ----------
@@ -62,59 +64,51 @@ def band_signals(session: CaptureSession, read: ReadFrame) -> BandSignals:
     RadiometryError
         A step, a dark frame or a whole band is missing or saturated, or the region is empty.
     """
-    names = [f.name for f in session.rig.filter_wheel.filters if _is_planned(session, f.name)]
-    darks = dark_levels(session, read)
-    if not darks:
-        raise RadiometryError("session.frames: no dark frames; capture darks before and after the session")
-    steps = step_signals(session, read, darks)
-    white, lamp, laser = (_table(session, steps, kind, names) for kind in ("white", "reflectance", "fluorescence"))
-    if session.plan.excitation_filter not in names:
-        raise RadiometryError(
-            f"session.plan.excitation_filter: {session.plan.excitation_filter!r} is none of the captured filters "
-            f"({', '.join(names)})"
-        )
-    excitation = names.index(session.plan.excitation_filter)
-    laser_white = _table(session, steps, "laser white", [session.plan.excitation_filter])
-    repeatability = _repeatability_rel(steps)
-    flags = _flags(white, lamp, laser)
-    weights = _channel_weights(laser_white, white, excitation)
-    y, y_covariance = _fluorescence(laser, white, laser_white, weights, excitation, repeatability)
-    reference = session.rig.white_reference
-    y_covariance += reference.uncertainty_rel**2 * np.outer(y, y)
-    rho, rho_covariance = _reflectance(lamp, white, reference.reflectance, repeatability)
-    rho_covariance += reference.uncertainty_rel**2 * np.outer(rho, rho)
-    drift = max(abs(d.drift_dn) for d in darks.values())
+    return bands_of_steps(session, session_steps(session, read))
+
+
+def bands_of_steps(session: CaptureSession, steps: SessionSteps) -> BandSignals:
+    """Return the band signals of a session whose steps are merged already (:func:`session_steps`).
+
+    Raises
+    ------
+    RadiometryError
+        No channel sees the laser on the white reference.
+    """
+    weights = channel_weights(steps)
+    trend = bleaching_trend(steps)
+    y = _fluorescence(steps, weights, trend, session.rig.white_reference.uncertainty_rel)
+    rho = _reflectance(steps, session)
+    cells = whole_cells(session.plan.region)
+    ratios = tilt_ratios(steps, trend)
+    tables = (steps.white, steps.reflectance, steps.fluorescence)
     return BandSignals(
         paint_name=session.plan.paint_name,
-        optics=_optics(session, names),
-        fluorescence=y.reshape(-1, 3),
-        fluorescence_covariance=y_covariance,
-        reflectance=rho.reshape(-1, 3),
-        reflectance_covariance=rho_covariance,
+        optics=optics_of(session),
+        fluorescence=y.values.reshape(-1, 3),
+        fluorescence_covariance=y.covariance,
+        reflectance=rho.values.reshape(-1, 3),
+        reflectance_covariance=rho.covariance,
         channel_weights=weights,
-        flags=flags,
-        saturated_fraction=np.maximum(np.maximum(white.saturated, lamp.saturated), laser.saturated),
-        region_pixels=_region_pixels(session, read),
+        flags=_flags(*tables),
+        saturated_fraction=np.max([[s.saturated_fraction for s in table] for table in tables], axis=0),
+        region_pixels=cells.height_px * cells.width_px,
+        bleaching=None if trend is None else trend.record,
+        tilt_ratios=ratios,
         notes=(
             *session.notes,
-            f"light repeatability from exposure brackets: {100 * repeatability:.2f} % per exposure",
-            f"largest dark drift from before to after: {drift:.3f} DN",
+            f"light repeatability from exposure brackets: {100 * steps.repeatability_rel:.2f} % per exposure",
+            f"largest dark drift from before to after: {max(abs(d.drift_dn) for d in steps.darks.values()):.3f} DN",
+            f"texture of paint and white tile: {100 * y.texture_sd_rel:.2f} % of every band alike",
+            *([] if trend is None else [bleaching_note(trend.record)]),
+            *map(tilt_note, ratios),
         ),
     )
 
 
-def _is_planned(session: CaptureSession, name: str) -> bool:
-    """Return whether a filter of the wheel is part of the plan."""
-    return session.plan.filters is None or name in session.plan.filters
-
-
-def _region_pixels(session: CaptureSession, read: ReadFrame) -> int:
-    """Return the number of raw pixels in the region."""
-    return sum(c.size for c in region_channels(read(session.frames[0]), session.plan.region))
-
-
-def _optics(session: CaptureSession, names: list[str]) -> Optics:
+def optics_of(session: CaptureSession) -> Optics:
     """Return the known curves of the rig for the captured filters."""
+    names = captured_filters(session)
     return Optics(
         filters=tuple(f for f in session.rig.filter_wheel.filters if f.name in names),
         excitation_filter=session.plan.excitation_filter,
@@ -125,108 +119,92 @@ def _optics(session: CaptureSession, names: list[str]) -> Optics:
     )
 
 
-def _table(session: CaptureSession, steps: dict[StepKey, StepSignal], kind: FrameType, names: list[str]) -> _Table:
-    """Collect one frame type over the filters; a missing step or a wholly saturated band is an error."""
-    rows = []
-    for name in names:
-        step = steps.get((kind, name))
-        if step is None:
-            raise RadiometryError(
-                f"session.frames: no '{kind}' frame through filter {name}; capture the session again with this filter"
-            )
-        if np.isnan(step.signal_dn_per_s).all():
-            frame = next(f for f in session.frames if f.frame_type == kind and f.filter_name == name)
-            raise RadiometryError(
-                f"{frame.file}: filter {name} is saturated in all channels and exposures ('{kind}', "
-                f"{step.saturated_fraction.min():.1%} of the region at full scale, at most "
-                f"{LARGEST_SATURATED_FRACTION:.2%} is allowed): capture again with a lower plan.target_fraction or "
-                "a shorter exposure in plan.bracket"
-            )
-        rows.append(step)
-    return _Table(
-        signal=np.array([r.signal_dn_per_s for r in rows]),
-        variance=np.array([r.variance for r in rows]),
-        shares=tuple(r.shares for r in rows),
-        saturated=np.array([r.saturated_fraction for r in rows]),
-    )
-
-
-def _repeatability_rel(steps: dict[StepKey, StepSignal]) -> float:
-    """Return the relative repeatability of one exposure (lamp or laser), from the log ratios of brackets."""
-    ratios = np.array([r for s in steps.values() for r in s.log_ratios])
-    noise = np.array([v for s in steps.values() for v in s.log_ratio_noise_variance])
-    bright = noise < (0.01) ** 2  # dim steps would only add photon noise
-    if bright.sum() < 3:
-        return 0.005  # too few brackets to tell: assume half a per cent
-    excess = float(np.mean(ratios[bright] ** 2 - noise[bright])) / 2
-    return float(np.sqrt(max(excess, SMALLEST_REPEATABILITY_REL**2)))
-
-
-def _flags(*tables: _Table) -> tuple[tuple[Flag, Flag, Flag], ...]:
-    """Flag each filter and channel: saturated, weak (white too dim to divide by) or ok."""
-    white = tables[0]
-    lost = np.logical_or.reduce([np.isnan(t.signal) for t in tables])
-    weak = ~(white.signal > SMALLEST_WHITE_SNR * np.sqrt(white.variance))
+def _flags(*tables: tuple[StepSignal, ...]) -> tuple[tuple[Flag, Flag, Flag], ...]:
+    """Flag each filter and channel: saturated, weak (white, the first table, too dim to divide by) or ok."""
+    lost = np.logical_or.reduce([np.isnan(signals_of(table)) for table in tables])
+    noise = np.array([step.noise_variance for step in tables[0]])
+    weak = ~(signals_of(tables[0]) > SMALLEST_WHITE_SNR * np.sqrt(noise))
     rows: list[tuple[Flag, Flag, Flag]] = []
-    for b in range(len(white.signal)):
+    for b in range(len(lost)):
         one: list[Flag] = ["saturated" if lost[b, c] else "weak" if weak[b, c] else "ok" for c in range(3)]
         rows.append((one[0], one[1], one[2]))
     return tuple(rows)
 
 
-def _channel_weights(laser_white: _Table, white: _Table, excitation: int) -> Floats:
-    """Return inverse-variance weights (sum 1) of the channels for the laser level V."""
-    v, w = laser_white.signal[0], white.signal[excitation]
-    relative = laser_white.variance[0] / v**2 + white.variance[excitation] / w**2
-    good = np.isfinite(relative) & (v > 0) & (w > 0)
-    weight = np.where(good, 1 / np.where(good, relative * (v / w) ** 2, 1.0), 0.0)
-    if weight.sum() == 0:
-        raise RadiometryError(
-            "the white reference under the laser gives no signal through the excitation filter: is the laser on the "
-            "tile, and does plan.excitation_filter name the filter of the laser line?"
-        )
-    return np.asarray(weight / weight.sum())
-
-
-def _step_covariance(table: _Table, repeatability: float) -> Floats:
-    """Return the covariance of a table's signals: noise on the diagonal, and each exposure's own light level."""
-    signal = np.nan_to_num(table.signal)
-    n = signal.size
-    covariance = np.diag(np.nan_to_num(table.variance).ravel())
-    for b in range(len(signal)):
-        block = slice(3 * b, 3 * b + 3)
-        common = table.shares[b].T @ table.shares[b]
-        covariance[block, block] += repeatability**2 * common * np.outer(signal[b], signal[b])
-    return covariance.reshape(n, n)
-
-
 def _fluorescence(
-    laser: _Table, white: _Table, laser_white: _Table, weights: Floats, excitation: int, repeatability: float
-) -> tuple[Floats, Floats]:
-    """Return y (n,) and its covariance (n, n) by first-order propagation; NaN signals become 0 (flagged)."""
-    f, w = np.nan_to_num(laser.signal).ravel(), _safe(white.signal).ravel()
-    v_c, w_e = np.nan_to_num(laser_white.signal[0]), _safe(white.signal[excitation])
-    level = float((weights * v_c / w_e).sum())
-    y = f / w / level
-    n = len(y)
-    to_f, to_w = np.diag(1 / (w * level)), np.diag(-y / w)
-    to_v = np.outer(-y / level, weights / w_e)
-    to_w[:, 3 * excitation : 3 * excitation + 3] += np.outer(-y / level, -weights * v_c / w_e**2)
-    covariance = np.zeros((n, n))
-    for jacobian, table in ((to_f, laser), (to_w, white), (to_v, laser_white)):
-        covariance += jacobian @ _step_covariance(table, repeatability) @ jacobian.T
-    return y, covariance
+    steps: SessionSteps, weights: Floats, trend: BleachingTrend | None, white_uncertainty_rel: float
+) -> _Values:
+    """Return y by first-order propagation; NaN signals become 0 (flagged)."""
+    f, w = np.nan_to_num(signals_of(steps.fluorescence)).ravel(), positive(signals_of(steps.white)).ravel()
+    v, w_e = np.nan_to_num(steps.laser_white.signal_dn_per_s), w.reshape(-1, 3)[steps.excitation]
+    level = laser_level(steps, weights)
+    correction = np.ones(len(f)) if trend is None else trend.correction().ravel()
+    y = correction * f / w / level
+    to_w = np.diag(-y / w)
+    to_w[:, 3 * steps.excitation : 3 * steps.excitation + 3] += np.outer(y / level, weights * v / w_e**2)
+    jacobian = [np.diag(correction / w / level), to_w, np.outer(-y / level, weights / w_e)]
+    sources = [*steps.fluorescence, *steps.white, steps.laser_white]
+    unresolved = np.zeros(len(y))
+    if trend is not None and steps.repeat is not None:
+        unresolved = trend.unresolved_sd_rel().ravel() * y
+        if trend.record.resolved:
+            _add_trend(jacobian, steps, trend, y)
+            sources.append(steps.repeat)
+    to_signals = np.concatenate(jacobian, axis=1)
+    signals = signal_covariance(sources, steps.darks, steps.repeatability_rel)
+    texture = _texture_variance_rel(steps, steps.fluorescence, True)
+    common = (white_uncertainty_rel**2 + texture) * np.outer(y, y) + np.outer(unresolved, unresolved)
+    return _Values(y, to_signals @ signals @ to_signals.T + common, float(np.sqrt(texture)))
 
 
-def _reflectance(lamp: _Table, white: _Table, reference: float, repeatability: float) -> tuple[Floats, Floats]:
-    """Return the total radiance factor (n,) and its covariance (n, n)."""
-    s, w = np.nan_to_num(lamp.signal).ravel(), _safe(white.signal).ravel()
-    rho = reference * s / w
-    to_s, to_w = np.diag(reference / w), np.diag(-rho / w)
-    covariance = to_s @ _step_covariance(lamp, repeatability) @ to_s.T
-    return rho, covariance + to_w @ _step_covariance(white, repeatability) @ to_w.T
+def _add_trend(jacobian: list[Floats], steps: SessionSteps, trend: BleachingTrend, y: Floats) -> None:
+    """Add how the corrected y follows the two measurements of the trend: F in place, the repeat as a new block."""
+    lever_j = trend.dose_j.ravel() * y
+    first = positive(steps.fluorescence[trend.filter_index].signal_dn_per_s)
+    again = positive(steps.repeat.signal_dn_per_s) if steps.repeat is not None else first
+    block = slice(3 * trend.filter_index, 3 * trend.filter_index + 3)
+    jacobian[0][:, block] += np.outer(lever_j, trend.log_weight / first)
+    jacobian.append(np.outer(-lever_j, trend.log_weight / again))
 
 
-def _safe(signal: Floats) -> Floats:
-    """Replace unusable (NaN, zero or negative) denominators by 1; their entries carry a flag."""
-    return np.where(np.isfinite(signal) & (signal > 0), signal, 1.0)
+def _reflectance(steps: SessionSteps, session: CaptureSession) -> _Values:
+    """Return the total radiance factor by first-order propagation."""
+    white = session.rig.white_reference
+    s, w = np.nan_to_num(signals_of(steps.reflectance)).ravel(), positive(signals_of(steps.white)).ravel()
+    rho = white.reflectance * s / w
+    jacobian = np.concatenate([np.diag(white.reflectance / w), np.diag(-rho / w)], axis=1)
+    signals = signal_covariance((*steps.reflectance, *steps.white), steps.darks, steps.repeatability_rel)
+    texture = _texture_variance_rel(steps, steps.reflectance, False)
+    common = (white.uncertainty_rel**2 + texture) * np.outer(rho, rho)
+    return _Values(rho, jacobian @ signals @ jacobian.T + common, float(np.sqrt(texture)))
+
+
+def _texture_variance_rel(steps: SessionSteps, sample: tuple[StepSignal, ...], under_laser: bool) -> float:
+    """Return the relative variance of texture in the ratio of the sample to the white tile."""
+    blocks = np.array([_block_ratio(s, w) for s, w in zip(sample, steps.white, strict=True)])  # (B, K, 3)
+    noise = np.array(
+        [
+            s.noise_variance / positive(s.signal_dn_per_s) ** 2 + w.noise_variance / positive(w.signal_dn_per_s) ** 2
+            for s, w in zip(sample, steps.white, strict=True)
+        ]
+    )
+    light = steps.white[steps.excitation].block_dn_per_s.sum(axis=1)
+    if under_laser:
+        light = steps.laser_white.block_dn_per_s.sum(axis=1)
+        blocks = blocks / _profile(steps)[None, :, None]
+    number = blocks.shape[1]
+    values = np.moveaxis(blocks, 1, 0).reshape(number, -1)
+    return texture_variance_rel(values, number * np.nan_to_num(noise, nan=np.inf).ravel(), np.maximum(light, 0.0))
+
+
+def _block_ratio(sample: StepSignal, white: StepSignal) -> Floats:
+    """Return sample over white per block (K, 3); NaN where a channel is lost or dark."""
+    usable = np.isfinite(sample.signal_dn_per_s) & (white.signal_dn_per_s > 0)
+    below = np.where(usable & (white.block_dn_per_s > 0), white.block_dn_per_s, np.nan)
+    return np.asarray(sample.block_dn_per_s / below)
+
+
+def _profile(steps: SessionSteps) -> Floats:
+    """Return the laser over the lamp per block (K,), from the channel that sees the laser best."""
+    best = int(np.argmax(channel_weights(steps)))
+    return _block_ratio(steps.laser_white, steps.white[steps.excitation])[:, best]

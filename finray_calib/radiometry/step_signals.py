@@ -1,12 +1,11 @@
 r"""One linear signal per capture step: mean over the region, dark-corrected, per second.
 
-For exposure time t the signal of a channel is :math:`S = (\bar D - \bar D_{dark}(t)) / t` in DN/s. Its noise
-variance follows the photon transfer relation (EMVA 1288): :math:`\mathrm{var}(D) = \sigma_r^2 / K^2 +
-(D - D_{dark}) / K + 1/12` with K in e/DN, divided by the number of pixels. Exposures of one step are merged
-with inverse-variance weights; saturated exposures are left out.
+For exposure time t the signal of a channel is :math:`S = (\bar D - \bar D_{dark}(t)) / t` in DN/s. The exposures of
+a step are merged with inverse-variance weights, where the variance holds noise, dark level and the repeatability of
+the light; saturated exposures are left out. Frames are read one at a time and only their means are kept.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,78 +13,102 @@ from numpy.typing import NDArray
 
 from data_schemas.capture import CaptureSession, Frame, FrameType
 from data_schemas.errors import RadiometryError
-from data_schemas.rig import CameraSettings
-from finray_calib.radiometry.region import region_channels
+from finray_calib.radiometry.camera_noise import noise_variance_dn2
+from finray_calib.radiometry.dark_levels import DarkLevel, ReadFrame
+from finray_calib.radiometry.region import RegionMeans, region_means
 
 Floats = NDArray[np.float64]
-ReadFrame = Callable[[Frame], NDArray[np.uint16]]
 StepKey = tuple[FrameType, str]
 # A handful of hot pixels may sit at full scale without biasing the mean of thousands of pixels.
 LARGEST_SATURATED_FRACTION = 1e-4
+# The repeatability of lamp and laser is never taken as better than this: a handful of log ratios cannot show it.
+SMALLEST_REPEATABILITY_REL = 5e-4
+# Assumed when fewer brackets than this are bright enough to tell.
+ASSUMED_REPEATABILITY_REL = 0.005
+FEWEST_RATIOS = 3
+LARGEST_RATIO_NOISE = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureSignal:
+    """Signal of one frame over the region, channels red, green, blue.
+
+    Attributes
+    ----------
+    frame
+        Its record.
+    signal_dn_per_s, noise_variance
+        (3,) signal and the variance of its own noise, without that of the dark level.
+    dark_variance
+        (3,) variance that the dark level adds.
+    saturated_fraction
+        (3,) share of the region at full scale.
+    block_dn_per_s
+        (blocks, 3) signal of the region's blocks.
+    """
+
+    frame: Frame
+    signal_dn_per_s: Floats
+    noise_variance: Floats
+    dark_variance: Floats
+    saturated_fraction: Floats
+    block_dn_per_s: Floats
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """Channels that are not saturated, (3,)."""
+        return self.saturated_fraction <= LARGEST_SATURATED_FRACTION
 
 
 @dataclass(frozen=True, slots=True)
 class StepSignal:
-    """Signal of one step (frame type and filter), channels red, green, blue.
+    """Merged signal of one step (frame type and filter), channels red, green, blue.
 
     Attributes
     ----------
-    signal_dn_per_s, variance
-        Merged signal (3,) and the variance of its noise (3,); NaN where every exposure is saturated.
-    saturated_fraction
-        Smallest saturated fraction of the region over the exposures (3,).
+    exposures
+        The signals that were merged.
     shares
-        (exposures, 3) weight of each exposure in the merged signal; the columns sum to 1 (0 where saturated).
-    log_ratios
-        Logarithms of later exposures' signals over the first one's, averaged over channels.
-    log_ratio_noise_variance
-        What photon noise alone would give for the variance of each log ratio.
+        (exposures, 3) weight of each exposure; the columns sum to 1 (0 where every exposure is saturated).
+    signal_dn_per_s, noise_variance
+        (3,) merged signal and the variance of its own noise; NaN where every exposure is saturated.
     """
 
-    signal_dn_per_s: Floats
-    variance: Floats
-    saturated_fraction: Floats
+    exposures: tuple[ExposureSignal, ...]
     shares: Floats
-    log_ratios: tuple[float, ...]
-    log_ratio_noise_variance: tuple[float, ...]
+    signal_dn_per_s: Floats
+    noise_variance: Floats
+
+    @property
+    def saturated_fraction(self) -> Floats:
+        """Smallest saturated fraction of the region over the exposures, (3,)."""
+        return np.asarray(np.array([e.saturated_fraction for e in self.exposures]).min(axis=0))
+
+    @property
+    def block_dn_per_s(self) -> Floats:
+        """Merged signal of the region's blocks, (blocks, 3)."""
+        blocks = np.array([e.block_dn_per_s for e in self.exposures])
+        return np.asarray(np.einsum("ec,ekc->kc", self.shares, blocks))
+
+    @property
+    def dose_j(self) -> Floats:
+        """Laser light on the sample at the middle of the exposures, mean by weight (J), (3,)."""
+        doses_j = np.array([e.frame.laser_dose_j for e in self.exposures])
+        return np.where(self.shares.any(axis=0), doses_j @ self.shares, doses_j.mean())
 
 
-@dataclass(frozen=True, slots=True)
-class DarkLevel:
-    """Mean dark level of the region at one exposure (3,), its variance and the change from before to after."""
-
-    level_dn: Floats
-    variance: Floats
-    drift_dn: float
-
-
-def dark_levels(session: CaptureSession, read: ReadFrame) -> dict[float, DarkLevel]:
-    """Return the dark level of the region for each exposure time, from the frames before and after."""
-    means: dict[float, list[Floats]] = {}  # by the exposure asked for: what is read back may jitter
-    pixels = np.ones(3)
-    for frame in _of_type(session, "dark"):
-        channels = region_channels(read(frame), session.plan.region)
-        means.setdefault(frame.exposure_requested_s, []).append(np.array([c.mean() for c in channels]))
-        pixels = np.array([c.size for c in channels])
-    noise = _noise_variance_dn2(np.zeros(3), session.rig.camera) / pixels
-    levels = {}
-    for exposure_s, rows in means.items():
-        half = len(rows) // 2
-        drift = float(np.mean(rows[half:]) - np.mean(rows[:half])) if half else 0.0
-        mean = np.mean(rows, axis=0)
-        levels[exposure_s] = DarkLevel(mean, noise / len(rows) + (drift / 2) ** 2 / 3, drift)
-    return levels
-
-
-def step_signals(session: CaptureSession, read: ReadFrame, darks: dict[float, DarkLevel]) -> dict[StepKey, StepSignal]:
-    """Return the merged signal of every lit step of a session.
+def exposure_signals(
+    session: CaptureSession, read: ReadFrame, darks: dict[float, DarkLevel]
+) -> dict[StepKey, list[ExposureSignal]]:
+    """Return the signals of every lit frame of a session, by step.
 
     Raises
     ------
     RadiometryError
         A frame has no dark frame of its exposure time.
     """
-    grouped: dict[StepKey, list[tuple[Floats, Floats, Floats]]] = {}
+    grouped: dict[StepKey, list[ExposureSignal]] = {}
+    full_scale_dn = 2**session.rig.camera.bit_depth - 1
     for frame in session.frames:
         if frame.frame_type == "dark" or frame.filter_name is None:
             continue
@@ -94,67 +117,90 @@ def step_signals(session: CaptureSession, read: ReadFrame, darks: dict[float, Da
             raise RadiometryError(
                 f"{frame.file}: no dark frame of {frame.exposure_s:g} s; capture darks of the same exposure time"
             )
-        key = (frame.frame_type, frame.filter_name)
-        grouped.setdefault(key, []).append(_one_exposure(session, read(frame), frame.exposure_s, dark))
-    return {key: _merge(exposures) for key, exposures in grouped.items()}
+        means = region_means(read(frame), session.plan.region, full_scale_dn)
+        signal = _one_exposure(session, frame, means, dark)
+        grouped.setdefault((frame.frame_type, frame.filter_name), []).append(signal)
+    return grouped
 
 
-def _of_type(session: CaptureSession, frame_type: FrameType) -> Iterable[Frame]:
-    """Return the frames of one type in capture order."""
-    return (f for f in session.frames if f.frame_type == frame_type)
-
-
-def _noise_variance_dn2(signal_dn: Floats, camera: CameraSettings) -> Floats:
-    """Return the temporal variance of one pixel (DN^2) by the photon transfer relation."""
-    shot: Floats = np.maximum(signal_dn, 0.0) / camera.gain_e_per_dn
-    return shot + (camera.read_noise_e / camera.gain_e_per_dn) ** 2 + 1 / 12
-
-
-def _one_exposure(
-    session: CaptureSession, counts: NDArray[np.uint16], exposure_s: float, dark: DarkLevel
-) -> tuple[Floats, Floats, Floats]:
-    """Return signal (DN/s), variance and saturated fraction (3,) of one exposure."""
-    camera = session.rig.camera
-    full_scale = 2**camera.bit_depth - 1
-    channels = region_channels(counts, session.plan.region)
-    mean = np.array([c.mean() for c in channels])
-    pixels = np.array([c.size for c in channels])
-    saturated = np.array([(c >= full_scale).mean() for c in channels])
-    signal_dn = mean - dark.level_dn
-    variance = _noise_variance_dn2(signal_dn, camera) / pixels + dark.variance
-    return signal_dn / exposure_s, variance / exposure_s**2, saturated
-
-
-def _merge(exposures: list[tuple[Floats, Floats, Floats]]) -> StepSignal:
-    """Merge the exposures of one step by inverse variance, channel by channel."""
-    signal, variance, saturated = (np.array(column) for column in zip(*exposures, strict=True))
-    weight = np.where(saturated <= LARGEST_SATURATED_FRACTION, 1 / variance, 0.0)
-    total = weight.sum(axis=0)
-    lost = total == 0
-    safe = np.where(lost, 1.0, total)
-    ratios, noise = _log_ratios(signal, variance, weight > 0)
-    return StepSignal(
-        signal_dn_per_s=np.where(lost, np.nan, (weight * signal).sum(axis=0) / safe),
-        variance=np.where(lost, np.nan, 1 / safe),
-        saturated_fraction=saturated.min(axis=0),
-        shares=weight / safe,
-        log_ratios=ratios,
-        log_ratio_noise_variance=noise,
+def _one_exposure(session: CaptureSession, frame: Frame, means: RegionMeans, dark: DarkLevel) -> ExposureSignal:
+    """Return the dark-corrected signal of one frame."""
+    signal_dn, t = means.mean_dn - dark.level_dn, frame.exposure_s
+    shot_dn = np.maximum(signal_dn, 0.0) + dark.thermal_dn
+    return ExposureSignal(
+        frame=frame,
+        signal_dn_per_s=signal_dn / t,
+        noise_variance=noise_variance_dn2(shot_dn, session.rig.camera) / means.pixels / t**2,
+        dark_variance=(dark.noise_variance + dark.drift_variance_dn2) / t**2,
+        saturated_fraction=means.saturated_fraction,
+        block_dn_per_s=(means.block_mean_dn - dark.level_dn) / t,
     )
 
 
-def _log_ratios(
-    signal: Floats, variance: Floats, usable: NDArray[np.bool_]
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return ln(S_later / S_first) averaged over well-measured channels, and its photon-noise variance."""
-    ratios, noises = [], []
-    for later in range(1, len(signal)):
-        good = usable[0] & usable[later] & (signal[0] > 0) & (signal[later] > 0)
-        if not good.any():
-            continue
-        first, other = signal[0, good], signal[later, good]
-        noise = variance[0, good] / first**2 + variance[later, good] / other**2
-        weight = 1 / noise
-        ratios.append(float((weight * np.log(other / first)).sum() / weight.sum()))
-        noises.append(float(1 / weight.sum()))
-    return tuple(ratios), tuple(noises)
+def merge_exposures(exposures: Sequence[ExposureSignal], repeatability_rel: float) -> StepSignal:
+    """Merge the exposures of one step by inverse variance, channel by channel.
+
+    The repeatability acts on the total signal over the total time, the same for all exposures: weights that
+    follow each exposure's own noise would favour the dim ones.
+    """
+    signal, noise, dark, usable = (
+        np.array([getattr(e, name) for e in exposures])
+        for name in ("signal_dn_per_s", "noise_variance", "dark_variance", "usable")
+    )
+    times_s = np.array([e.frame.exposure_s for e in exposures])[:, None] * usable
+    lost = ~usable.any(axis=0)
+    pooled = (signal * times_s).sum(axis=0) / np.where(lost, 1.0, times_s.sum(axis=0))
+    weight = np.where(usable, 1 / (noise + dark + (repeatability_rel * pooled) ** 2), 0.0)
+    shares = weight / np.where(lost, 1.0, weight.sum(axis=0))
+    return StepSignal(
+        exposures=tuple(exposures),
+        shares=shares,
+        signal_dn_per_s=np.where(lost, np.nan, (shares * signal).sum(axis=0)),
+        noise_variance=np.where(lost, np.nan, (shares**2 * noise).sum(axis=0)),
+    )
+
+
+def light_repeatability_rel(
+    grouped: dict[StepKey, list[ExposureSignal]], fading_per_j: Mapping[StepKey, float] | None = None
+) -> float:
+    """Return the relative repeatability of one exposure (lamp or laser), from the log ratios within each step.
+
+    Half the mean square of ln(S_later / S_first) beyond photon noise is the variance of one exposure's light level.
+
+    Parameters
+    ----------
+    grouped
+        Signals by step.
+    fading_per_j
+        Relative loss per joule of the steps that fade under the laser; the ratios are freed of it.
+    """
+    fading = fading_per_j or {}
+    ratios = [pair for key, exposures in grouped.items() for pair in _log_ratios(exposures, fading.get(key, 0.0))]
+    pairs = np.array(ratios).reshape(-1, 2)
+    bright = pairs[pairs[:, 1] < LARGEST_RATIO_NOISE**2]  # dim steps would only add photon noise
+    if len(bright) < FEWEST_RATIOS:
+        return ASSUMED_REPEATABILITY_REL
+    excess = float(np.mean(bright[:, 0] ** 2 - bright[:, 1])) / 2
+    return float(np.sqrt(max(excess, SMALLEST_REPEATABILITY_REL**2)))
+
+
+def mean_log_ratio(first: ExposureSignal, later: ExposureSignal) -> tuple[float, float] | None:
+    """Return ln(S_later / S_first), averaged over well-measured channels, with its noise variance."""
+    good = first.usable & later.usable & (first.signal_dn_per_s > 0) & (later.signal_dn_per_s > 0)
+    if not good.any():
+        return None
+    noise = sum((e.noise_variance + e.dark_variance)[good] / e.signal_dn_per_s[good] ** 2 for e in (first, later))
+    weight = 1 / np.asarray(noise)
+    ratio = np.log(later.signal_dn_per_s[good] / first.signal_dn_per_s[good])
+    return float((weight * ratio).sum() / weight.sum()), float(1 / weight.sum())
+
+
+def _log_ratios(exposures: Sequence[ExposureSignal], loss_per_j: float) -> list[tuple[float, float]]:
+    """Return the log ratios of later exposures to the first, freed of fading, with their noise variances."""
+    pairs = []
+    for later in exposures[1:]:
+        pair = mean_log_ratio(exposures[0], later)
+        if pair is not None:
+            faded = loss_per_j * (later.frame.laser_dose_j - exposures[0].frame.laser_dose_j)
+            pairs.append((pair[0] + faded, pair[1]))
+    return pairs

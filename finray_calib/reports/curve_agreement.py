@@ -3,9 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from numpy.typing import NDArray
 
-from finray_calib.reports.demo_results import PaintResult
+from data_schemas.curves import SpectralCurve
+from data_schemas.fit import PaintCalibration
+
+Floats = NDArray[np.float64]
 
 COMPARED_NM = (470.0, 720.0)
 STEP_NM = 1.0
@@ -24,36 +27,34 @@ class CurveAgreement:
     coverage_95_rel
         Share of the wavelengths where the truth exceeds 5 % of its peak at which the 95 % band holds it. Points
         along one curve err together: for one good fit this share can be far from 0.95.
-    chi_square_p
-        Probability of a chi-square at least as large as the fit's over all bands, if the model were right; None
-        without degrees of freedom.
     """
 
     error_rel: float
     coverage_95_rel: float
-    chi_square_p: float | None
 
 
-def curve_agreement(paint: PaintResult) -> CurveAgreement:
-    """Compare the fitted emission with the truth on a 1 nm grid inside the range of both curves."""
-    calibration, truth = paint.calibration, paint.truth.emission
-    low_nm = max(COMPARED_NM[0], truth.wavelength_nm[0], calibration.wavelength_nm[0])
-    high_nm = min(COMPARED_NM[1], truth.wavelength_nm[-1], calibration.wavelength_nm[-1])
+def curve_agreement(fit: PaintCalibration, truth: SpectralCurve) -> CurveAgreement:
+    """Compare the reported emission with the truth on a 1 nm grid inside the range of both curves."""
+    curves = (fit.emission_per_nm, fit.emission_low95_per_nm, fit.emission_high95_per_nm)
+    return _agreement(fit.wavelength_nm, curves, truth)
+
+
+def paper_agreement(fit: PaintCalibration, truth: SpectralCurve) -> CurveAgreement:
+    """Compare the paper's curve without discrepancy, the last of the families, in the same way."""
+    curves = (fit.family_emission_per_nm[-1], fit.family_low95_per_nm[-1], fit.family_high95_per_nm[-1])
+    return _agreement(fit.wavelength_nm, curves, truth)
+
+
+def _agreement(wavelength_nm: Floats, curves: tuple[Floats, Floats, Floats], truth: SpectralCurve) -> CurveAgreement:
+    """Compare a mean curve and its lower and upper 95 % limits with the truth."""
+    low_nm = max(COMPARED_NM[0], truth.wavelength_nm[0], wavelength_nm[0])
+    high_nm = min(COMPARED_NM[1], truth.wavelength_nm[-1], wavelength_nm[-1])
     grid_nm = np.arange(np.ceil(low_nm), high_nm + STEP_NM / 2, STEP_NM)
     true = truth(grid_nm)
-    fit, low, high = (
-        np.interp(grid_nm, calibration.wavelength_nm, curve)
-        for curve in (
-            calibration.emission_per_nm,
-            calibration.emission_low95_per_nm,
-            calibration.emission_high95_per_nm,
-        )
-    )
-    freedom = calibration.degrees_of_freedom
+    mean, low, high = (np.interp(grid_nm, wavelength_nm, curve) for curve in curves)
     seen = true > SEEN_SHARE_OF_PEAK * true.max()
     covered = (low <= true) & (true <= high)
     return CurveAgreement(
-        error_rel=float(np.linalg.norm(fit - true) / np.linalg.norm(true)),
+        error_rel=float(np.linalg.norm(mean - true) / np.linalg.norm(true)),
         coverage_95_rel=float(covered[seen].mean()),
-        chi_square_p=float(chi2.sf(calibration.chi_square, freedom)) if freedom > 0 else None,
     )

@@ -1,11 +1,10 @@
 """The demo's report: one HTML page with everything inside, the verdict first, readable without scripts."""
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
-from finray_calib.reports import statements, trust
+from finray_calib.reports import fit_statements, statements, trust
 from finray_calib.reports.demo_results import COLOURS, DemoResults, headline, row_of
 from finray_calib.reports.demo_sections import sections
-from finray_calib.reports.number_text import fixed, percent, probability, unbroken
+from finray_calib.reports.number_text import fixed, percent, probability
+from finray_calib.reports.page import render_page
 from finray_calib.reports.report_tables import provenance_table
 from finray_calib.reports.summary import summary
 
@@ -25,15 +24,8 @@ def demo_report(results: DemoResults) -> str:
     str
         HTML text; equal input gives equal text.
     """
-    environment = Environment(
-        loader=PackageLoader("finray_calib.reports", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["unbroken"] = unbroken
-    return environment.get_template(TEMPLATE).render(
+    return render_page(
+        TEMPLATE,
         decision=results.decision,
         verdict_meaning=statements.verdict_meaning(results.decision),
         key_numbers=_key_numbers(results),
@@ -42,7 +34,7 @@ def demo_report(results: DemoResults) -> str:
         assumptions=trust.assumptions(results),
         notes=trust.all_notes(results),
         sections=sections(results),
-        provenance=provenance_table(results),
+        provenance=provenance_table(results.provenance),
         command=results.command,
         summary=summary(results),
     )
@@ -68,5 +60,5 @@ def _key_numbers(results: DemoResults) -> tuple[tuple[str, str, str], ...]:
 def _findings(results: DemoResults) -> tuple[str, ...]:
     """Return the sentences below the verdict: simulation, each paint, and the truth where it is known."""
     truth = statements.truth_statement(results)
-    paints = [statements.paint_sentence(results.paints[colour]) for colour in COLOURS]
+    paints = [fit_statements.paint_sentence(results.paints[colour].fitted) for colour in COLOURS]
     return (statements.simulation_sentence(results.report), *paints, *([] if truth is None else [truth]))

@@ -8,45 +8,17 @@ from numpy.typing import NDArray
 
 from data_schemas.capture import CaptureSession, TactileCapture
 from data_schemas.compare import ErrorRow, PhotometricErrorReport, RegionError
-from data_schemas.curves import SpectralCurve
 from data_schemas.decide import LightAngleDecision
 from data_schemas.errors import RecordError
 from data_schemas.fit import PaintCalibration
 from data_schemas.provenance import Provenance
 from data_schemas.radiometry import BandSignals
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
+from finray_calib.reports.fitted_paint import FittedPaint, PaintTruth
 
 Colour = Literal["red", "green"]
 COLOURS: tuple[Colour, Colour] = ("red", "green")
 STAGES = ("capture", "radiometry", "fit", "simulate", "compare", "decide")
-
-
-@dataclass(frozen=True, slots=True)
-class PaintTruth:
-    """What the bench really held; the fitter never saw it.
-
-    Attributes
-    ----------
-    emission
-        Emission for light at the laser line, bispectral radiance factor per nm, nm^-1.
-    mode_nm, fwhm_nm
-        Wavelength of its maximum and full width at half maximum, nm.
-    energy_yield
-        Emitted over incident energy, 0 to 1.
-    kind
-        "hidden paper-family paint" or "measured material FILE".
-    """
-
-    emission: SpectralCurve
-    mode_nm: float
-    fwhm_nm: float
-    energy_yield: float
-    kind: str
-
-    @property
-    def is_measured(self) -> bool:
-        """Whether the truth is a measured material rather than a curve of the fitted family."""
-        return self.kind.startswith("measured")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +39,11 @@ class PaintResult:
     calibration: PaintCalibration
     truth: PaintTruth
     room_light_rgb8: NDArray[np.uint8]
+
+    @property
+    def fitted(self) -> FittedPaint:
+        """The paint as the sections on the fit show it."""
+        return FittedPaint(self.bands, self.calibration, f"{self.colour} paint", self.truth)
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,7 +50,7 @@ def _radiometry(results: DemoResults) -> Content:
             "values are flagged and not used by the fit."
             for paint in paints
         ),
-        tables=tuple(signals_table(paint) for paint in paints),
+        tables=tuple(signals_table(paint.fitted) for paint in paints),
     )
 
 

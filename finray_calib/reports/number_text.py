@@ -3,6 +3,8 @@
 import math
 import re
 
+from data_schemas.estimate import Estimate
+
 _SIGNIFICANT_OF_HALF_WIDTH = 2
 _MOST_DECIMALS = 6
 
@@ -21,6 +23,11 @@ def interval_text(estimate: float, low: float, high: float, unit: str = "", most
         return f"{significant(estimate)} {unit}".strip()
     places = min(decimals_for((high - low) / 2), most_decimals)
     return f"{fixed(estimate, places)} [{fixed(low, places)}, {fixed(high, places)}] {unit}".strip()
+
+
+def estimate_text(value: Estimate, unit: str = "", factor: float = 1.0) -> str:
+    """Return an estimate with its 95 % interval, times a factor for the unit."""
+    return interval_text(factor * value.estimate, factor * value.low95, factor * value.high95, unit)
 
 
 def fixed(value: float, places: int) -> str:
@@ -76,6 +83,7 @@ def skill_text(estimate: float, low: float, high: float) -> str:
 
 
 def unbroken(text: str) -> str:
-    """Return the text with no-break spaces between number and unit and inside [low, high], so that lines keep them."""
+    """Return the text as a page shows it: +- as one sign, number and unit on one line, and so [low, high]."""
+    text = text.replace(" +- ", " \u00b1 ")
     units = re.sub(r"(?<=[\d\]]) (?=(?:%|nm|deg|dB|DN|mm|ms|s|px|pixels)(?![\w/]))", "\u00a0", text)
     return re.sub(r"\[[^\[\]]{0,40}\]", lambda found: found[0].replace(" ", "\u00a0"), units)

@@ -1,34 +1,24 @@
 """The tables of the report as rows of text; the first cell of a row is its heading."""
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from data_schemas.compare import ErrorRow, PhotometricErrorReport, RegionError
-from data_schemas.fit import Estimate
-from finray_calib.reports.demo_results import COLOURS, DemoResults, PaintResult, row_of
+from data_schemas.provenance import Provenance
+from finray_calib.reports.demo_results import COLOURS, DemoResults, row_of
+from finray_calib.reports.fitted_paint import FittedPaint
 from finray_calib.reports.number_text import (
     decimals_for,
     fixed,
-    interval_text,
     percent,
     probability,
     significant,
     skill_text,
 )
-from finray_calib.reports.statements import equivalent_text, estimate_text, holds
-
-_FURTHER_QUANTITIES = {
-    "peak_per_nm": ("peak", 1e3, "10\u207b\u00b3/nm"),
-    "location_nm": ("location (\u03bb\u2080)", 1.0, "nm"),
-    "scale_nm": ("scale (\u03b3)", 1.0, "nm"),
-    "skewness": ("skewness (\u03c9)", 1.0, ""),
-    "amplitude_nm": ("amplitude (h)", 1.0, "nm"),
-    "reflectance_at_laser": ("reflectance at the laser", 1.0, ""),
-    "share_below_laser": ("share below the laser line", 1e2, "%"),
-}
-"""Label with the paper's symbol, factor for display, unit after it."""
+from finray_calib.reports.statements import equivalent_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +39,9 @@ class ReportTable:
     is_words: bool = False
 
 
-def _table(caption: str, columns: tuple[str, ...], rows: list[tuple[str, ...]], is_words: bool = False) -> ReportTable:
+def one_group(
+    caption: str, columns: tuple[str, ...], rows: Iterable[tuple[str, ...]], is_words: bool = False
+) -> ReportTable:
     """Return a table of one group without a heading."""
     return ReportTable(caption, columns, (TableGroup("", tuple(rows)),), is_words)
 
@@ -69,7 +61,7 @@ def capture_table(results: DemoResults) -> ReportTable:
         ("saturated", *("none" if share == 0 else f"up to {percent(share)} of a region" for share in saturated)),
     ]
     columns = ("session", *(f"{colour} paint" for colour in COLOURS))
-    return _table("Frames of the two paint sessions", columns, rows, is_words=True)
+    return one_group("Frames of the two paint sessions", columns, rows, is_words=True)
 
 
 def _range(values: list[float], unit: str) -> str:
@@ -79,21 +71,19 @@ def _range(values: list[float], unit: str) -> str:
     return f"{significant(min(values), 2)} to {significant(max(values), 2)} {unit}"
 
 
-def signals_table(paint: PaintResult) -> ReportTable:
+def signals_table(paint: FittedPaint) -> ReportTable:
     """List the fluorescence signal of every filter and channel with its standard deviation."""
     bands = paint.bands
     sd = np.sqrt(np.diag(bands.fluorescence_covariance)).reshape(-1, 3)
-    rows: list[tuple[str, ...]] = [
+    rows = (
         (
             f"{band.center_nm:g}",
             *(_signal(*numbers) for numbers in zip(bands.fluorescence[i], sd[i], bands.flags[i], strict=True)),
         )
         for i, band in enumerate(bands.optics.filters)
-    ]
-    caption = (
-        f"{paint.colour.capitalize()} paint: fluorescence relative to white, in thousandths, \u00b1 standard deviation"
     )
-    return _table(caption, ("filter (nm)", "red", "green", "blue"), rows)
+    caption = "fluorescence relative to white, in thousandths, \u00b1 standard deviation"
+    return one_group(paint.titled(caption), ("filter (nm)", "red", "green", "blue"), rows)
 
 
 def _signal(value: float, sd: float, flag: str) -> str:
@@ -102,46 +92,6 @@ def _signal(value: float, sd: float, flag: str) -> str:
         return flag
     places = min(decimals_for(1e3 * sd), 4)
     return f"{fixed(1e3 * value, places)} \u00b1 {fixed(1e3 * sd, places)}"
-
-
-def fit_table(paint: PaintResult) -> ReportTable:
-    """List every fitted quantity; those with a known truth first, with its place in the interval."""
-    fit, truth = paint.calibration, paint.truth
-    compared: list[tuple[str, Estimate, float, str]] = [
-        ("mode", fit.parameters["mode_nm"], truth.mode_nm, "nm"),
-        ("FWHM", fit.parameters["fwhm_nm"], truth.fwhm_nm, "nm"),
-        ("energy yield", fit.energy_yield, truth.energy_yield, ""),
-    ]
-    rows: list[tuple[str, ...]] = []
-    for label, value, true, unit in compared:
-        number = f"{fixed(true, 1)} {unit}" if unit else significant(true, 4)
-        rows.append((label, estimate_text(value, unit), f"{number}, {'inside' if holds(value, true) else 'OUTSIDE'}"))
-    for key, (label, factor, unit) in _FURTHER_QUANTITIES.items():
-        if key in fit.parameters:
-            value = fit.parameters[key]
-            shown = interval_text(factor * value.estimate, factor * value.low95, factor * value.high95, unit)
-            rows.append((label, shown, ""))
-    caption = f"{paint.colour.capitalize()} paint: median and 95 % interval; symbols are the paper's"
-    return _table(caption, ("quantity", "fit", "measured" if truth.is_measured else "truth"), rows)
-
-
-def bands_table(paint: PaintResult) -> ReportTable:
-    """List chi-square and posterior predictive p of every band, and of all together."""
-    fit = paint.calibration
-    rows: list[tuple[str, ...]] = [
-        (
-            f"{band.center_nm:g} nm",
-            fixed(band.chi_square, 1),
-            str(band.degrees_of_freedom),
-            probability(band.posterior_predictive_p),
-        )
-        if band.degrees_of_freedom > 0
-        else (f"{band.center_nm:g} nm", "not used", "0", "")
-        for band in fit.bands
-    ]
-    rows.append(("all bands", fixed(fit.chi_square, 1), str(fit.degrees_of_freedom), ""))
-    caption = f"{paint.colour.capitalize()} paint: how well the fit explains each band"
-    return _table(caption, ("filter", "chi-square", "values", "predictive p"), rows)
 
 
 def error_table(report: PhotometricErrorReport, report_level_a: PhotometricErrorReport | None = None) -> ReportTable:
@@ -202,12 +152,11 @@ def decision_table(results: DemoResults) -> ReportTable:
         (f"angles equivalent within {percent(decision.tolerance_rel)}", *(equivalent_text(s) for s in both)),
     ]
     first = "with sim-to-real error" if decision.validated else "not validated"
-    return _table(f"Light at {decision.angle_deg:.0f} deg", ("claim", first, "renders alone"), rows, is_words=True)
+    return one_group(f"Light at {decision.angle_deg:.0f} deg", ("claim", first, "renders alone"), rows, is_words=True)
 
 
-def provenance_table(results: DemoResults) -> ReportTable:
+def provenance_table(origin: Provenance) -> ReportTable:
     """List origin, version, seed and input hashes."""
-    origin = results.provenance
     rows: list[tuple[str, ...]] = [
         ("made (UTC)", origin.created_utc),
         ("finray-calib", origin.package_version),
@@ -216,4 +165,4 @@ def provenance_table(results: DemoResults) -> ReportTable:
         ("seed", "none" if origin.seed is None else str(origin.seed)),
     ]
     rows += [(f"SHA-256 of {name}", digest) for name, digest in sorted(origin.input_sha256.items())]
-    return _table("Where this report comes from", ("item", "value"), rows, is_words=True)
+    return one_group("Where this report comes from", ("item", "value"), rows, is_words=True)

@@ -19,12 +19,23 @@ class Picture:
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """What one stage shows: a sentence, rows of pictures, remarks and tables."""
+    """What a section shows: a sentence, rows of pictures, remarks, tables, and parts with a heading of their own."""
 
     lead: str
     picture_rows: tuple[tuple[Picture, ...], ...] = ()
     remarks: tuple[str, ...] = ()
     tables: tuple[ReportTable, ...] = ()
+    parts: tuple["Part", ...] = ()
+    has_wide_tables: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A part of a section; a detail waits in a fold."""
+
+    title: str
+    content: Content
+    is_detail: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,16 +2,9 @@
 
 from data_schemas.compare import PhotometricErrorReport
 from data_schemas.decide import AngleStatement, LightAngleDecision
-from data_schemas.fit import Diagnostics, Estimate
-from finray_calib.fit.diagnostics import LARGEST_R_HAT, SMALLEST_EFFECTIVE_SAMPLES
-from finray_calib.reports.curve_agreement import CurveAgreement, curve_agreement
-from finray_calib.reports.demo_results import DemoResults, PaintResult, headline, row_of
-from finray_calib.reports.number_text import fixed, interval_text, percent, skill_text
+from finray_calib.reports.demo_results import DemoResults, headline, row_of
+from finray_calib.reports.number_text import fixed, percent, skill_text
 from finray_calib.reports.summary import true_loss
-
-GOOD_COVERAGE = 0.80
-"""A 95 % band that holds less of the curve than this is called too narrow."""
-SMALL_P = 0.01
 
 
 def verdict_meaning(decision: LightAngleDecision) -> str:
@@ -85,97 +78,6 @@ def _ceiling(skill: float) -> str:
     return "above 0.999" if skill > 0.999 else fixed(skill, 3)
 
 
-def paint_sentence(paint: PaintResult) -> str:
-    """Say where the paint's emission peaks and how wide it is, against the truth."""
-    mode, width = paint.calibration.parameters["mode_nm"], paint.calibration.parameters["fwhm_nm"]
-    name = "measured" if paint.truth.is_measured else "truth"
-    caution = (
-        "" if is_converged(paint.calibration.diagnostics) else " The sampler has NOT converged: do not use this fit."
-    )
-    return (
-        f"The {paint.colour} paint emits most at {estimate_text(mode, 'nm')} "
-        f"({name} {_beside(paint.truth.mode_nm, mode)}); its full width at half maximum is "
-        f"{estimate_text(width, 'nm')} ({name} {_beside(paint.truth.fwhm_nm, width)}). "
-        f"Over the whole spectrum the fit is off by {percent(curve_agreement(paint).error_rel)}.{caution}"
-    )
-
-
-def estimate_text(value: Estimate, unit: str = "") -> str:
-    """Return an estimate with its 95 % interval."""
-    return interval_text(value.estimate, value.low95, value.high95, unit)
-
-
-def holds(value: Estimate, truth: float) -> bool:
-    """Whether the 95 % interval holds the truth."""
-    return value.low95 <= truth <= value.high95
-
-
-def _beside(truth: float, value: Estimate) -> str:
-    """Return the truth in nm and on which side of the 95 % interval it lies."""
-    place = "inside" if holds(value, truth) else "outside"
-    return f"{truth:.1f} nm, {place} the 95 % interval"
-
-
-def model_statement(paint: PaintResult) -> str:
-    """Say how well the fitted family describes this paint, from coverage, curve error and chi-square."""
-    agreement = curve_agreement(paint)
-    name = "measured" if paint.truth.is_measured else "true"
-    facts = (
-        f"{paint.colour.capitalize()} paint: the 95 % band covers {percent(agreement.coverage_95_rel)} of the "
-        f"{name} curve, and the fitted curve differs from it by {percent(agreement.error_rel)} (relative RMS)"
-    )
-    return f"{facts}: {_model_verdict(paint, agreement)}. {_chi_square_remark(agreement)}"
-
-
-def _model_verdict(paint: PaintResult, agreement: CurveAgreement) -> str:
-    """Say what coverage and chi-square mean for this kind of paint."""
-    if not is_converged(paint.calibration.diagnostics):
-        return "the sampler has NOT converged, so this fit must not be used"
-    if agreement.coverage_95_rel >= GOOD_COVERAGE:
-        return "the paper's four-parameter family describes this paint within its stated uncertainty"
-    if paint.truth.is_measured:
-        return "the paper's four-parameter family is too stiff for this paint and its intervals are too narrow"
-    if agreement.chi_square_p is not None and agreement.chi_square_p < SMALL_P:
-        return "this paint belongs to the fitted family, so the measurement or the fit has gone wrong"
-    return (
-        "this paint belongs to the fitted family, so the low coverage is the luck of this one session: points along "
-        "a curve err together"
-    )
-
-
-def _chi_square_remark(agreement: CurveAgreement) -> str:
-    """Say whether the band signals alone would have revealed a misfit."""
-    p = agreement.chi_square_p
-    if p is None:
-        return "There are too few band values to test the fit by chi-square."
-    if p < SMALL_P:
-        return f"The band signals reject the fit (chi-square, {_p_text(p)})."
-    if agreement.coverage_95_rel < GOOD_COVERAGE:
-        return f"The band signals alone do not reveal it (chi-square, {_p_text(p)}): the bands leave gaps."
-    return f"The band signals agree (chi-square, {_p_text(p)})."
-
-
-def _p_text(p: float) -> str:
-    """Return a p-value; very small ones are only bounded."""
-    return "p < 0.001" if p < 0.001 else f"p = {p:.2g}"
-
-
-def is_converged(diagnostics: Diagnostics) -> bool:
-    """Whether the chain is long enough, mixed, and holds enough effective samples."""
-    r_hat, samples = max(diagnostics.r_hat.values()), min(diagnostics.effective_samples.values())
-    return diagnostics.converged and r_hat <= LARGEST_R_HAT and samples >= SMALLEST_EFFECTIVE_SAMPLES
-
-
-def chain_statement(diagnostics: Diagnostics) -> str:
-    """Say whether the sampler's chain deserves trust."""
-    r_hat, samples = max(diagnostics.r_hat.values()), min(diagnostics.effective_samples.values())
-    return (
-        f"{'converged' if is_converged(diagnostics) else 'NOT converged'}; largest R-hat {r_hat:.3f} (below "
-        f"{LARGEST_R_HAT} wanted), at least {samples:.0f} effective samples (above {SMALLEST_EFFECTIVE_SAMPLES:.0f} "
-        "wanted)."
-    )
-
-
 def truth_statement(results: DemoResults) -> str | None:
     """Say what the chosen angle costs on the hidden true finger, or None when that was not rendered."""
     if results.true_sweep is None:
@@ -186,13 +88,3 @@ def truth_statement(results: DemoResults) -> str | None:
         f"On the hidden true finger the best rendered angle is {best_deg:.0f} deg, and the chosen "
         f"{results.decision.angle_deg:.0f} deg loses {cost} against it."
     )
-
-
-def bands_conclusion(paint: PaintResult) -> str:
-    """Say how many bands the fit explains."""
-    bands = [band for band in paint.calibration.bands if band.degrees_of_freedom > 0]
-    poor = [band for band in bands if band.posterior_predictive_p < SMALL_P]
-    if not poor:
-        return f"all {len(bands)} bands agree with the fit"
-    names = ", ".join(f"{band.center_nm:g} nm" for band in poor)
-    return f"{len(bands) - len(poor)} of {len(bands)} bands agree with the fit; {names} do not"

@@ -1,18 +1,13 @@
 """Every number of the report as plain JSON types; a number that is not finite becomes null."""
 
-import math
-from typing import Any
-
 import numpy as np
 
 from data_schemas.compare import PhotometricErrorReport
 from data_schemas.decide import AngleStatement
-from data_schemas.fit import Estimate
 from data_schemas.simulate import LightAngleSweep
-from finray_calib.reports.curve_agreement import curve_agreement
 from finray_calib.reports.demo_results import COLOURS, STAGES, DemoResults, PaintResult
-
-Json = dict[str, Any]
+from finray_calib.reports.fit_summary import fit_summary
+from finray_calib.reports.plain_json import Json, plain
 
 
 def summary(results: DemoResults) -> Json:
@@ -30,7 +25,7 @@ def summary(results: DemoResults) -> Json:
         `photometric_error_level_a` (the paper's emitter; null when not rendered), `decision`, `provenance` and
         `command`. Fractions are 0 to 1; other units are the suffix of the key.
     """
-    plain: Json = _plain(
+    numbers: Json = plain(
         {
             "stages": {stage: results.stage_wall_times_s[stage] for stage in STAGES},
             "paints": {colour: _paint(results.paints[colour]) for colour in COLOURS},
@@ -42,53 +37,16 @@ def summary(results: DemoResults) -> Json:
             "command": results.command,
         }
     )
-    return plain
+    return numbers
 
 
 def _paint(paint: PaintResult) -> Json:
-    """Return what was measured and fitted for one paint, beside the truth."""
-    fit, truth = paint.calibration, paint.truth
-    agreement = curve_agreement(paint)
+    """Return what was captured and fitted for one paint, beside the truth."""
     return {
-        "paint_name": fit.paint_name,
-        "truth_kind": truth.kind,
-        "mode_nm": _estimate(fit.parameters["mode_nm"], truth.mode_nm),
-        "fwhm_nm": _estimate(fit.parameters["fwhm_nm"], truth.fwhm_nm),
-        "energy_yield": _estimate(fit.energy_yield, truth.energy_yield),
-        "parameters": {name: _estimate(value) for name, value in fit.parameters.items()},
-        "curve_error_rel": agreement.error_rel,
-        "curve_coverage_95": agreement.coverage_95_rel,
-        "chi_square": fit.chi_square,
-        "degrees_of_freedom": fit.degrees_of_freedom,
-        "chi_square_p": agreement.chi_square_p,
-        "chi_square_per_band": {band.filter_name: band.chi_square for band in fit.bands},
-        "bands": [band.model_dump(mode="json") for band in fit.bands],
-        "band_signals": _band_signals(paint),
-        "reflectance": {
-            band.name: _estimate(value) for band, value in zip(fit.optics.filters, fit.reflectance, strict=True)
-        },
-        "diagnostics": fit.diagnostics.model_dump(mode="json"),
+        **fit_summary(paint.fitted),
         "frames": len(paint.session.frames),
         "region_pixels": paint.bands.region_pixels,
-        "warnings": list(fit.warnings),
     }
-
-
-def _band_signals(paint: PaintResult) -> list[Json]:
-    """Return measured and predicted signals, filter by filter; lists run over the red, green and blue channel."""
-    fit, bands = paint.calibration, paint.bands
-    return [
-        {
-            "filter_name": band.name,
-            "measured": fit.measured[i].tolist(),
-            "measured_sd": fit.measured_sd[i].tolist(),
-            "predicted": fit.predicted[i].tolist(),
-            "predicted_sd": fit.predicted_sd[i].tolist(),
-            "total_radiance_factor": bands.reflectance[i].tolist(),
-            "flags": list(bands.flags[i]),
-        }
-        for i, band in enumerate(bands.optics.filters)
-    ]
 
 
 def _simulation(results: DemoResults) -> Json:
@@ -150,20 +108,3 @@ def _statement(statement: AngleStatement) -> Json:
         "regret_95": statement.regret_95,
         "equivalent_deg": [list(interval) for interval in statement.equivalent_deg],
     }
-
-
-def _estimate(value: Estimate, truth: float | None = None) -> Json:
-    """Return estimate and 95 % interval, beside the truth where it is known."""
-    numbers: Json = {"estimate": value.estimate, "low95": value.low95, "high95": value.high95}
-    return numbers if truth is None else {**numbers, "truth": truth}
-
-
-def _plain(value: Any) -> Any:
-    """Return plain JSON types: numpy scalars as numbers, tuples as lists, null for what is not finite."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value

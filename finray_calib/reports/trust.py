@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 from data_schemas.decide import LightAngleDecision
 from finray_calib.reports.demo_results import COLOURS, DemoResults, PaintResult
+from finray_calib.reports.fit_statements import model_statement
 from finray_calib.reports.number_text import percent
-from finray_calib.reports.statements import model_statement
 
 
 def limits(results: DemoResults) -> tuple[str, ...]:
@@ -19,7 +19,7 @@ def limits(results: DemoResults) -> tuple[str, ...]:
     return (
         f"Renderer: {results.renderer_note.rstrip('.')}.",
         f"Capture: {results.capture.source}.",
-        *(model_statement(paint) for paint in paints),
+        *(model_statement(paint.fitted, paint.truth) for paint in paints),
         *fit_warnings,
         validation_statement(results.decision),
         *(f"Withheld: {reason}." for reason in results.report.withheld),
@@ -43,7 +43,7 @@ def assumptions(results: DemoResults) -> tuple[str, ...]:
     sources = sorted({curve.source for curve in optics.camera_response})
     listed = [
         f"Calibration rig: camera response {'; '.join(sources)}; lamp spectrum {optics.lamp.source}.",
-        f"Paint emission: {results.paints['red'].calibration.family}.",
+        _emission_model(results),
     ]
     design = results.press.design
     if design is not None:
@@ -56,6 +56,17 @@ def assumptions(results: DemoResults) -> tuple[str, ...]:
     if results.press.notes:
         listed.append(f"Simulation: {'; '.join(results.press.notes)}.")
     return tuple(listed)
+
+
+def _emission_model(results: DemoResults) -> str:
+    """Say which curves the paints were taken to have, and how far they may leave them."""
+    fits = [results.paints[colour].calibration for colour in COLOURS]
+    families = " and ".join(dict.fromkeys(fit.family_title for fit in fits))
+    discrepancy = fits[0].discrepancy
+    return (
+        f"Paint emission: {families}, with a discrepancy of {percent(discrepancy.amplitude_rel)}; from "
+        f"{discrepancy.origin}."
+    )
 
 
 _PAINT_NOTES: tuple[tuple[str, Callable[[PaintResult], tuple[str, ...]]], ...] = (

@@ -30,8 +30,7 @@ class BandTolerances:
     level_shift
         (2,) relative change of V for one standard uncertainty of the excitation filter's centre and width.
     blocking_sd
-        (N,) standard deviation of ln(leak) of a row's filter around the common blocking; 0 where the filter
-        passes the laser.
+        (N,) standard deviation of ln(leak) of a row's filter around the common blocking.
     """
 
     emission_shift: Floats
@@ -67,7 +66,7 @@ def tolerances_of(optics: Optics, channel_weights: ArrayLike) -> BandTolerances:
         emission.append(moved.emission / ratio - nominal.emission)
         laser.append(moved.reflected_laser / ratio - nominal.reflected_laser)
         level.append(1 / ratio - 1)
-    blocking = np.array([0.0 if f.name == excitation else LN_10 * f.blocking_uncertainty_od for f in optics.filters])
+    blocking = np.array([LN_10 * f.blocking_uncertainty_od for f in optics.filters])
     return BandTolerances(np.array(emission), np.array(laser), np.array(level), blocking[nominal.band_index])
 
 

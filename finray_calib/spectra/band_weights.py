@@ -35,7 +35,7 @@ class EmissionWeights:
         (N,) value of a perfect reflector of the laser, dimensionless.
     leaked_emission, leaked_laser, leaked_white
         (N, L), (N,), (N,) share of the leak in the emission weights, in the reflected laser and in the white
-        signal under the lamp; zero in the excitation band.
+        signal under the lamp; no laser leaks in the excitation band, it passes.
     is_excitation
         (N,) True for the rows of the excitation band.
     band_index
@@ -159,14 +159,15 @@ def emission_weights(
     emitted = passed * (wavelength >= laser_nm)
     bands = np.repeat(np.arange(len(filters)), len(camera))
     floor = np.broadcast_to(np.asarray(leak, dtype=np.float64), len(filters)).copy()
-    floor[excitation_band] = 0.0
     leaked = floor[:, None, None] * camera * quadrature
+    leaked_laser = leaked @ line
+    leaked_laser[excitation_band] = 0.0  # the laser passes this filter; what leaks beside it is lamp and emission
     return EmissionWeights(
         wavelength_nm=wavelength,
         emission=(emitted * scale[..., None]).reshape(bands.size, -1),
         reflected_laser=((passed @ line) * scale).ravel(),
         leaked_emission=(leaked * (wavelength >= laser_nm) * scale[..., None]).reshape(bands.size, -1),
-        leaked_laser=((leaked @ line) * scale).ravel(),
+        leaked_laser=(leaked_laser * scale).ravel(),
         leaked_white=((leaked @ (white * light)) / white_signal).ravel(),
         is_excitation=bands == excitation_band,
         band_index=bands,

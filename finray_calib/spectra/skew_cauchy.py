@@ -7,19 +7,16 @@ fit samples mode, ln FWHM, kappa = asinh(skewness) and ln peak, which bands dete
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
 
 from data_schemas.errors import CurveError
 
 KAPPA_LIMIT = 8.0
-"""Largest abs(asinh(skewness)) of the shape tables; beyond it the curve is a half Cauchy to 0.1 %."""
+"""Largest abs(asinh(skewness)); beyond it the curve is a half Cauchy to 0.1 %."""
 
-_KAPPA_STEP = 0.02  # spline error below 1e-8 at this spacing; tests hold it to 1e-6
 _BISECTIONS = 60  # halves a bracket of 20 scale lengths down to rounding
 _SHARE_NODES = 64
 
@@ -110,7 +107,7 @@ def shape_tables(kappa: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return mode offset m, peak p and full width v of the unit curve (atan(w z)/pi + 1/2) / (1 + z^2).
 
     mode = l0 + g m, peak value = (h / g^2) p, FWHM = g v, with w = sinh(kappa). m is odd, p and v are even.
-    Cubic splines through exact solutions, error below 1e-6 for abs(kappa) <= KAPPA_LIMIT.
+    By bisection to rounding, for abs(kappa) <= KAPPA_LIMIT.
 
     Parameters
     ----------
@@ -134,8 +131,17 @@ def shape_tables(kappa: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
             f"skew-Cauchy curve: abs(asinh(skewness)) is {largest:.3g}, allowed is at most {KAPPA_LIMIT:g}; "
             "a larger skewness is not distinguishable from a half Cauchy, so limit it"
         )
-    table = _shape_spline()(values)
-    return table[..., 0], table[..., 1], table[..., 2]
+    w = np.sinh(np.abs(values))
+
+    def rises(z: FloatArray) -> NDArray[np.bool_]:
+        slope = -2 * z / (1 + z * z) * (np.arctan(w * z) / np.pi + 0.5) + w / np.pi / (1 + (w * z) ** 2)
+        return np.asarray(slope > 0)
+
+    m = _bisect(rises, np.zeros_like(w), np.full_like(w, 1.2))
+    p = _unit_curve(m, w)
+    right = _bisect(lambda z: _unit_curve(z, w) > p / 2, m, np.full_like(w, 20.0))
+    left = _bisect(lambda z: _unit_curve(z, w) < p / 2, np.full_like(w, -20.0), m)
+    return np.asarray(np.sign(values) * m), p, right - left
 
 
 def share_below(z: ArrayLike, skewness: ArrayLike) -> FloatArray:
@@ -235,25 +241,6 @@ class SkewCauchy:
 def _unit_curve(z: FloatArray, skewness: FloatArray) -> FloatArray:
     """Return (atan(w z)/pi + 1/2) / (1 + z^2)."""
     return np.asarray((np.arctan(skewness * z) * (1 / np.pi) + 0.5) / (1 + z * z))
-
-
-@lru_cache(maxsize=1)
-def _shape_spline() -> CubicSpline[np.float64]:
-    """Return the spline kappa -> (m, p, v) on [-KAPPA_LIMIT, KAPPA_LIMIT]."""
-    kappa = np.linspace(0.0, KAPPA_LIMIT, round(KAPPA_LIMIT / _KAPPA_STEP) + 1)
-    w = np.sinh(kappa)
-
-    def rises(z: FloatArray) -> NDArray[np.bool_]:
-        slope = -2 * z / (1 + z * z) * (np.arctan(w * z) / np.pi + 0.5) + w / np.pi / (1 + (w * z) ** 2)
-        return np.asarray(slope > 0)
-
-    m = _bisect(rises, np.zeros_like(w), np.full_like(w, 1.2))
-    p = _unit_curve(m, w)
-    right = _bisect(lambda z: _unit_curve(z, w) > p / 2, m, np.full_like(w, 20.0))
-    left = _bisect(lambda z: _unit_curve(z, w) < p / 2, np.full_like(w, -20.0), m)
-    right_half = np.stack([m, p, right - left], axis=1)
-    left_half = right_half[:0:-1] * [-1.0, 1.0, 1.0]
-    return CubicSpline(np.concatenate([-kappa[:0:-1], kappa]), np.concatenate([left_half, right_half]))
 
 
 def _bisect(still_below: Callable[[FloatArray], NDArray[np.bool_]], low: FloatArray, high: FloatArray) -> FloatArray:

@@ -2,11 +2,12 @@
 
 import re
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 
-from data_schemas.capture import CaptureSession, Frame, LightState, PaintPlan
+from data_schemas.capture import CaptureSession, Frame, LightState, PaintPlan, Target
 from data_schemas.errors import CaptureError
 from data_schemas.provenance import provenance
 from data_schemas.rig import RigFile
@@ -14,7 +15,8 @@ from data_schemas.storage import sha256_of, write_bytes, write_frame, write_reco
 from rigs.capture.exchange import expose_checked, shine
 from rigs.capture.exposure import exposure_ladder, meter_exposure, rung_at_or_below, saturated_fraction
 from rigs.capture.journal import Journal
-from rigs.capture.plan import Step, paint_steps
+from rigs.capture.laser_dose import LaserDose
+from rigs.capture.plan import Step, paint_steps, with_repeat
 from rigs.open_rig import OpenRig, open_rig
 
 Progress = Callable[[int, int, str], None]
@@ -113,11 +115,13 @@ class _Recorder:
         )
         self._full_scale_dn = 2**rig.camera.bit_depth - 1
         self._ladder = exposure_ladder(rig.camera.shortest_exposure_s, rig.camera.longest_exposure_s)
+        self._dose = LaserDose(rig.laser.power_mw, opened.clock)
+        self._tilt_deg = 0.0
         self._metered_s: dict[LightState, float] = {}
         self._frames: list[Frame] = []
 
     def record(self, steps: tuple[Step, ...]) -> tuple[Frame, ...]:
-        """Meter all steps backwards, then store darks, frames and darks."""
+        """Meter all steps backwards, then store darks, frames (brightest emission again at the end) and darks."""
         exposures_s: dict[Step, list[float]] = {}
 
         def meter(step: Step) -> None:
@@ -129,6 +133,11 @@ class _Recorder:
                 self._store(step, exposure_s)
 
         self._walk(steps[::-1], "metering", meter)
+        longest_s = {step: bracket[0] for step, bracket in exposures_s.items()}
+        steps = with_repeat(steps, self._plan.excitation_filter, longest_s)
+        for step in steps:
+            if step.frame_type == "fluorescence repeat":
+                exposures_s[step] = exposures_s[replace(step, frame_type="fluorescence")]
         used_s = sorted({exposure_s for bracket in exposures_s.values() for exposure_s in bracket})
         self._darks(steps[0], used_s, "dark frames before")
         self._walk(steps, "frames", store)
@@ -138,14 +147,26 @@ class _Recorder:
     def _walk(self, steps: tuple[Step, ...], phase: str, act: Callable[[Step], None]) -> None:
         """Do `act` at every step with its target in place and its light on; light off between groups."""
         done = 0
-        for (target, light), group in groupby(steps, key=lambda step: (step.target, step.light)):
-            self._opened.operator.place(target)
-            with shine(self._opened, light):
+        for (target, light, tilt_deg), group in groupby(steps, key=lambda s: (s.target, s.light, s.tilt_deg)):
+            self._place(target, tilt_deg)
+            on_sample = light == "laser" and target == "sample"
+            with shine(self._opened, light), self._dose.shining() if on_sample else nullcontext():
+                if light == "laser":
+                    self._journal.append("laser on", target=target, sample_dose_j=self._dose.energy_j())
                 for step in group:
                     act(step)
                     done += 1
                     if self._progress is not None:
                         self._progress(done, len(steps), f"{phase}: {step.label}")
+            if light == "laser":
+                self._journal.append("laser off", target=target, sample_dose_j=self._dose.energy_j())
+
+    def _place(self, target: Target, tilt_deg: float) -> None:
+        """Ask the operator for a target and, when it changes, for the tilt of the sample."""
+        self._opened.operator.place(target)
+        if tilt_deg != self._tilt_deg:
+            self._opened.operator.tilt(tilt_deg)
+            self._tilt_deg = tilt_deg
 
     def _darks(self, beside: Step, exposures_s: list[float], phase: str) -> None:
         """Store half of the dark frames (rounded up) of every exposure with the box as it is at the step `beside`."""
@@ -175,6 +196,7 @@ class _Recorder:
         """Take one frame, write it and note it in the journal."""
         checked = expose_checked(self._opened, self._camera, step, exposure_s)
         number, raw = len(self._frames), checked.raw
+        middle_ago_s = 0.5 * raw.exposure_s
         file = f"frames/{_file_name(number, step, raw.exposure_s)}"
         frame = Frame(
             sequence=number,
@@ -188,6 +210,9 @@ class _Recorder:
             exposure_requested_s=raw.exposure_requested_s,
             exposure_s=raw.exposure_s,
             captured_utc=raw.captured_utc,
+            middle_s=max(self._opened.clock.monotonic_s() - middle_ago_s, 0.0),
+            laser_dose_j=self._dose.energy_j(middle_ago_s),
+            tilt_deg=step.tilt_deg,
             saturated_fraction=saturated_fraction(raw.counts[self._region], self._full_scale_dn),
             sha256=write_frame(self._out / file, raw.counts, f"{step.label}, {raw.exposure_s:g} s"),
         )

@@ -1,6 +1,7 @@
 """The steps of a paint session, in the order in which they are captured."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 from data_schemas.capture import FrameType, LightState, PaintPlan, RegionOfInterest, Target
 from data_schemas.errors import CaptureError
@@ -18,21 +19,24 @@ class Step:
     light: LightState
     filter_name: str | None
     slot: int | None
+    tilt_deg: float = 0.0
 
     @property
     def label(self) -> str:
         """The step in words."""
         behind = f"through filter {self.filter_name}" if self.filter_name is not None else "without filter"
-        return f"{self.frame_type} ({self.target}, {self.light}) {behind}"
+        tilted = f" tilted by {self.tilt_deg:g} deg" if self.tilt_deg else ""
+        return f"{self.frame_type} ({self.target}{tilted}, {self.light}) {behind}"
 
 
 def paint_steps(plan: PaintPlan, rig: RigFile) -> tuple[Step, ...]:
     """List the steps of a paint session after checking the plan against the rig.
 
     White under the lamp (all filters) and the laser (excitation filter), sample beside ColorChecker under room
-    light, sample under the lamp and the laser (all filters). The ColorChecker stands between white and sample
-    because metering runs through the steps backwards and dark frames need a closed box: then the operator swaps
-    the target four times only, and the dark frames before and after see no room light.
+    light, sample under the lamp and the laser (all filters), the tilted sample under the laser (two filters) when
+    the plan asks for it. The ColorChecker stands between white and sample because metering runs through the steps
+    backwards and dark frames need a closed box: then the operator swaps the target four times only, and the dark
+    frames before and after see no room light. See :func:`with_repeat` for the order of the laser steps.
 
     Raises
     ------
@@ -49,6 +53,48 @@ def paint_steps(plan: PaintPlan, rig: RigFile) -> tuple[Step, ...]:
         Step("room light", "sample beside ColorChecker", "room", None, None),
         *(Step("reflectance", "sample", "lamp", f.name, f.slot) for f in filters),
         *(Step("fluorescence", "sample", "laser", f.name, f.slot) for f in filters),
+        *_tilted_steps(plan, filters),
+    )
+
+
+def with_repeat(steps: tuple[Step, ...], excitation_filter: str, exposures_s: Mapping[Step, float]) -> tuple[Step, ...]:
+    """Put the brightest emission first among the laser steps on the sample, and add it again as the last of them.
+
+    What the paint loses between the two is bleaching. The brightest is the one with the shortest metered exposure
+    behind a filter that blocks the laser. A session without such a filter stays as it is.
+
+    Parameters
+    ----------
+    steps
+        The steps of a session.
+    excitation_filter
+        Name of the filter that passes the laser.
+    exposures_s
+        Metered exposure (s) of every step.
+    """
+    laser = [step for step in steps if step.frame_type == "fluorescence"]
+    emission = [step for step in laser if step.filter_name != excitation_filter]
+    if not emission:
+        return steps
+    first = min(emission, key=lambda step: exposures_s[step])
+    start = steps.index(laser[0])
+    ordered = (first, *(s for s in laser if s != first), replace(first, frame_type="fluorescence repeat"))
+    return (*steps[:start], *ordered, *steps[start + len(laser) :])
+
+
+def _tilted_steps(plan: PaintPlan, filters: list[BandPassFilter]) -> tuple[Step, ...]:
+    """Return the steps of the tilted sample under the laser."""
+    if plan.second_tilt_deg is None or plan.second_tilt_filters is None:
+        return ()
+    known = {f.name: f for f in filters}
+    lost = [name for name in plan.second_tilt_filters if name not in known]
+    if lost:
+        raise CaptureError(
+            f"plan.second_tilt_filters: '{lost[0]}' is not among the filters of the plan ({', '.join(known)})"
+        )
+    return tuple(
+        Step("tilted fluorescence", "sample", "laser", name, known[name].slot, plan.second_tilt_deg)
+        for name in plan.second_tilt_filters
     )
 
 

@@ -1,27 +1,68 @@
-"""Read a stored paint session and its frames."""
+"""Read a stored session, paint or camera, and its frames."""
 
+import json
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.camera import CameraSession
 from data_schemas.capture import CaptureSession, Frame
 from data_schemas.errors import RecordError
 from data_schemas.storage import read_frame, read_record
 from rigs.capture.journal import JOURNAL_NAME
 from rigs.capture.paint_session import SESSION_NAME
 
+SessionKind = Literal["paint", "camera"]
+KINDS: dict[str, SessionKind] = {CaptureSession.__name__: "paint", CameraSession.__name__: "camera"}
 
-def read_session(folder: Path) -> CaptureSession:
-    """Read the session that was captured into `folder`.
+
+def session_kind(folder: Path) -> SessionKind:
+    """Tell what was captured into `folder`: a paint or a camera.
 
     Raises
     ------
     RecordError
-        The folder is missing, holds no session, or the capture was not finished.
+        The folder is missing, holds no session or one of another kind, or the capture was not finished.
     """
+    path = _session_file(folder)
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise RecordError(f"{path}: cannot be read as JSON ({error}); was it edited or cut off?") from None
+    kind = stored.get("kind") if isinstance(stored, dict) else None
+    if kind not in KINDS:
+        raise RecordError(f"{path}: is a {kind or 'file of unknown kind'}, a {' or '.join(KINDS)} is needed here")
+    return KINDS[kind]
+
+
+def read_session(folder: Path) -> CaptureSession:
+    """Read the paint session that was captured into `folder`.
+
+    Raises
+    ------
+    RecordError
+        The folder is missing, holds no paint session, or the capture was not finished.
+    """
+    return read_record(_session_file(folder), CaptureSession)
+
+
+def read_camera_session(folder: Path) -> CameraSession:
+    """Read the camera session that was captured into `folder`.
+
+    Raises
+    ------
+    RecordError
+        The folder is missing, holds no camera session, or the capture was not finished.
+    """
+    return read_record(_session_file(folder), CameraSession)
+
+
+def _session_file(folder: Path) -> Path:
+    """Return the session's record, or say why there is none."""
     if (folder / SESSION_NAME).is_file():
-        return read_record(folder / SESSION_NAME, CaptureSession)
+        return folder / SESSION_NAME
     if not folder.is_dir():
         raise RecordError(f"{folder}: no such folder; give the folder that 'finray capture' wrote")
     if (folder / JOURNAL_NAME).is_file():

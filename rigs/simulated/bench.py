@@ -113,13 +113,19 @@ class Bench:
         self._sample_reflectance = matrix.reflectance(WAVELENGTH_NM)
         self._sample_reradiation_per_nm = matrix.radiance_factor_per_nm
         self._scene = lay_out(rig.camera.height_px // 2, rig.camera.width_px // 2, seed)
+        paint = rig.simulated.paint if rig.simulated is not None else None
+        self._bleaching_per_j = 0.0 if paint is None else paint.bleaching_per_j
         # The frames of one step follow each other with the same light, target and filter.
         self._latest = lru_cache(maxsize=1)(self._mosaic_electrons_per_s)
+        self._latest_reradiated = lru_cache(maxsize=1)(self._reradiated_electrons_per_s)
 
     def sample_radiance(self, light: Floats) -> Floats:
-        """Return the relative spectral radiance of the sample: reflected plus re-radiated `light`, shape (L,)."""
-        reradiated: Floats = self._sample_reradiation_per_nm @ light * STEP_NM
-        return self._sample_reflectance * light + reradiated
+        """Return the relative spectral radiance of the fresh sample: reflected plus re-radiated light, shape (L,)."""
+        return self._sample_reflectance * light + self._reradiated(light)
+
+    def _reradiated(self, light: Floats) -> Floats:
+        """Return the re-radiated part of the sample's relative radiance, shape (L,)."""
+        return np.asarray(self._sample_reradiation_per_nm @ light * STEP_NM)
 
     def band_electrons_per_s(self, radiance: Floats, slot: int | None) -> Floats:
         """Integrate relative radiance (L,) to electrons per second of a red, green and blue pixel, shape (3,)."""
@@ -131,8 +137,12 @@ class Bench:
         height, width = self._scene.sample.shape
         return np.zeros((2 * height, 2 * width))
 
-    def electrons_per_s(self, target: Target, light: LightState, slot: int | None) -> Floats:
-        """Return the photo-electrons per second of every pixel, shape (H, W), read-only.
+    def electrons_per_s(
+        self, target: Target, light: LightState, slot: int | None, sample_dose_j: float = 0.0
+    ) -> Floats:
+        """Return the photo-electrons per second of every pixel, shape (H, W).
+
+        The sample's emission has fallen by exp(-k D) after the dose D of laser light.
 
         Parameters
         ----------
@@ -142,8 +152,23 @@ class Bench:
             The one light that shines ("lamp", "laser" or "room").
         slot
             Slot of the filter in the beam; None is no filter.
+        sample_dose_j
+            Laser light that the sample has received (J).
         """
-        return self._latest(target, light, slot)
+        fresh = self._latest(target, light, slot)
+        bleached = -math.expm1(-self._bleaching_per_j * sample_dose_j)
+        if bleached == 0.0 or target == "white":
+            return fresh
+        return fresh - bleached * self._latest_reradiated(light, slot)
+
+    def _reradiated_electrons_per_s(self, light: LightState, slot: int | None) -> Floats:
+        """Return what the fresh sample's emission alone gives under one light, shape (H, W)."""
+        scene = self._scene
+        rgb = np.zeros((*scene.sample.shape, 3))
+        emitted = self.band_electrons_per_s(self._reradiated(self.lights[light]), slot)
+        rgb[scene.sample] = scene.texture["sample"][scene.sample, None] * emitted
+        rgb *= scene.irradiance(light)[..., None]
+        return mosaic(rgb)
 
     def _mosaic_electrons_per_s(self, target: Target, light: LightState, slot: int | None) -> Floats:
         """Compose cloth, sample or tile and ColorChecker under one light."""
@@ -159,7 +184,7 @@ class Bench:
         radiance = self._white_reflectance * spectrum if white else self.sample_radiance(spectrum)
         texture = scene.texture["white" if white else "sample"]
         rgb[scene.sample] = texture[scene.sample, None] * self.band_electrons_per_s(radiance, slot)
-        rgb *= {"lamp": scene.lamp, "laser": scene.laser, "room": scene.room}[light][..., None]
+        rgb *= scene.irradiance(light)[..., None]
         frame = mosaic(rgb)
         frame.flags.writeable = False
         return frame

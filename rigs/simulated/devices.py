@@ -1,5 +1,6 @@
 """Simulated camera, filter wheel, lights, operator and clock over one bench; nothing sleeps."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -42,9 +43,22 @@ class BenchState:
 
     clock: SimulatedClock
     slot: int
+    laser_power_mw: float = 0.0
     target: Target = "white"
     lamp: bool = False
     laser: bool = False
+    tilt_deg: float = 0.0
+    sample_dose_j: float = 0.0
+
+    def advance(self, duration_s: float) -> None:
+        """Let time pass: the clock runs, and a shining laser doses the sample in view."""
+        self.clock.elapsed_s += duration_s
+        if self.laser and self.target == "sample":
+            self.sample_dose_j += 1e-3 * self.laser_power_mw * duration_s
+
+    def laser_incidence(self) -> float:
+        """Return the laser's irradiance on the target relative to normal incidence: the cosine of the tilt."""
+        return math.cos(math.radians(self.tilt_deg)) if self.target == "sample" else 1.0
 
     @property
     def wheel_in_beam(self) -> bool:
@@ -81,11 +95,15 @@ class SimulatedCamera:
         read_back_s = round(max(exposure_s, EXPOSURE_STEP_S), 6)
         slot = self.state.slot if self.state.wheel_in_beam else None
         electrons_per_s = self.bench.darkness()
+        self.state.advance(0.5 * exposure_s)
         for light in self.state.lights():
             level = 1.0 + LIGHT_REPEATABILITY_REL * self.rng.standard_normal()
-            electrons_per_s = electrons_per_s + level * self.bench.electrons_per_s(self.state.target, light, slot)
+            if light == "laser":
+                level *= self.state.laser_incidence()
+            shining = self.bench.electrons_per_s(self.state.target, light, slot, self.state.sample_dose_j)
+            electrons_per_s = electrons_per_s + level * shining
         counts = self.sensor.expose(electrons_per_s, read_back_s, self.rng)
-        self.state.clock.elapsed_s += exposure_s + FRAME_OVERHEAD_S
+        self.state.advance(0.5 * exposure_s + FRAME_OVERHEAD_S)
         return RawFrame(counts, exposure_s, read_back_s, captured_utc)
 
 
@@ -118,7 +136,7 @@ class SimulatedFilterWheel:
             raise CaptureError(
                 f"filter wheel: needs {needed_s:g} s to slot {slot}, the deadline is {deadline_s:g} s; allow more time"
             )
-        self.state.clock.elapsed_s += needed_s
+        self.state.advance(needed_s)
         self.state.slot = slot
 
 
@@ -152,3 +170,7 @@ class SimulatedOperator:
     def place(self, target: Target) -> None:
         """Put `target` in view."""
         self.state.target = target
+
+    def tilt(self, angle_deg: float) -> None:
+        """Tilt the sample."""
+        self.state.tilt_deg = angle_deg

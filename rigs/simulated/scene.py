@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from data_schemas.capture import LightState
+
 Floats = NDArray[np.float64]
 SAMPLE_SIDE_REL = 0.36
 CLOTH_REFLECTANCE = 0.04
@@ -44,6 +46,10 @@ class Scene:
     texture: dict[str, Floats]
     sample: NDArray[np.bool_]
     patch: NDArray[np.int64]
+
+    def irradiance(self, light: LightState) -> Floats:
+        """Return the relative irradiance of a light that shines, shape (h, w)."""
+        return {"lamp": self.lamp, "laser": self.laser, "room": self.room}[light]
 
 
 def lay_out(height: int, width: int, seed: int) -> Scene:

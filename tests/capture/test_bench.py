@@ -157,3 +157,26 @@ def test_colour_checker_reflectances_are_reflectances() -> None:
     assert (reflectances > 0.02).all()
     assert (reflectances < 0.95).all()
     assert reflectances[18].min() > 0.85
+
+
+def test_laser_light_bleaches_the_emission_and_nothing_else(rig: RigFile) -> None:
+    paint = rig.simulated.paint.model_copy(update={"bleaching_per_j": 2.0})
+    fading = rig.model_copy(update={"simulated": rig.simulated.model_copy(update={"paint": paint})})
+    faded = Bench(fading, Path(), camera_response(rig.camera.response, Path()))
+    inside = np.s_[60:68, 76:84]
+
+    def left(light: str, slot: int, dose_j: float, target: str = "sample") -> float:
+        fresh, later = (faded.electrons_per_s(target, light, slot, d)[inside].mean() for d in (0.0, dose_j))
+        return later / fresh
+
+    # behind 600 nm the laser shows emission alone (reflected laser is blocked to 1e-5, the emission is above 1e-2)
+    assert left("laser", 6, 0.3) == pytest.approx(np.exp(-2.0 * 0.3), rel=2e-3)
+    # behind 450 nm it shows reflected light: the emission's tail there is about 1 % of it
+    assert left("laser", 2, 0.3) == pytest.approx(1.0, abs=0.02)
+    assert np.exp(-0.6) < left("lamp", 6, 0.3) < 1.0
+    assert left("laser", 6, 0.3, "white") == 1.0
+
+
+def test_paint_without_bleaching_stays(bench: Bench) -> None:
+    fresh, later = (bench.electrons_per_s("sample", "laser", 6, dose_j) for dose_j in (0.0, 100.0))
+    np.testing.assert_array_equal(fresh, later)

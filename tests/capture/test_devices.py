@@ -142,3 +142,28 @@ def test_measured_material_can_lie_on_the_bench(tmp_path: Path) -> None:
         dark = signal(opened, 0.1)
         with opened.laser.lit():
             assert signal(opened, 0.1) > dark + 1  # DN; the noise of the mean of 4096 pixels is 0.02
+
+
+def test_sample_is_dosed_while_the_laser_shines_on_it(rig: RigFile) -> None:
+    state = BenchState(clock=SimulatedClock(), slot=1, laser_power_mw=5.0)
+    state.advance(10.0)
+    state.laser = True
+    state.advance(10.0)
+    assert state.sample_dose_j == 0.0  # the tile is in view
+    state.target = "sample"
+    state.advance(2.0)
+    assert state.sample_dose_j == pytest.approx(0.010)
+    assert state.clock.elapsed_s == 22.0
+
+
+def test_tilted_sample_gets_less_of_the_laser(rig: RigFile) -> None:
+    with open_rig(rig, Path()) as opened:
+        opened.operator.place("sample")
+        opened.wheel.go_to(6, 10.0)
+        dark = signal(opened, 0.01)
+        with opened.laser.lit():
+            flat = signal(opened, 0.01) - dark
+            opened.operator.tilt(60.0)
+            tilted = signal(opened, 0.01) - dark
+    # means of 20480 px: noise of 0.01 DN of 1 and rounding, and 0.3 % of light
+    assert tilted / flat == pytest.approx(0.5, rel=0.03)

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,7 @@ def test_every_step_is_stored_at_every_exposure(captured: Captured) -> None:
         "laser white": 2,
         "reflectance": 16,
         "fluorescence": 16,
+        "fluorescence repeat": 2,
         "room light": 2,
     }
     assert [f.sequence for f in session.frames] == list(range(len(session.frames)))
@@ -108,6 +110,62 @@ def test_fluorescence_appears_where_the_paint_emits(captured: Captured, plan: Pa
     assert emitted["600"] > 10 * emitted["500"]
 
 
+def test_brightest_emission_is_captured_first_and_again_at_the_end(captured: Captured) -> None:
+    _, session, _ = captured
+    laser = [f for f in session.frames if f.frame_type in {"fluorescence", "fluorescence repeat"}]
+    assert [f.filter_name for f in laser[:2]] == [f.filter_name for f in laser[-2:]] == ["600", "600"]
+    assert [f.frame_type == "fluorescence repeat" for f in laser] == [False] * 16 + [True] * 2
+    assert [f.exposure_s for f in laser[:2]] == [f.exposure_s for f in laser[-2:]]
+    assert [f.filter_name for f in laser[2:16:2]] == ["405", "450", "500", "532", "560", "630", "660"]
+
+
+def test_laser_dose_is_power_times_time_on_the_sample(captured: Captured, rig: RigFile) -> None:
+    out, session, _ = captured
+    laser = [f for f in session.frames if f.frame_type in {"fluorescence", "fluorescence repeat"}]
+    power_w = 1e-3 * rig.laser.power_mw
+    for first, later in pairwise(laser):  # the laser stays on from the first of them to the last
+        spent_j = power_w * (later.middle_s - first.middle_s)
+        assert later.laser_dose_j - first.laser_dose_j == pytest.approx(spent_j, rel=1e-9)
+    on_tile = [f.laser_dose_j for f in session.frames if f.frame_type in {"white", "laser white", "reflectance"}]
+    assert len(set(on_tile)) == 1
+    assert on_tile[0] > 0.0  # metering counts
+    assert laser[0].laser_dose_j > on_tile[0]
+    events = [json.loads(line) for line in (out / "journal.jsonl").read_text().splitlines()]
+    switches = [e for e in events if e["event"].startswith("laser")]
+    shone = [
+        (off["target"], off["sample_dose_j"] - on["sample_dose_j"], off["monotonic_s"] - on["monotonic_s"])
+        for on, off in zip(switches[::2], switches[1::2], strict=True)
+    ]
+    for target, dose_j, time_s in shone:
+        expected_j = power_w * time_s if target == "sample" else 0.0
+        assert dose_j == pytest.approx(expected_j, abs=power_w * 1e-3)  # the journal rounds to milliseconds
+    assert switches[-1]["sample_dose_j"] >= laser[-1].laser_dose_j
+
+
+def test_sample_is_tilted_when_the_plan_asks_for_it(rig: RigFile, plan: PaintPlan, tmp_path: Path) -> None:
+    tilt = {"second_tilt_deg": 30.0, "second_tilt_filters": ("450", "600")}
+    small = {"filters": ("450", "600"), "bracket": (1.0,), "darks_per_exposure": 1}
+    with open_rig(rig, Path()) as opened:
+        session = capture(opened, rig, plan.model_copy(update=tilt | small), tmp_path)
+    tilted = [f for f in session.frames if f.frame_type == "tilted fluorescence"]
+    assert [(f.filter_name, f.tilt_deg) for f in tilted] == [("450", 30.0), ("600", 30.0)]
+    assert {f.tilt_deg for f in session.frames if f.frame_type != "tilted fluorescence"} == {0.0, 30.0}
+    assert all(f.tilt_deg == 0.0 for f in session.frames if f.light != "off" and f not in tilted)
+    flat = {f.filter_name: f for f in session.frames if f.frame_type == "fluorescence"}
+    for f in tilted:
+        counts = [region_of(read_frame_of(tmp_path, x), plan).astype(float) - 16.0 for x in (flat[f.filter_name], f)]
+        ratio = counts[1].sum() / f.exposure_s / (counts[0].sum() / flat[f.filter_name].exposure_s)
+        # laser 0.3 % (two frames of 0.2 %), photon noise of 784 px of some 1 % each, dark current below 0.1 DN of 100
+        assert ratio == pytest.approx(np.cos(np.radians(30.0)), rel=0.02)
+
+
+def test_session_behind_the_laser_filter_alone_has_no_repeat(rig: RigFile, plan: PaintPlan, tmp_path: Path) -> None:
+    small = plan.model_copy(update={"filters": ("450",), "bracket": (1.0,), "darks_per_exposure": 1})
+    with open_rig(rig, Path()) as opened:
+        session = capture(opened, rig, small, tmp_path)
+    assert "fluorescence repeat" not in {f.frame_type for f in session.frames}
+
+
 def test_stored_session_reads_back_equal(captured: Captured) -> None:
     out, session, _ = captured
     stored = read_session(out)
@@ -123,7 +181,8 @@ def test_journal_tells_start_steps_frames_and_stop(captured: Captured) -> None:
     out, session, _ = captured
     events = [json.loads(line) for line in (out / "journal.jsonl").read_text().splitlines()]
     count = Counter(e["event"] for e in events)
-    assert count == {"start": 1, "step": 26, "frame": len(session.frames), "stop": 1}
+    switches = {"laser on": 4, "laser off": 4}  # tile and sample, metered and captured
+    assert count == {"start": 1, "step": 26, "frame": len(session.frames), "stop": 1} | switches
     assert events[0]["event"] == "start"
     assert (events[-1]["event"], events[-1]["outcome"]) == ("stop", "done")
     times = [e["monotonic_s"] for e in events]
@@ -335,7 +394,7 @@ def test_frame_that_was_changed_or_leads_outside_is_refused(captured: Captured, 
 def test_file_names_are_plain(captured: Captured) -> None:
     _, session, _ = captured
     pattern = re.compile(
-        r"frames/\d{4}_(dark|white|laser-white|room-light|reflectance|fluorescence)_(none|\d+)_\d+us\.tiff"
+        r"frames/\d{4}_(dark|white|laser-white|room-light|reflectance|fluorescence(-repeat)?)_(none|\d+)_\d+us\.tiff"
     )
     frames: tuple[Frame, ...] = session.frames
     assert all(pattern.fullmatch(frame.file) for frame in frames)

@@ -1,11 +1,12 @@
 from itertools import pairwise
 
 import pytest
+from pydantic import ValidationError
 
 from data_schemas.capture import PaintPlan, RegionOfInterest
 from data_schemas.errors import CaptureError
 from data_schemas.rig import RigFile
-from rigs.capture.plan import paint_steps
+from rigs.capture.plan import paint_steps, with_repeat
 
 
 def changed(plan: PaintPlan, **fields: object) -> PaintPlan:
@@ -52,6 +53,10 @@ def test_named_filters_are_captured_in_the_order_of_the_plan(plan: PaintPlan, ri
             {"region": RegionOfInterest(row_px=0, column_px=150, height_px=10, width_px=20)},
             r"column_px = 150 with width_px = 20 ends at pixel 170, .* at most 160 px",
         ),
+        (
+            {"second_tilt_deg": 30.0, "second_tilt_filters": ("450", "451")},
+            r"second_tilt_filters: '451' is not among the filters of the plan \(405, 450, 500",
+        ),
     ],
 )
 def test_plan_that_does_not_fit_the_rig_is_refused(
@@ -59,3 +64,40 @@ def test_plan_that_does_not_fit_the_rig_is_refused(
 ) -> None:
     with pytest.raises(CaptureError, match=message):
         paint_steps(changed(plan, **fields), rig)
+
+
+def test_tilted_steps_come_last_and_say_their_tilt(plan: PaintPlan, rig: RigFile) -> None:
+    steps = paint_steps(changed(plan, second_tilt_deg=25.0, second_tilt_filters=("600", "450")), rig)
+    assert [(s.frame_type, s.filter_name, s.tilt_deg) for s in steps[-2:]] == [
+        ("tilted fluorescence", "600", 25.0),
+        ("tilted fluorescence", "450", 25.0),
+    ]
+    assert steps[-1].label == "tilted fluorescence (sample tilted by 25 deg, laser) through filter 450"
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"second_tilt_deg": 30.0}, "go together"),
+        ({"second_tilt_filters": ("450", "600")}, "go together"),
+        ({"second_tilt_deg": 30.0, "second_tilt_filters": ("450", "450")}, "second_tilt_filters: '450' is named twice"),
+        ({"second_tilt_deg": 80.0, "second_tilt_filters": ("450", "600")}, "less than or equal to 75"),
+    ],
+)
+def test_half_a_tilt_is_refused(plan: PaintPlan, fields: dict[str, object], message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
+        PaintPlan.model_validate(plan.model_dump() | fields)
+
+
+def test_brightest_emission_is_repeated_and_the_laser_filter_never(plan: PaintPlan, rig: RigFile) -> None:
+    steps = paint_steps(changed(plan, filters=("450", "600", "630")), rig)
+    exposures_s = {s: {"450": 0.001, "600": 0.02, "630": 0.01}.get(str(s.filter_name), 1.0) for s in steps}
+    ordered = with_repeat(steps, "450", exposures_s)
+    laser = [(s.frame_type, s.filter_name) for s in ordered if s.light == "laser" and s.target == "sample"]
+    assert laser == [
+        ("fluorescence", "630"),
+        ("fluorescence", "450"),
+        ("fluorescence", "600"),
+        ("fluorescence repeat", "630"),
+    ]
+    assert len(ordered) == len(steps) + 1

@@ -10,9 +10,19 @@ from data_schemas.compare import ErrorRow, Interval, PhotometricErrorReport, Reg
 from data_schemas.curves import SpectralCurve
 from data_schemas.decide import AngleStatement, LightAngleDecision
 from data_schemas.design import FingerDesign
-from data_schemas.fit import BandResidual, Diagnostics, Estimate, PaintCalibration
+from data_schemas.estimate import Estimate
+from data_schemas.fit import (
+    BandResidual,
+    ChainCheck,
+    Diagnostics,
+    DiscrepancySettings,
+    FamilyResult,
+    PaintCalibration,
+    PriorSensitivity,
+)
 from data_schemas.provenance import Provenance
 from data_schemas.radiometry import BandSignals, Optics
+from data_schemas.reradiation import Reradiation
 from data_schemas.rig import (
     BandPassFilter,
     FilterWheelSettings,
@@ -23,16 +33,27 @@ from data_schemas.rig import (
     WhiteReference,
 )
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
-from finray_calib.reports.demo_results import Colour, DemoResults, PaintResult, PaintTruth
+from finray_calib.reports.demo_results import Colour, DemoResults, PaintResult
+from finray_calib.reports.fitted_paint import PaintTruth
 
 Floats = NDArray[np.float64]
 SEED = 20261121
 WAVELENGTH_NM = np.arange(400.0, 781.0, 2.0)
 CENTERS_NM = (405.0, 450.0, 500.0, 532.0, 560.0, 600.0, 630.0, 660.0)
-SAMPLED = ("mode_nm", "ln_fwhm_nm", "kappa", "ln_peak_per_nm", "ln_reflected_laser", "ln_blocking")
-PRIOR_MEAN = np.array([560.0, np.log(45.0), 0.0, np.log(3e-3), np.log(0.1), 0.0])
-PRIOR_SD = np.array([60.0, 0.4, 1.5, 1.2, 1.5, 1.0])
-POSTERIOR_SD = np.array([0.8, 0.02, 0.15, 0.02, 0.01, 0.6])
+EXCITATION_NM = np.arange(300.0, 701.0, 5.0)
+LASER_NM = 450.0
+SAMPLED = (
+    "shape_mode_nm",
+    "ln_shape_fwhm_nm",
+    "ln_shape_peak_per_nm",
+    "ln_asymmetry",
+    "ln_reflected_laser",
+    "ln_blocking",
+)
+PRIOR_MEAN = np.array([560.0, np.log(50.0), np.log(3e-3), 0.35, np.log(0.1), 0.0])
+PRIOR_SD = np.array([60.0, 0.3, 1.2, 0.2, 1.5, 1.0])
+POSTERIOR_SD = np.array([0.8, 0.02, 0.02, 0.1, 0.01, 0.6])
+CURVE_DRAWS = 40
 NOISE_REL = 0.012
 HEIGHT_PX, WIDTH_PX = 96, 128
 
@@ -187,25 +208,35 @@ def _calibration(
 ) -> PaintCalibration:
     """Return the posterior of a paint."""
     mode_nm, fwhm_nm, peak_per_nm = shape
-    center = np.array([mode_nm - 0.4, np.log(fwhm_nm * 1.01), 1.1, np.log(peak_per_nm), np.log(0.06), 0.1])
-    draws = center + POSTERIOR_SD * rng.standard_normal((400, 6))
+    center = np.array([mode_nm - 0.4, np.log(fwhm_nm * 1.01), np.log(peak_per_nm), 0.3, np.log(0.06), 0.1])
     fit = _emission(WAVELENGTH_NM, mode_nm - 0.4, fwhm_nm * 1.01, peak_per_nm * 0.995)
+    paper = _emission(WAVELENGTH_NM, mode_nm - 3.0, fwhm_nm * 0.9, peak_per_nm * 1.1)
     spread = 0.015 * fit + 1e-2 * peak_per_nm * _bell(WAVELENGTH_NM, mode_nm, 2 * fwhm_nm)
     measured_sd = np.sqrt(np.diag(bands.fluorescence_covariance)).reshape(8, 3)
     chi = (((bands.fluorescence - predicted) / measured_sd) ** 2 * bands.usable()).sum(axis=1)
+    quantities = _quantities(shape, float(fit.sum() * 2.0))
+    emission_draws = np.maximum(fit + spread * rng.standard_normal((CURVE_DRAWS, 1)), 0.0)
     return PaintCalibration(
         paint_name=name,
-        family="skew-Cauchy curve of four parameters",
-        parameters={
-            "mode_nm": _estimate(mode_nm - 0.4, 0.8),
-            "fwhm_nm": _estimate(1.01 * fwhm_nm, 0.9),
+        family="log_normal_wavenumber",
+        family_title="log-normal in wavenumber",
+        family_choice="log_normal_wavenumber: the default, and the most probable given these bands (zheng2014 0.12, "
+        "log_normal_wavenumber 0.88)",
+        discrepancy=DiscrepancySettings(
+            amplitude_rel=0.12, length_nm=12.0, floor_rel=0.1, reabsorption_rel=0.1, origin="four measured materials"
+        ),
+        parameters={**quantities, "reflectance_at_laser": _estimate(0.06, 0.001)},
+        paper={
+            "location_nm": _estimate(mode_nm - 12.0, 1.5),
+            "scale_nm": _estimate(0.7 * fwhm_nm, 1.0),
             "skewness": _estimate(1.34, 0.2),
-            "peak_per_nm": _estimate(peak_per_nm, 2e-5),
+            "amplitude_nm": _estimate(5.2, 0.3),
         },
         prior={p: f"normal({m:.3g}, {s:g})" for p, m, s in zip(SAMPLED, PRIOR_MEAN, PRIOR_SD, strict=True)},
+        prior_sensitivity={key: PriorSensitivity(halved=-0.12, doubled=0.21) for key in quantities},
         sampled=SAMPLED,
         map_estimate=dict(zip(SAMPLED, center.tolist(), strict=True)),
-        draws=draws,
+        draws=center + POSTERIOR_SD * rng.standard_normal((400, 6)),
         prior_draws=PRIOR_MEAN + PRIOR_SD * rng.standard_normal((400, 6)),
         wavelength_nm=WAVELENGTH_NM,
         emission_per_nm=fit,
@@ -213,38 +244,127 @@ def _calibration(
         emission_high95_per_nm=fit + 2 * spread,
         emission_low68_per_nm=np.maximum(fit - spread, 0.0),
         emission_high68_per_nm=fit + spread,
-        energy_yield=_estimate(float(fit.sum() * 2.0), 0.004),
+        emission_draws_per_nm=emission_draws,
+        energy_yield=quantities["energy_yield"],
+        band_integrals=tuple(_estimate(float(np.interp(c, WAVELENGTH_NM, fit)), 2e-5) for c in CENTERS_NM),
+        families=_families(quantities),
+        family_emission_per_nm=np.array([1.01 * fit, fit, paper]),
+        family_low95_per_nm=np.array([fit - 2 * spread, fit - 2 * spread, paper - spread]),
+        family_high95_per_nm=np.array([fit + 2 * spread, fit + 2 * spread, paper + spread]),
         reflectance=tuple(_estimate(0.2 + 0.06 * i, 0.012) for i in range(8)),
         reflectance_method="radiance factor less the fitted fluorescence",
+        reradiation=_reradiation(mode_nm, rng),
         optics=optics,
         usable=bands.usable(),
         measured=bands.fluorescence,
         measured_sd=measured_sd,
         predicted=predicted,
         predicted_sd=NOISE_REL * predicted,
-        bands=tuple(
-            BandResidual(
-                filter_name=f.name,
-                center_nm=f.center_nm,
-                chi_square=float(chi[i]),
-                degrees_of_freedom=int(bands.usable()[i].sum()),
-                posterior_predictive_p=float(np.clip(np.exp(-chi[i] / 6), 0.0, 1.0)),
-            )
-            for i, f in enumerate(optics.filters)
-        ),
+        bands=tuple(_residual(f, float(chi[i]), int(bands.usable()[i].sum())) for i, f in enumerate(optics.filters)),
         chi_square=float(chi.sum()),
         degrees_of_freedom=int(bands.usable().sum()) - 6,
-        diagnostics=Diagnostics(
-            walkers=48,
-            steps=3000,
+        diagnostics=_diagnostics(),
+        warnings=("3.1 % of the fitted emission lies below the laser line, where none can be",),
+    )
+
+
+def _quantities(shape: tuple[float, float, float], energy_yield: float) -> dict[str, Estimate]:
+    """Return what every family reports."""
+    mode_nm, fwhm_nm, peak_per_nm = shape
+    return {
+        "mode_nm": _estimate(mode_nm - 0.4, 0.8),
+        "fwhm_nm": _estimate(1.01 * fwhm_nm, 0.9),
+        "skew": _estimate(0.24, 0.05),
+        "peak_per_nm": _estimate(peak_per_nm, 2e-5),
+        "energy_yield": _estimate(energy_yield, 0.004),
+    }
+
+
+def _families(quantities: dict[str, Estimate]) -> tuple[FamilyResult, ...]:
+    """Return the paper's family, the reported one, and the paper's without discrepancy."""
+
+    def family(name: str, title: str, with_discrepancy: bool, probability: float, left_out: float | None, sd: float):
+        return FamilyResult(
+            name=name,
+            title=title,
+            with_discrepancy=with_discrepancy,
+            quantities=quantities,
+            ln_evidence=138.2 + float(np.log(probability or 1e-9)),
+            ln_evidence_sd=0.01,
+            probability=probability,
+            left_out_bands=left_out,
+            left_out_bands_sd=None if left_out is None else sd,
+            left_out_pareto_k=None if left_out is None else 0.4 + sd / 4,
+            chi_square=22.0,
+            method="importance sampling",
+            pareto_k=0.3,
+        )
+
+    return (
+        family("zheng2014", "skew-Cauchy (the paper's)", True, 0.12, 140.2, 2.1),
+        family("log_normal_wavenumber", "log-normal in wavenumber", True, 0.88, 143.5, 0.0),
+        family("zheng2014", "skew-Cauchy (the paper's)", False, 0.0, None, 0.0),
+    )
+
+
+def _residual(band: BandPassFilter, chi_square: float, freedom: int) -> BandResidual:
+    """Return how well one filter is explained."""
+    p = float(np.clip(np.exp(-chi_square / 6), 0.0, 1.0))
+    return BandResidual(
+        filter_name=band.name,
+        center_nm=band.center_nm,
+        chi_square=chi_square,
+        degrees_of_freedom=freedom,
+        posterior_predictive_p=p,
+        explained=p >= 0.01,
+        calibration_pull=_estimate(0.3, 0.9),
+    )
+
+
+def _reradiation(mode_nm: float, rng: np.random.Generator) -> Reradiation:
+    """Return an absorption that is known at the laser line and believed elsewhere."""
+    mean = 1.2 * _bell(EXCITATION_NM, mode_nm - 60.0, 160.0)
+    mean = mean / np.interp(LASER_NM, EXCITATION_NM, mean)
+    width = 0.3 * np.abs(EXCITATION_NM - LASER_NM) / 50.0 * mean
+    return Reradiation(
+        excitation_nm=EXCITATION_NM,
+        laser_nm=LASER_NM,
+        absorption_rel=mean,
+        low95=np.maximum(mean - width, 0.0),
+        high95=mean + width,
+        absorption_rel_draws=np.abs(mean + 0.5 * width * rng.standard_normal((CURVE_DRAWS, 1))),
+        stokes_shift_nm=_estimate(38.0, 13.0),
+        stokes_shift_draws_nm=38.0 + 13.0 * rng.standard_normal(CURVE_DRAWS),
+        measured_at_nm=(LASER_NM,),
+        prior_driven=True,
+        prior={"stokes_shift_nm": "normal(35, 15) nm above 0; eight measured materials"},
+        distinct_shapes=4000,
+        rejected_share=0.4,
+        violating_share=0.0,
+        statement="the Stokes shift comes from the prior: one laser at 450 nm fixes absorption at 450 nm only",
+    )
+
+
+def _diagnostics() -> Diagnostics:
+    """Return a trusted importance sample that emcee has checked."""
+    return Diagnostics(
+        method="importance sampling",
+        trusted=True,
+        pareto_k=0.31,
+        effective_samples=3120.0,
+        ln_evidence=138.1,
+        ln_evidence_sd=0.01,
+        maxima=(142.3, 131.0),
+        chain=ChainCheck(
+            walkers=64,
+            steps=840,
             converged=True,
             acceptance_fraction=0.31,
-            autocorrelation_time=dict.fromkeys(SAMPLED, 41.0),
+            autocorrelation_time=dict.fromkeys(SAMPLED, 8.1),
             r_hat=dict.fromkeys(SAMPLED, 1.004),
-            effective_samples=dict.fromkeys(SAMPLED, 2350.0),
-            maxima=(88.1, 71.4),
+            effective_samples=dict.fromkeys(SAMPLED, 6350.0),
+            mean_shift_sd=dict.fromkeys(SAMPLED, -0.03),
         ),
-        warnings=("3.1 % of the fitted emission lies below the laser line, where none can be",),
     )
 
 

@@ -10,9 +10,10 @@ import pytest
 from example_records import example_decision, example_results
 
 from data_schemas.errors import RecordError
+from finray_calib.reports.band_figures import bands_figure, reflectance_figure
 from finray_calib.reports.compare_figures import error_map_figure, score_figure
 from finray_calib.reports.decide_figures import angle_figure, on_curve_scale
-from finray_calib.reports.fit_figures import bands_figure, emission_figure, marginals_figure, reflectance_figure
+from finray_calib.reports.fit_figures import absorption_figure, emission_figure, families_figure, marginals_figure
 from finray_calib.reports.images import (
     capture_rgb,
     display_white,
@@ -109,9 +110,11 @@ def test_png_holds_the_same_pixels() -> None:
 
 
 def test_every_figure_is_well_formed_and_undated() -> None:
-    paint, outline = RESULTS.paints["green"], RESULTS.press.distance <= 2.0
+    paint, outline = RESULTS.paints["green"].fitted, RESULTS.press.distance <= 2.0
     makers = {
         "emission": lambda: emission_figure(paint),
+        "families": lambda: families_figure(paint),
+        "absorption": lambda: absorption_figure(paint),
         "bands": lambda: bands_figure(paint),
         "marginals": lambda: marginals_figure(paint),
         "reflectance": lambda: reflectance_figure(paint),
@@ -160,6 +163,21 @@ def test_an_error_map_without_error_or_outline_is_drawn() -> None:
 
 
 def test_unknown_parameters_and_many_of_them_are_drawn() -> None:
-    paint = RESULTS.paints["red"]
-    fit = paint.calibration.model_copy(update={"sampled": ("mode_nm", "ln_fwhm_nm", "stokes_shift_nm")})
-    assert "<svg" in marginals_figure(replace(paint, calibration=fit))
+    paint = RESULTS.paints["red"].fitted
+    fit = paint.fit.model_copy(update={"sampled": ("shape_mode_nm", "ln_shape_fwhm_nm", "stokes_shift_nm")})
+    assert "<svg" in marginals_figure(replace(paint, fit=fit))
+
+
+def test_a_band_that_is_not_explained_is_marked() -> None:
+    paint = RESULTS.paints["red"].fitted
+    assert all(band.explained for band in paint.fit.bands)
+    poor = (paint.fit.bands[0].model_copy(update={"explained": False}), *paint.fit.bands[1:])
+    marked = bands_figure(replace(paint, fit=paint.fit.model_copy(update={"bands": poor})))
+    assert len(marked) > len(bands_figure(paint))
+
+
+def test_an_absorption_that_was_measured_under_several_lights_is_drawn_differently() -> None:
+    paint = RESULTS.paints["red"].fitted
+    measured = paint.fit.reradiation.model_copy(update={"measured_at_nm": (405.0, 450.0), "prior_driven": False})
+    fit = paint.fit.model_copy(update={"reradiation": measured})
+    assert absorption_figure(replace(paint, fit=fit)) != absorption_figure(paint)

@@ -5,10 +5,10 @@ import json
 import re
 from collections import Counter
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import pytest
 from example_records import example_decision, example_results
+from html_page import Page
 
 from data_schemas.errors import RecordError
 from finray_calib.reports.demo_report import demo_report
@@ -16,37 +16,6 @@ from finray_calib.reports.demo_results import STAGES
 from finray_calib.reports.summary import summary
 
 HOSTILE = "<script>alert(1)</script>"
-VOID = {"meta", "img", "br", "link", "hr"}
-
-
-class Page(HTMLParser):
-    """Collects tags with their attributes, the text outside scripts and styles, and tags that were never closed."""
-
-    def __init__(self, html: str) -> None:
-        super().__init__()
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.text: list[str] = []
-        self.open: list[str] = []
-        self.feed(html)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if not {"script", "style"} & set(self.open):
-            self.text.append(data)
-
-    def all(self, tag: str) -> list[dict[str, str | None]]:
-        return [attributes for name, attributes in self.tags if name == tag]
-
-    @property
-    def prose(self) -> str:
-        return " ".join(" ".join(self.text).split())
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +57,7 @@ def test_the_page_needs_nothing_from_outside_and_no_script(page: Page, html: str
 def test_the_figures_themselves_load_nothing(page: Page) -> None:
     sources = [str(image["src"]) for image in page.all("img")]
     drawings = [base64.b64decode(s.split(",")[1]).decode() for s in sources if s.startswith("data:image/svg")]
-    assert len(drawings) == 11  # four for each paint, error map, scores, angle
+    assert len(drawings) == 15  # six for each paint, error map, scores, angle
     for svg in drawings:
         assert "<script" not in svg
         assert all(ref.startswith(("#", "data:")) for ref in re.findall(r'href="([^"]*)"', svg))
@@ -97,7 +66,7 @@ def test_the_figures_themselves_load_nothing(page: Page) -> None:
 def test_every_image_says_its_conclusion_in_words(page: Page) -> None:
     texts = [image["alt"] for image in page.all("img")]
     assert all(text is not None and len(text) > 20 for text in texts)
-    assert any("too stiff for this paint" in str(text) for text in texts)
+    assert any("the intervals are too narrow" in str(text) for text in texts)
 
 
 def test_table_headings_have_a_scope_and_every_table_a_caption(page: Page) -> None:

@@ -14,6 +14,7 @@ from rigs.presets import paint_plan, simulated_rig
 from tests.radiometry.sessions import (
     FILTERS,
     REGION,
+    exact_white,
     expected,
     record,
     synthetic_session,
@@ -45,28 +46,57 @@ def test_region_that_is_no_region(region, message):
         region_channels(np.zeros((64, 64), np.uint16), region)
 
 
-def test_stated_covariance_is_the_real_scatter():
-    """Over 60 sessions of the same light, chi-square of the deviations with the stated covariance."""
+SESSIONS = 60
+KINDS = ("fluorescence", "reflectance")
+
+
+@pytest.fixture(scope="module")
+def whitened() -> dict[str, np.ndarray]:
+    """Deviations from the truth of 60 sessions of the same light, whitened by the stated covariance, and by its
+    diagonal alone."""
     rng = np.random.default_rng(20261121)
-    truth, reflectance = expected()
-    chi2 = {"fluorescence": 0.0, "reflectance": 0.0}
-    sessions = 60
-    for _ in range(sessions):
+    truths = dict(zip(KINDS, expected(), strict=True))
+    found: dict[str, list[np.ndarray]] = {f"{name} {how}": [] for name in KINDS for how in ("full", "diagonal")}
+    for _ in range(SESSIONS):
         synthetic = synthetic_session(rng)
-        # The white tile's reflectance is exact here, so its uncertainty is taken out of the claim.
-        white = synthetic.session.rig.white_reference.model_copy(update={"uncertainty_rel": 0.0})
-        rig = synthetic.session.rig.model_copy(update={"white_reference": white})
-        bands = band_signals(synthetic.session.model_copy(update={"rig": rig}), synthetic.read)
-        for name, true in (("fluorescence", truth), ("reflectance", reflectance)):
-            deviation = (getattr(bands, name) - true).ravel()
-            chi2[name] += deviation @ np.linalg.solve(getattr(bands, f"{name}_covariance"), deviation)
-    freedom = truth.size * sessions
-    for name, value in chi2.items():
-        # The repeatability is itself estimated from some 13 ratios a session: E[1 / s^2] exceeds 1 / sigma^2 by 15 %.
-        assert stats.chi2.sf(value / 1.15, freedom) > ERROR_RATE, name
-        assert stats.chi2.cdf(value, freedom) > ERROR_RATE, name
-        # and a covariance that is 30 % too small would be found
-        assert stats.chi2.sf(1.3 * value / 1.15, freedom) < ERROR_RATE, name
+        bands = band_signals(exact_white(synthetic), synthetic.read)
+        for name in KINDS:
+            deviation = (getattr(bands, name) - truths[name]).ravel()
+            covariance = getattr(bands, f"{name}_covariance")
+            found[f"{name} full"].append(np.linalg.solve(np.linalg.cholesky(covariance), deviation))
+            found[f"{name} diagonal"].append(deviation / np.sqrt(np.diag(covariance)))
+    return {key: np.array(rows) for key, rows in found.items()}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_stated_covariance_is_the_real_scatter(whitened, name):
+    """Over 60 sessions of the same light, chi-square of the deviations with the stated covariance."""
+    value = float((whitened[f"{name} full"] ** 2).sum())
+    freedom = whitened[f"{name} full"].size
+    # The repeatability is itself estimated from some 13 ratios a session: E[1 / s^2] exceeds 1 / sigma^2 by 15 %.
+    assert stats.chi2.sf(value / 1.15, freedom) > ERROR_RATE
+    assert stats.chi2.cdf(value, freedom) > ERROR_RATE
+    # and a covariance that is 30 % too small would be found
+    assert stats.chi2.sf(1.3 * value / 1.15, freedom) < ERROR_RATE
+
+
+def sign_correlation(rows: np.ndarray) -> float:
+    """Sum over all pairs of n r^2 with r the correlation of the signs; chi-square of so many degrees of freedom.
+
+    Signs do not care that a session's estimated repeatability scales all its residuals.
+    """
+    signs = np.sign(rows)
+    r = signs.T @ signs / len(rows)
+    return len(rows) * float((r[np.triu_indices(len(r), 1)] ** 2).sum())
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_stated_correlations_are_the_real_ones(whitened, name):
+    """Whitened by the stated covariance the values are uncorrelated; by its diagonal alone they are not."""
+    number = whitened[f"{name} full"].shape[1]
+    pairs = number * (number - 1) / 2
+    assert stats.chi2.sf(sign_correlation(whitened[f"{name} full"]), pairs) > ERROR_RATE
+    assert stats.chi2.sf(sign_correlation(whitened[f"{name} diagonal"]), pairs) < ERROR_RATE
 
 
 def test_repeatability_is_found_from_the_brackets():

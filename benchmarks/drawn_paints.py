@@ -1,0 +1,106 @@
+"""Paints drawn from the prior of a model and measured on rigs that are not quite as stated."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_schemas.radiometry import BandSignals, Optics
+from data_schemas.rig import BandPassFilter
+from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
+from finray_calib.fit.discrepancy import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM, Discrepancy
+from finray_calib.fit.nuisances import band_values
+from finray_calib.fit.paint_calibration import BAND_CALIBRATION_REL, CHANNEL_RESPONSE_REL, STRAY_LIGHT_REL
+from finray_calib.fit.prior import EmissionPrior
+from finray_calib.spectra.emission_families import EmissionFamily
+from finray_calib.spectra.rig_curves import WAVELENGTH_NM, weights_of
+from rigs.presets import simulated_rig
+
+CHANNEL_WEIGHTS = (0.01, 0.09, 0.9)
+NOISE_REL = 0.002
+
+
+@dataclass(frozen=True)
+class DrawnPaint:
+    """A paint of the prior with its measurement: theta, emission curve, rig errors in prior sd, band signals."""
+
+    theta: np.ndarray
+    curve: np.ndarray
+    imperfections: np.ndarray
+    bands: BandSignals
+
+
+def nominal_optics() -> Optics:
+    """Return the paper's eight filters with a Bayer camera and a halogen lamp, as the rig file states them."""
+    rig = simulated_rig("red")
+    return Optics(
+        filters=rig.filter_wheel.filters,
+        excitation_filter="450",
+        laser=rig.laser,
+        lamp=halogen_lamp(),
+        white_reference=rig.white_reference,
+        camera_response=assumed_camera_response(),
+    )
+
+
+def drawn_paint(
+    family: EmissionFamily, discrepancy: Discrepancy, prior: EmissionPrior, rng: np.random.Generator
+) -> DrawnPaint:
+    """Draw a paint and measure it.
+
+    Every filter is off its stated centre, width and blocking within its uncertainty; 1 % calibration error per band,
+    0.3 % channel response, 0.3 % stray light, 0.2 % noise.
+    """
+    nominal = nominal_optics()
+    count = len(nominal.filters)
+    imperfections = rng.standard_normal((4, count))  # calibration, blocking, centre, width
+    weights = weights_of(_real(nominal, imperfections), CHANNEL_WEIGHTS)
+    joint = prior.of(family, with_blocking=True)
+    theta = joint.draw(1, rng)[0]
+    curve = _with_discrepancy(family, theta, discrepancy, rng) * (weights.laser_nm <= WAVELENGTH_NM)
+    reflected, blocking = np.exp(theta[-2:])
+    mu = band_values(curve[None], np.array([reflected]), weights, blocking)[0]
+    stray = STRAY_LIGHT_REL * mu[~weights.is_excitation].max() * rng.standard_normal(mu.size)
+    calibration = 1 + BAND_CALIBRATION_REL * imperfections[0, weights.band_index]
+    response, noise = (1 + rel * rng.standard_normal(mu.size) for rel in (CHANNEL_RESPONSE_REL, NOISE_REL))
+    y = mu * calibration * response * noise + stray
+    bands = BandSignals(
+        paint_name="prior draw",
+        optics=nominal,
+        fluorescence=y.reshape(-1, 3),
+        fluorescence_covariance=np.diag((NOISE_REL * y) ** 2 + 1e-16),
+        reflectance=np.full((count, 3), 0.5),
+        reflectance_covariance=1e-4 * np.eye(3 * count),
+        channel_weights=np.array(CHANNEL_WEIGHTS),
+        flags=(("ok", "ok", "ok"),) * count,
+        saturated_fraction=np.zeros((count, 3)),
+        region_pixels=10_000,
+    )
+    return DrawnPaint(theta, curve, imperfections.ravel(), bands)
+
+
+def _real(nominal: Optics, imperfections: np.ndarray) -> Optics:
+    """Return the rig as it is."""
+
+    def off(band: BandPassFilter, z: np.ndarray) -> BandPassFilter:
+        change = {
+            "blocking_od": band.blocking_od - band.blocking_uncertainty_od * z[1],
+            "center_nm": band.center_nm + band.center_uncertainty_nm * z[2],
+            "fwhm_nm": band.fwhm_nm + band.fwhm_uncertainty_nm * z[3],
+        }
+        return band.model_copy(update=change)
+
+    filters = (off(band, z) for band, z in zip(nominal.filters, imperfections.T, strict=True))
+    return nominal.model_copy(update={"filters": tuple(filters)})
+
+
+def _with_discrepancy(
+    family: EmissionFamily, theta: np.ndarray, discrepancy: Discrepancy, rng: np.random.Generator
+) -> np.ndarray:
+    """Return a curve of the family with a drawn discrepancy, 0 or more."""
+    shape = family.curves(theta[None], WAVELENGTH_NM)[0]
+    roots, directions = np.linalg.eigh(discrepancy.smooth_kernel(WAVELENGTH_NM, WAVELENGTH_NM))
+    relative = directions @ (np.sqrt(np.maximum(roots, 0)) * rng.standard_normal(roots.size))
+    width = np.exp(theta[1])
+    edge = 1 / (1 + np.exp((WAVELENGTH_NM - theta[0] + EDGE_OFFSET_FWHM * width) / (EDGE_WIDTH_FWHM * width)))
+    relative += discrepancy.reabsorption_rel * rng.standard_normal() * edge
+    return np.maximum(shape + (shape + discrepancy.floor_rel * np.exp(theta[2])) * relative, 0.0)

@@ -1,0 +1,121 @@
+"""The ways to draw from one posterior, each timed as its users run it: the fit's own path, emcee, NumPyro."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import emcee
+import numpy as np
+
+from benchmarks.plain_densities import FiveParameterDensity
+from finray_calib.fit.emission import FitSettings, draw_posterior
+from finray_calib.fit.likelihood import LogPosterior
+from finray_calib.fit.map_search import find_maxima
+
+BURN_IN = 0.1  # of the steps; the walkers start around the maximum with the posterior's own width
+NUTS_WARMUP, NUTS_DRAWS = 500, 1000  # a chain
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of one sampler: wall seconds, effective draws, and the posterior's means and standard deviations."""
+
+    seconds: float
+    effective: float
+    mean: np.ndarray
+    sd: np.ndarray
+    method: str
+
+    @property
+    def per_second(self) -> float:
+        return self.effective / self.seconds
+
+
+def run_fit(posterior: LogPosterior, draws: int, seed: int) -> Run:
+    """Time the fit's path: all maxima, importance sampling (adapted where it must be), resampling."""
+    rng, start = np.random.default_rng(seed), time.perf_counter()
+    maxima = find_maxima(posterior, rng)
+    _, kept, sampling = draw_posterior(posterior, maxima, FitSettings(draws, draws), rng)
+    seconds = time.perf_counter() - start
+    return Run(seconds, sampling.sample.effective, kept.mean(axis=0), kept.std(axis=0), sampling.method)
+
+
+def run_emcee(
+    density: Callable[[np.ndarray], object],
+    posterior: LogPosterior,
+    seed: int,
+    *,
+    steps: int,
+    walkers: int,
+    vectorize: bool,
+) -> Run:
+    """Time emcee's stretch move; effective draws by the longest autocorrelation time."""
+    rng = np.random.default_rng(seed)
+    maxima = find_maxima(posterior, rng)
+    covariance = np.linalg.inv(maxima.information[0])
+    walkers_start = rng.multivariate_normal(maxima.theta[0], covariance, walkers)
+    prior = posterior.prior
+    walkers_start = np.clip(walkers_start, prior.low + 1e-6, prior.high - 1e-6)
+    sampler = emcee.EnsembleSampler(walkers, prior.size, density, vectorize=vectorize)
+    sampler.random_state = np.random.RandomState(seed).get_state()  # noqa: NPY002  emcee asks for this kind
+    start = time.perf_counter()
+    sampler.run_mcmc(walkers_start, steps)
+    seconds = time.perf_counter() - start
+    discarded = int(BURN_IN * steps)
+    chain = sampler.get_chain(discard=discarded, flat=True)
+    tau = float(sampler.get_autocorr_time(discard=discarded, tol=0).max())
+    return Run(seconds, len(chain) / tau, chain.mean(axis=0), chain.std(axis=0), f"emcee, tau {tau:.0f} steps")
+
+
+def run_nuts(density: FiveParameterDensity, seed: int, chains: int) -> Run:
+    """Time NumPyro's NUTS with a dense mass matrix from call to draws, compilation included."""
+    import numpyro
+    from numpyro.diagnostics import effective_sample_size
+    from numpyro.infer import MCMC, NUTS
+
+    numpyro.enable_x64()
+    import jax
+
+    start = time.perf_counter()
+    kernel = NUTS(_numpyro_model(density), dense_mass=True)
+    mcmc = MCMC(
+        kernel,
+        num_warmup=NUTS_WARMUP,
+        num_samples=NUTS_DRAWS,
+        num_chains=chains,
+        chain_method="vectorized",
+        progress_bar=False,
+    )
+    mcmc.run(jax.random.PRNGKey(seed))
+    samples = np.stack([np.asarray(v) for v in mcmc.get_samples(group_by_chain=True).values()], axis=-1)
+    seconds = time.perf_counter() - start
+    effective = min(float(effective_sample_size(samples[..., i])) for i in range(samples.shape[-1]))
+    flat = samples.reshape(-1, samples.shape[-1])
+    divergences = int(np.sum(mcmc.get_extra_fields()["diverging"]))
+    return Run(seconds, effective, flat.mean(axis=0), flat.std(axis=0), f"NUTS, {divergences} divergences")
+
+
+def _numpyro_model(density: FiveParameterDensity) -> Callable[[], None]:
+    """Return the five-parameter model in NumPyro's words."""
+    import jax.numpy as jnp
+    import numpyro
+    from numpyro import distributions as dist
+
+    prior, wavelength, grid = density.prior, density.wavelength, np.arange(density.shapes.shape[1]) * density.step
+
+    def model() -> None:
+        theta = {}
+        for name, mean, sd, low, high in zip(prior.names, prior.mean, prior.sd, prior.low, prior.high, strict=True):
+            bounded = np.isfinite(low) or np.isfinite(high)
+            theta[name] = numpyro.sample(
+                name, dist.TruncatedNormal(mean, sd, low=low, high=high) if bounded else dist.Normal(mean, sd)
+            )
+        mode, ln_fwhm, ln_peak, kappa, ln_laser = theta.values()
+        offset, peak, width = (jnp.interp(jnp.abs(kappa), grid, shape) for shape in density.shapes)
+        scale = jnp.exp(ln_fwhm) / width
+        z = (wavelength - (mode - jnp.sign(kappa) * offset * scale)) / scale
+        curve = jnp.exp(ln_peak) / peak * (jnp.arctan(jnp.sinh(kappa) * z) / jnp.pi + 0.5) / (1 + z * z)
+        mu = density.emission @ curve + jnp.exp(ln_laser) * density.laser
+        numpyro.sample("y", dist.MultivariateNormal(mu, scale_tril=density.factor), obs=density.y)
+
+    return model

@@ -1,0 +1,130 @@
+"""Do the fit's intervals hold the truth as often as they say? Simulation-based calibration of every model.
+
+Draws paints from the prior of a model (family with or without discrepancy), measures each on a rig of its own whose
+filters are not quite as stated, fits the same model with the nominal rig, and ranks the truth among the posterior
+draws. Ranks of a calibrated fit are uniform.
+
+    python benchmarks/simulation_based_calibration.py --model default --paints 1000 --out bench-out/sbc-default.json
+
+Judged, per model: coverage of the 95 % intervals within 3 points, and Kolmogorov-Smirnov p > 0.01 after Holm's
+correction over the model's quantities. Of a mixture only the reported quantities are judged: its components may swap.
+Exit status 1 when something misses.
+
+Reference: Talts, Betancourt, Simpson, Vehtari, Gelman, Validating Bayesian inference algorithms with simulation-based
+calibration, arXiv:1804.06788.
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import kstest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from drawn_paints import drawn_paint
+
+from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
+from finray_calib.fit.emission import FitSettings, fit_emission
+from finray_calib.fit.family_choice import DEFAULT_FAMILY
+from finray_calib.fit.paint_calibration import band_data
+from finray_calib.fit.prior import EmissionPrior
+from finray_calib.spectra.curve_quantities import curve_quantities
+from finray_calib.spectra.emission_families import FAMILIES
+from finray_calib.spectra.rig_curves import WAVELENGTH_NM
+
+QUANTITIES = ("mode_nm", "fwhm_nm", "skew", "peak_per_nm", "energy_yield")
+IMPERFECTIONS = ("calibration", "blocking", "center", "width")
+MODELS = {"default": (DEFAULT_FAMILY, PAINT_DISCREPANCY)} | {name: (name, NO_DISCREPANCY) for name in FAMILIES}
+LARGEST_MISS = 0.03
+SMALLEST_P = 0.01
+
+
+def ranks(task):
+    """Return the share of posterior draws below the truth, by name, and how the draws were made."""
+    model, seed, index = task
+    family, discrepancy = FAMILIES[MODELS[model][0]], MODELS[model][1]
+    rng = np.random.default_rng([seed, index])
+    paint = drawn_paint(family, discrepancy, EmissionPrior(), rng)
+    start = time.perf_counter()
+    fit = fit_emission(band_data(paint.bands), family, EmissionPrior(), discrepancy, FitSettings(), rng)
+    seconds = time.perf_counter() - start
+    truth = curve_quantities(paint.curve[None], WAVELENGTH_NM)
+    below = {name: np.mean(getattr(fit.quantities, name) < getattr(truth, name)[0]) for name in QUANTITIES}
+    if family.name != "gaussian_mixture":
+        below |= dict(zip(fit.log_posterior.prior.names, (fit.draws < paint.theta).mean(axis=0), strict=True))
+    else:
+        names = fit.log_posterior.prior.names[-2:]
+        below |= dict(zip(names, (fit.draws[:, -2:] < paint.theta[-2:]).mean(axis=0), strict=True))
+    filters = [f.name for f in paint.bands.optics.filters]
+    labels = [f"{what} {name}" for what in IMPERFECTIONS for name in filters]
+    share = (fit.curve_draws.imperfections < paint.imperfections).mean(axis=0)
+    below |= dict(zip(labels, share, strict=True))
+    sampling = fit.sampling
+    return {
+        "below": {name: float(value) for name, value in below.items()},
+        "method": sampling.method,
+        "trusted": sampling.trusted,
+        "pareto_k": sampling.sample.pareto_k,
+        "maxima": len(fit.maxima.theta),
+        "seconds": seconds,
+    }
+
+
+def judged(results):
+    """Return the table: coverage, Kolmogorov-Smirnov p, and whether both hold with Holm's correction."""
+    names = list(results[0]["below"])
+    share = np.array([[r["below"][name] for name in names] for r in results])
+    p = np.array([kstest(column, "uniform").pvalue for column in share.T])
+    order = np.argsort(p)
+    holm = np.empty(p.size)
+    holm[order] = np.minimum(1, np.maximum.accumulate(p[order] * (p.size - np.arange(p.size))))
+    table = {}
+    for i, name in enumerate(names):
+        covered = {level: float(np.mean(np.abs(share[:, i] - 0.5) <= level / 200)) for level in (95, 68)}
+        good = abs(covered[95] - 0.95) <= LARGEST_MISS and holm[i] > SMALLEST_P
+        table[name] = {"coverage95": covered[95], "coverage68": covered[68], "p": p[i], "p_holm": holm[i], "met": good}
+    return table
+
+
+def main() -> int:
+    """Run the study, print its table, return 1 when something misses."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--model", choices=MODELS, default="default")
+    parser.add_argument("--paints", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=20261121)
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"  # matrices are small: one thread is faster
+    start = time.perf_counter()
+    tasks = [(arguments.model, arguments.seed, index) for index in range(arguments.paints)]
+    with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
+        results = list(pool.map(ranks, tasks, chunksize=4))
+    table = judged(results)
+    print(f"model {arguments.model}: {arguments.paints} paints, seed {arguments.seed}")
+    print(f"{'quantity':26s} 95 %   68 %   KS p    after Holm")
+    for name, row in table.items():
+        cells = f"{row['coverage95']:.3f}  {row['coverage68']:.3f}  {row['p']:.4f}  {row['p_holm']:.4f}"
+        print(f"{name:26s} {cells}{'' if row['met'] else '  MISSED'}")
+    methods = {m: sum(r["method"] == m for r in results) for m in sorted({r["method"] for r in results})}
+    seconds = np.array([r["seconds"] for r in results])
+    print(
+        f"{methods}; not trusted {sum(not r['trusted'] for r in results)}; several maxima "
+        f"{sum(r['maxima'] > 1 for r in results)}; median {np.median(seconds):.2f} s, worst {seconds.max():.1f} s; wall "
+        f"{time.perf_counter() - start:.0f} s"
+    )
+    if arguments.out:
+        arguments.out.parent.mkdir(parents=True, exist_ok=True)
+        record = {"model": arguments.model, "seed": arguments.seed, "table": table, "paints": results}
+        arguments.out.write_text(json.dumps(record, indent=1))
+    return 0 if all(row["met"] for row in table.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

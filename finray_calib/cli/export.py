@@ -1,0 +1,87 @@
+"""``finray export``: a calibrated paint in the formats of other programs."""
+
+import argparse
+from pathlib import Path
+
+from finray_calib.cli.options import add_out, add_seed, command_line, file_name, input_digests, require_new, say
+
+HELP = "write a fitted paint for other programs (CSV, netCDF, Mitsuba, bispectral EXR ...)"
+DESCRIPTION = """\
+Write a paint fitted by 'finray fit' in the format of another program.
+
+  csv              emission with 68 % and 95 % limits
+  json             emission, absorption, reflectance and parameters with limits
+  netcdf           posterior, prior, data and diagnostics; opens in ArviZ
+  spdx             mean emission as IES TM-27-14; opens in colour-science
+  mitsuba          mean emission as a spectrum file of Mitsuba
+  rgb-reradiation  light x camera R, G, B: what returns by reflectance and by fluorescence, with uncertainty (JSON)
+  exr              mean reradiation matrix as bispectral OpenEXR (Fichet 2021)
+
+Formats that hold no uncertainty say so in their header."""
+# Named here as well because the parser is built before anything heavy is imported; a test compares the two lists.
+SUFFIXES = {
+    "csv": ".csv",
+    "json": ".export.json",
+    "netcdf": ".nc",
+    "spdx": ".spdx",
+    "mitsuba": ".spd",
+    "rgb-reradiation": ".rgb.json",
+    "exr": ".exr",
+}
+
+
+def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb."""
+    parser = verbs.add_parser(
+        "export", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("paint", type=Path, metavar="PAINT", help="record written by 'finray fit'")
+    parser.add_argument("--format", choices=list(SUFFIXES), required=True, help="see above")
+    parser.add_argument(
+        "--led",
+        type=Path,
+        metavar="CSV",
+        action="append",
+        help="light of rgb-reradiation (wavelength_nm,power_rel); give it again for a second light (default: a "
+        "Gaussian of 450 nm, FWHM 20 nm, labelled assumed)",
+    )
+    parser.add_argument(
+        "--camera-response",
+        type=Path,
+        metavar="CSV",
+        help="camera of rgb-reradiation (wavelength_nm,red_percent,green_percent,blue_percent; default: assumed)",
+    )
+    add_out(parser, "PAINT with the suffix of the format")
+    add_seed(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Export and report."""
+    from data_schemas.curve_files import read_camera_response
+    from data_schemas.errors import RecordError
+    from data_schemas.fit import PaintCalibration
+    from data_schemas.provenance import provenance
+    from data_schemas.standard_curves import assumed_camera_response
+    from data_schemas.storage import read_record, write_bytes
+    from finray_calib.exchange.led_camera_json import read_light
+    from finray_calib.exchange.led_camera_matrix import assumed_led
+    from finray_calib.exchange.paint_formats import PAINT_FORMATS, ExportOptions
+
+    curves = [*(arguments.led or []), *([arguments.camera_response] if arguments.camera_response else [])]
+    if curves and arguments.format != "rgb-reradiation":
+        raise RecordError(
+            f"--led and --camera-response belong to --format rgb-reradiation; leave them out for {arguments.format}"
+        )
+    paint = read_record(arguments.paint, PaintCalibration)
+    out = require_new(arguments.out or Path(file_name(paint.paint_name) + SUFFIXES[arguments.format]))
+    options = ExportOptions(
+        lights=tuple(read_light(path) for path in arguments.led or ()) or (assumed_led(),),
+        response=(
+            read_camera_response(arguments.camera_response) if arguments.camera_response else assumed_camera_response()
+        ),
+        seed=arguments.seed,
+    )
+    origin = provenance(command_line(), input_digests([arguments.paint, *curves]), arguments.seed)
+    write_bytes(out, PAINT_FORMATS[arguments.format](paint, origin, options))
+    say(f"{out}: paint '{paint.paint_name}' as {arguments.format}")

@@ -1,0 +1,65 @@
+"""``finray study``: ready-made studies; each writes a record and a figure into a folder."""
+
+import argparse
+import textwrap
+from pathlib import Path
+
+from finray_calib.cli.options import add_out, add_seed, command_line, input_digests, require_new, say
+
+HELP = "run a ready-made study: paper-paints"
+WIDTH = 110
+PAPER_PAINTS_HELP = "the paper's statements on its red and green paint beside measured stand-ins"
+PAPER_PAINTS_DESCRIPTION = """\
+Compare what the paper says about its two fluorescent paints (Stokes shifts of 100 and 50 nm, 2 to 5 %
+reradiation, its four-parameter curve, the ColorChecker match) with measured materials of the same colours, and say
+which statements hold and why the others do not.
+
+The materials are re-radiation (Donaldson) matrices as CSV: first column emission_nm, then one column for each
+excitation wavelength in nm, values as radiance factor in the emission band. Open ones: the Post-it notes of
+github.com/afichet/spectral-exr and the inks and textiles of github.com/afichet/fluorescence-rgb (both
+BSD-3-Clause)."""
+
+
+def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb and its studies."""
+    parser = verbs.add_parser("study", help=HELP, description=HELP)
+    studies = parser.add_subparsers(dest="study", metavar="STUDY", title="studies", required=True)
+    paints = studies.add_parser(
+        "paper-paints",
+        help=PAPER_PAINTS_HELP,
+        description=PAPER_PAINTS_DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    for colour in ("red", "green"):
+        paints.add_argument(
+            f"--{colour}", type=Path, action="append", default=[], metavar="CSV",
+            help=f"measured matrix that stands for the {colour} paint; may be given several times",
+        )  # fmt: skip
+    add_out(paints, "paper-paints, a folder")
+    add_seed(paints)
+    paints.set_defaults(run=run_paper_paints)
+
+
+def run_paper_paints(arguments: argparse.Namespace) -> None:
+    """Compare the paper's statements with measured materials, and report."""
+    import numpy as np
+
+    from data_schemas.curve_files import read_donaldson_matrix
+    from data_schemas.provenance import provenance
+    from data_schemas.storage import write_bytes, write_record
+    from finray_calib.reports.paper_paints_figure import paper_paints_png
+    from sim.experiments.paper_paints import reproduce_paper_paints
+
+    out = require_new(arguments.out or Path("paper-paints"))
+    red, green = ([read_donaldson_matrix(path) for path in paths] for paths in (arguments.red, arguments.green))
+    study = reproduce_paper_paints(red, green, np.random.default_rng(arguments.seed))
+    inputs = input_digests([*arguments.red, *arguments.green])
+    picture = paper_paints_png(study)
+    write_record(study, out / "paper-paints.json", provenance(command_line(), inputs, arguments.seed))
+    write_bytes(out / "paper-paints.png", picture)
+    say(f"{out}: paper-paints.json, paper-paints.png")
+    for statement in study.statements:
+        say(f"\n{statement.verdict.upper()}: {statement.subject}")
+        for name, text in (("paper", statement.paper), ("ours", statement.ours), ("why", statement.why)):
+            say(textwrap.fill(text, WIDTH, initial_indent=f"  {name:6s} ", subsequent_indent=" " * 9))
+    say("\n" + textwrap.fill(study.caveat, WIDTH))

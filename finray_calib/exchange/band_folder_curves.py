@@ -1,0 +1,98 @@
+"""Filters, camera response and lamp of an imported folder of band images."""
+
+from pathlib import Path
+
+import numpy as np
+from pydantic import ValidationError
+
+from data_schemas.curve_files import read_camera_response, read_table
+from data_schemas.curves import SpectralCurve
+from data_schemas.errors import CurveError
+from data_schemas.rig import BandPassFilter, FilterWheelSettings
+from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
+from finray_calib.exchange.band_folder_file import BandFolder, ImportedFilter
+from finray_calib.exchange.filter_curve import read_filter_curve
+from finray_calib.exchange.led_camera_json import read_light
+
+DESCRIPTION_NAME = "bands.toml"
+HALOGEN = "planck-2856K"
+MONOCHROME_COLUMNS = ["wavelength_nm", "response_percent"]
+MEASURED_CURVE_NM = 0.15
+
+
+def wheel_of(folder: Path, description: BandFolder) -> FilterWheelSettings:
+    """Return the filters by their measured curves or nominal values, as those of a wheel.
+
+    Raises
+    ------
+    CurveError
+        A curve file is unusable, or two filters are the same.
+    """
+    try:
+        filters = tuple(_filter(folder, slot, given) for slot, given in enumerate(description.filters, 1))
+        return FilterWheelSettings(filters=filters)
+    except ValidationError as error:
+        fault = error.errors()[0]["msg"].removeprefix("Value error, ")
+        raise CurveError(f"{folder / DESCRIPTION_NAME}, filters: {fault}; are all wavelengths in nm?") from None
+
+
+def _filter(folder: Path, slot: int, given: ImportedFilter) -> BandPassFilter:
+    """Return a filter by its measured curve or by its nominal values."""
+    if given.center_nm is None or given.fwhm_nm is None:
+        return read_filter_curve(folder / str(given.curve), slot, given.name, given.blocking_od, MEASURED_CURVE_NM)
+    return BandPassFilter(
+        slot=slot,
+        name=given.name,
+        center_nm=given.center_nm,
+        center_uncertainty_nm=given.center_uncertainty_nm,
+        fwhm_nm=given.fwhm_nm,
+        fwhm_uncertainty_nm=given.fwhm_uncertainty_nm,
+        blocking_od=given.blocking_od,
+        blocking_uncertainty_od=given.blocking_uncertainty_od,
+    )
+
+
+def response_of(folder: Path, description: BandFolder) -> tuple[SpectralCurve, SpectralCurve, SpectralCurve]:
+    """Return the camera's response; three times the same for a monochrome camera."""
+    camera = description.camera
+    if camera.layout != "monochrome":
+        return (
+            assumed_camera_response()
+            if camera.response == "assumed"
+            else read_camera_response(folder / camera.response)
+        )
+    if camera.response == "assumed":
+        one = SpectralCurve(
+            name="monochrome", wavelength_nm=np.array([380.0, 780.0]), values=np.ones(2), source="assumed flat"
+        )
+    else:
+        one = _monochrome_response(folder / camera.response)
+    return one, one, one
+
+
+def _monochrome_response(path: Path) -> SpectralCurve:
+    """Read the response of a monochrome camera, 0..1."""
+    header, table = read_table(path)
+    if header != MONOCHROME_COLUMNS:
+        raise CurveError(
+            f"{path}: header is {','.join(header)[:80]}; a monochrome response needs {','.join(MONOCHROME_COLUMNS)}"
+        )
+    if (table[:, 1] < 0).any() or not table[:, 1].any():
+        raise CurveError(f"{path}: response_percent must be 0 or more and somewhere above 0")
+    try:
+        return SpectralCurve(name="monochrome", wavelength_nm=table[:, 0], values=table[:, 1] / 100, source=path.name)
+    except ValidationError as error:
+        raise CurveError(f"{path}: {error.errors()[0]['msg'].removeprefix('Value error, ')}") from None
+
+
+def lamp_of(folder: Path, description: BandFolder) -> SpectralCurve:
+    """Return the lamp's relative spectral power."""
+    return halogen_lamp() if description.lamp == HALOGEN else read_light(folder / description.lamp)
+
+
+def named_files(description: BandFolder) -> list[str]:
+    """Return the names of the description and of the curve files that it refers to."""
+    named = [f.curve for f in description.filters]
+    named.append(None if description.camera.response == "assumed" else description.camera.response)
+    named.append(None if description.lamp == HALOGEN else description.lamp)
+    return [DESCRIPTION_NAME, *(name for name in named if name is not None)]

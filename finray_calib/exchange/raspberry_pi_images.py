@@ -1,0 +1,144 @@
+"""Raspberry Pi files: raw Bayer counts (DNG, 16-bit TIFF), processed 8-bit images (PNG, JPEG), libcamera tunings."""
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from data_schemas.errors import ImportFormatError
+from finray_calib.radiometry.libcamera_tuning import LibcameraTuning, parse_tuning
+from finray_calib.radiometry.raspberry_pi import BayerOrder
+
+BitDepth = Literal[8, 10, 12, 14, 16]
+BIT_DEPTHS: tuple[BitDepth, ...] = (8, 10, 12, 14, 16)
+RAW_SUFFIXES = (".dng", ".tiff", ".tif")
+PROCESSED_SUFFIXES = (".png", ".jpg", ".jpeg")
+COLOUR_FILTER_ARRAY = 32803
+ORDER_OF_PATTERN: dict[bytes, BayerOrder] = {
+    bytes([0, 1, 1, 2]): "RGGB",
+    bytes([2, 1, 1, 0]): "BGGR",
+    bytes([1, 0, 2, 1]): "GRBG",
+    bytes([1, 2, 0, 1]): "GBRG",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RawImage:
+    """Raw Bayer counts (H, W) with the order of the colours and the bits of a count."""
+
+    counts: NDArray[np.uint16]
+    order: BayerOrder
+    bit_depth: BitDepth
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessedImage:
+    """Encoded red, green and blue (H, W, 3) of a PNG or JPEG."""
+
+    codes: NDArray[np.uint8]
+    compressed: bool
+
+
+def read_image(path: Path, order: BayerOrder | None, bit_depth: BitDepth | None) -> RawImage | ProcessedImage:
+    """Read one image.
+
+    Parameters
+    ----------
+    path
+        DNG (uncompressed, as rpicam-still writes it), TIFF, PNG or JPEG.
+    order, bit_depth
+        Bayer order and bits of a 16-bit TIFF, which cannot tell them; a DNG says them itself.
+
+    Raises
+    ------
+    ImportFormatError
+        The file is unreadable, or what its values mean cannot be known.
+    """
+    if path.suffix.lower() == ".dng":
+        return _read_dng(path)
+    if path.suffix.lower() in RAW_SUFFIXES:
+        return _read_bayer_tiff(path, order, bit_depth)
+    bgr = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if bgr is None or bgr.dtype != np.uint8 or bgr.ndim != 3 or bgr.shape[2] != 3:
+        found = "an unreadable file" if bgr is None else f"{bgr.dtype} of shape {bgr.shape}"
+        raise ImportFormatError(f"{path}: is {found}; a processed image is an 8-bit colour PNG or JPEG")
+    return ProcessedImage(np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8), path.suffix.lower() != ".png")
+
+
+def read_tuning(path: Path) -> LibcameraTuning:
+    """Read a libcamera tuning file.
+
+    Raises
+    ------
+    ImportFormatError
+        The file is missing, is not JSON, or is no Raspberry Pi tuning.
+    """
+    try:
+        # libcamera's own parser allows a comma after the last entry, and shipped files have some.
+        document = json.loads(re.sub(r",(\s*[}\]])", r"\1", path.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        raise ImportFormatError(
+            f"{path}: no such file; give the tuning file of the camera (libcamera's .json)"
+        ) from None
+    except ValueError as error:
+        raise ImportFormatError(f"{path}: is not a JSON file ({error})") from None
+    try:
+        return parse_tuning(document)
+    except ImportFormatError as error:
+        raise ImportFormatError(f"{path}: {error}") from None
+
+
+def _read_dng(path: Path) -> RawImage:
+    """Read the raw page of an uncompressed DNG: the first page, or one below it, that is a colour filter array."""
+    try:
+        with tifffile.TiffFile(path) as file:
+            pages = [p for top in file.pages for p in (top, *(top.pages or ()))]
+            raw = [p for p in pages if p.photometric == COLOUR_FILTER_ARRAY]
+            if not raw:
+                raise ImportFormatError(f"{path}: holds no colour filter array (Bayer) image; is it a raw DNG?")
+            pattern = raw[0].tags.valueof("CFAPattern", b"")
+            white_dn = int(np.ravel(raw[0].tags.valueof("WhiteLevel", 0))[0])
+            counts = raw[0].asarray()
+    except (OSError, ValueError, KeyError, tifffile.TiffFileError) as error:
+        raise ImportFormatError(
+            f"{path}: cannot be read as an uncompressed 16-bit DNG ({error}); save it with rpicam-still --raw, or as a "
+            "16-bit TIFF"
+        ) from error
+    order = ORDER_OF_PATTERN.get(bytes(pattern))
+    depths = [bits for bits in BIT_DEPTHS if 2**bits - 1 == white_dn]
+    if order is None or not depths or counts.ndim != 2:
+        raise ImportFormatError(
+            f"{path}: Bayer pattern {list(bytes(pattern))} with white level {white_dn} DN is not understood; known are "
+            f"{', '.join(ORDER_OF_PATTERN.values())} with 2^bits - 1 for {BIT_DEPTHS} bits"
+        )
+    return RawImage(np.asarray(counts, dtype=np.uint16), order, depths[0])
+
+
+def _read_bayer_tiff(path: Path, order: BayerOrder | None, bit_depth: BitDepth | None) -> RawImage:
+    """Read Bayer counts of a TIFF, which says neither the order of its colours nor its bits."""
+    if order is None or bit_depth is None:
+        raise ImportFormatError(
+            f"{path}: a TIFF does not say its Bayer order and bit depth, so its encoding cannot be known; give both "
+            "(--bayer-order, --bit-depth), or use the DNG"
+        )
+    try:
+        counts = tifffile.imread(path)
+    except (OSError, ValueError, tifffile.TiffFileError) as error:
+        raise ImportFormatError(f"{path}: cannot be read as TIFF ({error}); is the file whole?") from error
+    if counts.ndim != 2 or counts.dtype != np.uint16:
+        raise ImportFormatError(
+            f"{path}: is {counts.dtype} of shape {counts.shape}; raw Bayer counts are one 16-bit number per "
+            "pixel (H, W)"
+        )
+    if int(counts.max()) >= 2**bit_depth:
+        raise ImportFormatError(
+            f"{path}: holds {counts.max()} DN, more than {bit_depth} bits allow ({2**bit_depth - 1}); correct "
+            "--bit-depth"
+        )
+    return RawImage(counts, order, bit_depth)
