@@ -116,8 +116,8 @@ def main() -> int:
     seconds = np.array([r["seconds"] for r in results])
     print(
         f"{methods}; not trusted {sum(not r['trusted'] for r in results)}; several maxima "
-        f"{sum(r['maxima'] > 1 for r in results)}; median {np.median(seconds):.2f} s, worst {seconds.max():.1f} s; wall "
-        f"{time.perf_counter() - start:.0f} s"
+        f"{sum(r['maxima'] > 1 for r in results)}; median {np.median(seconds):.2f} s, worst {seconds.max():.1f} s; "
+        f"wall {time.perf_counter() - start:.0f} s"
     )
     if arguments.out:
         arguments.out.parent.mkdir(parents=True, exist_ok=True)

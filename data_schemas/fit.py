@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from data_schemas.arrays import ArraySpec, check_dimensions
+from data_schemas.colour_checker import ColourCheckerMatch
 from data_schemas.estimate import Estimate
 from data_schemas.model import Model, Record
 from data_schemas.radiometry import Optics
@@ -37,7 +38,7 @@ class ChainCheck(Model):
 
 
 class Diagnostics(Model):
-    """Do the draws deserve trust?"""
+    """Whether the draws deserve trust."""
 
     method: SamplingMethod
     trusted: bool = Field(
@@ -138,6 +139,7 @@ class PaintCalibration(Record):
     family_high95_per_nm: FamilyCurves
     reflectance: tuple[Estimate, ...] = Field(description="non-fluorescent reflectance at each filter")
     reflectance_method: str
+    colour_match: ColourCheckerMatch | None = None
     reradiation: Reradiation
     optics: Optics
     usable: Annotated[NDArray[np.bool_], ArraySpec("|b1", ("filter", "3"))]

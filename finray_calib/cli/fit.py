@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from finray_calib.cli.options import (
     add_out,
@@ -14,6 +15,11 @@ from finray_calib.cli.options import (
     require_new,
     say,
 )
+
+if TYPE_CHECKING:
+    from data_schemas.colour_checker import ColourCheckerMatch
+    from data_schemas.fit import PaintCalibration
+    from data_schemas.radiometry import BandSignals
 
 HELP = "fit the emission spectrum of a paint, with uncertainty"
 DESCRIPTION = """\
@@ -29,7 +35,12 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     parser = verbs.add_parser(
         "fit", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("bands", type=Path, metavar="BANDS", help="record written by 'finray radiometry'")
+    parser.add_argument(
+        "bands",
+        type=Path,
+        metavar="BANDS",
+        help="record written by 'finray radiometry' (with --map: its pixel signals)",
+    )
     parser.add_argument(
         "--family", choices=FAMILY_NAMES, default="auto", help="family to report (default: the bands choose)"
     )
@@ -43,23 +54,42 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         metavar="BANDS",
         help="band signals of the same paint under another excitation light (repeatable): constrains the absorption",
     )
-    add_out(parser, "PAINT.paint.json")
+    parser.add_argument(
+        "--room-light",
+        type=Path,
+        metavar="SESSION",
+        help="take the reflectance from the ColorChecker patch closest to the paint in this session's room-light frame "
+        "(the paper's way, 30 %% uncertain), instead of the one measured under the lamp",
+    )
+    parser.add_argument("--report", type=Path, metavar="PAGE", help="also write a page (HTML) that explains the fit")
+    parser.add_argument(
+        "--map", action="store_true", help="fit every pixel; BANDS are the pixel signals of the session"
+    )
+    parser.add_argument("--paint", type=Path, metavar="PAINT", help="with --map: the fit of the region")
+    add_out(parser, "PAINT.paint.json, with --map PAINT.map.json")
     add_seed(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Fit and report."""
+    if arguments.map:
+        from finray_calib.cli.fit_map import run_map
+
+        run_map(arguments)
+        return
     from data_schemas.errors import FitError
     from data_schemas.provenance import provenance
     from data_schemas.radiometry import BandSignals
-    from data_schemas.storage import read_record, write_record
+    from data_schemas.storage import read_record, write_bytes, write_record
     from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
     from finray_calib.fit.paint_calibration import FitOptions, calibrate_paint
 
     bands = read_record(arguments.bands, BandSignals)
     others = [read_record(path, BandSignals) for path in arguments.other_light]
     out = require_new(arguments.out or Path(f"{file_name(bands.paint_name)}.paint.json"))
+    if arguments.report is not None:
+        require_new(arguments.report)
     options = FitOptions(
         family=None if arguments.family == "auto" else arguments.family,
         discrepancy=NO_DISCREPANCY if arguments.no_discrepancy else PAINT_DISCREPANCY,
@@ -67,8 +97,29 @@ def run(arguments: argparse.Namespace) -> None:
     )
     files = [arguments.bands, *arguments.other_light]
     with progress_bar("fit"), naming(FitError, *files):
-        paint = calibrate_paint(bands, arguments.seed, options, others)
+        paint = calibrate_paint(bands, arguments.seed, options, others, _colour_match(arguments.room_light, bands))
     write_record(paint, out, provenance(command_line(), input_digests(files), arguments.seed))
+    _say_result(paint, out)
+    if arguments.report is not None:
+        from finray_calib.reports.paint_report import paint_report
+
+        write_bytes(arguments.report, paint_report(paint, bands).encode())
+        say(f"{arguments.report}: open it in a browser")
+
+
+def _colour_match(session_folder: Path | None, bands: "BandSignals") -> "ColourCheckerMatch | None":
+    """Return the match of the paint to a ColorChecker patch, if a session is given."""
+    if session_folder is None:
+        return None
+    from finray_calib.fit.colour_checker import colour_checker_reflectance
+    from rigs.capture.read_session import read_frame_of, read_session
+
+    session = read_session(session_folder)
+    return colour_checker_reflectance(session, lambda frame: read_frame_of(session_folder, frame), bands.optics)
+
+
+def _say_result(paint: "PaintCalibration", out: Path) -> None:
+    """Tell the numbers and how far they can be trusted."""
     say(f"{out}: emission of '{paint.paint_name}' ({paint.family_title})")
     for name, label, unit in (
         ("mode_nm", "mode", " nm"),

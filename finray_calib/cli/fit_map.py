@@ -51,7 +51,7 @@ def run_map(arguments: argparse.Namespace) -> None:
 
 def _report(fitted: "PaintMap") -> None:
     """Say how uniform the paint is and what could not be fitted."""
-    from finray_calib.reports.paint_map_figure import spread_sentence, spot_sentence
+    from finray_calib.reports.paint_map_figure import spot_sentence, spread_sentence
 
     for quantity in fitted.uniformity:
         say(f"  {spread_sentence(fitted, quantity)}")

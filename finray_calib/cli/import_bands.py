@@ -1,4 +1,4 @@
-"""``finray import-bands``: a folder of wavelength-named TIFF images becomes band signals."""
+"""``finray import bands``: a folder of wavelength-named TIFF images becomes band signals."""
 
 import argparse
 from pathlib import Path
@@ -16,7 +16,7 @@ docs/how-to/import-band-images.md."""
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
     parser = verbs.add_parser(
-        "import-bands", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+        "bands", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="holds bands.toml and the images")
     add_out(parser, "PAINT.bands.json")

@@ -4,44 +4,55 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli import import_bands
 from finray_calib.cli.options import add_out, command_line, require_new, say
 
 if TYPE_CHECKING:
     from data_schemas.capture import TactileCapture
     from data_schemas.simulate import SimulatedPress
 
-HELP = "import captures made elsewhere (9DTact folders, Raspberry Pi images)"
-DESCRIPTION = """\
-Import the images of one press as a tactile capture.
-
-9dtact: a sensor folder. With --predict-from, also write a simple prediction of the press: the
-darkening-to-depth table of the other sensor applied to this one, labelled "table, not rendered". Compare the
-two with 'finray compare'.
-
-raspberry-pi: a folder with contact, no_contact and, if there is one, repeat_no_contact (all DNG or 16-bit
-TIFF, or all PNG or JPEG), the metadata of each image beside it (contact.json, from rpicam-still --metadata)
-and press.toml (name, [indenter]). Images with auto exposure or auto white balance are refused."""
+HELP = "import what other labs and programs captured (9DTact, Raspberry Pi, band images)"
+NINE_DTACT = """\
+Import a sensor folder of 9DTact as a tactile capture. With --predict-from, also write a simple prediction of
+the press: the darkening-to-depth table of the other sensor applied to this one, labelled "table, not
+rendered". Compare the two with 'finray compare'."""
+RASPBERRY_PI = """\
+Import the images of one press as a tactile capture: contact, no_contact and, if there is one,
+repeat_no_contact (all DNG or 16-bit TIFF, or all PNG or JPEG), the metadata of each image beside it
+(contact.json, from rpicam-still --metadata) and press.toml (name, [indenter]). Images with auto exposure or
+auto white balance are refused."""
+CAPTURE_OUT = "FOLDER.capture.json, with --predict-from also FOLDER.press.json beside it"
 SOURCES = {".png", ".npy", ".jpg", ".jpeg", ".dng", ".tif", ".tiff", ".json", ".toml"}
 
 
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the verb."""
-    parser = verbs.add_parser(
-        "import", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    """Register the verb and its formats."""
+    parser = verbs.add_parser("import", help=HELP, description=HELP)
+    formats = parser.add_subparsers(dest="format", metavar="FORMAT", title="formats", required=True)
+    dtact = _add_format(formats, "9dtact", "sensor folder of 9DTact", NINE_DTACT)
+    dtact.add_argument(
+        "--predict-from", type=Path, metavar="FOLDER", help="other sensor whose table makes a prediction"
     )
-    parser.add_argument("format", choices=["9dtact", "raspberry-pi"], help="format of the folder")
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of one sensor or one press")
-    parser.add_argument(
-        "--predict-from", type=Path, metavar="FOLDER", help="9dtact: other sensor whose table makes a prediction"
-    )
-    pi = parser.add_argument_group("raspberry-pi")
+    pi = _add_format(formats, "raspberry-pi", "images of one press, taken with rpicam-still", RASPBERRY_PI)
     pi.add_argument("--tuning", type=Path, metavar="FILE", help="libcamera tuning file that the camera used")
     pi.add_argument("--undo-colour", action="store_true", help="undo colour matrix and white balance (PNG, JPEG)")
     pi.add_argument("--flatten-shading", action="store_true", help="flatten the lens shading by the tuning (raw)")
     pi.add_argument("--bayer-order", choices=["RGGB", "BGGR", "GRBG", "GBRG"], help="of 16-bit TIFFs")
     pi.add_argument("--bit-depth", type=int, choices=[8, 10, 12, 14, 16], help="of 16-bit TIFFs")
-    add_out(parser, "FOLDER.capture.json, with --predict-from also FOLDER.press.json beside it")
-    parser.set_defaults(run=run)
+    import_bands.add_parser(formats)
+
+
+def _add_format(
+    formats: "argparse._SubParsersAction[argparse.ArgumentParser]", name: str, help_line: str, description: str
+) -> argparse.ArgumentParser:
+    """Register a format of tactile captures."""
+    parser = formats.add_parser(
+        name, help=help_line, description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of one sensor or one press")
+    add_out(parser, CAPTURE_OUT)
+    parser.set_defaults(run=run, predict_from=None, tuning=None)
+    return parser
 
 
 def run(arguments: argparse.Namespace) -> None:

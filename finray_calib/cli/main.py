@@ -5,11 +5,11 @@ import sys
 from collections.abc import Sequence
 
 from data_schemas.errors import FinrayError
-from finray_calib.cli import capture, compare, decide, demo, fit, import_captures, radiometry, simulate
+from finray_calib.cli import capture, compare, decide, demo, export, fit, import_captures, radiometry, simulate, study
 
 USER_MISTAKE = 2
 INTERRUPTED = 130
-VERBS = (capture, radiometry, fit, simulate, compare, decide, import_captures, demo)
+VERBS = (capture, radiometry, fit, simulate, compare, decide, import_captures, export, study, demo)
 DESCRIPTION = """\
 Calibrate fluorescent-paint tactile fingers: from a painted sample to a decision on the light angle.
 

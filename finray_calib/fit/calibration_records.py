@@ -126,7 +126,9 @@ def prior_sensitivity(posterior: EmissionPosterior) -> dict[str, PriorSensitivit
     return {name: PriorSensitivity(halved=halved[name], doubled=doubled[name]) for name in quantities}
 
 
-def families(posteriors: Mapping[str, EmissionPosterior], scores: Mapping[str, FamilyScore]) -> tuple[FamilyResult, ...]:
+def families(
+    posteriors: Mapping[str, EmissionPosterior], scores: Mapping[str, FamilyScore]
+) -> tuple[FamilyResult, ...]:
     """Return what each family makes of the bands; the paper's without discrepancy competes for no probability."""
     results = []
     for name, posterior in posteriors.items():

@@ -1,6 +1,6 @@
 """Posterior of a paint's emission for one family: the whole path from band values to draws."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final
 
@@ -51,7 +51,7 @@ class FitSettings:
 
     importance_draws: int = 6000
     kept_draws: int = 1000
-    chain: SamplerSettings = SamplerSettings()
+    chain: SamplerSettings = field(default_factory=SamplerSettings)
 
     def __post_init__(self) -> None:
         if not 100 <= self.kept_draws <= self.importance_draws:
@@ -218,4 +218,3 @@ def draw_posterior(
     chain, diagnostics = sample_posterior(log_posterior, proposal, settings.chain, rng)
     chosen = rng.permutation(len(chain))[: settings.kept_draws]
     return proposal, chain[chosen], Sampling("emcee", sample, diagnostics)
-

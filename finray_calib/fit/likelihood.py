@@ -9,7 +9,7 @@ from data_schemas.errors import FitError
 from finray_calib.fit.discrepancy import NO_DISCREPANCY, Discrepancy
 from finray_calib.fit.nuisances import calibration_columns, tolerance_columns
 from finray_calib.fit.posterior_kernel import Problem, climb, covariances, log_posterior, predictions
-from finray_calib.fit.prior import EmissionPrior, Prior
+from finray_calib.fit.prior import EmissionPrior
 from finray_calib.spectra.band_quadrature import BandQuadrature, band_quadrature
 from finray_calib.spectra.band_tolerances import BandTolerances
 from finray_calib.spectra.band_weights import EmissionWeights, read_only

@@ -19,6 +19,8 @@ _GRADIENT_STEP = 1e-5  # in prior standard deviations
 _BOX_SD = 8.0  # box of the parameters without truncation: nothing within reach of any data lies outside
 _SAME_MAXIMUM = 1.0  # in posterior standard deviations
 _SURELY_SAME = 0.05  # in prior standard deviations: ends this close need no curvature to be one
+_WAY_POINTS = 33
+_LEAST_DIP = 0.1  # nats between two maxima: a shallower dip separates nothing that draws could tell apart
 _LEAST = -1e12  # nats: stands in for minus infinity, whose differences are not numbers
 _KEEP_WITHIN = 25.0  # nats below the best; a lower maximum holds no mass that a finite sample could see
 
@@ -54,8 +56,8 @@ def find_maxima(log_posterior: LogPosterior, rng: np.random.Generator) -> Maxima
 
     Prior draws are scaled to the data (height from the brightest band, reflectance from the excitation band); the
     best of each stratum of mode and sign of skewness start Levenberg-Marquardt; NLopt's SLSQP finishes each distinct
-    end on the exact density. Maxima closer than one posterior standard deviation are one; those 25 nats below the
-    best are dropped.
+    end on the exact density. Maxima closer than one posterior standard deviation, or without a dip between them, are
+    one; those 25 nats below the best are dropped.
 
     Parameters
     ----------
@@ -78,7 +80,10 @@ def find_maxima(log_posterior: LogPosterior, rng: np.random.Generator) -> Maxima
         if any(_distance(theta - other, precision) < _SAME_MAXIMUM for other, _, precision in kept):
             continue
         end, best = _finish(log_posterior, theta)
-        if all(_distance(end - other, precision) > _SAME_MAXIMUM for other, _, precision in kept):
+        if all(
+            _distance(end - other, precision) > _SAME_MAXIMUM and _dips_between(log_posterior, end, other)
+            for other, _, precision in kept
+        ):
             kept.append((end, best, log_posterior.information(end)))
     kept.sort(key=lambda maximum: -maximum[1])
     thetas, values, informations = zip(*kept, strict=True)
@@ -132,6 +137,12 @@ def _finish(log_posterior: LogPosterior, start: FloatArray) -> tuple[FloatArray,
     with suppress(nlopt.RoundoffLimited, nlopt.runtime_error):  # a line search that stalls has still climbed
         search.optimize(best_z)
     return prior.mean + best_z * scale, best_value
+
+
+def _dips_between(log_posterior: LogPosterior, one: FloatArray, other: FloatArray) -> bool:
+    """Return whether the density falls on the straight way between two ends: a search can stall on a ridge."""
+    way = log_posterior(one + np.linspace(0.0, 1.0, _WAY_POINTS)[:, None] * (other - one))
+    return bool(way.min() < min(way[0], way[-1]) - _LEAST_DIP)
 
 
 def _distance(difference: FloatArray, information: FloatArray) -> float:

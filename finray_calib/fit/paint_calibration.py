@@ -1,12 +1,13 @@
 """From band signals to the stored paint calibration."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.colour_checker import ColourCheckerMatch
 from data_schemas.curves import HELD_UNCERTAINTY_REL, SpectralCurve
 from data_schemas.errors import FitError
 from data_schemas.estimate import Estimate
@@ -61,13 +62,17 @@ class FitOptions:
 
     family: str | None = None
     discrepancy: Discrepancy = PAINT_DISCREPANCY
-    prior: EmissionPrior = EmissionPrior()
-    settings: FitSettings = FitSettings()
+    prior: EmissionPrior = field(default_factory=EmissionPrior)
+    settings: FitSettings = field(default_factory=FitSettings)
     check_by_emcee: bool = False
 
 
 def calibrate_paint(
-    bands: BandSignals, seed: int, options: FitOptions | None = None, other_lights: Sequence[BandSignals] = ()
+    bands: BandSignals,
+    seed: int,
+    options: FitOptions | None = None,
+    other_lights: Sequence[BandSignals] = (),
+    colour_match: ColourCheckerMatch | None = None,
 ) -> PaintCalibration:
     """Fit all families of emission curves to band signals and return the calibration record.
 
@@ -81,6 +86,8 @@ def calibrate_paint(
         What to fit; the defaults are those of :class:`FitOptions`.
     other_lights
         Band signals of the same paint under other excitation lights, which constrain its absorption.
+    colour_match
+        Closest ColorChecker patch, whose reflectance replaces the one measured under the lamp.
 
     Raises
     ------
@@ -104,10 +111,12 @@ def calibrate_paint(
     check = check_by_chain(posterior, options.settings.chain, rng) if options.check_by_emcee else None
     curve = records.curve_bands(posterior.curve_draws.curves)
     at_laser = records.estimate(posterior.reflectance_at_laser)
-    reflected = reflectance(bands, curve.mean, at_laser)
+    reflected = reflectance(bands, curve.mean, at_laser) if colour_match is None else colour_match.at_filters
     drawn = posterior.curve_draws.curves[:CURVE_DRAWS]
     reradiation = _reradiation(bands, drawn, reflected, [_yields(b, chosen, options, rng) for b in other_lights], rng)
-    diffuse = reradiation_matrix(drawn, WAVELENGTH_NM, reradiation, _reflected_curve(bands, reflected), bands.paint_name)
+    diffuse = reradiation_matrix(
+        drawn, WAVELENGTH_NM, reradiation, _reflected_curve(bands, reflected), bands.paint_name
+    )
     residuals = records.residuals(bands, posterior)
     others = {**posteriors, f"{PAPER_FAMILY} alone": paper}
     shown = [records.curve_bands(p.curve_draws.curves) for p in others.values()]
@@ -140,7 +149,8 @@ def calibrate_paint(
         family_low95_per_nm=np.array([s.low95 for s in shown]),
         family_high95_per_nm=np.array([s.high95 for s in shown]),
         reflectance=reflected,
-        reflectance_method=METHOD,
+        reflectance_method=METHOD if colour_match is None else colour_match.statement,
+        colour_match=colour_match,
         reradiation=reradiation,
         optics=bands.optics,
         usable=bands.usable(),

@@ -19,6 +19,7 @@ SMALLEST_GAIN: Final = 0.5
 """A pixel counts where its bands weigh at least as much as its prior."""
 MOST_PIXELS: Final = 200_000
 """Pixels that enter the spread: its own error is then a fifth of a per cent."""
+FEWEST_PIXELS: Final = 100
 BLOCKS_ALONG: Final = 24
 FEWEST_IN_BLOCK: Final = 16
 SPOTS: Final = 5
@@ -42,42 +43,45 @@ class PaintBlocks:
     energy_yield_sd: Floats
 
 
-def paint_spread(maps: Maps, quantity: str, prior_center: float, prior_sd: float) -> PaintSpread:
+def paint_spread(
+    quantity: str, maps: Maps, noise: NDArray[np.float32], prior_center: float, prior_sd: float
+) -> PaintSpread:
     r"""Return how much a quantity differs between pixels, noise and prior taken out.
 
-    A pixel's estimate is x = m + g (t + e - m): truth t, noise e, prior centre m and gain g = 1 - sd^2 / prior^2. With
-    d = m + (x - m) / g, whose noise has the variance n = sd^2 / g, the spread T is that for which the median of
-    :math:`|d - \mathrm{median}(d)| / \sqrt{T^2 + n}` is that of a normal deviate. Of positive quantities the
+    A pixel's estimate is x = m + g (t - m) + e: truth t, prior centre m, noise e of variance n, and the gain
+    g = 1 - sd^2 / prior^2. With d = m + (x - m) / g the spread T is that for which the median of
+    :math:`|d - \mathrm{median}(d)| / \sqrt{T^2 + n / g^2}` is that of a normal deviate. Of positive quantities the
     logarithm is taken. Valid for noise that is independent between pixels.
 
     Parameters
     ----------
-    maps
-        Maps of the quantity and of its standard deviation.
     quantity
         "mode_nm", "peak_per_nm" or "energy_yield".
+    maps
+        Maps of the quantity and of its standard deviation.
+    noise
+        Standard deviation of the estimate by noise alone, in the unit of the quantity.
     prior_center
         Centre of the pixels' prior, in the unit of the quantity.
     prior_sd
         Its standard deviation: in nm, or of the logarithm.
     """
-    is_mode = quantity == "mode_nm"
-    x, sd = (maps[name][np.isfinite(maps[name])] for name in (quantity, _SD_OF[quantity]))
-    chosen = _even_choice(x.size)
-    value, error = x[chosen].astype(np.float64), sd[chosen].astype(np.float64)
-    estimate = float(np.median(x))
+    is_mode, fitted = quantity == "mode_nm", np.isfinite(maps[quantity])
+    estimate = float(np.median(maps[quantity][fitted]))
+    chosen = _even_choice(int(fitted.sum()))
+    parts = (maps[quantity], maps[_SD_OF[quantity]], noise)
+    value, sd, scatter = (part[fitted][chosen].astype(np.float64) for part in parts)
+    center = prior_center
     if not is_mode:
-        value, error = np.log(value), error / value
-    center = prior_center if is_mode else float(np.log(prior_center))
-    gain = 1 - (error / prior_sd) ** 2
-    counted = gain >= SMALLEST_GAIN
-    unit = 1.0 if is_mode else estimate
-    if not counted.any():
+        value, sd, scatter, center = np.log(value), sd / value, scatter / value, float(np.log(center))
+    gain = 1 - (sd / prior_sd) ** 2
+    counted, unit = gain >= SMALLEST_GAIN, 1.0 if is_mode else estimate
+    if counted.sum() < FEWEST_PIXELS:
         return PaintSpread(estimate=estimate, sd=0.0, high=prior_sd * unit, noise_share=1.0, resolved=False, pixels=0)
     gain = gain[counted]
-    noise = error[counted] ** 2 / gain
-    spread = _spread(center + (value[counted] - center) / gain, noise)
-    typical, doubt = float(np.median(noise)), 1 - (1 - NOISE_ERROR_REL) ** 2
+    variance = (scatter[counted] / gain) ** 2
+    spread = _spread(center + (value[counted] - center) / gain, variance)
+    typical, doubt = float(np.median(variance)), 1 - (1 - NOISE_ERROR_REL) ** 2
     return PaintSpread(
         estimate=estimate,
         sd=spread * unit,

@@ -19,34 +19,36 @@ SHAPES = 4
 PARAMETERS = 5
 FEWEST_BANDS = 4
 CURVE_CONSTANTS = 9
-RESULTS = 2 * (PARAMETERS + 1) + 1
-"""Values per pixel: estimates (mode, FWHM, peak, own, reflectance, yield), their sds in that order, chi-square."""
+RESULTS = 3 * (PARAMETERS + 1) + 1
+"""Values per pixel: six estimates (mode, FWHM, peak, own, reflectance, yield), their standard deviations, the part of
+these that is the scatter of the estimate by noise alone (the rest is what the prior leaves open), chi-square."""
 
 NOT_FITTED, NOT_CONVERGED, CONVERGED = 0, 1, 2
 
 _LN_2 = math.log(2.0)
 _SYMMETRIC = 1e-4  # below this log-asymmetry the series of the logarithm is exact to 1e-7
 _MOST_STEPS = 40
-_CLOSE = 1e-4  # squared distance to the optimum in standard deviations, before the last step: 0.01 sd
+_NEAR, _CLOSE = 0.1, 1e-6  # squared distances in standard deviations: 0.3 and 0.001
+_FIRST_DAMPING, _LEAST_DAMPING = 0.1, 1e-2
 _LOWEST_SCALE = 0.05  # of the starting height: a pixel without signal starts at a twentieth of the region's
 
 
 class PixelProblem(NamedTuple):
-    """What all pixels share; 3 channels, B bands, Q nodes a band, G grid points of the yield.
+    """What all pixels share; 3 channels, B bands, Q nodes a band, G grid points.
 
-    The band value of channel c is sum_q in_band f(node) + floor exp(ln peak) + reflectance laser.
+    The band value of channel c is sum_q in_band f(node) + sum_g out_of_band f(grid) + reflectance laser. One more row
+    of out_of_band holds the weights of the energy yield.
     """
 
     family: int
     table: FloatArray  # (3, K) mode offset, peak and width of the unit skew-Cauchy curve over kappa
     nodes_nm: FloatArray  # (B, Q)
-    in_band: FloatArray  # (3, B, Q)
-    floor: FloatArray  # (3, B) out-of-band emission of the region's curve, for a peak of 1
+    in_band: FloatArray  # (3, B, Q), all 0 where a band has no pass band above the laser
+    grid_nm: FloatArray  # (G,)
+    out_of_band: FloatArray  # (3, B + 1, G)
     laser: FloatArray  # (3, B)
     used: NDArray[np.bool_]  # (3, B)
     excitation: int
-    grid_nm: FloatArray  # (G,)
-    grid_weight_nm: FloatArray  # (G,)
     mean: FloatArray  # (5,) prior and start
     precision: FloatArray  # (5,) of the prior
     longest_step: FloatArray  # (5,)
@@ -130,6 +132,9 @@ class PixelWork(NamedTuple):
 
     y: FloatArray  # (B,)
     inverse_sd: FloatArray  # (B,) 0 where the band is not used
+    floor: FloatArray  # (B + 1, 4) out-of-band values and slopes by mode, ln FWHM, own, for a peak of 1
+    about: FloatArray  # (5,) where they were taken
+    region_floor: FloatArray  # (3, B + 1, 4) the same at the region's fit
     theta: FloatArray  # (5,)
     moved: FloatArray  # (5,)
     constants: FloatArray
@@ -149,6 +154,9 @@ def pixel_work(bands: int) -> PixelWork:
     return PixelWork(
         np.empty(bands),
         np.zeros(bands),
+        np.empty((bands + 1, SHAPES)),
+        np.empty(n),
+        np.empty((3, bands + 1, SHAPES)),
         np.empty(n),
         np.empty(n),
         np.empty(CURVE_CONSTANTS),
@@ -163,28 +171,46 @@ def pixel_work(bands: int) -> PixelWork:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
+def _expand_floor(p: PixelProblem, c: int, theta: FloatArray, k: FloatArray, floor: FloatArray) -> None:
+    """Fill the out-of-band values and slopes of channel c at theta, for a peak of 1."""
+    curve_constants(p, theta, k)
+    floor[:] = 0.0
+    inverse_peak = math.exp(-theta[2])
+    for g in range(len(p.grid_nm)):
+        f, by_mode, by_width, by_own = curve_and_slopes(p.family, k, p.grid_nm[g])
+        for b in range(len(floor)):
+            weight = p.out_of_band[c, b, g] * inverse_peak
+            floor[b, 0] += weight * f
+            floor[b, 1] += weight * by_mode
+            floor[b, 2] += weight * by_width
+            floor[b, 3] += weight * by_own
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
 def pixel_cost(p: PixelProblem, c: int, theta: FloatArray, w: PixelWork) -> float:
-    """Fill residuals and Jacobian of a pixel of channel c; return chi-square plus the prior's square sum."""
+    """Fill residuals and Jacobian of a pixel of channel c; return chi-square plus the prior's square sum.
+
+    Light that passes outside the pass bands follows the curve to first order about w.about.
+    """
     curve_constants(p, theta, w.constants)
     peak, total = math.exp(theta[2]), 0.0
+    off_mode, off_width, off_own = theta[0] - w.about[0], theta[1] - w.about[1], theta[3] - w.about[3]
     for b in range(len(w.y)):
         if w.inverse_sd[b] == 0:
             continue
-        mu = by_height = p.floor[c, b] * peak
-        mu += theta[4] * p.laser[c, b]
-        by_mode = by_width = by_own = 0.0
-        if b != p.excitation:
+        by_mode, by_width, by_own = peak * w.floor[b, 1], peak * w.floor[b, 2], peak * w.floor[b, 3]
+        emitted = peak * w.floor[b, 0] + by_mode * off_mode + by_width * off_width + by_own * off_own
+        if p.in_band[c, b, 0] != 0:
             for q in range(p.nodes_nm.shape[1]):
                 f, d_mode, d_width, d_own = curve_and_slopes(p.family, w.constants, p.nodes_nm[b, q])
                 weight = p.in_band[c, b, q]
-                by_height += weight * f
-                mu += weight * f
+                emitted += weight * f
                 by_mode += weight * d_mode
                 by_width += weight * d_width
                 by_own += weight * d_own
         inverse = w.inverse_sd[b]
-        w.residual[b] = (mu - w.y[b]) * inverse
-        w.jacobian[b, 0], w.jacobian[b, 1], w.jacobian[b, 2] = by_mode * inverse, by_width * inverse, by_height * inverse
+        w.residual[b] = (emitted + theta[4] * p.laser[c, b] - w.y[b]) * inverse
+        w.jacobian[b, 0], w.jacobian[b, 1], w.jacobian[b, 2] = by_mode * inverse, by_width * inverse, emitted * inverse
         w.jacobian[b, 3], w.jacobian[b, 4] = by_own * inverse, p.laser[c, b] * inverse
         total += w.residual[b] ** 2
     for j in range(PARAMETERS):
@@ -242,6 +268,8 @@ def _solve(factor: FloatArray, right: FloatArray, out: FloatArray) -> float:
 def _start(p: PixelProblem, c: int, w: PixelWork) -> None:
     """Set w.theta to the region's fit, its height scaled to the pixel's emission bands by a weighted dot product."""
     w.theta[:] = p.mean
+    w.about[:] = p.mean
+    w.floor[:] = w.region_floor[c]
     pixel_cost(p, c, w.theta, w)
     along = length = 0.0
     for b in range(len(w.y)):
@@ -254,63 +282,108 @@ def _start(p: PixelProblem, c: int, w: PixelWork) -> None:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def fit_pixel(p: PixelProblem, c: int, w: PixelWork) -> bool:
-    """Move w.theta to the maximum of the posterior of the pixel in w.y; leave residuals and normal matrix there.
+def fit_pixel(p: PixelProblem, c: int, w: PixelWork) -> tuple[float, bool]:
+    """Move w.theta to the maximum of the posterior of the pixel in w.y; leave the normal matrix there.
 
-    Gauss-Newton steps, damped only after a step that climbs. Returns whether the steps ended.
+    Gauss-Newton steps, damped where a step gains much less than the linear model promises. They end when what remains
+    at the present rate is below a thousandth of a standard deviation.
+
+    Returns
+    -------
+    tuple
+        Chi-square plus the prior's square sum, and whether the steps ended.
     """
     _start(p, c, w)
-    cost, damping, converged = pixel_cost(p, c, w.theta, w), 0.0, False
+    cost, damping, expanded, converged, before = pixel_cost(p, c, w.theta, w), 0.0, False, False, math.inf
     _fill_normal(p, w)
     for _ in range(_MOST_STEPS):
         _factorise(w, damping)
-        distance = _solve(w.factor, w.gradient, w.step)
-        converged = distance < _CLOSE
+        promised = _solve(w.factor, w.gradient, w.step)
+        converged = expanded and promised * min(promised / before, 1.0) < _CLOSE
         for j in range(PARAMETERS):
             limit = p.longest_step[j]
             w.moved[j] = w.theta[j] - min(max(w.step[j], -limit), limit)
         w.moved[3] = min(max(w.moved[3], p.own_low), p.own_high)
+        renew = not expanded and promised < _NEAR
+        if renew:
+            w.about[:] = w.moved
+            _expand_floor(p, c, w.about, w.constants, w.floor)
+            expanded = True
         trial = pixel_cost(p, c, w.moved, w)
-        if trial <= cost:
-            w.theta[:] = w.moved
-            cost = trial
-            damping = damping * 0.1 if damping > 1e-3 else 0.0
+        gain = cost - trial
+        if gain >= 0 or renew:
+            w.theta[:], cost, before = w.moved, trial, promised
             _fill_normal(p, w)
-        else:
-            damping = max(10 * damping, 1e-2)
         if converged:
             break
-    return converged
+        if gain < 0.5 * promised:
+            damping = max(4 * damping, _FIRST_DAMPING)
+        elif gain > 0.75 * promised:
+            damping = 0.2 * damping if damping > _LEAST_DAMPING else 0.0
+    return cost, converged
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _report(p: PixelProblem, c: int, w: PixelWork, out: NDArray[np.float32]) -> None:
+def _report(p: PixelProblem, cost: float, w: PixelWork, out: NDArray[np.float32]) -> None:
     """Fill the results of a pixel from the fit that is in w."""
+    n, peak = PARAMETERS, math.exp(w.theta[2])
     _factorise(w, 0.0)
-    area = 0.0
-    w.slope[:] = 0.0
-    pixel_cost(p, c, w.theta, w)
-    for g in range(len(p.grid_nm)):
-        f, d_mode, d_width, d_own = curve_and_slopes(p.family, w.constants, p.grid_nm[g])
-        weight = p.grid_weight_nm[g]
-        area += weight * f
-        w.slope[0] += weight * d_mode
-        w.slope[1] += weight * d_width
-        w.slope[3] += weight * d_own
-    w.slope[2] = area
-    n = PARAMETERS
-    out[n], out[2 * n + 1] = area, math.sqrt(_solve(w.factor, w.slope, w.step))
-    for j in range(n):
+    floor = w.floor[len(w.y)]
+    out[n] = peak * floor[0]
+    for q in range(n + 1):
         w.slope[:] = 0.0
-        w.slope[j] = 1.0
-        scale = math.exp(w.theta[j]) if j == 1 or j == 2 else 1.0
-        out[j] = scale if j == 1 or j == 2 else w.theta[j]
-        out[n + 1 + j] = scale * math.sqrt(_solve(w.factor, w.slope, w.step))
-    chi_square = 0.0
-    for b in range(len(w.y)):
-        if w.inverse_sd[b] > 0:
-            chi_square += w.residual[b] ** 2
-    out[2 * n + 2] = chi_square
+        if q < n:
+            positive = q == 1 or q == 2
+            out[q] = math.exp(w.theta[q]) if positive else w.theta[q]
+            w.slope[q] = out[q] if positive else 1.0
+        else:
+            for j, i in enumerate((0, 1, 3)):
+                w.slope[i] = peak * floor[j + 1]
+                out[n] += w.slope[i] * (w.theta[i] - w.about[i])
+            w.slope[2] = out[n]
+        variance = _solve(w.factor, w.slope, w.step)
+        noise = variance
+        for j in range(n):
+            noise -= p.precision[j] * w.step[j] ** 2
+        out[n + 1 + q] = math.sqrt(variance)
+        out[2 * n + 2 + q] = math.sqrt(max(noise, 0.0))
+    out[3 * n + 3] = cost
+    for j in range(n):
+        out[3 * n + 3] -= (w.theta[j] - p.mean[j]) ** 2 * p.precision[j]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _fit_row(
+    p: PixelProblem,
+    y: NDArray[np.float32],
+    sd: NDArray[np.float32],
+    channel: NDArray[np.uint8],
+    usable: NDArray[np.bool_],
+    out: NDArray[np.float32],
+    status: NDArray[np.uint8],
+    bands: NDArray[np.uint8],
+) -> None:
+    """Fit one row of pixels, of (B, C) signals."""
+    w, result = pixel_work(len(y)), np.empty(RESULTS, np.float32)
+    for c in range(3):
+        _expand_floor(p, c, p.mean, w.constants, w.region_floor[c])
+    for column in range(y.shape[1]):
+        c, count = channel[column], 0
+        for b in range(len(y)):
+            w.y[b] = y[b, column]
+            spread = sd[b, column]
+            good = p.used[c, b] and math.isfinite(w.y[b]) and math.isfinite(spread) and spread > 0
+            w.inverse_sd[b] = 1.0 / spread if good else 0.0
+            count += 1 if good else 0
+        bands[column] = count
+        if usable[column] and count >= FEWEST_BANDS:
+            cost, converged = fit_pixel(p, c, w)
+            status[column] = CONVERGED if converged else NOT_CONVERGED
+            _report(p, cost, w, result)
+            out[:, column] = result
+        else:
+            status[column] = NOT_FITTED
+            out[:, column] = np.nan
 
 
 @njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
@@ -326,21 +399,4 @@ def fit_pixels(
 ) -> None:
     """Fit all pixels of (B, R, C) signals; fill results (RESULTS, R, C), status and number of bands (R, C)."""
     for row in prange(y.shape[1]):
-        w, result = pixel_work(y.shape[0]), np.empty(RESULTS, np.float32)
-        for column in range(y.shape[2]):
-            c, count = channel[row, column], 0
-            for b in range(y.shape[0]):
-                w.y[b] = y[b, row, column]
-                spread = sd[b, row, column]
-                good = p.used[c, b] and math.isfinite(w.y[b]) and math.isfinite(spread) and spread > 0
-                w.inverse_sd[b] = 1.0 / spread if good else 0.0
-                count += good
-            bands[row, column] = count
-            if not usable[row, column] or count < FEWEST_BANDS:
-                out[:, row, column] = np.nan
-                status[row, column] = NOT_FITTED
-                continue
-            status[row, column] = CONVERGED if fit_pixel(p, c, w) else NOT_CONVERGED
-            _report(p, c, w, result)
-            for i in range(RESULTS):
-                out[i, row, column] = result[i]
+        _fit_row(p, y[:, row], sd[:, row], channel[row], usable[row], out[:, row], status[row], bands[row])

@@ -6,9 +6,8 @@ factor by which the region's own signal exceeds the region's family curve,
 .. math:: y_b = k_{bc} \int w_{bc}(\lambda) f(\lambda; \theta)\,d\lambda + k_{bc}\,\rho\,l_{bc} + e_b, \quad
    k_{bc} = y^{region}_{bc} / \mu_{bc}(\theta^{region})
 
-so that calibration errors and the paint's departure from the family, common to all pixels, feign no pattern. Light
-that passes outside the pass bands is that of the region's curve scaled by the height: it is less than a hundredth of
-a band. The same scaling carries the family's quantities to the region's reported ones.
+so that calibration errors and the paint's departure from the family, common to all pixels, feign no pattern. The
+same scaling carries the family's quantities to the region's reported ones.
 """
 
 from dataclasses import dataclass
@@ -33,7 +32,7 @@ from finray_calib.fit.pixel_kernel import (
     fit_pixels,
 )
 from finray_calib.fit.prior import BLOCKING, REFLECTED_LASER
-from finray_calib.spectra.band_quadrature import band_quadrature
+from finray_calib.spectra.band_quadrature import GRID_STEP_NM, BandQuadrature, band_quadrature, gauss_nodes
 from finray_calib.spectra.band_weights import EmissionWeights
 from finray_calib.spectra.curve_quantities import YIELD_END_NM
 from finray_calib.spectra.emission_families import FAMILIES, EmissionFamily, family_named, tables
@@ -43,11 +42,11 @@ Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
 NODES: Final = 4
-"""Gauss nodes of a band: the error stays below 1e-4 of the band for emission 30 nm wide, far below a pixel's noise."""
-YIELD_STEP_NM: Final = 10.0
+"""Nodes of a band: the error is below 1e-4 of the band for emission 30 nm wide, far below a pixel's noise."""
 LEAST_SIGNAL_SD: Final = 3.0
 """A filter and channel whose region signal is weaker than this holds nothing that its factor could be taken from."""
 _SMALLEST_REFLECTANCE_SD = 0.1
+_YIELD_SAMPLES = 4001
 _LONGEST_STEP = (30.0, 0.5, 1.0, 1.0, np.inf)
 _QUANTITIES = ("mode_nm", "fwhm_nm", "peak_per_nm")
 _NO_TAIL_COLUMN = 7  # of the shape table: ln of the degrees of freedom 0, the skew-Cauchy curve
@@ -144,11 +143,7 @@ def region_fit(paint: PaintCalibration) -> RegionFit:
 
 
 def map_paint(pixels: PixelSignals, paint: PaintCalibration, spread: PixelSpread | None = None) -> PaintMap:
-    """Fit every pixel and tell how uniform the paint is.
-
-    The maximum of each pixel's posterior by Gauss-Newton steps that start at the region's fit, and the inverse of
-    the normal matrix there as covariance. The prior of a pixel is normal around the region's fit, so that noisy
-    pixels shrink to it. Valid for pixels of the region's paint: on bare ground look at chi-square.
+    """Fit every pixel of a session whose region was fitted, and tell how uniform the paint is.
 
     Parameters
     ----------
@@ -164,11 +159,23 @@ def map_paint(pixels: PixelSignals, paint: PaintCalibration, spread: PixelSpread
     FitError
         Pixels and fit are not of one session, the family has more than four parameters, or no pixel is usable.
     """
-    spread = spread or PixelSpread()
     _require_one_session(pixels, paint)
-    region = region_fit(paint)
-    weights = weights_of(pixels.optics, pixels.channel_weights)
-    problem, factor = pixel_problem(region, weights, spread)
+    return map_pixels(pixels, region_fit(paint), spread or PixelSpread())
+
+
+def map_pixels(pixels: PixelSignals, region: RegionFit, spread: PixelSpread) -> PaintMap:
+    """Fit every pixel and tell how uniform the paint is.
+
+    The maximum of each pixel's posterior by Gauss-Newton steps that start at the region's fit, and the inverse of
+    the normal matrix there as covariance. The prior of a pixel is normal around the region's fit, so that noisy
+    pixels shrink to it. Valid for pixels of the region's paint: on bare ground look at chi-square.
+
+    Raises
+    ------
+    FitError
+        No pixel is usable.
+    """
+    problem, factor = pixel_problem(region, weights_of(pixels.optics, pixels.channel_weights), spread)
     results, status, bands = _fit(problem, pixels)
     fitted = int((status > 0).sum())
     if fitted == 0:
@@ -177,10 +184,11 @@ def map_paint(pixels: PixelSignals, paint: PaintCalibration, spread: PixelSpread
             "pixel signals: the laser must reach the painted region and exposures must not be lost"
         )
     maps = _named_maps(results, region, problem)
-    prior_sd = 1 / np.sqrt(problem.precision)
-    relative = {"peak_per_nm": prior_sd[2], "energy_yield": float(np.hypot(prior_sd[1], prior_sd[2]))}
-    prior = {"mode_nm": prior_sd[0], **relative}
-    centre = {name: region.quantities[name].estimate for name in prior}
+    prior_sd = [float(sd) for sd in 1 / np.sqrt(problem.precision)]
+    yield_sd = float(np.hypot(prior_sd[1], prior_sd[2]))
+    around = {"mode_nm": prior_sd[0], "peak_per_nm": prior_sd[2], "energy_yield": yield_sd}
+    center = {name: region.quantities[name].estimate for name in around}
+    noise = dict(zip(("mode_nm", "peak_per_nm", "energy_yield"), results[[12, 14, 17]], strict=True))
     blocks = paint_blocks(maps)
     return PaintMap(
         paint_name=pixels.paint_name,
@@ -191,13 +199,13 @@ def map_paint(pixels: PixelSignals, paint: PaintCalibration, spread: PixelSpread
         bands_used=_frozen(bands),
         converged=_frozen(status == CONVERGED),
         region=region.quantities,
-        prior_sd=dict(zip((*region.family.parameter_names, "reflectance_at_laser"), map(float, prior_sd), strict=True)),
+        prior_sd=dict(zip((*region.family.parameter_names, "reflectance_at_laser"), prior_sd, strict=True)),
         prior_in_words="normal around the region's fit: noisy pixels shrink to it",
         band_factor=factor,
         fitted_pixels=fitted,
         unusable_pixels=int(status.size) - fitted,
         unconverged_pixels=int((status == NOT_CONVERGED).sum()),
-        uniformity={name: paint_spread(maps, name, centre[name], sd) for name, sd in prior.items()},
+        uniformity={q: paint_spread(q, maps, noise[q], center[q], sd) for q, sd in around.items()},
         block_px=blocks.side_px,
         block_mode_nm=blocks.mode_nm,
         block_mode_sd_nm=blocks.mode_sd_nm,
@@ -209,27 +217,20 @@ def map_paint(pixels: PixelSignals, paint: PaintCalibration, spread: PixelSpread
 
 def pixel_problem(region: RegionFit, weights: EmissionWeights, spread: PixelSpread) -> tuple[PixelProblem, Floats]:
     """Return the arrays of the compiled fit, and the factor of each filter and channel, (B, 3), NaN where unused."""
-    rule, bands = band_quadrature(weights, NODES), weights.bands
-    theta, family = region.theta, region.family
-    peak, more = np.exp(theta[2]), region.blocking - 1
-    excitation = int(weights.band_index[np.argmax(weights.is_excitation)])
-    at_grid = family.curves(theta[None, :SHAPES], rule.grid_nm)[0]
-    at_nodes = family.curves(theta[None, :SHAPES], rule.nodes_nm.ravel())[0].reshape(bands, NODES)
-    inside = (rule.in_band * at_nodes[weights.band_index]).sum(axis=1)
-    floor = (rule.out_of_band + more * rule.leaked) @ at_grid
-    # Emission behind the laser's own filter is some thousandth of the reflected laser: its shape does not matter.
-    floor, in_band = np.where(weights.is_excitation, floor + inside, floor), rule.in_band.copy()
-    inside, in_band[weights.is_excitation] = np.where(weights.is_excitation, 0.0, inside), 0.0
+    bands, theta, family = weights.bands, region.theta, region.family
+    rule, more = band_quadrature(weights), region.blocking - 1
+    nodes_nm, in_band = coarser_rule(rule, weights.band_index)
+    at_nodes = family.curves(theta[None, :SHAPES], nodes_nm.ravel())[0].reshape(bands, NODES)
+    lit = rule.grid_nm > weights.laser_nm - GRID_STEP_NM
+    grid_nm, out_of_band = rule.grid_nm[lit], (rule.out_of_band + more * rule.leaked)[:, lit]
+    emitted = (in_band * at_nodes[weights.band_index]).sum(axis=1)
+    emitted += out_of_band @ family.curves(theta[None, :SHAPES], grid_nm)[0]
     laser = weights.reflected_laser + more * weights.leaked_laser
     white = 1 + more * weights.leaked_white
-    factor = region.signal.ravel() * white / (inside + floor + theta[4] * laser)
+    factor = region.signal.ravel() * white / (emitted + theta[4] * laser)
     scale = np.nan_to_num(factor) / white
     prior_sd = np.append(np.hypot(spread.of(family), region.theta_sd), max(_SMALLEST_REFLECTANCE_SD, theta[4]))
-    steps = int(np.ceil((YIELD_END_NM - weights.laser_nm) / YIELD_STEP_NM))
-    grid, step = np.linspace(weights.laser_nm, YIELD_END_NM, steps + 1, retstep=True)
-    grid_weight = np.full(grid.size, step)
-    grid_weight[[0, -1]] /= 2
-    own = family.own[0]
+    own, yield_nm = family.own[0], _yield_weights(grid_nm, weights.laser_nm)
 
     def by_channel(rows: Floats) -> Floats:
         return np.ascontiguousarray(np.moveaxis(rows.reshape(bands, 3, *rows.shape[1:]), 1, 0))
@@ -237,14 +238,13 @@ def pixel_problem(region: RegionFit, weights: EmissionWeights, spread: PixelSpre
     problem = PixelProblem(
         family=family.code,
         table=np.ascontiguousarray(tables()[:, :, _NO_TAIL_COLUMN]),
-        nodes_nm=np.ascontiguousarray(rule.nodes_nm),
+        nodes_nm=nodes_nm,
         in_band=by_channel(in_band * scale[:, None]),
-        floor=by_channel(floor / peak * scale),
+        grid_nm=grid_nm,
+        out_of_band=np.concatenate([by_channel(out_of_band * scale[:, None]), np.tile(yield_nm, (3, 1, 1))], axis=1),
         laser=by_channel(laser * scale),
         used=np.ascontiguousarray(np.isfinite(region.signal).T),
-        excitation=excitation,
-        grid_nm=grid,
-        grid_weight_nm=grid_weight,
+        excitation=int(weights.band_index[np.argmax(weights.is_excitation)]),
         mean=theta,
         precision=prior_sd**-2,
         longest_step=np.array(_LONGEST_STEP),
@@ -252,6 +252,27 @@ def pixel_problem(region: RegionFit, weights: EmissionWeights, spread: PixelSpre
         own_high=own.high,
     )
     return problem, factor.reshape(bands, 3)
+
+
+def coarser_rule(rule: BandQuadrature, band_index: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """Return nodes (B, NODES) and weights (N, NODES): the Gauss rule of each band's rule, fewer nodes for a pixel."""
+    nodes_nm, weight = np.tile(rule.nodes_nm[:, :1], NODES), np.zeros((len(rule.in_band), NODES))
+    for band, fine_nm in enumerate(rule.nodes_nm):
+        rows = np.flatnonzero(band_index == band)
+        measure = rule.in_band[rows].sum(axis=0)
+        if measure.max() > 0:
+            nodes_nm[band] = gauss_nodes(fine_nm, measure, NODES)
+            x, fine = ((at - fine_nm.mean()) / np.ptp(fine_nm) for at in (nodes_nm[band], fine_nm))
+            moments = rule.in_band[rows] @ np.vander(fine, NODES)
+            weight[rows] = np.linalg.solve(np.vander(x, NODES).T, moments.T).T
+    return nodes_nm, weight
+
+
+def _yield_weights(grid_nm: Floats, laser_nm: float) -> Floats:
+    """Return weights in nm that integrate a curve given on an even grid, linear between, from the laser to 780 nm."""
+    fine_nm, step_nm = np.linspace(laser_nm, YIELD_END_NM, _YIELD_SAMPLES, retstep=True)
+    hats = np.maximum(0.0, 1 - np.abs(fine_nm - grid_nm[:, None]) / GRID_STEP_NM)
+    return np.asarray(np.trapezoid(hats, dx=step_nm))
 
 
 def _fit(problem: PixelProblem, pixels: PixelSignals) -> tuple[Floats32, NDArray[np.uint8], NDArray[np.uint8]]:
@@ -275,7 +296,7 @@ def _fit(problem: PixelProblem, pixels: PixelSignals) -> tuple[Floats32, NDArray
 def _named_maps(results: Floats32, region: RegionFit, problem: PixelProblem) -> dict[str, Floats32]:
     """Return the maps by name, carried from the family's quantities to the region's."""
     mode, ln_width, ln_peak = region.theta[:3]
-    area = region.family.curves(region.theta[None, :SHAPES], problem.grid_nm)[0] @ problem.grid_weight_nm
+    area = region.family.curves(region.theta[None, :SHAPES], problem.grid_nm)[0] @ problem.out_of_band[0, -1]
     reported = {name: value.estimate for name, value in region.quantities.items()}
     results[0] += np.float32(reported["mode_nm"] - mode)
     scales = {
@@ -284,10 +305,10 @@ def _named_maps(results: Floats32, region: RegionFit, problem: PixelProblem) -> 
         5: reported["energy_yield"] / area,
     }
     for row, scale in scales.items():
-        results[[row, row + 6]] *= np.float32(scale)
+        results[[row, row + 6, row + 12]] *= np.float32(scale)
     names = ("mode_nm", "fwhm_nm", "peak_per_nm", "shape_value", "reflectance_at_laser", "energy_yield")
     sds = ("mode_sd_nm", "fwhm_sd_nm", "peak_sd_per_nm", "shape_sd", "reflectance_at_laser_sd", "energy_yield_sd")
-    return {name: _frozen(results[i]) for i, name in enumerate((*names, *sds, "chi_square"))}
+    return {name: _frozen(results[i]) for name, i in zip((*names, *sds, "chi_square"), (*range(12), -1), strict=True)}
 
 
 def _frozen(array: NDArray[np.generic]) -> NDArray[np.generic]:

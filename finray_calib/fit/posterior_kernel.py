@@ -4,18 +4,17 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from finray_calib.fit.discrepancy import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM
 from finray_calib.spectra.band_quadrature import NODES
+from finray_calib.spectra.compiled import compiled
 from finray_calib.spectra.family_kernels import CONSTANTS, constants, value
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _LN_2PI = math.log(2 * math.pi)
-_REORDER = {"reassoc", "contract", "arcp", "nsz"}  # sums may be reordered; infinities keep their meaning
 
 
 class Problem(NamedTuple):
@@ -67,7 +66,7 @@ class Work(NamedTuple):
     z: FloatArray
 
 
-@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def scratch(p: Problem) -> Work:
     """Return scratch arrays of the right sizes."""
     rows, nodes = p.in_band.shape
@@ -84,7 +83,7 @@ def scratch(p: Problem) -> Work:
     )
 
 
-@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def predict(p: Problem, theta: FloatArray, w: Work) -> None:
     """Fill w.mu with the band values of one parameter vector, and the curve at nodes and grid."""
     c, at_nodes, at_grid = w.c, w.at_nodes, w.at_grid
@@ -109,7 +108,7 @@ def predict(p: Problem, theta: FloatArray, w: Work) -> None:
         w.mu[i] = (emitted + more * leaked + rho * laser) / (1 + more * p.leaked_white[i])
 
 
-@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def add_discrepancy(p: Problem, theta: FloatArray, w: Work) -> None:
     """Fill w.factor with covariance plus discrepancy (lower triangle), for the curve that predict() left."""
     scaled, pull, edge, factor, kernel = w.scaled, w.pull, w.edge, w.factor, p.kernel
@@ -146,7 +145,7 @@ def add_discrepancy(p: Problem, theta: FloatArray, w: Work) -> None:
             factor[i, j] = total
 
 
-@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def factorise(a: FloatArray) -> float:
     """Replace the lower triangle by its Cholesky factor; return half the log determinant."""
     half = 0.0
@@ -163,7 +162,7 @@ def factorise(a: FloatArray) -> float:
     return half
 
 
-@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def whitened_residual(p: Problem, theta: FloatArray, w: Work) -> float:
     """Fill w.z with the whitened residual of predict(); return the log normalisation."""
     rows = len(p.y)
@@ -184,7 +183,7 @@ def whitened_residual(p: Problem, theta: FloatArray, w: Work) -> float:
     return -0.5 * rows * _LN_2PI - half
 
 
-@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def log_prior(p: Problem, theta: FloatArray) -> float:
     """Return the log prior density, minus infinity outside the truncation."""
     s = p.ln_prior_norm
@@ -195,7 +194,7 @@ def log_prior(p: Problem, theta: FloatArray) -> float:
     return s
 
 
-@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def log_likelihood_one(p: Problem, theta: FloatArray, w: Work) -> float:
     """Return ln p(y | theta) of one parameter vector."""
     predict(p, theta, w)
@@ -205,7 +204,7 @@ def log_likelihood_one(p: Problem, theta: FloatArray, w: Work) -> float:
     return s if math.isfinite(s) else -math.inf
 
 
-@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def log_posterior(p: Problem, theta: FloatArray, with_prior: bool) -> FloatArray:
     """Return the log posterior (or likelihood) of (n, D) rows, (n,)."""
     out, w = np.empty(len(theta)), scratch(p)
@@ -217,7 +216,7 @@ def log_posterior(p: Problem, theta: FloatArray, with_prior: bool) -> FloatArray
     return out
 
 
-@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def predictions(p: Problem, theta: FloatArray) -> FloatArray:
     """Return the predicted usable band values of (n, D) rows, (n, K)."""
     out, w = np.empty((len(theta), len(p.y))), scratch(p)
@@ -227,7 +226,7 @@ def predictions(p: Problem, theta: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def covariances(p: Problem, theta: FloatArray) -> FloatArray:
     """Return the covariance of the usable band values at each of (n, D) rows, (n, K, K)."""
     rows = len(p.y)
@@ -244,7 +243,7 @@ def covariances(p: Problem, theta: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, fastmath=_REORDER, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def climb(p: Problem, start: FloatArray, iterations: int) -> tuple[FloatArray, float]:
     """Return where Levenberg-Marquardt steps from `start` end, and its log posterior.
 

@@ -11,7 +11,9 @@ from finray_calib.fit.prior import Prior
 FloatArray = NDArray[np.float64]
 
 
-def mean_shifts(prior: Prior, theta: FloatArray, quantities: Mapping[str, FloatArray], factor: float) -> dict[str, float]:
+def mean_shifts(
+    prior: Prior, theta: FloatArray, quantities: Mapping[str, FloatArray], factor: float
+) -> dict[str, float]:
     """Return the shift of each posterior mean, in its standard deviations, under a prior `factor` times as wide.
 
     By reweighting the draws with the ratio of the two priors, smoothed; exact in the limit of many draws, a lower

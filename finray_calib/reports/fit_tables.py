@@ -226,4 +226,4 @@ def chain_table(paint: FittedPaint) -> ReportTable | None:
         )
     )
     columns = ("parameter", "R-hat", "effective samples", "autocorrelation (steps)", "shift of mean (sd)")
-    return one_group(paint.titled("emcee, parameter by parameter"), columns, rows)
+    return one_group(paint.titled("parameter by parameter, by emcee"), columns, rows)

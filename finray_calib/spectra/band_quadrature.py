@@ -85,9 +85,7 @@ def band_quadrature(weights: EmissionWeights) -> BandQuadrature:
         positions.append(x)
         in_band[rows] = weights.emission[np.ix_(rows, inside)] @ _lagrange(x, wavelength[inside])
         remainder[np.ix_(rows, inside)] = 0.0
-    return BandQuadrature(
-        np.array(positions), in_band, grid, remainder @ cardinal, weights.leaked_emission @ cardinal
-    )
+    return BandQuadrature(np.array(positions), in_band, grid, remainder @ cardinal, weights.leaked_emission @ cardinal)
 
 
 def gauss_nodes(x: FloatArray, weight: FloatArray, count: int) -> FloatArray:

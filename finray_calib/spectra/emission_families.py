@@ -109,9 +109,7 @@ FAMILIES: Final = {
         EmissionFamily("zheng2014", "skew-Cauchy (the paper's)", SKEW_CAUCHY, (_KAPPA,)),
         EmissionFamily("skew_t", "skew-t", SKEW_T, (_KAPPA, _LN_TAIL)),
         EmissionFamily("log_normal_wavenumber", "log-normal in wavenumber", LOG_NORMAL, (_ASYMMETRY,)),
-        EmissionFamily(
-            "gaussian_mixture", "two Gaussians", GAUSSIAN_MIXTURE, (_SHIFT, _WIDTH_RATIO, _HEIGHT_RATIO)
-        ),
+        EmissionFamily("gaussian_mixture", "two Gaussians", GAUSSIAN_MIXTURE, (_SHIFT, _WIDTH_RATIO, _HEIGHT_RATIO)),
     )
 }
 

@@ -8,8 +8,9 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from finray_calib.spectra.compiled import compiled
 
 FloatArray = NDArray[np.float64]
 
@@ -33,13 +34,13 @@ _LN_2 = math.log(2.0)
 _SYMMETRIC = 1e-10  # below this log-asymmetry the log-normal is a Gaussian to as much
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def skew_t_unit(z: float, skewness: float, tail: float) -> float:
     """Return (1 + z^2/n)^(-(n+1)/2) (atan(w z)/pi + 1/2); n = 1 is the paper's skew-Cauchy curve."""
     return math.exp(-(tail + 1) / 2 * math.log1p(z * z / tail)) * (math.atan(skewness * z) / math.pi + 0.5)
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def _mode(w: float, n: float) -> float:
     """Return where the unit curve is largest, by bisection of its logarithmic slope."""
     low, high = (0.0, 1.5) if w > 0 else (-1.5, 0.0)
@@ -53,7 +54,7 @@ def _mode(w: float, n: float) -> float:
     return (low + high) / 2
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def _half(w: float, n: float, half: float, inside: float, outside: float) -> float:
     """Return where the unit curve falls to `half` between a point inside and one outside."""
     for _ in range(_BISECTIONS):
@@ -65,7 +66,7 @@ def _half(w: float, n: float, half: float, inside: float, outside: float) -> flo
     return (inside + outside) / 2
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def shape_table() -> FloatArray:
     """Return mode offset, peak and full width of the unit skew-t curve on the grid of kappa and ln n, (3, K, N).
 
@@ -85,7 +86,7 @@ def shape_table() -> FloatArray:
     return table
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def _cubic(t: float, weight: FloatArray) -> None:
     """Fill the weights of cubic (Catmull-Rom) interpolation at the fraction t of a cell."""
     weight[0] = ((-0.5 * t + 1.0) * t - 0.5) * t
@@ -94,7 +95,7 @@ def _cubic(t: float, weight: FloatArray) -> None:
     weight[3] = (0.5 * t - 0.5) * t * t
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def skew_t_shape(kappa: float, ln_tail: float, table: FloatArray) -> tuple[float, float, float]:
     """Return mode offset m, peak p and width v of the unit curve by cubic interpolation of the table."""
     a = min(abs(kappa), KAPPA_END - 1e-9) / KAPPA_STEP + 1
@@ -113,11 +114,11 @@ def skew_t_shape(kappa: float, ln_tail: float, table: FloatArray) -> tuple[float
     return (m if kappa >= 0 else -m), p, v
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def constants(family: int, theta: FloatArray, table: FloatArray, out: FloatArray) -> None:
     """Fill the constants of a curve from its parameters (mode, ln FWHM, ln peak, the family's own)."""
     mode, width, peak = theta[0], math.exp(theta[1]), math.exp(theta[2])
-    if family == SKEW_CAUCHY or family == SKEW_T:
+    if family in (SKEW_CAUCHY, SKEW_T):
         ln_tail = theta[4] if family == SKEW_T else 0.0
         m, p, v = skew_t_shape(theta[3], ln_tail, table)
         scale = width / v
@@ -136,7 +137,7 @@ def constants(family: int, theta: FloatArray, table: FloatArray, out: FloatArray
         out[5] = peak * math.exp(theta[5])
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def value(family: int, c: FloatArray, wavelength_nm: float) -> float:
     """Return the curve at one wavelength from its constants."""
     if family == SKEW_CAUCHY:
@@ -157,7 +158,7 @@ def value(family: int, c: FloatArray, wavelength_nm: float) -> float:
     return c[2] * math.exp(-4 * _LN_2 * u * u) + c[5] * math.exp(-4 * _LN_2 * t * t)
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled
 def curves(family: int, theta: FloatArray, table: FloatArray, wavelength_nm: FloatArray) -> FloatArray:
     """Return the curves of (n, >= D) parameter rows at (L,) wavelengths, (n, L)."""
     out = np.empty((len(theta), len(wavelength_nm)))

@@ -95,8 +95,6 @@ def test_draws_that_cannot_be_trusted_are_not_to_be_used(worse: dict[str, object
     assert "do not use this fit" in said.paint_sentence(bad)
     assert "this fit must not be used" in said.model_statement(bad, RED.truth)
     assert fit_verdict(bad.fit) == "Do not use"
-    assert "Do not use: finray fit report" not in paint_report(CALM, RED.bands)
-    assert "neither can any number of this page" in paint_report(bad.fit, RED.bands)
 
 
 def test_the_verdict_is_care_with_a_warning_or_an_unexplained_band() -> None:
@@ -224,16 +222,22 @@ def test_the_page_shows_what_a_student_needs_to_judge_the_fit(html: str) -> None
         "centres within 0.15 nm",
         "A diffuse paint",
         "The paper's four parameters, in its symbols",
-        "emcee, parameter by parameter",
+        "Parameter by parameter, by emcee",
         "Fluorescence relative to white",
         "it has no provenance",
     ):
         assert words in prose
     assert "the true" not in prose
-    assert "red paint" not in prose
+    assert "Red paint:" not in prose
 
 
-def test_the_page_ends_with_the_records_provenance_and_drops_the_assumption_that_was_tested() -> None:
+def test_equal_records_give_equal_pages(html: str) -> None:
+    assert paint_report(RED.fit, RED.bands) == html
+
+
+@pytest.fixture(scope="module")
+def other() -> str:
+    """Return the page of a stored fit that cannot be trusted, with a hostile name and a tilt test of the paint."""
     tilt = TiltRatio(filter_name="600", tilt_deg=20.0, cosine_factor=1.0, sd=0.01, diffuse=True)
     origin = Provenance(
         created_utc="2026-11-21T20:00:00+00:00",
@@ -244,17 +248,21 @@ def test_the_page_ends_with_the_records_provenance_and_drops_the_assumption_that
         input_sha256={"red.json": "ab" * 32},
         seed=1,
     )
-    fit = RED.fit.model_copy(update={"provenance": origin})
-    prose = Page(paint_report(fit, RED.bands.model_copy(update={"tilt_ratios": (tilt,)}))).prose
+    fit = with_diagnostics(CALM, trusted=False).model_copy(update={"provenance": origin, "paint_name": HOSTILE})
+    return paint_report(fit, RED.bands.model_copy(update={"tilt_ratios": (tilt,)}))
+
+
+def test_a_hostile_name_stays_text(other: str) -> None:
+    assert HOSTILE not in other
+    assert len(Page(other).all("script")) == 1
+
+
+def test_another_page_has_its_own_verdict_provenance_and_assumptions(other: str) -> None:
+    prose = Page(other).prose
+    assert "do not use: finray fit report" in prose
+    assert "neither can any number of this page" in prose
     assert "SHA-256 of red.json" in prose
     assert "A diffuse paint" not in prose
-
-
-def test_equal_records_give_equal_pages_and_hostile_names_stay_text(html: str) -> None:
-    assert paint_report(RED.fit, RED.bands) == html
-    hostile = paint_report(RED.fit.model_copy(update={"paint_name": HOSTILE}), RED.bands)
-    assert HOSTILE not in hostile
-    assert len(Page(hostile).all("script")) == 1
 
 
 def test_the_embedded_json_holds_every_number(html: str) -> None:

@@ -1,4 +1,4 @@
-"""``finray export`` and ``finray import-bands`` as a user types them."""
+"""``finray export`` and ``finray import bands`` as a user types them."""
 
 import json
 
@@ -97,21 +97,21 @@ def test_a_record_of_another_kind_is_refused(tmp_path):
 
 def test_import_writes_band_signals(tmp_path):
     folder = write_folder(tmp_path / "f", "monochrome")
-    said = succeed(f"import-bands {folder} --out {tmp_path}/o.bands.json")
+    said = succeed(f"import bands {folder} --out {tmp_path}/o.bands.json")
     assert "5 filters, 5 usable values over 1600 px" in said
     assert "note: no dark frames" in said
     bands = read_record(tmp_path / "o.bands.json", BandSignals)
     assert bands.provenance is not None
     assert f"{folder}/laser/600nm.tif" in bands.provenance.input_sha256
-    assert finray(f"import-bands {folder} --out {tmp_path}/o.bands.json").status == 2
+    assert finray(f"import bands {folder} --out {tmp_path}/o.bands.json").status == 2
 
 
 def test_import_mistakes_end_with_status_2(tmp_path):
     folder = write_folder(tmp_path / "f", "monochrome")
     edit(folder, "height_px = 40", "height_px = 2")
-    outcome = finray(f"import-bands {folder} --out {tmp_path}/o.json")
+    outcome = finray(f"import bands {folder} --out {tmp_path}/o.json")
     assert outcome.status == 2
-    assert outcome.err.startswith(f"finray import-bands: error: {folder}: plan.region: 2 x 40 px")
+    assert outcome.err.startswith(f"finray import: error: {folder}: plan.region: 2 x 40 px")
 
 
 def test_monochrome_import_is_accepted_by_the_fit(tmp_path):
@@ -124,7 +124,7 @@ def test_monochrome_import_is_accepted_by_the_fit(tmp_path):
     # exposed so long that the brightest band under the laser is as bright as the white tile under the lamp
     folder = write_folder(tmp_path / "f", "monochrome", fluorescence=values / values.max())
     edit(folder, f"fluorescence = {EXPOSURE_S}", f"fluorescence = {EXPOSURE_S / values.max():.9g}")
-    succeed(f"import-bands {folder} --out {tmp_path}/b.json")
+    succeed(f"import bands {folder} --out {tmp_path}/b.json")
     succeed(f"fit {tmp_path}/b.json --seed 1 --out {tmp_path}/p.json")
     mode = read_record(tmp_path / "p.json", PaintCalibration).parameters["mode_nm"]
     assert mode.low95 < MODE_NM < mode.high95

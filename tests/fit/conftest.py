@@ -7,8 +7,6 @@ import pytest
 
 from data_schemas.radiometry import Optics
 from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
-from finray_calib.fit.likelihood import BandData
-from finray_calib.fit.nuisances import predict_bands
 from finray_calib.spectra.band_weights import emission_weights
 from rigs.presets import simulated_rig
 
@@ -70,26 +68,6 @@ def rig():
 @pytest.fixture(scope="session")
 def weights(rig):
     return emission_weights(**rig.sampled(np.arange(380.0, 781.0)))
-
-
-@pytest.fixture(scope="session")
-def orange_theta():
-    """An orange paint: mode 597 nm, FWHM 48 nm, skewness 3, a tenth of the laser reflected."""
-    return np.array([597.0, np.log(48.0), np.arcsinh(3.0), np.log(0.004), np.log(0.1), 0.2])
-
-
-@pytest.fixture(scope="session")
-def simulate_bands(weights):
-    """Return a function theta, rng -> BandData with 0.3 % noise, a small floor and 1 % band calibration."""
-
-    def simulate(theta, rng, usable=None):
-        mu = predict_bands(theta[None], weights)[0]
-        sd = np.hypot(0.003 * mu, 2e-4)
-        y = mu * (1 + 0.01 * rng.standard_normal(8)[weights.band_index]) + sd * rng.standard_normal(mu.size)
-        usable = np.ones((8, 3), bool) if usable is None else usable
-        return BandData(y.reshape(8, 3), np.diag(sd**2), usable, weights)
-
-    return simulate
 
 
 @pytest.fixture(scope="session")

@@ -1,99 +1,231 @@
+"""The compiled posterior against scipy's multivariate normal, with every term written out from its definition."""
+
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal, norm, truncnorm
+from scipy.stats import multivariate_normal, truncnorm
 
 from data_schemas.errors import FitError
+from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY, Discrepancy
 from finray_calib.fit.likelihood import BandData, LogPosterior
-from finray_calib.fit.nuisances import predict_bands
 from finray_calib.fit.prior import EmissionPrior
+from finray_calib.spectra.band_quadrature import band_quadrature
+from finray_calib.spectra.band_weights import emission_weights
+from finray_calib.spectra.emission_families import FAMILIES
+from tests.fit.synthetic_bands import LOG_NORMAL, full_sum, orange, simulate
+
+# the closest nodes of different bands are then more than seven lengths apart, so that nothing is cut off
+SHORT = Discrepancy(0.12, 2.0, 0.1, 0.1, "for this test")
 
 
-def plain_log_posterior(theta, data, prior):
-    """One theta, everything spelled out with scipy's distributions."""
-    mu = predict_bands(theta[None], data.weights)[0]
+def edge(theta, wavelength_nm):
+    """The re-absorbed blue edge: a logistic half a width below the mode, 0.12 widths wide."""
+    width = np.exp(theta[1])
+    return 1 / (1 + np.exp((wavelength_nm - (theta[0] - 0.5 * width)) / (0.12 * width)))
+
+
+def discrepancy_covariance(theta, family, weights, discrepancy, wavelength_nm, in_band):
+    """Covariance of the band values when f = s + (s + eps peak) d, for in-band weights (N, L) at wavelengths (L,)."""
+    scale = family.curves(theta[None], wavelength_nm)[0] + discrepancy.floor_rel * np.exp(theta[2])
+    apart = wavelength_nm[:, None] - wavelength_nm
+    process = discrepancy.amplitude_rel**2 * np.exp(-(apart**2) / (2 * discrepancy.length_nm**2))
+    blue = edge(theta, wavelength_nm)
+    process = process + discrepancy.reabsorption_rel**2 * np.outer(blue, blue)
+    scaled = in_band * scale
+    return scaled @ process @ scaled.T
+
+
+def at_nodes(weights):
+    """All nodes in a row, and each row's in-band weights at them, (N, B Q)."""
+    rule = band_quadrature(weights)
+    own = weights.band_index[:, None] == np.arange(weights.bands)
+    return rule.nodes_nm.ravel(), (own[:, :, None] * rule.in_band[:, None, :]).reshape(len(own), -1)
+
+
+def plain_log_posterior(theta, data, family, prior, discrepancy):
+    """One theta, everything spelled out with scipy's distributions; the mean by the full sum over wavelengths."""
+    mu = full_sum(family, theta, data.weights)[0]
     same_band = data.weights.band_index[:, None] == data.weights.band_index
     y = np.nan_to_num(data.y.ravel())
     covariance = data.covariance + data.band_calibration_rel**2 * np.outer(y, y) * same_band
+    if discrepancy.acts:
+        covariance = covariance + discrepancy_covariance(
+            theta, family, data.weights, discrepancy, *at_nodes(data.weights)
+        )
     kept = data.usable.ravel()
     likelihood = multivariate_normal(mu[kept], covariance[np.ix_(kept, kept)]).logpdf(data.y.ravel()[kept])
-    bounds = np.stack([prior.low - prior.mean, prior.high - prior.mean]) / prior.sd
-    return likelihood + truncnorm(*bounds, loc=prior.mean, scale=prior.sd).logpdf(theta).sum()
+    full = prior.of(family, with_blocking=True)
+    bounds = np.stack([full.low - full.mean, full.high - full.mean]) / full.sd
+    return likelihood, likelihood + truncnorm(*bounds, loc=full.mean, scale=full.sd).logpdf(theta).sum()
 
 
-@pytest.mark.parametrize("lost", [(), (0, 4, 11), (3, 4, 5, 23)])
-def test_log_posterior_equals_the_plain_scalar_twin(weights, orange_theta, simulate_bands, lost):
-    rng = np.random.default_rng(8)
-    usable = np.ones(24, bool)
-    usable[list(lost)] = False
-    simulated = simulate_bands(orange_theta, rng, usable.reshape(8, 3))
-    mix = np.eye(24) + 0.2 * rng.standard_normal((24, 24))
-    y = np.where(simulated.usable, simulated.y, np.nan)
-    data = BandData(y, mix @ simulated.covariance @ mix.T, simulated.usable, weights, 0.02)
-    prior = EmissionPrior()
-    theta = np.concatenate([prior.draw(40, rng), orange_theta + 0.01 * rng.standard_normal((10, 6))])
-    expected = [plain_log_posterior(t, data, prior) for t in theta]
+@pytest.fixture(scope="module")
+def correlated(weights):
+    """Band data with a full covariance, NaN where a value is lost, and 2 % calibration."""
+
+    def build(lost):
+        rng = np.random.default_rng(8)
+        usable = np.ones(24, bool)
+        usable[list(lost)] = False
+        data, _ = simulate(orange(), weights, rng, usable=usable.reshape(8, 3))
+        mix = np.eye(24) + 0.2 * rng.standard_normal((24, 24))
+        y = np.where(data.usable, data.y, np.nan)
+        return BandData(y, mix @ data.covariance @ mix.T, data.usable, weights, 0.02)
+
+    return build
+
+
+@pytest.mark.parametrize("name", list(FAMILIES))
+@pytest.mark.parametrize("discrepancy", [NO_DISCREPANCY, SHORT], ids=["family alone", "with discrepancy"])
+@pytest.mark.parametrize("lost", [(), (0, 4, 11, 12, 13, 14)], ids=["all", "some lost"])
+def test_log_posterior_equals_the_plain_scalar_twin(correlated, name, discrepancy, lost):
+    data, family, prior = correlated(lost), FAMILIES[name], EmissionPrior()
+    posterior = LogPosterior(data, family, prior, discrepancy)
+    theta = orange(name) + 0.02 * posterior.prior.sd * np.random.default_rng(2).standard_normal((30, orange(name).size))
+    likelihood, both = np.transpose([plain_log_posterior(t, data, family, prior, discrepancy) for t in theta])
+    # the few-node rule is good to 1e-3 of the 0.3 % noise-limited values: a chi-square of thousands moves by 1e-4
+    assert np.allclose(posterior.log_likelihood(theta), likelihood, rtol=2e-4, atol=0.02)
+    assert np.allclose(posterior(theta), both, rtol=2e-4, atol=0.02)
+
+
+@pytest.mark.parametrize("discrepancy", [NO_DISCREPANCY, SHORT], ids=["family alone", "with discrepancy"])
+def test_log_likelihood_is_exactly_normal_around_the_predicted_values(correlated, discrepancy):
+    """The same without the error of the quadrature: scipy's density with the package's mean."""
+    data = correlated((4, 11))
+    posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior(), discrepancy)
+    theta = posterior.prior.draw(50, np.random.default_rng(3))
+    mu, covariance = posterior.predict_usable(theta), posterior.covariances(theta)
+    expected = [
+        multivariate_normal(m, c, allow_singular=False).logpdf(data.y.ravel()[data.kept])
+        for m, c in zip(mu, covariance, strict=True)
+    ]
     # rounding of two different factorisations of a covariance of condition 1e6 or so
-    assert np.allclose(LogPosterior(data, prior)(theta), expected, rtol=1e-8, atol=1e-6)
+    assert np.allclose(posterior.log_likelihood(theta), expected, rtol=1e-7, atol=1e-5)
 
 
-def test_predicting_too_much_is_as_bad_as_predicting_too_little(weights, orange_theta, simulate_bands):
+def test_covariances_are_those_of_a_dense_gaussian_process_at_the_nodes(correlated, weights):
+    data = correlated(())
+    posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior(), SHORT)
+    theta = posterior.prior.draw(20, np.random.default_rng(4))
+    u = posterior.imperfections
+    for row, got in zip(theta, posterior.covariances(theta), strict=True):
+        expected = data.covariance + u @ u.T + discrepancy_covariance(row, LOG_NORMAL, weights, SHORT, *at_nodes(weights))
+        scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+        assert (np.abs(got - expected) < 1e-9 * scale).all()  # e^-25 between the closest nodes of two bands
+        assert np.allclose(np.diag(got), np.diag(expected), rtol=1e-9, atol=0)
+        assert np.array_equal(got, got.T)
+
+
+def test_bands_four_lengths_apart_may_be_cut_off(correlated, weights):
+    """What the cut leaves out of the default discrepancy is e^-8 of a correlation."""
+    posterior = LogPosterior(correlated(()), LOG_NORMAL, EmissionPrior(), PAINT_DISCREPANCY)
+    theta = orange()
+    got = posterior.covariances(theta[None])[0] - posterior.problem.covariance
+    expected = discrepancy_covariance(theta, LOG_NORMAL, weights, PAINT_DISCREPANCY, *at_nodes(weights))
+    sd = np.sqrt(np.diag(expected))
+    seen = sd > 0
+    correlation = ((got - expected) / np.where(seen, sd, 1.0) / np.where(seen, sd, 1.0)[:, None])[np.ix_(seen, seen)]
+    # the nodes of two bands come up to 14 nm closer than their centres: e^-(34/12)^2/2 between the closest
+    assert np.abs(correlation).max() < 0.02
+    assert np.abs(np.diag(correlation)).max() < 1e-9
+
+
+def test_discrepancy_at_nodes_equals_that_on_the_whole_grid(weights):
+    """The same double integral over every wavelength of the pass bands."""
+    rule = band_quadrature(weights)
+    theta = orange()
+    nodes = discrepancy_covariance(theta, LOG_NORMAL, weights, PAINT_DISCREPANCY, *at_nodes(weights))
+    grid = discrepancy_covariance(
+        theta, LOG_NORMAL, weights, PAINT_DISCREPANCY, weights.wavelength_nm, weights.emission - weights.leaked_emission
+    )
+    bright = (rule.in_band.sum(axis=1) > 0.9 * weights.emission.sum(axis=1)) & ~weights.is_excitation
+    assert bright.sum() > 8
+    nodes, grid = nodes[np.ix_(bright, bright)], grid[np.ix_(bright, bright)]
+    sd = np.sqrt(np.diag(grid))
+    # the pass band ends where the filter has fallen to a thousandth: that much of a value, with every correlation
+    assert (np.abs(nodes - grid) < 2e-3 * np.outer(sd, sd)).all()
+
+
+def test_predicting_too_much_is_as_bad_as_predicting_too_little(weights):
     """A relative error that moved with the model would forgive any prediction that is far too bright."""
-    posterior = LogPosterior(simulate_bands(orange_theta, np.random.default_rng(8)), EmissionPrior())
-    theta = np.tile(orange_theta, (2, 1))
-    theta[:, 3:5] += np.log([[0.5], [1.5]])
-    dark, bright = posterior.log_likelihood(theta) - posterior.log_likelihood(orange_theta[None])
+    data, _ = simulate(orange(), weights, np.random.default_rng(8))
+    posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior())
+    theta = np.tile(orange(), (2, 1))
+    theta[:, [2, 4]] += np.log([[0.5], [1.5]])
+    dark, bright = posterior.log_likelihood(theta) - posterior.log_likelihood(orange()[None])
     # half the signal is fifty calibration errors in each of the four bands that stand clear of the noise floor
     assert dark < -0.4 * 4 * 50**2
     assert bright == pytest.approx(dark, rel=0.1)
 
 
-def test_information_equals_the_curvature_of_noise_free_data(weights, orange_theta, simulate_bands):
-    noisy = simulate_bands(orange_theta, np.random.default_rng(1))
-    y = predict_bands(orange_theta[None], weights).reshape(8, 3)
-    posterior = LogPosterior(BandData(y, noisy.covariance, noisy.usable, weights), EmissionPrior())
-    information = posterior.information(orange_theta)
-    scale = 0.1 / np.sqrt(np.diag(information))
-    steps = np.concatenate([np.zeros((1, 6)), np.diag(scale), -np.diag(scale)])
-    value = posterior.log_likelihood(orange_theta + steps)
-    curvature = -(value[1:7] + value[7:] - 2 * value[0]) / scale**2
-    # the covariance's own slope, left out of the information, is worth about 2 r^2 = 2e-4 of it per band
-    assert np.allclose(curvature + EmissionPrior().sd ** -2.0, np.diag(information), rtol=0.02)
+@pytest.mark.parametrize("discrepancy", [NO_DISCREPANCY, PAINT_DISCREPANCY], ids=["family alone", "with discrepancy"])
+def test_information_is_minus_the_hessian(weights, discrepancy):
+    """Against second differences of the density by Richardson extrapolation, at a maximum."""
+    data, _ = simulate(orange(), weights, np.random.default_rng(1), discrepancy=discrepancy)
+    posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior(), discrepancy)
+    top = posterior.climb(orange())
+    information = posterior.information(top)
+    sd = np.sqrt(np.diag(np.linalg.inv(information)))
+
+    def second(i, j, step):
+        a, b = (np.eye(top.size)[k] * step * sd[k] for k in (i, j))
+        plus, minus, left, right = posterior(top + np.array([a + b, -a - b, a - b, b - a]))
+        return -(plus + minus - left - right) / (4 * step**2 * sd[i] * sd[j])
+
+    expected = np.array(
+        [[(4 * second(i, j, 0.05) - second(i, j, 0.1)) / 3 for j in range(top.size)] for i in range(top.size)]
+    )
+    scale = np.sqrt(np.outer(np.diag(information), np.diag(information)))
+    # the information's own step, 0.001 prior sd, is a tenth of a posterior sd: its truncation is the square of that
+    assert (np.abs(information - expected) < 0.02 * scale).all()
 
 
-def test_outside_the_truncation_the_density_is_zero(orange_theta, simulate_bands):
-    posterior = LogPosterior(simulate_bands(orange_theta, np.random.default_rng(1)), EmissionPrior())
-    outside = np.tile(orange_theta, (3, 1))
-    outside[0, 0], outside[1, 2] = 469.0, 6.1
+def test_information_at_a_saddle_is_still_a_covariance(weights):
+    data, _ = simulate(orange(), weights, np.random.default_rng(1))
+    posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior())
+    for theta in posterior.prior.draw(20, np.random.default_rng(5)):
+        roots = np.linalg.eigvalsh(posterior.information(theta) * np.outer(posterior.prior.sd, posterior.prior.sd))
+        assert roots.min() >= 0.25 * (1 - 1e-6)  # rounding of eigenvalues that span many decades
+    corner = np.where(np.isfinite(posterior.prior.low), posterior.prior.low, posterior.prior.mean)
+    assert np.isfinite(posterior.information(corner)).all()
+
+
+def test_outside_the_truncation_the_density_is_zero(weights):
+    posterior = LogPosterior(simulate(orange(), weights, np.random.default_rng(1))[0], LOG_NORMAL, EmissionPrior())
+    outside = np.tile(orange(), (3, 1))
+    outside[0, 0], outside[1, 3] = 469.0, 1.6
     assert np.isneginf(posterior(outside)).tolist() == [True, True, False]
-    assert np.isneginf(posterior(outside[:2])).all()
+    assert np.isneginf(posterior.log_likelihood(outside[:2])).all()
 
 
-def test_prior_draws_follow_the_prior():
-    prior = EmissionPrior()
-    draws = prior.draw(20_000, np.random.default_rng(4))
-    assert prior.contains(draws).all()
-    expected = truncnorm((470 - 560) / 60, (720 - 560) / 60, loc=560, scale=60)
-    # five standard errors: error rate below 1e-6
-    assert draws[:, 0].mean() == pytest.approx(expected.mean(), abs=5 * expected.std() / np.sqrt(20_000))
-    assert np.median(np.exp(draws[:, 1])) == pytest.approx(45.0, rel=5 * 1.25 * 0.4 / np.sqrt(20_000))
-    density = prior.log_density(draws[:1])[0]
-    rest = norm(prior.mean[[1, 3, 4, 5]], prior.sd[[1, 3, 4, 5]]).logpdf(draws[0, [1, 3, 4, 5]]).sum()
-    kappa = truncnorm(-4, 4, scale=1.5).logpdf(draws[0, 2])
-    assert density == pytest.approx(expected.logpdf(draws[0, 0]) + kappa + rest, rel=1e-12)
+@pytest.mark.parametrize("name", list(FAMILIES))
+@pytest.mark.parametrize("discrepancy", [NO_DISCREPANCY, PAINT_DISCREPANCY], ids=["family alone", "with discrepancy"])
+def test_absurd_parameters_give_minus_infinity_or_a_number_but_never_nan(weights, name, discrepancy):
+    posterior = LogPosterior(
+        simulate(orange(), weights, np.random.default_rng(1))[0], FAMILIES[name], EmissionPrior(), discrepancy
+    )
+    size = posterior.prior.size
+    theta = np.repeat(orange(name)[None], 7 * size, axis=0)
+    absurd = (np.nan, np.inf, -np.inf, 1e3, -1e3, 1e308, -1e308)
+    theta[np.arange(7 * size), np.tile(np.arange(size), 7)] = np.repeat(absurd, size)
+    for values in (posterior(theta), posterior.log_likelihood(theta)):
+        assert not np.isnan(values).any()
+        assert (values < np.inf).all()
+    assert np.isneginf(posterior(theta[:size])).all()  # NaN is nowhere allowed
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"ln_fwhm_sd": 0.0}, "must be positive"),
-        ({"peak_median_per_nm": -1.0}, "must be positive"),
-        ({"mode_low_nm": 720.0}, "must be below mode_high_nm 720 nm"),
-        ({"kappa_limit": 9.0}, "must be at most 8"),
-    ],
-)
-def test_impossible_priors_are_refused(fields, message):
-    with pytest.raises(FitError, match=message):
-        EmissionPrior(**fields)
+def test_rig_without_leak_has_no_blocking_parameter(rig):
+    curves = rig.sampled(np.arange(380.0, 781.0))
+    weights = emission_weights(**(curves | {"leak": 0.0, "transmission": curves["transmission"] - rig.leak}))
+    data, _ = simulate(np.append(orange()[:5], 0.0), weights, np.random.default_rng(1))
+    posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior())
+    assert posterior.prior.names[-1] == "ln_reflected_laser"
+    assert posterior.prior.size == 5
+    mu = posterior.predict_usable(orange()[None, :5])
+    full = full_sum(LOG_NORMAL, np.append(orange()[:5], 0.0), weights)
+    # 1e-3 of a value, or of the faintest emission band whose few photons come from the foot of the curve
+    assert np.allclose(mu, full, rtol=1e-3, atol=1e-6 * full.max())
 
 
 def changed(weights, **fields):
@@ -108,16 +240,26 @@ def test_unusable_band_data_are_refused(weights):
     nan[2, 1] = np.nan
     skew = 1e-6 * np.eye(24)
     skew[0, 1] = 1e-7
+    zero = 1e-6 * np.eye(24)
+    zero[7, 7] = 0.0
     with pytest.raises(FitError, match="only 3 bands have a usable channel, at least 4"):
         changed(weights, usable=few)
     with pytest.raises(FitError, match="NaN or infinite"):
         changed(weights, y=nan)
+    with pytest.raises(FitError, match="NaN or infinite"):
+        changed(weights, y=np.full((8, 3), np.inf))
     with pytest.raises(FitError, match="not positive definite"):
         changed(weights, covariance=np.ones((24, 24)))
+    with pytest.raises(FitError, match="give every band value a variance of its own"):
+        changed(weights, covariance=zero)
     with pytest.raises(FitError, match="finite and symmetric"):
         changed(weights, covariance=skew)
+    with pytest.raises(FitError, match="finite and symmetric"):
+        changed(weights, covariance=np.full((24, 24), np.nan))
     with pytest.raises(FitError, match="do not fit the rig's 24 band values"):
         changed(weights, covariance=np.eye(8))
+    with pytest.raises(FitError, match="do not fit the rig's 24 band values"):
+        changed(weights, y=np.ones((8, 2)))
     with pytest.raises(FitError, match="band_calibration_rel 1 must be"):
         changed(weights, band_calibration_rel=1.0)
 
@@ -126,3 +268,25 @@ def test_nan_in_a_lost_entry_is_allowed(weights):
     y, usable = np.ones((8, 3)), np.ones((8, 3), bool)
     y[7, 2], usable[7, 2] = np.nan, False
     assert changed(weights, y=y, usable=usable).kept.size == 23
+
+
+def test_leaving_out_a_band_keeps_the_rest_and_stops_at_four(weights):
+    data = changed(weights).without_band(5).without_band(2)
+    assert sorted(set(weights.band_index[data.kept])) == [0, 1, 3, 4, 6, 7]
+    data = data.without_band(0).without_band(7)
+    with pytest.raises(FitError, match="only 3 bands have a usable channel"):
+        data.without_band(1)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"amplitude_rel": 1.0}, "shares of 0 or more and below 1"),
+        ({"floor_rel": -0.1}, "shares of 0 or more and below 1"),
+        ({"reabsorption_rel": 1.5}, "shares of 0 or more and below 1"),
+        ({"length_nm": 1.0}, "length_nm 1 nm must lie between 2 and 200 nm"),
+    ],
+)
+def test_impossible_discrepancies_are_refused(change, message):
+    with pytest.raises(FitError, match=message):
+        replace(PAINT_DISCREPANCY, **change)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.fit import Estimate
+from data_schemas.estimate import Estimate
 from data_schemas.radiometry import BandSignals
 from data_schemas.standard_curves import assumed_camera_response
 from finray_calib.fit.paint_calibration import calibrate_paint

@@ -86,6 +86,7 @@ def test_light_angle_sweep(fields, message):
 
 CALIBRATION = RESULTS.paints["red"].calibration
 FILTERS = len(CALIBRATION.optics.filters)
+GRID = CALIBRATION.wavelength_nm.size
 
 
 @pytest.mark.parametrize(
@@ -98,9 +99,27 @@ FILTERS = len(CALIBRATION.optics.filters)
         ("predicted_sd", np.ones((1, 3)), "has 1 along 'filter' but 'optics.filters' has"),
         ("usable", np.ones((1, 3), np.bool_), "has 1 along 'filter' but 'optics.filters' has"),
         ("bands", CALIBRATION.bands[:-1], f"has {FILTERS - 1} along 'filter' but 'optics.filters' has {FILTERS}"),
+        ("families", CALIBRATION.families[:-1], "has 2 along 'family' but 'family_emission_per_nm' has 3"),
+        ("family_low95_per_nm", np.ones((9, GRID)), "has 9 along 'family' but 'family_emission_per_nm' has 3"),
+        ("emission_draws_per_nm", np.ones((9, 3)), f"has 3 along 'wavelength' but 'wavelength_nm' has {GRID}"),
+        ("band_integrals", CALIBRATION.band_integrals[:-1], "has 7 along 'filter' but"),
         ("reflectance", CALIBRATION.reflectance[:-1], f"has {FILTERS - 1} along 'filter' but 'optics.filters' has"),
     ],
 )  # fmt: skip
 def test_paint_calibration(field, value, message):
     with pytest.raises(ValidationError, match=f"'{field}' {message}"):
         changed(CALIBRATION, **{field: value})
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("low95", np.ones(3), "has 3 along 'excitation' but 'excitation_nm' has"),
+        ("absorption_rel_draws", np.ones((40, 3)), "has 3 along 'excitation' but"),
+        ("stokes_shift_draws_nm", np.ones(7), "has 7 along 'draw' but 'absorption_rel_draws' has 40"),
+    ],
+)
+def test_reradiation(field, value, message):
+    reradiation = CALIBRATION.reradiation
+    with pytest.raises(ValidationError, match=f"'{field}' {message}"):
+        type(reradiation).model_validate({**dict(reradiation), field: value})

@@ -1,0 +1,69 @@
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
+from finray_calib.fit.importance import importance_sample
+from finray_calib.fit.leave_one_band_out import BandPrediction, leave_one_band_out
+from finray_calib.fit.likelihood import LogPosterior
+from finray_calib.fit.map_search import find_maxima
+from finray_calib.fit.mixture_proposal import MixtureProposal
+from finray_calib.fit.prior import EmissionPrior
+from tests.fit.synthetic_bands import LOG_NORMAL, orange, simulate
+
+FAIR_PARETO_K = 0.5
+
+
+def sampled(data, discrepancy, seed):
+    """Return posterior, draws and evidence by the adapted proposal."""
+    rng = np.random.default_rng(seed)
+    posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior(), discrepancy)
+    proposal = MixtureProposal.around(find_maxima(posterior, rng), posterior.prior).adapted(posterior, rng)
+    sample = importance_sample(posterior, proposal, 6000, rng)
+    assert sample.ln_evidence_sd < 0.1
+    return posterior, sample.resampled(1000, rng), sample.ln_evidence
+
+
+@pytest.mark.parametrize("discrepancy", [NO_DISCREPANCY, PAINT_DISCREPANCY], ids=["family alone", "with discrepancy"])
+def test_scores_are_ratios_of_evidences_with_and_without_the_band(weights, discrepancy):
+    """p(y_b | y_-b) = Z(all) / Z(without b), by refits."""
+    data, _ = simulate(orange(), weights, np.random.default_rng(4), discrepancy=discrepancy)
+    posterior, draws, whole = sampled(data, discrepancy, 1)
+    got = leave_one_band_out(posterior, draws)
+    exact = np.array([whole - sampled(data.without_band(b), discrepancy, 2 + b)[2] for b in range(8)])
+    fair = got.pareto_k < FAIR_PARETO_K
+    assert fair.sum() >= 2
+    # a thousand draws with weights of shape k scatter by 1000^(k - 1) to 1000^(-1/2) of the mean, and the tail beyond
+    # them is missing: 0.03 to 0.3 nats
+    assert np.abs(got.ln_density - exact)[fair].max() < 0.35
+    # beyond that the score is indicative: draws that never saw the band's absence are too hopeful, never too gloomy
+    assert (got.ln_density - exact).min() > -0.35
+
+
+def test_a_band_that_nothing_depends_on_is_predicted_by_the_others_exactly(weights):
+    """With one fixed theta the score is the conditional normal density of the band given the others."""
+    data, _ = simulate(orange(), weights, np.random.default_rng(4), discrepancy=PAINT_DISCREPANCY)
+    posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior(), PAINT_DISCREPANCY)
+    got = leave_one_band_out(posterior, np.tile(orange(), (200, 1)))
+    mu, covariance = posterior.predict_usable(orange()[None])[0], posterior.covariances(orange()[None])[0]
+    y, band = posterior.problem.y, posterior.problem.band
+    whole = multivariate_normal(mu, covariance).logpdf(y)
+    for b in range(8):
+        rest = band != b
+        others = multivariate_normal(mu[rest], covariance[np.ix_(rest, rest)]).logpdf(y[rest])
+        # differences of log densities of two to three dozen numbers, condition 1e6
+        assert got.ln_density[b] == pytest.approx(whole - others, abs=1e-4)
+
+
+def test_lost_band_has_no_score(weights):
+    usable = np.ones((8, 3), bool)
+    usable[2] = False
+    data, _ = simulate(orange(), weights, np.random.default_rng(4), usable=usable)
+    posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior())
+    got = leave_one_band_out(posterior, orange() + 1e-4 * np.random.default_rng(1).standard_normal((200, 6)))
+    assert np.isnan(got.ln_density).tolist() == [b == 2 for b in range(8)]
+    assert np.isfinite(got.total)
+
+
+def test_total_skips_lost_bands():
+    assert BandPrediction(np.array([1.0, np.nan, 2.0]), np.zeros(3)).total == 3.0

@@ -1,0 +1,258 @@
+"""Paint maps: against scipy pixel by pixel, coverage of the intervals, uniformity with known truth, bad input."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.stats import binom
+
+from data_schemas.errors import FitError
+from data_schemas.paint_map import PaintMap
+from data_schemas.radiometry import BandSignals
+from finray_calib.fit import pixel_maps
+from finray_calib.fit.paint_calibration import FitOptions, calibrate_paint
+from finray_calib.fit.pixel_kernel import curve_and_slopes, curve_constants
+from finray_calib.fit.pixel_maps import PixelSpread, map_paint, map_pixels, pixel_problem, region_fit
+from finray_calib.reports.paint_map_figure import paint_map_figure, spot_sentence, spread_sentence, thinned
+from finray_calib.spectra.emission_families import family_named
+from finray_calib.spectra.rig_curves import weights_of
+from tests.fit.pixel_scenes import CHANNEL_WEIGHTS, SPREAD, bands_of, center_of, drawn_truths, scene
+
+FAMILIES = ("zheng2014", "log_normal_wavenumber")
+LARGEST_MODE_DIFFERENCE_NM = 0.02
+
+
+def changed(record, **fields):
+    return type(record).model_validate({**dict(record), **fields})
+
+
+@pytest.fixture(scope="module", params=FAMILIES)
+def drawn(request, optics):
+    """4096 pixels whose truth comes from the prior, and their map."""
+    rng = np.random.default_rng(3)
+    made = scene(request.param, optics, drawn_truths(request.param, 4096, rng), rng)
+    return made, map_pixels(made.pixels, made.region, SPREAD)
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_slopes_of_the_curve(name, optics):
+    center = center_of(name)
+    region = scene(name, optics, np.tile(center, (64, 1)), np.random.default_rng(0)).region
+    problem, _ = pixel_problem(region, weights_of(optics, CHANNEL_WEIGHTS), SPREAD)
+    family, k = family_named(name), np.empty(9)
+    for own in (center[3], -0.4, 0.0):
+        theta = np.append(center[:3], own)
+        curve_constants(problem, np.append(theta, 0.1), k)
+        for wavelength in (520.0, 590.0, 600.0, 690.0):
+            value, *slopes = curve_and_slopes(problem.family, k, wavelength)
+            assert value == pytest.approx(family.curves(theta[None], [wavelength])[0, 0], rel=1e-9)
+            for j, slope in zip((0, 1, 3), slopes, strict=True):
+                step = 1e-4 * np.eye(4)[j]
+                high, low = family.curves(np.array([theta + step, theta - step]), [wavelength])[:, 0]
+                # central differences of 1e-4: second-order error, and kinks of the interpolated table's second slope
+                assert slope == pytest.approx((high - low) / 2e-4, rel=2e-3, abs=1e-5 * np.exp(theta[2]))
+
+
+def test_agrees_with_scipy_on_whole_curves(drawn):
+    made, found = drawn
+    channel = made.pixels.channel.ravel()
+    y, sd = (a.reshape(8, -1).T.astype(float) for a in (made.pixels.fluorescence, made.pixels.fluorescence_sd))
+    prior_sd = np.append(SPREAD.of(made.region.family), 0.1)
+    center = made.region.theta
+    for i in np.random.default_rng(8).choice(np.flatnonzero(channel < 2), 30, replace=False):
+
+        def residual(theta, i=i):
+            mu = made.predicted(theta[None], channel[i : i + 1])[0]
+            return np.concatenate([(mu - y[i]) / sd[i], (theta - center) / prior_sd])
+
+        best = least_squares(residual, center, x_scale=prior_sd, xtol=1e-12, ftol=1e-12, gtol=1e-12)
+        covariance = np.linalg.inv(best.jac.T @ best.jac)
+        at = np.unravel_index(i, found.mode_nm.shape)
+        assert abs(found.mode_nm[at] - best.x[0]) < LARGEST_MODE_DIFFERENCE_NM
+        # 1 % of a standard deviation: what stopping rule, four nodes and float32 may leave
+        for value, wanted, j in (
+            (np.log(found.fwhm_nm[at]), best.x[1], 1),
+            (np.log(found.peak_per_nm[at]), best.x[2], 2),
+            (found.shape_value[at], best.x[3], 3),
+            (found.reflectance_at_laser[at], best.x[4], 4),
+        ):
+            assert abs(value - wanted) < 0.01 * np.sqrt(covariance[j, j])
+        assert found.mode_sd_nm[at] == pytest.approx(np.sqrt(covariance[0, 0]), rel=0.01)
+        assert found.chi_square[at] == pytest.approx(
+            2 * best.cost - ((best.x - center) ** 2 / prior_sd**2).sum(), abs=0.01
+        )
+
+
+def test_intervals_cover_the_truth(drawn):
+    made, found = drawn
+    grid = np.arange(450.0, 780.5, 1.0)
+    true_yield = np.trapezoid(made.region.family.curves(made.truth[:, :4], grid), grid, axis=1)
+    shape = found.mode_nm.shape
+    low, high = binom.ppf([0.0005, 0.9995], found.mode_nm.size, 0.95) / found.mode_nm.size
+    # Laplace's approximation may be off by a point where a blue pixel sees little of a red paint
+    low, high = low - 0.01, high + 0.01
+    for name, value, sd, truth in (
+        ("mode", found.mode_nm, found.mode_sd_nm, made.truth[:, 0]),
+        ("FWHM", np.log(found.fwhm_nm), found.fwhm_sd_nm / found.fwhm_nm, made.truth[:, 1]),
+        ("peak", np.log(found.peak_per_nm), found.peak_sd_per_nm / found.peak_per_nm, made.truth[:, 2]),
+        ("own", found.shape_value, found.shape_sd, made.truth[:, 3]),
+        ("reflectance", found.reflectance_at_laser, found.reflectance_at_laser_sd, made.truth[:, 4]),
+        ("yield", np.log(found.energy_yield), found.energy_yield_sd / found.energy_yield, np.log(true_yield)),
+    ):
+        covered = (np.abs(value - truth.reshape(shape)) < 1.96 * sd).mean()
+        assert low < covered < high, f"{name}: {covered:.3f}"
+    assert found.unconverged_pixels == (~found.converged).sum() <= 0.001 * found.mode_nm.size
+
+
+def test_common_errors_of_the_bands_leave_no_trace(optics):
+    """Calibration errors of region and pixels alike cancel: the map is that of the true bands."""
+    rng = np.random.default_rng(1)
+    made = scene("log_normal_wavenumber", optics, drawn_truths("log_normal_wavenumber", 256, rng), rng)
+    error = 1 + 0.05 * rng.standard_normal((8, 3))
+    per_pixel = error[:, made.pixels.channel].astype(np.float32)
+    bent = changed(
+        made.pixels,
+        fluorescence=made.pixels.fluorescence * per_pixel,
+        fluorescence_sd=made.pixels.fluorescence_sd * per_pixel,
+    )
+    region = pixel_maps.RegionFit(
+        made.region.family,
+        made.region.theta,
+        made.region.theta_sd,
+        1.0,
+        made.region.signal * error,
+        made.region.quantities,
+    )
+    plain, found = (map_pixels(p, r, SPREAD) for p, r in ((made.pixels, made.region), (bent, region)))
+    np.testing.assert_allclose(found.mode_nm, plain.mode_nm, atol=0.005)  # nm; float32 signals
+    np.testing.assert_allclose(found.band_factor / plain.band_factor, error, rtol=1e-9)
+
+
+def uneven(optics, peak_sd, mode_sd_nm, noise_rel, rng):
+    """Pixels whose height and mode differ by known amounts."""
+    truth = np.tile(center_of("log_normal_wavenumber"), (10_000, 1))
+    truth[:, 2] += peak_sd * rng.standard_normal(len(truth))
+    truth[:, 0] += mode_sd_nm * rng.standard_normal(len(truth))
+    made = scene("log_normal_wavenumber", optics, truth, rng, noise_rel=noise_rel, rows=100)
+    return map_pixels(made.pixels, made.region, SPREAD)
+
+
+def test_spread_without_noise(optics):
+    found = uneven(optics, 0.08, 1.0, 0.02, np.random.default_rng(5))
+    peak, mode, total = (found.uniformity[name] for name in ("peak_per_nm", "mode_nm", "energy_yield"))
+    # 10 000 pixels: the robust spread has 1.2 % of error of its own; 6 % leaves room for the unshrinking
+    assert total.sd / total.estimate == pytest.approx(0.08, rel=0.06)
+    assert total.resolved
+    assert peak.estimate == pytest.approx(0.004, rel=0.01)
+    assert 0.5 < mode.sd < 1.5
+    assert mode.noise_share > total.noise_share
+
+
+def test_an_even_paint_is_called_even(optics):
+    found = uneven(optics, 0.0, 0.0, 0.03, np.random.default_rng(6))
+    spread = found.uniformity["energy_yield"]
+    assert not spread.resolved
+    assert spread.sd < spread.high
+    assert found.worst_spots == ()
+    assert "no differences between pixels beyond their noise" in spread_sentence(found, "energy_yield")
+
+
+def test_pixels_too_noisy_to_tell(optics):
+    found = uneven(optics, 0.05, 0.0, 20.0, np.random.default_rng(6))
+    assert found.uniformity["mode_nm"].pixels == 0
+    assert "too noisy to tell" in spread_sentence(found, "mode_nm")
+    assert np.nanmedian(np.abs(found.mode_nm - 597.0)) < 1.0  # shrunk to the region
+
+
+def test_a_thin_spot_is_found_where_it_is(optics):
+    rng = np.random.default_rng(7)
+    truth = np.tile(center_of("zheng2014"), (96, 96, 1))
+    truth[40:48, 64:72, 2] += np.log(0.7)
+    made = scene("zheng2014", optics, truth.reshape(-1, 5), rng, rows=96)
+    found = map_pixels(made.pixels, made.region, SPREAD)
+    worst = found.worst_spots[0]
+    assert (worst.row_px, worst.column_px) == (100 + 44, 200 + 68)
+    assert worst.deviation_rel == pytest.approx(-0.3, abs=4 * worst.deviation_sd_rel + 0.01)  # 1 %: pull of the prior
+    assert "row 144, column 268: yield -3" in spot_sentence(worst)
+
+
+def test_unusable_pixels_are_nan_and_counted(optics):
+    rng = np.random.default_rng(2)
+    made = scene("zheng2014", optics, drawn_truths("zheng2014", 1024, rng), rng)
+    signals, usable = np.array(made.pixels.fluorescence), np.array(made.pixels.usable)
+    signals[:5, 0, 0] = np.nan
+    signals[:4, 0, 1] = np.nan
+    usable[3, 3] = False
+    found = map_pixels(changed(made.pixels, fluorescence=signals, usable=usable), made.region, SPREAD)
+    assert np.isnan(found.mode_nm[0, 0])
+    assert np.isnan(found.chi_square[3, 3])
+    assert np.isfinite(found.mode_nm[0, 1])
+    assert (found.bands_used[0, 0], found.bands_used[0, 1]) == (3, 4)
+    assert (found.unusable_pixels, found.fitted_pixels) == (2, 1022)
+    with pytest.raises(FitError, match=r"no pixel of 1024 has 4 usable bands; look at the masks"):
+        map_pixels(changed(made.pixels, usable=np.zeros_like(usable)), made.region, SPREAD)
+
+
+@pytest.fixture(scope="module")
+def calibrated(optics):
+    """A fit of the region by the paper's family, for pixels of the same session."""
+    y = bands_of("zheng2014", optics, center_of("zheng2014")[None])[0]
+    bands = BandSignals(
+        paint_name="orange",
+        optics=optics,
+        fluorescence=y,
+        fluorescence_covariance=np.diag((0.003 * y.ravel()) ** 2 + 1e-10),
+        reflectance=np.full((8, 3), 0.2),
+        reflectance_covariance=np.eye(24) * 1e-6,
+        channel_weights=np.array(CHANNEL_WEIGHTS),
+        flags=(("ok",) * 3,) * 8,
+        saturated_fraction=np.zeros((8, 3)),
+        region_pixels=1024,
+    )
+    return calibrate_paint(bands, 1, FitOptions(family="zheng2014"))
+
+
+def test_map_from_the_records(calibrated, optics):
+    rng = np.random.default_rng(4)
+    made = scene("zheng2014", optics, np.tile(center_of("zheng2014"), (1024, 1)), rng)
+    found = map_paint(made.pixels, calibrated)
+    assert isinstance(found, PaintMap)
+    spread = found.uniformity
+    for name in ("mode_nm", "peak_per_nm", "energy_yield"):  # the map's level is that of the region
+        typical = spread[name]
+        noise = 0.1 * typical.high + 1e-3 * typical.estimate
+        assert typical.estimate == pytest.approx(calibrated.parameters[name].estimate, abs=4 * noise)
+    svg = paint_map_figure(found)
+    assert svg.startswith("<?xml")
+    assert svg == paint_map_figure(found)
+
+
+def test_what_does_not_belong_together_is_refused(calibrated, optics):
+    rng = np.random.default_rng(4)
+    pixels = scene("zheng2014", optics, np.tile(center_of("zheng2014"), (64, 1)), rng).pixels
+    with pytest.raises(FitError, match="the pixels are of 'green', the fit is of 'orange'; give the fit of the same"):
+        map_paint(changed(pixels, paint_name="green"), calibrated)
+    fewer = changed(optics, filters=optics.filters[:7])
+    cut = {name: getattr(pixels, name)[:7] for name in ("fluorescence", "fluorescence_sd", "common_sd_rel")}
+    with pytest.raises(FitError, match=r"pixels \(7 filters\) are not those of the fit \(8 filters\)"):
+        map_paint(changed(pixels, optics=fewer, **cut), calibrated)
+    with pytest.raises(FitError, match=r"skew_t has 5 parameters.*choose zheng2014 or log_normal_wavenumber"):
+        region_fit(calibrated.model_copy(update={"family": "skew_t"}))
+    with pytest.raises(FitError, match="every width must be positive"):
+        PixelSpread(mode_sd_nm=0.0)
+
+
+def test_sizes_that_disagree_are_refused(drawn):
+    _, found = drawn
+    with pytest.raises(ValueError, match=r"area is 31 x 128 px but the maps have 32 x 128"):
+        changed(found, area=found.area.model_copy(update={"height_px": 31}))
+    with pytest.raises(ValueError, match="'mode_sd_nm' has 31 along 'row' but 'mode_nm' has 32"):
+        changed(found, mode_sd_nm=found.mode_sd_nm[:31])
+
+
+def test_thinned_map_keeps_medians():
+    values = np.arange(482.0 * 4).reshape(4, 482)
+    values[0, :6] = np.nan
+    out = thinned(values)
+    assert out.shape == (2, 161)
+    assert out[1, 0] == 3 * 482 + 1  # a cut square: the median of what is there
+    assert out[0, 0] == np.median([482, 483, 484, 964, 965, 966])

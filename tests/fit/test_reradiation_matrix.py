@@ -1,0 +1,145 @@
+"""The re-radiation matrix against measured matrices, its closure, and its conservation checks."""
+
+import numpy as np
+import pytest
+
+from data_schemas.curve_files import read_donaldson_matrix
+from data_schemas.curves import SpectralCurve
+from data_schemas.errors import CurveError
+from data_schemas.estimate import Estimate
+from data_schemas.reradiation import Reradiation
+from finray_calib.spectra.absorption import photon_yield
+from finray_calib.spectra.reradiation_matrix import (
+    emitted_energy,
+    emitted_photons,
+    rank_one_share,
+    reradiation_matrix,
+)
+
+LASER_NM = 450.0
+# Rank-one share of the Stokes block (excitation 380-470 nm, emission from 490 nm) as read off with a bare SVD.
+RANK_ONE_SHARE = {
+    "hercules_orange_ink": 0.991,
+    "textile_yellow": 0.998,
+    "postit_yellow_3m": 0.993,
+    "postit_pink_3m": 0.946,
+}
+
+
+def absorption(excitation_nm, draws):
+    low95, high95 = np.quantile(draws, [0.025, 0.975], axis=0)
+    return Reradiation(
+        excitation_nm=excitation_nm,
+        laser_nm=LASER_NM,
+        absorption_rel=draws.mean(axis=0),
+        low95=low95,
+        high95=high95,
+        absorption_rel_draws=draws,
+        stokes_shift_nm=Estimate(estimate=35, sd=15, low68=20, high68=50, low95=6, high95=64),
+        stokes_shift_draws_nm=np.full(len(draws), 35.0),
+        measured_at_nm=(LASER_NM,),
+        prior_driven=True,
+        prior={},
+        distinct_shapes=1,
+        rejected_share=0.0,
+        violating_share=0.0,
+        statement="test",
+    )
+
+
+def flat_reflectance(value):
+    return SpectralCurve(
+        name="flat", wavelength_nm=np.array([300.0, 800.0]), values=np.array([value, value]), source="test"
+    )
+
+
+@pytest.fixture
+def bell():
+    """Emission of photon yield 0.5 under the laser, on a 1 nm grid."""
+    grid = np.arange(380.0, 801.0)
+    curve = np.exp(-0.5 * ((grid - 600) / 20) ** 2)
+    return grid, 0.5 * curve / photon_yield(curve, grid, LASER_NM)
+
+
+@pytest.mark.shared_data
+@pytest.mark.parametrize("material", RANK_ONE_SHARE)
+def test_measured_matrix_is_reproduced_from_one_emission_and_one_absorption(shared_data, material):
+    measured = read_donaldson_matrix(shared_data / "spectra" / "materials" / f"{material}.csv")
+    emission, excitation = measured.emission_nm, measured.excitation_nm
+    at_laser = list(excitation).index(LASER_NM)
+    block = np.ix_(emission >= 490, (excitation >= 380) & (excitation <= 470))
+    truth = measured.radiance_factor_per_nm[block]
+    share = rank_one_share(truth)
+    assert share == pytest.approx(RANK_ONE_SHARE[material], abs=0.001)  # three digits are given
+
+    yields = measured.radiance_factor_per_nm[emission >= 490].sum(axis=0)
+    a = np.clip(yields / yields[at_laser] * LASER_NM / excitation, 0, None)
+    column = measured.radiance_factor_per_nm[:, at_laser]
+    ours = reradiation_matrix(column[None], emission, absorption(excitation, a[None]), measured.reflectance, material)
+    assert ours.mean.radiance_factor_per_nm[:, at_laser] == pytest.approx(column, abs=1e-12)  # rows are emission
+    error = np.linalg.norm(ours.mean.radiance_factor_per_nm[block] - truth) / np.linalg.norm(truth)
+    best = np.sqrt(1 - share)
+    # One emission and one row of yields, each with its noise of 5-15 %, stand for all: worse than the best rank one,
+    # but not by more than the two errors of its size that they add.
+    assert best <= error < 3 * best
+
+
+def test_every_absorbed_photon_gives_the_quantum_yield_back(bell):
+    grid, emission = bell
+    a = np.array([[1.2, 1.0, 0.4]])
+    excitation = np.array([405.0, LASER_NM, 500.0])
+    ours = reradiation_matrix(emission[None], grid, absorption(excitation, a), flat_reflectance(0.1), "bell")
+    # The bell ends 5 sd above these lights, so that cutting it below the excitation loses less than 1e-6 of it.
+    assert emitted_photons(ours.mean) == pytest.approx(0.5 * a[0], rel=1e-6)
+    assert emitted_energy(ours.mean) == pytest.approx(0.5 * a[0] * excitation / 600, rel=2e-3)  # <1/l> is not 1/<l>
+    assert ours.warnings == ()
+    # Equal draws have no spread but for the rounding of a difference of squares.
+    assert (ours.sd_per_nm <= 1e-7 * emission.max()).all()
+
+
+def test_nothing_is_emitted_at_or_below_the_excitation(bell):
+    grid, emission = bell
+    excitation = np.array([590.0, 600.0, 610.0])
+    ours = reradiation_matrix(emission[None], grid, absorption(excitation, np.ones((1, 3))), flat_reflectance(0), "b")
+    below = grid[:, None] <= excitation
+    assert (ours.mean.radiance_factor_per_nm[below] == 0).all()
+    assert (ours.mean.radiance_factor_per_nm[~below] > 0).all()
+
+
+def test_moments_are_those_of_the_single_products(bell):
+    grid, emission = bell
+    rng = np.random.default_rng(3)
+    scale = rng.uniform(0.5, 1.0, 50)
+    a = np.stack([np.ones(50), 2 - scale], axis=1)  # absorption falls where emission rises: pairing matters
+    excitation = np.array([LASER_NM, 500.0])
+    draws = scale[:, None] * emission
+    ours = reradiation_matrix(draws, grid, absorption(excitation, a), flat_reflectance(0.0), "bell")
+    row = list(grid).index(600.0)
+    single = draws[:, row] * a[:, 1] * 500 / LASER_NM
+    assert ours.mean.radiance_factor_per_nm[row, 1] == pytest.approx(single.mean(), rel=1e-12)
+    assert ours.sd_per_nm[row, 1] == pytest.approx(single.std(), rel=1e-6)  # a difference of squares loses digits
+
+
+def test_too_much_energy_is_reported(bell):
+    grid, emission = bell
+    excitation = np.array([LASER_NM, 560.0])
+    paint = absorption(excitation, np.array([[1.0, 1.9]]))
+    ours = reradiation_matrix(emission[None], grid, paint, flat_reflectance(0.4), "bell")
+    assert len(ours.warnings) == 1
+    assert "1 of 2 excitation wavelengths (worst 560 nm" in ours.warnings[0]
+
+
+def test_too_many_photons_are_reported(bell):
+    grid, emission = bell
+    paint = absorption(np.array([405.0, LASER_NM]), np.ones((1, 2)))
+    # Energy closes (0.5 * 450/600 + 0.55 < 1), photons do not: 0.5 emitted of 0.45 absorbed.
+    ours = reradiation_matrix(emission[None], grid, paint, flat_reflectance(0.55), "bell")
+    assert len(ours.warnings) == 1
+    assert "each absorbed photon makes 1.11 photons" in ours.warnings[0]
+
+
+def test_draws_must_be_paired(bell):
+    grid, emission = bell
+    paint = absorption(np.array([405.0, LASER_NM]), np.ones((2, 2)))
+    with pytest.raises(CurveError, match="pair them one to one"):
+        reradiation_matrix(emission[None], grid, paint, flat_reflectance(0.5), "bell")
