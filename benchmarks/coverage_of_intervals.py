@@ -185,10 +185,10 @@ def main() -> int:
         f"{arguments.paints} paints of {arguments.family}{' without discrepancy' * arguments.no_discrepancy}, seed "
         f"{arguments.seed}, error rate {arguments.error_rate:g} per interval"
     )
-    print("quantity            95 % hits (limits)   68 % hits (limits)   rank uniformity p")
+    print("quantity              95 % hits (limits)   68 % hits (limits)   rank uniformity p")
     for name, row in table.items():
         cells = [f"{row[f'hits{v}']:3d} ({row[f'limits{v}'][0]}..{row[f'limits{v}'][1]})" for v in (95, 68)]
-        print(f"{name:19s} {cells[0]:20s} {cells[1]:20s} {row['rank_uniformity_p']:.3f}")
+        print(f"{name:21s} {cells[0]:20s} {cells[1]:20s} {row['rank_uniformity_p']:.3f}")
     methods = Counter(r["method"] for r in results)
     print(
         f"fit: median {np.median(seconds):.2f} s, worst {seconds.max():.2f} s; "

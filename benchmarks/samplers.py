@@ -36,7 +36,9 @@ LARGEST_Z = 4.5  # of some hundred normal deviates, with a false alarm in a thou
 REFERENCE = "fit"
 
 
-def problems(seed: int, arguments: argparse.Namespace) -> dict[str, tuple[LogPosterior, object, dict]]:
+def problems(
+    seed: int, arguments: argparse.Namespace
+) -> dict[str, tuple[LogPosterior, FiveParameterDensity | DefaultDensity, dict[str, Callable[[int], Run]]]]:
     """Return for each model: our posterior, the plain density, and a function of a seed for each sampler."""
     five, default = five_parameter_posterior(seed), default_posterior(seed)
     plain_five, plain_default = FiveParameterDensity(five), DefaultDensity(default)
@@ -66,20 +68,21 @@ def largest_difference(posterior: LogPosterior, plain) -> float:
     return float(np.abs(ours - plain.many(theta))[near].max())
 
 
-def agreement(runs: Mapping[str, list[Run]]) -> tuple[float, float]:
-    """Return the largest difference of posterior means and of standard deviations from the fit's, in its own error.
+def agreement(runs: Mapping[str, list[Run]]) -> dict[str, float]:
+    """Return for each other sampler how far its means and standard deviations lie from the fit's, in standard errors.
 
     The error of a mean is sd / sqrt(effective), of a standard deviation sd / sqrt(2 effective) for near-normal draws;
     runs of one sampler are pooled.
     """
-    means, sds = [], []
-    pooled = {name: _pooled(r) for name, r in runs.items()}
-    mean, sd, effective = pooled.pop(REFERENCE)
-    for other_mean, other_sd, other_effective in pooled.values():
-        error = np.sqrt(1 / effective + 1 / other_effective)
-        means.append(np.abs(other_mean - mean) / sd / error)
-        sds.append(np.abs(other_sd - sd) / sd / error * np.sqrt(2))
-    return float(np.max(means)), float(np.max(sds))
+    mean, sd, effective = _pooled(runs[REFERENCE])
+    worst = {}
+    for name, found in runs.items():
+        if name != REFERENCE:
+            other_mean, other_sd, other_effective = _pooled(found)
+            error = sd * np.sqrt(1 / effective + 1 / other_effective)
+            apart = np.concatenate([np.abs(other_mean - mean) / error, np.abs(other_sd - sd) / error * np.sqrt(2)])
+            worst[name] = float(apart.max())
+    return worst
 
 
 def _pooled(runs: list[Run]) -> tuple[np.ndarray, np.ndarray, float]:
@@ -90,10 +93,13 @@ def _pooled(runs: list[Run]) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def honest_share(posterior: LogPosterior, draws: int, repetitions: int) -> float:
-    """Return claimed over true variance of the fit's posterior means; 1 when its effective number is right."""
+    """Return claimed over true variance of the fit's worst posterior mean; 1 when its effective number is right.
+
+    The true variance is that over repeated runs: with 40 of them it is known to 22 %.
+    """
     runs = [run_fit(posterior, draws, 1000 + s) for s in range(repetitions)]
     claimed = np.mean([r.sd**2 / r.effective for r in runs], axis=0)
-    return float(np.mean(claimed / np.var([r.mean for r in runs], axis=0, ddof=1)))
+    return float((claimed / np.var([r.mean for r in runs], axis=0, ddof=1)).min())
 
 
 def measure(model: str, posterior: LogPosterior, plain, paths, arguments: argparse.Namespace) -> dict:
@@ -106,15 +112,19 @@ def measure(model: str, posterior: LogPosterior, plain, paths, arguments: argpar
             runs[name] += [path(100 * repetition + r + arguments.seed) for r in range(repeats)]
     rates = {name: float(np.median([r.per_second for r in found])) for name, found in runs.items()}
     difference = largest_difference(posterior, plain)
-    mean_z, sd_z = agreement(runs)
+    largest_z = agreement(runs)
     honest = honest_share(posterior, arguments.draws, arguments.honest_repetitions)
     print(f"{model}: log posteriors differ by {difference:.1e} nats at most near the maximum")
     for name, found in runs.items():
         bar = BARS.get((model, name))
         ratio = "" if bar is None else f"x{rates[REFERENCE] / rates[name]:7.0f}  (at least {bar:.0f})"
         seconds, effective = (np.median([getattr(r, f) for r in found]) for f in ("seconds", "effective"))
-        print(f"  {name:20s} {seconds:7.3f} s  {effective:8.0f} effective  {rates[name]:10.1f}/s  {ratio} {found[0].method}")
-    print(f"  means differ by {mean_z:.1f}, sds by {sd_z:.1f} standard errors; claimed over true variance {honest:.2f}")
+        apart = f"; at most {largest_z[name]:.1f} standard errors apart" if name in largest_z else ""
+        print(
+            f"  {name:20s} {seconds:7.3f} s {effective:8.0f} effective {rates[name]:10.1f}/s  {ratio} "
+            f"{found[0].method}{apart}"
+        )
+    print(f"  variance of the fit's means over repeated runs, claimed over true: {honest:.2f}")
     return {
         "rates_per_s": rates,
         "ratios": {name: rates[REFERENCE] / rate for name, rate in rates.items() if name != REFERENCE},
@@ -123,10 +133,9 @@ def measure(model: str, posterior: LogPosterior, plain, paths, arguments: argpar
         "effective": {name: [r.effective for r in found] for name, found in runs.items()},
         "method": {name: found[0].method for name, found in runs.items()},
         "largest_difference_nats": difference,
-        "mean_z": mean_z,
-        "sd_z": sd_z,
+        "largest_z": largest_z,
         "claimed_over_true_variance": honest,
-        "agree": difference < LARGEST_DIFFERENCE_NATS[model] and max(mean_z, sd_z) < LARGEST_Z,
+        "agree": difference < LARGEST_DIFFERENCE_NATS[model] and max(largest_z.values()) < LARGEST_Z,
     }
 
 

@@ -38,7 +38,7 @@ def run_fit(posterior: LogPosterior, draws: int, seed: int) -> Run:
     _, kept, sampling = draw_posterior(posterior, maxima, FitSettings(draws, draws), rng)
     seconds = time.perf_counter() - start
     if sampling.chain is not None:
-        mean, sd, effective = kept.mean(axis=0), kept.std(axis=0), sampling.chain.effective.min()
+        mean, sd, effective = kept.mean(axis=0), kept.std(axis=0), sampling.chain.bulk_ess.min()
     else:
         mean, sd, effective = _weighted(sampling.sample.theta, sampling.sample.weight)
     return Run(seconds, float(effective), mean, sd, sampling.method)
@@ -108,7 +108,8 @@ def run_nuts(density: FiveParameterDensity, posterior: LogPosterior, seed: int, 
         progress_bar=False,
     )
     mcmc.run(jax.random.PRNGKey(seed))
-    samples = np.stack([np.asarray(v) for v in mcmc.get_samples(group_by_chain=True).values()], axis=-1)
+    drawn = mcmc.get_samples(group_by_chain=True)
+    samples = np.stack([np.asarray(drawn[name]) for name in posterior.prior.names], axis=-1)
     seconds = time.perf_counter() - start
     effective = min(float(effective_sample_size(samples[..., i])) for i in range(samples.shape[-1]))
     flat = samples.reshape(-1, samples.shape[-1])

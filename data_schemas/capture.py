@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from data_schemas.arrays import ArraySpec, check_dimensions
 from data_schemas.curves import SpectralCurve
+from data_schemas.filter_curves import check_named_curves
 from data_schemas.model import Model, Record
 from data_schemas.rig import RigFile
 from data_schemas.units import AngleDeg, DurationS, EnergyJ, ExposureS, Fraction, LengthMm, PositionMm, SignalDn
@@ -109,9 +110,17 @@ class CaptureSession(Record):
     plan: PaintPlan
     rig: RigFile
     camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
+    filter_curves: dict[str, SpectralCurve] = Field(
+        default={}, description="measured transmission of the filters that name one, by the filter's name"
+    )
     lamp: SpectralCurve
     frames: tuple[Frame, ...]
     notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _curves_are_those_of_the_filters(self) -> "CaptureSession":
+        check_named_curves(self.rig.filter_wheel.filters, self.filter_curves)
+        return self
 
 
 class IndenterPose(Model):

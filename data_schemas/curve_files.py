@@ -1,10 +1,12 @@
 """CSV files of spectral curves and re-radiation matrices (comment lines start with #, one header row).
 
 * camera response: ``wavelength_nm,red_percent,green_percent,blue_percent``
+* filter: ``wavelength_nm,transmission`` (0 to 1)
 * re-radiation matrix: first column ``emission_nm``, then one column per excitation wavelength in nm (header
   numbers); entries are the bispectral radiance factor per emission band, the diagonal is reflectance.
 """
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +15,11 @@ from pydantic import ValidationError
 
 from data_schemas.curves import DonaldsonMatrix, SpectralCurve
 from data_schemas.errors import CurveError
+from data_schemas.rig import BandPassFilter
 
 Floats = NDArray[np.float64]
 CAMERA_COLUMNS = ["wavelength_nm", "red_percent", "green_percent", "blue_percent"]
+FILTER_COLUMNS = ["wavelength_nm", "transmission"]
 CHANNELS = ("red", "green", "blue")
 FIRST_STOKES_NM = 15.0
 # Decimal wavelengths are read with rounding errors; a real difference of steps is far larger.
@@ -70,6 +74,39 @@ def read_camera_response(path: Path) -> tuple[SpectralCurve, SpectralCurve, Spec
         raise CurveError(f"{path}: a channel of the camera response is zero everywhere")
     red, green, blue = (_curve(path, name, table[:, 0], table[:, i + 1] / 100) for i, name in enumerate(CHANNELS))
     return red, green, blue
+
+
+def read_filter_curve(path: Path) -> SpectralCurve:
+    """Read the measured transmission of a filter, 0..1.
+
+    Raises
+    ------
+    CurveError
+        The file is no such curve, or a value is not a transmission.
+    """
+    header, table = read_table(path)
+    if header != FILTER_COLUMNS:
+        raise CurveError(f"{path}: header is {','.join(header)[:80]}; a filter needs {','.join(FILTER_COLUMNS)}")
+    transmission = table[:, 1]
+    if transmission.min() < 0 or not 0 < transmission.max() <= 1:
+        raise CurveError(
+            f"{path}: transmission runs from {transmission.min():g} to {transmission.max():g}; 0 to 1 is allowed, with "
+            "something above 0: divide by 100 if it is in per cent"
+        )
+    return _curve(path, path.stem, table[:, 0], transmission)
+
+
+def read_filter_curves(filters: Iterable[BandPassFilter], folder: Path) -> dict[str, SpectralCurve]:
+    """Read the measured transmissions that filters name, by the filter's name.
+
+    Parameters
+    ----------
+    filters
+        Those without a curve are passed over.
+    folder
+        Where relative paths start.
+    """
+    return {band.name: read_filter_curve(folder / band.curve) for band in filters if band.curve is not None}
 
 
 def _curve(path: Path, name: str, wavelength_nm: Floats, values: Floats) -> SpectralCurve:

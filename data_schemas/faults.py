@@ -19,7 +19,8 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
     model
         The model that was validated.
     """
-    faults = error.errors()
+    # A default that follows from another field has no fault of its own where that field is wrong.
+    faults = [fault for fault in error.errors() if fault["type"] != "default_factory_not_called"]
     lines = [_fault(fault, model) for fault in faults[:LARGEST_NUMBER_OF_FAULTS]]
     if len(faults) > LARGEST_NUMBER_OF_FAULTS:
         lines.append(f"and {len(faults) - LARGEST_NUMBER_OF_FAULTS} more faults")

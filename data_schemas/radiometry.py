@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from data_schemas.arrays import ArraySpec, check_dimensions
 from data_schemas.capture import RegionOfInterest
 from data_schemas.curves import SpectralCurve
+from data_schemas.filter_curves import check_named_curves
 from data_schemas.model import Model, Record
 from data_schemas.rig import BandPassFilter, LaserSettings, WhiteReference
 from data_schemas.units import AngleDeg, EnergyJ
@@ -27,6 +28,14 @@ class Optics(Model):
     lamp: SpectralCurve
     white_reference: WhiteReference
     camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
+    filter_curves: dict[str, SpectralCurve] = Field(
+        default={}, description="measured transmission of the filters that name one, by the filter's name"
+    )
+
+    @model_validator(mode="after")
+    def _curves_are_those_of_the_filters(self) -> "Optics":
+        check_named_curves(self.filters, self.filter_curves)
+        return self
 
     @model_validator(mode="after")
     def _excitation_filter_exists(self) -> "Optics":

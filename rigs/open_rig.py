@@ -1,13 +1,15 @@
 """From a rig file to opened devices: ``with open_rig(rig, folder) as opened:``."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from data_schemas.curves import SpectralCurve, require_coverage
+from data_schemas.curve_files import read_filter_curves
+from data_schemas.curves import SpectralCurve
+from data_schemas.filter_curves import coverage_notes
 from data_schemas.rig import RigFile
 from data_schemas.standard_curves import camera_response, halogen_lamp
 from rigs.protocols import Camera, Clock, FilterWheel, Light, Operator
@@ -28,8 +30,10 @@ class OpenRig:
         Red, green and blue response (sensor and Bayer filter), relative.
     lamp_spectrum
         Relative spectral irradiance of the lamp on the target.
+    filter_curves
+        Measured transmission of the filters that name one, by the filter's name.
     notes
-        What the user should know about the curves (end values that are held).
+        What the user should know about the curves (end values that are held, range of measured transmissions).
     """
 
     camera: Camera
@@ -40,6 +44,7 @@ class OpenRig:
     clock: Clock
     camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
     lamp_spectrum: SpectralCurve
+    filter_curves: Mapping[str, SpectralCurve] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
 
@@ -57,23 +62,14 @@ def open_rig(rig: RigFile, folder: Path) -> Iterator[OpenRig]:
     Raises
     ------
     CurveError
-        A curve file is missing or unusable, or misses more than 20 % of a filter's band.
+        A curve file is missing or unusable, misses more than 20 % of a filter's band, or does not agree with the
+        filter that names it.
     """
     response = camera_response(rig.camera.response, folder)
     lamp = halogen_lamp()
-    notes = _coverage_notes(rig, (*response, lamp))
-    yield _open_simulated(rig, folder, response, lamp, notes)
-
-
-def _coverage_notes(rig: RigFile, curves: tuple[SpectralCurve, ...]) -> tuple[str, ...]:
-    """Check that every curve covers every filter's nominal passband, weighted with its transmission."""
-    notes = []
-    for optic in rig.filter_wheel.filters:
-        half_widths = np.linspace(-4.0, 4.0, 401)
-        wavelength_nm = optic.center_nm + 0.5 * optic.fwhm_nm * half_widths
-        weight = 2.0 ** -(np.abs(half_widths) ** (2.0 * optic.shape_order))
-        notes += [require_coverage(curve, wavelength_nm, weight, f"filter {optic.name}") for curve in curves]
-    return tuple(note for note in notes if note is not None)
+    filter_curves = read_filter_curves(rig.filter_wheel.filters, folder)
+    notes = coverage_notes(rig.filter_wheel.filters, filter_curves, (*response, lamp))
+    yield _open_simulated(rig, folder, response, lamp, filter_curves, notes)
 
 
 def _open_simulated(
@@ -81,6 +77,7 @@ def _open_simulated(
     folder: Path,
     response: tuple[SpectralCurve, SpectralCurve, SpectralCurve],
     lamp: SpectralCurve,
+    filter_curves: Mapping[str, SpectralCurve],
     notes: tuple[str, ...],
 ) -> OpenRig:
     """Put the simulated devices over one bench."""
@@ -112,7 +109,9 @@ def _open_simulated(
     clock = SimulatedClock()
     state = BenchState(clock=clock, slot=slots[0], laser_power_mw=rig.laser.power_mw)
     return OpenRig(
-        camera=SimulatedCamera(Bench(rig, folder, response), sensor, state, np.random.default_rng([seed, 2])),
+        camera=SimulatedCamera(
+            Bench(rig, folder, response, filter_curves), sensor, state, np.random.default_rng([seed, 2])
+        ),
         wheel=SimulatedFilterWheel(slots, state),
         laser=SimulatedLight("laser", state),
         lamp=SimulatedLight("lamp", state),
@@ -120,5 +119,6 @@ def _open_simulated(
         clock=clock,
         camera_response=response,
         lamp_spectrum=lamp,
+        filter_curves=filter_curves,
         notes=notes,
     )

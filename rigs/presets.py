@@ -1,7 +1,8 @@
-"""Ready-made rigs: the paper's eight filters over a simulated bench, and its capture plan."""
+"""Ready-made rigs: the paper's eight filters over a simulated bench, and capture plans for them."""
 
 from pathlib import Path
 
+from data_schemas.camera import CameraPlan
 from data_schemas.capture import PaintPlan, RegionOfInterest
 from data_schemas.rig import (
     BandPassFilter,
@@ -13,6 +14,9 @@ from data_schemas.rig import (
 )
 
 PAPER_FILTERS_NM = (405, 450, 500, 532, 560, 600, 630, 660)
+# The simulated filters come with a certificate: centre and width within 0.2 nm, evenly likely, is 0.12 nm, rounded up.
+CERTIFIED_NM = 0.15
+CAMERA_FILTER = "532"
 REGION_OF_HEIGHT = 220 / 1024
 RED_PAINT = HiddenPaint(
     name="red",
@@ -60,7 +64,13 @@ def simulated_rig(
         camera=CameraSettings(width_px=width_px, height_px=height_px, response=camera_response or "assumed"),
         filter_wheel=FilterWheelSettings(
             filters=tuple(
-                BandPassFilter(slot=slot, name=str(center_nm), center_nm=center_nm)
+                BandPassFilter(
+                    slot=slot,
+                    name=str(center_nm),
+                    center_nm=center_nm,
+                    center_uncertainty_nm=CERTIFIED_NM,
+                    fwhm_uncertainty_nm=CERTIFIED_NM,
+                )
                 for slot, center_nm in enumerate(PAPER_FILTERS_NM, 1)
             )
         ),
@@ -70,14 +80,25 @@ def simulated_rig(
 
 def paint_plan(paint_name: str, camera: CameraSettings | None = None) -> PaintPlan:
     """Return a plan whose region is the middle of the sample: 220 x 220 px of a frame 1024 px high."""
-    camera = camera or CameraSettings()
+    return PaintPlan(paint_name=paint_name, region=_middle(camera or CameraSettings()))
+
+
+def camera_plan(
+    camera_name: str, camera: CameraSettings | None = None, filter_name: str | None = CAMERA_FILTER
+) -> CameraPlan:
+    """Return a plan whose region is the middle of the white tile, lit through one filter (none: the wheel is out).
+
+    The filter at 532 nm lets the lamp saturate green first, and red and blue within the longest exposure.
+    """
+    return CameraPlan(camera_name=camera_name, filter_name=filter_name, region=_middle(camera or CameraSettings()))
+
+
+def _middle(camera: CameraSettings) -> RegionOfInterest:
+    """Return the middle of the frame: 220 x 220 px of one 1024 px high."""
     side_px = 2 * round(0.5 * REGION_OF_HEIGHT * camera.height_px)
-    return PaintPlan(
-        paint_name=paint_name,
-        region=RegionOfInterest(
-            row_px=(camera.height_px - side_px) // 4 * 2,
-            column_px=(camera.width_px - side_px) // 4 * 2,
-            height_px=side_px,
-            width_px=side_px,
-        ),
+    return RegionOfInterest(
+        row_px=(camera.height_px - side_px) // 4 * 2,
+        column_px=(camera.width_px - side_px) // 4 * 2,
+        height_px=side_px,
+        width_px=side_px,
     )

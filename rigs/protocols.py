@@ -94,6 +94,10 @@ class Operator(Protocol):
         """
         ...
 
+    def swing_wheel_out(self) -> None:
+        """Take the wheel out of the beam of the target in view, until the next :meth:`place` (no deadline)."""
+        ...
+
     def tilt(self, angle_deg: float) -> None:
         """Turn the sample until its normal and the laser beam enclose `angle_deg`; 0 faces the laser (no deadline)."""
         ...

@@ -3,7 +3,8 @@
 import json
 from pathlib import Path
 
-from data_schemas.capture import PaintPlan
+from data_schemas.camera import CameraPlan
+from data_schemas.capture import PaintPlan, RegionOfInterest
 from data_schemas.rig import BandPassFilter, RigFile, SimulatedBench
 from data_schemas.storage import write_bytes
 
@@ -13,7 +14,7 @@ def write_rig(rig: RigFile, path: Path) -> Path:
     return _write(path, rig_toml(rig))
 
 
-def write_plan(plan: PaintPlan, path: Path) -> Path:
+def write_plan(plan: PaintPlan | CameraPlan, path: Path) -> Path:
     """Write a plan as a new file and return its path."""
     return _write(path, plan_toml(plan))
 
@@ -50,8 +51,10 @@ response = {_quoted(camera.response)}
 driver = "{rig.filter_wheel.driver}"
 model = {_quoted(rig.filter_wheel.model)}
 
-# One table for each filter; slots count from 1. The uncertainties are standard uncertainties from the data sheet or
-# certificate; shape_order 1 is a Gaussian pass band, 2 the flat top of a hard-coated filter.
+# One table for each filter; slots count from 1. The uncertainties are standard uncertainties of a certificate; leave
+# them out for a filter known from a catalogue only. shape_order 1 is a Gaussian pass band, 2 the flat top of a
+# hard-coated filter. curve = "FILE.csv" (wavelength_nm,transmission, 0 to 1) names a measured transmission: it takes
+# the place of width, shape and peak, and center_nm must lie within 5 nm of its centre.
 {"".join(_filter_toml(f) for f in rig.filter_wheel.filters)}
 [laser]
 driver = "{laser.driver}"
@@ -79,10 +82,11 @@ def _quoted(text: str) -> str:
 
 def _filter_toml(band: BandPassFilter) -> str:
     """Return one filter's table."""
+    curve = "" if band.curve is None else f"curve = {_quoted(band.curve)}\n"
     return f"""[[filter_wheel.filters]]
 slot = {band.slot}
 name = {_quoted(band.name)}
-center_nm = {band.center_nm!r}
+{curve}center_nm = {band.center_nm!r}
 center_uncertainty_nm = {band.center_uncertainty_nm!r}
 fwhm_nm = {band.fwhm_nm!r}
 fwhm_uncertainty_nm = {band.fwhm_uncertainty_nm!r}
@@ -109,12 +113,22 @@ seed = {bench.seed}
     return f"{head}\n[simulated.paint]\n{lines}"
 
 
-def plan_toml(plan: PaintPlan) -> str:
+def plan_toml(plan: PaintPlan | CameraPlan) -> str:
     """Return a plan as commented TOML."""
-    region = plan.region
+    return (_paint_plan_toml(plan) if isinstance(plan, PaintPlan) else _camera_plan_toml(plan)) + _region_toml(
+        plan.region
+    )
+
+
+def _paint_plan_toml(plan: PaintPlan) -> str:
+    """Return a paint plan without its region."""
     filters = "# filters = [...]: names in capture order; all of the rig if left out"
     if plan.filters is not None:
-        filters = f"filters = [{', '.join(_quoted(name) for name in plan.filters)}]"
+        filters = f"filters = [{_names(plan.filters)}]"
+    tilt = """# second_tilt_deg = 30.0 and second_tilt_filters = [two names] test whether the paint is diffuse"""
+    if plan.second_tilt_deg is not None and plan.second_tilt_filters is not None:
+        tilt = f"""second_tilt_deg = {plan.second_tilt_deg!r}
+second_tilt_filters = [{_names(plan.second_tilt_filters)}]"""
     return f"""# A paint session: white tile, sample beside a ColorChecker, sample; through all filters of the rig.
 kind = "{plan.kind}"
 paint_name = {_quoted(plan.paint_name)}
@@ -126,11 +140,44 @@ target_fraction = {plan.target_fraction!r}
 # exposures of each step relative to the metered one
 bracket = [{", ".join(repr(factor) for factor in plan.bracket)}]
 darks_per_exposure = {plan.darks_per_exposure}
+# second angle between the laser beam and the sample's normal, and the two filters used at it
+{tilt}
 
 # The painted (and white) area in pixels of the raw frame.
-[region]
+"""
+
+
+def _camera_plan_toml(plan: CameraPlan) -> str:
+    """Return a camera plan without its region."""
+    through = "# filter_name = ...: left out, the wheel must be out of the beam"
+    if plan.filter_name is not None:
+        through = f"filter_name = {_quoted(plan.filter_name)}"
+    return f"""# A camera session: flat frames of the white tile from dark to beyond saturation, and dark frames.
+kind = "{plan.kind}"
+camera_name = {_quoted(plan.camera_name)}
+# the filter in the beam
+{through}
+# exposures up to the saturation of each channel, evenly spaced, and frames of each
+levels = {plan.levels}
+frames_per_level = {plan.frames_per_level}
+# further flat frames at half saturation and as many dark ones, for PRNU and DSNU
+repeats = {plan.repeats}
+longest_exposure_s = {plan.longest_exposure_s!r}
+
+# An evenly lit part of the white tile in pixels of the raw frame.
+"""
+
+
+def _region_toml(region: RegionOfInterest) -> str:
+    """Return the region's table."""
+    return f"""[region]
 row_px = {region.row_px}
 column_px = {region.column_px}
 height_px = {region.height_px}
 width_px = {region.width_px}
 """
+
+
+def _names(names: tuple[str, ...]) -> str:
+    """Return the entries of a TOML array of strings."""
+    return ", ".join(_quoted(name) for name in names)

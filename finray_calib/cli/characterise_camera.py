@@ -8,7 +8,7 @@ from data_schemas.provenance import provenance
 from data_schemas.storage import write_record
 from finray_calib.cli.options import command_line, file_name, input_digests, naming, progress_bar, require_new, say
 from finray_calib.radiometry.camera_characterisation import characterise_camera
-from rigs.capture.paint_session import SESSION_NAME
+from rigs.capture.session_folder import SESSION_NAME
 from rigs.capture.read_session import read_camera_session, read_frame_of
 
 

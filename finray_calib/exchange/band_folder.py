@@ -10,10 +10,18 @@ from numpy.typing import NDArray
 
 from data_schemas.capture import CaptureSession, Frame, LightState, PaintPlan, Target
 from data_schemas.errors import ImportFormatError
+from data_schemas.filter_curves import coverage_notes
 from data_schemas.radiometry import BandSignals
 from data_schemas.rig import CameraSettings, LampSettings, RigFile
 from data_schemas.storage import read_toml, sha256_of
-from finray_calib.exchange.band_folder_curves import DESCRIPTION_NAME, lamp_of, named_files, response_of, wheel_of
+from finray_calib.exchange.band_folder_curves import (
+    DESCRIPTION_NAME,
+    filter_curves_of,
+    lamp_of,
+    named_files,
+    response_of,
+    wheel_of,
+)
 from finray_calib.exchange.band_folder_file import BandFolder
 from finray_calib.exchange.band_images import BandImage, find_images, read_image
 from finray_calib.exchange.monochrome_signals import one_channel
@@ -143,6 +151,9 @@ def _common_shape(images: list[BandImage], description: BandFolder) -> tuple[int
 def _session(folder: Path, description: BandFolder, frames: tuple[Frame, ...]) -> CaptureSession:
     """Return the folder as the paint session that radiometry reduces; it is never stored."""
     camera = description.camera
+    filter_curves = filter_curves_of(folder, description)
+    wheel = wheel_of(folder, description, filter_curves)
+    response, lamp = response_of(folder, description), lamp_of(folder, description)
     # Constructed, not validated: a rig wants drivers or a simulated bench, and an imported folder has neither.
     rig = RigFile.model_construct(
         name=f"imported from {folder.resolve().name}",
@@ -153,7 +164,7 @@ def _session(folder: Path, description: BandFolder, frames: tuple[Frame, ...]) -
             read_noise_e=camera.read_noise_e,
             response=camera.response,
         ),
-        filter_wheel=wheel_of(folder, description),
+        filter_wheel=wheel,
         laser=description.laser,
         lamp=LampSettings(),
         white_reference=description.white_reference,
@@ -169,10 +180,11 @@ def _session(folder: Path, description: BandFolder, frames: tuple[Frame, ...]) -
             region=description.region,
         ),
         rig=rig,
-        camera_response=response_of(folder, description),
-        lamp=lamp_of(folder, description),
+        camera_response=response,
+        filter_curves=filter_curves,
+        lamp=lamp,
         frames=frames,
-        notes=_notes(folder, description),
+        notes=_notes(folder, description) + coverage_notes(wheel.filters, filter_curves, (*response, lamp)),
     )
 
 

@@ -1,55 +1,55 @@
 """Filters, camera response and lamp of an imported folder of band images."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from pydantic import ValidationError
 
-from data_schemas.curve_files import read_camera_response, read_table
+from data_schemas.curve_files import read_camera_response, read_filter_curve, read_table
 from data_schemas.curves import SpectralCurve
 from data_schemas.errors import CurveError
+from data_schemas.filter_curves import half_maximum_nm
 from data_schemas.rig import BandPassFilter, FilterWheelSettings
 from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
 from finray_calib.exchange.band_folder_file import BandFolder, ImportedFilter
-from finray_calib.exchange.filter_curve import read_filter_curve
 from finray_calib.exchange.led_camera_json import read_light
 
 DESCRIPTION_NAME = "bands.toml"
 HALOGEN = "planck-2856K"
 MONOCHROME_COLUMNS = ["wavelength_nm", "response_percent"]
-MEASURED_CURVE_NM = 0.15
 
 
-def wheel_of(folder: Path, description: BandFolder) -> FilterWheelSettings:
-    """Return the filters by their measured curves or nominal values, as those of a wheel.
+def filter_curves_of(folder: Path, description: BandFolder) -> dict[str, SpectralCurve]:
+    """Return the measured transmissions of the filters that name one, by the filter's name."""
+    return {given.name: read_filter_curve(folder / given.curve) for given in description.filters if given.curve}
+
+
+def wheel_of(folder: Path, description: BandFolder, curves: Mapping[str, SpectralCurve]) -> FilterWheelSettings:
+    """Return the filters, with centre and width of their measured curves where they have one, as those of a wheel.
 
     Raises
     ------
     CurveError
-        A curve file is unusable, or two filters are the same.
+        A curve holds no whole pass band, or two filters are the same.
     """
     try:
-        filters = tuple(_filter(folder, slot, given) for slot, given in enumerate(description.filters, 1))
+        filters = tuple(
+            _filter(slot, given, curves.get(given.name)) for slot, given in enumerate(description.filters, 1)
+        )
         return FilterWheelSettings(filters=filters)
     except ValidationError as error:
         fault = error.errors()[0]["msg"].removeprefix("Value error, ")
         raise CurveError(f"{folder / DESCRIPTION_NAME}, filters: {fault}; are all wavelengths in nm?") from None
 
 
-def _filter(folder: Path, slot: int, given: ImportedFilter) -> BandPassFilter:
-    """Return a filter by its measured curve or by its nominal values."""
-    if given.center_nm is None or given.fwhm_nm is None:
-        return read_filter_curve(folder / str(given.curve), slot, given.name, given.blocking_od, MEASURED_CURVE_NM)
-    return BandPassFilter(
-        slot=slot,
-        name=given.name,
-        center_nm=given.center_nm,
-        center_uncertainty_nm=given.center_uncertainty_nm,
-        fwhm_nm=given.fwhm_nm,
-        fwhm_uncertainty_nm=given.fwhm_uncertainty_nm,
-        blocking_od=given.blocking_od,
-        blocking_uncertainty_od=given.blocking_uncertainty_od,
-    )
+def _filter(slot: int, given: ImportedFilter, curve: SpectralCurve | None) -> BandPassFilter:
+    """Return a filter by its nominal values, or by centre and width of its measured curve."""
+    known = given.model_dump(exclude_none=True)
+    if curve is not None:
+        low_nm, high_nm = half_maximum_nm(curve)
+        known |= {"center_nm": 0.5 * (low_nm + high_nm), "fwhm_nm": high_nm - low_nm}
+    return BandPassFilter.model_validate({"slot": slot, **known})
 
 
 def response_of(folder: Path, description: BandFolder) -> tuple[SpectralCurve, SpectralCurve, SpectralCurve]:

@@ -6,14 +6,12 @@ from pydantic import Field, model_validator
 
 from data_schemas.capture import RegionOfInterest
 from data_schemas.model import Model, Record
-from data_schemas.rig import LaserSettings, WhiteReference
+from data_schemas.rig import FilterUncertaintyNm, LaserSettings, WhiteReference
 from data_schemas.units import ChargeE, ExposureS, OpticalDensity, SignalDn, WavelengthNm, WidthNm
 
 Layout = Literal["monochrome", "RGB", "Bayer RGGB", "Bayer BGGR", "Bayer GRBG", "Bayer GBRG"]
 Pattern = Annotated[str, Field(min_length=1, description="file name below the folder; {filter} and * are filled in")]
 ExposurePerFilter = ExposureS | dict[str, ExposureS]
-# A nominal band-pass of a catalogue: centre within 1.5 nm and width within 1 nm, evenly likely.
-CATALOGUE_CENTER_NM, CATALOGUE_FWHM_NM = 0.9, 0.6
 
 
 class ImportedCamera(Model):
@@ -43,10 +41,10 @@ class ImportedFilter(Model):
     center_nm: WavelengthNm | None = None
     fwhm_nm: WidthNm | None = None
     curve: str | None = None
-    center_uncertainty_nm: Annotated[float, Field(ge=0.0, le=10.0, json_schema_extra={"unit": "nm"})] = (
-        CATALOGUE_CENTER_NM
+    center_uncertainty_nm: FilterUncertaintyNm | None = Field(
+        default=None, description="standard uncertainty; left out: that of a measured curve or of a catalogue's data"
     )
-    fwhm_uncertainty_nm: Annotated[float, Field(ge=0.0, le=10.0, json_schema_extra={"unit": "nm"})] = CATALOGUE_FWHM_NM
+    fwhm_uncertainty_nm: FilterUncertaintyNm | None = None
     blocking_od: OpticalDensity = 4.0
     blocking_uncertainty_od: Annotated[float, Field(ge=0.0, le=3.0, json_schema_extra={"unit": "1"})] = 0.3
 

@@ -11,30 +11,26 @@ of the whole model.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
-from scipy.special import ndtr, ndtri
 
 from data_schemas.curves import SpectralCurve
 from data_schemas.errors import FitError
 from data_schemas.estimate import Estimate
 from data_schemas.reradiation import Reradiation
+from finray_calib.fit.absorption_candidates import Deviation, LightYields, draw_candidates, ln_relative
+from finray_calib.fit.absorption_prior import AbsorptionPrior
 from finray_calib.fit.summary import summarise
-from finray_calib.spectra.absorption import absorptance, photon_yield, smooth_covariance
+from finray_calib.spectra.absorption import photon_yield
 
 Floats = NDArray[np.float64]
 EXCITATION_NM: Floats = np.arange(300.0, 781.0, 5.0)
 EXCITATION_NM.flags.writeable = False
-CANDIDATES = 20_000
 REDRAWS = 40
 LARGEST_YIELD_SD_REL = 0.5
 FEWEST_SHAPES = 50
-_ABSORPTANCE_FLOOR = 1e-9  # a bell's tail underflows to 0, whose logarithm does not exist
-_JITTER = 1e-10
 _ONE_LIGHT = (
     "the Stokes shift comes from the prior: one laser at {laser:g} nm fixes absorption at {laser:g} nm only; measure "
     "the yield under further lights to learn the rest"
@@ -67,144 +63,6 @@ class ExcitationYield:
     sd_rel: float
 
 
-@dataclass(frozen=True)
-class AbsorptionPrior:
-    """What is believed about the absorption of a fluorescent paint before it is measured.
-
-    Attributes
-    ----------
-    stokes_mean_nm, stokes_sd_nm
-        Stokes shift, normal cut to above 0: eight measured paints, inks, textiles and papers lie within 20 to 50 nm.
-    absorbance_median_factor, ln_absorbance_sd
-        Absorbance of the layer at its maximum; the median 1 absorbs nine tenths of the light.
-    red_half_width_median_nm, ln_red_half_width_sd
-        Half width at half maximum of the absorbance towards the red.
-    blue_half_width_median_nm, ln_blue_half_width_sd
-        The same towards the blue, where vibronic bands and further dyes widen it.
-    blue_floor_low_rel, blue_floor_high_rel
-        The logarithm of the floor in the far blue is uniform between these.
-    deviation_rel, deviation_length_nm
-        Smooth departure of real absorption from the family. Best fits of the family to whole measured excitation
-        spectra leave 0.04 to 0.10; fits to a few lights leave more.
-
-    Raises
-    ------
-    FitError
-        A median, width or length is not positive, or the floor's limit is above 1.
-    """
-
-    stokes_mean_nm: float = 35.0
-    stokes_sd_nm: float = 15.0
-    absorbance_median_factor: float = 1.0
-    ln_absorbance_sd: float = 0.8
-    red_half_width_median_nm: float = 20.0
-    ln_red_half_width_sd: float = 0.4
-    blue_half_width_median_nm: float = 60.0
-    ln_blue_half_width_sd: float = 0.7
-    blue_floor_low_rel: float = 0.02
-    blue_floor_high_rel: float = 0.5
-    deviation_rel: float = 0.12
-    deviation_length_nm: float = 20.0
-
-    def __post_init__(self) -> None:
-        wrong = [f.name for f in fields(self) if not getattr(self, f.name) > 0]
-        if wrong:
-            raise FitError(f"absorption prior: {wrong[0]} is {getattr(self, wrong[0]):g}, it must be above 0")
-        if not self.blue_floor_low_rel <= self.blue_floor_high_rel <= 1:
-            raise FitError(
-                f"absorption prior: the blue floor runs from {self.blue_floor_low_rel:g} to "
-                f"{self.blue_floor_high_rel:g}, it must increase and end at 1 or below"
-            )
-
-    @cached_property
-    def in_words(self) -> dict[str, str]:
-        """Prior of each parameter with its origin."""
-        return {
-            "stokes_shift_nm": f"normal({self.stokes_mean_nm:g}, {self.stokes_sd_nm:g}) nm above 0; eight measured "
-            "materials lie within 20 to 50 nm",
-            "peak_absorbance": f"log-normal, median {self.absorbance_median_factor:g}, sd of the logarithm "
-            f"{self.ln_absorbance_sd:g}; from thin to saturated layers",
-            "red_half_width_nm": f"log-normal, median {self.red_half_width_median_nm:g} nm, sd of the logarithm "
-            f"{self.ln_red_half_width_sd:g}; four open materials",
-            "blue_half_width_nm": f"log-normal, median {self.blue_half_width_median_nm:g} nm, sd of the logarithm "
-            f"{self.ln_blue_half_width_sd:g}; four open materials",
-            "blue_floor": f"log-uniform {self.blue_floor_low_rel:g} to {self.blue_floor_high_rel:g}; four open "
-            "materials",
-            "deviation": f"smooth Gaussian process of ln a, sd {self.deviation_rel:g}, length "
-            f"{self.deviation_length_nm:g} nm; four open materials",
-        }
-
-    def stokes_density(self, shift_nm: Floats) -> Floats:
-        """Return the prior density of Stokes shifts up to a factor; 0 for shifts not above 0."""
-        z = (shift_nm - self.stokes_mean_nm) / self.stokes_sd_nm
-        return np.where(shift_nm > 0, np.exp(-0.5 * z**2), 0.0)
-
-    def draw(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        """Return (count,) Stokes shifts in nm, and (4, count) absorbance, half widths (red, blue, nm) and floor."""
-        below = ndtr(-self.stokes_mean_nm / self.stokes_sd_nm)
-        shift = self.stokes_mean_nm + self.stokes_sd_nm * ndtri(below + (1 - below) * rng.random(count))
-        medians = (self.absorbance_median_factor, self.red_half_width_median_nm, self.blue_half_width_median_nm)
-        spreads = (self.ln_absorbance_sd, self.ln_red_half_width_sd, self.ln_blue_half_width_sd)
-        shape = [m * np.exp(s * rng.standard_normal(count)) for m, s in zip(medians, spreads, strict=True)]
-        span = np.log(self.blue_floor_high_rel / self.blue_floor_low_rel)
-        return shift, np.array([*shape, self.blue_floor_low_rel * np.exp(span * rng.random(count))])
-
-
-@dataclass(frozen=True, slots=True)
-class _Candidates:
-    """Absorption shapes drawn from the prior, with their weights for each maximum of the emission.
-
-    ``columns`` (5, K) are the arguments of :func:`absorptance`, ``ln_at_lights`` (K, Y) is ln a(l) / a(laser), and
-    ``cumulated`` (M, K) the distribution function of the weights for each distinct emission maximum.
-    """
-
-    columns: Floats
-    ln_at_lights: Floats
-    cumulated: Floats
-    effective: int
-
-    def choose(self, modes: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:
-        """Return one candidate for each emission draw, given the index of its maximum."""
-        chosen = np.empty(modes.size, dtype=np.int64)
-        for m in np.unique(modes):
-            here = modes == m
-            chosen[here] = np.searchsorted(self.cumulated[m], rng.random(int(here.sum())), side="right")
-        return np.asarray(np.minimum(chosen, self.cumulated.shape[1] - 1), dtype=np.int64)
-
-
-class _Deviation:
-    """Smooth departure of ln a from the family, relative to the laser, given the yields."""
-
-    def __init__(self, points_nm: Floats, laser_nm: float, lights: Sequence[ExcitationYield], prior: AbsorptionPrior):
-        self.lights = len(lights) - 1
-        at = np.append(points_nm, laser_nm)
-        full = smooth_covariance(at, prior.deviation_rel, prior.deviation_length_nm)
-        difference = np.eye(at.size)[:-1]
-        difference[:, -1] = -1.0
-        self.covariance = difference @ full @ difference.T
-        self.root = np.linalg.cholesky(self.covariance + _JITTER * np.eye(points_nm.size))
-        self.sd = np.array([light.sd_rel for light in lights])
-        noise = np.diag(self.sd[1:] ** 2) + self.sd[0] ** 2
-        self.factor = cho_factor(self.covariance[: self.lights, : self.lights] + noise)
-
-    def log_likelihood(self, residual: Floats) -> Floats:
-        """Return the log density up to a constant of (K, lights) residuals of ln yield."""
-        if self.lights == 0:
-            return np.zeros(len(residual))
-        solved = cho_solve(self.factor, residual.T)
-        return np.asarray(-0.5 * np.einsum("kl,lk->k", residual, solved))
-
-    def draw(self, residual: Floats, rng: np.random.Generator) -> Floats:
-        """Return (N, E) draws given (N, lights) residuals, by conditioning prior draws (Matheron's rule)."""
-        prior = rng.standard_normal((len(residual), len(self.root))) @ self.root.T
-        if self.lights == 0:
-            return prior
-        noise = rng.standard_normal((len(residual), self.lights + 1)) * self.sd
-        seen = prior[:, : self.lights] + noise[:, 1:] - noise[:, :1]
-        gain = cho_solve(self.factor, self.covariance[: self.lights, self.lights :])
-        return np.asarray(prior[:, self.lights :] + (residual - seen) @ gain)
-
-
 def fit_absorption(
     emission_draws_per_nm: Floats,
     wavelength_nm: Floats,
@@ -224,10 +82,8 @@ def fit_absorption(
 
     Parameters
     ----------
-    emission_draws_per_nm
-        (N, L) emission draws under the laser, nm^-1, at least 100.
-    wavelength_nm
-        (L,) grid, nm.
+    emission_draws_per_nm, wavelength_nm
+        (N, L) emission draws under the laser, nm^-1, at least 100, and their (L,) grid, nm.
     laser_nm
         Excitation of the emission draws, nm.
     yields
@@ -253,30 +109,11 @@ def fit_absorption(
         yield is not positive or its uncertainty not within 0 to 0.5; two lights have the same wavelength.
     """
     mode_nm = _modes(emission_draws_per_nm, wavelength_nm, laser_nm)
-    _check_yields(yields, laser_nm)
-    lights_nm = np.array([light.excitation_nm for light in yields[1:]])
-    observed = np.array([np.log(light.yield_rel / yields[0].yield_rel) for light in yields[1:]])
-    observed = observed - np.log(lights_nm / laser_nm)
-    deviation = _Deviation(np.concatenate([lights_nm, excitation_nm]), laser_nm, yields, prior)
-    distinct_nm, index, counts = np.unique(mode_nm, return_inverse=True, return_counts=True)
-    candidates = _candidates(distinct_nm, counts, laser_nm, lights_nm, observed, deviation, prior, rng)
-    reflected = 0.0 if least_reflectance is None else least_reflectance(excitation_nm)
-    ceiling = (1 - reflected) / photon_yield(emission_draws_per_nm, wavelength_nm, laser_nm)[:, None]
-
-    draws = np.empty((mode_nm.size, excitation_nm.size))
-    shift_nm = np.empty(mode_nm.size)
-    rows, rejected = np.arange(mode_nm.size), 0.0
-    for attempt in range(REDRAWS):
-        chosen = candidates.choose(index[rows], rng)
-        shapes = _ln_relative(candidates.columns[:, chosen], excitation_nm, laser_nm)
-        residual = observed - candidates.ln_at_lights[chosen]
-        draws[rows] = np.exp(shapes + deviation.draw(residual, rng))
-        shift_nm[rows] = mode_nm[rows] - candidates.columns[0, chosen]
-        rows = np.flatnonzero((draws > np.broadcast_to(ceiling, draws.shape)).any(axis=1))
-        if attempt == 0:
-            rejected = rows.size / mode_nm.size
-        if rows.size == 0:
-            break
+    seen = _relative_to_laser(yields, laser_nm)
+    sampler = _Sampler(mode_nm, seen, prior, excitation_nm, rng)
+    most = 1.0 if least_reflectance is None else 1 - least_reflectance(excitation_nm)
+    ceiling = most / photon_yield(emission_draws_per_nm, wavelength_nm, laser_nm)[:, None]
+    draws, shift_nm, rejected, violating = sampler.draw_below(ceiling)
     low95, high95 = np.quantile(draws, [0.025, 0.975], axis=0)
     return Reradiation(
         excitation_nm=excitation_nm,
@@ -290,11 +127,49 @@ def fit_absorption(
         measured_at_nm=tuple(light.excitation_nm for light in yields),
         prior_driven=len(yields) == 1,
         prior=prior.in_words,
-        distinct_shapes=candidates.effective,
+        distinct_shapes=sampler.candidates.effective,
         rejected_share=rejected,
-        violating_share=rows.size / mode_nm.size,
-        statement=_statement(yields, laser_nm, least_reflectance is not None, candidates.effective),
+        violating_share=violating,
+        statement=_statement(yields, laser_nm, least_reflectance is not None, sampler.candidates.effective),
     )
+
+
+class _Sampler:
+    """Draws one absorption for each emission draw."""
+
+    def __init__(
+        self,
+        mode_nm: Floats,
+        yields: LightYields,
+        prior: AbsorptionPrior,
+        excitation_nm: Floats,
+        rng: np.random.Generator,
+    ) -> None:
+        self.mode_nm, self.yields, self.excitation_nm, self.rng = mode_nm, yields, excitation_nm, rng
+        self.deviation = Deviation(excitation_nm, yields, prior)
+        distinct_nm, self.mode, counts = np.unique(mode_nm, return_inverse=True, return_counts=True)
+        self.candidates = draw_candidates(distinct_nm, counts, yields, self.deviation, prior, rng)
+
+    def draw(self, rows: NDArray[np.int64]) -> tuple[Floats, Floats]:
+        """Return absorption and Stokes shift (nm) for some emission draws."""
+        chosen = self.candidates.choose(self.mode[rows], self.rng)
+        columns = self.candidates.columns[:, chosen]
+        shapes = ln_relative(columns, self.excitation_nm, self.yields.laser_nm)
+        residual = self.yields.ln_absorbed - self.candidates.ln_at_lights[chosen]
+        return np.exp(shapes + self.deviation.draw(residual, self.rng)), self.mode_nm[rows] - columns[0]
+
+    def draw_below(self, ceiling: Floats) -> tuple[Floats, Floats, float, float]:
+        """Return absorptions, shifts (nm), and the shares of draws first and finally above the (N, E) ceiling."""
+        count = self.mode_nm.size
+        draws, shift_nm = self.draw(np.arange(count))
+        rows = np.flatnonzero((draws > ceiling).any(axis=1))
+        rejected = rows.size / count
+        for _ in range(REDRAWS - 1):
+            if rows.size == 0:
+                break
+            draws[rows], shift_nm[rows] = self.draw(rows)
+            rows = np.flatnonzero((draws > ceiling).any(axis=1))
+        return draws, shift_nm, rejected, rows.size / count
 
 
 def _modes(draws: Floats, wavelength_nm: Floats, laser_nm: float) -> Floats:
@@ -312,8 +187,8 @@ def _modes(draws: Floats, wavelength_nm: Floats, laser_nm: float) -> Floats:
     return np.asarray(wavelength_nm[above.argmax(axis=1)])
 
 
-def _check_yields(yields: Sequence[ExcitationYield], laser_nm: float) -> None:
-    """Refuse yields that cannot be used."""
+def _relative_to_laser(yields: Sequence[ExcitationYield], laser_nm: float) -> LightYields:
+    """Return what the lights say relative to the laser; refuse yields that cannot be used."""
     if not yields or yields[0].excitation_nm != laser_nm:
         first = f"{yields[0].excitation_nm:g} nm" if yields else "missing"
         raise FitError(f"absorption: the first yield must be the laser's at {laser_nm:g} nm, it is {first}")
@@ -326,42 +201,10 @@ def _check_yields(yields: Sequence[ExcitationYield], laser_nm: float) -> None:
             )
     if len({light.excitation_nm for light in yields}) < len(yields):
         raise FitError("absorption: two yields have the same excitation wavelength; average them first")
-
-
-def _ln_relative(columns: Floats, wavelength_nm: Floats, laser_nm: float) -> Floats:
-    """Return ln a(l) / a(laser) of (5, K) shapes, (K, L)."""
-    values = absorptance(np.append(wavelength_nm, laser_nm), *columns[:, :, None])
-    logarithm = np.log(np.maximum(values, _ABSORPTANCE_FLOOR))
-    return np.asarray(logarithm[:, :-1] - logarithm[:, -1:])
-
-
-def _candidates(
-    modes_nm: Floats,
-    counts: NDArray[np.int64],
-    laser_nm: float,
-    lights_nm: Floats,
-    observed: Floats,
-    deviation: _Deviation,
-    prior: AbsorptionPrior,
-    rng: np.random.Generator,
-) -> _Candidates:
-    """Draw absorption shapes around the emission maxima (with their numbers of draws) and weight them for each.
-
-    The likelihood does not know the emission's maximum, so it is computed once for all; the prior of the Stokes
-    shift tells how well a shape goes with each maximum.
-    """
-    share = counts / counts.sum()
-    shift_nm, shape = prior.draw(CANDIDATES, rng)
-    peak_nm = rng.choice(modes_nm, CANDIDATES, p=share) - shift_nm
-    columns = np.concatenate([peak_nm[None], shape])
-    at_lights = _ln_relative(columns, lights_nm, laser_nm)
-    log_likelihood = deviation.log_likelihood(observed - at_lights)
-    density = prior.stokes_density(modes_nm[:, None] - peak_nm)
-    weight = density / (share @ density) * np.exp(log_likelihood - log_likelihood.max())
-    cumulated = np.cumsum(weight, axis=1)
-    mean = share @ weight
-    effective = int(mean.sum() ** 2 / (mean**2).sum())
-    return _Candidates(columns, at_lights, cumulated / cumulated[:, -1:], effective)
+    lights_nm = np.array([light.excitation_nm for light in yields[1:]])
+    ln_energy = np.array([np.log(light.yield_rel / yields[0].yield_rel) for light in yields[1:]])
+    sd_rel = np.array([light.sd_rel for light in yields])
+    return LightYields(laser_nm, lights_nm, ln_energy - np.log(lights_nm / laser_nm), sd_rel)
 
 
 def _estimate(draws: Floats) -> Estimate:

@@ -23,7 +23,7 @@ from finray_calib.fit.emission import EmissionPosterior
 from finray_calib.fit.family_choice import FamilyScore
 from finray_calib.fit.prior_sensitivity import mean_shifts
 from finray_calib.fit.summary import summarise
-from finray_calib.spectra.rig_curves import WAVELENGTH_NM, filter_transmission
+from finray_calib.spectra.rig_curves import transmissions
 from finray_calib.spectra.skew_cauchy import from_mode_parameters
 
 Floats = NDArray[np.float64]
@@ -101,11 +101,7 @@ def paper_parameters(posterior: EmissionPosterior) -> dict[str, Estimate]:
 def band_integrals(bands: BandSignals, posterior: EmissionPosterior) -> tuple[Estimate, ...]:
     """Return the mean emission over each filter's transmission, nm^-1."""
     curves = posterior.curve_draws.curves
-    shares = []
-    for band in bands.optics.filters:
-        passed = filter_transmission(band, WAVELENGTH_NM)
-        shares.append(estimate(curves @ passed / passed.sum()))
-    return tuple(shares)
+    return tuple(estimate(curves @ passed / passed.sum()) for passed in transmissions(bands.optics))
 
 
 def discrepancy(settings: Discrepancy) -> DiscrepancySettings:

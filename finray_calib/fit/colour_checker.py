@@ -4,7 +4,7 @@ The 24 patches in the room-light frame give a matrix from camera RGB to XYZ; the
 every patch by CIEDE2000, and the reflectance curve of the closest patch stands in for the paint's.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from data_schemas.curves import SpectralCurve
 from data_schemas.errors import FitError, RadiometryError
 from data_schemas.estimate import Estimate
 from data_schemas.radiometry import Optics
-from data_schemas.rig import BandPassFilter
 from finray_calib.fit.colour_match import PATCH_SET, match_colour, match_uncertainty_rel, patch_colours, reflectance_sd
 from finray_calib.radiometry.find_colour_checker import (
     LARGEST_CLIPPED_FRACTION,
@@ -23,7 +22,7 @@ from finray_calib.radiometry.find_colour_checker import (
     find_colour_checker,
     linear_cells,
 )
-from finray_calib.spectra.rig_curves import WAVELENGTH_NM, filter_transmission
+from finray_calib.spectra.rig_curves import WAVELENGTH_NM, transmissions
 
 Floats = NDArray[np.float64]
 ReadFrame = Callable[[Frame], NDArray[np.uint16]]
@@ -64,7 +63,7 @@ def colour_checker_reflectance(session: CaptureSession, read: ReadFrame, optics:
         except RadiometryError as error:
             faults.append(f"{frame.file}: {error}")
             continue
-        return _record(patches, paint_dn, frame, optics.filters)
+        return _record(patches, paint_dn, frame, transmissions(optics))
     raise FitError("no room-light frame can be used; " + "; ".join(faults))
 
 
@@ -90,9 +89,7 @@ def _paint_mean(cells: Floats, session: CaptureSession) -> Floats:
     return np.asarray(np.nanmean(paint, axis=0))
 
 
-def _record(
-    patches: ColourCheckerPatches, paint_dn: Floats, frame: Frame, filters: Sequence[BandPassFilter]
-) -> ColourCheckerMatch:
+def _record(patches: ColourCheckerPatches, paint_dn: Floats, frame: Frame, passed: Floats) -> ColourCheckerMatch:
     """Match and put into words."""
     reference = patch_colours()
     match = match_colour(patches.mean_dn, paint_dn)
@@ -111,7 +108,7 @@ def _record(
         patches=tuple(ranked),
         reflectance=curve,
         reflectance_sd=sd,
-        at_filters=tuple(_at_filter(curve, band, sd) for band in filters),
+        at_filters=tuple(_at_filter(curve, one, sd) for one in passed),
         camera_median_delta_e=float(np.median(match.camera_delta_e)),
         camera_largest_delta_e=float(match.camera_delta_e.max()),
         patch_mean_dn=patches.mean_dn,
@@ -129,9 +126,8 @@ def _record(
     )
 
 
-def _at_filter(curve: SpectralCurve, band: BandPassFilter, sd: float) -> Estimate:
-    """Return the curve averaged over a filter's pass band, with its uncertainty; ends are cut at 0 and 1."""
-    passed = filter_transmission(band, WAVELENGTH_NM)
+def _at_filter(curve: SpectralCurve, passed: Floats, sd: float) -> Estimate:
+    """Return the curve averaged over a filter's transmission (L,), with its uncertainty; ends are cut at 0 and 1."""
     value = float((passed * curve(WAVELENGTH_NM)).sum() / passed.sum())
     low68, high68, low95, high95 = (
         float(np.clip(value + z * sd, 0.0, 1.0)) for z in (-_NORMAL_68, _NORMAL_68, -_NORMAL_95, _NORMAL_95)

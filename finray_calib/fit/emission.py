@@ -16,7 +16,6 @@ from finray_calib.fit.importance import WeightedSample, importance_sample
 from finray_calib.fit.likelihood import BandData, LogPosterior
 from finray_calib.fit.map_search import Maxima, find_maxima
 from finray_calib.fit.mixture_proposal import MixtureProposal
-from finray_calib.fit.pareto_smoothing import LARGEST_PARETO_K
 from finray_calib.fit.predictive import BandCheck, check_bands
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.fit.sampler import SamplerSettings, sample_posterior
@@ -25,7 +24,7 @@ from finray_calib.spectra.emission_families import EmissionFamily
 
 FloatArray = NDArray[np.float64]
 
-_MORE: Final = 5
+_GROWTHS: Final = 10
 _REFERENCE_ROUNDS: Final = 2
 """The filters' tolerances act at a reference fit that is refined twice; the first is fitted without them."""
 
@@ -202,7 +201,8 @@ def draw_posterior(
     """Return proposal, draws of equal weight and how they were made.
 
     Importance sampling around the maxima; where its diagnostic k or its effective number says no, the same with a
-    proposal adapted to the posterior; where that says no, emcee with jumps between all maxima.
+    proposal adapted to the posterior and grown where it falls short; where that says no, emcee with jumps between all
+    maxima.
     """
     proposal = MixtureProposal.around(maxima, log_posterior.prior)
     sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
@@ -211,8 +211,11 @@ def draw_posterior(
         method = "adapted importance sampling"
         proposal = proposal.adapted(log_posterior, rng)
         sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
-        if not sample.trusted and sample.pareto_k <= LARGEST_PARETO_K:  # sound but thin: more of the same
-            sample = importance_sample(log_posterior, proposal, _MORE * settings.importance_draws, rng)
+    for _ in range(_GROWTHS):
+        if sample.trusted:
+            break
+        proposal = proposal.grown(sample.theta, sample.weight)
+        sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
     if sample.trusted:
         return proposal, sample.resampled(settings.kept_draws, rng), Sampling(method, sample, None)
     chain, diagnostics = sample_posterior(log_posterior, proposal, settings.chain, rng)

@@ -15,9 +15,9 @@ FloatArray = NDArray[np.float64]
 DEFAULT_FAMILY: Final = "log_normal_wavenumber"
 """Predicts the whole spectrum of measured paints best from eight bands (docs/explanation/model-of-the-paint.md)."""
 
-CLEAR_PROBABILITY: Final = 0.95
+SMALLEST_DEFAULT_PROBABILITY: Final = 0.05
 CLEAR_SCORE_SD: Final = 2.0
-"""Another family replaces the default only when the evidence and the left-out bands both speak clearly for it."""
+"""Another family replaces the default only when the evidence and the left-out bands both speak clearly against it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,19 +73,19 @@ def score_families(
 def choose_family(scores: Mapping[str, FamilyScore]) -> tuple[str, str]:
     """Return the name of the family to report and the sentence that says why and how surely.
 
-    The default family stays unless another one has a probability of 0.95 and predicts left-out bands better by
-    two standard errors: eight bands rarely tell families apart, measured paints did.
+    The default family stays unless its probability is below 0.05 and the most probable one predicts left-out bands
+    better by two standard errors: eight bands rarely tell families apart, measured paints did.
     """
     best = max(scores, key=lambda name: scores[name].probability)
     gain = scores[best].left_out.total - scores[DEFAULT_FAMILY].left_out.total
-    clear = scores[best].probability >= CLEAR_PROBABILITY and gain > CLEAR_SCORE_SD * scores[best].difference_sd
+    clear = scores[DEFAULT_FAMILY].probability < SMALLEST_DEFAULT_PROBABILITY and gain > CLEAR_SCORE_SD * scores[best].difference_sd
     told = ", ".join(f"{name} {score.probability:.2f}" for name, score in scores.items())
     if best == DEFAULT_FAMILY:
         return best, f"{best}: the default, and the most probable given these bands ({told})"
     if clear:
         return best, (
-            f"{best}: the bands speak clearly for it (probabilities {told}; left-out bands predicted better by "
-            f"{gain:.1f} +- {scores[best].difference_sd:.1f} nats)"
+            f"{best}: the bands speak clearly against the default, {DEFAULT_FAMILY} (probabilities {told}; left-out bands "
+            f"predicted better by {gain:.1f} +- {scores[best].difference_sd:.1f} nats)"
         )
     return DEFAULT_FAMILY, (
         f"{DEFAULT_FAMILY}: the default, because the bands do not clearly tell the families apart (probabilities "

@@ -15,6 +15,8 @@ _DRAWS = 512
 _STARTS_PER_STRATUM = 2
 _MODE_STRATA = 4
 _EVALUATIONS = 60
+_CONFIRMING_EVALUATIONS = 8000
+_FIRST_STEP = 0.1  # in prior standard deviations, for the search without gradients
 _GRADIENT_STEP = 1e-5  # in prior standard deviations
 _BOX_SD = 8.0  # box of the parameters without truncation: nothing within reach of any data lies outside
 _SAME_MAXIMUM = 1.0  # in posterior standard deviations
@@ -56,7 +58,7 @@ def find_maxima(log_posterior: LogPosterior, rng: np.random.Generator) -> Maxima
 
     Prior draws are scaled to the data (height from the brightest band, reflectance from the excitation band); the
     best of each stratum of mode and sign of skewness start Levenberg-Marquardt; NLopt's SLSQP finishes each distinct
-    end on the exact density. Maxima closer than one posterior standard deviation, or without a dip between them, are
+    end on the exact density, and a search without gradients confirms every maximum beyond the first. Maxima closer than one posterior standard deviation, or without a dip between them, are
     one; those 25 nats below the best are dropped.
 
     Parameters
@@ -79,11 +81,10 @@ def find_maxima(log_posterior: LogPosterior, rng: np.random.Generator) -> Maxima
         seen.append(theta)
         if any(_distance(theta - other, precision) < _SAME_MAXIMUM for other, _, precision in kept):
             continue
-        end, best = _finish(log_posterior, theta)
-        if all(
-            _distance(end - other, precision) > _SAME_MAXIMUM and _dips_between(log_posterior, end, other)
-            for other, _, precision in kept
-        ):
+        end, best = _finish(log_posterior, theta, nlopt.LD_SLSQP, _EVALUATIONS)
+        if kept and _is_new(log_posterior, end, kept):  # a gradient search can stall on a curved ridge
+            end, best = _finish(log_posterior, end, nlopt.LN_NELDERMEAD, _CONFIRMING_EVALUATIONS)
+        if _is_new(log_posterior, end, kept):
             kept.append((end, best, log_posterior.information(end)))
     kept.sort(key=lambda maximum: -maximum[1])
     thetas, values, informations = zip(*kept, strict=True)
@@ -110,7 +111,9 @@ def starting_points(log_posterior: LogPosterior, rng: np.random.Generator) -> Fl
     return np.asarray(theta[np.concatenate(best)])
 
 
-def _finish(log_posterior: LogPosterior, start: FloatArray) -> tuple[FloatArray, float]:
+def _finish(
+    log_posterior: LogPosterior, start: FloatArray, algorithm: int, evaluations: int
+) -> tuple[FloatArray, float]:
     """Return the maximum that NLopt reaches from `start` and its log posterior density."""
     prior = log_posterior.prior
     scale, dimension = prior.sd, start.size
@@ -121,28 +124,34 @@ def _finish(log_posterior: LogPosterior, start: FloatArray) -> tuple[FloatArray,
 
     def density(z: FloatArray, gradient: FloatArray) -> float:
         nonlocal best_z, best_value
-        values = np.maximum(log_posterior(prior.mean + (z + steps) * scale), _LEAST)
+        rows = steps if gradient.size else steps[:1]
+        values = np.maximum(log_posterior(prior.mean + (z + rows) * scale), _LEAST)
         if gradient.size:
             gradient[:] = (values[1 : dimension + 1] - values[dimension + 1 :]) / (2 * _GRADIENT_STEP)
         if values[0] > best_value:
             best_z, best_value = z.copy(), float(values[0])
         return float(values[0])
 
-    search = nlopt.opt(nlopt.LD_SLSQP, dimension)
+    search = nlopt.opt(algorithm, dimension)
     search.set_max_objective(density)
     search.set_lower_bounds(low)
     search.set_upper_bounds(high)
-    search.set_ftol_abs(1e-6)
-    search.set_maxeval(_EVALUATIONS)
+    search.set_ftol_abs(1e-7)
+    search.set_maxeval(evaluations)
+    search.set_initial_step(_FIRST_STEP)
     with suppress(nlopt.RoundoffLimited, nlopt.runtime_error):  # a line search that stalls has still climbed
         search.optimize(best_z)
     return prior.mean + best_z * scale, best_value
 
 
-def _dips_between(log_posterior: LogPosterior, one: FloatArray, other: FloatArray) -> bool:
-    """Return whether the density falls on the straight way between two ends: a search can stall on a ridge."""
-    way = log_posterior(one + np.linspace(0.0, 1.0, _WAY_POINTS)[:, None] * (other - one))
-    return bool(way.min() < min(way[0], way[-1]) - _LEAST_DIP)
+def _is_new(log_posterior: LogPosterior, end: FloatArray, kept: list[tuple[FloatArray, float, FloatArray]]) -> bool:
+    """Return whether an end is far from every kept maximum, with a dip of the density between them."""
+    for other, _, precision in kept:
+        way = log_posterior(end + np.linspace(0.0, 1.0, _WAY_POINTS)[:, None] * (other - end))
+        dips = way.min() < min(way[0], way[-1]) - _LEAST_DIP
+        if not dips or _distance(end - other, precision) <= _SAME_MAXIMUM:
+            return False
+    return True
 
 
 def _distance(difference: FloatArray, information: FloatArray) -> float:

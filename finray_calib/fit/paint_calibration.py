@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,8 @@ from data_schemas.fit import PaintCalibration
 from data_schemas.radiometry import BandSignals
 from data_schemas.reradiation import Reradiation
 from finray_calib.fit import calibration_records as records
-from finray_calib.fit.absorption_fit import AbsorptionPrior, ExcitationYield, fit_absorption
+from finray_calib.fit.absorption_fit import ExcitationYield, fit_absorption
+from finray_calib.fit.absorption_prior import AbsorptionPrior
 from finray_calib.fit.chain_check import check_by_chain
 from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY, Discrepancy
 from finray_calib.fit.emission import EmissionPosterior, FitSettings, fit_emission
@@ -114,9 +115,8 @@ def calibrate_paint(
     reflected = reflectance(bands, curve.mean, at_laser) if colour_match is None else colour_match.at_filters
     drawn = posterior.curve_draws.curves[:CURVE_DRAWS]
     reradiation = _reradiation(bands, drawn, reflected, [_yields(b, chosen, options, rng) for b in other_lights], rng)
-    diffuse = reradiation_matrix(
-        drawn, WAVELENGTH_NM, reradiation, _reflected_curve(bands, reflected), bands.paint_name
-    )
+    mean_reflected, sd_reflected = _reflected_curve(bands, reflected), _reflected_curve(bands, reflected, "sd")
+    diffuse = reradiation_matrix(drawn, WAVELENGTH_NM, reradiation, mean_reflected, bands.paint_name, sd_reflected)
     residuals = records.residuals(bands, posterior)
     others = {**posteriors, f"{PAPER_FAMILY} alone": paper}
     shown = [records.curve_bands(p.curve_draws.curves) for p in others.values()]
@@ -233,14 +233,14 @@ def _reradiation(
     for nm, curves in every.items():
         area = curves[:, counted_nm <= WAVELENGTH_NM].sum(axis=1)
         yields.append(ExcitationYield(nm, float(area.mean()), float(np.clip(area.std() / area.mean(), 1e-4, 0.5))))
-    least = _reflected_curve(bands, reflected, lowest=True)
+    least = _reflected_curve(bands, reflected, "low95")
     return fit_absorption(drawn, WAVELENGTH_NM, laser_nm, yields, AbsorptionPrior(), rng, least)
 
 
-def _reflected_curve(bands: BandSignals, reflected: tuple[Estimate, ...], *, lowest: bool = False) -> SpectralCurve:
-    """Return the reflectance (or its lower 95 % limit) between the filters' centres."""
-    pairs = sorted(
-        (f.center_nm, r.low95 if lowest else r.estimate) for f, r in zip(bands.optics.filters, reflected, strict=True)
-    )
+def _reflected_curve(
+    bands: BandSignals, reflected: tuple[Estimate, ...], quantity: Literal["estimate", "sd", "low95"] = "estimate"
+) -> SpectralCurve:
+    """Return the reflectance (or its standard uncertainty or lower 95 % limit) between the filters' centres."""
+    pairs = sorted((f.center_nm, getattr(r, quantity)) for f, r in zip(bands.optics.filters, reflected, strict=True))
     nm, values = np.array(pairs).T
     return SpectralCurve(name="reflectance", wavelength_nm=nm, values=values, source="filters of the session")

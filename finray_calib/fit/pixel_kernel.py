@@ -11,22 +11,18 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from finray_calib.spectra.family_kernels import KAPPA_END, KAPPA_STEP, SKEW_CAUCHY
+from finray_calib.fit.pixel_curves import CURVE_CONSTANTS, FAST, SHAPES, curve_constants, curve_slopes
 
 FloatArray = NDArray[np.float64]
 
-SHAPES = 4
 PARAMETERS = 5
 FEWEST_BANDS = 4
-CURVE_CONSTANTS = 9
 RESULTS = 3 * (PARAMETERS + 1) + 1
 """Values per pixel: six estimates (mode, FWHM, peak, own, reflectance, yield), their standard deviations, the part of
 these that is the scatter of the estimate by noise alone (the rest is what the prior leaves open), chi-square."""
 
 NOT_FITTED, NOT_CONVERGED, CONVERGED = 0, 1, 2
 
-_LN_2 = math.log(2.0)
-_SYMMETRIC = 1e-4  # below this log-asymmetry the series of the logarithm is exact to 1e-7
 _MOST_STEPS = 40
 _NEAR, _CLOSE = 0.1, 1e-6  # squared distances in standard deviations: 0.3 and 0.001
 _FIRST_DAMPING, _LEAST_DAMPING = 0.1, 1e-2
@@ -42,7 +38,7 @@ class PixelProblem(NamedTuple):
 
     family: int
     table: FloatArray  # (3, K) mode offset, peak and width of the unit skew-Cauchy curve over kappa
-    nodes_nm: FloatArray  # (B, Q)
+    nodes_nm: FloatArray  # (B Q,) band after band
     in_band: FloatArray  # (3, B, Q), all 0 where a band has no pass band above the laser
     grid_nm: FloatArray  # (G,)
     out_of_band: FloatArray  # (3, B + 1, G)
@@ -56,77 +52,6 @@ class PixelProblem(NamedTuple):
     own_high: float
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def curve_constants(p: PixelProblem, theta: FloatArray, k: FloatArray) -> None:
-    """Fill what the curve of one parameter vector needs at each wavelength."""
-    if p.family == SKEW_CAUCHY:
-        m, peak, width, dm, dpeak, dwidth = _unit_shape(p.table, theta[3])
-        k[0], k[1], k[2] = theta[0], width * math.exp(-theta[1]), m
-        k[3], k[4], k[5] = math.sinh(theta[3]), math.cosh(theta[3]), math.exp(theta[2]) / peak
-        k[6], k[7], k[8] = dm, dpeak / peak, dwidth / width
-    else:
-        nu, width, s = 1e4 / theta[0], math.exp(theta[1]), theta[3]
-        tilt, share = math.tanh(s / 2), 0.25 / math.cosh(s / 2) ** 2
-        # the half-width condition is the root x of a x^2 + b x = c, so its derivatives are those of an implicit one
-        a, b, c = width * share, 1e4 + width * nu * tilt, width * nu * nu
-        x = 2 * c / (b + math.sqrt(b * b + 4 * a * c))
-        slope = (2 * a * x + b) * x
-        d_nu = -nu / theta[0]
-        k[0], k[1], k[2], k[3] = nu, 1 / x, s, math.exp(theta[2])
-        k[4] = d_nu / x
-        k[5] = (2 * width * nu - width * tilt * x) * d_nu / slope
-        k[6] = (c - a * x * x - width * nu * tilt * x) / slope
-        k[7] = (a * tilt * x * x - 2 * width * nu * share * x) / slope
-        k[8] = math.sinh(s)
-
-
-@njit(cache=True, inline="always")  # type: ignore[untyped-decorator]
-def curve_and_slopes(family: int, k: FloatArray, wavelength_nm: float) -> tuple[float, float, float, float]:
-    """Return the curve and its derivatives by mode, ln FWHM and own parameter; that by ln peak is the curve."""
-    if family == SKEW_CAUCHY:
-        z = (wavelength_nm - k[0]) * k[1] + k[2]
-        w_z = k[3] * z
-        bell, step = 1 / (1 + z * z), math.atan(w_z) / math.pi + 0.5
-        kick = 1 / (math.pi * (1 + w_z * w_z))
-        f = k[5] * bell * step
-        by_z = k[5] * bell * (k[3] * kick - 2 * z * bell * step)
-        off = z - k[2]
-        own = by_z * (off * k[8] + k[6]) - f * k[7] + k[5] * bell * kick * z * k[4]
-        return f, -by_z * k[1], -off * by_z, own
-    u, s = (1e4 / wavelength_nm - k[0]) * k[1], k[2]
-    a = 1 - 2 * u * k[8]
-    if a <= 0:
-        return 0.0, 0.0, 0.0, 0.0
-    if abs(s) < _SYMMETRIC:
-        g, by_u, by_s = -2 * u - 2 * u * u * s, -2 - 4 * u * s, -2 * u * u
-    else:
-        g = math.log(a) / s
-        by_u = -2 * k[8] / (a * s)
-        by_s = (-2 * u * math.sqrt(1 + k[8] * k[8]) / a - g) / s
-    f = k[3] * math.exp(-_LN_2 * g * g)
-    fall = -2 * _LN_2 * g * f
-    return f, fall * by_u * (-k[4] - u * k[5]), -fall * by_u * u * k[6], fall * (by_s - by_u * u * k[7])
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _unit_shape(table: FloatArray, kappa: float) -> tuple[float, float, float, float, float, float]:
-    """Return mode offset, peak and width of the unit skew-Cauchy curve and their derivatives by kappa."""
-    a = min(abs(kappa), KAPPA_END - 1e-9) / KAPPA_STEP + 1
-    i = int(a)
-    t = a - i
-    w0, w1 = ((-0.5 * t + 1.0) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1.0
-    w2, w3 = ((-1.5 * t + 2.0) * t + 0.5) * t, (0.5 * t - 0.5) * t * t
-    d0, d1 = (-1.5 * t + 2.0) * t - 0.5, (4.5 * t - 5.0) * t
-    d2, d3 = (-4.5 * t + 4.0) * t + 0.5, (1.5 * t - 1.0) * t
-    m = w0 * table[0, i - 1] + w1 * table[0, i] + w2 * table[0, i + 1] + w3 * table[0, i + 2]
-    p = w0 * table[1, i - 1] + w1 * table[1, i] + w2 * table[1, i + 1] + w3 * table[1, i + 2]
-    v = w0 * table[2, i - 1] + w1 * table[2, i] + w2 * table[2, i + 1] + w3 * table[2, i + 2]
-    dm = (d0 * table[0, i - 1] + d1 * table[0, i] + d2 * table[0, i + 1] + d3 * table[0, i + 2]) / KAPPA_STEP
-    dp = (d0 * table[1, i - 1] + d1 * table[1, i] + d2 * table[1, i + 1] + d3 * table[1, i + 2]) / KAPPA_STEP
-    dv = (d0 * table[2, i - 1] + d1 * table[2, i] + d2 * table[2, i + 1] + d3 * table[2, i + 2]) / KAPPA_STEP
-    return (m, p, v, dm, dp, dv) if kappa >= 0 else (-m, p, v, dm, -dp, -dv)
-
-
 class PixelWork(NamedTuple):
     """Scratch arrays of one thread."""
 
@@ -135,9 +60,12 @@ class PixelWork(NamedTuple):
     floor: FloatArray  # (B + 1, 4) out-of-band values and slopes by mode, ln FWHM, own, for a peak of 1
     about: FloatArray  # (5,) where they were taken
     region_floor: FloatArray  # (3, B + 1, 4) the same at the region's fit
+    region_emitted: FloatArray  # (3, B) emission that the region's fit sends into the bands
     theta: FloatArray  # (5,)
     moved: FloatArray  # (5,)
     constants: FloatArray
+    at_nodes: FloatArray  # (4, B Q) curve and slopes
+    at_grid: FloatArray  # (4, G)
     residual: FloatArray  # (B,) in standard deviations
     jacobian: FloatArray  # (B, 5) in standard deviations
     normal: FloatArray  # (5, 5) lower triangle
@@ -148,18 +76,21 @@ class PixelWork(NamedTuple):
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def pixel_work(bands: int) -> PixelWork:
-    """Return scratch arrays for so many bands."""
-    n = PARAMETERS
+def pixel_work(p: PixelProblem) -> PixelWork:
+    """Return scratch arrays of the right sizes."""
+    n, bands = PARAMETERS, p.in_band.shape[1]
     return PixelWork(
         np.empty(bands),
         np.zeros(bands),
         np.empty((bands + 1, SHAPES)),
         np.empty(n),
         np.empty((3, bands + 1, SHAPES)),
+        np.empty((3, bands)),
         np.empty(n),
         np.empty(n),
         np.empty(CURVE_CONSTANTS),
+        np.empty((SHAPES, len(p.nodes_nm))),
+        np.empty((SHAPES, len(p.grid_nm))),
         np.empty(bands),
         np.zeros((bands, n)),
         np.empty((n, n)),
@@ -170,29 +101,29 @@ def pixel_work(bands: int) -> PixelWork:
     )
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _expand_floor(p: PixelProblem, c: int, theta: FloatArray, k: FloatArray, floor: FloatArray) -> None:
+@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+def _expand_floor(p: PixelProblem, c: int, theta: FloatArray, w: PixelWork, floor: FloatArray) -> None:
     """Fill the out-of-band values and slopes of channel c at theta, for a peak of 1."""
-    curve_constants(p, theta, k)
-    floor[:] = 0.0
+    curve_constants(p.family, p.table, theta, w.constants)
+    curve_slopes(p.family, w.constants, p.grid_nm, w.at_grid)
     inverse_peak = math.exp(-theta[2])
-    for g in range(len(p.grid_nm)):
-        f, by_mode, by_width, by_own = curve_and_slopes(p.family, k, p.grid_nm[g])
-        for b in range(len(floor)):
-            weight = p.out_of_band[c, b, g] * inverse_peak
-            floor[b, 0] += weight * f
-            floor[b, 1] += weight * by_mode
-            floor[b, 2] += weight * by_width
-            floor[b, 3] += weight * by_own
+    for b in range(len(floor)):
+        for s in range(SHAPES):
+            total = 0.0
+            for g in range(len(p.grid_nm)):
+                total += p.out_of_band[c, b, g] * w.at_grid[s, g]
+            floor[b, s] = total * inverse_peak
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
 def pixel_cost(p: PixelProblem, c: int, theta: FloatArray, w: PixelWork) -> float:
     """Fill residuals and Jacobian of a pixel of channel c; return chi-square plus the prior's square sum.
 
     Light that passes outside the pass bands follows the curve to first order about w.about.
     """
-    curve_constants(p, theta, w.constants)
+    curve_constants(p.family, p.table, theta, w.constants)
+    curve_slopes(p.family, w.constants, p.nodes_nm, w.at_nodes)
+    nodes = p.in_band.shape[2]
     peak, total = math.exp(theta[2]), 0.0
     off_mode, off_width, off_own = theta[0] - w.about[0], theta[1] - w.about[1], theta[3] - w.about[3]
     for b in range(len(w.y)):
@@ -200,14 +131,12 @@ def pixel_cost(p: PixelProblem, c: int, theta: FloatArray, w: PixelWork) -> floa
             continue
         by_mode, by_width, by_own = peak * w.floor[b, 1], peak * w.floor[b, 2], peak * w.floor[b, 3]
         emitted = peak * w.floor[b, 0] + by_mode * off_mode + by_width * off_width + by_own * off_own
-        if p.in_band[c, b, 0] != 0:
-            for q in range(p.nodes_nm.shape[1]):
-                f, d_mode, d_width, d_own = curve_and_slopes(p.family, w.constants, p.nodes_nm[b, q])
-                weight = p.in_band[c, b, q]
-                emitted += weight * f
-                by_mode += weight * d_mode
-                by_width += weight * d_width
-                by_own += weight * d_own
+        for q in range(nodes):
+            weight, i = p.in_band[c, b, q], b * nodes + q
+            emitted += weight * w.at_nodes[0, i]
+            by_mode += weight * w.at_nodes[1, i]
+            by_width += weight * w.at_nodes[2, i]
+            by_own += weight * w.at_nodes[3, i]
         inverse = w.inverse_sd[b]
         w.residual[b] = (emitted + theta[4] * p.laser[c, b] - w.y[b]) * inverse
         w.jacobian[b, 0], w.jacobian[b, 1], w.jacobian[b, 2] = by_mode * inverse, by_width * inverse, emitted * inverse
@@ -218,7 +147,7 @@ def pixel_cost(p: PixelProblem, c: int, theta: FloatArray, w: PixelWork) -> floa
     return total
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
 def _fill_normal(p: PixelProblem, w: PixelWork) -> None:
     """Fill the normal matrix and the gradient at w.theta from its residuals and Jacobian."""
     for j in range(PARAMETERS):
@@ -235,7 +164,7 @@ def _fill_normal(p: PixelProblem, w: PixelWork) -> None:
                 w.normal[j, k] += w.jacobian[b, j] * w.jacobian[b, k]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
 def _factorise(w: PixelWork, damping: float) -> None:
     """Fill w.factor with the Cholesky factor of the normal matrix, its diagonal raised by the damping."""
     for j in range(PARAMETERS):
@@ -246,7 +175,7 @@ def _factorise(w: PixelWork, damping: float) -> None:
             w.factor[j, k] = math.sqrt(s) if j == k else s / w.factor[k, k]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
 def _solve(factor: FloatArray, right: FloatArray, out: FloatArray) -> float:
     """Fill `out` with the solution for a right side; return right' times the solution, a squared length."""
     length = 0.0
@@ -270,15 +199,27 @@ def _start(p: PixelProblem, c: int, w: PixelWork) -> None:
     w.theta[:] = p.mean
     w.about[:] = p.mean
     w.floor[:] = w.region_floor[c]
-    pixel_cost(p, c, w.theta, w)
     along = length = 0.0
     for b in range(len(w.y)):
         if w.inverse_sd[b] > 0 and b != p.excitation:
-            emitted = w.jacobian[b, 2]
-            along += emitted * (emitted - w.residual[b])
+            emitted = w.region_emitted[c, b] * w.inverse_sd[b]
+            along += emitted * (w.y[b] - p.mean[4] * p.laser[c, b]) * w.inverse_sd[b]
             length += emitted * emitted
     if length > 0:
         w.theta[2] += math.log(max(along / length, _LOWEST_SCALE))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _region_bands(p: PixelProblem, w: PixelWork) -> None:
+    """Fill what the region's fit emits into the bands of each channel."""
+    w.inverse_sd[:] = 1.0
+    w.y[:] = 0.0
+    w.about[:] = p.mean
+    for c in range(3):
+        _expand_floor(p, c, p.mean, w, w.region_floor[c])
+        w.floor[:] = w.region_floor[c]
+        pixel_cost(p, c, p.mean, w)
+        w.region_emitted[c] = w.jacobian[:, 2]
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -307,7 +248,7 @@ def fit_pixel(p: PixelProblem, c: int, w: PixelWork) -> tuple[float, bool]:
         renew = not expanded and promised < _NEAR
         if renew:
             w.about[:] = w.moved
-            _expand_floor(p, c, w.about, w.constants, w.floor)
+            _expand_floor(p, c, w.about, w, w.floor)
             expanded = True
         trial = pixel_cost(p, c, w.moved, w)
         gain = cost - trial
@@ -364,9 +305,8 @@ def _fit_row(
     bands: NDArray[np.uint8],
 ) -> None:
     """Fit one row of pixels, of (B, C) signals."""
-    w, result = pixel_work(len(y)), np.empty(RESULTS, np.float32)
-    for c in range(3):
-        _expand_floor(p, c, p.mean, w.constants, w.region_floor[c])
+    w, result = pixel_work(p), np.empty(RESULTS, np.float32)
+    _region_bands(p, w)
     for column in range(y.shape[1]):
         c, count = channel[column], 0
         for b in range(len(y)):

@@ -22,12 +22,12 @@ from data_schemas.fit import PaintCalibration
 from data_schemas.paint_map import PaintMap
 from data_schemas.radiometry import PixelSignals
 from finray_calib.fit.paint_uniformity import paint_blocks, paint_spread, worst_spots
+from finray_calib.fit.pixel_curves import SHAPES
 from finray_calib.fit.pixel_kernel import (
     CONVERGED,
     FEWEST_BANDS,
     NOT_CONVERGED,
     RESULTS,
-    SHAPES,
     PixelProblem,
     fit_pixels,
 )
@@ -238,7 +238,7 @@ def pixel_problem(region: RegionFit, weights: EmissionWeights, spread: PixelSpre
     problem = PixelProblem(
         family=family.code,
         table=np.ascontiguousarray(tables()[:, :, _NO_TAIL_COLUMN]),
-        nodes_nm=nodes_nm,
+        nodes_nm=nodes_nm.ravel(),
         in_band=by_channel(in_band * scale[:, None]),
         grid_nm=grid_nm,
         out_of_band=np.concatenate([by_channel(out_of_band * scale[:, None]), np.tile(yield_nm, (3, 1, 1))], axis=1),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from data_schemas.estimate import Estimate
 from data_schemas.radiometry import BandSignals
-from finray_calib.spectra.rig_curves import WAVELENGTH_NM, filter_transmission
+from finray_calib.spectra.rig_curves import WAVELENGTH_NM, transmissions
 
 Floats = NDArray[np.float64]
 METHOD = (
@@ -64,7 +64,7 @@ def _emitted(bands: BandSignals, band: int, channel: int, emission_per_nm: Float
     """Return the re-emitted part of the total radiance factor in one filter and channel."""
     optics = bands.optics
     lamp = optics.lamp(WAVELENGTH_NM)
-    passed = filter_transmission(optics.filters[band], WAVELENGTH_NM) * optics.camera_response[channel](WAVELENGTH_NM)
+    passed = transmissions(optics)[band] * optics.camera_response[channel](WAVELENGTH_NM)
     peak = int(emission_per_nm.argmax())
     foot = int(np.argmax(emission_per_nm[: peak + 1] >= FOOT_SHARE * emission_per_nm[peak]))
     absorbed = float(np.trapezoid(lamp[: foot + 1], WAVELENGTH_NM[: foot + 1]))

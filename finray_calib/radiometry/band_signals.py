@@ -109,13 +109,15 @@ def bands_of_steps(session: CaptureSession, steps: SessionSteps) -> BandSignals:
 def optics_of(session: CaptureSession) -> Optics:
     """Return the known curves of the rig for the captured filters."""
     names = captured_filters(session)
+    filters = tuple(f for f in session.rig.filter_wheel.filters if f.name in names)
     return Optics(
-        filters=tuple(f for f in session.rig.filter_wheel.filters if f.name in names),
+        filters=filters,
         excitation_filter=session.plan.excitation_filter,
         laser=session.rig.laser,
         lamp=session.lamp,
         white_reference=session.rig.white_reference,
         camera_response=session.camera_response,
+        filter_curves={f.name: session.filter_curves[f.name] for f in filters if f.curve is not None},
     )
 
 

@@ -51,6 +51,7 @@ def _emission(paints: Paints) -> Content:
         "perfect diffuse white.",
         picture_rows=_row(paints, _emission_picture),
         tables=tuple(tables.quantities_table(paint) for paint in paints),
+        has_wide_tables=True,
     )
 
 

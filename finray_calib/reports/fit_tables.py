@@ -66,7 +66,7 @@ def quantities_table(paint: FittedPaint) -> ReportTable:
     ]
     columns = ("quantity", "fit", "the paper's curve alone", *([] if truth is None else [f"{truth.word} value"]))
     groups = (TableGroup("", tuple(rows)), TableGroup("The paper's four parameters, in its symbols", tuple(symbols)))
-    return ReportTable(paint.titled("what the paint emits: median and 95 % interval"), columns, groups)
+    return ReportTable(paint.titled("emission, median and 95 % interval"), columns, groups)
 
 
 def _truth_cell(value: Estimate, true: float | None, unit: str, factor: float) -> str:

@@ -93,4 +93,4 @@ class FittedPaint:
     @property
     def paper_emission_per_nm(self) -> Floats:
         """Posterior mean of the paper's curve without discrepancy, nm^-1."""
-        return self.fit.family_emission_per_nm[-1]
+        return np.asarray(self.fit.family_emission_per_nm[-1])

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from data_schemas.curves import SpectralCurve
+from data_schemas.filter_curves import half_maximum_nm
 from data_schemas.radiometry import Optics
 from data_schemas.rig import BandPassFilter
 from finray_calib.spectra.band_weights import read_only
@@ -46,6 +48,8 @@ class BandTolerances:
 def tolerances_of(optics: Optics, channel_weights: ArrayLike) -> BandTolerances:
     """Return the tolerances of a rig by forward differences of one standard uncertainty.
 
+    A measured transmission is shifted as a whole, and stretched about its centre, by the uncertainties of its filter.
+
     Valid while a tolerance is small against the filter's width: the response is taken as linear in it.
 
     Parameters
@@ -77,4 +81,25 @@ def _moved(optics: Optics, field: str, names: set[str]) -> Optics:
         uncertainty = band.center_uncertainty_nm if field == "center_nm" else band.fwhm_uncertainty_nm
         return band.model_copy(update={field: getattr(band, field) + uncertainty})
 
-    return optics.model_copy(update={"filters": tuple(move(f) if f.name in names else f for f in optics.filters)})
+    curves = {
+        f.name: _moved_curve(optics.filter_curves[f.name], f, field)
+        for f in optics.filters
+        if f.name in names & optics.filter_curves.keys()
+    }
+    return optics.model_copy(
+        update={
+            "filters": tuple(move(f) if f.name in names else f for f in optics.filters),
+            "filter_curves": {**optics.filter_curves, **curves},
+        }
+    )
+
+
+def _moved_curve(curve: SpectralCurve, band: BandPassFilter, field: str) -> SpectralCurve:
+    """Return a measured transmission shifted or stretched about its centre by one standard uncertainty."""
+    if field == "center_nm":
+        moved_nm = curve.wavelength_nm + band.center_uncertainty_nm
+    else:
+        low_nm, high_nm = half_maximum_nm(curve)
+        center_nm, stretch = 0.5 * (low_nm + high_nm), 1.0 + band.fwhm_uncertainty_nm / (high_nm - low_nm)
+        moved_nm = center_nm + stretch * (curve.wavelength_nm - center_nm)
+    return curve.model_copy(update={"wavelength_nm": moved_nm})

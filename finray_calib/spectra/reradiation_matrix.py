@@ -5,22 +5,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.curves import DonaldsonMatrix, SpectralCurve
+from data_schemas.curves import HELD_UNCERTAINTY_REL, DonaldsonMatrix, SpectralCurve
 from data_schemas.errors import CurveError
 from data_schemas.reradiation import Reradiation
 from finray_calib.spectra.absorption import photon_yield
 from finray_calib.spectra.band_weights import read_only
 
 Floats = NDArray[np.float64]
-ENERGY_TOLERANCE_REL = 1e-9
-TWO_SIDED_SD = 1.96
+ROUNDING = 1e-9
+SURE_SD = 2.0
+"""A law of conservation counts as broken where it is broken by more than this many standard deviations."""
 _ENERGY = (
-    "at {count} of {total} excitation wavelengths (worst {worst_nm:g} nm: {emitted:.3f} emitted, {reflected:.3f} "
-    "reflected) the paint gives back more energy than it gets; check the calibration of emission and reflectance"
+    "at {count} of {total} excitation wavelengths the paint gives back more energy than it gets, by more than two "
+    "standard deviations (worst {worst_nm:g} nm: {emitted:.3f} emitted, {reflected:.3f} reflected, together "
+    "{both:.3f} +- {sd:.3f}); check the calibration of emission and reflectance"
 )
 _PHOTONS = (
-    "under the laser at {laser_nm:g} nm each absorbed photon makes {worst:.2f} photons or more; at most 1 is possible: "
-    "check the calibration of emission and reflectance"
+    "under the laser at {laser_nm:g} nm more photons leave the paint than come in, by more than two standard "
+    "deviations ({emitted:.3f} emitted, {reflected:.3f} reflected, together {both:.3f} +- {sd:.3f}): check the "
+    "calibration of emission and reflectance"
 )
 
 
@@ -35,7 +38,7 @@ class ReradiationMatrix:
     sd_per_nm
         (emission, excitation) standard deviation over the draws, nm^-1.
     warnings
-        In words, where the mean breaks conservation of energy or photons.
+        In words, where conservation of energy or photons is broken beyond the uncertainty.
     """
 
     mean: DonaldsonMatrix
@@ -52,6 +55,7 @@ def reradiation_matrix(
     absorption: Reradiation,
     reflectance: SpectralCurve,
     name: str,
+    reflectance_sd: SpectralCurve | None = None,
 ) -> ReradiationMatrix:
     r"""Return mean and standard deviation of the re-radiation matrix of a paint.
 
@@ -61,6 +65,9 @@ def reradiation_matrix(
     D counts energy, a counts photons: hence the ratio of wavelengths. Each draw has rank one above its diagonal
     (the emission's shape does not depend on the excitation); the mean keeps what emission and absorption have in
     common. Measured materials keep a share of 0.946 to 0.998 of their squared entries in rank one.
+
+    Emission and reflectance are uncertain, independently of each other: a warning needs emitted plus reflected above
+    1 by more than two standard deviations.
 
     Parameters
     ----------
@@ -74,6 +81,9 @@ def reradiation_matrix(
         Non-fluorescent reflectance (the diagonal), 0 to 1.
     name
         Of the paint.
+    reflectance_sd
+        Standard uncertainty of the reflectance; by default its ``uncertainty_rel``. Outside the range of the
+        reflectance its end value is held and half of it is added in quadrature.
 
     Returns
     -------
@@ -105,8 +115,9 @@ def reradiation_matrix(
         reflectance=reflectance,
         source=f"{name}: emission and absorption draws, rank one",
     )
-    photons = photon_yield(emission_draws_per_nm, emission_nm, laser_nm)
-    warnings = (*_energy_warnings(matrix), *_photon_warnings(photons, float(reflectance(laser_nm)), laser_nm))
+    warnings = _conservation_warnings(
+        emission_draws_per_nm, emission_nm, excited, absorption, reflectance, reflectance_sd
+    )
     return ReradiationMatrix(matrix, np.where(stokes, sd, 0.0), warnings)
 
 
@@ -127,27 +138,63 @@ def rank_one_share(block: Floats) -> float:
     return float(singular[0] ** 2 / (singular**2).sum())
 
 
-def _energy_warnings(matrix: DonaldsonMatrix) -> tuple[str, ...]:
-    """Say where reflected and emitted energy exceed the incident energy."""
-    emitted, reflected = emitted_energy(matrix), matrix.reflectance(matrix.excitation_nm)
-    excess = emitted + reflected - 1
-    broken = excess > ENERGY_TOLERANCE_REL
-    if not broken.any():
-        return ()
-    worst = int(excess.argmax())
-    return (
-        _ENERGY.format(
-            count=int(broken.sum()),
-            total=excess.size,
-            worst_nm=matrix.excitation_nm[worst],
-            emitted=emitted[worst],
-            reflected=reflected[worst],
-        ),
-    )
+@dataclass(frozen=True, slots=True)
+class _Returned:
+    """What comes back of the light that comes in, at each excitation (E,): emitted, reflected, and the sum's sd."""
+
+    emitted: Floats
+    reflected: Floats
+    sd: Floats
+
+    @property
+    def excess(self) -> Floats:
+        """By how much more than everything surely comes back."""
+        return self.emitted + self.reflected - 1 - SURE_SD * self.sd
+
+    def words(self, i: int) -> dict[str, float]:
+        """Return the numbers at one excitation, named as in the warnings."""
+        emitted, reflected = float(self.emitted[i]), float(self.reflected[i])
+        return {"emitted": emitted, "reflected": reflected, "both": emitted + reflected, "sd": float(self.sd[i])}
 
 
-def _photon_warnings(photons: Floats, reflectance_at_laser: float, laser_nm: float) -> tuple[str, ...]:
-    """Say when more photons leave than were absorbed, beyond the spread of the draws."""
-    absorbed = max(1 - reflectance_at_laser, ENERGY_TOLERANCE_REL)
-    low = float(photons.mean() - TWO_SIDED_SD * photons.std()) / absorbed
-    return (_PHOTONS.format(laser_nm=laser_nm, worst=low),) if low > 1 + ENERGY_TOLERANCE_REL else ()
+def _conservation_warnings(
+    emission_draws_per_nm: Floats,
+    emission_nm: Floats,
+    excited: Floats,
+    absorption: Reradiation,
+    reflectance: SpectralCurve,
+    reflectance_sd: SpectralCurve | None,
+) -> tuple[str, ...]:
+    """Say where more energy (at any excitation) or more photons (under the laser) come back than come in."""
+    excitation_nm, laser_nm = absorption.excitation_nm, absorption.laser_nm
+    counted = (emission_nm[:, None] > excitation_nm) * _trapezoid(emission_nm)[:, None]
+    energy = _returned((emission_draws_per_nm @ counted) * excited, excitation_nm, reflectance, reflectance_sd)
+    laser_photons = photon_yield(emission_draws_per_nm, emission_nm, laser_nm)[:, None]
+    photons = _returned(laser_photons, np.array([laser_nm]), reflectance, reflectance_sd)
+    warnings = []
+    if (energy.excess > ROUNDING).any():
+        worst = int(energy.excess.argmax())
+        count, total = int((energy.excess > ROUNDING).sum()), excitation_nm.size
+        at_nm = float(excitation_nm[worst])
+        warnings.append(_ENERGY.format(count=count, total=total, worst_nm=at_nm, **energy.words(worst)))
+    if photons.excess[0] > ROUNDING:
+        warnings.append(_PHOTONS.format(laser_nm=laser_nm, **photons.words(0)))
+    return tuple(warnings)
+
+
+def _returned(
+    emitted_draws: Floats, excitation_nm: Floats, reflectance: SpectralCurve, reflectance_sd: SpectralCurve | None
+) -> _Returned:
+    """Add the reflected light to (N, E) draws of the emitted light."""
+    reflected = reflectance(excitation_nm)
+    sd = reflectance.uncertainty_rel * reflected if reflectance_sd is None else reflectance_sd(excitation_nm)
+    known_nm = reflectance.wavelength_nm
+    held = (excitation_nm < known_nm[0]) | (excitation_nm > known_nm[-1])
+    sd = np.hypot(sd, HELD_UNCERTAINTY_REL * reflected * held)
+    return _Returned(emitted_draws.mean(axis=0), reflected, np.hypot(emitted_draws.std(axis=0), sd))
+
+
+def _trapezoid(wavelength_nm: Floats) -> Floats:
+    """Return the weights of the trapezoidal rule, nm."""
+    step = np.diff(wavelength_nm, prepend=wavelength_nm[0], append=wavelength_nm[-1])
+    return np.asarray((step[:-1] + step[1:]) / 2)

@@ -5,18 +5,16 @@ from dataclasses import replace
 from pathlib import Path
 
 from data_schemas.camera import CameraPlan, CameraSession
-from data_schemas.capture import Frame
+from data_schemas.capture import RegionOfInterest
 from data_schemas.errors import CaptureError
-from data_schemas.provenance import provenance
 from data_schemas.rig import RigFile
-from data_schemas.storage import write_frame, write_record
 from rigs.capture.camera_levels import level_exposures_s, level_notes, saturation_exposures_s
 from rigs.capture.exchange import expose_checked, shine
-from rigs.capture.exposure import exposure_ladder, meter_exposure, saturated_fraction
+from rigs.capture.exposure import exposure_ladder, meter_exposure
+from rigs.capture.frame_store import FrameStore
 from rigs.capture.journal import Journal
-from rigs.capture.paint_session import SESSION_NAME
-from rigs.capture.plan import Step
-from rigs.capture.session_folder import curve_files, frame_file, require_empty, require_region_inside, write_manifest
+from rigs.capture.plan import Step, require_region_inside
+from rigs.capture.session_folder import curve_files, require_empty, write_manifest, write_session
 from rigs.open_rig import OpenRig, open_rig
 
 Progress = Callable[[int, int, str], None]
@@ -97,9 +95,8 @@ def capture_camera_with(
         notes = (*opened.notes, *recorder.notes)
         for note in notes:
             journal.append("note", text=note)
-        session = CameraSession(plan=plan, rig=rig, frames=tuple(recorder.frames), notes=notes)
-        seed = rig.simulated.seed if rig.simulated is not None else None
-        write_record(session, out / SESSION_NAME, provenance(command, inputs, seed))
+        session = CameraSession(plan=plan, rig=rig, frames=tuple(recorder.store.frames), notes=notes)
+        write_session(session, out, inputs, command)
     write_manifest(out)
     return session
 
@@ -118,19 +115,16 @@ class _Recorder:
         progress: Progress | None,
     ):
         self._opened, self._camera, self._plan, self._flat = opened, rig.camera, plan, flat
-        self._out, self._journal, self._progress = out, journal, progress
-        region = plan.region
-        self._region = (
-            slice(region.row_px & ~1, (region.row_px & ~1) + (region.height_px & ~1)),
-            slice(region.column_px & ~1, (region.column_px & ~1) + (region.width_px & ~1)),
-        )
-        self._full_scale_dn = 2**rig.camera.bit_depth - 1
-        self.frames: list[Frame] = []
+        self._journal, self._progress = journal, progress
+        whole_cells = RegionOfInterest.model_validate({k: v & ~1 for k, v in plan.region.model_dump().items()})
+        self.store = FrameStore(opened, rig, whole_cells, out, journal)
         self.notes: tuple[str, ...] = ()
 
     def record(self) -> None:
         """Meter, store the flat frames with the lamp on throughout, then the dark frames."""
         self._opened.operator.place("white")
+        if self._flat.slot is None:
+            self._opened.operator.swing_wheel_out()
         with shine(self._opened, "lamp"):
             saturation_s = self._meter()
             self.notes = level_notes(saturation_s, self._plan, self._camera)
@@ -149,47 +143,23 @@ class _Recorder:
         """Return the exposure (s) at which each channel saturates."""
         metered_s = meter_exposure(
             lambda exposure_s: expose_checked(self._opened, self._camera, self._flat, exposure_s).raw.counts[
-                self._region
+                self.store.region
             ],
             exposure_ladder(self._camera.shortest_exposure_s, self._camera.longest_exposure_s),
-            self._full_scale_dn,
+            self.store.full_scale_dn,
             self._camera.black_level_dn,
             METERED_FRACTION,
             self._flat.label,
         )
         raw = expose_checked(self._opened, self._camera, self._flat, metered_s).raw
-        return saturation_exposures_s(raw.counts[self._region], raw.exposure_s, self._camera)
+        return saturation_exposures_s(raw.counts[self.store.region], raw.exposure_s, self._camera)
 
     def _store_all(self, step: Step, exposures_s: list[float], phase: str) -> None:
         """Store one frame per exposure."""
         for done, exposure_s in enumerate(exposures_s, 1):
-            self._store(step, exposure_s)
+            self.store.take(step, exposure_s)
             if self._progress is not None:
                 self._progress(done, len(exposures_s), f"{phase}: {exposure_s:.3g} s")
-
-    def _store(self, step: Step, exposure_s: float) -> None:
-        """Take one frame, write it and note it in the journal."""
-        checked = expose_checked(self._opened, self._camera, step, exposure_s)
-        number, raw = len(self.frames), checked.raw
-        file = frame_file(number, step, raw.exposure_s)
-        frame = Frame(
-            sequence=number,
-            file=file,
-            frame_type=step.frame_type,
-            target=step.target,
-            light=step.light,
-            filter_name=step.filter_name,
-            slot_before=checked.slot_before,
-            slot_after=checked.slot_after,
-            exposure_requested_s=raw.exposure_requested_s,
-            exposure_s=raw.exposure_s,
-            captured_utc=raw.captured_utc,
-            middle_s=max(self._opened.clock.monotonic_s() - 0.5 * raw.exposure_s, 0.0),
-            saturated_fraction=saturated_fraction(raw.counts[self._region], self._full_scale_dn),
-            sha256=write_frame(self._out / file, raw.counts, f"{step.label}, {raw.exposure_s:g} s"),
-        )
-        self.frames.append(frame)
-        self._journal.append("frame", **frame.model_dump())
 
 
 def _up_and_down(levels_s: tuple[float, ...], times: int) -> Iterator[float]:

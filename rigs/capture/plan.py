@@ -46,7 +46,7 @@ def paint_steps(plan: PaintPlan, rig: RigFile) -> tuple[Step, ...]:
     """
     filters = _planned_filters(plan, rig)
     excitation = _excitation_filter(plan, rig, filters)
-    _check_region(plan.region, rig.camera)
+    require_region_inside(plan.region, rig.camera)
     return (
         *(Step("white", "white", "lamp", f.name, f.slot) for f in filters),
         Step("laser white", "white", "laser", excitation.name, excitation.slot),
@@ -128,13 +128,18 @@ def _excitation_filter(plan: PaintPlan, rig: RigFile, filters: list[BandPassFilt
     return chosen
 
 
-def _check_region(region: RegionOfInterest, camera: CameraSettings) -> None:
-    """Refuse a region that is empty or leaves the frame."""
-    for axis, start, size, limit in (
-        ("row_px", region.row_px, region.height_px, camera.height_px),
-        ("column_px", region.column_px, region.width_px, camera.width_px),
+def require_region_inside(region: RegionOfInterest, camera: CameraSettings) -> None:
+    """Refuse a region that is empty or leaves the frame.
+
+    Raises
+    ------
+    CaptureError
+        It is or does.
+    """
+    for axis, extent, start, size, limit in (
+        ("row_px", "height_px", region.row_px, region.height_px, camera.height_px),
+        ("column_px", "width_px", region.column_px, region.width_px, camera.width_px),
     ):
-        extent = {"row_px": "height_px", "column_px": "width_px"}[axis]
         if size < SMALLEST_REGION_PX:
             raise CaptureError(
                 f"plan.region.{extent}: {size} px is empty; {SMALLEST_REGION_PX} to {limit} px are allowed"

@@ -12,7 +12,7 @@ from data_schemas.capture import CaptureSession, Frame
 from data_schemas.errors import RecordError
 from data_schemas.storage import read_frame, read_record
 from rigs.capture.journal import JOURNAL_NAME
-from rigs.capture.paint_session import SESSION_NAME
+from rigs.capture.session_folder import SESSION_NAME
 
 SessionKind = Literal["paint", "camera"]
 KINDS: dict[str, SessionKind] = {CaptureSession.__name__: "paint", CameraSession.__name__: "camera"}

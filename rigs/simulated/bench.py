@@ -6,6 +6,7 @@ with a pedestal. Nothing here may be imported by capture or by the calibration a
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -41,13 +42,16 @@ ROOM_LEVEL_REL = 0.05
 TRUTH_NM: Floats = np.arange(470.0, 781.0)
 
 
-def filter_transmission(wavelength_nm: Floats, optic: BandPassFilter, rng: np.random.Generator) -> Floats:
-    r"""Return the transmission of one real filter near its nominal data.
+def filter_transmission(
+    wavelength_nm: Floats, optic: BandPassFilter, rng: np.random.Generator, measured: SpectralCurve | None = None
+) -> Floats:
+    r"""Return the transmission of one real filter near its nominal data or its measured curve.
 
     .. math:: T = T_0 \, 2^{-|2(\lambda - c)/F|^{2 p}} + 10^{-OD}
 
     Centre and width lie within 0.2 nm of nominal, the optical density within a standard deviation of 0.15; the
-    shape order p is 1.2 times the nominal one.
+    shape order p is 1.2 times the nominal one. A measured curve is passed through by a monotone cubic, moved and
+    stretched as much; beside it and below the leak only the leak passes.
 
     Parameters
     ----------
@@ -57,9 +61,18 @@ def filter_transmission(wavelength_nm: Floats, optic: BandPassFilter, rng: np.ra
         Nominal data.
     rng
         Generator of the deviations.
+    measured
+        Curve that the filter's owner measured.
     """
     off_center_nm, off_width_nm = rng.uniform(-FILTER_TOLERANCE_NM, FILTER_TOLERANCE_NM, 2)
     blocking_od = optic.blocking_od + BLOCKING_TOLERANCE_OD * rng.standard_normal()
+    if measured is not None:
+        center_nm = float(np.average(measured.wavelength_nm, weights=measured.values))
+        drawn_nm = center_nm + (wavelength_nm - center_nm - off_center_nm) * optic.fwhm_nm / (
+            optic.fwhm_nm + off_width_nm
+        )
+        curve = PchipInterpolator(measured.wavelength_nm, measured.values, extrapolate=False)
+        return np.asarray(np.maximum(np.nan_to_num(curve(drawn_nm)), 10.0**-blocking_od))
     distance = np.abs(2.0 * (wavelength_nm - optic.center_nm - off_center_nm) / (optic.fwhm_nm + off_width_nm))
     passband = optic.peak_transmission * 2.0 ** -(distance ** (2.0 * SHAPE_ORDER_RATIO * optic.shape_order))
     return np.asarray(passband + 10.0**-blocking_od)
@@ -96,12 +109,23 @@ class Bench:
         Where a relative path of a material file starts.
     response
         Camera response (red, green, blue).
+    filter_curves
+        Measured transmission of the filters that name one, by the filter's name.
     """
 
-    def __init__(self, rig: RigFile, folder: Path, response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]):
+    def __init__(
+        self,
+        rig: RigFile,
+        folder: Path,
+        response: tuple[SpectralCurve, SpectralCurve, SpectralCurve],
+        filter_curves: Mapping[str, SpectralCurve] | None = None,
+    ):
         seed = rig.simulated.seed if rig.simulated is not None else 0
         rng = np.random.default_rng([seed, 1])
-        self.transmission = {f.slot: filter_transmission(WAVELENGTH_NM, f, rng) for f in rig.filter_wheel.filters}
+        measured = filter_curves or {}
+        self.transmission = {
+            f.slot: filter_transmission(WAVELENGTH_NM, f, rng, measured.get(f.name)) for f in rig.filter_wheel.filters
+        }
         self.response = PEAK_QUANTUM_EFFICIENCY * np.array([curve(WAVELENGTH_NM) for curve in response])
         self.lights: dict[LightState, Floats] = {
             "lamp": planck_relative(WAVELENGTH_NM, LAMP_TEMPERATURE_K),

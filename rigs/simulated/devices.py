@@ -47,6 +47,7 @@ class BenchState:
     target: Target = "white"
     lamp: bool = False
     laser: bool = False
+    wheel_swung_out: bool = False
     tilt_deg: float = 0.0
     sample_dose_j: float = 0.0
 
@@ -62,15 +63,20 @@ class BenchState:
 
     @property
     def wheel_in_beam(self) -> bool:
-        """Whether the light passes the filter wheel (swung out for the ColorChecker)."""
-        return self.target != "sample beside ColorChecker"
+        """Whether the light passes the filter wheel (always swung out for the ColorChecker)."""
+        return not (self.wheel_swung_out or self.box_is_open)
+
+    @property
+    def box_is_open(self) -> bool:
+        """Whether room light falls on the target."""
+        return self.target == "sample beside ColorChecker"
 
     def lights(self) -> tuple[LightState, ...]:
         """Return the lights that shine now; the open box lets room light in."""
         on: list[tuple[LightState, bool]] = [
             ("lamp", self.lamp),
             ("laser", self.laser),
-            ("room", not self.wheel_in_beam),
+            ("room", self.box_is_open),
         ]
         return tuple(name for name, shines in on if shines)
 
@@ -169,7 +175,11 @@ class SimulatedOperator:
 
     def place(self, target: Target) -> None:
         """Put `target` in view."""
-        self.state.target = target
+        self.state.target, self.state.wheel_swung_out = target, False
+
+    def swing_wheel_out(self) -> None:
+        """Swing the wheel out of the beam."""
+        self.state.wheel_swung_out = True
 
     def tilt(self, angle_deg: float) -> None:
         """Tilt the sample."""

@@ -2,12 +2,14 @@ from pathlib import Path
 
 import pytest
 
+from data_schemas.camera import CameraPlan
 from data_schemas.capture import PaintPlan
 from data_schemas.errors import RecordError
 from data_schemas.rig import RigFile
 from data_schemas.storage import read_toml
+from rigs.capture.camera_session import camera_step
 from rigs.capture.plan import paint_steps
-from rigs.presets import paint_plan, simulated_rig
+from rigs.presets import camera_plan, paint_plan, simulated_rig
 from rigs.toml_text import write_plan, write_rig
 
 
@@ -18,8 +20,27 @@ def test_rig_and_plan_survive_their_text(tmp_path: Path, sample: str) -> None:
     assert read_toml(write_plan(plan, tmp_path / "plan.toml"), PaintPlan) == plan
     chosen = plan.model_copy(update={"filters": ("450", "500")})
     assert read_toml(write_plan(chosen, tmp_path / "two.toml"), PaintPlan) == chosen
+    tilted = plan.model_copy(update={"second_tilt_deg": 30.0, "second_tilt_filters": ("600", 'odd "630"')})
+    assert read_toml(write_plan(tilted, tmp_path / "tilted.toml"), PaintPlan) == tilted
     with pytest.raises(RecordError, match="exists already and is not overwritten"):
         write_plan(plan, tmp_path / "plan.toml")
+
+
+def test_measured_filter_survives_its_text(tmp_path: Path) -> None:
+    rig = simulated_rig("red")
+    bands = rig.filter_wheel.filters
+    measured = bands[2].model_copy(update={"curve": 'curves/"500".csv'})
+    wheel = rig.filter_wheel.model_copy(update={"filters": (*bands[:2], measured, *bands[3:])})
+    rig = rig.model_copy(update={"filter_wheel": wheel})
+    assert read_toml(write_rig(rig, tmp_path / "rig.toml"), RigFile) == rig
+
+
+@pytest.mark.parametrize("filter_name", ["532", None])
+def test_camera_plan_survives_its_text_and_fits_the_rig(tmp_path: Path, filter_name: str | None) -> None:
+    plan = camera_plan("lab camera", filter_name=filter_name)
+    assert (plan.region.height_px, plan.region.row_px) == (220, 402)
+    assert read_toml(write_plan(plan, tmp_path / "camera.toml"), CameraPlan) == plan
+    assert camera_step(plan, simulated_rig("red")).filter_name == filter_name
 
 
 def test_preset_is_the_papers_rig_and_its_plan_fits() -> None:

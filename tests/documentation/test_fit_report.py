@@ -83,6 +83,8 @@ def test_a_fit_that_misses_the_truth_is_called_too_narrow() -> None:
     assert "too narrow, as the bands that are not explained have warned" in told
     paper = paper_agreement(GREEN.fit, GREEN.truth.emission)
     assert f"The paper's curve alone, taken to be exact: {percent(paper.coverage_95_rel)} covered" in told
+    assert "exactly such a curve" not in told
+    assert "exactly such a curve" in said.model_statement(RED, RED.truth)
     quiet = with_fit(GREEN, bands=CALM_BANDS)
     assert "the bands alone do not reveal it" in said.model_statement(quiet, GREEN.truth)
     assert "describes this paint within its stated uncertainty" in said.model_statement(RED, RED.truth)

@@ -133,9 +133,12 @@ def test_measured_curves_are_read(tmp_path):
     found = bands.optics.filters[2]
     # crossings are interpolated linearly between samples 0.5 nm apart
     np.testing.assert_allclose([found.center_nm, found.fwhm_nm], [561.2, 12.5], atol=0.02)
-    np.testing.assert_allclose(found.shape_order, 2.0, atol=0.05)
-    np.testing.assert_allclose(found.blocking_od, 4.0, atol=0.01)
-    assert found.peak_transmission == pytest.approx(0.9001, abs=1e-4)
+    assert (found.center_uncertainty_nm, found.fwhm_uncertainty_nm, found.blocking_od) == (0.15, 0.15, 5.0)
+    assert (bands.optics.filters[1].center_uncertainty_nm, bands.optics.filters[1].fwhm_uncertainty_nm) == (0.9, 0.6)
+    np.testing.assert_allclose(bands.optics.filter_curves["560"](x), passed, atol=1e-8)
+    assert list(bands.optics.filter_curves) == ["560"]
+    note = next(note for note in bands.notes if "f560.csv" in note)
+    assert note.endswith("below 10^-5 and outside 530 to 590 nm the blocking_od holds")
     assert bands.optics.camera_response[1]([600.0]) == pytest.approx([0.6])
     assert bands.optics.lamp([780.0]) == pytest.approx([2.0])
     assert {"f560.csv", "qe.csv", "lamp.csv"} <= set(digests)
@@ -230,8 +233,10 @@ def test_saturated_band_is_named(tmp_path):
         ("f.csv", "wavelength_nm,percent\n400,1\n500,2\n", "a filter needs wavelength_nm,transmission"),
         ("f.csv", "wavelength_nm,transmission\n500,0.1\n400,0.2\n", "wavelengths must increase"),
         ("f.csv", "wavelength_nm,transmission\n400,0\n500,90\n600,0\n", "divide by 100 if it is in per cent"),
+        ("f.csv", "wavelength_nm,transmission\n400,0\n500,0\n600,0\n", "with something above 0"),
         ("f.csv", "wavelength_nm,transmission\n400,0.2\n500,0.9\n", "does not fall to 50% of its peak"),
-        ("f.csv", "wavelength_nm,transmission\n0.4,0\n0.5,0.9\n0.6,0\n", "are all wavelengths in nm"),
+        ("f.csv", "wavelength_nm,transmission\n0.4,0\n0.5,0.9\n0.6,0\n", "are they in nm"),
+        ("q.csv", "wavelength_nm,response_percent\n450,1\n500,2\n", "of the weight of filter 450 lies outside"),
         ("q.csv", "wavelength_nm,qe\n400,1\n500,2\n", "a monochrome response needs wavelength_nm,response_percent"),
         ("q.csv", "wavelength_nm,response_percent\n400,0\n500,0\n", "somewhere above 0"),
         ("q.csv", "wavelength_nm,response_percent\n500,1\n400,2\n", "wavelengths must increase"),

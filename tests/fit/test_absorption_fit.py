@@ -9,7 +9,8 @@ from scipy.stats import binom
 from data_schemas.curve_files import read_donaldson_matrix
 from data_schemas.curves import SpectralCurve
 from data_schemas.errors import FitError
-from finray_calib.fit.absorption_fit import EXCITATION_NM, AbsorptionPrior, ExcitationYield, fit_absorption
+from finray_calib.fit.absorption_fit import EXCITATION_NM, ExcitationYield, fit_absorption
+from finray_calib.fit.absorption_prior import AbsorptionPrior
 from finray_calib.spectra.absorption import absorptance, photon_yield, smooth_covariance
 
 LASER_NM = 450.0

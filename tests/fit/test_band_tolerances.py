@@ -6,13 +6,23 @@ from scipy.stats import multivariate_normal
 
 from data_schemas.radiometry import Optics
 from finray_calib.fit.likelihood import BandData, LogPosterior
-from finray_calib.fit.nuisances import predict_bands, tolerance_columns
+from finray_calib.fit.nuisances import tolerance_columns
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.spectra.band_tolerances import tolerances_of
 from finray_calib.spectra.rig_curves import weights_of
+from tests.fit.synthetic_bands import ZHENG, full_sum
 
 SHARES = (0.1, 0.3, 0.6)
-PLAIN = np.array([597.0, np.log(48.0), 1.8, np.log(0.004), np.log(0.05), 0.0])
+PLAIN = np.array([597.0, np.log(48.0), np.log(0.004), 1.8, np.log(0.05), 0.0])
+
+
+def values(weights, theta=PLAIN):
+    return full_sum(ZHENG, theta, weights)[0]
+
+
+def columns_of(weights, tolerances):
+    curve = ZHENG.curves(PLAIN[None], weights.wavelength_nm)[0]
+    return tolerance_columns(curve, 0.05, 1.0, weights, tolerances)
 
 
 def moved(optics: Optics, name: str, **change: float) -> Optics:
@@ -34,21 +44,18 @@ def moved(optics: Optics, name: str, **change: float) -> Optics:
 )
 def test_column_is_the_effect_of_moving_that_filter(optics, name, change, kind):
     nominal = weights_of(optics, SHARES)
-    columns = tolerance_columns(PLAIN, nominal, tolerances_of(optics, SHARES))
+    columns = columns_of(nominal, tolerances_of(optics, SHARES))
     band = [f.name for f in optics.filters].index(name)
-    mu = predict_bands(PLAIN[None], nominal)[0]
-    effect = predict_bands(PLAIN[None], weights_of(moved(optics, name, **change), SHARES))[0] - mu
+    mu = values(nominal)
+    effect = values(weights_of(moved(optics, name, **change), SHARES)) - mu
     # an excitation filter's columns lose second order in a shift of 1.5 % of its width
     np.testing.assert_allclose(columns[:, 8 * kind + band], effect, rtol=0.02, atol=1e-6 * np.abs(mu).max())
 
 
 def test_blocking_column_is_the_slope_in_the_optical_density(optics):
-    columns = tolerance_columns(PLAIN, weights_of(optics, SHARES), tolerances_of(optics, SHARES))
+    columns = columns_of(weights_of(optics, SHARES), tolerances_of(optics, SHARES))
     step = 1e-4
-    leakier, tighter = (
-        predict_bands(PLAIN[None], weights_of(moved(optics, "500", blocking_od=sign * step), SHARES))[0]
-        for sign in (-1, 1)
-    )
+    leakier, tighter = (values(weights_of(moved(optics, "500", blocking_od=sign * step), SHARES)) for sign in (-1, 1))
     slope = (leakier - tighter) / (2 * step) * 0.2  # one standard uncertainty is 0.2 in optical density
     assert np.abs(slope).max() > 0
     np.testing.assert_allclose(columns[:, 2], slope, rtol=1e-3, atol=1e-12)
@@ -57,24 +64,29 @@ def test_blocking_column_is_the_slope_in_the_optical_density(optics):
 def test_leak_multiplier_equals_another_optical_density(optics):
     leakier = optics
     for band in optics.filters:
-        if band.name != "450":
-            leakier = moved(leakier, band.name, blocking_od=-0.3 / np.log(10))
+        leakier = moved(leakier, band.name, blocking_od=-0.3 / np.log(10))
+    excitation_kept = moved(leakier, "450", blocking_od=0.3 / np.log(10))
     more = PLAIN.copy()
     more[5] = 0.3
-    expected = predict_bands(PLAIN[None], weights_of(leakier, SHARES))
-    np.testing.assert_allclose(predict_bands(more[None], weights_of(optics, SHARES)), expected, rtol=1e-9)
+    got = values(weights_of(optics, SHARES), more)
+    others = weights_of(optics, SHARES).band_index != 1
+    np.testing.assert_allclose(got[others], values(weights_of(excitation_kept, SHARES))[others], rtol=1e-9)
+    # through the excitation filter the laser level V is held at its nominal value, which cancels between channels
+    expected = values(weights_of(leakier, SHARES))
+    np.testing.assert_allclose(got[3:5] / got[5], expected[3:5] / expected[5], rtol=1e-4)
 
 
 def test_likelihood_with_tolerances_equals_the_plain_gaussian(optics):
     weights, tolerances = weights_of(optics, SHARES), tolerances_of(optics, SHARES)
     rng = np.random.default_rng(3)
-    mu = predict_bands(PLAIN[None], weights)[0]
+    mu = values(weights)
     noise = np.diag((0.003 * mu + 1e-6) ** 2)
     y = mu * (1 + 0.01 * rng.standard_normal(24))
     data = BandData(y.reshape(8, 3), noise, np.ones((8, 3), bool), weights, 0.01, tolerances)
     same_band = weights.band_index[:, None] == weights.band_index
-    columns = tolerance_columns(PLAIN, weights, tolerances)
+    columns = columns_of(weights, tolerances)
+    reference = LogPosterior(data, ZHENG, EmissionPrior()).reference_at(PLAIN)
     covariance = noise + 1e-4 * np.outer(y, y) * same_band + columns @ columns.T
-    expected = multivariate_normal(mu, covariance).logpdf(y)
-    posterior = LogPosterior(data, EmissionPrior(), PLAIN)
+    posterior = LogPosterior(data, ZHENG, EmissionPrior(), reference=reference)
+    expected = multivariate_normal(posterior.predict_usable(PLAIN[None])[0], covariance).logpdf(y)
     assert posterior.log_likelihood(PLAIN[None])[0] == pytest.approx(expected, abs=1e-6)

@@ -143,7 +143,11 @@ def test_mixture_parameters_are_those_of_its_first_component(seed):
     family = FAMILIES["gaussian_mixture"]
     theta = EmissionPrior().of(family, with_blocking=True).draw(1, np.random.default_rng(seed))
     both = family.curves(theta, FINE_NM)
-    theta[:, 3], theta[:, 4], theta[:, 5] = theta[:, 0] + theta[:, 3], theta[:, 1] + theta[:, 4], theta[:, 2] + theta[:, 5]
+    theta[:, 3], theta[:, 4], theta[:, 5] = (
+        theta[:, 0] + theta[:, 3],
+        theta[:, 1] + theta[:, 4],
+        theta[:, 2] + theta[:, 5],
+    )
     second = theta[0, 5] - 4 * np.log(2) * ((FINE_NM - theta[0, 3]) / np.exp(theta[0, 4])) ** 2
     got = curve_quantities(both - np.exp(second), FINE_NM)
     assert got.mode_nm[0] == pytest.approx(theta[0, 0], abs=1e-3)
@@ -158,7 +162,9 @@ def test_every_family_has_the_common_parameters_first_and_curves_of_many_rows():
         rows = family.curves(theta, GRID_NM)
         assert rows.shape == (5, GRID_NM.size)
         assert (rows >= 0).all()
-        assert np.allclose(rows[3], family.curves(theta[3:4, : len(family.parameter_names)], GRID_NM)[0], rtol=0, atol=0)
+        assert np.allclose(
+            rows[3], family.curves(theta[3:4, : len(family.parameter_names)], GRID_NM)[0], rtol=0, atol=0
+        )
 
 
 def test_unknown_family_is_refused_with_the_known_ones():

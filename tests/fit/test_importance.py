@@ -99,4 +99,6 @@ def test_evidence_is_that_of_dynesty(weights, name, discrepancy):
     sampler.run_nested(dlogz=0.3, print_progress=False)
     nested = sampler.results
     # three combined standard errors
-    assert sample.ln_evidence == pytest.approx(nested.logz[-1], abs=3 * np.hypot(nested.logzerr[-1], sample.ln_evidence_sd))
+    assert sample.ln_evidence == pytest.approx(
+        nested.logz[-1], abs=3 * np.hypot(nested.logzerr[-1], sample.ln_evidence_sd)
+    )

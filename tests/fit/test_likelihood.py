@@ -110,7 +110,9 @@ def test_covariances_are_those_of_a_dense_gaussian_process_at_the_nodes(correlat
     theta = posterior.prior.draw(20, np.random.default_rng(4))
     u = posterior.imperfections
     for row, got in zip(theta, posterior.covariances(theta), strict=True):
-        expected = data.covariance + u @ u.T + discrepancy_covariance(row, LOG_NORMAL, weights, SHORT, *at_nodes(weights))
+        expected = (
+            data.covariance + u @ u.T + discrepancy_covariance(row, LOG_NORMAL, weights, SHORT, *at_nodes(weights))
+        )
         scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
         assert (np.abs(got - expected) < 1e-9 * scale).all()  # e^-25 between the closest nodes of two bands
         assert np.allclose(np.diag(got), np.diag(expected), rtol=1e-9, atol=0)

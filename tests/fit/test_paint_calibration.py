@@ -1,17 +1,24 @@
 """From band signals to the paint record: reflectance without fluorescence, held curves, total chi-square."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from data_schemas.errors import FitError
 from data_schemas.estimate import Estimate
 from data_schemas.radiometry import BandSignals
 from data_schemas.standard_curves import assumed_camera_response
-from finray_calib.fit.paint_calibration import calibrate_paint
+from finray_calib.fit.calibration_records import warnings
+from finray_calib.fit.emission import FitSettings
+from finray_calib.fit.paint_calibration import FitOptions, band_data, calibrate_paint
 from finray_calib.fit.reflectance import reflectance
 from finray_calib.fit.sampler import SamplerSettings
-from finray_calib.spectra.rig_curves import WAVELENGTH_NM, held_shares
+from finray_calib.spectra.emission_families import FAMILIES
+from finray_calib.spectra.rig_curves import WAVELENGTH_NM, filter_transmission, held_shares
+from finray_calib.spectra.skew_cauchy import SkewCauchy
 from rigs.presets import simulated_rig
 from rigs.simulated.bench import Bench, bench_truth
 
@@ -50,18 +57,111 @@ def bands(optics) -> BandSignals:
     )
 
 
+FEW = FitOptions(
+    settings=FitSettings(importance_draws=4000, kept_draws=500, chain=SamplerSettings(walkers=32, most_steps=300))
+)
+
+
 @pytest.fixture(scope="module")
 def paint(bands):
-    return calibrate_paint(bands, 1, settings=SamplerSettings(most_steps=2000))
+    return calibrate_paint(bands, 1, FEW)
 
 
 def test_bench_and_nominal_fitter_agree_on_mode_width_and_yield(paint):
     truth = bench_truth(simulated_rig("red", seed=3), Path())
-    for name in ("mode_nm", "fwhm_nm"):
+    for name in ("mode_nm", "fwhm_nm", "energy_yield"):
         value = paint.parameters[name]
         assert value.low95 < getattr(truth, name) < value.high95
-    assert paint.energy_yield.low95 < truth.energy_yield < paint.energy_yield.high95
-    assert paint.warnings == ()
+    assert paint.energy_yield == paint.parameters["energy_yield"]
+    assert not any("cannot explain" in said for said in paint.warnings)
+
+
+def test_all_families_stand_beside_the_reported_one(paint):
+    names = [f.name for f in paint.families]
+    assert names == [*FAMILIES, "zheng2014"]  # the paper's family a second time, without discrepancy
+    assert sum(f.probability for f in paint.families) == pytest.approx(1.0)
+    assert [f.with_discrepancy for f in paint.families] == [True] * 4 + [False]
+    assert paint.families[-1].left_out_bands is None
+    assert paint.family in FAMILIES
+    assert paint.family_choice.startswith(paint.family)
+
+
+def test_paper_parameters_are_those_of_the_paper_curve(paint):
+    """l0, gamma, omega and h of the paper give back the mode of its own fit."""
+    p = {name: e.estimate for name, e in paint.paper.items()}
+    curve = SkewCauchy(p["location_nm"], p["scale_nm"], p["skewness"], p["amplitude_nm"])
+    mode = paint.families[-1].quantities["mode_nm"]
+    # medians of four correlated parameters: half a posterior interval
+    assert curve.mode_nm == pytest.approx(mode.estimate, abs=max(1.0, mode.high95 - mode.low95))
+
+
+def test_band_integrals_are_means_over_the_transmissions(paint):
+    for band, got in zip(paint.optics.filters, paint.band_integrals, strict=True):
+        passed = filter_transmission(band, WAVELENGTH_NM)
+        drawn = paint.emission_draws_per_nm @ passed / passed.sum()
+        # the stored draws are the first of those that were summarised: their median scatters by a tenth of an sd
+        assert got.estimate == pytest.approx(np.median(drawn), abs=0.25 * got.sd)
+
+
+def test_asked_for_family_is_reported_with_what_the_rule_says(bands, paint):
+    fitted = calibrate_paint(bands, 1, replace(FEW, family="zheng2014"))
+    assert fitted.family == "zheng2014"
+    assert fitted.family_choice.startswith("zheng2014")
+    assert "kappa" in fitted.sampled
+    assert fitted.families == paint.families  # the same seed gives the same numbers
+
+
+def flagged(bands, lost):
+    flags = tuple(("saturated",) * 3 if f.name in lost else ("ok",) * 3 for f in bands.optics.filters)
+    return bands.model_copy(update={"flags": flags})
+
+
+def test_saturated_bands_give_wider_intervals(bands, paint):
+    few = calibrate_paint(flagged(bands, {"560", "600", "630"}), 1, FEW)
+    for name in ("mode_nm", "peak_per_nm", "energy_yield"):
+        assert few.parameters[name].sd > 1.3 * paint.parameters[name].sd
+    lost = {r.filter_name for r in few.bands if r.degrees_of_freedom == 0}
+    assert lost == {"560", "600", "630"}
+
+
+def test_an_ambiguity_and_other_doubts_are_told(bands):
+    """Two maxima 1 nat apart, draws that no method trusts, a chain that disagrees."""
+    maxima = SimpleNamespace(log_posterior=np.array([10.0, 9.0]), theta=np.array([[606.0, 0], [561.0, 0]]))
+    doubtful = SimpleNamespace(
+        maxima=maxima, sampling=SimpleNamespace(trusted=False), share_below_laser=np.full(10, 0.07)
+    )
+    unexplained = SimpleNamespace(filter_name="532", explained=False)
+    said = warnings(doubtful, (unexplained,), SimpleNamespace(mean_shift_sd={"kappa": -0.4}))
+    for words in (
+        "cannot explain filter 532",
+        "2 maxima of the posterior, modes at 606, 561 nm",
+        "sampling cannot be trusted",
+        "emcee disagrees",
+        "7% of the fitted curve lies below the laser line",
+    ):
+        assert any(words in line for line in said)
+    fine = SimpleNamespace(
+        maxima=SimpleNamespace(log_posterior=np.array([10.0, 1.0]), theta=maxima.theta),
+        sampling=SimpleNamespace(trusted=True),
+        share_below_laser=np.zeros(10),
+    )
+    assert warnings(fine, (), None) == ()
+
+
+def test_unusable_sessions_are_refused(bands):
+    with pytest.raises(FitError, match="only 3 bands have a usable channel, at least 4"):
+        band_data(flagged(bands, {"405", "500", "532", "560", "600"}))
+    y = bands.fluorescence.copy()
+    y[2, 1] = np.nan
+    with pytest.raises(FitError, match="NaN or infinite"):
+        calibrate_paint(bands.model_copy(update={"fluorescence": y}), 1)
+    with pytest.raises(FitError, match="'cauchy' is unknown"):
+        calibrate_paint(bands, 1, FitOptions(family="cauchy"))
+
+
+def test_two_sessions_of_one_light_are_refused(bands):
+    with pytest.raises(FitError, match="two sessions have the same excitation"):
+        calibrate_paint(bands, 1, FEW, other_lights=[bands])
 
 
 def test_reflectance_without_fluorescence_holds_the_true_one(paint):

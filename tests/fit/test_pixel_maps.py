@@ -10,7 +10,7 @@ from data_schemas.paint_map import PaintMap
 from data_schemas.radiometry import BandSignals
 from finray_calib.fit import pixel_maps
 from finray_calib.fit.paint_calibration import FitOptions, calibrate_paint
-from finray_calib.fit.pixel_kernel import curve_and_slopes, curve_constants
+from finray_calib.fit.pixel_curves import arctangent, curve_constants, curve_slopes, falling_exponential, logarithm
 from finray_calib.fit.pixel_maps import PixelSpread, map_paint, map_pixels, pixel_problem, region_fit
 from finray_calib.reports.paint_map_figure import paint_map_figure, spot_sentence, spread_sentence, thinned
 from finray_calib.spectra.emission_families import family_named
@@ -39,17 +39,29 @@ def test_slopes_of_the_curve(name, optics):
     region = scene(name, optics, np.tile(center, (64, 1)), np.random.default_rng(0)).region
     problem, _ = pixel_problem(region, weights_of(optics, CHANNEL_WEIGHTS), SPREAD)
     family, k = family_named(name), np.empty(9)
+    wavelengths = np.array([520.0, 590.0, 600.0, 690.0])
+    out = np.empty((4, 4))
     for own in (center[3], -0.4, 0.0):
         theta = np.append(center[:3], own)
-        curve_constants(problem, np.append(theta, 0.1), k)
-        for wavelength in (520.0, 590.0, 600.0, 690.0):
-            value, *slopes = curve_and_slopes(problem.family, k, wavelength)
-            assert value == pytest.approx(family.curves(theta[None], [wavelength])[0, 0], rel=1e-9)
-            for j, slope in zip((0, 1, 3), slopes, strict=True):
-                step = 1e-4 * np.eye(4)[j]
-                high, low = family.curves(np.array([theta + step, theta - step]), [wavelength])[:, 0]
-                # central differences of 1e-4: second-order error, and kinks of the interpolated table's second slope
-                assert slope == pytest.approx((high - low) / 2e-4, rel=2e-3, abs=1e-5 * np.exp(theta[2]))
+        curve_constants(problem.family, problem.table, theta, k)
+        curve_slopes(problem.family, k, wavelengths, out)
+        # 1e-4 of asymmetry stand for none, and the arctangent is exact to 2e-8
+        np.testing.assert_allclose(out[0], family.curves(theta[None], wavelengths)[0], rtol=1e-6 if own else 3e-4)
+        for row, j in ((1, 0), (2, 1), (3, 3)):
+            step = 1e-4 * np.eye(4)[j]
+            high, low = family.curves(np.array([theta + step, theta - step]), wavelengths)
+            # central differences over 2e-4, and kinks in the second slope of the interpolated table
+            np.testing.assert_allclose(out[row], (high - low) / 2e-4, rtol=2e-3, atol=1e-3 * np.exp(theta[2]))
+
+
+def test_fast_functions_keep_their_promises():
+    x = np.concatenate([-np.logspace(-6, 6, 2000), np.logspace(-6, 6, 2000)])
+    np.testing.assert_allclose([arctangent(v) for v in x], np.arctan(x), rtol=0, atol=2.1e-8)
+    x = np.linspace(0.0, 10.0, 2001)
+    np.testing.assert_allclose([falling_exponential(v) for v in x], np.exp(-x), rtol=1e-9)
+    assert 0 < falling_exponential(1e4) < 1e-21
+    x = np.geomspace(0.02, 20.0, 2001)
+    np.testing.assert_allclose([logarithm(v) for v in x], np.log(x), rtol=0, atol=1e-7)
 
 
 def test_agrees_with_scipy_on_whole_curves(drawn):
@@ -68,14 +80,14 @@ def test_agrees_with_scipy_on_whole_curves(drawn):
         covariance = np.linalg.inv(best.jac.T @ best.jac)
         at = np.unravel_index(i, found.mode_nm.shape)
         assert abs(found.mode_nm[at] - best.x[0]) < LARGEST_MODE_DIFFERENCE_NM
-        # 1 % of a standard deviation: what stopping rule, four nodes and float32 may leave
+        # 2 % of a standard deviation: what stopping rule, four nodes and the 10 nm grid may leave
         for value, wanted, j in (
             (np.log(found.fwhm_nm[at]), best.x[1], 1),
             (np.log(found.peak_per_nm[at]), best.x[2], 2),
             (found.shape_value[at], best.x[3], 3),
             (found.reflectance_at_laser[at], best.x[4], 4),
         ):
-            assert abs(value - wanted) < 0.01 * np.sqrt(covariance[j, j])
+            assert abs(value - wanted) < 0.02 * np.sqrt(covariance[j, j])
         assert found.mode_sd_nm[at] == pytest.approx(np.sqrt(covariance[0, 0]), rel=0.01)
         assert found.chi_square[at] == pytest.approx(
             2 * best.cost - ((best.x - center) ** 2 / prior_sd**2).sum(), abs=0.01

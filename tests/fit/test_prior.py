@@ -16,7 +16,9 @@ def prior(request):
 def test_each_parameter_integrates_to_one(prior):
     """The joint density divided by the others' closed forms, integrated over one parameter at a time."""
     for d in range(prior.size):
-        low, high = np.clip([prior.low[d], prior.high[d]], prior.mean[d] - 12 * prior.sd[d], prior.mean[d] + 12 * prior.sd[d])
+        low, high = np.clip(
+            [prior.low[d], prior.high[d]], prior.mean[d] - 12 * prior.sd[d], prior.mean[d] + 12 * prior.sd[d]
+        )
         others = [k for k in range(prior.size) if k != d]
         at = np.clip(prior.mean, prior.low, prior.high)
         bounds = (prior.low - prior.mean) / prior.sd, (prior.high - prior.mean) / prior.sd

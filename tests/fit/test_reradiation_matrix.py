@@ -126,16 +126,66 @@ def test_too_much_energy_is_reported(bell):
     paint = absorption(excitation, np.array([[1.0, 1.9]]))
     ours = reradiation_matrix(emission[None], grid, paint, flat_reflectance(0.4), "bell")
     assert len(ours.warnings) == 1
-    assert "1 of 2 excitation wavelengths (worst 560 nm" in ours.warnings[0]
+    assert "1 of 2 excitation wavelengths" in ours.warnings[0]
+    emitted = emitted_energy(ours.mean)[1]
+    assert (
+        f"(worst 560 nm: {emitted:.3f} emitted, 0.400 reflected, together {emitted + 0.4:.3f} +- 0.000)"
+        in (ours.warnings[0])
+    )
 
 
 def test_too_many_photons_are_reported(bell):
     grid, emission = bell
     paint = absorption(np.array([405.0, LASER_NM]), np.ones((1, 2)))
-    # Energy closes (0.5 * 450/600 + 0.55 < 1), photons do not: 0.5 emitted of 0.45 absorbed.
+    # Energy closes (0.5 * 450/600 + 0.55 < 1), photons do not: 0.5 emitted and 0.55 reflected of each.
     ours = reradiation_matrix(emission[None], grid, paint, flat_reflectance(0.55), "bell")
     assert len(ours.warnings) == 1
-    assert "each absorbed photon makes 1.11 photons" in ours.warnings[0]
+    assert "0.500 emitted, 0.550 reflected, together 1.050 +- 0.000" in ours.warnings[0]
+
+
+def sized(bell, sd, seed=4):
+    """Draws of the bell whose photon yield has mean 0.5 and exactly this standard deviation."""
+    z = np.random.default_rng(seed).standard_normal(500)
+    z = (z - z.mean()) / z.std()
+    grid, emission = bell
+    return grid, (1 + z * sd / 0.5)[:, None] * emission
+
+
+@pytest.mark.parametrize(("sd", "surely"), [(0.024, True), (0.026, False)])
+@pytest.mark.parametrize("uncertain", ["emission", "reflectance", "both"])
+def test_warnings_need_two_standard_deviations(bell, sd, surely, uncertain):
+    # 0.5 emitted and 0.55 reflected photons exceed 1 by 0.05: two standard deviations of 0.025
+    share = {"emission": (1.0, 0.0), "reflectance": (0.0, 1.0), "both": (0.6, 0.8)}[uncertain]
+    grid, draws = sized(bell, share[0] * sd)
+    paint = absorption(np.array([405.0, LASER_NM]), np.ones((500, 2)))
+    known = flat_reflectance(0.55)
+    ours = reradiation_matrix(draws, grid, paint, known, "bell", flat_reflectance(share[1] * sd))
+    assert len(ours.warnings) == int(surely)
+    # the curve's own relative uncertainty says the same where no other is given
+    scaled = known.model_copy(update={"uncertainty_rel": share[1] * sd / 0.55})
+    assert len(reradiation_matrix(draws, grid, paint, scaled, "bell").warnings) == int(surely)
+
+
+@pytest.mark.parametrize(("sd", "surely"), [(0.024, True), (0.026, False)])
+def test_energy_warnings_need_two_standard_deviations(bell, sd, surely):
+    grid, emission = bell
+    excitation = np.array([405.0, 560.0])
+    a = np.array([[0.2, 1.9]])
+    paint = absorption(excitation, a)
+    exact = reradiation_matrix(emission[None], grid, paint, flat_reflectance(0.0), "bell")
+    reflected = flat_reflectance(1.05 - emitted_energy(exact.mean)[1])  # an excess of 0.05 at 560 nm
+    ours = reradiation_matrix(emission[None], grid, paint, reflected, "bell", flat_reflectance(sd))
+    energy = [w for w in ours.warnings if "energy" in w]
+    assert len(energy) == int(surely)
+
+
+def test_reflectance_held_beyond_its_range_is_half_unknown(bell):
+    grid, emission = bell
+    paint = absorption(np.array([LASER_NM, 560.0]), np.array([[0.1, 1.9]]))
+    everywhere = flat_reflectance(0.4)
+    ends_at_500 = everywhere.model_copy(update={"wavelength_nm": np.array([300.0, 500.0])})
+    assert len(reradiation_matrix(emission[None], grid, paint, everywhere, "bell").warnings) == 1
+    assert reradiation_matrix(emission[None], grid, paint, ends_at_500, "bell").warnings == ()
 
 
 def test_draws_must_be_paired(bell):

@@ -11,7 +11,7 @@ import numpy as np
 from data_schemas.capture import CaptureSession, Frame, FrameType
 from data_schemas.provenance import provenance
 from data_schemas.storage import write_frame, write_record
-from rigs.capture.paint_session import SESSION_NAME
+from rigs.capture.session_folder import SESSION_NAME
 from rigs.presets import paint_plan, simulated_rig
 from tests.radiometry.sessions import frame, record
 

@@ -1,7 +1,7 @@
 """The paper's statements beside measured stand-ins: numbers read off by other means, verdicts, figure, command."""
 
-import argparse
 import json
+import re
 
 import numpy as np
 import pytest
@@ -9,11 +9,14 @@ import pytest
 from data_schemas.curve_files import read_donaldson_matrix
 from data_schemas.curves import DonaldsonMatrix, SpectralCurve
 from data_schemas.errors import SimulateError
-from data_schemas.reradiation import PaperPaints
+from data_schemas.paper_paints import PaperPaints
 from data_schemas.storage import read_record
 from finray_calib.cli import study
+from finray_calib.cli.main import main
 from finray_calib.reports.paper_paints_figure import paper_paints_png
-from sim.experiments.paper_paints import LASER_NM, measure_stand_in, reproduce_paper_paints
+from sim.experiments.paint_stand_in import measure_stand_in
+from sim.experiments.paint_stand_in_fits import LASER_NM
+from sim.experiments.paper_paints import reproduce_paper_paints
 
 RED, GREEN = "hercules_orange_ink", ("textile_yellow", "postit_yellow_3m")
 
@@ -49,7 +52,7 @@ def by_subject(paper):
 def test_paper_curve_on_the_whole_spectrum(paper, name, location_nm, scale_nm, skewness, mode_nm):
     # The reference fits start at 490 nm and average other excitations; ours start at 470 nm, and where the paint
     # emits there (textile) the symmetric reference becomes a skewed curve with the same maximum.
-    fit = next(p.fits[0] for p in paper.stand_ins if p.material == name)
+    fit = next(p.paper_curve for p in paper.stand_ins if p.material == name)
     assert fit.mode_nm == pytest.approx(mode_nm, abs=3.0)  # noise of the matrices: some 2.7 nm
     if name != "textile_yellow":
         assert fit.parameters["location_nm"] == pytest.approx(location_nm, abs=3.0)
@@ -92,14 +95,32 @@ def test_two_to_five_per_cent_is_a_band_and_not_the_light(paper):
     assert statements["reradiation, read as one 10 nm band"].verdict == "holds in part"
     share = statements["reradiation, read as share of the light"]
     assert share.verdict == "does not hold"
-    assert "44 % of the energy, 60 % of the photons" in share.ours
+    assert share.ours[RED] == "44 % of the energy, 60 % of the photons"
     assert "4 to 27 times too dark" in share.why
     assert statements["lambda_0 of the curve"].verdict == "does not hold"
-    assert statements["emission curve, eight filter bands seen"].verdict == "does not hold"
     assert statements["dependence on the excitation"].verdict == "holds"
 
 
-def skew_cauchy_paint(shift_nm, energy_yield, mode_nm=560.0, step_nm=10.0):
+@pytest.mark.shared_data
+def test_the_paper_curve_is_too_sure_on_eight_bands_and_ours_is_not(paper):
+    seen = by_subject(paper)["emission curve, eight filter bands seen"]
+    assert seen.verdict == "does not hold"
+    theirs, ours = ([getattr(p, name) for p in paper.stand_ins] for name in ("paper_fit", "our_fit"))
+    assert all(f.trusted for f in (*theirs, *ours))
+    # Other programs measured on four materials: the paper's family alone 22-24 % off, its band holds 22 %; with a
+    # discrepancy half of that and 93 %. Three materials and one noise draw scatter by a third of that.
+    assert 0.15 < np.mean([f.residual_rel for f in theirs]) < 0.35
+    assert np.mean([f.covered_share for f in theirs]) < 0.45
+    assert np.mean([f.residual_rel for f in ours]) < 0.6 * np.mean([f.residual_rel for f in theirs])
+    assert np.mean([f.covered_share for f in ours]) > 0.85
+    for paint in paper.stand_ins:
+        words = seen.ours[paint.material]
+        assert f"the paper's curve {100 * paint.paper_fit.residual_rel:.0f} % (band holds" in words
+        assert paint.paper_fit.parameters["location_nm"].sd > 0
+        assert (paint.our_fit.low95_per_nm <= paint.our_fit.mean_per_nm).all()
+
+
+def skew_cauchy_paint(shift_nm, energy_yield, mode_nm=560.0, step_nm=10.0, name="paper"):
     """Build a matrix that follows the paper to the letter: symmetric Cauchy emission, bell-shaped absorption."""
     emission, excitation = np.arange(380.0, 791.0, step_nm), np.arange(300.0, 791.0, step_nm)
     shape = 1 / (1 + ((emission - mode_nm) / 25) ** 2)
@@ -108,7 +129,7 @@ def skew_cauchy_paint(shift_nm, energy_yield, mode_nm=560.0, step_nm=10.0):
     absorbed /= np.interp(LASER_NM, excitation, absorbed)
     stokes = emission[:, None] - excitation >= 15
     return DonaldsonMatrix(
-        name="paper",
+        name=name,
         emission_nm=emission,
         excitation_nm=excitation,
         radiance_factor_per_nm=np.outer(shape, absorbed) * stokes,
@@ -120,7 +141,8 @@ def skew_cauchy_paint(shift_nm, energy_yield, mode_nm=560.0, step_nm=10.0):
 
 
 def test_a_paint_as_the_paper_says_is_found_to_hold():
-    red, green = skew_cauchy_paint(100.0, 0.035), skew_cauchy_paint(50.0, 0.035, mode_nm=540.0)
+    red = skew_cauchy_paint(100.0, 0.035, name="red")
+    green = skew_cauchy_paint(50.0, 0.035, mode_nm=540.0, name="green")
     paper = reproduce_paper_paints([red], [green], np.random.default_rng(2))
     statements = by_subject(paper)
     for colour, shift_nm in (("red", 100.0), ("green", 50.0)):
@@ -133,6 +155,10 @@ def test_a_paint_as_the_paper_says_is_found_to_hold():
     assert statements["reradiation, read as share of the light"].verdict == "holds"
     assert statements["lambda_0 of the curve"].verdict == "holds"
     assert statements["emission curve, eight filter bands seen"].verdict == "holds"
+    # The fitter gives back what went in: the mode is known to some half a nm, so that 3 nm are beyond chance.
+    for paint, mode_nm in zip(paper.stand_ins, (560.0, 540.0), strict=True):
+        assert paint.paper_fit.parameters["mode_nm"].estimate == pytest.approx(mode_nm, abs=3.0)
+        assert paint.paper_fit.residual_rel < paint.our_fit.residual_rel  # no log-normal has such tails
 
 
 def test_what_cannot_stand_for_a_paint_is_refused():
@@ -140,6 +166,8 @@ def test_what_cannot_stand_for_a_paint_is_refused():
     rng = np.random.default_rng(1)
     with pytest.raises(SimulateError, match="at least one measured re-radiation matrix for red and one for green"):
         reproduce_paper_paints([paint], [], rng)
+    with pytest.raises(SimulateError, match="material paper is given twice; give each file once, for one colour"):
+        reproduce_paper_paints([paint], [paint], rng)
     short = paint.model_copy(
         update={
             "excitation_nm": paint.excitation_nm[:10],
@@ -158,22 +186,66 @@ def test_what_cannot_stand_for_a_paint_is_refused():
 
 @pytest.mark.shared_data
 def test_figure_is_a_png_that_repeats(paper):
-    first, second = paper_paints_png(paper), paper_paints_png(paper)
+    one = paper.model_copy(update={"stand_ins": paper.stand_ins[:1]})
+    first, second = paper_paints_png(one), paper_paints_png(one)
     assert first[:8] == b"\x89PNG\r\n\x1a\n"
     assert first == second
 
 
 @pytest.mark.shared_data
 def test_command_writes_record_and_figure(folder, tmp_path, capsys):
-    parser = argparse.ArgumentParser()
-    study.add_parser(parser.add_subparsers())
     out = tmp_path / "study"
-    arguments = ["study", "paper-paints", "--out", str(out), "--seed", "1"]
+    arguments = ["--out", str(out), "--seed", "1"]
     arguments += ["--red", str(folder / f"{RED}.csv"), "--green", str(folder / f"{GREEN[1]}.csv")]
-    parsed = parser.parse_args(arguments)
-    parsed.run(parsed)
+    assert main(["study", "paper-paints", *arguments]) == 0
     record = read_record(out / "paper-paints.json", PaperPaints)
     assert [p.material for p in record.stand_ins] == [RED, GREEN[1]]
     assert json.loads((out / "paper-paints.json").read_text())["record"]["provenance"]["seed"] == 1
     assert (out / "paper-paints.png").stat().st_size > 10_000
-    assert "DOES NOT HOLD: reradiation, read as share of the light" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "DOES NOT HOLD: reradiation, read as share of the light" in printed
+    assert max(map(len, printed.replace(str(out), "").splitlines())) <= study.WIDTH
+
+
+COLUMNS = np.arange(300, 801, 10)
+
+
+def written(path, last_excitation_nm=800, last_emission_nm=800):
+    """Write a paint as a CSV file: a bell of emission at 560 nm for every excitation."""
+    emission, excitation = np.arange(380, last_emission_nm + 1, 10), COLUMNS[last_excitation_nm >= COLUMNS]
+    values = np.where(
+        emission[:, None] > excitation + 15, 0.05 * np.exp(-(((emission[:, None] - 560.0) / 30) ** 2)), 0.0
+    )
+    values[emission[:, None] == excitation] = 0.1
+    header = "emission_nm," + ",".join(map(str, excitation))
+    np.savetxt(path, np.column_stack([emission, values]), delimiter=",", header=header, comments="", fmt="%.6g")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("--green {paint}", "at least one measured re-radiation matrix for red and one for green .--red CSV --green"),
+        ("--red {tmp}/no.csv --green {paint}", r"no\.csv: no such file; give the path of a"),
+        ("--red {tmp} --green {paint}", "cannot be read|is a folder"),
+        ("--red {blue} --green {paint}", r"blue\.csv: covers excitation 300 to 420 nm .* up to the laser at 450 nm"),
+        ("--red {cut} --green {paint}", r"cut\.csv: covers .* emission 380 to 700 nm; .* emission from 470 to 780 nm"),
+        ("--red {paint} --green {paint}", "material paint is given twice; give each file once, for one colour"),
+        ("--red {paint} --green {other} --out {tmp}", "exists already and is not overwritten"),
+    ],
+)
+def test_mistakes_are_one_line_and_write_nothing(tmp_path, capsys, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    files = {
+        "paint": written(tmp_path / "paint.csv"),
+        "other": written(tmp_path / "other.csv"),
+        "blue": written(tmp_path / "blue.csv", last_excitation_nm=420),
+        "cut": written(tmp_path / "cut.csv", last_emission_nm=700),
+    }
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["study", "paper-paints", *arguments.format(tmp=tmp_path, **files).split()]) == 2
+    complaint = capsys.readouterr().err
+    assert complaint.startswith("finray study: error: ")
+    assert complaint.count("\n") == 1
+    assert re.search(message, complaint), complaint
+    assert sorted(tmp_path.rglob("*")) == before

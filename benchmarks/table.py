@@ -1,0 +1,146 @@
+"""The numbers that this version must reach: what, against what, the bar, what was measured, and whether it is met.
+
+    python benchmarks/table.py bench-out
+
+Reads what the other benchmarks left in a folder. A row whose benchmark has not run names the command that measures
+it. Exit status 1 when a measured row misses its bar or, with --complete, when a row is not measured.
+"""
+
+import argparse
+import json
+import math
+import sys
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+MODELS = ("default", "zheng2014", "skew_t", "log_normal_wavenumber", "gaussian_mixture")
+PIXEL_FAMILIES = ("zheng2014", "log_normal_wavenumber")
+NOT_RUN = math.nan
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: a number of one file between two limits."""
+
+    what: str
+    against: str
+    command: str
+    file: str
+    number: Callable[[Any], float]
+    low: float = -math.inf
+    high: float = math.inf
+    unit: str = ""
+
+    def measured(self, folder: Path) -> float:
+        """Return the number, NaN when its benchmark has not run."""
+        path = folder / self.file
+        if not path.exists():
+            return NOT_RUN
+        parse = _properties if path.suffix == ".xml" else lambda p: json.loads(p.read_text())
+        try:
+            return float(self.number(parse(path)))
+        except KeyError:
+            return NOT_RUN
+
+    @property
+    def bar(self) -> str:
+        if math.isinf(self.high):
+            return f"at least {self.low:g}{self.unit}"
+        return (
+            f"at most {self.high:g}{self.unit}" if math.isinf(self.low) else f"{self.low:g} to {self.high:g}{self.unit}"
+        )
+
+
+def rows() -> list[Row]:
+    """Return the table, in the order in which it is printed."""
+    table = []
+    for model, against, bar in (
+        ("five parameters", "emcee, Python loop", 300.0),
+        ("five parameters", "emcee, vectorised", 100.0),
+        ("five parameters", "NumPyro NUTS", 1000.0),
+        ("default model", "emcee, vectorised", 30.0),
+    ):
+        what = f"effective samples per second, {model}"
+        table.append(Row(what, against, "samplers.py", "samplers.json", _ratio(model, against), low=bar, unit="x"))
+        what = f"posterior means and sds, {model}, standard errors"
+        table.append(Row(what, against, "samplers.py", "samplers.json", _largest_z(model, against), high=4.5))
+    for family in PIXEL_FAMILIES:
+        for key, what, limits in (
+            ("ratio", "pixels per second", {"low": 300.0, "unit": "x"}),
+            ("seconds", "1.3 MP", {"high": 15.0, "unit": " s"}),
+            ("peak_mb", "largest memory", {"high": 2000.0, "unit": " MB"}),
+        ):
+            number = _property(f"test_pixels_per_second[{family}]", key)
+            against = "scipy least_squares" if key == "ratio" else "-"
+            table.append(Row(f"pixel maps, {family}: {what}", against, "pytest", "pytest.xml", number, **limits))
+    left_out = ("leave_one_material_out.py", "left-out.json")
+    what = "full-spectrum error, one material left out"
+    table.append(Row(what, "the paper's family", *left_out, lambda r: r["ratio"], high=0.55, unit="x"))
+    what = "coverage of 95 % bands, one material left out"
+    table.append(Row(what, "nominal", *left_out, lambda r: r["coverage95"], low=0.90, high=0.98))
+    for model in MODELS:
+        calibration = ("simulation_based_calibration.py", f"sbc-{model}.json")
+        what = f"calibration, {model}"
+        table.append(Row(f"{what}: worst miss of 95 %", "uniform", *calibration, _worst_miss, high=3.0, unit=" points"))
+        table.append(Row(f"{what}: least p after Holm", "uniform", *calibration, _least_p, low=0.01))
+    command = ("fit_command_time.py", "fit-command.json")
+    table.append(Row("finray fit, whole process, warm", "-", *command, lambda r: r["warm_s"], high=3.0, unit=" s"))
+    table.append(Row("finray fit, whole process, cold", "-", *command, lambda r: r["cold_s"], high=20.0, unit=" s"))
+    return table
+
+
+def _ratio(model: str, against: str) -> Callable[[Any], float]:
+    return lambda record: record["models"][model]["ratios"][against]
+
+
+def _largest_z(model: str, against: str) -> Callable[[Any], float]:
+    return lambda record: record["models"][model]["largest_z"][against]
+
+
+def _property(test: str, name: str) -> Callable[[Any], float]:
+    return lambda properties: properties[test][name]
+
+
+def _worst_miss(record: Any) -> float:
+    return 100 * max(abs(row["coverage95"] - 0.95) for row in record["table"].values())
+
+
+def _least_p(record: Any) -> float:
+    return min(row["p_holm"] for row in record["table"].values())
+
+
+def _properties(path: Path) -> Mapping[str, Mapping[str, str]]:
+    """Return what the tests of a JUnit file recorded with record_property, by test name."""
+    cases = ET.parse(path).getroot().iter("testcase")
+    return {c.attrib["name"]: {p.attrib["name"]: p.attrib["value"] for p in c.iter("property")} for c in cases}
+
+
+def main() -> int:
+    """Print the table; return 1 when a bar is missed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--complete", action="store_true", help="a row that is not measured counts as missed")
+    arguments = parser.parse_args()
+    missed = 0
+    print(f"{'what':62s} {'against':20s} {'bar':18s} {'measured':>12s}")
+    for row in rows():
+        value = row.measured(arguments.folder)
+        if math.isnan(value):
+            cell, verdict = "-", f"not measured: {row.command}"
+            missed += arguments.complete
+        else:
+            met = row.low <= value <= row.high
+            cell, verdict = (
+                f"{value:.3g}{row.unit}" if value < 1000 else f"{value:.0f}{row.unit}",
+                "met" if met else "MISSED",
+            )
+            missed += not met
+        print(f"{row.what:62s} {row.against:20s} {row.bar:18s} {cell:>12s}  {verdict}")
+    return int(missed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

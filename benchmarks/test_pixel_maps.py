@@ -1,0 +1,101 @@
+"""Paint maps beside a loop of scipy's least squares, in the same run: pixels per second; time and memory at 1.3 MP."""
+
+import resource
+import time
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from data_schemas.radiometry import Optics
+from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
+from finray_calib.fit.pixel_maps import map_pixels
+from rigs.presets import simulated_rig
+from tests.fit.pixel_scenes import SPREAD, PixelScene, center_of, scene
+
+FAMILIES = ("zheng2014", "log_normal_wavenumber")
+ROWS, COLUMNS = 1024, 1280
+SCIPY_PIXELS = 60
+LEAST_RATIO = 300
+LONGEST_S, LARGEST_KB = 15.0, 2_000_000
+TILE = 64
+"""Rows and columns that are simulated; the frame repeats them."""
+
+
+def optics() -> Optics:
+    rig = simulated_rig("red")
+    return Optics(
+        filters=rig.filter_wheel.filters,
+        excitation_filter="450",
+        laser=rig.laser,
+        lamp=halogen_lamp(),
+        white_reference=rig.white_reference,
+        camera_response=assumed_camera_response(),
+    )
+
+
+def frame(name: str) -> PixelScene:
+    """A 1.3 MP frame: paint of uneven thickness and mode, 1 % noise."""
+    rng = np.random.default_rng(1)
+    truth = np.tile(center_of(name), (TILE * TILE, 1))
+    truth[:, 2] += 0.2 * rng.standard_normal(len(truth))
+    truth[:, 0] += 2.0 * rng.standard_normal(len(truth))
+    small = scene(name, optics(), truth, rng, rows=TILE)
+    repeat = (ROWS // TILE, COLUMNS // TILE)
+    fields = {
+        key: np.tile(value, (1,) * (value.ndim - 2) + repeat)
+        for key, value in dict(small.pixels).items()
+        if isinstance(value, np.ndarray) and value.shape[-2:] == (TILE, TILE)
+    }
+    area = small.pixels.area.model_copy(update={"height_px": ROWS, "width_px": COLUMNS})
+    pixels = type(small.pixels).model_validate({**dict(small.pixels), **fields, "area": area})
+    return PixelScene(name, small.optics, truth, pixels, small.region)
+
+
+def scipy_rate(made: PixelScene) -> float:
+    """Pixels per second of scipy (MINPACK): same priors and bands, Gauss nodes as a numpy product, same start."""
+    from finray_calib.fit.pixel_maps import pixel_problem
+    from finray_calib.spectra.rig_curves import weights_of
+
+    problem, _ = pixel_problem(made.region, weights_of(made.optics, made.pixels.channel_weights), SPREAD)
+    curve = made.region.family.curves
+    nodes = np.concatenate([problem.nodes_nm, problem.grid_nm])
+    _, bands, count = problem.in_band.shape
+    weights = np.zeros((3, bands, nodes.size))
+    for b in range(bands):
+        weights[:, b, b * count : (b + 1) * count] = problem.in_band[:, b]
+    weights[:, :, bands * count :] = problem.out_of_band[:, :bands]
+    precision = np.sqrt(problem.precision)
+    chosen = np.random.default_rng(2).integers((0, 0), (TILE, TILE), (SCIPY_PIXELS, 2))
+    start = time.perf_counter()
+    for row, column in chosen:
+        y = made.pixels.fluorescence[:, row, column].astype(float)
+        sd = made.pixels.fluorescence_sd[:, row, column].astype(float)
+        c = made.pixels.channel[row, column]
+
+        def residual(theta, y=y, sd=sd, c=c):
+            mu = weights[c] @ curve(theta[None, :4], nodes)[0] + theta[4] * problem.laser[c]
+            return np.concatenate([(mu - y) / sd, (theta - problem.mean) * precision])
+
+        least_squares(residual, problem.mean, method="lm", x_scale=1 / precision)
+    return SCIPY_PIXELS / (time.perf_counter() - start)
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_pixels_per_second(name):
+    made = frame(name)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    map_pixels(made.pixels, made.region, SPREAD)  # compiled code is loaded, or made once
+    start, busy = time.perf_counter(), time.process_time()
+    found = map_pixels(made.pixels, made.region, SPREAD)
+    seconds, cpu = time.perf_counter() - start, time.process_time() - busy
+    rate, rival = found.mode_nm.size / seconds, scipy_rate(made)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print(
+        f"\n{name}: {found.mode_nm.size} pixels in {seconds:.1f} s wall, {cpu:.1f} s of processors, {rate:.0f} px/s; scipy "
+        f"{rival:.0f} px/s; ratio {rate / rival:.0f}; largest memory {peak / 1e3:.0f} MB ({before / 1e3:.0f} before)"
+    )
+    assert found.unconverged_pixels < 1e-3 * found.mode_nm.size
+    assert rate / rival > LEAST_RATIO
+    assert seconds < LONGEST_S
+    assert peak < LARGEST_KB
