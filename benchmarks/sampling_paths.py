@@ -73,7 +73,7 @@ def run_emcee(
     prior = posterior.prior
     walkers_start = np.clip(walkers_start, prior.low + 1e-6, prior.high - 1e-6)
     sampler = emcee.EnsembleSampler(walkers, prior.size, density, vectorize=vectorize)
-    sampler.random_state = np.random.RandomState(seed).get_state()  # noqa: NPY002  emcee asks for this kind
+    sampler.random_state = np.random.RandomState(seed).get_state()
     start = time.perf_counter()
     sampler.run_mcmc(walkers_start, steps)
     seconds = time.perf_counter() - start

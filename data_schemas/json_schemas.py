@@ -12,6 +12,7 @@ from data_schemas.design import FingerDesign
 from data_schemas.fit import PaintCalibration
 from data_schemas.model import Record
 from data_schemas.paint_map import PaintMap
+from data_schemas.paper_paints import PaperPaints
 from data_schemas.radiometry import BandSignals, PixelSignals
 from data_schemas.rig import RigFile
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
@@ -27,6 +28,7 @@ STORED: tuple[type[Record], ...] = (
     PixelSignals,
     PaintCalibration,
     PaintMap,
+    PaperPaints,
     SimulatedPress,
     LightAngleSweep,
     PhotometricErrorReport,

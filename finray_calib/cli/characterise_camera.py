@@ -8,8 +8,8 @@ from data_schemas.provenance import provenance
 from data_schemas.storage import write_record
 from finray_calib.cli.options import command_line, file_name, input_digests, naming, progress_bar, require_new, say
 from finray_calib.radiometry.camera_characterisation import characterise_camera
-from rigs.capture.session_folder import SESSION_NAME
 from rigs.capture.read_session import read_camera_session, read_frame_of
+from rigs.capture.session_folder import SESSION_NAME
 
 
 def characterise(folder: Path, out: Path | None) -> None:

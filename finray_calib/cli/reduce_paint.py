@@ -12,8 +12,8 @@ from finray_calib.cli.options import command_line, file_name, input_digests, nam
 from finray_calib.radiometry.band_signals import bands_of_steps
 from finray_calib.radiometry.pixel_signals import pixel_signals
 from finray_calib.radiometry.session_steps import session_steps
-from rigs.capture.session_folder import SESSION_NAME
 from rigs.capture.read_session import read_frame_of, read_session
+from rigs.capture.session_folder import SESSION_NAME
 
 
 def reduce_paint(folder: Path, out: Path | None, camera: Path | None, pixels: bool, whole_frame: bool) -> None:

@@ -58,8 +58,9 @@ def find_maxima(log_posterior: LogPosterior, rng: np.random.Generator) -> Maxima
 
     Prior draws are scaled to the data (height from the brightest band, reflectance from the excitation band); the
     best of each stratum of mode and sign of skewness start Levenberg-Marquardt; NLopt's SLSQP finishes each distinct
-    end on the exact density, and a search without gradients confirms every maximum beyond the first. Maxima closer than one posterior standard deviation, or without a dip between them, are
-    one; those 25 nats below the best are dropped.
+    end on the exact density, and a search without gradients confirms every maximum beyond the first. Maxima closer
+    than one posterior standard deviation, or without a dip between them, are one; those 25 nats below the best are
+    dropped.
 
     Parameters
     ----------

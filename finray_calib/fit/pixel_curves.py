@@ -26,7 +26,7 @@ _LEAST_ASYMMETRY = 1e-4  # nearer to 0 a log-normal is taken to be this skew: 1e
 _LEAST_ARGUMENT = 1e-4  # of the logarithm; the curve has vanished there
 
 
-@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
 def arctangent(x: float) -> float:
     """Return atan(x) to 2e-8 (Abramowitz and Stegun, 4.4.49)."""
     large = abs(x) > 1
@@ -39,7 +39,7 @@ def arctangent(x: float) -> float:
     return half - r if large else r
 
 
-@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
 def falling_exponential(x: float) -> float:
     """Return exp(-x) for x of 0 or more, to 1e-9 below 10 and to 1e-22 beyond: a series, squared eight times."""
     y = min(x, 50.0) / 256
@@ -49,7 +49,7 @@ def falling_exponential(x: float) -> float:
     return e
 
 
-@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
 def logarithm(a: float) -> float:
     """Return ln(a) to 1e-7 from 0.02 to 20: the inverse hyperbolic tangent of the eighth root."""
     root = math.sqrt(math.sqrt(math.sqrt(a)))
@@ -58,7 +58,7 @@ def logarithm(a: float) -> float:
     return 16 * t * (1 + q * (1 / 3 + q * (1 / 5 + q * (1 / 7 + q * (1 / 9 + q * (1 / 11))))))
 
 
-@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
 def curve_constants(family: int, table: FloatArray, theta: FloatArray, k: FloatArray) -> None:
     """Fill what the curve of one parameter vector needs at each wavelength."""
     if family == SKEW_CAUCHY:
@@ -84,39 +84,41 @@ def curve_constants(family: int, table: FloatArray, theta: FloatArray, k: FloatA
         k[8] = math.sinh(s)
 
 
-@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
 def curve_slopes(family: int, k: FloatArray, wavelength_nm: FloatArray, out: FloatArray) -> None:
     """Fill the curve and its slopes by mode, ln FWHM and own parameter, (4, L); the slope by ln peak is the curve."""
+    # local numbers: the compiler cannot know that filling `out` leaves k alone
+    k0, k1, k2, k3, k4, k5, k6, k7, k8 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8]
     if family == SKEW_CAUCHY:
         for i in range(len(wavelength_nm)):
-            z = (wavelength_nm[i] - k[0]) * k[1] + k[2]
-            w_z = k[3] * z
+            off = (wavelength_nm[i] - k0) * k1
+            z = off + k2
+            w_z = k3 * z
             bell, step = 1 / (1 + z * z), arctangent(w_z) / math.pi + 0.5
             kick = 1 / (math.pi * (1 + w_z * w_z))
-            f = k[5] * bell * step
-            by_z = k[5] * bell * (k[3] * kick - 2 * z * bell * step)
-            off = z - k[2]
+            f = k5 * bell * step
+            by_z = k5 * bell * (k3 * kick - 2 * z * bell * step)
             out[0, i] = f
-            out[1, i] = -by_z * k[1]
+            out[1, i] = -by_z * k1
             out[2, i] = -off * by_z
-            out[3, i] = by_z * (off * k[8] + k[6]) - f * k[7] + k[5] * bell * kick * z * k[4]
+            out[3, i] = by_z * (off * k8 + k6) - f * k7 + k5 * bell * kick * z * k4
     else:
-        cosh = math.sqrt(1 + k[8] * k[8])
+        cosh = math.sqrt(1 + k8 * k8)
         for i in range(len(wavelength_nm)):
-            u = (1e4 / wavelength_nm[i] - k[0]) * k[1]
-            a = max(1 - 2 * u * k[8], _LEAST_ARGUMENT)
-            g = logarithm(a) / k[2]
-            by_u = -2 * k[8] / (a * k[2])
-            by_s = (-2 * u * cosh / a - g) / k[2]
-            f = k[3] * falling_exponential(_LN_2 * g * g)
+            u = (1e4 / wavelength_nm[i] - k0) * k1
+            a = max(1 - 2 * u * k8, _LEAST_ARGUMENT)
+            g = logarithm(a) / k2
+            by_u = -2 * k8 / (a * k2)
+            by_s = (-2 * u * cosh / a - g) / k2
+            f = k3 * falling_exponential(_LN_2 * g * g)
             fall = -2 * _LN_2 * g * f
             out[0, i] = f
-            out[1, i] = -fall * by_u * (k[4] + u * k[5])
-            out[2, i] = -fall * by_u * u * k[6]
-            out[3, i] = fall * (by_s - by_u * u * k[7])
+            out[1, i] = -fall * by_u * (k4 + u * k5)
+            out[2, i] = -fall * by_u * u * k6
+            out[3, i] = fall * (by_s - by_u * u * k7)
 
 
-@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
 def _unit_shape(table: FloatArray, kappa: float) -> tuple[float, float, float, float, float, float]:
     """Return mode offset, peak and width of the unit skew-Cauchy curve and their derivatives by kappa."""
     a = min(abs(kappa), KAPPA_END - 1e-9) / KAPPA_STEP + 1

@@ -75,7 +75,7 @@ class PixelWork(NamedTuple):
     slope: FloatArray  # (5,)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def pixel_work(p: PixelProblem) -> PixelWork:
     """Return scratch arrays of the right sizes."""
     n, bands = PARAMETERS, p.in_band.shape[1]
@@ -101,7 +101,7 @@ def pixel_work(p: PixelProblem) -> PixelWork:
     )
 
 
-@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
 def _expand_floor(p: PixelProblem, c: int, theta: FloatArray, w: PixelWork, floor: FloatArray) -> None:
     """Fill the out-of-band values and slopes of channel c at theta, for a peak of 1."""
     curve_constants(p.family, p.table, theta, w.constants)
@@ -115,7 +115,7 @@ def _expand_floor(p: PixelProblem, c: int, theta: FloatArray, w: PixelWork, floo
             floor[b, s] = total * inverse_peak
 
 
-@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
 def pixel_cost(p: PixelProblem, c: int, theta: FloatArray, w: PixelWork) -> float:
     """Fill residuals and Jacobian of a pixel of channel c; return chi-square plus the prior's square sum.
 
@@ -147,7 +147,7 @@ def pixel_cost(p: PixelProblem, c: int, theta: FloatArray, w: PixelWork) -> floa
     return total
 
 
-@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
 def _fill_normal(p: PixelProblem, w: PixelWork) -> None:
     """Fill the normal matrix and the gradient at w.theta from its residuals and Jacobian."""
     for j in range(PARAMETERS):
@@ -164,7 +164,7 @@ def _fill_normal(p: PixelProblem, w: PixelWork) -> None:
                 w.normal[j, k] += w.jacobian[b, j] * w.jacobian[b, k]
 
 
-@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
 def _factorise(w: PixelWork, damping: float) -> None:
     """Fill w.factor with the Cholesky factor of the normal matrix, its diagonal raised by the damping."""
     for j in range(PARAMETERS):
@@ -175,7 +175,7 @@ def _factorise(w: PixelWork, damping: float) -> None:
             w.factor[j, k] = math.sqrt(s) if j == k else s / w.factor[k, k]
 
 
-@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
 def _solve(factor: FloatArray, right: FloatArray, out: FloatArray) -> float:
     """Fill `out` with the solution for a right side; return right' times the solution, a squared length."""
     length = 0.0
@@ -193,7 +193,7 @@ def _solve(factor: FloatArray, right: FloatArray, out: FloatArray) -> float:
     return length
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _start(p: PixelProblem, c: int, w: PixelWork) -> None:
     """Set w.theta to the region's fit, its height scaled to the pixel's emission bands by a weighted dot product."""
     w.theta[:] = p.mean
@@ -209,7 +209,7 @@ def _start(p: PixelProblem, c: int, w: PixelWork) -> None:
         w.theta[2] += math.log(max(along / length, _LOWEST_SCALE))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _region_bands(p: PixelProblem, w: PixelWork) -> None:
     """Fill what the region's fit emits into the bands of each channel."""
     w.inverse_sd[:] = 1.0
@@ -222,7 +222,7 @@ def _region_bands(p: PixelProblem, w: PixelWork) -> None:
         w.region_emitted[c] = w.jacobian[:, 2]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def fit_pixel(p: PixelProblem, c: int, w: PixelWork) -> tuple[float, bool]:
     """Move w.theta to the maximum of the posterior of the pixel in w.y; leave the normal matrix there.
 
@@ -264,7 +264,7 @@ def fit_pixel(p: PixelProblem, c: int, w: PixelWork) -> tuple[float, bool]:
     return cost, converged
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _report(p: PixelProblem, cost: float, w: PixelWork, out: NDArray[np.float32]) -> None:
     """Fill the results of a pixel from the fit that is in w."""
     n, peak = PARAMETERS, math.exp(w.theta[2])
@@ -293,7 +293,7 @@ def _report(p: PixelProblem, cost: float, w: PixelWork, out: NDArray[np.float32]
         out[3 * n + 3] -= (w.theta[j] - p.mean[j]) ** 2 * p.precision[j]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _fit_row(
     p: PixelProblem,
     y: NDArray[np.float32],

@@ -11,5 +11,8 @@ _REORDER = {"reassoc", "contract", "arcp", "nsz"}  # sums may be reordered; infi
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function of floats and arrays at its first call; later processes load it from the cache."""
-    return njit(cache=True, fastmath=_REORDER)(function)  # type: ignore[no-any-return]
+    """Compile a function of floats and arrays at its first call; later processes load it from the cache.
+
+    Division by zero gives an infinity, as in numpy, and raises nothing.
+    """
+    return njit(cache=True, fastmath=_REORDER, error_model="numpy")(function)  # type: ignore[no-any-return]

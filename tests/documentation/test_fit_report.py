@@ -221,7 +221,7 @@ def test_the_page_shows_what_a_student_needs_to_judge_the_fit(html: str) -> None
         "Warning: 3.1 % of the fitted emission lies below the laser line",
         "belief, not measured; 95 %: 13 to 63 nm",
         "camera response R covers 400 to 780 nm",
-        "centres within 0.15 nm",
+        f"centres within {RED.fit.optics.filters[0].center_uncertainty_nm:g} nm",
         "A diffuse paint",
         "The paper's four parameters, in its symbols",
         "Parameter by parameter, by emcee",

@@ -13,7 +13,7 @@ from finray_calib.fit.prior import EmissionPrior
 from finray_calib.spectra.band_quadrature import band_quadrature
 from tests.fit.synthetic_bands import LOG_NORMAL, orange, simulate
 
-COUNT = 4000
+COUNT = 2000
 # without a floor and with a small amplitude no drawn curve touches zero, where draws are cut
 SMALL = replace(PAINT_DISCREPANCY, amplitude_rel=0.05, floor_rel=0.0)
 
@@ -107,7 +107,7 @@ def test_bands_of_the_curve_cover_paints_drawn_with_discrepancy(weights):
     for _ in range(paints):
         data, truth = simulate(orange(), weights, rng, discrepancy=PAINT_DISCREPANCY)
         posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior(), PAINT_DISCREPANCY)
-        curves = curve_draws(posterior, np.tile(orange(), (600, 1)), rng).curves[:, at]
+        curves = curve_draws(posterior, np.tile(orange(), (300, 1)), rng).curves[:, at]
         low, high = np.quantile(curves, [0.025, 0.975], axis=0)
         true = np.maximum(truth[at], 0.0)  # no paint emits less than nothing
         hits += (low <= true) & (true <= high)

@@ -15,7 +15,7 @@ from finray_calib.spectra.band_weights import emission_weights
 from finray_calib.spectra.emission_families import FAMILIES
 from tests.fit.synthetic_bands import LOG_NORMAL, full_sum, orange, simulate
 
-# the closest nodes of different bands are then more than seven lengths apart, so that nothing is cut off
+# hardly any two bands then share discrepancy, so that nothing is cut off
 SHORT = Discrepancy(0.12, 2.0, 0.1, 0.1, "for this test")
 
 
@@ -114,7 +114,9 @@ def test_covariances_are_those_of_a_dense_gaussian_process_at_the_nodes(correlat
             data.covariance + u @ u.T + discrepancy_covariance(row, LOG_NORMAL, weights, SHORT, *at_nodes(weights))
         )
         scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-        assert (np.abs(got - expected) < 1e-9 * scale).all()  # e^-25 between the closest nodes of two bands
+        assert (
+            np.abs(got - expected) < 1e-5 * scale
+        ).all()  # the outermost nodes, 6 nm apart, hold a thousandth of a band
         assert np.allclose(np.diag(got), np.diag(expected), rtol=1e-9, atol=0)
         assert np.array_equal(got, got.T)
 

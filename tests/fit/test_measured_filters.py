@@ -4,8 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
 from data_schemas.curves import SpectralCurve
+from data_schemas.filter_curves import half_maximum_nm
 from data_schemas.radiometry import BandSignals, Optics
 from data_schemas.rig import BandPassFilter, FilterWheelSettings
 from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
@@ -13,9 +15,11 @@ from finray_calib.fit.discrepancy import NO_DISCREPANCY
 from finray_calib.fit.emission import fit_emission
 from finray_calib.fit.paint_calibration import band_data
 from finray_calib.fit.prior import EmissionPrior
-from tests.fit.synthetic_bands import QUICK, ZHENG
+from finray_calib.spectra.band_tolerances import tolerances_of
+from finray_calib.spectra.rig_curves import WAVELENGTH_NM, measured_transmission, weights_of
 from rigs.presets import PAPER_FILTERS_NM, simulated_rig
 from rigs.simulated.bench import Bench, bench_truth
+from tests.fit.synthetic_bands import QUICK, ZHENG
 
 SHARES = np.array([0.01, 0.09, 0.9])
 RIG = simulated_rig("red", seed=3)
@@ -95,7 +99,54 @@ def fitted(request: pytest.FixtureRequest) -> tuple[bool, np.ndarray]:
     posterior = fit_emission(data, ZHENG, EmissionPrior(), NO_DISCREPANCY, QUICK, np.random.default_rng(1))
     return request.param, posterior.draws[:, :2]
 
-def test_show(fitted):
-    given, d = fitted
-    fw = np.exp(d[:,1])
-    print(given, d[:,0].mean(), d[:,0].std(), TRUTH.mode_nm, fw.mean(), fw.std(), TRUTH.fwhm_nm)
+
+def test_mode_and_width_are_right_only_when_the_curves_are_given(fitted):
+    given, draws = fitted
+    mode_nm, fwhm_nm = draws[:, 0].mean(), np.exp(draws[:, 1]).mean()
+    # the bench's filters lie up to 0.2 nm beside their curves; half a nanometre is half a posterior sd
+    assert (abs(mode_nm - TRUTH.mode_nm) < 0.5) == given
+    if given:
+        assert abs(fwhm_nm - TRUTH.fwhm_nm) < 0.5
+    else:
+        # all filters but the laser's pass light 3 nm redder than the catalogue says
+        assert -6.0 < mode_nm - TRUTH.mode_nm < -2.0
+
+
+def test_transmission_on_the_grid_integrates_the_curve_and_holds_the_floor_beside_it():
+    curve = SpectralCurve(
+        name="steep",
+        wavelength_nm=np.array([590.0, 595.33, 595.37, 604.81, 604.84, 610.0]),
+        values=np.array([0.0, 0.0, 0.9, 0.7, 1e-3, 1e-3]),
+        source="steep.csv",
+    )
+    passed = measured_transmission(curve, blocking_od=5.0)
+    # linear emission through a band steeper than the grid: exact but for a tenth of a step at the edges
+    emission = 1.0 + 0.02 * (WAVELENGTH_NM - 600.0)
+    exact = quad(lambda x: (1 + 0.02 * (x - 600)) * float(curve(x)), 590, 610, points=curve.wavelength_nm[1:-1])[0]
+    assert passed @ emission == pytest.approx(exact, rel=0.01)
+    np.testing.assert_allclose(passed[abs(WAVELENGTH_NM - 600.0) > 11.0], 1e-5)
+    assert passed[WAVELENGTH_NM == 592.0] == pytest.approx(1e-5)  # measured as 0
+    assert passed[WAVELENGTH_NM == 607.0] == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize(("kind", "field"), [(0, "center_uncertainty_nm"), (1, "fwhm_uncertainty_nm")])
+def test_tolerance_of_a_measured_filter_shifts_and_stretches_its_curve(kind, field):
+    _, optics = bench_optics(True)
+    shift = tolerances_of(optics, SHARES).emission_shift[kind]
+    weights = weights_of(optics, SHARES)
+    rows = weights.band_index == list(PAPER_FILTERS_NM).index(600)
+    x = weights.wavelength_nm
+    sd_nm = getattr(optics.filters[5], field)
+    assert sd_nm == 0.15
+    curve, low_nm, high_nm = optics.filter_curves["600"], *half_maximum_nm(optics.filter_curves["600"])
+    middle_nm = 0.5 * (low_nm + high_nm)
+    by = 1.0 if kind == 0 else (curve.wavelength_nm - middle_nm) / (high_nm - low_nm)
+    moved_nm = curve.wavelength_nm + sd_nm * by
+    moved = optics.filter_curves | {"600": curve.model_copy(update={"wavelength_nm": moved_nm})}
+    after = weights_of(optics.model_copy(update={"filter_curves": moved}), SHARES)
+    np.testing.assert_allclose(shift[rows], (after.emission - weights.emission)[rows], atol=1e-9)
+    centroid = (after.emission[rows] @ x / after.emission[rows].sum(axis=1)) - (
+        weights.emission[rows] @ x / weights.emission[rows].sum(axis=1)
+    )
+    # red and green (blue sees the leak): a shift moves the centroid by itself, a stretch about the half maxima hardly
+    assert (abs(centroid - (sd_nm if kind == 0 else 0.0))[:2] < 0.03).all()

@@ -38,7 +38,7 @@ def test_density_agrees_with_its_draws():
 
 
 def test_draws_have_the_moments_of_the_mixture():
-    mixture, centres, covariances = two_components()
+    mixture, centres, _ = two_components()
     theta = mixture.draw(40_000, np.random.default_rng(3))
     expected = 0.95 * (0.75 * centres[0] + 0.25 * centres[1]) + 0.05 * PRIOR.draw(
         200_000, np.random.default_rng(4)
