@@ -96,7 +96,8 @@ def coverage_notes(
         More than 20 % of a filter's weight lies outside a curve, or a measured transmission does not agree with its
         filter.
     """
-    curves, notes = tuple(curves), []
+    curves = tuple(curves)
+    notes: list[str | None] = []
     for band in filters:
         wavelength_nm, weight = _nominal_pass_band(band)
         measured = filter_curves.get(band.name)

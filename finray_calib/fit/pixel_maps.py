@@ -26,6 +26,7 @@ from finray_calib.fit.pixel_curves import SHAPES
 from finray_calib.fit.pixel_kernel import (
     CONVERGED,
     FEWEST_BANDS,
+    NODES,
     NOT_CONVERGED,
     RESULTS,
     PixelProblem,
@@ -41,8 +42,6 @@ from finray_calib.spectra.rig_curves import weights_of
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
-NODES: Final = 4
-"""Nodes of a band: the error is below 1e-4 of the band for emission 30 nm wide, far below a pixel's noise."""
 LEAST_SIGNAL_SD: Final = 3.0
 """A filter and channel whose region signal is weaker than this holds nothing that its factor could be taken from."""
 _SMALLEST_REFLECTANCE_SD = 0.1

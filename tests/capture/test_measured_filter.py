@@ -34,7 +34,7 @@ def test_session_stores_the_curve_and_hands_it_to_the_band_signals(rig: RigFile,
     assert list(session.filter_curves) == ["600"]
     np.testing.assert_array_equal(session.filter_curves["600"].values, [0.0, 0.1, 0.8, 0.9, 0.3, 0.0])
     assert session.provenance is not None
-    assert session.provenance.inputs["f600.csv"] == sha256_of(tmp_path / "f600.csv")
+    assert session.provenance.input_sha256["f600.csv"] == sha256_of(tmp_path / "f600.csv")
     assert any("measured transmission f600.csv" in note for note in session.notes)
     optics = optics_of(session)
     assert [f.curve for f in optics.filters] == [None, "f600.csv"]
