@@ -9,9 +9,10 @@ from scipy.optimize import least_squares
 
 from data_schemas.radiometry import Optics
 from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
-from finray_calib.fit.pixel_maps import map_pixels
+from finray_calib.fit.pixel_maps import map_pixels, pixel_problem
+from finray_calib.spectra.rig_curves import weights_of
 from rigs.presets import simulated_rig
-from tests.fit.pixel_scenes import SPREAD, PixelScene, center_of, scene
+from tests.fit.pixel_scenes import SPREAD, PixelScene, center_of, scene, whole_rule
 
 FAMILIES = ("zheng2014", "log_normal_wavenumber")
 ROWS, COLUMNS = 1024, 1280
@@ -54,17 +55,9 @@ def frame(name: str) -> PixelScene:
 
 def scipy_rate(made: PixelScene) -> float:
     """Pixels per second of scipy (MINPACK): same priors and bands, Gauss nodes as a numpy product, same start."""
-    from finray_calib.fit.pixel_maps import pixel_problem
-    from finray_calib.spectra.rig_curves import weights_of
-
     problem, _ = pixel_problem(made.region, weights_of(made.optics, made.pixels.channel_weights), SPREAD)
     curve = made.region.family.curves
-    nodes = np.concatenate([problem.nodes_nm, problem.grid_nm])
-    _, bands, count = problem.in_band.shape
-    weights = np.zeros((3, bands, nodes.size))
-    for b in range(bands):
-        weights[:, b, b * count : (b + 1) * count] = problem.in_band[:, b]
-    weights[:, :, bands * count :] = problem.out_of_band[:, :bands]
+    nodes, weights = whole_rule(problem)
     precision = np.sqrt(problem.precision)
     chosen = np.random.default_rng(2).integers((0, 0), (TILE, TILE), (SCIPY_PIXELS, 2))
     start = time.perf_counter()
@@ -92,8 +85,9 @@ def test_pixels_per_second(name):
     rate, rival = found.mode_nm.size / seconds, scipy_rate(made)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     print(
-        f"\n{name}: {found.mode_nm.size} pixels in {seconds:.1f} s wall, {cpu:.1f} s of processors, {rate:.0f} px/s; scipy "
-        f"{rival:.0f} px/s; ratio {rate / rival:.0f}; largest memory {peak / 1e3:.0f} MB ({before / 1e3:.0f} before)"
+        f"\n{name}: {found.mode_nm.size} pixels in {seconds:.1f} s wall, {cpu:.1f} s of processors, {rate:.0f} px/s; "
+        f"scipy {rival:.0f} px/s; ratio {rate / rival:.0f}; "
+        f"largest memory {peak / 1e3:.0f} MB ({before / 1e3:.0f} before)"
     )
     assert found.unconverged_pixels < 1e-3 * found.mode_nm.size
     assert rate / rival > LEAST_RATIO

@@ -78,7 +78,10 @@ def choose_family(scores: Mapping[str, FamilyScore]) -> tuple[str, str]:
     """
     best = max(scores, key=lambda name: scores[name].probability)
     gain = scores[best].left_out.total - scores[DEFAULT_FAMILY].left_out.total
-    clear = scores[DEFAULT_FAMILY].probability < SMALLEST_DEFAULT_PROBABILITY and gain > CLEAR_SCORE_SD * scores[best].difference_sd
+    clear = (
+        scores[DEFAULT_FAMILY].probability < SMALLEST_DEFAULT_PROBABILITY
+        and gain > CLEAR_SCORE_SD * scores[best].difference_sd
+    )
     told = ", ".join(f"{name} {score.probability:.2f}" for name, score in scores.items())
     if best == DEFAULT_FAMILY:
         return best, f"{best}: the default, and the most probable given these bands ({told})"

@@ -16,6 +16,9 @@ FloatArray = NDArray[np.float64]
 FEWEST_EFFECTIVE: Final = 800.0
 """Effective draws for 95 % limits: the quantile's own error is then a tenth of a standard deviation."""
 
+SMALLEST_EFFECTIVE_SHARE: Final = 0.25
+"""Of the draws. A proposal that covers less of the posterior can miss a tail and still show a harmless k."""
+
 
 @dataclass(frozen=True, slots=True)
 class WeightedSample:
@@ -45,7 +48,8 @@ class WeightedSample:
     @property
     def trusted(self) -> bool:
         """Whether k and the effective number allow 95 % limits."""
-        return self.pareto_k <= LARGEST_PARETO_K and self.effective >= FEWEST_EFFECTIVE
+        enough = max(FEWEST_EFFECTIVE, SMALLEST_EFFECTIVE_SHARE * len(self.weight))
+        return self.pareto_k <= LARGEST_PARETO_K and self.effective >= enough
 
     def resampled(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Return (count, D) draws of equal weight in random order, by systematic resampling."""

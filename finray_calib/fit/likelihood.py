@@ -192,7 +192,7 @@ class LogPosterior:
 
     def climb(self, start: FloatArray) -> FloatArray:
         """Return the local maximum that Levenberg-Marquardt steps from `start` (D,) reach, (D,)."""
-        return np.asarray(climb(self.problem, np.ascontiguousarray(start), _CLIMB_STEPS)[0])
+        return np.asarray(climb(self.problem, np.ascontiguousarray(start), _CLIMB_STEPS))
 
     def reference_at(self, theta: FloatArray) -> Reference:
         """Return the emission, reflectance and blocking of one parameter vector (D,)."""

@@ -136,17 +136,19 @@ def paint_blocks(maps: Maps) -> PaintBlocks:
 
 
 def worst_spots(blocks: PaintBlocks, area: RegionOfInterest) -> tuple[PaintSpot, ...]:
-    """Return the blocks whose yield departs most from the median of the blocks, if by five standard errors."""
+    """Return the blocks whose yield departs most from the median of the blocks, if by five standard errors.
+
+    Of neighbouring blocks only the worst is named: they are one spot.
+    """
     if np.isnan(blocks.energy_yield).all():
         return ()
     middle, mode_nm = (float(np.nanmedian(values)) for values in (blocks.energy_yield, blocks.mode_nm))
     deviation, error = blocks.energy_yield / middle - 1, blocks.energy_yield_sd / middle
     departing = np.nan_to_num(np.where(np.abs(deviation) > SPOT_SD * error, np.abs(deviation), 0.0))
-    spots = []
-    for flat in np.argsort(-departing, axis=None, kind="stable")[:SPOTS]:
-        i, j = (int(k) for k in np.unravel_index(flat, departing.shape))
-        if departing[i, j] == 0:
-            break
+    spots: list[PaintSpot] = []
+    while len(spots) < SPOTS and departing.max() > 0:
+        i, j = (int(k) for k in np.unravel_index(departing.argmax(), departing.shape))
+        departing[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2] = 0.0
         spots.append(
             PaintSpot(
                 row_px=area.row_px + _center(i, blocks.side_px, area.height_px),

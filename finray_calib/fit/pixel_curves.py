@@ -41,7 +41,7 @@ def arctangent(x: float) -> float:
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
 def falling_exponential(x: float) -> float:
-    """Return exp(-x) for x of 0 or more, to 1e-9 below 10 and to 1e-22 beyond: a series, squared eight times."""
+    """Return exp(-x) for x of 0 or more, to 2e-9 below 10 and to 1e-22 beyond: a series, squared eight times."""
     y = min(x, 50.0) / 256
     e = 1 - y * (1 - y * (0.5 - y * (1 / 6 - y * (1 / 24 - y * (1 / 120)))))
     for _ in range(8):

@@ -103,7 +103,7 @@ def pixel_work(p: PixelProblem) -> PixelWork:
     )
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
 def _expand_floor(p: PixelProblem, c: int, theta: FloatArray, w: PixelWork, floor: FloatArray) -> None:
     """Fill the out-of-band values and slopes of channel c at theta, for a peak of 1."""
     curve_constants(p.family, p.table, theta, w.constants)
@@ -117,7 +117,7 @@ def _expand_floor(p: PixelProblem, c: int, theta: FloatArray, w: PixelWork, floo
             floor[b, s] = total * inverse_peak
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
 def pixel_cost(p: PixelProblem, c: int, theta: FloatArray, w: PixelWork) -> float:
     """Fill residuals and Jacobian of a pixel of channel c; return chi-square plus the prior's square sum.
 

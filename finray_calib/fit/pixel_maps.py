@@ -11,7 +11,7 @@ same scaling carries the family's quantities to the region's reported ones.
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from data_schemas.errors import FitError
 from data_schemas.estimate import Estimate
 from data_schemas.fit import PaintCalibration
-from data_schemas.paint_map import PaintMap
+from data_schemas.paint_map import MappedQuantity, PaintMap
 from data_schemas.radiometry import PixelSignals
 from finray_calib.fit.paint_uniformity import paint_blocks, paint_spread, worst_spots
 from finray_calib.fit.pixel_curves import SHAPES
@@ -41,6 +41,7 @@ from finray_calib.spectra.rig_curves import weights_of
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
+_Scalar = TypeVar("_Scalar", bound=np.generic)
 
 LEAST_SIGNAL_SD: Final = 3.0
 """A filter and channel whose region signal is weaker than this holds nothing that its factor could be taken from."""
@@ -185,7 +186,7 @@ def map_pixels(pixels: PixelSignals, region: RegionFit, spread: PixelSpread) -> 
     maps = _named_maps(results, region, problem)
     prior_sd = [float(sd) for sd in 1 / np.sqrt(problem.precision)]
     yield_sd = float(np.hypot(prior_sd[1], prior_sd[2]))
-    around = {"mode_nm": prior_sd[0], "peak_per_nm": prior_sd[2], "energy_yield": yield_sd}
+    around: dict[MappedQuantity, float] = {"mode_nm": prior_sd[0], "peak_per_nm": prior_sd[2], "energy_yield": yield_sd}
     center = {name: region.quantities[name].estimate for name in around}
     noise = dict(zip(("mode_nm", "peak_per_nm", "energy_yield"), results[[12, 14, 17]], strict=True))
     blocks = paint_blocks(maps)
@@ -292,7 +293,7 @@ def _fit(problem: PixelProblem, pixels: PixelSignals) -> tuple[Floats32, NDArray
     return results, status, bands
 
 
-def _named_maps(results: Floats32, region: RegionFit, problem: PixelProblem) -> dict[str, Floats32]:
+def _named_maps(results: Floats32, region: RegionFit, problem: PixelProblem) -> dict[str, Any]:
     """Return the maps by name, carried from the family's quantities to the region's."""
     mode, ln_width, ln_peak = region.theta[:3]
     area = region.family.curves(region.theta[None, :SHAPES], problem.grid_nm)[0] @ problem.out_of_band[0, -1]
@@ -310,7 +311,7 @@ def _named_maps(results: Floats32, region: RegionFit, problem: PixelProblem) -> 
     return {name: _frozen(results[i]) for name, i in zip((*names, *sds, "chi_square"), (*range(12), -1), strict=True)}
 
 
-def _frozen(array: NDArray[np.generic]) -> NDArray[np.generic]:
+def _frozen(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
     """Return the array read-only, so that the record takes it without a copy."""
     array.flags.writeable = False
     return array

@@ -9,12 +9,16 @@ from numpy.typing import NDArray
 from finray_calib.fit.discrepancy import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM
 from finray_calib.spectra.band_quadrature import NODES
 from finray_calib.spectra.compiled import compiled
-from finray_calib.spectra.family_kernels import CONSTANTS, constants, value
+from finray_calib.spectra.family_kernels import CONSTANTS, constants, fill
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _LN_2PI = math.log(2 * math.pi)
+_DIFFERENCE = 1e-5  # step of derivatives, in prior standard deviations
+_INSIDE = 1e-6  # distance kept from a truncation, in prior standard deviations
+_FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-2, 1e-9, 1e8
+_LEAST_GAIN_NATS = 1e-5
 
 
 class Problem(NamedTuple):
@@ -89,10 +93,8 @@ def predict(p: Problem, theta: FloatArray, w: Work) -> None:
     c, at_nodes, at_grid = w.c, w.at_nodes, w.at_grid
     constants(p.family, theta, p.table, c)
     for b in range(at_nodes.shape[0]):
-        for q in range(NODES):
-            at_nodes[b, q] = value(p.family, c, p.nodes_nm[b, q])
-    for g in range(len(at_grid)):
-        at_grid[g] = value(p.family, c, p.grid_nm[g])
+        fill(p.family, c, p.nodes_nm[b], at_nodes[b])
+    fill(p.family, c, p.grid_nm, at_grid)
     rho = math.exp(theta[p.shapes])
     more = math.expm1(theta[p.shapes + 1]) if p.has_blocking else 0.0
     for i in range(len(p.y)):
@@ -222,7 +224,8 @@ def predictions(p: Problem, theta: FloatArray) -> FloatArray:
     out, w = np.empty((len(theta), len(p.y))), scratch(p)
     for i in range(len(theta)):
         predict(p, theta[i], w)
-        out[i] = w.mu
+        for k in range(len(p.y)):
+            out[i, k] = w.mu[k]
     return out
 
 
@@ -244,76 +247,97 @@ def covariances(p: Problem, theta: FloatArray) -> FloatArray:
 
 
 @compiled
-def climb(p: Problem, start: FloatArray, iterations: int) -> tuple[FloatArray, float]:
-    """Return where Levenberg-Marquardt steps from `start` end, and its log posterior.
+def _linearise(p: Problem, theta: FloatArray, w: Work, residual: FloatArray, jacobian: FloatArray) -> None:
+    """Fill the whitened residual (K,) and the whitened derivative of the prediction (K, D) at theta.
+
+    The covariance of this theta whitens both; derivatives by forward differences.
+    """
+    rows = len(p.y)
+    log_likelihood_one(p, theta, w)
+    mu, factor, moved = w.mu.copy(), w.factor.copy(), theta.copy()
+    for i in range(rows):  # element by element: numba compiles slice assignment ten times longer
+        residual[i] = w.z[i]
+    for d in range(len(theta)):
+        h = _DIFFERENCE * p.prior_sd[d]
+        moved[d] = theta[d] + h
+        predict(p, moved, w)
+        moved[d] = theta[d]
+        for i in range(rows):
+            s = 0.0
+            if p.discrepancy:
+                s = (w.mu[i] - mu[i]) / h
+                for j in range(i):
+                    s -= factor[i, j] * jacobian[j, d]
+                s /= factor[i, i]
+            else:
+                for j in range(i + 1):
+                    s += p.whiten[i, j] * (w.mu[j] - mu[j]) / h
+            jacobian[i, d] = s
+
+
+@compiled
+def _damped_step(
+    p: Problem,
+    theta: FloatArray,
+    residual: FloatArray,
+    jacobian: FloatArray,
+    damping: float,
+    normal: FloatArray,
+    step: FloatArray,
+) -> None:
+    """Fill the Levenberg-Marquardt step (D,)."""
+    size, rows = len(theta), len(residual)
+    for d in range(size):
+        step[d] = -(theta[d] - p.prior_mean[d]) / p.prior_sd[d] ** 2
+        for i in range(rows):
+            step[d] += jacobian[i, d] * residual[i]
+        for e in range(d + 1):
+            s = 0.0
+            for i in range(rows):
+                s += jacobian[i, d] * jacobian[i, e]
+            normal[d, e] = (s + p.prior_sd[d] ** -2) * (1 + damping) if e == d else s
+    factorise(normal)
+    for d in range(size):
+        for e in range(d):
+            step[d] -= normal[d, e] * step[e]
+        step[d] /= normal[d, d]
+    for d in range(size - 1, -1, -1):
+        for e in range(d + 1, size):
+            step[d] -= normal[e, d] * step[e]
+        step[d] /= normal[d, d]
+
+
+@compiled
+def climb(p: Problem, start: FloatArray, iterations: int) -> FloatArray:
+    """Return where Levenberg-Marquardt steps from `start` (D,) end, (D,).
 
     The covariance is held within a step and renewed at every accepted one; steps are accepted by the true density.
     """
     size, rows = len(start), len(p.y)
     w, theta, moved = scratch(p), start.copy(), start.copy()
-    jacobian, normal, step, gradient = np.empty((rows, size)), np.empty((size, size)), np.empty(size), np.empty(size)
+    residual, jacobian = np.empty(rows), np.empty((rows, size))
+    normal, step = np.empty((size, size)), np.empty(size)
     best = log_likelihood_one(p, theta, w) + log_prior(p, theta)
-    damping, fresh = 1e-2, True
-    residual, factor = np.empty(rows), np.empty((rows, rows))
+    damping, fresh = _FIRST_DAMPING, True
     for _ in range(iterations):
         if fresh:
-            log_likelihood_one(p, theta, w)
-            residual[:] = w.z
-            mu = w.mu.copy()
-            if p.discrepancy:
-                factor[:] = w.factor
-            for d in range(size):
-                h = 1e-5 * p.prior_sd[d]
-                moved[:] = theta
-                moved[d] += h
-                predict(p, moved, w)
-                for i in range(rows):
-                    s = 0.0
-                    if p.discrepancy:
-                        s = (w.mu[i] - mu[i]) / h
-                        for j in range(i):
-                            s -= factor[i, j] * jacobian[j, d]
-                        s /= factor[i, i]
-                    else:
-                        for j in range(i + 1):
-                            s += p.whiten[i, j] * (w.mu[j] - mu[j]) / h
-                    jacobian[i, d] = s
-            fresh = False
-        for d in range(size):
-            gradient[d] = -(theta[d] - p.prior_mean[d]) / p.prior_sd[d] ** 2
-            for i in range(rows):
-                gradient[d] += jacobian[i, d] * residual[i]
-            for e in range(d + 1):
-                s = 0.0
-                for i in range(rows):
-                    s += jacobian[i, d] * jacobian[i, e]
-                if e == d:
-                    s = (s + p.prior_sd[d] ** -2) * (1 + damping)
-                normal[d, e] = s
-        factorise(normal)
-        for d in range(size):
-            s = gradient[d]
-            for e in range(d):
-                s -= normal[d, e] * step[e]
-            step[d] = s / normal[d, d]
-        for d in range(size - 1, -1, -1):
-            s = step[d]
-            for e in range(d + 1, size):
-                s -= normal[e, d] * step[e]
-            step[d] = s / normal[d, d]
+            _linearise(p, theta, w, residual, jacobian)
+        _damped_step(p, theta, residual, jacobian, damping, normal, step)
         for d in range(size):
             limit = p.prior_sd[d]
             moved[d] = theta[d] + min(max(step[d], -limit), limit)
-            moved[d] = min(max(moved[d], p.low[d] + 1e-6 * limit), p.high[d] - 1e-6 * limit)
+            moved[d] = min(max(moved[d], p.low[d] + _INSIDE * limit), p.high[d] - _INSIDE * limit)
         new = log_likelihood_one(p, moved, w) + log_prior(p, moved)
-        if new > best:
+        fresh = new > best
+        if fresh:
             gain, best = new - best, new
-            theta[:] = moved
-            damping, fresh = max(damping * 0.2, 1e-9), True
-            if gain < 1e-5:
+            for d in range(size):
+                theta[d] = moved[d]
+            damping = max(damping / 5, _LEAST_DAMPING)
+            if gain < _LEAST_GAIN_NATS:
                 break
         else:
             damping *= 6
-            if damping > 1e8:
+            if damping > _LARGEST_DAMPING:
                 break
-    return theta, best
+    return theta

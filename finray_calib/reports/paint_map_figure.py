@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 MOST_DOTS = 240
 """Dots along the longer side of a map; each shows the median of its pixels."""
 SHOWN_PERCENTILES = (1.0, 99.0)
-_WIDTH_IN, _CAPTION_SIGNS = 9.6, 132
+_WIDTH_IN, _CAPTION_SIGNS = 9.6, 122
 _NAMES: dict[MappedQuantity, str] = {"mode_nm": "mode", "peak_per_nm": "peak", "energy_yield": "energy yield"}
 
 
@@ -92,11 +92,11 @@ def _extent(fitted: PaintMap) -> tuple[float, float, float, float]:
 def thinned(values: NDArray[np.floating]) -> Floats:
     """Return a map of at most MOST_DOTS dots a side, each the median of its square of pixels, NaN where none is."""
     rows, columns = values.shape
-    side = -(-max(rows, columns) // MOST_DOTS)
+    side = 2 * -(-max(rows, columns) // (2 * MOST_DOTS))  # whole Bayer cells: no chequers of their channels' noise
     padded = np.full((-(-rows // side) * side, -(-columns // side) * side), np.nan)
     padded[:rows, :columns] = values
-    squares = padded.reshape(padded.shape[0] // side, side, -1, side).swapaxes(1, 2)
-    squares = squares.reshape(*squares.shape[:2], -1)
+    down, across = padded.shape[0] // side, padded.shape[1] // side
+    squares = padded.reshape(down, side, across, side).swapaxes(1, 2).reshape(down, across, side**2)
     known = np.isfinite(squares).any(axis=2)
     out = np.full(known.shape, np.nan)
     out[known] = np.nanmedian(squares[known], axis=1)
@@ -108,9 +108,10 @@ def caption(fitted: PaintMap) -> str:
     parts = [
         f"Paint '{fitted.paint_name}', {fitted.fitted_pixels} raw pixels ({fitted.family}); grey: not fitted. "
         "Each dot is the median of its pixels; axes are pixels of the raw frame.",
-        *(f"{spread_sentence(fitted, quantity)}." for quantity in ("energy_yield", "mode_nm")),
-        "Noisy pixels lean on the fit of the whole region. Chi-square per band near 1 means that the curve explains "
-        "the pixel; bright patches are dirt, glare or bare ground.",
+        f"{spread_sentence(fitted, 'energy_yield').capitalize()}.",
+        f"{spread_sentence(fitted, 'mode_nm').capitalize()}.",
+        "Noisy pixels lean on the fit of the whole region. Chi-square per band up to about 1 means that the curve "
+        "explains the pixel; bright patches are dirt, glare or bare ground.",
     ]
     if fitted.worst_spots:
         parts.append("Numbers: the blocks that depart most.")

@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from finray_calib.spectra.band_weights import EmissionWeights, read_only
 
@@ -71,7 +70,7 @@ def band_quadrature(weights: EmissionWeights) -> BandQuadrature:
     """
     wavelength = weights.wavelength_nm
     grid = np.arange(wavelength[0], wavelength[-1] + GRID_STEP_NM / 2, GRID_STEP_NM)
-    cardinal = CubicSpline(grid, np.eye(grid.size))(wavelength)  # spline that is 1 at one grid point, 0 at the others
+    cardinal = cardinal_splines(grid, wavelength)
     positions, in_band = [], np.zeros((len(weights.emission), NODES))
     remainder = weights.emission.copy()
     for band in range(weights.bands):
@@ -86,6 +85,23 @@ def band_quadrature(weights: EmissionWeights) -> BandQuadrature:
         in_band[rows] = weights.emission[np.ix_(rows, inside)] @ _lagrange(x, wavelength[inside])
         remainder[np.ix_(rows, inside)] = 0.0
     return BandQuadrature(np.array(positions), in_band, grid, remainder @ cardinal, weights.leaked_emission @ cardinal)
+
+
+def cardinal_splines(grid: FloatArray, x: FloatArray) -> FloatArray:
+    """Return the natural cubic splines that are 1 at one grid point and 0 at the others, at points within it, (L, G).
+
+    Valid for an even grid.
+    """
+    count, step = grid.size, float(grid[1] - grid[0])
+    value = np.eye(count)
+    second = np.zeros((count, count))  # second derivative at each grid point of each spline; 0 at both ends
+    inner = np.diag(np.full(count - 2, 4.0)) + np.diag(np.ones(count - 3), 1) + np.diag(np.ones(count - 3), -1)
+    second[1:-1] = np.linalg.solve(inner, 6 / step**2 * np.diff(value, 2, axis=0))
+    cell = np.clip(((x - grid[0]) / step).astype(int), 0, count - 2)
+    right = ((x - grid[cell]) / step)[:, None]
+    left = 1 - right
+    bend = (left**3 - left) * second[cell] + (right**3 - right) * second[cell + 1]
+    return np.asarray(left * value[cell] + right * value[cell + 1] + step**2 / 6 * bend)
 
 
 def gauss_nodes(x: FloatArray, weight: FloatArray, count: int) -> FloatArray:

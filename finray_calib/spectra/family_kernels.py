@@ -1,7 +1,7 @@
-"""Compiled emission curves of all families: one scalar function, so that likelihood and pixel maps share it.
+"""Compiled emission curves of all families: shared by likelihood and pixel maps.
 
 Every family takes its parameters in the order mode, ln FWHM, ln peak, then its own. :func:`constants` turns them
-into the numbers that :func:`value` needs at each wavelength.
+into the numbers that :func:`fill` needs at each wavelength.
 """
 
 import math
@@ -31,7 +31,7 @@ LN_TAIL_END: Final = 4.2
 
 _BISECTIONS = 50  # halves a bracket of 40 scale lengths to 4e-14
 _LN_2 = math.log(2.0)
-_SYMMETRIC = 1e-10  # below this log-asymmetry the log-normal is a Gaussian to as much
+_NO_SKEW = 1e-12  # stands in for 0: the log-normal's limit is a Gaussian
 
 
 @compiled
@@ -138,24 +138,25 @@ def constants(family: int, theta: FloatArray, table: FloatArray, out: FloatArray
 
 
 @compiled
-def value(family: int, c: FloatArray, wavelength_nm: float) -> float:
-    """Return the curve at one wavelength from its constants."""
+def fill(family: int, c: FloatArray, wavelength_nm: FloatArray, out: FloatArray) -> None:
+    """Fill the curve at (L,) wavelengths from its constants."""
     if family == SKEW_CAUCHY:
-        z = (wavelength_nm - c[0]) * c[1]
-        return c[3] / (1 + z * z) * (math.atan(c[2] * z) / math.pi + 0.5)
-    if family == SKEW_T:
-        return c[3] * skew_t_unit((wavelength_nm - c[0]) * c[1], c[2], c[4])
-    if family == LOG_NORMAL:
-        u = (1e4 / wavelength_nm - c[0]) * c[1]
-        if abs(c[2]) < _SYMMETRIC:
-            return c[3] * math.exp(-4 * _LN_2 * u * u)
-        a = -u * 2 * math.sinh(c[2])
-        if a <= -1:
-            return 0.0
-        g = math.log1p(a) / c[2]
-        return c[3] * math.exp(-_LN_2 * g * g)
-    u, t = (wavelength_nm - c[0]) * c[1], (wavelength_nm - c[3]) * c[4]
-    return c[2] * math.exp(-4 * _LN_2 * u * u) + c[5] * math.exp(-4 * _LN_2 * t * t)
+        for j in range(len(wavelength_nm)):
+            z = (wavelength_nm[j] - c[0]) * c[1]
+            out[j] = c[3] / (1 + z * z) * (math.atan(c[2] * z) / math.pi + 0.5)
+    elif family == SKEW_T:
+        for j in range(len(wavelength_nm)):
+            out[j] = c[3] * skew_t_unit((wavelength_nm[j] - c[0]) * c[1], c[2], c[4])
+    elif family == LOG_NORMAL:
+        skew = c[2] if c[2] != 0.0 else _NO_SKEW
+        slope, sharpness = 2 * math.sinh(skew) * c[1], math.sqrt(_LN_2) / skew
+        for j in range(len(wavelength_nm)):
+            g = sharpness * math.log1p(max((c[0] - 1e4 / wavelength_nm[j]) * slope, -1.0))  # -1: end of its support
+            out[j] = c[3] * math.exp(-g * g)
+    else:
+        for j in range(len(wavelength_nm)):
+            u, t = (wavelength_nm[j] - c[0]) * c[1], (wavelength_nm[j] - c[3]) * c[4]
+            out[j] = c[2] * math.exp(-4 * _LN_2 * u * u) + c[5] * math.exp(-4 * _LN_2 * t * t)
 
 
 @compiled
@@ -165,6 +166,5 @@ def curves(family: int, theta: FloatArray, table: FloatArray, wavelength_nm: Flo
     c = np.empty(CONSTANTS)
     for i in range(len(theta)):
         constants(family, theta[i], table, c)
-        for j in range(len(wavelength_nm)):
-            out[i, j] = value(family, c, wavelength_nm[j])
+        fill(family, c, wavelength_nm, out[i])
     return out

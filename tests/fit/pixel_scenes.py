@@ -94,6 +94,17 @@ def scene(name, optics, truth, rng, noise_rel=0.01, floor=2e-4, rows=32):
     return PixelScene(name, optics, truth, pixels, region)
 
 
+def whole_rule(problem):
+    """Wavelengths and weights (3, B, L) of the map's band rule as one product, for a fitter of numpy arrays."""
+    nodes = np.concatenate([problem.nodes_nm, problem.grid_nm])
+    _, bands, count = problem.in_band.shape
+    weights = np.zeros((3, bands, nodes.size))
+    for b in range(bands):
+        weights[:, b, b * count : (b + 1) * count] = problem.in_band[:, b]
+    weights[:, :, bands * count :] = problem.out_of_band[:, :bands]
+    return nodes, weights
+
+
 def drawn_truths(name, count, rng):
     """Truths from the pixels' prior: only then must the intervals of the posterior cover as stated."""
     center, sd = center_of(name), SPREAD.of(family_named(name))

@@ -1,5 +1,7 @@
 """Paint maps: against scipy pixel by pixel, coverage of the intervals, uniformity with known truth, bad input."""
 
+from argparse import Namespace
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -7,7 +9,10 @@ from scipy.stats import binom
 
 from data_schemas.errors import FitError
 from data_schemas.paint_map import PaintMap
+from data_schemas.provenance import provenance
 from data_schemas.radiometry import BandSignals
+from data_schemas.storage import read_record, write_record
+from finray_calib.cli.fit_map import run_map
 from finray_calib.fit import pixel_maps
 from finray_calib.fit.paint_calibration import FitOptions, calibrate_paint
 from finray_calib.fit.pixel_curves import arctangent, curve_constants, curve_slopes, falling_exponential, logarithm
@@ -15,10 +20,12 @@ from finray_calib.fit.pixel_maps import PixelSpread, map_paint, map_pixels, pixe
 from finray_calib.reports.paint_map_figure import paint_map_figure, spot_sentence, spread_sentence, thinned
 from finray_calib.spectra.emission_families import family_named
 from finray_calib.spectra.rig_curves import weights_of
-from tests.fit.pixel_scenes import CHANNEL_WEIGHTS, SPREAD, bands_of, center_of, drawn_truths, scene
+from tests.fit.pixel_scenes import CHANNEL_WEIGHTS, SPREAD, bands_of, center_of, drawn_truths, scene, whole_rule
 
 FAMILIES = ("zheng2014", "log_normal_wavenumber")
 LARGEST_MODE_DIFFERENCE_NM = 0.02
+LARGEST_DIFFERENCE_SD = 0.02
+"""What the stopping rule, first-order leaks, fast functions and float32 may leave of a pixel's standard deviation."""
 
 
 def changed(record, **fields):
@@ -45,8 +52,10 @@ def test_slopes_of_the_curve(name, optics):
         theta = np.append(center[:3], own)
         curve_constants(problem.family, problem.table, theta, k)
         curve_slopes(problem.family, k, wavelengths, out)
-        # 1e-4 of asymmetry stand for none, and the arctangent is exact to 2e-8
-        np.testing.assert_allclose(out[0], family.curves(theta[None], wavelengths)[0], rtol=1e-6 if own else 3e-4)
+        # 1e-4 of asymmetry stand for none, which the far tails notice; the arctangent is exact to 2e-8
+        np.testing.assert_allclose(
+            out[0], family.curves(theta[None], wavelengths)[0], rtol=1e-6 if own else 3e-4, atol=1e-12
+        )
         for row, j in ((1, 0), (2, 1), (3, 3)):
             step = 1e-4 * np.eye(4)[j]
             high, low = family.curves(np.array([theta + step, theta - step]), wavelengths)
@@ -58,40 +67,59 @@ def test_fast_functions_keep_their_promises():
     x = np.concatenate([-np.logspace(-6, 6, 2000), np.logspace(-6, 6, 2000)])
     np.testing.assert_allclose([arctangent(v) for v in x], np.arctan(x), rtol=0, atol=2.1e-8)
     x = np.linspace(0.0, 10.0, 2001)
-    np.testing.assert_allclose([falling_exponential(v) for v in x], np.exp(-x), rtol=1e-9)
+    np.testing.assert_allclose([falling_exponential(v) for v in x], np.exp(-x), rtol=2e-9)
     assert 0 < falling_exponential(1e4) < 1e-21
     x = np.geomspace(0.02, 20.0, 2001)
     np.testing.assert_allclose([logarithm(v) for v in x], np.log(x), rtol=0, atol=1e-7)
 
 
+def scipy_fit(made, i, bands_at):
+    """scipy's fit of one pixel with the map's prior: maximum, covariance and chi-square of the bands."""
+    y, sd = (a[:, *np.unravel_index(i, a.shape[1:])] for a in (made.pixels.fluorescence, made.pixels.fluorescence_sd))
+    prior_sd = np.append(SPREAD.of(made.region.family), 0.1)
+
+    def residual(theta):
+        return np.concatenate([(bands_at(theta) - y) / sd, (theta - made.region.theta) / prior_sd])
+
+    best = least_squares(residual, made.region.theta, x_scale=prior_sd, xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    return best.x, np.linalg.inv(best.jac.T @ best.jac), (best.fun[: y.size] ** 2).sum()
+
+
+def map_at(found, i):
+    values = found.mode_nm, np.log(found.fwhm_nm), np.log(found.peak_per_nm), found.shape_value
+    return np.array([v.flat[i] for v in (*values, found.reflectance_at_laser)])
+
+
+def test_agrees_with_scipy(drawn):
+    """The same bands and prior: only the fitter differs."""
+    made, found = drawn
+    problem, _ = pixel_problem(made.region, weights_of(made.optics, CHANNEL_WEIGHTS), SPREAD)
+    nodes, weights = whole_rule(problem)
+    channel, curves = made.pixels.channel.ravel(), made.region.family.curves
+    for i in np.random.default_rng(8).choice(channel.size, 100, replace=False):
+        c = channel[i]
+
+        def bands_at(theta, c=c):
+            return weights[c] @ curves(theta[None, :4], nodes)[0] + theta[4] * problem.laser[c]
+
+        best, covariance, chi_square = scipy_fit(made, i, bands_at)
+        sd = np.sqrt(np.diag(covariance))
+        assert abs(found.mode_nm.flat[i] - best[0]) < LARGEST_MODE_DIFFERENCE_NM
+        assert (np.abs(map_at(found, i) - best) < LARGEST_DIFFERENCE_SD * sd).all()
+        assert found.mode_sd_nm.flat[i] == pytest.approx(sd[0], rel=0.01)
+        assert found.chi_square.flat[i] == pytest.approx(chi_square, abs=0.05)
+
+
 def test_agrees_with_scipy_on_whole_curves(drawn):
+    """Few nodes and a coarse grid of the leak are enough: a tenth of the pixel's own uncertainty at most."""
     made, found = drawn
     channel = made.pixels.channel.ravel()
-    y, sd = (a.reshape(8, -1).T.astype(float) for a in (made.pixels.fluorescence, made.pixels.fluorescence_sd))
-    prior_sd = np.append(SPREAD.of(made.region.family), 0.1)
-    center = made.region.theta
-    for i in np.random.default_rng(8).choice(np.flatnonzero(channel < 2), 30, replace=False):
-
-        def residual(theta, i=i):
-            mu = made.predicted(theta[None], channel[i : i + 1])[0]
-            return np.concatenate([(mu - y[i]) / sd[i], (theta - center) / prior_sd])
-
-        best = least_squares(residual, center, x_scale=prior_sd, xtol=1e-12, ftol=1e-12, gtol=1e-12)
-        covariance = np.linalg.inv(best.jac.T @ best.jac)
-        at = np.unravel_index(i, found.mode_nm.shape)
-        assert abs(found.mode_nm[at] - best.x[0]) < LARGEST_MODE_DIFFERENCE_NM
-        # 2 % of a standard deviation: what stopping rule, four nodes and the 10 nm grid may leave
-        for value, wanted, j in (
-            (np.log(found.fwhm_nm[at]), best.x[1], 1),
-            (np.log(found.peak_per_nm[at]), best.x[2], 2),
-            (found.shape_value[at], best.x[3], 3),
-            (found.reflectance_at_laser[at], best.x[4], 4),
-        ):
-            assert abs(value - wanted) < 0.02 * np.sqrt(covariance[j, j])
-        assert found.mode_sd_nm[at] == pytest.approx(np.sqrt(covariance[0, 0]), rel=0.01)
-        assert found.chi_square[at] == pytest.approx(
-            2 * best.cost - ((best.x - center) ** 2 / prior_sd**2).sum(), abs=0.01
-        )
+    off = []
+    for i in np.random.default_rng(9).choice(channel.size, 40, replace=False):
+        best, covariance, _ = scipy_fit(made, i, lambda t, i=i: made.predicted(t[None], channel[i : i + 1])[0])
+        off.append(np.abs(map_at(found, i) - best) / np.sqrt(np.diag(covariance)))
+    assert np.max(off) < 0.1
+    assert np.median(off) < 0.005
 
 
 def test_intervals_cover_the_truth(drawn):
@@ -238,6 +266,24 @@ def test_map_from_the_records(calibrated, optics):
     assert svg == paint_map_figure(found)
 
 
+def test_map_from_files(calibrated, optics, tmp_path, capsys):
+    rng = np.random.default_rng(4)
+    made = scene("zheng2014", optics, np.tile(center_of("zheng2014"), (1024, 1)), rng)
+    files = {"bands": tmp_path / "orange.pixels.json", "paint": tmp_path / "orange.paint.json"}
+    write_record(made.pixels, files["bands"], provenance("pytest"))
+    write_record(calibrated, files["paint"], provenance("pytest"))
+    out = tmp_path / "orange.map.json"
+    run_map(Namespace(**files, out=out))
+    found = read_record(out, PaintMap)
+    np.testing.assert_array_equal(found.mode_nm, map_paint(made.pixels, calibrated).mode_nm)
+    assert (tmp_path / "orange.map.svg").read_text(encoding="utf-8") == paint_map_figure(found)
+    said = capsys.readouterr().out
+    assert "'orange' in 1024 pixels (zheng2014)" in said
+    assert "energy yield: median" in said
+    with pytest.raises(FitError, match=r"orange\.pixels\.json: a map needs the fit of the region.*add --paint"):
+        run_map(Namespace(bands=files["bands"], paint=None, out=None))
+
+
 def test_what_does_not_belong_together_is_refused(calibrated, optics):
     rng = np.random.default_rng(4)
     pixels = scene("zheng2014", optics, np.tile(center_of("zheng2014"), (64, 1)), rng).pixels
@@ -262,9 +308,9 @@ def test_sizes_that_disagree_are_refused(drawn):
 
 
 def test_thinned_map_keeps_medians():
-    values = np.arange(482.0 * 4).reshape(4, 482)
-    values[0, :6] = np.nan
+    values = np.arange(482.0 * 6).reshape(6, 482)
+    values[0, :4] = np.nan
     out = thinned(values)
-    assert out.shape == (2, 161)
-    assert out[1, 0] == 3 * 482 + 1  # a cut square: the median of what is there
-    assert out[0, 0] == np.median([482, 483, 484, 964, 965, 966])
+    assert out.shape == (2, 121)
+    assert out[0, 0] == np.median(values[1:4, :4])
+    assert out[1, 0] == np.median(values[4:, :4])  # a cut square: what is there
