@@ -26,9 +26,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import kstest
 
-sys.path.insert(0, str(Path(__file__).parent))
-from drawn_paints import drawn_paint
-
+from benchmarks.drawn_paints import drawn_paint
 from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
 from finray_calib.fit.emission import FitSettings, fit_emission
 from finray_calib.fit.family_choice import DEFAULT_FAMILY

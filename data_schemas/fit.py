@@ -87,8 +87,10 @@ class FamilyResult(Model):
     ln_evidence_sd: float
     probability: Fraction = Field(description="among the families with discrepancy, all equally likely beforehand")
     left_out_bands: float | None = Field(description="sum of ln p(band | other bands), nats; higher predicts better")
-    left_out_bands_sd: float | None = Field(description="standard error of its difference to the chosen family's")
-    left_out_pareto_k: float | None = Field(description="largest over the bands; above 0.7 the sum is only indicative")
+    left_out_bands_sd: float | None = Field(description="standard error of its difference to the default family's")
+    left_out_pareto_k: float | None = Field(
+        description="largest over the bands; above 0.5 the sum is only indicative, and too high"
+    )
     chi_square: float
     method: SamplingMethod
     pareto_k: float

@@ -12,9 +12,9 @@ from data_schemas.fit import SamplingMethod
 from finray_calib.fit.curve_draws import CurveDraws, curve_draws
 from finray_calib.fit.diagnostics import ChainDiagnostics
 from finray_calib.fit.discrepancy import Discrepancy
-from finray_calib.fit.importance import WeightedSample, importance_sample
+from finray_calib.fit.importance import SMALLEST_EFFECTIVE_SHARE, WeightedSample, importance_sample
 from finray_calib.fit.likelihood import BandData, LogPosterior
-from finray_calib.fit.map_search import Maxima, find_maxima
+from finray_calib.fit.map_search import Maxima, find_maxima, starting_points
 from finray_calib.fit.mixture_proposal import MixtureProposal
 from finray_calib.fit.predictive import BandCheck, check_bands
 from finray_calib.fit.prior import EmissionPrior
@@ -24,6 +24,7 @@ from finray_calib.spectra.emission_families import EmissionFamily
 
 FloatArray = NDArray[np.float64]
 
+_PILOT_DRAWS: Final = 1000
 _GROWTHS: Final = 10
 _REFERENCE_ROUNDS: Final = 2
 """The filters' tolerances act at a reference fit that is refined twice; the first is fitted without them."""
@@ -180,14 +181,15 @@ def fit_emission(
         Source of all randomness.
     """
     log_posterior = LogPosterior(data, family, prior, discrepancy)
-    maxima = find_maxima(log_posterior, rng)
+    starts = starting_points(log_posterior, rng)
     if data.tolerances is not None:
-        best = maxima.theta[0]
+        starts = np.array([log_posterior.climb(start) for start in starts])
+        best = starts[log_posterior(starts).argmax()]
         for _ in range(_REFERENCE_ROUNDS):
             reference = log_posterior.reference_at(best)
             log_posterior = LogPosterior(data, family, prior, discrepancy, reference)
             best = log_posterior.climb(best)
-        maxima = find_maxima(log_posterior, rng)
+    maxima = find_maxima(log_posterior, rng, starts)
     proposal, draws, sampling = draw_posterior(log_posterior, maxima, settings, rng)
     curves = curve_draws(log_posterior, draws, rng)
     return EmissionPosterior(
@@ -205,15 +207,16 @@ def draw_posterior(
     maxima.
     """
     proposal = MixtureProposal.around(maxima, log_posterior.prior)
-    sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
     method: SamplingMethod = "importance sampling"
-    if not sample.trusted:
+    pilot = importance_sample(log_posterior, proposal, _PILOT_DRAWS, rng)
+    if pilot.effective < SMALLEST_EFFECTIVE_SHARE * _PILOT_DRAWS:
         method = "adapted importance sampling"
         proposal = proposal.adapted(log_posterior, rng)
-        sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
+    sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
     for _ in range(_GROWTHS):
         if sample.trusted:
             break
+        method = "adapted importance sampling"
         proposal = proposal.grown(sample.theta, sample.weight)
         sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
     if sample.trusted:

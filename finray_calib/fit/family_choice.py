@@ -87,8 +87,8 @@ def choose_family(scores: Mapping[str, FamilyScore]) -> tuple[str, str]:
         return best, f"{best}: the default, and the most probable given these bands ({told})"
     if clear:
         return best, (
-            f"{best}: the bands speak clearly against the default, {DEFAULT_FAMILY} (probabilities {told}; left-out bands "
-            f"predicted better by {gain:.1f} +- {scores[best].difference_sd:.1f} nats)"
+            f"{best}: the bands speak clearly against the default, {DEFAULT_FAMILY} (probabilities {told}; left-out "
+            f"bands predicted better by {gain:.1f} +- {scores[best].difference_sd:.1f} nats)"
         )
     return DEFAULT_FAMILY, (
         f"{DEFAULT_FAMILY}: the default, because the bands do not clearly tell the families apart (probabilities "

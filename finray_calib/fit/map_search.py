@@ -53,7 +53,7 @@ class Maxima:
         return np.asarray(self.log_posterior + 0.5 * size * np.log(2 * np.pi) - 0.5 * curvature)
 
 
-def find_maxima(log_posterior: LogPosterior, rng: np.random.Generator) -> Maxima:
+def find_maxima(log_posterior: LogPosterior, rng: np.random.Generator, starts: FloatArray | None = None) -> Maxima:
     """Return all distinct maxima that a stratified multi-start search finds.
 
     Prior draws are scaled to the data (height from the brightest band, reflectance from the excitation band); the
@@ -68,9 +68,12 @@ def find_maxima(log_posterior: LogPosterior, rng: np.random.Generator) -> Maxima
         Density to climb.
     rng
         Source of the starting points.
+    starts
+        (n, D) starting points to use instead, for instance the ends of a search on nearly the same density.
     """
     prior = log_posterior.prior
-    tops = np.array([log_posterior.climb(start) for start in starting_points(log_posterior, rng)])
+    starts = starting_points(log_posterior, rng) if starts is None else starts
+    tops = np.array([log_posterior.climb(start) for start in starts])
     ends = sorted(zip(tops, log_posterior(tops), strict=True), key=lambda end: -end[1])
     kept: list[tuple[FloatArray, float, FloatArray]] = []
     seen: list[FloatArray] = []

@@ -43,9 +43,7 @@ class PaintBlocks:
     energy_yield_sd: Floats
 
 
-def paint_spread(
-    quantity: str, maps: Maps, noise: NDArray[np.float32], prior_center: float, prior_sd: float
-) -> PaintSpread:
+def paint_spread(quantity: str, maps: Maps, noise: NDArray[np.float32], mean: float, sd: float) -> PaintSpread:
     r"""Return how much a quantity differs between pixels, noise and prior taken out.
 
     A pixel's estimate is x = m + g (t - m) + e: truth t, prior centre m, noise e of variance n, and the gain
@@ -61,23 +59,21 @@ def paint_spread(
         Maps of the quantity and of its standard deviation.
     noise
         Standard deviation of the estimate by noise alone, in the unit of the quantity.
-    prior_center
-        Centre of the pixels' prior, in the unit of the quantity.
-    prior_sd
-        Its standard deviation: in nm, or of the logarithm.
+    mean, sd
+        Of the pixels' prior: its centre in the unit of the quantity; its width in nm, or of the logarithm.
     """
     is_mode, fitted = quantity == "mode_nm", np.isfinite(maps[quantity])
     estimate = float(np.median(maps[quantity][fitted]))
     chosen = _even_choice(int(fitted.sum()))
     parts = (maps[quantity], maps[_SD_OF[quantity]], noise)
-    value, sd, scatter = (part[fitted][chosen].astype(np.float64) for part in parts)
-    center = prior_center
+    value, error, scatter = (part[fitted][chosen].astype(np.float64) for part in parts)
+    center = mean
     if not is_mode:
-        value, sd, scatter, center = np.log(value), sd / value, scatter / value, float(np.log(center))
-    gain = 1 - (sd / prior_sd) ** 2
+        value, error, scatter, center = np.log(value), error / value, scatter / value, float(np.log(center))
+    gain = 1 - (error / sd) ** 2
     counted, unit = gain >= SMALLEST_GAIN, 1.0 if is_mode else estimate
     if counted.sum() < FEWEST_PIXELS:
-        return PaintSpread(estimate=estimate, sd=0.0, high=prior_sd * unit, noise_share=1.0, resolved=False, pixels=0)
+        return PaintSpread(estimate=estimate, sd=0.0, high=sd * unit, noise_share=1.0, resolved=False, pixels=0)
     gain = gain[counted]
     variance = (scatter[counted] / gain) ** 2
     spread = _spread(center + (value[counted] - center) / gain, variance)

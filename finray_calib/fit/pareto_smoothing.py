@@ -55,7 +55,8 @@ def smooth_weights(ln_weight: FloatArray) -> SmoothedWeights:
         k, scale = fit_pareto_tail(np.exp(shifted[tail]) - np.exp(cut))
         if np.isfinite(k):
             p = (np.arange(len(tail)) + 0.5) / len(tail)
-            q = scale * np.expm1(-k * np.log1p(-p)) / k if k != 0 else -scale * np.log1p(-p)
+            with np.errstate(over="ignore"):  # of a hopelessly heavy tail; cut to the largest raw weight below
+                q = scale * np.expm1(-k * np.log1p(-p)) / k if k != 0 else -scale * np.log1p(-p)
             shifted[tail] = np.minimum(np.log(np.exp(cut) + q), 0.0)
     weight = np.exp(shifted - shifted.max())
     return SmoothedWeights(weight / weight.sum(), float(k))

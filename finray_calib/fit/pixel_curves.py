@@ -27,22 +27,22 @@ _LEAST_ARGUMENT = 1e-4  # of the logarithm; the curve has vanished there
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
-def arctangent(x: float) -> float:
-    """Return atan(x) to 2e-8 (Abramowitz and Stegun, 4.4.49)."""
-    large = abs(x) > 1
-    t = 1 / x if large else x
+def arctangent(value: float) -> float:
+    """Return atan(value) to 2e-8 (Abramowitz and Stegun, 4.4.49)."""
+    large = abs(value) > 1
+    t = 1 / value if large else value
     q = t * t
     r = ((0.0028662257 * q - 0.0161657367) * q + 0.0429096138) * q - 0.0752896400
     r = (((r * q + 0.1065626393) * q - 0.1420889944) * q + 0.1999355085) * q - 0.3333314528
     r = t * (r * q + 1)
-    half = 0.5 * math.pi if x > 0 else -0.5 * math.pi
+    half = 0.5 * math.pi if value > 0 else -0.5 * math.pi
     return half - r if large else r
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
-def falling_exponential(x: float) -> float:
-    """Return exp(-x) for x of 0 or more, to 2e-9 below 10 and to 1e-22 beyond: a series, squared eight times."""
-    y = min(x, 50.0) / 256
+def falling_exponential(value: float) -> float:
+    """Return exp(-value) for 0 or more, to 2e-9 below 10 and to 1e-22 beyond: a series, squared eight times."""
+    y = min(value, 50.0) / 256
     e = 1 - y * (1 - y * (0.5 - y * (1 / 6 - y * (1 / 24 - y * (1 / 120)))))
     for _ in range(8):
         e *= e
@@ -50,9 +50,9 @@ def falling_exponential(x: float) -> float:
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]
-def logarithm(a: float) -> float:
-    """Return ln(a) to 1e-7 from 0.02 to 20: the inverse hyperbolic tangent of the eighth root."""
-    root = math.sqrt(math.sqrt(math.sqrt(a)))
+def logarithm(value: float) -> float:
+    """Return ln(value) to 1e-7 from 0.02 to 20: the inverse hyperbolic tangent of the eighth root."""
+    root = math.sqrt(math.sqrt(math.sqrt(value)))
     t = (root - 1) / (root + 1)
     q = t * t
     return 16 * t * (1 + q * (1 / 3 + q * (1 / 5 + q * (1 / 7 + q * (1 / 9 + q * (1 / 11))))))

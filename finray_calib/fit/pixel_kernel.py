@@ -50,8 +50,8 @@ class PixelProblem(NamedTuple):
     mean: FloatArray  # (5,) prior and start
     precision: FloatArray  # (5,) of the prior
     longest_step: FloatArray  # (5,)
-    own_low: float
-    own_high: float
+    low: float  # of the family's own parameter
+    high: float
 
 
 class PixelWork(NamedTuple):
@@ -245,7 +245,7 @@ def fit_pixel(p: PixelProblem, c: int, w: PixelWork) -> tuple[float, bool]:
         for j in range(PARAMETERS):
             limit = p.longest_step[j]
             w.moved[j] = w.theta[j] - min(max(w.step[j], -limit), limit)
-        w.moved[3] = min(max(w.moved[3], p.own_low), p.own_high)
+        w.moved[3] = min(max(w.moved[3], p.low), p.high)
         renew = not expanded and promised < _NEAR
         if renew:
             w.about[:] = w.moved

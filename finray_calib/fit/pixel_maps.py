@@ -248,8 +248,8 @@ def pixel_problem(region: RegionFit, weights: EmissionWeights, spread: PixelSpre
         mean=theta,
         precision=prior_sd**-2,
         longest_step=np.array(_LONGEST_STEP),
-        own_low=own.low,
-        own_high=own.high,
+        low=own.low,
+        high=own.high,
     )
     return problem, factor.reshape(bands, 3)
 

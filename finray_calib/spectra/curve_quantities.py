@@ -20,7 +20,7 @@ class CurveQuantities:
     mode_nm
         Wavelength of the maximum, nm.
     fwhm_nm
-        Full width between the outermost half-maximum crossings next to the mode, nm.
+        Full width between the half-maximum crossings nearest to the mode on either side, nm.
     skew
         (red half width - blue half width) / FWHM, -1 to 1; positive for a tail towards long wavelengths.
     peak_per_nm

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from data_schemas.fit import PaintCalibration
 from data_schemas.simulate import LightAngleSweep
-from finray_calib.spectra.skew_cauchy import SkewCauchy
 from sim.experiments.painted_finger import PaintedFinger
 from sim.optics.angle_sweep import sweep_light_angle
 from sim.optics.paint_bands import BAND_NAMES, PaintBands, PaintOptics, paint_bands

