@@ -73,6 +73,7 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
 
 def run(arguments: argparse.Namespace) -> None:
     """Fit and report."""
+    _refuse_ignored(arguments)
     if arguments.map:
         from finray_calib.cli.fit_map import run_map
 
@@ -84,6 +85,7 @@ def run(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import read_record, write_bytes, write_record
     from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
     from finray_calib.fit.paint_calibration import FitOptions, calibrate_paint
+    from rigs.capture.session_folder import SESSION_NAME
 
     bands = read_record(arguments.bands, BandSignals)
     others = [read_record(path, BandSignals) for path in arguments.other_light]
@@ -95,9 +97,12 @@ def run(arguments: argparse.Namespace) -> None:
         discrepancy=NO_DISCREPANCY if arguments.no_discrepancy else PAINT_DISCREPANCY,
         check_by_emcee=arguments.check,
     )
+    match = _colour_match(arguments.room_light, bands)
     files = [arguments.bands, *arguments.other_light]
     with progress_bar("fit"), naming(FitError, *files):
-        paint = calibrate_paint(bands, arguments.seed, options, others, _colour_match(arguments.room_light, bands))
+        paint = calibrate_paint(bands, arguments.seed, options, others, match)
+    if arguments.room_light is not None:
+        files.append(arguments.room_light / SESSION_NAME)
     write_record(paint, out, provenance(command_line(), input_digests(files), arguments.seed))
     _say_result(paint, out)
     if arguments.report is not None:
@@ -107,15 +112,39 @@ def run(arguments: argparse.Namespace) -> None:
         say(f"{arguments.report}: open it in a browser")
 
 
+def _refuse_ignored(arguments: argparse.Namespace) -> None:
+    """Refuse options that the fit asked for, of the region or of every pixel, would ignore."""
+    from data_schemas.errors import FitError
+
+    of_the_region = {
+        "--family": arguments.family != "auto",
+        "--no-discrepancy": arguments.no_discrepancy,
+        "--check": arguments.check,
+        "--other-light": bool(arguments.other_light),
+        "--room-light": arguments.room_light is not None,
+        "--report": arguments.report is not None,
+    }
+    given = [name for name, is_given in of_the_region.items() if is_given]
+    if arguments.map and given:
+        raise FitError(
+            f"{given[0]}: is for the fit of the region, whose family and rig imperfections a map takes over from "
+            "--paint; leave it out, or leave out --map"
+        )
+    if arguments.paint is not None and not arguments.map:
+        raise FitError("--paint: is the fit of the region that --map starts from; give --map too, or leave it out")
+
+
 def _colour_match(session_folder: Path | None, bands: "BandSignals") -> "ColourCheckerMatch | None":
     """Return the match of the paint to a ColorChecker patch, if a session is given."""
     if session_folder is None:
         return None
+    from data_schemas.errors import FitError
     from finray_calib.fit.colour_checker import colour_checker_reflectance
     from rigs.capture.read_session import read_frame_of, read_session
 
     session = read_session(session_folder)
-    return colour_checker_reflectance(session, lambda frame: read_frame_of(session_folder, frame), bands.optics)
+    with naming(FitError, session_folder):
+        return colour_checker_reflectance(session, lambda frame: read_frame_of(session_folder, frame), bands.optics)
 
 
 def _say_result(paint: "PaintCalibration", out: Path) -> None:
@@ -130,6 +159,8 @@ def _say_result(paint: "PaintCalibration", out: Path) -> None:
         value, digits = paint.parameters[name], 1 if unit else 3
         low, high = f"{value.low95:.{digits}f}", f"{value.high95:.{digits}f}"
         say(f"  {label:26s} {value.estimate:.{digits}f} [{low}, {high}]{unit} (95 %)")
+    if paint.colour_match is not None:
+        say(f"  {paint.colour_match.statement}")
     stokes = paint.reradiation.stokes_shift_nm
     belief = ", from the prior: one light does not measure it" if paint.reradiation.prior_driven else ""
     say(f"  {'Stokes shift':26s} {stokes.estimate:.0f} [{stokes.low95:.0f}, {stokes.high95:.0f}] nm (95 %{belief})")

@@ -42,9 +42,10 @@ def run_map(arguments: argparse.Namespace) -> None:
     picture = require_new(out.with_suffix(".svg"))
     with progress_bar("fit every pixel"), naming(FitError, arguments.bands, arguments.paint):
         fitted = map_paint(pixels, paint)
+    drawn = paint_map_figure(fitted).encode()
     digests = input_digests([arguments.bands, arguments.paint])
     write_record(fitted, out, provenance(command_line(), digests))
-    write_bytes(picture, paint_map_figure(fitted).encode())
+    write_bytes(picture, drawn)
     say(f"{out}: '{fitted.paint_name}' in {fitted.fitted_pixels} pixels ({fitted.family}); figure {picture}")
     _report(fitted)
 

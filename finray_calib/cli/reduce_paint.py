@@ -39,12 +39,12 @@ def reduce_paint(folder: Path, out: Path | None, camera: Path | None, pixels: bo
     with progress_bar("radiometry"), naming(RadiometryError, folder):
         steps = session_steps(session, lambda frame: read_frame_of(folder, frame))
         bands = bands_of_steps(session, steps)
-        write_record(bands, out, origin)
         if map_out is not None:
             mapped = pixel_signals(session, lambda frame: read_frame_of(folder, frame), steps, bands, whole_frame)
-            write_record(mapped, map_out, origin)
+    write_record(bands, out, origin)
     _report(bands, out)
     if map_out is not None:
+        write_record(mapped, map_out, origin)
         say(f"{map_out}: {int(mapped.usable.sum())} usable of {mapped.usable.size} pixels")
 
 

@@ -19,6 +19,7 @@ from finray_calib.exchange.band_folder_curves import (
     filter_curves_of,
     lamp_of,
     named_files,
+    require_inside,
     response_of,
     wheel_of,
 )
@@ -64,6 +65,7 @@ def import_band_folder(folder: Path) -> tuple[BandSignals, dict[str, str]]:
         The images cannot be reduced: saturated bands, missing darks, an empty region.
     """
     description = read_toml(folder / DESCRIPTION_NAME, BandFolder)
+    require_inside(folder, description)
     images = find_images(folder, description)
     _check_darks(images)
     frames = [_frame(n, image, sha256_of(image.path)) for n, image in enumerate(images)]

@@ -20,6 +20,19 @@ HALOGEN = "planck-2856K"
 MONOCHROME_COLUMNS = ["wavelength_nm", "response_percent"]
 
 
+def require_inside(folder: Path, description: BandFolder) -> None:
+    """Refuse curve files outside of the folder, as for images: a folder from elsewhere must not read others.
+
+    Raises
+    ------
+    CurveError
+        A curve's path is absolute or leads out of the folder.
+    """
+    for name in named_files(description):
+        if not (folder / name).resolve().is_relative_to(folder.resolve()):
+            raise CurveError(f"{folder / DESCRIPTION_NAME}: {name!r} leads out of the folder; put the curve beside it")
+
+
 def filter_curves_of(folder: Path, description: BandFolder) -> dict[str, SpectralCurve]:
     """Return the measured transmissions of the filters that name one, by the filter's name."""
     return {given.name: read_filter_curve(folder / given.curve) for given in description.filters if given.curve}

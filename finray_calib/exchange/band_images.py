@@ -78,7 +78,7 @@ def read_image(path: Path, camera: ImportedCamera) -> Counts:
     """
     try:
         stored = tifffile.imread(path)
-    except (tifffile.TiffFileError, ValueError, IndexError, KeyError) as error:
+    except Exception as error:  # of a broken file the TIFF reader raises nearly anything
         raise ImportFormatError(f"{path}: cannot be read as TIFF ({error})") from None
     wanted = 3 if camera.layout == "RGB" else 2
     if stored.ndim != wanted or (wanted == 3 and stored.shape[2] != 3) or stored.dtype not in (np.uint8, np.uint16):

@@ -233,7 +233,7 @@ def _metadata(image: Path) -> dict[str, Any]:
             f"{image}: has no metadata beside it ({path.name}), so nothing says whether exposure and white balance "
             "were locked; write it with rpicam-still --metadata"
         ) from None
-    except ValueError as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ImportFormatError(f"{path}: is not a JSON file ({error})") from None
     if not isinstance(metadata, dict):
         raise ImportFormatError(f"{path}: is a {type(metadata).__name__}; metadata is one JSON object per image")
@@ -249,7 +249,7 @@ def _press(folder: Path) -> PressDescription:
         raise ImportFormatError(
             f"{path}: no such file; write it with a name and an [indenter] table (shape, radius_mm, depth_mm)"
         ) from None
-    except ValueError as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ImportFormatError(f"{path}: is not a TOML file ({error})") from None
     if isinstance(table.get("indenter"), dict):
         table["indenter"] = {"depth_mm": None, "position_mm": None, **table["indenter"]}  # TOML has no null

@@ -86,7 +86,7 @@ def read_tuning(path: Path) -> LibcameraTuning:
         raise ImportFormatError(
             f"{path}: no such file; give the tuning file of the camera (libcamera's .json)"
         ) from None
-    except ValueError as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ImportFormatError(f"{path}: is not a JSON file ({error})") from None
     try:
         return parse_tuning(document)
@@ -105,7 +105,9 @@ def _read_dng(path: Path) -> RawImage:
             pattern = raw[0].tags.valueof("CFAPattern", b"")
             white_dn = int(np.ravel(raw[0].tags.valueof("WhiteLevel", 0))[0])
             counts = raw[0].asarray()
-    except (OSError, ValueError, KeyError, tifffile.TiffFileError) as error:
+    except ImportFormatError:
+        raise
+    except Exception as error:  # of a broken file the TIFF reader raises nearly anything
         raise ImportFormatError(
             f"{path}: cannot be read as an uncompressed 16-bit DNG ({error}); save it with rpicam-still --raw, or as a "
             "16-bit TIFF"
@@ -129,7 +131,7 @@ def _read_bayer_tiff(path: Path, order: BayerOrder | None, bit_depth: BitDepth |
         )
     try:
         counts = tifffile.imread(path)
-    except (OSError, ValueError, tifffile.TiffFileError) as error:
+    except Exception as error:  # of a broken file the TIFF reader raises nearly anything
         raise ImportFormatError(f"{path}: cannot be read as TIFF ({error}); is the file whole?") from error
     if counts.ndim != 2 or counts.dtype != np.uint16:
         raise ImportFormatError(

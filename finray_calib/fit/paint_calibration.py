@@ -102,7 +102,7 @@ def calibrate_paint(
     rng = np.random.default_rng(seed)
     data = band_data(bands)
     posteriors = {name: _fit(data, name, options.discrepancy, options, rng) for name in FAMILIES}
-    left_out = {name: leave_one_band_out(p.log_posterior, p.draws) for name, p in posteriors.items()}
+    left_out = {name: leave_one_band_out(p.log_posterior, p.sampling.sample) for name, p in posteriors.items()}
     scores = score_families(posteriors, left_out)
     chosen, why = choose_family(scores)
     if options.family is not None and options.family != chosen:

@@ -26,7 +26,8 @@ these that is the scatter of the estimate by noise alone (the rest is what the p
 NOT_FITTED, NOT_CONVERGED, CONVERGED = 0, 1, 2
 
 _MOST_STEPS = 40
-_NEAR, _CLOSE = 0.1, 1e-6  # squared distances in standard deviations: 0.3 and 0.001
+_NEAR, _CLOSE = 0.01, 1e-6  # squared distances in standard deviations: 0.1 and 0.001
+_BEST_RATE = 0.01  # of the squared distance from step to step that is believed: one lucky step says little
 _FIRST_DAMPING, _LEAST_DAMPING = 0.1, 1e-2
 _LOWEST_SCALE = 0.05  # of the starting height: a pixel without signal starts at a twentieth of the region's
 
@@ -241,7 +242,7 @@ def fit_pixel(p: PixelProblem, c: int, w: PixelWork) -> tuple[float, bool]:
     for _ in range(_MOST_STEPS):
         _factorise(w, damping)
         promised = _solve(w.factor, w.gradient, w.step)
-        converged = expanded and promised * min(promised / before, 1.0) < _CLOSE
+        converged = expanded and promised * min(max(promised / before, _BEST_RATE), 1.0) < _CLOSE
         for j in range(PARAMETERS):
             limit = p.longest_step[j]
             w.moved[j] = w.theta[j] - min(max(w.step[j], -limit), limit)

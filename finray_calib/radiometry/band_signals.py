@@ -36,6 +36,8 @@ from finray_calib.radiometry.uniformity import texture_variance_rel
 
 Floats = NDArray[np.float64]
 SMALLEST_WHITE_SNR = 30.0
+# No lamp that is fit for this work falls off by half within the region; a block beyond the tile's edge is darker still.
+SMALLEST_BLOCK_REL = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +102,7 @@ def bands_of_steps(session: CaptureSession, steps: SessionSteps) -> BandSignals:
             f"light repeatability from exposure brackets: {100 * steps.repeatability_rel:.2f} % per exposure",
             f"largest dark drift from before to after: {max(abs(d.drift_dn) for d in steps.darks.values()):.3f} DN",
             f"texture of paint and white tile: {100 * y.texture_sd_rel:.2f} % of every band alike",
+            *_beyond_the_tile(steps),
             *([] if trend is None else [bleaching_note(trend.record)]),
             *map(tilt_note, ratios),
         ),
@@ -179,6 +182,18 @@ def _reflectance(steps: SessionSteps, session: CaptureSession) -> _Values:
     texture = _texture_variance_rel(steps, steps.reflectance, False)
     common = (white.uncertainty_rel**2 + texture) * np.outer(rho, rho)
     return _Values(rho, jacobian @ signals @ jacobian.T + common, float(np.sqrt(texture)))
+
+
+def _beyond_the_tile(steps: SessionSteps) -> tuple[str, ...]:
+    """Say when a part of the region is so dark on the white tile that it probably lies beside it."""
+    blocks = np.sum([step.block_dn_per_s for step in steps.white], axis=(0, 2))
+    dimmest_rel = float(blocks.min() / blocks.max())
+    if dimmest_rel >= SMALLEST_BLOCK_REL:
+        return ()
+    return (
+        f"the darkest of {len(blocks)} blocks of the region has {dimmest_rel:.0%} of the brightest one's light on the "
+        "white tile: the region reaches beyond the tile or the light, and all values are biased; correct plan.region",
+    )
 
 
 def _texture_variance_rel(steps: SessionSteps, sample: tuple[StepSignal, ...], under_laser: bool) -> float:

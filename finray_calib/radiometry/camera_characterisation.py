@@ -14,11 +14,13 @@ from data_schemas.camera import (
     ChannelCharacterisation,
     ChannelName,
 )
-from data_schemas.capture import Frame, FrameType, RegionOfInterest
+from data_schemas.capture import Frame, FrameType
 from data_schemas.errors import RadiometryError
 from finray_calib.radiometry.channel_characterisation import ChannelLevels, characterise_channel
 from finray_calib.radiometry.frame_stack import FrameStack, Sites, StackStatistics
 from finray_calib.radiometry.photon_transfer import SMALLEST_CHI_SQUARE_P
+from finray_calib.radiometry.pixel_merge import cut
+from finray_calib.radiometry.region import whole_cells
 
 ReadCounts = Callable[[Frame], NDArray[np.uint16]]
 CHANNELS: dict[str, dict[ChannelName, Sites]] = {
@@ -91,20 +93,14 @@ def _stacks(
     for frame in session.frames:
         if frame.frame_type == frame_type:
             grouped.setdefault(frame.exposure_requested_s, []).append(frame)
-    full_scale_dn = 2**session.rig.camera.bit_depth - 1
+    full_scale_dn, region = 2**session.rig.camera.bit_depth - 1, whole_cells(session.plan.region)
     stacks = {}
     for asked_s, frames in sorted(grouped.items()):
         stack = FrameStack(f"{frame_type} frames of {asked_s:g} s", sites, full_scale_dn)
         for frame in frames:
-            stack.add(_cut(read(frame), session.plan.region))
+            stack.add(cut(read(frame), region))
         stacks[asked_s] = _Stack(float(np.mean([f.exposure_s for f in frames])), stack.statistics())
     return stacks
-
-
-def _cut(counts: NDArray[np.uint16], region: RegionOfInterest) -> NDArray[np.uint16]:
-    """Return the region in whole 2 x 2 Bayer cells; a smaller frame gives a smaller region."""
-    top, left = region.row_px & ~1, region.column_px & ~1
-    return counts[top : top + (region.height_px & ~1), left : left + (region.width_px & ~1)]
 
 
 def _require_levels(lit: dict[float, _Stack], dark: dict[float, _Stack]) -> None:

@@ -154,7 +154,8 @@ def _used(name: ChannelName, levels: ChannelLevels, peak: int | None) -> tuple[B
             raise RadiometryError(
                 f"{name} channel: {used.sum()} of {len(used)} exposures give unsaturated counts at {start:.0%} to "
                 f"{end:.0%} of saturation, at least {FEWEST_IN_FIT} are needed; {int((~clear).sum())} are saturated: "
-                "choose exposures between dark and saturation, or another filter or lamp for this channel"
+                "choose exposures between dark and saturation, a region that the light fills evenly, or another filter "
+                "or lamp for this channel"
             )
     return in_line, in_linearity
 

@@ -19,9 +19,10 @@ def channel_weights(steps: SessionSteps) -> Floats:
     """
     laser, lamp = steps.laser_white, steps.white[steps.excitation]
     v, w = laser.signal_dn_per_s, lamp.signal_dn_per_s
-    relative = laser.noise_variance / v**2 + lamp.noise_variance / w**2
-    good = np.isfinite(relative) & (v > 0) & (w > 0)
-    weight = np.where(good, 1 / np.where(good, relative * (v / w) ** 2, 1.0), 0.0)
+    good = (v > 0) & (w > 0)  # false for lost channels (NaN)
+    v, w = np.where(good, v, 1.0), np.where(good, w, 1.0)
+    variance = (laser.noise_variance / v**2 + lamp.noise_variance / w**2) * (v / w) ** 2
+    weight = np.where(good, 1 / np.where(good, variance, 1.0), 0.0)
     if weight.sum() == 0:
         raise RadiometryError(
             "the white reference under the laser gives no signal through the excitation filter: is the laser on the "

@@ -225,21 +225,22 @@ def _lens_shading(parameters: Mapping[str, Any]) -> LensShading | None:
     """Return the shading tables; None when the algorithm has none."""
     if "luminance_lut" not in parameters:
         return None
-    entries = np.size(parameters["luminance_lut"])
-    if entries not in TABLE_SHAPES:
+    flat = _numbers(parameters["luminance_lut"], "rpi.alsc luminance_lut", (-1,))
+    if flat.size not in TABLE_SHAPES:
         raise ImportFormatError(
-            f"tuning: rpi.alsc luminance_lut has {entries} entries; tables of 16 x 12 (192) or 32 x 32 (1024) are known"
+            f"tuning: rpi.alsc luminance_lut has {flat.size} entries; tables of 16 x 12 (192) or 32 x 32 (1024) are "
+            "known"
         )
-    shape = TABLE_SHAPES[entries]
-    luminance = _numbers(parameters["luminance_lut"], "rpi.alsc luminance_lut", shape)
-    strength = float(parameters.get("luminance_strength", 1.0))
+    shape = TABLE_SHAPES[flat.size]
+    luminance = flat.reshape(shape)
+    strength = _number(parameters, "luminance_strength", 1.0)
     red_k, red = _by_temperature(parameters.get("calibrations_Cr", []), "rpi.alsc calibrations_Cr", "table", shape)
     blue_k, blue = _by_temperature(parameters.get("calibrations_Cb", []), "rpi.alsc calibrations_Cb", "table", shape)
     gains = 1.0 + strength * (luminance - 1.0)
     if min(table.min(initial=1.0) for table in (gains, red, blue)) <= 0:
         raise ImportFormatError("tuning: rpi.alsc holds a gain that is zero or negative; gains must be positive")
     adaptive = parameters.get("n_iter", 1) != 0
-    bound = float(parameters.get("lambda_bound", 0.05)) if adaptive else 0.0
+    bound = _number(parameters, "lambda_bound", 0.05) if adaptive else 0.0
     return LensShading(gains, red_k, red, blue_k, blue, bound)
 
 
@@ -260,6 +261,11 @@ def _at_temperature(temperature_k: Floats, tables: Floats, wanted_k: float) -> F
     high = min(low + 1, len(tables) - 1)
     share = position - low
     return np.asarray((1.0 - share) * tables[low] + share * tables[high])
+
+
+def _number(parameters: Mapping[str, Any], name: str, default: float) -> float:
+    """Return one finite number of rpi.alsc."""
+    return float(_numbers(parameters.get(name, default), f"rpi.alsc {name}", ()))
 
 
 def _numbers(values: Any, name: str, shape: tuple[int, ...]) -> Floats:

@@ -232,6 +232,16 @@ CASES = (
     Case(
         "no record", "fit {tmp}/bands.json", r"bands\.json: no such file; give the path of a stored record \(\.json\)"
     ),
+    Case(
+        "map with a family",
+        "fit {lab}/bands.json --map --paint {paints}/red/paint.json --family skew_t",
+        r"--family: is for the fit of the region",
+    ),
+    Case(
+        "region's fit without map",
+        "fit {lab}/bands.json --paint {paints}/red/paint.json",
+        r"--paint: is the fit of the region that --map starts from",
+    ),
     Case("record is a folder", "fit {lab}/session", r"session: is a folder; give the \.json file of the record"),
     Case(
         "wrong kind",

@@ -156,6 +156,7 @@ def test_measured_curves_are_read(tmp_path):
         ("center_nm = 500\n", "center_nm = 450\n", CurveError, "center_nm 450 stands in two filters"),
         ('"white/{filter}nm.tif"', '"white/450nm.tif"', RecordError, "must hold {filter}"),
         ('"white/{filter}nm.tif"', '"../{filter}nm.tif"', ImportFormatError, "leads out of the folder"),
+        ('layout = "RGB"', 'layout = "RGB"\nresponse = "../camera.csv"', CurveError, "'../camera.csv' leads out"),
         ('"white/{filter}nm.tif"', '"w/{filter}nm.tif"', ImportFormatError, "no file matches 'w/450nm.tif'"),
         ('"lamp/{filter}nm.tif"', '"white/{filter}nm.tif"', ImportFormatError, "is both 'white' .* and 'reflectance'"),
         ("reflectance = 0.5", 'reflectance = { "450" = 0.5 }', RecordError, "filter '500' is missing"),
@@ -213,6 +214,12 @@ def test_an_odd_last_row_and_column_are_left_out(tmp_path):
 def test_foreign_image_and_missing_description(tmp_path):
     folder = write_folder(tmp_path / "f", "RGB")
     (folder / "laser" / "600nm.tif").write_bytes(b"no image")
+    with pytest.raises(ImportFormatError, match=r"600nm\.tif: cannot be read as TIFF"):
+        import_band_folder(folder)
+    # cut off within its compressed data, which is a fault of the decompressor, not of the TIFF
+    tifffile.imwrite(folder / "laser" / "600nm.tif", np.zeros((48, 48, 3), np.uint16), compression="zlib")
+    whole = (folder / "laser" / "600nm.tif").read_bytes()
+    (folder / "laser" / "600nm.tif").write_bytes(whole[:-4])
     with pytest.raises(ImportFormatError, match=r"600nm\.tif: cannot be read as TIFF"):
         import_band_folder(folder)
     with pytest.raises(RecordError, match=re.escape("bands.toml: no such file")):

@@ -168,6 +168,8 @@ def spoil(folder, kind):
             contact.unlink()
         case "two contact images":
             shutil.copy(contact, folder / "contact.png")
+        case "metadata too deep":
+            (folder / "contact.json").write_text("[" * 100_000)
         case "no press":
             (folder / "press.toml").unlink()
         case "press broken":
@@ -198,6 +200,7 @@ def spoil(folder, kind):
         ("exposure changed", r"ExposureTime differs: 0.01 s in contact.dng, 0.02 s in no_contact.dng"),
         ("no metadata", r"contact.dng: has no metadata beside it \(contact.json\)"),
         ("metadata broken", r"contact.json: is not a JSON file"),
+        ("metadata too deep", r"contact.json: is not a JSON file"),
         ("metadata list", r"contact.json: is a list; metadata is one JSON object per image"),
         ("no contact image", r"holds no image 'contact' \(.dng"),
         ("two contact images", r"holds contact.dng and contact.png; keep one"),

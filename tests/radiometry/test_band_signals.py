@@ -183,6 +183,19 @@ def test_dark_white_is_weak():
     assert np.isfinite(bands.fluorescence_covariance).all()
 
 
+def test_region_that_reaches_beyond_the_tile_is_told():
+    def beside(frames, images):
+        for f in frames:
+            if f.frame_type == "white":
+                images[f.file][:, 44:] = 20  # the last quarter of the region sees the ground
+        return frames
+
+    whole = band_signals(*_parts(synthetic_session(np.random.default_rng(1))))
+    cut = band_signals(*_parts(synthetic_session(np.random.default_rng(1), change=beside)))
+    assert not [note for note in whole.notes if "beyond the tile" in note]
+    assert len([note for note in cut.notes if "the region reaches beyond the tile" in note]) == 1
+
+
 def test_laser_that_misses_the_tile():
     def laser_off(frames, images):
         for f in frames:
