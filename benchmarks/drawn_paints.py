@@ -56,9 +56,9 @@ def drawn_paint(
     weights = weights_of(_real(nominal, imperfections), CHANNEL_WEIGHTS)
     joint = prior.of(family, with_blocking=True)
     theta = joint.draw(1, rng)[0]
-    curve = _with_discrepancy(family, theta, discrepancy, rng) * (weights.laser_nm <= WAVELENGTH_NM)
+    signed = _with_discrepancy(family, theta, discrepancy, rng) * (weights.laser_nm <= WAVELENGTH_NM)
     reflected, blocking = np.exp(theta[-2:])
-    mu = band_values(curve[None], np.array([reflected]), weights, blocking)[0]
+    mu = band_values(signed[None], np.array([reflected]), weights, blocking)[0]
     stray = STRAY_LIGHT_REL * mu[~weights.is_excitation].max() * rng.standard_normal(mu.size)
     calibration = 1 + BAND_CALIBRATION_REL * imperfections[0, weights.band_index]
     response, noise = (1 + rel * rng.standard_normal(mu.size) for rel in (CHANNEL_RESPONSE_REL, NOISE_REL))
@@ -75,7 +75,7 @@ def drawn_paint(
         saturated_fraction=np.zeros((count, 3)),
         region_pixels=10_000,
     )
-    return DrawnPaint(theta, curve, imperfections.ravel(), bands)
+    return DrawnPaint(theta, np.maximum(signed, 0.0), imperfections.ravel(), bands)
 
 
 def _real(nominal: Optics, imperfections: np.ndarray) -> Optics:
@@ -96,11 +96,11 @@ def _real(nominal: Optics, imperfections: np.ndarray) -> Optics:
 def _with_discrepancy(
     family: EmissionFamily, theta: np.ndarray, discrepancy: Discrepancy, rng: np.random.Generator
 ) -> np.ndarray:
-    """Return a curve of the family with a drawn discrepancy, 0 or more."""
+    """Return a curve of the family with a drawn discrepancy, as the model has it: negative where the curve is 0."""
     shape = family.curves(theta[None], WAVELENGTH_NM)[0]
     roots, directions = np.linalg.eigh(discrepancy.smooth_kernel(WAVELENGTH_NM, WAVELENGTH_NM))
     relative = directions @ (np.sqrt(np.maximum(roots, 0)) * rng.standard_normal(roots.size))
     width = np.exp(theta[1])
     edge = 1 / (1 + np.exp((WAVELENGTH_NM - theta[0] + EDGE_OFFSET_FWHM * width) / (EDGE_WIDTH_FWHM * width)))
     relative += discrepancy.reabsorption_rel * rng.standard_normal() * edge
-    return np.maximum(shape + (shape + discrepancy.floor_rel * np.exp(theta[2])) * relative, 0.0)
+    return shape + (shape + discrepancy.floor_rel * np.exp(theta[2])) * relative

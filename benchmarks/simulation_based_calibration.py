@@ -61,7 +61,7 @@ def ranks(task):
         below |= dict(zip(names, (fit.draws[:, -2:] < paint.theta[-2:]).mean(axis=0), strict=True))
     filters = [f.name for f in paint.bands.optics.filters]
     labels = [f"{what} {name}" for what in IMPERFECTIONS for name in filters]
-    share = (fit.curve_draws.imperfections < paint.imperfections).mean(axis=0)
+    share = (fit.curve_draws.imperfections[:, : len(labels)] < paint.imperfections).mean(axis=0)
     below |= dict(zip(labels, share, strict=True))
     sampling = fit.sampling
     return {
@@ -85,8 +85,14 @@ def judged(results):
     table = {}
     for i, name in enumerate(names):
         covered = {level: float(np.mean(np.abs(share[:, i] - 0.5) <= level / 200)) for level in (95, 68)}
-        good = abs(covered[95] - 0.95) <= LARGEST_MISS and holm[i] > SMALLEST_P
-        table[name] = {"coverage95": covered[95], "coverage68": covered[68], "p": p[i], "p_holm": holm[i], "met": good}
+        good = bool(abs(covered[95] - 0.95) <= LARGEST_MISS and holm[i] > SMALLEST_P)
+        table[name] = {
+            "coverage95": covered[95],
+            "coverage68": covered[68],
+            "p": float(p[i]),
+            "p_holm": float(holm[i]),
+            "met": good,
+        }
     return table
 
 

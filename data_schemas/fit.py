@@ -1,6 +1,6 @@
 """Paint calibration: the fitted emission spectrum with its uncertainty."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,8 @@ class ChainCheck(Model):
     r_hat: dict[str, float] = Field(description="rank-normalised split R-hat, bulk and folded")
     effective_samples: dict[str, float]
     mean_shift_sd: dict[str, float] = Field(
-        description="difference of the posterior means to the stored draws, in posterior standard deviations"
+        description="difference of the posterior means to the stored draws, in posterior standard deviations; empty "
+        "where emcee made the draws itself"
     )
 
 
@@ -44,7 +45,7 @@ class Diagnostics(Model):
     trusted: bool = Field(
         description="importance sampling: Pareto k at most 0.7 and 800 effective draws; emcee: converged"
     )
-    pareto_k: float
+    pareto_k: float | None = Field(description="shape of the weights' tail; none where it cannot be estimated")
     effective_samples: float
     ln_evidence: float
     ln_evidence_sd: float
@@ -85,15 +86,18 @@ class FamilyResult(Model):
     quantities: dict[str, Estimate] = Field(description="mode_nm, fwhm_nm, skew, peak_per_nm, energy_yield")
     ln_evidence: float
     ln_evidence_sd: float
-    probability: Fraction = Field(description="among the families with discrepancy, all equally likely beforehand")
+    probability: Fraction | None = Field(
+        description="among the families with discrepancy, all equally likely beforehand; none without discrepancy"
+    )
     left_out_bands: float | None = Field(description="sum of ln p(band | other bands), nats; higher predicts better")
     left_out_bands_sd: float | None = Field(description="standard error of its difference to the default family's")
     left_out_pareto_k: float | None = Field(
-        description="largest over the bands; above 0.5 the sum is only indicative, and too high"
+        description="largest over the bands, none where it cannot be estimated; above 0.5 the sum is only "
+        "indicative, and too high"
     )
     chi_square: float
     method: SamplingMethod
-    pareto_k: float
+    pareto_k: float | None = Field(description="none where it cannot be estimated")
 
 
 class PriorSensitivity(Model):
@@ -110,6 +114,9 @@ class PaintCalibration(Record):
     family plus the discrepancy. ``paper`` holds the paper's skew-Cauchy without discrepancy, in its symbols:
     location_nm = lambda_0 (not the peak), scale_nm = gamma, skewness = omega, amplitude_nm = h.
     """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray fit'"
 
     paint_name: str
     family: str
@@ -151,7 +158,7 @@ class PaintCalibration(Record):
     predicted_sd: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))]
     bands: tuple[BandResidual, ...]
     chi_square: float
-    degrees_of_freedom: int
+    usable_values: int = Field(ge=0, description="number of band values that entered the fit")
     diagnostics: Diagnostics
     warnings: tuple[str, ...] = ()
 

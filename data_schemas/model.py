@@ -18,9 +18,14 @@ class Record(Model):
 
     Attributes
     ----------
+    schema_version
+        Raised when files of the version before can no longer be read.
+    written_by
+        The command that writes the record, for whoever holds a file of an earlier version.
     provenance
         Who, when, with what and from which inputs; filled by the storage when the record is written.
     """
 
     schema_version: ClassVar[int] = 1
+    written_by: ClassVar[str] = "the command that wrote it"
     provenance: Provenance | None = None

@@ -118,6 +118,10 @@ class BandSignals(Record):
         """Return the (filter, channel) mask of values the fitter may use."""
         return np.array([[flag == "ok" for flag in row] for row in self.flags])
 
+    def at_excitation(self) -> NDArray[np.bool_]:
+        """Return the (filter,) mask of the filter at the laser line, which shows reflected laser light."""
+        return np.array([band.name == self.optics.excitation_filter for band in self.optics.filters])
+
 
 class PixelSignals(Record):
     """Fluorescence of every raw pixel behind every filter, in its own Bayer channel.

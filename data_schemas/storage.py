@@ -150,7 +150,7 @@ def read_record(path: Path, record_type: type[R]) -> R:
     Raises
     ------
     RecordError
-        The file is missing, not JSON, of another kind, or a field is not what it must be.
+        The file is missing, not JSON, of another kind or an earlier version, or a field is not what it must be.
     NewerSchemaError
         The record was written by a newer version.
     ChecksumError
@@ -167,6 +167,11 @@ def read_record(path: Path, record_type: type[R]) -> R:
         raise NewerSchemaError(
             f"{path}: schema_version {version} was written by a newer finray; this one reads up to "
             f"{record_type.schema_version}: update with 'pip install -U finray-calib'"
+        )
+    if version < record_type.schema_version:
+        raise RecordError(
+            f"{path}: was written by version {version} of the {kind} record, which differs from today's version "
+            f"{record_type.schema_version}; run {record_type.written_by} again"
         )
     arrays = _load_arrays(path, envelope.get("array_file"))
     try:

@@ -149,6 +149,8 @@ def _colour_match(session_folder: Path | None, bands: "BandSignals") -> "ColourC
 
 def _say_result(paint: "PaintCalibration", out: Path) -> None:
     """Tell the numbers and how far they can be trusted."""
+    from finray_calib.reports.number_text import pareto_text
+
     say(f"{out}: emission of '{paint.paint_name}' ({paint.family_title})")
     for name, label, unit in (
         ("mode_nm", "mode", " nm"),
@@ -166,6 +168,6 @@ def _say_result(paint: "PaintCalibration", out: Path) -> None:
     say(f"  {'Stokes shift':26s} {stokes.estimate:.0f} [{stokes.low95:.0f}, {stokes.high95:.0f}] nm (95 %{belief})")
     say(f"  family: {paint.family_choice}")
     trust = "trusted" if paint.diagnostics.trusted else "NOT trusted"
-    say(f"  draws: {paint.diagnostics.method}, {trust} (Pareto k {paint.diagnostics.pareto_k:.2f})")
+    say(f"  draws: {paint.diagnostics.method}, {trust} (Pareto k {pareto_text(paint.diagnostics.pareto_k)})")
     for warning in paint.warnings:
         say(f"  warning: {warning}")

@@ -137,9 +137,15 @@ def _diagnostics(paint: PaintCalibration) -> "Dataset":
             for name, values in per_parameter.items()
         },
         coords={"parameter": list(paint.sampled)},
-        # netCDF attributes know no booleans
-        attrs={key: int(value) if isinstance(value, bool) else value for key, value in single.items()},
+        attrs={key: _attribute(value) for key, value in single.items()},
     )
+
+
+def _attribute(value: Any) -> Any:
+    """Return a value as netCDF attributes know it: no booleans, NaN for what could not be estimated."""
+    if value is None:
+        return np.nan
+    return int(value) if isinstance(value, bool) else value
 
 
 def _curves(paint: PaintCalibration, spectra: PaintSpectra) -> "Dataset":

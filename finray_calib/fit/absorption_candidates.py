@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from data_schemas.errors import FitError
 from finray_calib.fit.absorption_prior import AbsorptionPrior
 from finray_calib.spectra.absorption import absorptance, smooth_covariance
 
@@ -142,6 +143,11 @@ def draw_candidates(
         Prior of shift and shape.
     rng
         Source of all randomness.
+
+    Raises
+    ------
+    FitError
+        No shape agrees with the yields and an emission maximum.
     """
     share = counts / counts.sum()
     shift_nm, shape = prior.draw(CANDIDATES, rng)
@@ -152,6 +158,13 @@ def draw_candidates(
     density = prior.stokes_density(modes_nm[:, None] - peak_nm)
     weight = density / (share @ density) * np.exp(log_likelihood - log_likelihood.max())
     cumulated = np.cumsum(weight, axis=1)
+    lost = cumulated[:, -1] == 0
+    if lost.any():
+        raise FitError(
+            f"absorption: none of {CANDIDATES} shapes of the prior agrees with the yields under the lights and an "
+            f"emission maximum at {modes_nm[lost][0]:g} nm; check the other lights' sessions (same paint, laser power) "
+            "or leave them out"
+        )
     mean = share @ weight
     effective = int(mean.sum() ** 2 / (mean**2).sum())
     return Candidates(columns, at_lights, cumulated / cumulated[:, -1:], effective)

@@ -29,11 +29,8 @@ from finray_calib.spectra.skew_cauchy import from_mode_parameters
 Floats = NDArray[np.float64]
 
 SMALLEST_P: Final = 0.01
-LARGEST_SHARE_BELOW_LASER: Final = 0.05
 LARGEST_CHAIN_SHIFT_SD: Final = 0.25
 """A mean of 400 effective draws moves by 0.05 sd; five times that is no longer chance."""
-
-_CLOSE_MAXIMA_NATS: Final = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,13 +136,13 @@ def families(
                 quantities={key: estimate(draws) for key, draws in _quantities(posterior).items()},
                 ln_evidence=sample.ln_evidence,
                 ln_evidence_sd=sample.ln_evidence_sd,
-                probability=score.probability if score else 0.0,
+                probability=score.probability if score else None,
                 left_out_bands=left_out.total if left_out else None,
                 left_out_bands_sd=score.difference_sd if score else None,
-                left_out_pareto_k=float(np.nanmax(left_out.pareto_k)) if left_out else None,
+                left_out_pareto_k=_finite(np.nanmax(left_out.pareto_k)) if left_out else None,
                 chi_square=posterior.bands.total_chi2,
                 method=posterior.sampling.method,
-                pareto_k=sample.pareto_k,
+                pareto_k=_finite(sample.pareto_k),
             )
         )
     return tuple(results)
@@ -169,46 +166,25 @@ def residuals(bands: BandSignals, posterior: EmissionPosterior) -> tuple[BandRes
     )
 
 
+def _finite(pareto_k: float) -> float | None:
+    """Return a shape of weights, None where it cannot be estimated."""
+    return float(pareto_k) if np.isfinite(pareto_k) else None
+
+
 def diagnostics(posterior: EmissionPosterior, check: ChainCheck | None) -> Diagnostics:
-    """Return the record of how far the draws can be trusted."""
+    """Return the record of how far the draws can be trusted; emcee that made them counts as no check of its own."""
     sampling = posterior.sampling
     chain, effective = check, sampling.sample.effective
     if sampling.chain is not None:
         effective = float(sampling.chain.bulk_ess.min())
-        names = posterior.log_posterior.prior.names
-        chain = chain or chain_record(names, sampling.chain, np.zeros(len(names)))
+        chain = chain_record(posterior.log_posterior.prior.names, sampling.chain, None)
     return Diagnostics(
         method=posterior.sampling.method,
         trusted=sampling.trusted,
-        pareto_k=sampling.sample.pareto_k,
+        pareto_k=_finite(sampling.sample.pareto_k),
         effective_samples=effective,
         ln_evidence=sampling.sample.ln_evidence,
         ln_evidence_sd=sampling.sample.ln_evidence_sd,
         maxima=tuple(float(v) for v in posterior.maxima.log_posterior),
         chain=chain,
     )
-
-
-def warnings(
-    posterior: EmissionPosterior, bands: tuple[BandResidual, ...], check: ChainCheck | None
-) -> tuple[str, ...]:
-    """Say what a reader of the numbers must know."""
-    said = []
-    bad = [r.filter_name for r in bands if not r.explained]
-    if bad:
-        said.append(
-            f"the model cannot explain filter{'s' if len(bad) > 1 else ''} {', '.join(bad)} (posterior predictive p < "
-            f"{SMALLEST_P:g}): check these frames; the intervals are too narrow"
-        )
-    maxima = posterior.maxima.log_posterior
-    if len(maxima) > 1 and maxima[0] - maxima[1] < _CLOSE_MAXIMA_NATS:
-        modes = ", ".join(f"{theta[0]:.0f}" for theta in posterior.maxima.theta)
-        said.append(f"the bands leave an ambiguity: {len(maxima)} maxima of the posterior, modes at {modes} nm")
-    if not posterior.sampling.trusted:
-        said.append("the sampling cannot be trusted: neither importance sampling nor emcee converged")
-    if check is not None and max(map(abs, check.mean_shift_sd.values())) > LARGEST_CHAIN_SHIFT_SD:
-        said.append("emcee disagrees with the stored draws: do not quote the intervals")
-    below = float(np.median(posterior.share_below_laser))
-    if below > LARGEST_SHARE_BELOW_LASER:
-        said.append(f"{below:.0%} of the fitted curve lies below the laser line, where no paint can emit; it was cut")
-    return tuple(said)

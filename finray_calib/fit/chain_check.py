@@ -30,8 +30,8 @@ def check_by_chain(posterior: EmissionPosterior, settings: SamplerSettings, rng:
     return chain_record(posterior.log_posterior.prior.names, diagnostics, apart)
 
 
-def chain_record(names: Sequence[str], chain: ChainDiagnostics, mean_shift_sd: FloatArray) -> ChainCheck:
-    """Return the record of a chain's diagnostics."""
+def chain_record(names: Sequence[str], chain: ChainDiagnostics, mean_shift_sd: FloatArray | None) -> ChainCheck:
+    """Return the record of a chain's diagnostics; without shifts where the chain itself made the draws."""
 
     def by_name(values: FloatArray) -> dict[str, float]:
         return dict(zip(names, map(float, values), strict=True))
@@ -44,5 +44,5 @@ def chain_record(names: Sequence[str], chain: ChainDiagnostics, mean_shift_sd: F
         autocorrelation_time=by_name(chain.autocorrelation_steps),
         r_hat=by_name(chain.r_hat),
         effective_samples=by_name(chain.bulk_ess),
-        mean_shift_sd=by_name(mean_shift_sd),
+        mean_shift_sd={} if mean_shift_sd is None else by_name(mean_shift_sd),
     )

@@ -40,6 +40,11 @@ class Discrepancy:
         Standard deviation r of the re-absorbed fraction at the blue edge.
     origin
         Where the numbers come from.
+
+    Raises
+    ------
+    FitError
+        When a number is out of its range.
     """
 
     amplitude_rel: float
@@ -49,8 +54,9 @@ class Discrepancy:
     origin: str
 
     def __post_init__(self) -> None:
-        if not (0 <= self.amplitude_rel < 1 and 0 <= self.floor_rel < 1 and 0 <= self.reabsorption_rel < 1):
-            raise FitError("discrepancy: amplitude, floor and re-absorption are shares of 0 or more and below 1")
+        for name in ("amplitude_rel", "floor_rel", "reabsorption_rel"):
+            if not 0 <= getattr(self, name) < 1:
+                raise FitError(f"discrepancy: {name} {getattr(self, name):g} must be a share of 0 or more and below 1")
         if not 2 <= self.length_nm <= 200:
             raise FitError(f"discrepancy: length_nm {self.length_nm:g} nm must lie between 2 and 200 nm")
 

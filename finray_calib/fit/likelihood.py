@@ -20,6 +20,7 @@ FloatArray = NDArray[np.float64]
 LEAST_BANDS = 4
 """Fewest bands with a usable channel: a mode, a width, a skewness and a height need as many."""
 
+_ASYMMETRY_REL = 1e-6  # of the two standard deviations: far above rounding, far below what a fit could feel
 _HESSIAN_STEP = 1e-3  # in prior standard deviations: truncation 1e-6, rounding 1e-9 of the curvature
 _CLIMB_STEPS = 60
 _LENGTHS_APART = 4.0  # bands further apart than four correlation lengths share no discrepancy (e^-8)
@@ -82,7 +83,7 @@ class BandData:
             )
         kept = self.usable.ravel()
         measured = self.covariance[np.ix_(kept, kept)]
-        if not (np.isfinite(measured).all() and np.allclose(measured, measured.T, rtol=1e-6, atol=0.0)):
+        if not (np.isfinite(measured).all() and _is_symmetric(measured)):
             raise FitError("band data: the covariance must be finite and symmetric over the usable entries")
         try:
             np.linalg.cholesky(measured)
@@ -138,6 +139,12 @@ class Reference:
     curve: FloatArray
     reflected_laser: float
     blocking: float
+
+
+def _is_symmetric(covariance: FloatArray) -> bool:
+    """Whether C_ij and C_ji agree, relative to sqrt(C_ii C_jj)."""
+    sd = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    return bool((np.abs(covariance - covariance.T) <= _ASYMMETRY_REL * np.outer(sd, sd)).all())
 
 
 class LogPosterior:
@@ -221,6 +228,13 @@ class LogPosterior:
         return np.asarray(scaled / np.outer(prior.sd, prior.sd))
 
 
+def _leak_mean(data: BandData) -> FloatArray:
+    """Return mean over median of each usable row's leak, (K,): a log-normal's mean lies above its median."""
+    if data.tolerances is None:
+        return np.ones(data.kept.size)
+    return np.asarray(np.exp(data.tolerances.blocking_sd[data.kept] ** 2 / 2))
+
+
 def _problem(posterior: LogPosterior) -> Problem:
     """Return the arrays of the compiled functions."""
     data, prior, discrepancy = posterior.data, posterior.prior, posterior.discrepancy
@@ -245,6 +259,7 @@ def _problem(posterior: LogPosterior) -> Problem:
         nodes_nm=np.ascontiguousarray(rule.nodes_nm),
         grid_nm=np.ascontiguousarray(rule.grid_nm),
         laser=weights.reflected_laser[kept],
+        leak_mean=_leak_mean(data),
         y=data.y.ravel()[kept],
         covariance=covariance,
         whiten=np.ascontiguousarray(np.linalg.inv(factor)),

@@ -63,18 +63,24 @@ def calibration_columns(y: FloatArray, weights: EmissionWeights, band_calibratio
 def tolerance_columns(
     curve: FloatArray, reflected_laser: float, blocking: float, weights: EmissionWeights, tolerances: BandTolerances
 ) -> FloatArray:
-    """Return the columns of the filters' blocking, centre and width, (N, 3 B), for one reference curve (L,)."""
+    """Return the columns of the filters' blocking, centre, width and curvature of the blocking, (N, 4 B).
+
+    At one reference curve (L,).
+    """
     mu = band_values(curve[None], np.array([reflected_laser]), weights, blocking)[0]
     leaked = weights.leaked_emission @ curve + reflected_laser * weights.leaked_laser
     white = 1 + (blocking - 1) * weights.leaked_white
     slope = blocking * (leaked - mu * weights.leaked_white) / white  # d mu / d ln(leak of the row's filter)
-    columns = [_per_band(tolerances.blocking_sd * slope, weights)]
+    sd = tolerances.blocking_sd
+    columns = [_per_band(sd * slope, weights)]
     excitation = int(weights.band_index[np.argmax(weights.is_excitation)])
     for kind in range(2):
         own = tolerances.emission_shift[kind] @ curve + reflected_laser * tolerances.laser_shift[kind]
         moved = _per_band(own, weights)
         moved[:, excitation] -= tolerances.level_shift[kind] * mu
         columns.append(moved)
+    # the leak is log-normal: what is left of it beside its mean and its linear part has this standard deviation
+    columns.append(_per_band(sd**2 / np.sqrt(2) * slope, weights))
     return np.concatenate(columns, axis=1)
 
 

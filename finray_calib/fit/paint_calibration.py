@@ -1,6 +1,6 @@
 """From band signals to the stored paint calibration."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
@@ -9,20 +9,21 @@ from numpy.typing import NDArray
 
 from data_schemas.colour_checker import ColourCheckerMatch
 from data_schemas.curves import HELD_UNCERTAINTY_REL, SpectralCurve
-from data_schemas.errors import FitError
 from data_schemas.estimate import Estimate
 from data_schemas.fit import PaintCalibration
 from data_schemas.radiometry import BandSignals
 from data_schemas.reradiation import Reradiation
 from finray_calib.fit import calibration_records as records
-from finray_calib.fit.absorption_fit import ExcitationYield, fit_absorption
+from finray_calib.fit.absorption_fit import fit_absorption
 from finray_calib.fit.absorption_prior import AbsorptionPrior
+from finray_calib.fit.calibration_warnings import absorption_warnings, fit_warnings, signal_warnings
 from finray_calib.fit.chain_check import check_by_chain
 from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY, Discrepancy
 from finray_calib.fit.emission import EmissionPosterior, FitSettings, fit_emission
 from finray_calib.fit.family_choice import DEFAULT_FAMILY, choose_family, score_families
 from finray_calib.fit.leave_one_band_out import leave_one_band_out
 from finray_calib.fit.likelihood import BandData
+from finray_calib.fit.other_lights import excitation_yields, refuse_unfit_lights
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.fit.reflectance import METHOD, reflectance
 from finray_calib.spectra.band_tolerances import tolerances_of
@@ -37,10 +38,12 @@ BAND_CALIBRATION_REL: Final = 0.01
 # camera and enclosure. Without them a tail of a thousandth of the peak would be trusted to a hundredth of itself.
 CHANNEL_RESPONSE_REL: Final = 0.003
 STRAY_LIGHT_REL: Final = 0.003
+# Where more of a channel's white signal is leak, the channel measures the filter's blocking and not its band: a floor
+# that is nowhere as flat as its optical density says.
+LARGEST_LEAK_OF_WHITE: Final = 0.1
 PAPER_FAMILY: Final = "zheng2014"
 PRIOR_DRAWS: Final = 2000
 CURVE_DRAWS: Final = 400
-_ABOVE_EXCITATION_NM: Final = 20.0  # emission is compared between lights only beyond the longest light's own line
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,12 +96,13 @@ def calibrate_paint(
     Raises
     ------
     FitError
-        Fewer than four usable bands, values that are not numbers, an unknown family, or another light at the same
-        wavelength.
+        Fewer than four usable bands, values that are not numbers, an unknown family, or another light of another
+        paint, at the same wavelength, or too dim to constrain the absorption.
     """
     options = options or FitOptions()
     if options.family is not None:
         family_named(options.family)
+    refuse_unfit_lights(bands, other_lights)
     rng = np.random.default_rng(seed)
     data = band_data(bands)
     posteriors = {name: _fit(data, name, options.discrepancy, options, rng) for name in FAMILIES}
@@ -109,7 +113,8 @@ def calibrate_paint(
         why = f"{options.family}: asked for; the rule would take {why}"
     chosen = options.family or chosen
     posterior, paper = posteriors[chosen], _fit(data, PAPER_FAMILY, NO_DISCREPANCY, options, rng)
-    check = check_by_chain(posterior, options.settings.chain, rng) if options.check_by_emcee else None
+    independent = options.check_by_emcee and posterior.sampling.chain is None
+    check = check_by_chain(posterior, options.settings.chain, rng) if independent else None
     curve = records.curve_bands(posterior.curve_draws.curves)
     at_laser = records.estimate(posterior.reflectance_at_laser)
     reflected = reflectance(bands, curve.mean, at_laser) if colour_match is None else colour_match.at_filters
@@ -117,7 +122,7 @@ def calibrate_paint(
     reradiation = _reradiation(bands, drawn, reflected, [_yields(b, chosen, options, rng) for b in other_lights], rng)
     mean_reflected, sd_reflected = _reflected_curve(bands, reflected), _reflected_curve(bands, reflected, "sd")
     diffuse = reradiation_matrix(drawn, WAVELENGTH_NM, reradiation, mean_reflected, bands.paint_name, sd_reflected)
-    residuals = records.residuals(bands, posterior)
+    residuals, measured_sd = records.residuals(bands, posterior), np.sqrt(np.diag(data.covariance)).reshape(-1, 3)
     others = {**posteriors, f"{PAPER_FAMILY} alone": paper}
     shown = [records.curve_bands(p.curve_draws.curves) for p in others.values()]
     prior = posterior.log_posterior.prior
@@ -153,16 +158,21 @@ def calibrate_paint(
         colour_match=colour_match,
         reradiation=reradiation,
         optics=bands.optics,
-        usable=bands.usable(),
+        usable=data.usable,
         measured=bands.fluorescence,
-        measured_sd=np.sqrt(np.diag(data.covariance)).reshape(-1, 3),
+        measured_sd=measured_sd,
         predicted=posterior.bands.predicted_mean,
         predicted_sd=posterior.bands.predicted_sd,
         bands=residuals,
         chi_square=posterior.bands.total_chi2,
-        degrees_of_freedom=data.kept.size - prior.size,
+        usable_values=data.kept.size,
         diagnostics=records.diagnostics(posterior, check),
-        warnings=(*records.warnings(posterior, residuals, check), *diffuse.warnings),
+        warnings=(
+            *signal_warnings(bands, measured_sd),
+            *fit_warnings(posterior, residuals, check, options.check_by_emcee),
+            *absorption_warnings(reradiation),
+            *diffuse.warnings,
+        ),
     )
 
 
@@ -174,11 +184,13 @@ def band_data(bands: BandSignals) -> BandData:
     FitError
         Fewer than four usable bands, or values that are not numbers.
     """
+    weights = weights_of(bands.optics, bands.channel_weights)
+    in_band = weights.leaked_white.reshape(-1, 3) <= LARGEST_LEAK_OF_WHITE
     return BandData(
         y=bands.fluorescence,
         covariance=bands.fluorescence_covariance + _channel_covariance(bands),
-        usable=bands.usable(),
-        weights=weights_of(bands.optics, bands.channel_weights),
+        usable=bands.usable() & in_band,
+        weights=weights,
         band_calibration_rel=BAND_CALIBRATION_REL,
         tolerances=tolerances_of(bands.optics, bands.channel_weights),
     )
@@ -198,7 +210,7 @@ def _channel_covariance(bands: BandSignals) -> Floats:
     band's weight carries a relative uncertainty of 0.5.
     """
     y, usable = bands.fluorescence, bands.usable()
-    emission = usable & np.array([[f.name != bands.optics.excitation_filter] for f in bands.optics.filters])
+    emission = usable & ~bands.at_excitation()[:, None]
     brightest = float(np.abs(y[emission]).max()) if emission.any() else 0.0
     relative = np.hypot(CHANNEL_RESPONSE_REL, HELD_UNCERTAINTY_REL * held_shares(bands.optics))
     return np.diag(((relative * y) ** 2 + (STRAY_LIGHT_REL * brightest) ** 2).ravel())
@@ -222,17 +234,7 @@ def _reradiation(
 ) -> Reradiation:
     """Return the absorption: prior-driven with one light, constrained by the yields of several."""
     laser_nm = bands.optics.laser.wavelength_nm
-    counted_nm = max([laser_nm, *(nm for nm, _ in lights)]) + _ABOVE_EXCITATION_NM
-    every: Mapping[float, Floats] = {laser_nm: drawn, **{nm: p.curve_draws.curves for nm, p in lights}}
-    if len(every) != 1 + len(lights):
-        raise FitError(
-            f"other lights: two sessions have the same excitation ({', '.join(f'{nm:g}' for nm, _ in lights)} nm and "
-            f"the first at {laser_nm:g} nm); give one session per light"
-        )
-    yields = []
-    for nm, curves in every.items():
-        area = curves[:, counted_nm <= WAVELENGTH_NM].sum(axis=1)
-        yields.append(ExcitationYield(nm, float(area.mean()), float(np.clip(area.std() / area.mean(), 1e-4, 0.5))))
+    yields = excitation_yields({laser_nm: drawn, **{nm: p.curve_draws.curves for nm, p in lights}})
     least = _reflected_curve(bands, reflected, "low95")
     return fit_absorption(drawn, WAVELENGTH_NM, laser_nm, yields, AbsorptionPrior(), rng, least)
 

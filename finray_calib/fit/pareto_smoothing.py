@@ -14,11 +14,12 @@ LARGEST_PARETO_K: Final = 0.7
 _FEWEST_IN_TAIL = 5
 _PRIOR_COUNT = 10  # of the weak prior on the shape: k is shrunk towards 0.5 as if by ten draws
 _PRIOR_SHAPE = 0.5
+_EQUAL_NATS = 1e-9  # rounding of log densities: weights closer together than this are equal
 
 
 @dataclass(frozen=True, slots=True)
 class SmoothedWeights:
-    """Normalised weights (n,) and the shape k of the tail of the raw ones."""
+    """Normalised weights (n,) and the shape k of the tail of the raw ones, infinite where it cannot be estimated."""
 
     weight: FloatArray
     pareto_k: float
@@ -33,6 +34,7 @@ def smooth_weights(ln_weight: FloatArray) -> SmoothedWeights:
     """Return importance weights whose largest are replaced by quantiles of a fitted generalised Pareto tail.
 
     The tail holds the min(n / 5, 3 sqrt(n)) largest weights; a smoothed weight is never above the largest raw one.
+    Equal largest weights have no tail: k is 0. Of fewer than five different ones k is infinite.
 
     Parameters
     ----------
@@ -50,8 +52,9 @@ def smooth_weights(ln_weight: FloatArray) -> SmoothedWeights:
     cut = max(shifted[order[-count - 1]], np.log(np.finfo(float).tiny))
     tail = order[-count:]
     tail = tail[shifted[tail] > cut]
-    k = np.inf
-    if len(tail) >= _FEWEST_IN_TAIL:
+    equal = cut > -_EQUAL_NATS
+    k = 0.0 if equal else np.inf
+    if not equal and len(tail) >= _FEWEST_IN_TAIL:
         k, scale = fit_pareto_tail(np.exp(shifted[tail]) - np.exp(cut))
         if np.isfinite(k):
             p = (np.arange(len(tail)) + 0.5) / len(tail)

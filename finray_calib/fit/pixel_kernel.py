@@ -25,10 +25,11 @@ these that is the scatter of the estimate by noise alone (the rest is what the p
 
 NOT_FITTED, NOT_CONVERGED, CONVERGED = 0, 1, 2
 
-_MOST_STEPS = 40
+_MOST_STEPS = 60
 _NEAR, _CLOSE = 0.01, 1e-6  # squared distances in standard deviations: 0.1 and 0.001
+_STALE = 1e-3  # the leak is expanded anew after 0.03 of the prior's standard deviations
 _BEST_RATE = 0.01  # of the squared distance from step to step that is believed: one lucky step says little
-_FIRST_DAMPING, _LEAST_DAMPING = 0.1, 1e-2
+_FIRST_DAMPING, _LEAST_DAMPING = 0.03, 1e-2
 _LOWEST_SCALE = 0.05  # of the starting height: a pixel without signal starts at a twentieth of the region's
 
 
@@ -225,6 +226,15 @@ def _region_bands(p: PixelProblem, w: PixelWork) -> None:
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _is_stale(p: PixelProblem, w: PixelWork) -> bool:
+    """Return whether the curve has left the place about which the leak was expanded."""
+    off = 0.0
+    for j in (0, 1, 3):
+        off += (w.theta[j] - w.about[j]) ** 2 * p.precision[j]
+    return off > _STALE
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def fit_pixel(p: PixelProblem, c: int, w: PixelWork) -> tuple[float, bool]:
     """Move w.theta to the maximum of the posterior of the pixel in w.y; leave the normal matrix there.
 
@@ -237,26 +247,31 @@ def fit_pixel(p: PixelProblem, c: int, w: PixelWork) -> tuple[float, bool]:
         Chi-square plus the prior's square sum, and whether the steps ended.
     """
     _start(p, c, w)
-    cost, damping, expanded, converged, before = pixel_cost(p, c, w.theta, w), 0.0, False, False, math.inf
+    cost, damping, converged, before = pixel_cost(p, c, w.theta, w), 0.0, False, math.inf
     _fill_normal(p, w)
     for _ in range(_MOST_STEPS):
-        _factorise(w, damping)
-        promised = _solve(w.factor, w.gradient, w.step)
-        converged = expanded and promised * min(max(promised / before, _BEST_RATE), 1.0) < _CLOSE
+        renewed = False
+        _factorise(w, 0.0)
+        distance = promised = _solve(w.factor, w.gradient, w.step)
+        if damping > 0:
+            _factorise(w, damping)
+            promised = _solve(w.factor, w.gradient, w.step)
+        near = distance * min(max(distance / before, _BEST_RATE), 1.0) < _CLOSE
         for j in range(PARAMETERS):
             limit = p.longest_step[j]
             w.moved[j] = w.theta[j] - min(max(w.step[j], -limit), limit)
         w.moved[3] = min(max(w.moved[3], p.low), p.high)
-        renew = not expanded and promised < _NEAR
-        if renew:
-            w.about[:] = w.moved
-            _expand_floor(p, c, w.about, w, w.floor)
-            expanded = True
         trial = pixel_cost(p, c, w.moved, w)
         gain = cost - trial
-        if gain >= 0 or renew:
-            w.theta[:], cost, before = w.moved, trial, promised
+        if gain >= 0:
+            w.theta[:], cost, before = w.moved, trial, distance
+            renewed = distance < _NEAR and _is_stale(p, w)
+            if renewed:
+                w.about[:] = w.theta
+                _expand_floor(p, c, w.about, w, w.floor)
+                cost = pixel_cost(p, c, w.theta, w)
             _fill_normal(p, w)
+        converged = near and not renewed
         if converged:
             break
         if gain < 0.5 * promised:

@@ -40,6 +40,7 @@ class Problem(NamedTuple):
     laser: FloatArray  # (K,)
     leaked_laser: FloatArray  # (K,)
     leaked_white: FloatArray  # (K,)
+    leak_mean: FloatArray  # (K,) mean over median of the row's own leak
     y: FloatArray  # (K,)
     covariance: FloatArray  # (K, K) measurement and imperfections
     whiten: FloatArray  # (K, K) inverse Cholesky factor of the covariance
@@ -96,9 +97,10 @@ def predict(p: Problem, theta: FloatArray, w: Work) -> None:
         fill(p.family, c, p.nodes_nm[b], at_nodes[b])
     fill(p.family, c, p.grid_nm, at_grid)
     rho = math.exp(theta[p.shapes])
-    more = math.expm1(theta[p.shapes + 1]) if p.has_blocking else 0.0
+    blocking = math.exp(theta[p.shapes + 1]) if p.has_blocking else 1.0
     for i in range(len(p.y)):
         b, emitted, leaked = p.band[i], 0.0, 0.0
+        more = blocking * p.leak_mean[i] - 1
         for q in range(NODES):
             emitted += p.in_band[i, q] * at_nodes[b, q]
         for g in range(len(at_grid)):

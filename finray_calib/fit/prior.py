@@ -1,6 +1,6 @@
 """What is believed about a fluorescent paint before its bands are measured."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Self
 
@@ -95,7 +95,7 @@ class EmissionPrior:
     Raises
     ------
     FitError
-        When a width or median is not positive or the truncation is empty.
+        When a number is not finite, a standard deviation or median is not positive, or the truncation is empty.
     """
 
     mode_mean_nm: float = 560.0
@@ -108,13 +108,15 @@ class EmissionPrior:
     ln_peak_sd: float = 1.2
     reflected_laser_median: float = 0.1
     ln_reflected_laser_sd: float = 1.5
-    ln_blocking_sd: float = 1.0
+    ln_blocking_sd: float = 0.5
 
     def __post_init__(self) -> None:
-        medians = (self.fwhm_median_nm, self.peak_median_per_nm, self.reflected_laser_median)
-        sds = (self.mode_sd_nm, self.ln_fwhm_sd, self.ln_peak_sd, self.ln_reflected_laser_sd, self.ln_blocking_sd)
-        if not all(value > 0 for value in (*medians, *sds)):
-            raise FitError("emission prior: every median and standard deviation must be positive")
+        for name in (field.name for field in fields(self)):
+            value = getattr(self, name)
+            if not np.isfinite(value):
+                raise FitError(f"emission prior: {name} is {value:g}; must be a finite number")
+            if ("_sd" in name or "_median" in name) and value <= 0:
+                raise FitError(f"emission prior: {name} {value:g} must be positive")
         if not self.mode_low_nm < self.mode_high_nm:
             raise FitError(
                 f"emission prior: mode_low_nm {self.mode_low_nm:g} nm must be below "

@@ -21,6 +21,9 @@ from finray_calib.fit.mixture_proposal import tempered_weights
 FloatArray = NDArray[np.float64]
 LogDensity = Callable[[FloatArray], FloatArray]
 
+LEAST_WALKERS = 16
+"""Twice the parameters of the largest model: a mixture of two components with reflected laser and blocking has 8."""
+
 _DISCARDED_SHARE = 0.3
 _CANDIDATES_PER_WALKER = 40
 
@@ -42,7 +45,7 @@ class SamplerSettings:
     Attributes
     ----------
     walkers
-        Number of walkers, even and at least twice the number of parameters.
+        Number of walkers, even and at least twice the number of parameters of the largest model.
     block_steps
         Steps before the first convergence check.
     most_steps
@@ -68,8 +71,11 @@ class SamplerSettings:
     kept_draws: int = 4000
 
     def __post_init__(self) -> None:
-        if self.walkers < 12 or self.walkers % 2:
-            raise FitError(f"sampler: {self.walkers} walkers; must be an even number of at least 12")
+        if self.walkers < LEAST_WALKERS or self.walkers % 2:
+            raise FitError(
+                f"sampler: {self.walkers} walkers; must be an even number of at least {LEAST_WALKERS}, twice the "
+                "parameters of the largest model"
+            )
         if not 100 <= self.block_steps <= self.most_steps:
             raise FitError(
                 f"sampler: block_steps {self.block_steps} must be at least 100 and at most most_steps {self.most_steps}"

@@ -8,7 +8,7 @@ from finray_calib.fit.importance import FEWEST_EFFECTIVE
 from finray_calib.fit.pareto_smoothing import LARGEST_PARETO_K
 from finray_calib.reports.curve_agreement import CurveAgreement, curve_agreement, paper_agreement
 from finray_calib.reports.fitted_paint import FittedPaint, PaintTruth
-from finray_calib.reports.number_text import estimate_text, fixed, percent, probability
+from finray_calib.reports.number_text import estimate_text, fixed, pareto_text, percent, probability
 
 GOOD_COVERAGE = 0.80
 """A 95 % band that holds less of the curve than this is called too narrow."""
@@ -96,11 +96,11 @@ def family_statement(paint: FittedPaint) -> str:
     text = paint.fit.family_choice
     for family in paint.competing:
         text = text.replace(family.name, family.title)
-    remark = ""
-    if paint.chosen.probability < IMPROBABLE:
+    remark, chance = "", paint.chosen.probability
+    if chance is not None and chance < IMPROBABLE:
         remark = (
             f" By these bands alone the reported family is unlikely (probability "
-            f"{probability(paint.chosen.probability)}): its discrepancy had to do part of its work."
+            f"{probability(chance)}): its discrepancy had to do part of its work."
         )
     return f"{paint.titled(text)}.{remark} {_spread(paint)}"
 
@@ -153,8 +153,8 @@ def chain_disagrees(chain: ChainCheck) -> bool:
 
 
 def largest_shift_sd(chain: ChainCheck) -> float:
-    """Return the largest difference of a mean to the stored draws, in posterior standard deviations."""
-    return max(map(abs, chain.mean_shift_sd.values()))
+    """Return the largest difference of a mean to the draws, in posterior standard deviations; 0 where it made them."""
+    return max(map(abs, chain.mean_shift_sd.values()), default=0.0)
 
 
 def is_trusted(diagnostics: Diagnostics) -> bool:
@@ -169,10 +169,10 @@ def sampling_statement(diagnostics: Diagnostics) -> str:
     maxima = len(diagnostics.maxima)
     found = "one maximum of the posterior" if maxima == 1 else f"{maxima} maxima of the posterior"
     if diagnostics.method == "emcee":
-        taken = f"draws by emcee, after importance sampling failed (Pareto k {fixed(diagnostics.pareto_k, 2)})"
+        taken = f"draws by emcee, after importance sampling failed (Pareto k {pareto_text(diagnostics.pareto_k)})"
         return f"{taken}: {trust}; {_chain_text(diagnostics.chain)}; {found}." if diagnostics.chain else f"{taken}."
     own = (
-        f"draws by {diagnostics.method}, {trust}: Pareto k {fixed(diagnostics.pareto_k, 2)} (at most "
+        f"draws by {diagnostics.method}, {trust}: Pareto k {pareto_text(diagnostics.pareto_k)} (at most "
         f"{LARGEST_PARETO_K:g} wanted), {diagnostics.effective_samples:.0f} effective draws (at least "
         f"{FEWEST_EFFECTIVE:.0f} wanted); {found}."
     )

@@ -37,7 +37,7 @@ def fit_summary(paint: FittedPaint) -> Json:
         "prior": dict(fit.prior),
         "prior_sensitivity": {name: shift.model_dump() for name, shift in fit.prior_sensitivity.items()},
         "chi_square": fit.chi_square,
-        "degrees_of_freedom": fit.degrees_of_freedom,
+        "usable_values": fit.usable_values,
         "chi_square_per_band": {band.filter_name: band.chi_square for band in fit.bands},
         "bands": [band.model_dump(mode="json") for band in fit.bands],
         "band_integrals_per_nm": _estimates(dict(zip(by_filter, fit.band_integrals, strict=True))),

@@ -7,7 +7,7 @@ from finray_calib.fit.diagnostics import LARGEST_R_HAT, SMALLEST_EFFECTIVE_SAMPL
 from finray_calib.fit.pareto_smoothing import LARGEST_PARETO_K
 from finray_calib.reports.fit_statements import holds
 from finray_calib.reports.fitted_paint import FittedPaint
-from finray_calib.reports.number_text import estimate_text, fixed, percent, probability, significant
+from finray_calib.reports.number_text import estimate_text, fixed, pareto_text, percent, probability, significant
 from finray_calib.reports.report_tables import ReportTable, TableGroup, one_group
 
 PER_THOUSAND = "10\u207b\u00b3/nm"
@@ -90,12 +90,11 @@ def families_table(paint: FittedPaint) -> ReportTable:
 
 def _family_cells(family: FamilyResult) -> tuple[str, ...]:
     """Return the cells of one family."""
-    competes = family.left_out_bands is not None
     return (
         *(estimate_text(family.quantities[name]) for name in ("mode_nm", "fwhm_nm", "skew")),
         estimate_text(family.quantities["energy_yield"], "", 1e2),
         fixed(family.ln_evidence, 1),
-        probability(family.probability) if competes else NONE,
+        NONE if family.probability is None else probability(family.probability),
         _left_out(family),
     )
 
@@ -107,7 +106,7 @@ def _left_out(family: FamilyResult) -> str:
     text = fixed(family.left_out_bands, 1)
     if family.left_out_bands_sd:
         text += f" \u00b1 {fixed(family.left_out_bands_sd, 1)}"
-    rough = family.left_out_pareto_k is not None and family.left_out_pareto_k > LARGEST_PARETO_K
+    rough = family.left_out_pareto_k is None or family.left_out_pareto_k > LARGEST_PARETO_K
     return f"\u2248 {text}" if rough else text
 
 
@@ -122,15 +121,10 @@ def bands_table(paint: FittedPaint) -> ReportTable:
         )
         for band, emission in zip(fit.bands, fit.band_integrals, strict=True)
     ]
-    rows.append(("all bands", fixed(fit.chi_square, 1), _freedom(paint), "", "", "", ""))
+    rows.append(("all bands", fixed(fit.chi_square, 1), str(fit.usable_values), "", "", "", ""))
     columns = ("filter", "chi-square", "values", "predictive p", "explained", "calibration pull (sd)")
     caption = "how well the fit explains each band, and the emission in it"
     return one_group(paint.titled(caption), (*columns, f"emission ({PER_THOUSAND})"), rows)
-
-
-def _freedom(paint: FittedPaint) -> str:
-    """Return how many values enter."""
-    return str(int(paint.fit.usable.sum()))
 
 
 def _band_cells(band: BandResidual) -> tuple[str, ...]:
@@ -185,7 +179,7 @@ def sampling_table(paint: FittedPaint) -> ReportTable:
     rows = [
         ("method", told.method),
         ("trusted", "yes" if told.trusted else "NO"),
-        ("Pareto k of the weights", fixed(told.pareto_k, 2)),
+        ("Pareto k of the weights", pareto_text(told.pareto_k)),
         ("effective draws", f"{told.effective_samples:.0f}"),
         ("ln evidence", f"{fixed(told.ln_evidence, 2)} \u00b1 {fixed(told.ln_evidence_sd, 2)}"),
         ("maxima, log posterior", ", ".join(fixed(value, 1) for value in told.maxima)),
@@ -212,7 +206,7 @@ def chain_table(paint: FittedPaint) -> ReportTable | None:
             f"{chain.r_hat[name]:.3f}",
             f"{chain.effective_samples[name]:.0f}",
             significant(chain.autocorrelation_time[name], 2),
-            f"{chain.mean_shift_sd[name]:+.2f}",
+            f"{chain.mean_shift_sd[name]:+.2f}" if chain.mean_shift_sd else NONE,
         )
         for name in paint.fit.sampled
     ]

@@ -70,6 +70,11 @@ def probability(value: float) -> str:
     return "below 0.01" if value < 0.01 else f"{value:.2f}"
 
 
+def pareto_text(k: float | None) -> str:
+    """Return the shape k of importance weights with two decimals; a dash where it cannot be estimated."""
+    return "\u2013" if k is None else fixed(k, 2)
+
+
 def duration(seconds: float) -> str:
     """Return a wall time in seconds or minutes."""
     if seconds >= 120:

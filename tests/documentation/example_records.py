@@ -262,7 +262,7 @@ def _calibration(
         predicted_sd=NOISE_REL * predicted,
         bands=tuple(_residual(f, float(chi[i]), int(bands.usable()[i].sum())) for i, f in enumerate(optics.filters)),
         chi_square=float(chi.sum()),
-        degrees_of_freedom=int(bands.usable().sum()) - 6,
+        usable_values=int(bands.usable().sum()),
         diagnostics=_diagnostics(),
         warnings=("3.1 % of the fitted emission lies below the laser line, where none can be",),
     )
@@ -283,7 +283,9 @@ def _quantities(shape: tuple[float, float, float], energy_yield: float) -> dict[
 def _families(quantities: dict[str, Estimate]) -> tuple[FamilyResult, ...]:
     """Return the paper's family, the reported one, and the paper's without discrepancy."""
 
-    def family(name: str, title: str, with_discrepancy: bool, probability: float, left_out: float | None, sd: float):
+    def family(
+        name: str, title: str, with_discrepancy: bool, probability: float | None, left_out: float | None, sd: float
+    ):
         return FamilyResult(
             name=name,
             title=title,
@@ -303,7 +305,7 @@ def _families(quantities: dict[str, Estimate]) -> tuple[FamilyResult, ...]:
     return (
         family("zheng2014", "skew-Cauchy (the paper's)", True, 0.12, 140.2, 2.1),
         family("log_normal_wavenumber", "log-normal in wavenumber", True, 0.88, 143.5, 0.0),
-        family("zheng2014", "skew-Cauchy (the paper's)", False, 0.0, None, 0.0),
+        family("zheng2014", "skew-Cauchy (the paper's)", False, None, None, 0.0),
     )
 
 

@@ -124,6 +124,14 @@ def test_the_sampling_is_told_with_what_was_wanted() -> None:
     assert said.sampling_statement(without) == "draws by emcee, after importance sampling failed (Pareto k 1.20)."
 
 
+def test_a_shape_of_weights_that_is_unknown_is_a_dash() -> None:
+    unknown = replace(RED, fit=with_diagnostics(RED.fit, pareto_k=None))
+    assert "trusted: Pareto k \u2013 (at most 0.7 wanted)" in said.sampling_statement(unknown.fit.diagnostics)
+    assert cells(sampling_table(unknown))["Pareto k of the weights"] == ("\u2013",)
+    rough = with_fit(RED, families=tuple(f.model_copy(update={"left_out_pareto_k": None}) for f in RED.fit.families))
+    assert cells(families_table(rough))["log-normal in wavenumber (reported)"][-1] == "\u2248 143.5"
+
+
 def test_the_choice_of_family_is_told_in_words_and_with_its_price() -> None:
     told = said.family_statement(RED)
     assert "log-normal in wavenumber 0.88" in told
@@ -192,6 +200,10 @@ def test_the_chain_is_tabled_only_where_emcee_ran() -> None:
     assert cells(table)["filter leak over its nominal value"] == ("1.004", "6350", "8.1", "-0.03")
     alone = replace(RED, fit=with_diagnostics(RED.fit, chain=None))
     assert chain_table(alone) is None
+    own = RED.fit.diagnostics.chain.model_copy(update={"mean_shift_sd": {}})
+    fallback = replace(RED, fit=with_diagnostics(RED.fit, chain=own, method="emcee"))
+    assert cells(chain_table(fallback))["filter leak over its nominal value"][-1] == "\u2013"
+    assert said.is_trusted(fallback.fit.diagnostics)
     assert "walkers, steps" in cells(sampling_table(RED))
     assert "walkers, steps" not in cells(sampling_table(alone))
 

@@ -86,6 +86,12 @@ def test_a_chain_of_emcee_is_kept(paint, spectra, origin, az, tmp_path):
     assert (statistics.attrs["chain_walkers"], statistics.attrs["chain_converged"]) == (32, 0)
 
 
+def test_a_shape_of_weights_that_is_unknown_is_nan(paint, spectra, origin, az, tmp_path):
+    unknown = paint.model_copy(update={"diagnostics": paint.diagnostics.model_copy(update={"pareto_k": None})})
+    (tmp_path / "p.nc").write_bytes(netcdf_bytes(unknown, spectra, origin, np.random.default_rng(1)))
+    assert np.isnan(az.from_netcdf(str(tmp_path / "p.nc")).sample_stats.attrs["pareto_k"])
+
+
 def test_missing_package_is_named(paint, spectra, origin, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5netcdf", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'finray-calib\[netcdf\]'"):

@@ -1,6 +1,7 @@
 """The absorption fit: coverage under its own model, on measured materials, and honesty with one laser."""
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy.stats import binom
 from data_schemas.curve_files import read_donaldson_matrix
 from data_schemas.curves import SpectralCurve
 from data_schemas.errors import FitError
+from finray_calib.fit.absorption_candidates import LightYields, draw_candidates
 from finray_calib.fit.absorption_fit import EXCITATION_NM, ExcitationYield, fit_absorption
 from finray_calib.fit.absorption_prior import AbsorptionPrior
 from finray_calib.spectra.absorption import absorptance, photon_yield, smooth_covariance
@@ -197,6 +199,15 @@ def test_yields_against_the_prior_are_reported():
     result = fit(bells(np.full(200, 560.0)), lines((450, 400, 440, 460, 500), (1, 9, 0.1, 9, 0.1), 0.01), 7)
     assert result.distinct_shapes < 50
     assert "the yields contradict the prior" in result.statement
+
+
+def test_yields_that_no_shape_of_an_emission_maximum_gives_are_refused():
+    """Only one shape is likely, and it absorbs some 35 nm below 600 nm: an emission at 500 nm would gain energy."""
+    nobody = SimpleNamespace(log_likelihood=lambda residual: np.where(np.arange(len(residual)) == 0, 0.0, -np.inf))
+    lights = LightYields(LASER_NM, np.array([470.0]), np.zeros(1), np.array([0.03, 0.03]))
+    modes_nm, counts = np.array([600.0, 500.0]), np.array([999, 1])
+    with pytest.raises(FitError, match=r"none of 20000 shapes .* emission maximum at 500 nm; check the other lights"):
+        draw_candidates(modes_nm, counts, lights, nobody, PRIOR, np.random.default_rng(1))
 
 
 def test_four_hundred_draws_take_a_third_of_a_second(benchmark_seconds):

@@ -9,11 +9,15 @@ import pytest
 
 from data_schemas.errors import FitError
 from data_schemas.estimate import Estimate
+from data_schemas.fit import PaintCalibration
+from data_schemas.provenance import provenance
 from data_schemas.radiometry import BandSignals
 from data_schemas.standard_curves import assumed_camera_response
-from finray_calib.fit.calibration_records import warnings
+from data_schemas.storage import read_record, write_record
+from finray_calib.fit.calibration_warnings import absorption_warnings, fit_warnings, signal_warnings
 from finray_calib.fit.emission import FitSettings
 from finray_calib.fit.paint_calibration import FitOptions, band_data, calibrate_paint
+from finray_calib.fit.pareto_smoothing import smooth_weights
 from finray_calib.fit.reflectance import reflectance
 from finray_calib.fit.sampler import SamplerSettings
 from finray_calib.spectra.emission_families import FAMILIES
@@ -79,9 +83,10 @@ def test_bench_and_nominal_fitter_agree_on_mode_width_and_yield(paint):
 def test_all_families_stand_beside_the_reported_one(paint):
     names = [f.name for f in paint.families]
     assert names == [*FAMILIES, "zheng2014"]  # the paper's family a second time, without discrepancy
-    assert sum(f.probability for f in paint.families) == pytest.approx(1.0)
+    assert sum(f.probability for f in paint.families[:-1]) == pytest.approx(1.0)
     assert [f.with_discrepancy for f in paint.families] == [True] * 4 + [False]
     assert paint.families[-1].left_out_bands is None
+    assert paint.families[-1].probability is None
     assert paint.family in FAMILIES
     assert paint.family_choice.startswith(paint.family)
 
@@ -131,7 +136,7 @@ def test_an_ambiguity_and_other_doubts_are_told(bands):
         maxima=maxima, sampling=SimpleNamespace(trusted=False), share_below_laser=np.full(10, 0.07)
     )
     unexplained = SimpleNamespace(filter_name="532", explained=False)
-    said = warnings(doubtful, (unexplained,), SimpleNamespace(mean_shift_sd={"kappa": -0.4}))
+    said = fit_warnings(doubtful, (unexplained,), SimpleNamespace(mean_shift_sd={"kappa": -0.4}), True)
     for words in (
         "cannot explain filter 532",
         "2 maxima of the posterior, modes at 606, 561 nm",
@@ -145,7 +150,62 @@ def test_an_ambiguity_and_other_doubts_are_told(bands):
         sampling=SimpleNamespace(trusted=True),
         share_below_laser=np.zeros(10),
     )
-    assert warnings(fine, (), None) == ()
+    assert fit_warnings(fine, (), None, False) == ()
+    assert "emcee made the draws" in fit_warnings(fine, (), None, True)[0]  # asked for, but not independent
+
+
+def test_draws_beyond_the_absorbed_light_are_told():
+    assert absorption_warnings(SimpleNamespace(violating_share=0.01)) == ()
+    assert absorption_warnings(SimpleNamespace(violating_share=0.034))[0].startswith("3% of the draws emit more light")
+
+
+def noise_only(bands, noise):
+    """Return band signals without emission: standard normal `noise` (8, 3) times a thousandth of the laser's light."""
+    y = np.where(bands.at_excitation()[:, None], bands.fluorescence, 1e-3 * noise)
+    covariance = np.diag(np.full(y.size, 1e-6))
+    return bands.model_copy(update={"fluorescence": y, "fluorescence_covariance": covariance})
+
+
+def test_no_emission_is_the_first_warning(bands):
+    dark = calibrate_paint(noise_only(bands, np.zeros((8, 3))), 1, FEW)
+    assert dark.warnings[0].startswith("no filter shows emission above three standard deviations of its noise")
+    assert dark.usable_values == 24
+
+
+def test_one_filter_with_emission_is_enough(bands, paint):
+    noise = np.zeros((8, 3))
+    noise[5, 0] = 2.9
+    assert len(signal_warnings(noise_only(bands, noise), np.full((8, 3), 1e-3))) == 1
+    noise[5, 0] = 3.1
+    assert signal_warnings(noise_only(bands, noise), np.full((8, 3), 1e-3)) == ()
+    lost = noise_only(bands, noise).model_copy(update={"flags": (("saturated",) * 3,) * 8})
+    assert len(signal_warnings(lost, np.full((8, 3), 1e-3))) == 1
+    assert not any("no filter shows emission" in said for said in paint.warnings)
+
+
+def test_emcee_that_took_over_is_no_check_of_itself(bands, tmp_path, monkeypatch):
+    """Weights of unknown shape: emcee makes the draws, and the record can be stored."""
+    monkeypatch.setattr("finray_calib.fit.importance.smooth_weights", without_shape)
+    monkeypatch.setattr("finray_calib.fit.leave_one_band_out.smooth_weights", without_shape)
+    monkeypatch.setattr("finray_calib.fit.paint_calibration.check_by_chain", refuse_call)
+    short = SamplerSettings(walkers=16, block_steps=100, most_steps=100, kept_draws=100)
+    options = FitOptions(settings=FitSettings(importance_draws=1000, kept_draws=100, chain=short), check_by_emcee=True)
+    taken_over = calibrate_paint(bands, 1, options)
+    assert any("the check by emcee was left out" in said for said in taken_over.warnings)
+    path = write_record(taken_over, tmp_path / "paint.json", provenance("finray fit"))
+    stored = read_record(path, PaintCalibration)
+    diagnostics, first = stored.diagnostics, stored.families[0]
+    assert diagnostics.method == "emcee"
+    assert diagnostics.chain.mean_shift_sd == {}
+    assert (diagnostics.pareto_k, first.pareto_k, first.left_out_pareto_k) == (None, None, None)
+
+
+def refuse_call(*_):
+    raise AssertionError("a second run of emcee is not independent")
+
+
+def without_shape(ln_weight):
+    return replace(smooth_weights(ln_weight), pareto_k=np.inf)
 
 
 def test_unusable_sessions_are_refused(bands):
@@ -162,6 +222,25 @@ def test_unusable_sessions_are_refused(bands):
 def test_two_sessions_of_one_light_are_refused(bands):
     with pytest.raises(FitError, match="two sessions have the same excitation"):
         calibrate_paint(bands, 1, FEW, other_lights=[bands])
+
+
+def under_another_light(bands, **fields):
+    """Return the bands as if a light at 470 nm had excited them."""
+    laser = bands.optics.laser.model_copy(update={"wavelength_nm": 470.0})
+    return bands.model_copy(update={"optics": bands.optics.model_copy(update={"laser": laser}), **fields})
+
+
+def test_another_light_of_another_paint_is_refused(bands):
+    with pytest.raises(FitError, match="a session is of paint 'green', the first of 'red'"):
+        calibrate_paint(bands, 1, FEW, other_lights=[under_another_light(bands, paint_name="green")])
+
+
+def test_a_light_too_dim_to_constrain_the_absorption_is_refused(bands):
+    """Noise of a hundred times the signal leaves the yield to the prior, whose logarithm has an sd of 1.2."""
+    noise = np.diag(np.full(24, (100 * bands.fluorescence.max()) ** 2))
+    dim = under_another_light(bands, fluorescence_covariance=noise)
+    with pytest.raises(FitError, match=r"at 470 nm; the yield must be above 0 and its uncertainty within 0 to 0\.5"):
+        calibrate_paint(bands, 1, FEW, other_lights=[dim])
 
 
 def test_reflectance_without_fluorescence_holds_the_true_one(paint):

@@ -78,3 +78,16 @@ def test_equal_weights_stay_equal_and_say_that_they_have_no_tail():
 def test_constant_factor_changes_nothing():
     ln_weight = weights_with_tail(0.6)
     assert np.allclose(smooth_weights(ln_weight).weight, smooth_weights(ln_weight + 300.0).weight, rtol=1e-9)
+
+
+@pytest.mark.parametrize("rounding", [0.0, 1e-12])
+def test_equal_weights_are_a_perfect_sample(rounding):
+    got = smooth_weights(-300.0 + rounding * np.random.default_rng(2).random(4000))
+    assert got.pareto_k == 0.0
+    assert got.effective == pytest.approx(4000, rel=1e-9)
+
+
+def test_shape_of_a_handful_of_weights_is_unknown():
+    ln_weight = np.full(4000, -np.inf)
+    ln_weight[:3] = [0.0, -1.0, -2.0]
+    assert smooth_weights(ln_weight).pareto_k == np.inf

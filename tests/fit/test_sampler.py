@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from data_schemas.errors import FitError
-from finray_calib.fit.sampler import SamplerSettings, initial_walkers, sample_posterior
+from finray_calib.fit.prior import EmissionPrior
+from finray_calib.fit.sampler import LEAST_WALKERS, SamplerSettings, initial_walkers, sample_posterior
+from finray_calib.spectra.emission_families import FAMILIES
 
 MEAN = np.array([560.0, 3.8, 0.5])
 FACTOR = np.array([[4.0, 0.0, 0.0], [0.05, 0.08, 0.0], [-0.3, 0.1, 0.5]])
@@ -77,11 +79,16 @@ def test_walkers_start_distinct_and_near_the_posterior():
     assert -2 * normal_density(walkers).mean() < 60
 
 
+def test_fewest_walkers_are_twice_the_parameters_of_the_largest_model():
+    largest = max(EmissionPrior().of(family, with_blocking=True).size for family in FAMILIES.values())
+    assert 2 * largest == LEAST_WALKERS
+
+
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"walkers": 33}, "even number of at least 12"),
-        ({"walkers": 10}, "even number of at least 12"),
+        ({"walkers": 33}, "33 walkers; must be an even number of at least 16"),
+        ({"walkers": 14}, "14 walkers; must be an even number of at least 16, twice the parameters"),
         ({"block_steps": 50}, "at least 100 and at most most_steps"),
         ({"kept_draws": 10}, "at least 100 for 95 % intervals"),
     ],

@@ -16,6 +16,7 @@ from hypothesis.extra.numpy import arrays
 from data_schemas.capture import IndenterPose, PaintPlan, TactileCapture
 from data_schemas.design import FingerDesign
 from data_schemas.errors import ChecksumError, NewerSchemaError, RecordError
+from data_schemas.fit import PaintCalibration
 from data_schemas.provenance import provenance
 from data_schemas.radiometry import BandSignals
 from data_schemas.rig import RigFile
@@ -155,6 +156,14 @@ def test_newer_version_is_refused_with_what_to_do(tmp_path):
     path.write_text(json.dumps(envelope))
     with pytest.raises(NewerSchemaError, match=r"design.json: schema_version 99 .*'pip install -U finray-calib"):
         read_record(path, FingerDesign)
+
+
+def test_earlier_version_is_refused_with_the_command_to_run_again(tmp_path):
+    path = tmp_path / "paint.json"
+    envelope = {"kind": "PaintCalibration", "schema_version": 1, "array_file": None, "record": {"mode_nm": 600.0}}
+    path.write_text(json.dumps(envelope))
+    with pytest.raises(RecordError, match=r"by version 1 of the PaintCalibration .* version 2; run 'finray fit' again"):
+        read_record(path, PaintCalibration)
 
 
 @pytest.mark.parametrize("version", ["one", 0, None, 1.5])
