@@ -33,7 +33,9 @@ class Reradiation(Model):
     stokes_shift_nm: Estimate = Field(description="maximum of emission minus maximum of absorption, nm")
     stokes_shift_draws_nm: Annotated[Floats, ArraySpec("<f8", ("draw",), "nm")]
     measured_at_nm: tuple[WavelengthNm, ...] = Field(description="excitation lights with a measured yield")
-    prior_driven: bool = Field(description="True when no light but the laser was measured")
+    prior_driven: bool = Field(
+        description="True while the Stokes shift is hardly narrower than its prior: too little was measured"
+    )
     prior: dict[str, str] = Field(description="prior of each parameter in words, with its origin")
     distinct_shapes: int = Field(ge=0, description="effective number of absorption shapes among the weighted ones")
     rejected_share: Fraction = Field(description="share of draws replaced: they emitted more than the paint absorbs")

@@ -164,7 +164,7 @@ def _say_result(paint: "PaintCalibration", out: Path) -> None:
     if paint.colour_match is not None:
         say(f"  {paint.colour_match.statement}")
     stokes = paint.reradiation.stokes_shift_nm
-    belief = ", from the prior: one light does not measure it" if paint.reradiation.prior_driven else ""
+    belief = ", from the prior: the lights do not measure it" if paint.reradiation.prior_driven else ""
     say(f"  {'Stokes shift':26s} {stokes.estimate:.0f} [{stokes.low95:.0f}, {stokes.high95:.0f}] nm (95 %{belief})")
     say(f"  family: {paint.family_choice}")
     trust = "trusted" if paint.diagnostics.trusted else "NOT trusted"

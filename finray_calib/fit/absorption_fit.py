@@ -31,6 +31,8 @@ EXCITATION_NM.flags.writeable = False
 REDRAWS = 40
 LARGEST_YIELD_SD_REL = 0.5
 FEWEST_SHAPES = 50
+PRIOR_DRIVEN_SHARE = 0.8
+"""Further lights that narrow the Stokes shift by less than a fifth have not measured it."""
 _ONE_LIGHT = (
     "the Stokes shift comes from the prior: one laser at {laser:g} nm fixes absorption at {laser:g} nm only; measure "
     "the yield under further lights to learn the rest"
@@ -125,7 +127,7 @@ def fit_absorption(
         stokes_shift_nm=_estimate(shift_nm),
         stokes_shift_draws_nm=shift_nm,
         measured_at_nm=tuple(light.excitation_nm for light in yields),
-        prior_driven=len(yields) == 1,
+        prior_driven=len(yields) == 1 or float(shift_nm.std()) > PRIOR_DRIVEN_SHARE * prior.stokes_sd_nm,
         prior=prior.in_words,
         distinct_shapes=sampler.candidates.effective,
         rejected_share=rejected,

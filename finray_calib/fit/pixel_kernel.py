@@ -247,7 +247,8 @@ def fit_pixel(p: PixelProblem, c: int, w: PixelWork) -> tuple[float, bool]:
         Chi-square plus the prior's square sum, and whether the steps ended.
     """
     _start(p, c, w)
-    cost, damping, converged, before = pixel_cost(p, c, w.theta, w), 0.0, False, math.inf
+    cost, damping, before = pixel_cost(p, c, w.theta, w), 0.0, math.inf
+    close = converged = False
     _fill_normal(p, w)
     for _ in range(_MOST_STEPS):
         renewed = False
@@ -265,8 +266,9 @@ def fit_pixel(p: PixelProblem, c: int, w: PixelWork) -> tuple[float, bool]:
         gain = cost - trial
         if gain >= 0:
             w.theta[:], cost, before = w.moved, trial, distance
-            renewed = distance < _NEAR and _is_stale(p, w)
+            renewed = (close or distance < _NEAR) and _is_stale(p, w)
             if renewed:
+                close = True
                 w.about[:] = w.theta
                 _expand_floor(p, c, w.about, w, w.floor)
                 cost = pixel_cost(p, c, w.theta, w)

@@ -40,7 +40,9 @@ def draw_paint_map(fitted: PaintMap) -> Figure:
     for ax, (title, values, colours) in zip(axes.ravel(), panels, strict=False):
         _draw(figure, ax, fitted, title, values, colours)
     _draw_blocks(figure, axes[1, 2], fitted)
-    figure.supxlabel("\n".join(textwrap.wrap(caption(fitted), _CAPTION_SIGNS)), x=0.01, ha="left", fontsize=9)
+    figure.supxlabel(
+        "\n".join(textwrap.wrap(caption(fitted), _CAPTION_SIGNS)), x=0.01, ha="left", fontsize=9, parse_math=False
+    )
     return figure
 
 
