@@ -73,17 +73,20 @@ class DefaultDensity:
 
     def __init__(self, posterior: LogPosterior) -> None:
         data, rule, self.prior = posterior.data, posterior.data.quadrature, posterior.prior
+        kept = data.kept
         weights, self.discrepancy = data.weights, posterior.discrepancy
         bands, nodes = rule.nodes_nm.shape
         self.nodes = rule.nodes_nm.ravel()
-        own_band = np.repeat(np.arange(bands), nodes) == weights.band_index[:, None]
-        self.in_band = np.where(own_band, np.tile(rule.in_band, bands), 0.0)
+        own_band = np.repeat(np.arange(bands), nodes) == weights.band_index[kept, None]
+        self.in_band = np.where(own_band, np.tile(rule.in_band[kept], bands), 0.0)
         self.points = np.concatenate([self.nodes, rule.grid_nm])
-        self.emission = np.concatenate([self.in_band, rule.out_of_band], axis=1)
-        self.leaked = np.concatenate([np.zeros_like(self.in_band), rule.leaked], axis=1)
-        self.laser, self.leaked_laser = weights.reflected_laser, weights.leaked_laser
-        self.leaked_white, self.y = weights.leaked_white, data.y.ravel()
-        self.covariance = data.covariance + posterior.imperfections @ posterior.imperfections.T
+        self.emission = np.concatenate([self.in_band, rule.out_of_band[kept]], axis=1)
+        self.leaked = np.concatenate([np.zeros_like(self.in_band), rule.leaked[kept]], axis=1)
+        self.laser, self.leaked_laser = weights.reflected_laser[kept], weights.leaked_laser[kept]
+        self.leaked_white, self.y = weights.leaked_white[kept], data.y.ravel()[kept]
+        # a log-normal's mean lies above its median
+        self.leak_mean = np.exp(data.tolerances.blocking_sd[kept] ** 2 / 2)
+        self.covariance = data.covariance[np.ix_(kept, kept)] + posterior.imperfections @ posterior.imperfections.T
         # bands that share no discrepancy in the fit (e^-8 of its variance) share none here
         near = np.repeat(np.repeat(posterior.problem.near, nodes, axis=0), nodes, axis=1)
         self.kernel = near * self.discrepancy.smooth_kernel(self.nodes, self.nodes)
@@ -93,7 +96,7 @@ class DefaultDensity:
         allowed = ((theta >= self.prior.low) & (theta <= self.prior.high)).all(axis=1)
         mode, ln_fwhm, ln_peak, asymmetry, ln_laser, ln_blocking = theta.T[:, :, None]
         curve = np.exp(ln_peak) * _log_normal(self.points, mode, np.exp(ln_fwhm), asymmetry)
-        more = np.expm1(ln_blocking)
+        more = np.exp(ln_blocking) * self.leak_mean - 1
         mu = curve @ self.emission.T + more * (curve @ self.leaked.T)
         mu += np.exp(ln_laser) * (self.laser + more * self.leaked_laser)
         mu /= 1 + more * self.leaked_white

@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 DEFAULT_FAMILY: Final = "log_normal_wavenumber"
 """Predicts the whole spectrum of measured paints best from eight bands (docs/explanation/model-of-the-paint.md)."""
 
-SMALLEST_DEFAULT_PROBABILITY: Final = 0.05
+SMALLEST_DEFAULT_PROBABILITY: Final = 0.1
 CLEAR_SCORE_SD: Final = 2.0
 """Another family replaces the default only when the evidence and the left-out bands both speak clearly against it."""
 
@@ -73,7 +73,7 @@ def score_families(
 def choose_family(scores: Mapping[str, FamilyScore]) -> tuple[str, str]:
     """Return the name of the family to report and the sentence that says why and how surely.
 
-    The default family stays unless its probability is below 0.05 and the most probable one predicts left-out bands
+    The default family stays unless its probability is below 0.1 and the most probable one predicts left-out bands
     better by two standard errors: eight bands rarely tell families apart, measured paints did.
     """
     best = max(scores, key=lambda name: scores[name].probability)

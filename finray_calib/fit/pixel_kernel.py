@@ -27,7 +27,7 @@ NOT_FITTED, NOT_CONVERGED, CONVERGED = 0, 1, 2
 
 _MOST_STEPS = 60
 _NEAR, _CLOSE = 0.01, 1e-6  # squared distances in standard deviations: 0.1 and 0.001
-_STALE = 1e-3  # the leak is expanded anew after 0.03 of the prior's standard deviations
+_FAR, _STALE = 0.3, 6e-6  # squared: half a prior's sd from where the leak was expanded; 0.0025 sd of the bands
 _BEST_RATE = 0.01  # of the squared distance from step to step that is believed: one lucky step says little
 _FIRST_DAMPING, _LEAST_DAMPING = 0.03, 1e-2
 _LOWEST_SCALE = 0.05  # of the starting height: a pixel without signal starts at a twentieth of the region's
@@ -227,11 +227,16 @@ def _region_bands(p: PixelProblem, w: PixelWork) -> None:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _is_stale(p: PixelProblem, w: PixelWork) -> bool:
-    """Return whether the curve has left the place about which the leak was expanded."""
-    off = 0.0
+    """Return whether the curve has left the place about which the leak was expanded, by more than the leak allows.
+
+    The second order grows with the squared distance and counts in units of the noise.
+    """
+    off, leak, peak = 0.0, 0.0, math.exp(w.theta[2])
     for j in (0, 1, 3):
         off += (w.theta[j] - w.about[j]) ** 2 * p.precision[j]
-    return off > _STALE
+    for b in range(len(w.y)):
+        leak += (peak * w.floor[b, 0] * w.inverse_sd[b]) ** 2
+    return off > _FAR or off * off * leak > _STALE
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]

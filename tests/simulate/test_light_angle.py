@@ -38,9 +38,10 @@ def finger(monkeypatch) -> PaintedFinger:
 @pytest.mark.parametrize("brighter", [1.0, 2.0])
 def test_a_paint_draw_scales_its_own_band(finger, brighter):
     """All draws of the red paint are `brighter` times the mean paint; the green ones are the mean paint."""
-    red = np.array([*DRAWS["red"][:3], DRAWS["red"][3] + np.log(brighter), 0.0, 0.0])
-    green = np.array([*DRAWS["green"], 0.0, 0.0])
-    calibrations = {"red": SimpleNamespace(draws=red[None]), "green": SimpleNamespace(draws=green[None])}
+    red, green = brighter * paint("red").emission_per_nm, paint("green").emission_per_nm
+    calibrations = {
+        colour: SimpleNamespace(emission_draws_per_nm=curve[None]) for colour, curve in (("red", red), ("green", green))
+    }
     record = light_angle.light_angle_sweep(finger, calibrations, ANGLES_DEG, REPEATS, 1, 1, {})
     bands = paint_bands(finger.paints["red"], finger.paints["green"], finger.design.light)
     scaled = record.basis.mean(axis=2) * [brighter, 1.0, 1.0]
