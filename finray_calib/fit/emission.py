@@ -25,6 +25,9 @@ from finray_calib.spectra.emission_families import EmissionFamily
 FloatArray = NDArray[np.float64]
 
 _PILOT_DRAWS: Final = 1000
+_WORTH_ADAPTING: Final = 20_000
+"""Draws from which adapting the proposal, some ten thousand evaluations, pays even where the first one would do."""
+
 _GROWTHS: Final = 10
 _REFERENCE_ROUNDS: Final = 2
 """The filters' tolerances act at a reference fit that is refined twice; the first is fitted without them."""
@@ -209,7 +212,8 @@ def draw_posterior(
     proposal = MixtureProposal.around(maxima, log_posterior.prior)
     method: SamplingMethod = "importance sampling"
     pilot = importance_sample(log_posterior, proposal, _PILOT_DRAWS, rng)
-    if pilot.effective < SMALLEST_EFFECTIVE_SHARE * _PILOT_DRAWS:
+    many = settings.importance_draws >= _WORTH_ADAPTING
+    if many or pilot.effective < SMALLEST_EFFECTIVE_SHARE * _PILOT_DRAWS:
         method = "adapted importance sampling"
         proposal = proposal.adapted(log_posterior, rng)
     sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
