@@ -142,7 +142,7 @@ def measure(model: str, posterior: LogPosterior, plain, paths, arguments: argpar
 def main() -> int:
     """Measure both models, print, store; return 1 when a bar is missed or the samplers disagree."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--draws", type=int, default=40_000, help="draws of the fit's proposal")
+    parser.add_argument("--draws", type=int, default=128_000, help="draws of the fit; emcee takes as many")
     parser.add_argument("--repetitions", type=int, default=3)
     parser.add_argument("--fit-repeats", type=int, default=5, help="runs of the fit in each repetition")
     parser.add_argument("--steps", type=int, default=4000, help="steps of emcee")

@@ -105,7 +105,8 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
-    os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"  # matrices are small: one thread is faster
+    for library in ("OMP", "OPENBLAS", "NUMBA"):  # each process is one thread; matrices are small
+        os.environ[f"{library}_NUM_THREADS"] = "1"
     start = time.perf_counter()
     tasks = [(arguments.model, arguments.seed, index) for index in range(arguments.paints)]
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:

@@ -54,7 +54,7 @@ def curve_draws(log_posterior: LogPosterior, theta: FloatArray, rng: np.random.G
         Source of all randomness.
     """
     p, data, d = log_posterior.problem, log_posterior.data, log_posterior.discrepancy
-    grid, nodes = data.weights.wavelength_nm, p.nodes_nm.ravel()
+    grid, nodes = data.weights.wavelength_nm, data.quadrature.nodes_nm.ravel()
     split, count = len(grid), len(theta)
     every = np.concatenate([grid, nodes])
     shape = log_posterior.family.curves(theta, every)
@@ -66,7 +66,7 @@ def curve_draws(log_posterior: LogPosterior, theta: FloatArray, rng: np.random.G
     k = rng.standard_normal((count, u.shape[1]))
     noise = np.linalg.cholesky(data.covariance[np.ix_(data.kept, data.kept)])
     member = np.zeros((len(p.y), len(nodes)))  # in-band weights of each row at all nodes
-    columns = p.band[:, None] * p.nodes_nm.shape[1] + np.arange(p.nodes_nm.shape[1])
+    columns = p.band[:, None] * p.in_band.shape[1] + np.arange(p.in_band.shape[1])
     np.put_along_axis(member, columns, p.in_band, axis=1)
     simulated = log_posterior.predict_usable(theta) + delta[:, split:] @ member.T + k @ u.T
     misfit = p.y - simulated - rng.standard_normal((count, len(p.y))) @ noise.T

@@ -134,12 +134,16 @@ class MixtureProposal:
 
     def log_density(self, theta: FloatArray) -> FloatArray:
         """Return the normalised log density of (n, D) rows, (n,)."""
-        return np.asarray(logsumexp(self._ln_terms(theta, self._squared_distance(theta)), axis=1))
+        terms = self._ln_terms(theta, self._squared_distance(theta))
+        return np.asarray(np.log(np.exp(terms).sum(axis=1)))  # Student t terms do not underflow: no shift is needed
 
     def _squared_distance(self, theta: FloatArray) -> FloatArray:
         """Return the squared Mahalanobis distances, (n, K)."""
-        z = (theta - self._centres[:, None]) @ self._whiten.swapaxes(1, 2)
-        return np.asarray(np.square(z).sum(axis=2).T)
+        count, size = self._centres.shape
+        z = theta @ self._whiten.reshape(count * size, size).T  # one product for all components
+        z -= np.einsum("kij,kj->ki", self._whiten, self._centres).ravel()
+        z *= z
+        return np.asarray(z.reshape(len(theta), count, size).sum(axis=2))
 
     def _ln_terms(self, theta: FloatArray, squared: FloatArray) -> FloatArray:
         """Return the logarithms of the K + 1 terms of the density, (n, K + 1)."""

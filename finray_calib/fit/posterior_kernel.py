@@ -32,9 +32,8 @@ class Problem(NamedTuple):
     has_blocking: bool
     table: FloatArray
     band: IntArray  # (K,)
-    nodes_nm: FloatArray  # (B, Q)
+    points_nm: FloatArray  # (B Q + G,) the bands' nodes, band after band, then the grid
     in_band: FloatArray  # (K, Q)
-    grid_nm: FloatArray  # (G,)
     out_of_band: FloatArray  # (K, G)
     leaked: FloatArray  # (K, G)
     laser: FloatArray  # (K,)
@@ -61,8 +60,7 @@ class Work(NamedTuple):
     """Scratch arrays of one evaluation."""
 
     c: FloatArray
-    at_nodes: FloatArray
-    at_grid: FloatArray
+    curve: FloatArray  # at the points
     mu: FloatArray
     scaled: FloatArray
     pull: FloatArray
@@ -74,14 +72,13 @@ class Work(NamedTuple):
 @compiled
 def scratch(p: Problem) -> Work:
     """Return scratch arrays of the right sizes."""
-    rows, nodes = p.in_band.shape
+    rows = len(p.y)
     return Work(
         np.empty(CONSTANTS),
-        np.empty(p.nodes_nm.shape),
-        np.empty(len(p.grid_nm)),
+        np.empty(len(p.points_nm)),
         np.empty(rows),
-        np.empty((rows, nodes)),
-        np.empty(p.nodes_nm.shape),
+        np.empty((rows, NODES)),
+        np.empty((len(p.near), NODES)),
         np.empty(rows),
         np.empty((rows, rows)),
         np.empty(rows),
@@ -90,24 +87,22 @@ def scratch(p: Problem) -> Work:
 
 @compiled
 def predict(p: Problem, theta: FloatArray, w: Work) -> None:
-    """Fill w.mu with the band values of one parameter vector, and the curve at nodes and grid."""
-    c, at_nodes, at_grid = w.c, w.at_nodes, w.at_grid
-    constants(p.family, theta, p.table, c)
-    for b in range(at_nodes.shape[0]):
-        fill(p.family, c, p.nodes_nm[b], at_nodes[b])
-    fill(p.family, c, p.grid_nm, at_grid)
+    """Fill w.mu with the band values of one parameter vector, and the curve at all points."""
+    constants(p.family, theta, p.table, w.c)
+    fill(p.family, w.c, p.points_nm, w.curve)
     rho = math.exp(theta[p.shapes])
     blocking = math.exp(theta[p.shapes + 1]) if p.has_blocking else 1.0
+    grid = w.curve[len(p.near) * NODES :]
     for i in range(len(p.y)):
-        b, emitted, leaked = p.band[i], 0.0, 0.0
+        first, emitted, leaked = p.band[i] * NODES, 0.0, 0.0
         more = blocking * p.leak_mean[i] - 1
         for q in range(NODES):
-            emitted += p.in_band[i, q] * at_nodes[b, q]
-        for g in range(len(at_grid)):
-            emitted += p.out_of_band[i, g] * at_grid[g]
+            emitted += p.in_band[i, q] * w.curve[first + q]
+        for g in range(len(grid)):
+            emitted += p.out_of_band[i, g] * grid[g]
         if p.has_blocking:
-            for g in range(len(at_grid)):
-                leaked += p.leaked[i, g] * at_grid[g]
+            for g in range(len(grid)):
+                leaked += p.leaked[i, g] * grid[g]
         laser = p.laser[i] + more * p.leaked_laser[i]
         w.mu[i] = (emitted + more * leaked + rho * laser) / (1 + more * p.leaked_white[i])
 
@@ -122,12 +117,12 @@ def add_discrepancy(p: Problem, theta: FloatArray, w: Work) -> None:
     if p.reabsorption_rel > 0:
         for b in range(bands):
             for q in range(NODES):
-                u = (p.nodes_nm[b, q] - theta[0] + EDGE_OFFSET_FWHM * width) / (EDGE_WIDTH_FWHM * width)
+                u = (p.points_nm[b * NODES + q] - theta[0] + EDGE_OFFSET_FWHM * width) / (EDGE_WIDTH_FWHM * width)
                 pull[b, q] = p.reabsorption_rel / (1 + math.exp(min(u, 60.0)))
     for i in range(rows):
         b, s = p.band[i], 0.0
         for q in range(NODES):
-            scaled[i, q] = p.in_band[i, q] * (w.at_nodes[b, q] + floor)
+            scaled[i, q] = p.in_band[i, q] * (w.curve[b * NODES + q] + floor)
         if p.reabsorption_rel > 0:
             for q in range(NODES):
                 s += scaled[i, q] * pull[b, q]

@@ -23,14 +23,20 @@ _SOURCES = ("spectra", "fit")
 def compiled(function: Function) -> Function:
     """Compile a function of floats and arrays at its first call; later processes load it from the cache.
 
-    Division by zero gives an infinity, as in numpy, and raises nothing.
+    Division by zero gives an infinity, as in numpy, and raises nothing. It releases the interpreter's lock, so that
+    threads run it side by side.
     """
-    return _cached(numba.njit(fastmath=_REORDER, error_model="numpy"), function)
+    return _cached(numba.njit(fastmath=_REORDER, error_model="numpy", nogil=True), function)
 
 
 def compiled_in_parallel(function: Function) -> Function:
     """Compile a function whose loops over :data:`numba.prange` run on several threads."""
     return _cached(numba.njit(error_model="numpy", parallel=True), function)
+
+
+def machine_threads() -> int:
+    """Return how many threads compiled functions may use: all cores, or NUMBA_NUM_THREADS where it is set."""
+    return int(numba.config.NUMBA_NUM_THREADS)
 
 
 def _cached(compiler: Callable[[Function], object], function: Function) -> Function:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from finray_calib.spectra.compiled import compiled
+from finray_calib.spectra.elementary_functions import arctangent, falling_exponential, log_of_one_plus
 
 FloatArray = NDArray[np.float64]
 
@@ -31,6 +32,7 @@ LN_TAIL_END: Final = 4.2
 
 _BISECTIONS = 50  # halves a bracket of 40 scale lengths to 4e-14
 _LN_2 = math.log(2.0)
+_SUPPORT_END = 1e-6 - 1  # of a log-normal, where its curve has vanished
 _NO_SKEW = 1e-12  # stands in for 0: the log-normal's limit is a Gaussian
 
 
@@ -87,12 +89,14 @@ def shape_table() -> FloatArray:
 
 
 @compiled
-def _cubic(t: float, weight: FloatArray) -> None:
-    """Fill the weights of cubic (Catmull-Rom) interpolation at the fraction t of a cell."""
-    weight[0] = ((-0.5 * t + 1.0) * t - 0.5) * t
-    weight[1] = (1.5 * t - 2.5) * t * t + 1.0
-    weight[2] = ((-1.5 * t + 2.0) * t + 0.5) * t
-    weight[3] = (0.5 * t - 0.5) * t * t
+def _cubic(t: float) -> tuple[float, float, float, float]:
+    """Return the weights of cubic (Catmull-Rom) interpolation at the fraction t of a cell."""
+    return (
+        ((-0.5 * t + 1.0) * t - 0.5) * t,
+        (1.5 * t - 2.5) * t * t + 1.0,
+        ((-1.5 * t + 2.0) * t + 0.5) * t,
+        (0.5 * t - 0.5) * t * t,
+    )
 
 
 @compiled
@@ -101,9 +105,7 @@ def skew_t_shape(kappa: float, ln_tail: float, table: FloatArray) -> tuple[float
     a = min(abs(kappa), KAPPA_END - 1e-9) / KAPPA_STEP + 1
     b = (min(max(ln_tail, LN_TAIL_START), LN_TAIL_END - 1e-9) - LN_TAIL_START) / LN_TAIL_STEP + 1
     i, j = int(a), int(b)
-    along, across = np.empty(4), np.empty(4)
-    _cubic(a - i, along)
-    _cubic(b - j, across)
+    along, across = _cubic(a - i), _cubic(b - j)
     m = p = v = 0.0
     for r in range(4):
         for c in range(4):
@@ -140,23 +142,27 @@ def constants(family: int, theta: FloatArray, table: FloatArray, out: FloatArray
 @compiled
 def fill(family: int, c: FloatArray, wavelength_nm: FloatArray, out: FloatArray) -> None:
     """Fill the curve at (L,) wavelengths from its constants."""
+    # local numbers: the compiler cannot know that filling `out` leaves c alone
+    c0, c1, c2, c3, c4, c5 = c[0], c[1], c[2], c[3], c[4], c[5]
     if family == SKEW_CAUCHY:
         for j in range(len(wavelength_nm)):
-            z = (wavelength_nm[j] - c[0]) * c[1]
-            out[j] = c[3] / (1 + z * z) * (math.atan(c[2] * z) / math.pi + 0.5)
+            z = (wavelength_nm[j] - c0) * c1
+            out[j] = c3 / (1 + z * z) * (arctangent(c2 * z) / math.pi + 0.5)
     elif family == SKEW_T:
         for j in range(len(wavelength_nm)):
-            out[j] = c[3] * skew_t_unit((wavelength_nm[j] - c[0]) * c[1], c[2], c[4])
+            z = (wavelength_nm[j] - c0) * c1
+            bell = falling_exponential(-(c4 + 1) / 2 * log_of_one_plus(z * z / c4))
+            out[j] = c3 * bell * (arctangent(c2 * z) / math.pi + 0.5)
     elif family == LOG_NORMAL:
-        skew = c[2] if c[2] != 0.0 else _NO_SKEW
-        slope, sharpness = 2 * math.sinh(skew) * c[1], math.sqrt(_LN_2) / skew
+        skew = c2 if c2 != 0.0 else _NO_SKEW
+        slope, sharpness = 2 * math.sinh(skew) * c1, math.sqrt(_LN_2) / skew
         for j in range(len(wavelength_nm)):
-            g = sharpness * math.log1p(max((c[0] - 1e4 / wavelength_nm[j]) * slope, -1.0))  # -1: end of its support
-            out[j] = c[3] * math.exp(-g * g)
+            g = sharpness * log_of_one_plus(max((c0 - 1e4 / wavelength_nm[j]) * slope, _SUPPORT_END))
+            out[j] = c3 * falling_exponential(-g * g)
     else:
         for j in range(len(wavelength_nm)):
-            u, t = (wavelength_nm[j] - c[0]) * c[1], (wavelength_nm[j] - c[3]) * c[4]
-            out[j] = c[2] * math.exp(-4 * _LN_2 * u * u) + c[5] * math.exp(-4 * _LN_2 * t * t)
+            u, t = (wavelength_nm[j] - c0) * c1, (wavelength_nm[j] - c3) * c4
+            out[j] = c2 * falling_exponential(-4 * _LN_2 * u * u) + c5 * falling_exponential(-4 * _LN_2 * t * t)
 
 
 @compiled

@@ -85,7 +85,7 @@ def test_log_normal_is_the_siano_metzler_form():
     expected = np.zeros_like(GRID_NM)
     expected[inside > 0] = np.exp(-np.log(2) / np.log(r) ** 2 * np.log(inside[inside > 0]) ** 2)
     got = curve("log_normal_wavenumber", 597.0, np.log(fwhm), 0.0, 0.35)(GRID_NM)
-    assert np.allclose(got, expected, rtol=1e-9, atol=1e-300)
+    assert np.allclose(got, expected, rtol=1e-9, atol=1e-20)  # where it vanishes the compiled curve ends at e^-80
 
 
 def test_gaussian_mixture_is_two_gaussians():
