@@ -14,7 +14,7 @@ from data_schemas.arrays import ArraySpec, check_dimensions
 from data_schemas.capture import Frame, RegionOfInterest
 from data_schemas.estimate import Estimate
 from data_schemas.model import Model, Record
-from data_schemas.rig import CameraSettings, RigFile
+from data_schemas.rig import CameraSettings, DeviceIdentity, RigFile
 from data_schemas.units import ExposureS, RelativeUncertainty
 
 Floats = NDArray[np.float64]
@@ -53,6 +53,7 @@ class CameraSession(Record):
     plan: CameraPlan
     rig: RigFile
     frames: tuple[Frame, ...]
+    devices: tuple[DeviceIdentity, ...] = Field(default=(), description="what the devices said they are")
     notes: tuple[str, ...] = ()
 
 

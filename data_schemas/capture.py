@@ -10,7 +10,7 @@ from data_schemas.arrays import ArraySpec, check_dimensions
 from data_schemas.curves import SpectralCurve
 from data_schemas.filter_curves import check_named_curves
 from data_schemas.model import Model, Record
-from data_schemas.rig import RigFile
+from data_schemas.rig import DeviceIdentity, RigFile
 from data_schemas.units import AngleDeg, DurationS, EnergyJ, ExposureS, Fraction, LengthMm, PositionMm, SignalDn
 
 LightState = Literal["off", "lamp", "laser", "room"]
@@ -99,9 +99,28 @@ class Frame(Model):
         description="laser light that fell on the sample from the start of the session to the middle of this exposure: "
         "power x time with the laser on and the sample in view, metering included",
     )
+    frame_id: int | None = Field(default=None, description="the camera's own number of the frame; it may wrap")
+    device_time_s: float | None = Field(default=None, description="the camera's own time of the frame")
+    lights_before: tuple[Literal["lamp", "laser"], ...] = Field(
+        default=(), description="lights that read back as on before the exposure"
+    )
+    lights_after: tuple[Literal["lamp", "laser"], ...] = Field(default=(), description="the same after it")
+    settings: dict[str, str | float] = Field(
+        default={}, description="other settings as the camera reads them back, by name (gain, pixel format)"
+    )
+    attempts: Annotated[int, Field(ge=1, le=100)] = Field(
+        default=1, description="exposures it took; more than one where frames were refused"
+    )
     tilt_deg: AngleDeg = Field(default=0.0, description="between the laser beam and the sample's normal")
     saturated_fraction: Fraction = Field(description="pixels of the region at full scale")
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+
+class FilterProof(Model):
+    """Whether the frames themselves show the filters that the wheel claims."""
+
+    verdict: Literal["confirmed", "contradicted", "cannot tell"]
+    text: str
 
 
 class CaptureSession(Record):
@@ -115,6 +134,11 @@ class CaptureSession(Record):
     )
     lamp: SpectralCurve
     frames: tuple[Frame, ...]
+    devices: tuple[DeviceIdentity, ...] = Field(default=(), description="what the devices said they are")
+    filter_proof: FilterProof | None = Field(default=None, description="judged from the lamp-lit white frames")
+    white_rates_dn_per_s: tuple[tuple[float, float, float], ...] = Field(
+        default=(), description="red, green, blue rates of the white tile behind each filter: the session's fingerprint"
+    )
     notes: tuple[str, ...] = ()
 
     @model_validator(mode="after")

@@ -9,7 +9,13 @@ The tree (the command line prints the message and ends with status 2; no traceba
     ├── ImportFormatError      a foreign file or folder is not in the format it claims
     ├── CurveError             a spectral curve or re-radiation matrix is unusable or out of range
     ├── CaptureError           a capture could not be done as planned
-    │   └── SaturatedError     no allowed exposure avoids saturation
+    │   ├── SaturatedError     no allowed exposure avoids saturation
+    │   ├── RefusedError       a device refuses what was asked, or cannot do it
+    │   ├── TimedOutError      a device did not answer or finish before its deadline
+    │   ├── LostError          the connection to a device broke
+    │   ├── WrongPositionError a filter wheel stands somewhere else than it should
+    │   ├── BadFrameError      a frame is torn, stale or not what was asked for
+    │   └── UnsafeError        a light could not be confirmed off
     ├── RadiometryError        frames cannot be turned into band signals
     ├── FitError               band signals cannot be fitted
     ├── SimulateError          a scene cannot be built or rendered
@@ -52,6 +58,30 @@ class CaptureError(FinrayError):
 
 class SaturatedError(CaptureError):
     """No allowed exposure avoids saturation."""
+
+
+class RefusedError(CaptureError):
+    """A device refuses what was asked, or cannot do it."""
+
+
+class TimedOutError(CaptureError):
+    """A device did not answer, or did not finish, before its deadline."""
+
+
+class LostError(CaptureError):
+    """The connection to a device broke, or the device left it."""
+
+
+class WrongPositionError(CaptureError):
+    """A filter wheel stands somewhere else than it should."""
+
+
+class BadFrameError(CaptureError):
+    """A frame is torn, stale, or not what was asked for; another attempt may succeed."""
+
+
+class UnsafeError(CaptureError):
+    """A light could not be confirmed off."""
 
 
 class RadiometryError(FinrayError):

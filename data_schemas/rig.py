@@ -1,5 +1,6 @@
 """The calibration rig as its owner describes it (TOML): camera, filter wheel, lights, white reference.
 
+Every device names its ``driver`` and, unless it is simulated, the ``address`` at which it is found.
 ``driver = "simulated"`` opens the simulated bench; the ``[simulated]`` table then says what is painted on it.
 """
 
@@ -22,7 +23,13 @@ from data_schemas.units import (
     WidthNm,
 )
 
-Driver = Literal["simulated"]
+CameraDriver = Literal["simulated", "aravis", "gentl", "mjpeg", "picamera2", "indi", "micro-manager", "folder"]
+WheelDriver = Literal["simulated", "thorlabs", "indi", "alpaca", "manual"]
+LaserDriver = Literal["simulated", "arduino", "indi", "alpaca"]
+LampDriver = Literal["simulated", "arduino", "indi", "alpaca", "manual"]
+NO_ADDRESS = ("simulated", "manual")
+"""Drivers without a device of their own."""
+
 BayerPattern = Literal["RGGB"]
 # A band-pass of a catalogue: centre within 1.5 nm and width within 1 nm of nominal, evenly likely: 1.5 / sqrt(3) and
 # 1 / sqrt(3), rounded up. A spectrophotometer's wavelength scale is good to 0.15 nm, and so is a certificate.
@@ -42,13 +49,27 @@ def _uncertainty_text(catalogue_nm: float) -> str:
     )
 
 
+def _require_address(driver: str, address: str) -> None:
+    """Refuse a driver without an address, and an address that nothing would use."""
+    if driver in NO_ADDRESS and address:
+        raise ValueError(f"address: driver '{driver}' has none; leave it out")
+    if driver not in NO_ADDRESS and not address:
+        raise ValueError(f"address: driver '{driver}' needs one, such as 'finray rig detect' prints")
+
+
 FilterUncertaintyNm = Annotated[float, Field(ge=0.0, le=10.0, json_schema_extra={"unit": "nm"})]
 
 
 class CameraSettings(Model):
     """Bayer camera of the rig."""
 
-    driver: Driver = "simulated"
+    driver: CameraDriver = "simulated"
+    address: str = Field(
+        default="",
+        description="aravis: camera name, serial number or IP address; gentl: path of the producer (.cti) and "
+        "'#serial'; mjpeg: http://host:port/path; picamera2: number of the camera; indi: host:port/device; "
+        "micro-manager: configuration file (.cfg); folder: folder of images",
+    )
     model: str = "CM3-U3-13Y3C-CS"
     width_px: Annotated[int, Field(ge=64, le=8192, multiple_of=2)] = 1280
     height_px: Annotated[int, Field(ge=64, le=8192, multiple_of=2)] = 1024
@@ -56,6 +77,9 @@ class CameraSettings(Model):
     bayer_pattern: BayerPattern = "RGGB"
     black_level_dn: SignalDn = 16.0
     gain_e_per_dn: Annotated[float, Field(gt=0.0, le=1e4, json_schema_extra={"unit": "e/DN"})] = 6.5
+    gain_db: Annotated[float, Field(ge=0.0, le=60.0, json_schema_extra={"unit": "dB"})] = Field(
+        default=0.0, description="amplification that the driver sets and reads back, where the camera has one"
+    )
     read_noise_e: ChargeE = 9.0
     shortest_exposure_s: ExposureS = 1e-4
     longest_exposure_s: ExposureS = 30.0
@@ -64,6 +88,11 @@ class CameraSettings(Model):
         description="'assumed' (smooth stand-in curves) or a CSV file with the header "
         "wavelength_nm,red_percent,green_percent,blue_percent",
     )
+
+    @model_validator(mode="after")
+    def _is_reachable(self) -> "CameraSettings":
+        _require_address(self.driver, self.address)
+        return self
 
     @model_validator(mode="after")
     def _exposures_in_order(self) -> "CameraSettings":
@@ -109,9 +138,19 @@ class BandPassFilter(Model):
 class FilterWheelSettings(Model):
     """Filter wheel and what is in its slots."""
 
-    driver: Driver = "simulated"
+    driver: WheelDriver = "simulated"
+    address: str = Field(
+        default="",
+        description="thorlabs: serial port (/dev/ttyUSB0) or pyserial URL; indi: host:port/device; "
+        "alpaca: http://host:port/number",
+    )
     model: str = "8-position wheel"
     filters: tuple[BandPassFilter, ...]
+
+    @model_validator(mode="after")
+    def _is_reachable(self) -> "FilterWheelSettings":
+        _require_address(self.driver, self.address)
+        return self
 
     @model_validator(mode="after")
     def _no_duplicates(self) -> "FilterWheelSettings":
@@ -129,24 +168,48 @@ class FilterWheelSettings(Model):
         return self
 
 
+LIGHT_ADDRESS = (
+    "arduino: serial port (/dev/ttyACM0) or pyserial URL; indi: host:port/device; alpaca: http://host:port/switch/0/1 "
+    "(device and switch number) or http://host:port/covercalibrator/0"
+)
+
+
 class LaserSettings(Model):
     """Excitation laser. The class and power are named so that nobody switches it on unknowingly."""
 
-    driver: Driver = "simulated"
+    driver: LaserDriver = "simulated"
+    address: str = Field(default="", description=LIGHT_ADDRESS)
     wavelength_nm: WavelengthNm = 450.0
     fwhm_nm: WidthNm = 2.0
     power_mw: PowerMw = 4.5
     laser_class: Literal["1", "1M", "2", "2M", "3R", "3B", "4"] = "3R"
 
+    @model_validator(mode="after")
+    def _real_laser_is_named(self) -> "LaserSettings":
+        _require_address(self.driver, self.address)
+        missing = {"wavelength_nm", "power_mw", "laser_class"} - self.model_fields_set
+        if self.driver != "simulated" and missing:
+            raise ValueError(
+                f"a real laser is switched on only when the rig file states its {', '.join(sorted(missing))}; read "
+                "them from its label"
+            )
+        return self
+
 
 class LampSettings(Model):
     """White lamp of known relative spectrum."""
 
-    driver: Driver = "simulated"
+    driver: LampDriver = "simulated"
+    address: str = Field(default="", description=LIGHT_ADDRESS)
     spectrum: Literal["planck-2856K"] = Field(
         default="planck-2856K",
         description="relative spectral irradiance on the sample (tungsten halogen lamp)",
     )
+
+    @model_validator(mode="after")
+    def _is_reachable(self) -> "LampSettings":
+        _require_address(self.driver, self.address)
+        return self
 
 
 class WhiteReference(Model):
@@ -186,6 +249,18 @@ class SimulatedBench(Model):
         return self
 
 
+class DeviceIdentity(Model):
+    """What a device says it is; empty where it does not say."""
+
+    role: Literal["camera", "filter wheel", "laser", "lamp"]
+    driver: str
+    address: str = ""
+    vendor: str = ""
+    model: str = ""
+    serial: str = ""
+    firmware: str = ""
+
+
 class RigFile(Record):
     """A whole rig."""
 
@@ -199,7 +274,17 @@ class RigFile(Record):
 
     @model_validator(mode="after")
     def _simulated_needs_a_bench(self) -> "RigFile":
-        drivers = {self.camera.driver, self.filter_wheel.driver, self.laser.driver, self.lamp.driver}
+        drivers = (self.camera.driver, self.filter_wheel.driver, self.laser.driver, self.lamp.driver)
+        if 0 < drivers.count("simulated") < len(drivers):
+            raise ValueError(
+                "simulated and real devices cannot share a rig: the simulated bench does not see what real ones do; "
+                "name a real driver for the camera, filter_wheel, laser and lamp, or for none of them"
+            )
         if "simulated" in drivers and self.simulated is None:
             raise ValueError("a simulated device needs a [simulated] table that names a paint or a material")
         return self
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the simulated bench stands in for all devices."""
+        return self.camera.driver == "simulated"

@@ -1,7 +1,7 @@
 """From a rig file to opened devices: ``with open_rig(rig, folder) as opened:``."""
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,8 +10,10 @@ import numpy as np
 from data_schemas.curve_files import read_filter_curves
 from data_schemas.curves import SpectralCurve
 from data_schemas.filter_curves import coverage_notes
-from data_schemas.rig import RigFile
+from data_schemas.rig import DeviceIdentity, RigFile
 from data_schemas.standard_curves import camera_response, halogen_lamp
+from rigs.drivers import open_camera, open_lamp, open_laser, open_wheel
+from rigs.host import SystemClock, TerminalOperator
 from rigs.protocols import Camera, Clock, FilterWheel, Light, Operator
 
 DARK_CURRENT_E_PER_S = 2.0
@@ -47,10 +49,14 @@ class OpenRig:
     filter_curves: Mapping[str, SpectralCurve] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
+    def identities(self) -> tuple[DeviceIdentity, ...]:
+        """Return what the devices say they are."""
+        return tuple(device.identity() for device in (self.camera, self.wheel, self.laser, self.lamp))
+
 
 @contextmanager
-def open_rig(rig: RigFile, folder: Path) -> Iterator[OpenRig]:
-    """Open the devices of a rig for a ``with`` block.
+def open_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> Iterator[OpenRig]:
+    """Open the devices of a rig for a ``with`` block; lights are off and connections closed at its end.
 
     Parameters
     ----------
@@ -58,9 +64,15 @@ def open_rig(rig: RigFile, folder: Path) -> Iterator[OpenRig]:
         The rig file's content.
     folder
         Where relative paths in the rig file start.
+    operator
+        Who places targets at a real rig; a person at the terminal when left out.
 
     Raises
     ------
+    CaptureError
+        A device cannot be reached or is not what the rig file says.
+    MissingExtraError
+        A driver needs a package or program that is not installed.
     CurveError
         A curve file is missing or unusable, misses more than 20 % of a filter's band, or does not agree with the
         filter that names it.
@@ -69,7 +81,23 @@ def open_rig(rig: RigFile, folder: Path) -> Iterator[OpenRig]:
     lamp = halogen_lamp()
     filter_curves = read_filter_curves(rig.filter_wheel.filters, folder)
     notes = coverage_notes(rig.filter_wheel.filters, filter_curves, (*response, lamp))
-    yield _open_simulated(rig, folder, response, lamp, filter_curves, notes)
+    if rig.is_simulated:
+        yield _open_simulated(rig, folder, response, lamp, filter_curves, notes)
+        return
+    hands = operator or TerminalOperator()
+    with ExitStack() as stack:
+        yield OpenRig(
+            camera=stack.enter_context(open_camera(rig.camera, folder)),
+            wheel=stack.enter_context(open_wheel(rig.filter_wheel, hands)),
+            laser=stack.enter_context(open_laser(rig.laser)),
+            lamp=stack.enter_context(open_lamp(rig.lamp, hands)),
+            operator=hands,
+            clock=SystemClock(),
+            camera_response=response,
+            lamp_spectrum=lamp,
+            filter_curves=filter_curves,
+            notes=notes,
+        )
 
 
 def _open_simulated(

@@ -1,17 +1,20 @@
 """What a calibration rig must be able to do: camera, filter wheel, lights, operator, clock.
 
 Every exchange has a deadline in seconds on a monotonic clock; a device that misses it raises
-:class:`~data_schemas.errors.CaptureError`. Drivers never guess: a position or state is what the device says.
+:class:`~data_schemas.errors.TimedOutError`. Drivers never guess: a position or state is what the device says, asked
+afresh. They raise the children of :class:`~data_schemas.errors.CaptureError` only; each message names the device.
 """
 
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.capture import Target
+from data_schemas.rig import DeviceIdentity
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,13 +28,22 @@ class RawFrame:
     exposure_requested_s, exposure_s
         Exposure time that was asked for and the one the camera read back.
     captured_utc
-        Start of the exposure, ISO 8601, UTC.
+        Start of the exposure by the host's clock, ISO 8601, UTC.
+    frame_id
+        The camera's own number of the frame, where it gives one; it may wrap.
+    device_time_s
+        The camera's own time of the frame (s from an arbitrary start), where it gives one.
+    settings
+        Other settings as the camera reads them back (gain, black level, pixel format), by name.
     """
 
     counts: NDArray[np.uint16]
     exposure_requested_s: float
     exposure_s: float
     captured_utc: str
+    frame_id: int | None = None
+    device_time_s: float | None = None
+    settings: Mapping[str, str | float] = field(default_factory=dict)
 
 
 class Clock(Protocol):
@@ -49,13 +61,25 @@ class Clock(Protocol):
 class Camera(Protocol):
     """A camera with raw Bayer output and settable exposure."""
 
+    def identity(self) -> DeviceIdentity:
+        """Return what the camera says it is."""
+        ...
+
     def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
-        """Take one frame with `exposure_s` seconds; it is there after at most `deadline_s` seconds."""
+        """Take one frame with `exposure_s` seconds; it is there after at most `deadline_s` seconds.
+
+        The frame was exposed after this call began. Frames that the transport calls incomplete, frames seen before
+        and pictures that stand in for a missing camera raise :class:`~data_schemas.errors.BadFrameError`.
+        """
         ...
 
 
 class FilterWheel(Protocol):
     """A wheel of filters in front of the camera."""
+
+    def identity(self) -> DeviceIdentity:
+        """Return what the wheel says it is."""
+        ...
 
     @property
     def slots(self) -> tuple[int, ...]:
@@ -67,12 +91,26 @@ class FilterWheel(Protocol):
         ...
 
     def go_to(self, slot: int, deadline_s: float) -> None:
-        """Move until the device reports `slot` and stands still; at most `deadline_s` seconds."""
+        """Move until the device is idle and reports `slot` in two polls; at most `deadline_s` seconds.
+
+        Raises
+        ------
+        RefusedError
+            The wheel has no such slot; nothing moved.
+        TimedOutError
+            It did not arrive before the deadline.
+        WrongPositionError
+            It came to rest at another slot.
+        """
         ...
 
 
 class Light(Protocol):
     """A light that is off unless a ``with light.lit():`` block is running."""
+
+    def identity(self) -> DeviceIdentity:
+        """Return what the light's controller says it is."""
+        ...
 
     def state(self) -> bool:
         """Return whether the light is on, as the device reports it."""
@@ -80,6 +118,37 @@ class Light(Protocol):
 
     def lit(self) -> AbstractContextManager[None]:
         """Switch on for a ``with`` block; off at its end, also when an exception leaves it."""
+        ...
+
+
+class LightSwitch(Protocol):
+    """The bare switch of a light: what a driver brings; :mod:`rigs.light_guard` makes a :class:`Light` of it."""
+
+    @property
+    def has_dead_man(self) -> bool:
+        """Whether the controller itself switches the light off when it hears nothing for about a second."""
+        ...
+
+    def identity(self) -> DeviceIdentity:
+        """Return what the controller says it is."""
+        ...
+
+    def switch(self, on: bool, deadline_s: float) -> None:
+        """Switch, and return when a fresh answer of the controller confirms it; at most `deadline_s` seconds.
+
+        Raises
+        ------
+        UnsafeError
+            Off was asked for and is not confirmed.
+        """
+        ...
+
+    def state(self, deadline_s: float) -> bool:
+        """Ask the controller afresh whether the light is on."""
+        ...
+
+    def keep_alive(self) -> None:
+        """Tell the controller that the host lives; nothing where it has no dead-man."""
         ...
 
 
@@ -100,4 +169,8 @@ class Operator(Protocol):
 
     def tilt(self, angle_deg: float) -> None:
         """Turn the sample until its normal and the laser beam enclose `angle_deg`; 0 faces the laser (no deadline)."""
+        ...
+
+    def do(self, instruction: str) -> None:
+        """Have something done that no device can do, such as turning a filter wheel by hand (no deadline)."""
         ...

@@ -1,21 +1,25 @@
 """Capture of a camera session: flat frames up and down through the exposures, then dark frames of the same."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from data_schemas.camera import CameraPlan, CameraSession
 from data_schemas.capture import RegionOfInterest
 from data_schemas.errors import CaptureError
 from data_schemas.rig import RigFile
 from rigs.capture.camera_levels import level_exposures_s, level_notes, saturation_exposures_s
-from rigs.capture.exchange import expose_checked, shine
+from rigs.capture.exchange import shine
 from rigs.capture.exposure import exposure_ladder, meter_exposure
-from rigs.capture.frame_store import FrameStore
+from rigs.capture.frame_store import FrameStore, Shot, numbered
 from rigs.capture.journal import Journal
 from rigs.capture.plan import Step, require_region_inside
-from rigs.capture.session_folder import curve_files, require_empty, write_manifest, write_session
+from rigs.capture.resume import Interrupted, require_same_inputs, resume_notes
+from rigs.capture.rig_lock import rig_locked
+from rigs.capture.session_folder import curve_files, require_empty, write_manifest, write_session, write_start
 from rigs.open_rig import OpenRig, open_rig
+from rigs.protocols import Operator
 
 Progress = Callable[[int, int, str], None]
 METERED_FRACTION = 0.7
@@ -46,6 +50,9 @@ def capture_camera_session(
     out: Path,
     command: str,
     progress: Progress | None = None,
+    *,
+    operator: Operator | None = None,
+    interrupted: Interrupted | None = None,
 ) -> CameraSession:
     """Capture a camera session into the folder `out`: frames, journal, ``session.json`` and checksums.
 
@@ -56,11 +63,15 @@ def capture_camera_session(
     rig_folder
         Where relative paths in the rig file start.
     out
-        New or empty folder.
+        New or empty folder, or that of the interrupted session.
     command
         The command line that reproduces the session.
     progress
         Called with (done, total, text) after every frame; it counts within the phase that the text names.
+    operator
+        Who places the white tile; a person at the terminal when left out.
+    interrupted
+        What is done already, when a session is resumed.
 
     Raises
     ------
@@ -70,10 +81,13 @@ def capture_camera_session(
     SaturatedError
         The white tile is too bright at the camera's shortest exposure.
     """
-    step = camera_step(plan, rig)
-    require_empty(out)
-    with open_rig(rig, rig_folder) as opened:
-        return capture_camera_with(opened, rig, plan, step, out, curve_files(rig, rig_folder), command, progress)
+    step, inputs = camera_step(plan, rig), curve_files(rig, rig_folder)
+    if interrupted is None:
+        require_empty(out)
+    else:
+        require_same_inputs(interrupted, inputs)
+    with rig_locked(rig), open_rig(rig, rig_folder, operator) as opened:
+        return capture_camera_with(opened, rig, plan, step, out, inputs, command, progress, interrupted, rig_folder)
 
 
 def capture_camera_with(
@@ -85,17 +99,26 @@ def capture_camera_with(
     inputs: dict[str, str],
     command: str,
     progress: Progress | None = None,
+    interrupted: Interrupted | None = None,
+    rig_folder: Path = Path(),
 ) -> CameraSession:
     """Capture a camera session with devices that are open already."""
     out.mkdir(parents=True, exist_ok=True)
-    with Journal(out, opened.clock) as journal:
-        journal.append("start", command=command, rig=rig.name, camera=plan.camera_name)
-        recorder = _Recorder(opened, rig, plan, step, out, journal, progress)
-        recorder.record()
-        notes = (*opened.notes, *recorder.notes)
+    if interrupted is not None:
+        opened = replace(opened, clock=interrupted.clock_after(opened.clock))
+    whole_cells = RegionOfInterest.model_validate({k: v & ~1 for k, v in plan.region.model_dump().items()})
+    with Journal(out, opened.clock, resumed=interrupted is not None) as journal:
+        if interrupted is None:
+            write_start(journal, plan, rig, rig_folder, inputs, command)
+        else:
+            journal.append("resume", frames=len(interrupted.frames))
+        with FrameStore(opened, rig, whole_cells, out, journal, interrupted) as store:
+            recorder = _Recorder(opened, rig, plan, step, store, journal, progress)
+            recorder.record(None if interrupted is None else interrupted.levels)
+        notes = (*opened.notes, *recorder.notes, *resume_notes(interrupted))
         for note in notes:
             journal.append("note", text=note)
-        session = CameraSession(plan=plan, rig=rig, frames=tuple(recorder.store.frames), notes=notes)
+        session = CameraSession(plan=plan, rig=rig, frames=store.frames, devices=opened.identities(), notes=notes)
         write_session(session, out, inputs, command)
     write_manifest(out)
     return session
@@ -110,56 +133,65 @@ class _Recorder:
         rig: RigFile,
         plan: CameraPlan,
         flat: Step,
-        out: Path,
+        store: FrameStore,
         journal: Journal,
         progress: Progress | None,
     ):
         self._opened, self._camera, self._plan, self._flat = opened, rig.camera, plan, flat
-        self._journal, self._progress = journal, progress
-        whole_cells = RegionOfInterest.model_validate({k: v & ~1 for k, v in plan.region.model_dump().items()})
-        self.store = FrameStore(opened, rig, whole_cells, out, journal)
+        self._store, self._journal, self._progress = store, journal, progress
         self.notes: tuple[str, ...] = ()
 
-    def record(self) -> None:
-        """Meter, store the flat frames with the lamp on throughout, then the dark frames."""
+    def record(self, levels: Mapping[str, Any] | None) -> None:
+        """Meter, store the flat frames with the lamp on throughout, then the dark frames.
+
+        Parameters
+        ----------
+        levels
+            What the interrupted part of a resumed session found by metering; None to meter.
+        """
         self._opened.operator.place("white")
         if self._flat.slot is None:
             self._opened.operator.swing_wheel_out()
         with shine(self._opened, "lamp"):
-            saturation_s = self._meter()
-            self.notes = level_notes(saturation_s, self._plan, self._camera)
-            levels_s = level_exposures_s(saturation_s, self._plan, self._camera)
-            half_s = min(levels_s, key=lambda t: abs(t - 0.5 * min(saturation_s.values())))
-            flats_s = [*_up_and_down(levels_s, self._plan.frames_per_level), *[half_s] * self._plan.repeats]
-            self._journal.append("step", label=self._flat.label, exposures_s=levels_s)
-            self._store_all(self._flat, flats_s, "flat frames")
+            if levels is None:
+                levels = self._meter()
+                self._journal.append("levels", **levels)
+            self.notes = tuple(levels["notes"])
+            flats = numbered((self._flat, t) for t in levels["flats_s"])
+            self._take_all(flats, "flat frames")
         dark = replace(self._flat, frame_type="dark", light="off")
-        longest_s = min(self._plan.longest_exposure_s, self._camera.longest_exposure_s)
-        extra_s = [longest_s] * (self._plan.frames_per_level if longest_s not in levels_s else 0)
+        darks = numbered(((dark, t) for t in (*levels["flats_s"], *levels["extra_darks_s"])), first=len(flats))
         with shine(self._opened, "off"):
-            self._store_all(dark, [*flats_s, *extra_s], "dark frames")
+            self._take_all(darks, "dark frames")
 
-    def _meter(self) -> dict[str, float]:
-        """Return the exposure (s) at which each channel saturates."""
+    def _meter(self) -> dict[str, Any]:
+        """Return the exposures (s) of the flat frames, those of further dark frames, and what the user should know."""
         metered_s = meter_exposure(
-            lambda exposure_s: expose_checked(self._opened, self._camera, self._flat, exposure_s).raw.counts[
-                self.store.region
-            ],
+            lambda exposure_s: self._store.camera.expose(self._flat, exposure_s).raw.counts[self._store.region],
             exposure_ladder(self._camera.shortest_exposure_s, self._camera.longest_exposure_s),
-            self.store.full_scale_dn,
+            self._store.full_scale_dn,
             self._camera.black_level_dn,
             METERED_FRACTION,
             self._flat.label,
         )
-        raw = expose_checked(self._opened, self._camera, self._flat, metered_s).raw
-        return saturation_exposures_s(raw.counts[self.store.region], raw.exposure_s, self._camera)
+        raw = self._store.camera.expose(self._flat, metered_s).raw
+        saturation_s = saturation_exposures_s(raw.counts[self._store.region], raw.exposure_s, self._camera)
+        levels_s = level_exposures_s(saturation_s, self._plan, self._camera)
+        half_s = min(levels_s, key=lambda t: abs(t - 0.5 * min(saturation_s.values())))
+        longest_s = min(self._plan.longest_exposure_s, self._camera.longest_exposure_s)
+        return {
+            "flats_s": [*_up_and_down(levels_s, self._plan.frames_per_level), *[half_s] * self._plan.repeats],
+            "extra_darks_s": [longest_s] * (self._plan.frames_per_level if longest_s not in levels_s else 0),
+            "notes": level_notes(saturation_s, self._plan, self._camera),
+        }
 
-    def _store_all(self, step: Step, exposures_s: list[float], phase: str) -> None:
-        """Store one frame per exposure."""
-        for done, exposure_s in enumerate(exposures_s, 1):
-            self.store.take(step, exposure_s)
+    def _take_all(self, shots: list[Shot], phase: str) -> None:
+        """Store the frames that are still missing."""
+        missing = self._store.missing(shots)
+        for done, shot in enumerate(missing, 1):
+            self._store.take(shot)
             if self._progress is not None:
-                self._progress(done, len(exposures_s), f"{phase}: {exposure_s:.3g} s")
+                self._progress(done, len(missing), f"{phase}: {shot.exposure_s:.3g} s")
 
 
 def _up_and_down(levels_s: tuple[float, ...], times: int) -> Iterator[float]:

@@ -1,11 +1,14 @@
-"""One checked exposure: wheel in place before and after, lights as planned, exposure and frame as asked."""
+"""Checked exposures: wheel in place before and after, lights as planned, a new frame with the settings asked for."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
 
 from data_schemas.capture import LightState
-from data_schemas.errors import CaptureError
+from data_schemas.errors import BadFrameError, CaptureError, LostError, RefusedError, WrongPositionError
 from data_schemas.rig import CameraSettings
 from rigs.capture.plan import Step
 from rigs.open_rig import OpenRig
@@ -15,15 +18,34 @@ WHEEL_DEADLINE_S = 20.0
 CAMERA_DEADLINE_MARGIN_S = 5.0
 # Cameras set exposures in multiples of a line time; more than this is a setting that was not taken.
 EXPOSURE_TOLERANCE_REL = 0.05
+ATTEMPTS = 4
+"""Exposures before a frame that is refused every time ends the capture."""
+
+LightName = Literal["lamp", "laser"]
 
 
 @dataclass(frozen=True, slots=True)
 class CheckedFrame:
-    """A raw frame with the wheel's position before and after it."""
+    """A raw frame with what was read back beside it.
+
+    Attributes
+    ----------
+    raw
+        The frame.
+    slot_before, slot_after
+        Position of the wheel.
+    lights_before, lights_after
+        Lights that were on.
+    attempts
+        Exposures it took.
+    """
 
     raw: RawFrame
     slot_before: int | None
     slot_after: int | None
+    lights_before: tuple[LightName, ...]
+    lights_after: tuple[LightName, ...]
+    attempts: int
 
 
 @contextmanager
@@ -31,47 +53,115 @@ def shine(opened: OpenRig, light: LightState) -> Iterator[None]:
     """Keep the planned light on for a ``with`` block and check that only this one is on."""
     device = {"lamp": opened.lamp, "laser": opened.laser}.get(light)
     with nullcontext() if device is None else device.lit():
-        for name, other in (("lamp", opened.lamp), ("laser", opened.laser)):
-            if other.state() != (name == light):
-                raise CaptureError(
-                    f"{name}: reads back {'on' if other.state() else 'off'} where the step needs light '{light}'; "
-                    "check its connection and switch"
-                )
+        _require_lights(opened, light)
         yield
 
 
-def expose_checked(opened: OpenRig, camera: CameraSettings, step: Step, exposure_s: float) -> CheckedFrame:
-    """Turn the wheel to the filter of `step`, expose once and check everything that can be read back.
+class CheckedCamera:
+    """The camera of a rig behind its wheel and lights: everything that can be read back is checked.
 
-    Raises
-    ------
-    CaptureError
-        The wheel is or was at another slot, or the camera used another exposure or frame size.
+    Parameters
+    ----------
+    opened, settings
+        The rig and what its file says about the camera.
+    on_refusal
+        Called with a text for every frame that is refused and taken again.
     """
-    if step.slot is not None and opened.wheel.position() != step.slot:
-        opened.wheel.go_to(step.slot, WHEEL_DEADLINE_S)
-    before = _require_slot(opened, step, "before")
-    raw = opened.camera.expose(exposure_s, exposure_s + CAMERA_DEADLINE_MARGIN_S)
-    after = _require_slot(opened, step, "after")
-    if abs(raw.exposure_s / exposure_s - 1.0) > EXPOSURE_TOLERANCE_REL:
-        raise CaptureError(
-            f"camera: {exposure_s:g} s were asked for {step.label}, it reads back {raw.exposure_s:g} s (within "
-            f"{EXPOSURE_TOLERANCE_REL:.0%} is allowed); correct shortest_exposure_s and longest_exposure_s of the rig"
-        )
-    if raw.counts.shape != (camera.height_px, camera.width_px):
-        raise CaptureError(
-            f"camera: delivered a frame of {raw.counts.shape[0]} x {raw.counts.shape[1]} px, the rig file says "
-            f"{camera.height_px} x {camera.width_px} px (height x width); correct the rig file"
-        )
-    return CheckedFrame(raw, before, after)
+
+    def __init__(
+        self, opened: OpenRig, settings: CameraSettings, on_refusal: Callable[[str], None] = lambda text: None
+    ) -> None:
+        self._opened, self._settings, self._on_refusal = opened, settings, on_refusal
+        self._last: RawFrame | None = None
+
+    def expose(self, step: Step, exposure_s: float) -> CheckedFrame:
+        """Turn the wheel to the filter of `step` and take a frame; a refused one is taken again, three times at most.
+
+        Raises
+        ------
+        WrongPositionError
+            The wheel is or was at another slot.
+        BadFrameError, LostError
+            Every attempt failed.
+        CaptureError
+            A light is not as planned, or the camera used another exposure or frame size.
+        """
+        for attempt in range(1, ATTEMPTS):
+            try:
+                return self._once(step, exposure_s, attempt)
+            except (BadFrameError, LostError) as error:
+                self._on_refusal(f"{step.label}, {exposure_s:g} s, attempt {attempt}: {error}")
+        try:
+            return self._once(step, exposure_s, ATTEMPTS)
+        except (BadFrameError, LostError) as error:
+            raise type(error)(f"{error} ({ATTEMPTS} attempts at {step.label})") from error
+
+    def _once(self, step: Step, exposure_s: float, attempt: int) -> CheckedFrame:
+        """Take one frame and check it."""
+        opened = self._opened
+        if step.slot is not None and opened.wheel.position() != step.slot:
+            opened.wheel.go_to(step.slot, WHEEL_DEADLINE_S)
+        slot_before, lights_before = _require_slot(opened, step, "before"), _require_lights(opened, step.light)
+        raw = opened.camera.expose(exposure_s, exposure_s + CAMERA_DEADLINE_MARGIN_S)
+        slot_after, lights_after = _require_slot(opened, step, "after"), _require_lights(opened, step.light)
+        self._require_as_asked(raw, step, exposure_s)
+        self._require_new(raw)
+        self._last = raw
+        return CheckedFrame(raw, slot_before, slot_after, lights_before, lights_after, attempt)
+
+    def _require_as_asked(self, raw: RawFrame, step: Step, exposure_s: float) -> None:
+        """Refuse another exposure or frame size than was asked for."""
+        if abs(raw.exposure_s / exposure_s - 1.0) > EXPOSURE_TOLERANCE_REL:
+            raise RefusedError(
+                f"camera: {exposure_s:g} s were asked for {step.label}, it reads back {raw.exposure_s:g} s (within "
+                f"{EXPOSURE_TOLERANCE_REL:.0%} is allowed); correct shortest_exposure_s and longest_exposure_s of the "
+                "rig"
+            )
+        asked = (self._settings.height_px, self._settings.width_px)
+        if raw.counts.ndim != 2:
+            raise RefusedError(
+                f"camera: delivers colour pictures ({raw.counts.shape[2]} values a pixel); filtered sessions need raw "
+                "Bayer counts: choose a raw pixel format, or another driver"
+            )
+        if raw.counts.shape != asked:
+            raise RefusedError(
+                f"camera: delivered a frame of {raw.counts.shape[0]} x {raw.counts.shape[1]} px, the rig file says "
+                f"{asked[0]} x {asked[1]} px (height x width); correct the rig file"
+            )
+
+    def _require_new(self, raw: RawFrame) -> None:
+        """Refuse the frame that was delivered last time."""
+        last = self._last
+        if last is None:
+            return
+        if raw.frame_id is not None or raw.device_time_s is not None:
+            same = (raw.frame_id, raw.device_time_s) == (last.frame_id, last.device_time_s)
+        else:  # two frames of one value each may well be equal
+            same = np.array_equal(raw.counts, last.counts) and raw.counts.min() < raw.counts.max()
+        if same:
+            raise BadFrameError(
+                "camera: delivered the same frame twice; its stream hangs or a picture stands in for the camera"
+            )
 
 
 def _require_slot(opened: OpenRig, step: Step, when: str) -> int | None:
     """Return the wheel's position after checking that it is the one of the step."""
     position = opened.wheel.position()
     if position != step.slot:
-        raise CaptureError(
+        raise WrongPositionError(
             f"filter wheel: reads slot {position} {when} the exposure of {step.label}, slot {step.slot} is needed; "
             "the wheel slipped or is not where the operator left it: home it and start again"
         )
     return position
+
+
+def _require_lights(opened: OpenRig, planned: LightState) -> tuple[LightName, ...]:
+    """Return the lights that are on after checking that it is the planned one alone."""
+    states: dict[LightName, bool] = {"lamp": opened.lamp.state(), "laser": opened.laser.state()}
+    for name, on in states.items():
+        if on != (name == planned):
+            raise CaptureError(
+                f"{name}: reads back {'on' if on else 'off'} where the step needs light '{planned}'; check its "
+                "connection, switch and interlock"
+            )
+    return tuple(name for name, on in states.items() if on)

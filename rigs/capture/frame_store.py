@@ -1,21 +1,49 @@
 """Taking and storing the frames of a session, with what the devices read back."""
 
 import re
+import shutil
+from collections.abc import Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 
 from data_schemas.capture import Frame, RegionOfInterest
+from data_schemas.errors import CaptureError
 from data_schemas.rig import RigFile
 from data_schemas.storage import write_frame
-from rigs.capture.exchange import expose_checked
+from rigs.capture.exchange import CheckedCamera, CheckedFrame
 from rigs.capture.exposure import saturated_fraction
 from rigs.capture.journal import Journal
 from rigs.capture.laser_dose import LaserDose
 from rigs.capture.plan import Step
+from rigs.capture.resume import Interrupted
 from rigs.open_rig import OpenRig
+from rigs.protocols import RawFrame
+
+BYTES_PER_PIXEL = 2
+SPACE_FACTOR = 1.1  # of the frames: room for TIFF headers, journal and record
+MOST_WAITING = 4  # frames in memory that are not on the disk yet
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """One frame to take; its number in the session is known beforehand, so that a resumed session finds it."""
+
+    sequence: int
+    step: Step
+    exposure_s: float
+
+
+def numbered(wanted: Iterable[tuple[Step, float]], first: int = 0) -> list[Shot]:
+    """Return steps and exposures (s) as shots, counted from `first`."""
+    return [Shot(number, step, exposure_s) for number, (step, exposure_s) in enumerate(wanted, first)]
 
 
 class FrameStore:
-    """Takes the frames of one session and stores them with what the devices read back.
+    """Takes the frames of one session and stores them with what the devices read back; a ``with`` block.
+
+    A frame is written and hashed while the wheel moves on to the next filter; the block ends when all are on disk.
 
     Parameters
     ----------
@@ -25,26 +53,72 @@ class FrameStore:
         Where saturation counts.
     out, journal
         The session's folder and journal.
+    interrupted
+        What is done already, when a session is resumed; its frames are not taken again.
     """
 
-    def __init__(self, opened: OpenRig, rig: RigFile, region: RegionOfInterest, out: Path, journal: Journal):
-        self._opened, self._camera, self._out, self._journal = opened, rig.camera, out, journal
+    def __init__(
+        self,
+        opened: OpenRig,
+        rig: RigFile,
+        region: RegionOfInterest,
+        out: Path,
+        journal: Journal,
+        interrupted: Interrupted | None = None,
+    ):
+        self._opened, self._out, self._journal = opened, out, journal
+        self.camera = CheckedCamera(opened, rig.camera, lambda text: journal.append("refused", text=text))
         self.region = (
             slice(region.row_px, region.row_px + region.height_px),
             slice(region.column_px, region.column_px + region.width_px),
         )
         self.full_scale_dn = 2**rig.camera.bit_depth - 1
-        self.dose = LaserDose(rig.laser.power_mw, opened.clock)
-        self.frames: list[Frame] = []
+        self.dose = LaserDose(rig.laser.power_mw, opened.clock, 0.0 if interrupted is None else interrupted.dose_j)
+        self._frame_bytes = BYTES_PER_PIXEL * rig.camera.width_px * rig.camera.height_px
+        self._frames = {} if interrupted is None else dict(interrupted.frames)
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix="frame-writer")
+        self._waiting: list[Future[None]] = []
 
-    def take(self, step: Step, exposure_s: float) -> None:
-        """Take one frame, write it and note it in the journal."""
-        checked = expose_checked(self._opened, self._camera, step, exposure_s)
-        number, raw = len(self.frames), checked.raw
-        middle_ago_s = 0.5 * raw.exposure_s
-        file = _frame_file(number, step, raw.exposure_s)
+    @property
+    def frames(self) -> tuple[Frame, ...]:
+        """The stored frames in the order of their numbers; complete after the ``with`` block."""
+        return tuple(frame for _, frame in sorted(self._frames.items()))
+
+    def missing(self, shots: Iterable[Shot]) -> list[Shot]:
+        """Return the shots that are still to be taken, after checking that the disk can hold them.
+
+        Raises
+        ------
+        CaptureError
+            There is not enough space.
+        """
+        left = [shot for shot in shots if shot.sequence not in self._frames]
+        require_space(self._out, len(left) * self._frame_bytes)
+        return left
+
+    def take(self, shot: Shot) -> RawFrame:
+        """Take one frame; write it and note it in the journal while the next one is prepared."""
+        checked = self.camera.expose(shot.step, shot.exposure_s)
+        middle_ago_s = 0.5 * checked.raw.exposure_s
+        middle_s = max(self._opened.clock.monotonic_s() - middle_ago_s, 0.0)
+        dose_j = self.dose.energy_j(middle_ago_s)
+        self._wait(MOST_WAITING - 1)
+        self._waiting.append(self._writer.submit(self._write, shot, checked, middle_s, dose_j))
+        return checked.raw
+
+    def _write(self, shot: Shot, checked: CheckedFrame, middle_s: float, dose_j: float) -> None:
+        """Write a frame, then its line of the journal."""
+        raw, step = checked.raw, shot.step
+        file = _frame_file(shot.sequence, step, raw.exposure_s)
+        try:
+            sha256 = write_frame(self._out / file, raw.counts, f"{step.label}, {raw.exposure_s:g} s")
+        except OSError as error:
+            raise CaptureError(
+                f"{self._out / file}: cannot be written ({error.strerror}); free space or mend the disk, then "
+                f"finray capture --resume {self._out}"
+            ) from None
         frame = Frame(
-            sequence=number,
+            sequence=shot.sequence,
             file=file,
             frame_type=step.frame_type,
             target=step.target,
@@ -52,17 +126,54 @@ class FrameStore:
             filter_name=step.filter_name,
             slot_before=checked.slot_before,
             slot_after=checked.slot_after,
+            lights_before=checked.lights_before,
+            lights_after=checked.lights_after,
             exposure_requested_s=raw.exposure_requested_s,
             exposure_s=raw.exposure_s,
             captured_utc=raw.captured_utc,
-            middle_s=max(self._opened.clock.monotonic_s() - middle_ago_s, 0.0),
-            laser_dose_j=self.dose.energy_j(middle_ago_s),
+            middle_s=middle_s,
+            frame_id=raw.frame_id,
+            device_time_s=raw.device_time_s,
+            settings=dict(raw.settings),
+            attempts=checked.attempts,
+            laser_dose_j=dose_j,
             tilt_deg=step.tilt_deg,
             saturated_fraction=saturated_fraction(raw.counts[self.region], self.full_scale_dn),
-            sha256=write_frame(self._out / file, raw.counts, f"{step.label}, {raw.exposure_s:g} s"),
+            sha256=sha256,
         )
-        self.frames.append(frame)
         self._journal.append("frame", **frame.model_dump())
+        self._frames[shot.sequence] = frame
+
+    def _wait(self, most: int) -> None:
+        """Wait until at most so many frames are waiting; an error of the writer comes out here."""
+        while len(self._waiting) > most:
+            self._waiting.pop(0).result()
+
+    def __enter__(self) -> "FrameStore":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._writer.shutdown(wait=True)
+        if error is None:
+            self._wait(0)
+
+
+def require_space(folder: Path, needed_bytes: int) -> None:
+    """Refuse to start what the disk cannot hold.
+
+    Raises
+    ------
+    CaptureError
+        There is not enough free space.
+    """
+    free_bytes, needed_bytes = shutil.disk_usage(folder).free, round(SPACE_FACTOR * needed_bytes)
+    if free_bytes < needed_bytes:
+        raise CaptureError(
+            f"{folder}: the frames need {needed_bytes / 1e6:.0f} MB and {free_bytes / 1e6:.0f} MB are free; free space "
+            "or choose another --out"
+        )
 
 
 def _frame_file(number: int, step: Step, exposure_s: float) -> str:

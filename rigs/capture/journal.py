@@ -1,7 +1,9 @@
 """The journal of a session: one JSON object per line, on disk before the next step begins."""
 
+import fcntl
 import json
 import os
+import threading
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -15,35 +17,48 @@ JOURNAL_NAME = "journal.jsonl"
 class Journal:
     """Append-only log of a session; a ``with`` block that closes with the outcome ("done" or the error).
 
+    Threads may write. The file is locked while it is open: one capture writes into a folder at a time.
+
     Parameters
     ----------
     folder
         Folder of the session.
     clock
         Where the time of each line comes from.
+    resumed
+        Whether the journal of an interrupted session goes on; else it must not exist.
 
     Raises
     ------
     CaptureError
-        The folder holds a journal already: another capture writes there.
+        The folder holds a journal already, or another capture writes into it now.
     """
 
-    def __init__(self, folder: Path, clock: Clock):
-        self._clock = clock
+    def __init__(self, folder: Path, clock: Clock, *, resumed: bool = False):
+        self._clock, self._turn = clock, threading.Lock()
+        path = folder / JOURNAL_NAME
         try:
-            self._file = (folder / JOURNAL_NAME).open("x", encoding="utf-8")
+            self._file = path.open("a" if resumed else "x", encoding="utf-8")
         except FileExistsError:
             raise CaptureError(
-                f"{folder / JOURNAL_NAME}: exists already, so that another capture writes into this folder; choose "
-                "another --out"
+                f"{path}: exists already, so that another capture writes into this folder; choose another --out"
             ) from None
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._file.close()
+            raise CaptureError(f"{path}: another capture is writing into this folder; wait until it ends") from None
+        if resumed and not _ends_with_newline(path):
+            self._file.write("\n")  # an interrupted line stays as it is; readers pass over it
 
     def append(self, event: str, **what: Any) -> None:
         """Write one line (start, step, frame, note or stop) and wait until it is on the disk."""
-        line = {"event": event, "utc": self._clock.utc(), "monotonic_s": round(self._clock.monotonic_s(), 3), **what}
-        self._file.write(json.dumps(line, ensure_ascii=False) + "\n")
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        with self._turn:
+            time_s = round(self._clock.monotonic_s(), 3)
+            line = {"event": event, "utc": self._clock.utc(), "monotonic_s": time_s, **what}
+            self._file.write(json.dumps(line, ensure_ascii=False) + "\n")
+            self._file.flush()
+            os.fsync(self._file.fileno())
 
     def __enter__(self) -> "Journal":
         return self
@@ -56,3 +71,34 @@ class Journal:
             self.append("stop", outcome=outcome)
         finally:
             self._file.close()
+
+
+def read_journal(folder: Path) -> list[dict[str, Any]]:
+    """Return the lines of a journal in order; a line cut short by an interruption is passed over.
+
+    Raises
+    ------
+    CaptureError
+        There is no journal.
+    """
+    path = folder / JOURNAL_NAME
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise CaptureError(
+            f"{path}: cannot be read ({error.strerror}); give the folder of an interrupted 'finray capture'"
+        ) from None
+    lines = []
+    for line in text.splitlines():
+        try:
+            entry = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(entry, dict) and "event" in entry:
+            lines.append(entry)
+    return lines
+
+
+def _ends_with_newline(path: Path) -> bool:
+    """Whether the file ends a line (or is empty)."""
+    return path.read_bytes()[-1:] in (b"", b"\n")

@@ -15,11 +15,13 @@ class LaserDose:
         Power of the laser (mW).
     clock
         Its monotonic time is used.
+    before_j
+        Energy that fell on the sample before (J), in the interrupted part of a resumed session.
     """
 
-    def __init__(self, power_mw: float, clock: Clock):
+    def __init__(self, power_mw: float, clock: Clock, before_j: float = 0.0):
         self._power_w, self._clock = 1e-3 * power_mw, clock
-        self._energy_j = 0.0
+        self._energy_j = before_j
         self._on_since_s: float | None = None
 
     @contextmanager

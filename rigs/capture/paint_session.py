@@ -1,22 +1,38 @@
-"""Capture of a paint session: meter, dark frames, every step at every exposure, dark frames again."""
+"""Capture of a paint session: meter, prove the filters, dark frames, every step at every exposure, dark frames."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import nullcontext
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
+from typing import TypeVar
 
-from data_schemas.capture import CaptureSession, Frame, LightState, PaintPlan, Target
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.capture import CaptureSession, FilterProof, LightState, PaintPlan, Target
+from data_schemas.errors import CaptureError, WrongPositionError
 from data_schemas.rig import RigFile
-from rigs.capture.exchange import expose_checked, shine
+from rigs.capture.exchange import shine
 from rigs.capture.exposure import exposure_ladder, meter_exposure, rung_at_or_below
-from rigs.capture.frame_store import FrameStore
+from rigs.capture.filter_proof import compare_with_last, judge_filters, predicted_rates
+from rigs.capture.frame_store import FrameStore, Shot, numbered
 from rigs.capture.journal import Journal
 from rigs.capture.plan import Step, paint_steps, with_repeat
-from rigs.capture.session_folder import curve_files, require_empty, write_manifest, write_session
+from rigs.capture.resume import Interrupted, require_same_inputs, resume_notes
+from rigs.capture.rig_lock import rig_locked
+from rigs.capture.session_folder import curve_files, require_empty, write_manifest, write_session, write_start
 from rigs.open_rig import OpenRig, open_rig
+from rigs.protocols import Operator
 
 Progress = Callable[[int, int, str], None]
+T = TypeVar("T")
+
+Rates = tuple[float, float, float]
+
+LARGEST_CHANGE = 1.25
+"""Factor by which the signal of a step may differ from its metering; lamps warm up by less, filters differ by more."""
+LEAST_SIGNAL_FRACTION = 0.02  # of full scale: below it a change cannot be told from the dark level
 
 
 def capture_paint_session(
@@ -26,6 +42,10 @@ def capture_paint_session(
     out: Path,
     command: str,
     progress: Progress | None = None,
+    *,
+    operator: Operator | None = None,
+    interrupted: Interrupted | None = None,
+    last_good: CaptureSession | None = None,
 ) -> CaptureSession:
     """Capture a paint session into the folder `out`: frames, journal, ``session.json`` and checksums.
 
@@ -39,24 +59,36 @@ def capture_paint_session(
     rig_folder
         Where relative paths in the rig file start.
     out
-        New or empty folder.
+        New or empty folder, or that of the interrupted session.
     command
         The command line that reproduces the session.
     progress
         Called with (done, total, text) after every metered step and every frame; it counts within the phase
         that the text names.
+    operator
+        Who places targets; a person at the terminal when left out.
+    interrupted
+        What is done already, when a session is resumed.
+    last_good
+        An earlier session on this rig whose white frames these must resemble.
 
     Raises
     ------
     CaptureError
-        The plan does not fit the rig, the folder is not empty, or a device did not do what was asked.
+        The plan does not fit the rig, the folder is not empty, a device did not do what was asked, or the frames
+        contradict the wheel.
     SaturatedError
         A step is too bright at the camera's shortest exposure.
     """
-    steps = paint_steps(plan, rig)
-    require_empty(out)
-    with open_rig(rig, rig_folder) as opened:
-        return capture_with(opened, rig, plan, steps, out, curve_files(rig, rig_folder), command, progress)
+    steps, inputs = paint_steps(plan, rig), curve_files(rig, rig_folder)
+    if interrupted is None:
+        require_empty(out)
+    else:
+        require_same_inputs(interrupted, inputs)
+    with rig_locked(rig), open_rig(rig, rig_folder, operator) as opened:
+        return capture_with(
+            opened, rig, plan, steps, out, inputs, command, progress, interrupted, last_good, rig_folder
+        )
 
 
 def capture_with(
@@ -68,21 +100,35 @@ def capture_with(
     inputs: dict[str, str],
     command: str,
     progress: Progress | None = None,
+    interrupted: Interrupted | None = None,
+    last_good: CaptureSession | None = None,
+    rig_folder: Path = Path(),
 ) -> CaptureSession:
     """Capture the `steps` of a paint session with devices that are open already."""
     out.mkdir(parents=True, exist_ok=True)
-    with Journal(out, opened.clock) as journal:
-        journal.append("start", command=command, rig=rig.name, paint=plan.paint_name, steps=len(steps))
+    if interrupted is not None:
+        opened = replace(opened, clock=interrupted.clock_after(opened.clock))
+    with Journal(out, opened.clock, resumed=interrupted is not None) as journal:
+        if interrupted is None:
+            write_start(journal, plan, rig, rig_folder, inputs, command)
+        else:
+            journal.append("resume", frames=len(interrupted.frames), sample_dose_j=interrupted.dose_j)
         for note in opened.notes:
             journal.append("note", text=note)
+        with FrameStore(opened, rig, plan.region, out, journal, interrupted) as store:
+            recorder = _Recorder(opened, rig, plan, store, journal, progress, interrupted, last_good)
+            recorder.record(steps)
         session = CaptureSession(
             plan=plan,
             rig=rig,
             camera_response=opened.camera_response,
             filter_curves=dict(opened.filter_curves),
             lamp=opened.lamp_spectrum,
-            frames=_Recorder(opened, rig, plan, out, journal, progress).record(steps),
-            notes=opened.notes,
+            frames=store.frames,
+            devices=opened.identities(),
+            filter_proof=recorder.proof,
+            white_rates_dn_per_s=recorder.white_rates(),
+            notes=(*opened.notes, *resume_notes(interrupted)),
         )
         write_session(session, out, inputs, command)
     write_manifest(out)
@@ -97,58 +143,69 @@ class _Recorder:
         opened: OpenRig,
         rig: RigFile,
         plan: PaintPlan,
-        out: Path,
+        store: FrameStore,
         journal: Journal,
         progress: Progress | None,
+        interrupted: Interrupted | None,
+        last_good: CaptureSession | None,
     ):
-        self._opened, self._camera, self._plan = opened, rig.camera, plan
-        self._journal, self._progress = journal, progress
-        self._store = FrameStore(opened, rig, plan.region, out, journal)
-        self._dose = self._store.dose
+        self._opened, self._rig, self._plan, self._last_good = opened, rig, plan, last_good
+        self._journal, self._progress, self._store = journal, progress, store
         self._ladder = exposure_ladder(rig.camera.shortest_exposure_s, rig.camera.longest_exposure_s)
         self._tilt_deg = 0.0
         self._metered_s: dict[LightState, float] = {}
+        self._exposures_s: dict[Step, list[float]] = {}
+        self._rates: dict[Step, Rates] = {}
+        self._before = {} if interrupted is None else interrupted.metered
+        self.proof: FilterProof | None = None
 
-    def record(self, steps: tuple[Step, ...]) -> tuple[Frame, ...]:
+    def record(self, steps: tuple[Step, ...]) -> None:
         """Meter all steps backwards, then store darks, frames (brightest emission again at the end) and darks."""
-        exposures_s: dict[Step, list[float]] = {}
-
-        def meter(step: Step) -> None:
-            exposures_s[step] = self._bracket(step)
-            self._journal.append("step", label=step.label, exposures_s=exposures_s[step])
-
-        def store(step: Step) -> None:
-            for exposure_s in exposures_s[step]:
-                self._store.take(step, exposure_s)
-
-        self._walk(steps[::-1], "metering", meter)
-        longest_s = {step: bracket[0] for step, bracket in exposures_s.items()}
+        for step in steps:
+            if step.label in self._before:
+                self._exposures_s[step], self._rates[step] = self._before[step.label]
+        self._walk([(s, s) for s in steps[::-1] if s not in self._exposures_s], "metering", self._meter)
+        self._prove(steps)
+        longest_s = {step: self._exposures_s[step][0] for step in steps}
         steps = with_repeat(steps, self._plan.excitation_filter, longest_s)
         for step in steps:
             if step.frame_type == "fluorescence repeat":
-                exposures_s[step] = exposures_s[replace(step, frame_type="fluorescence")]
-        used_s = sorted({exposure_s for bracket in exposures_s.values() for exposure_s in bracket})
-        self._darks(steps[0], used_s, "dark frames before")
-        self._walk(steps, "frames", store)
-        self._darks(steps[-1], used_s, "dark frames after")
-        return tuple(self._store.frames)
+                once = replace(step, frame_type="fluorescence")
+                self._exposures_s[step], self._rates[step] = self._exposures_s[once], self._rates[once]
+        used_s = sorted({exposure_s for step in steps for exposure_s in self._exposures_s[step]})
+        lit = [(step, exposure_s) for step in steps for exposure_s in self._exposures_s[step]]
+        before, after = self._darks(steps[0], used_s), self._darks(steps[-1], used_s)
+        missing = self._store.missing(numbered([*before, *lit, *after]))
+        for phase, first, last in (
+            ("dark frames before", 0, len(before)),
+            ("frames", len(before), len(before) + len(lit)),
+            ("dark frames after", len(before) + len(lit), len(before) + len(lit) + len(after)),
+        ):
+            shots = [shot for shot in missing if first <= shot.sequence < last]
+            self._walk([(shot.step, shot) for shot in shots], phase, self._take)
 
-    def _walk(self, steps: tuple[Step, ...], phase: str, act: Callable[[Step], None]) -> None:
+    def white_rates(self) -> tuple[tuple[float, float, float], ...]:
+        """Return the rates of the white tile behind each filter of the plan, DN/s."""
+        return tuple(self._rates[step] for step in self._rates if step.frame_type == "white")
+
+    def _walk(self, todo: Iterable[tuple[Step, T]], phase: str, act: Callable[[T], None]) -> None:
         """Do `act` at every step with its target in place and its light on; light off between groups."""
+        todo = list(todo)
         done = 0
-        for (target, light, tilt_deg), group in groupby(steps, key=lambda s: (s.target, s.light, s.tilt_deg)):
+        for (target, light, tilt_deg), group in groupby(todo, key=lambda t: (t[0].target, t[0].light, t[0].tilt_deg)):
             self._place(target, tilt_deg)
             on_sample = light == "laser" and target == "sample"
-            with shine(self._opened, light), self._dose.shining() if on_sample else nullcontext():
+            dose = self._store.dose
+            with shine(self._opened, light), dose.shining() if on_sample else nullcontext():
                 if light == "laser":
-                    self._journal.append("laser on", target=target, sample_dose_j=self._dose.energy_j())
-                for step in group:
-                    act(step)
+                    self._journal.append("laser on", target=target, sample_dose_j=dose.energy_j())
+                for step, what in group:
+                    act(what)
                     done += 1
                     if self._progress is not None:
-                        self._progress(done, len(steps), f"{phase}: {step.label}")
+                        self._progress(done, len(todo), f"{phase}: {step.label}")
             if light == "laser":
-                self._journal.append("laser off", target=target, sample_dose_j=self._dose.energy_j())
+                self._journal.append("laser off", target=target, sample_dose_j=dose.energy_j())
 
     def _place(self, target: Target, tilt_deg: float) -> None:
         """Ask the operator for a target and, when it changes, for the tilt of the sample."""
@@ -157,26 +214,74 @@ class _Recorder:
             self._opened.operator.tilt(tilt_deg)
             self._tilt_deg = tilt_deg
 
-    def _darks(self, beside: Step, exposures_s: list[float], phase: str) -> None:
-        """Store half of the dark frames (rounded up) of every exposure with the box as it is at the step `beside`."""
+    def _darks(self, beside: Step, exposures_s: list[float]) -> list[tuple[Step, float]]:
+        """Return half of the dark frames (rounded up) of every exposure with the box as it is at the step `beside`."""
         each = (self._plan.darks_per_exposure + 1) // 2
         dark = replace(beside, frame_type="dark", light="off", filter_name=None)
-        pending_s = [exposure_s for exposure_s in exposures_s for _ in range(each)]
-        next_s = iter(pending_s)
-        self._walk((dark,) * len(pending_s), phase, lambda step: self._store.take(step, next(next_s)))
+        return [(dark, exposure_s) for exposure_s in exposures_s for _ in range(each)]
 
-    def _bracket(self, step: Step) -> list[float]:
-        """Meter a step and return the exposures (s) of its bracket, longest first, without repeats."""
+    def _meter(self, step: Step) -> None:
+        """Find the exposures (s) of a step's bracket, longest first, without repeats."""
         region = self._store.region if step.light != "room" else (slice(None), slice(None))
+        rates: dict[float, Rates] = {}
+
+        def take(exposure_s: float) -> NDArray[np.uint16]:
+            raw = self._store.camera.expose(step, exposure_s).raw
+            rates[exposure_s] = self._rate(raw.counts, raw.exposure_s)
+            return raw.counts[region]
+
         metered_s = meter_exposure(
-            lambda exposure_s: expose_checked(self._opened, self._camera, step, exposure_s).raw.counts[region],
+            take,
             self._ladder,
             self._store.full_scale_dn,
-            self._camera.black_level_dn,
+            self._rig.camera.black_level_dn,
             self._plan.target_fraction,
             step.label,
             self._metered_s.get(step.light),
         )
         self._metered_s[step.light] = metered_s
         rungs_s = {rung_at_or_below(self._ladder, metered_s * factor) for factor in self._plan.bracket}
-        return sorted(rungs_s, reverse=True)
+        self._exposures_s[step], self._rates[step] = sorted(rungs_s, reverse=True), rates[metered_s]
+        self._journal.append(
+            "step", label=step.label, exposures_s=self._exposures_s[step], rates_dn_per_s=rates[metered_s]
+        )
+
+    def _take(self, shot: Shot) -> None:
+        """Take a frame; refuse it when its signal is not that of the step's metering."""
+        raw = self._store.take(shot)
+        if shot.step.light in ("off", "room"):
+            return
+        now, metered = self._rate(raw.counts, raw.exposure_s), self._rates[shot.step]
+        visible_dn_per_s = LEAST_SIGNAL_FRACTION * self._store.full_scale_dn / raw.exposure_s
+        for name, rate, before in zip(("red", "green", "blue"), now, metered, strict=True):
+            if before > visible_dn_per_s and not 1 / LARGEST_CHANGE < rate / before < LARGEST_CHANGE:
+                raise CaptureError(
+                    f"camera: {shot.step.label} gives {rate:.3g} DN/s in {name}, at metering it gave {before:.3g} DN/s "
+                    f"(a factor of {LARGEST_CHANGE:g} is allowed): the wheel slipped, the light changed or something "
+                    "moved; put it right and resume the session"
+                )
+
+    def _rate(self, counts: NDArray[np.uint16], exposure_s: float) -> Rates:
+        """Return the mean rates of the region above the black level (DN/s), red, green, blue."""
+        rows, columns = self._store.region
+        rows, columns = slice(rows.start & ~1, rows.stop), slice(columns.start & ~1, columns.stop)
+        part = counts[rows, columns].astype(np.float64) - self._rig.camera.black_level_dn
+        green = 0.5 * (part[0::2, 1::2].mean() + part[1::2, 0::2].mean())
+        red, blue = part[0::2, 0::2].mean(), part[1::2, 1::2].mean()
+        return float(red) / exposure_s, float(green) / exposure_s, float(blue) / exposure_s
+
+    def _prove(self, steps: tuple[Step, ...]) -> None:
+        """Judge from the white frames whether the wheel holds the filters that the rig file names."""
+        white = [step for step in steps if step.frame_type == "white"]
+        measured = np.array([self._rates[step] for step in white])
+        known = {f.name: f for f in self._rig.filter_wheel.filters}
+        filters = [known[str(step.filter_name)] for step in white]
+        opened = self._opened
+        predicted = predicted_rates(filters, opened.filter_curves, opened.lamp_spectrum, opened.camera_response)
+        names = [f.name for f in filters]
+        self.proof = judge_filters(names, measured, predicted)
+        if self._last_good is not None and self.proof.verdict != "contradicted":
+            self.proof = compare_with_last(names, measured, self._last_good)
+        self._journal.append("filter proof", verdict=self.proof.verdict, text=self.proof.text)
+        if self.proof.verdict == "contradicted":
+            raise WrongPositionError(f"filter wheel: {self.proof.text}")

@@ -5,9 +5,11 @@ from pathlib import Path
 from data_schemas.camera import CameraSession
 from data_schemas.capture import CaptureSession
 from data_schemas.errors import CaptureError
+from data_schemas.model import Record
 from data_schemas.provenance import provenance
 from data_schemas.rig import RigFile
 from data_schemas.storage import sha256_of, write_bytes, write_record
+from rigs.capture.journal import Journal
 
 SESSION_NAME = "session.json"
 MANIFEST_NAME = "manifest-sha256.txt"
@@ -34,6 +36,21 @@ def curve_files(rig: RigFile, rig_folder: Path) -> dict[str, str]:
     if rig.simulated is not None and rig.simulated.material is not None:
         named.append(rig.simulated.material)
     return {name: sha256_of(rig_folder / name) for name in named}
+
+
+def write_start(
+    journal: Journal, plan: Record, rig: RigFile, rig_folder: Path, inputs: dict[str, str], command: str
+) -> None:
+    """Write the first line of a journal: everything that a resumed session needs."""
+    journal.append(
+        "start",
+        command=command,
+        kind=plan.model_dump()["kind"],
+        plan=plan.model_dump(mode="json"),
+        rig=rig.model_dump(mode="json"),
+        rig_folder=str(rig_folder.resolve()),
+        inputs=inputs,
+    )
 
 
 def write_session(session: CaptureSession | CameraSession, out: Path, inputs: dict[str, str], command: str) -> None:

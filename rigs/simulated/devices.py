@@ -10,7 +10,8 @@ from typing import Literal
 import numpy as np
 
 from data_schemas.capture import LightState, Target
-from data_schemas.errors import CaptureError
+from data_schemas.errors import CaptureError, RefusedError, TimedOutError
+from data_schemas.rig import DeviceIdentity
 from rigs.protocols import RawFrame
 from rigs.simulated.bench import Bench
 from rigs.simulated.sensor import Sensor
@@ -90,10 +91,14 @@ class SimulatedCamera:
     state: BenchState
     rng: np.random.Generator
 
+    def identity(self) -> DeviceIdentity:
+        """Return what the camera is."""
+        return DeviceIdentity(role="camera", driver="simulated", model="simulated bench")
+
     def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
         """Take one frame; light levels repeat from frame to frame within 0.2 %."""
         if exposure_s + FRAME_OVERHEAD_S > deadline_s:
-            raise CaptureError(
+            raise TimedOutError(
                 f"camera: an exposure of {exposure_s:g} s cannot be done within the deadline of {deadline_s:g} s; "
                 "allow more time"
             )
@@ -120,6 +125,10 @@ class SimulatedFilterWheel:
     slots: tuple[int, ...]
     state: BenchState
 
+    def identity(self) -> DeviceIdentity:
+        """Return what the wheel is."""
+        return DeviceIdentity(role="filter wheel", driver="simulated", model="simulated bench")
+
     def position(self) -> int | None:
         """Return the slot in the beam; None while the wheel is swung out."""
         return self.state.slot if self.state.wheel_in_beam else None
@@ -127,7 +136,7 @@ class SimulatedFilterWheel:
     def go_to(self, slot: int, deadline_s: float) -> None:
         """Turn to `slot` by the shorter way, 0.4 s a step."""
         if slot not in self.slots:
-            raise CaptureError(
+            raise RefusedError(
                 f"filter wheel: has no slot {slot}; its slots are {', '.join(map(str, self.slots))}: correct the "
                 "slot numbers of the rig file"
             )
@@ -139,7 +148,7 @@ class SimulatedFilterWheel:
         steps = abs(self.slots.index(slot) - self.slots.index(self.state.slot))
         needed_s = WHEEL_STEP_S * min(steps, len(self.slots) - steps)
         if needed_s > deadline_s:
-            raise CaptureError(
+            raise TimedOutError(
                 f"filter wheel: needs {needed_s:g} s to slot {slot}, the deadline is {deadline_s:g} s; allow more time"
             )
         self.state.advance(needed_s)
@@ -152,6 +161,10 @@ class SimulatedLight:
 
     name: Literal["lamp", "laser"]
     bench_state: BenchState
+
+    def identity(self) -> DeviceIdentity:
+        """Return what the light is."""
+        return DeviceIdentity(role=self.name, driver="simulated", model="simulated bench")
 
     def state(self) -> bool:
         """Return whether the light is on."""
@@ -184,3 +197,6 @@ class SimulatedOperator:
     def tilt(self, angle_deg: float) -> None:
         """Tilt the sample."""
         self.state.tilt_deg = angle_deg
+
+    def do(self, instruction: str) -> None:
+        """Nothing on the bench is done by hand."""

@@ -1,0 +1,166 @@
+r"""Optical proof of the filters: whether the lamp-lit white frames show what the wheel claims.
+
+The rate of channel c behind filter f on the white tile is, up to one factor (aperture, lamp level, exposure),
+
+.. math:: r_{fc} = \int T_f(\lambda) \, R_c(\lambda) \, L(\lambda) \, d\lambda
+
+with the filter's nominal or measured transmission T, the camera's response R and the lamp's spectrum L. Every other
+assignment of filters to slots that explains the measured logarithms clearly better convicts the wheel; one that
+explains them about as well cannot be told from the claimed one, and is named.
+"""
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.capture import CaptureSession, FilterProof
+from data_schemas.curves import SpectralCurve
+from data_schemas.rig import BandPassFilter
+
+FloatArray = NDArray[np.float64]
+
+GRID_NM = np.arange(380.0, 781.0)
+MODEL_SD_LN = 0.30
+"""Standard deviation of ln(rate) around its prediction: response, lamp and filter data of a catalogue (about 30 %)."""
+FLOOR_FRACTION = 1e-3
+"""Of the brightest rate: dimmer ones are mostly leak and dark noise, and count as that dim."""
+CLEAR_DIFFERENCE = 12.0
+"""Of chi-square: an exchange this much better or worse is decided (odds of e^6)."""
+LEAST_RATE_DN_PER_S = 1.0
+FEWEST_COMMON = 3
+LARGEST_DRIFT_LN = 0.15
+"""Of one filter against the median of all: lamps age and filters gather dust by a few per cent."""
+
+
+def predicted_rates(
+    filters: Sequence[BandPassFilter],
+    filter_curves: Mapping[str, SpectralCurve],
+    lamp: SpectralCurve,
+    response: Sequence[SpectralCurve],
+) -> FloatArray:
+    """Return the relative rates of filters and channels on the white tile under the lamp, (F, 3).
+
+    Parameters
+    ----------
+    filters
+        What the wheel is said to hold.
+    filter_curves
+        Measured transmissions by the filter's name.
+    lamp
+        Relative spectral irradiance.
+    response
+        Relative response of red, green and blue.
+    """
+    light = lamp(GRID_NM) * np.array([curve(GRID_NM) for curve in response])
+    return np.array([light @ _transmission(f, filter_curves.get(f.name)) for f in filters])
+
+
+def judge_filters(names: Sequence[str], measured: FloatArray, predicted: FloatArray) -> FilterProof:
+    """Return whether the measured rates show the filters in the claimed order.
+
+    All exchanges of two filters are tried: any wrong order can be undone by exchanges, the first of which improves
+    the agreement.
+
+    Parameters
+    ----------
+    names
+        (F,) names of the filters in the claimed order.
+    measured
+        (F, 3) rates above the dark level, DN/s.
+    predicted
+        (F, 3) relative rates.
+    """
+    if measured.max() < LEAST_RATE_DN_PER_S:
+        return FilterProof(
+            verdict="cannot tell",
+            text="the white tile is dark through every filter: the lamp is off, or this camera sees nothing",
+        )
+    ln_measured, ln_predicted = _levels(measured), _levels(predicted)
+    order = np.arange(len(names))
+    better: list[tuple[float, str]] = []
+    unclear: list[str] = []
+    for first, second in combinations(range(len(names)), 2):
+        exchanged = order.copy()
+        exchanged[[first, second]] = exchanged[[second, first]]
+        gain = _chi_square(ln_measured, ln_predicted) - _chi_square(ln_measured, ln_predicted[exchanged])
+        pair = f"{names[first]} and {names[second]}"
+        if gain > CLEAR_DIFFERENCE:
+            better.append((gain, pair))
+        elif gain > -CLEAR_DIFFERENCE:
+            unclear.append(pair)
+    if better:
+        return FilterProof(
+            verdict="contradicted",
+            text=f"the frames fit much better with filters {max(better)[1]} exchanged; look into the wheel and "
+            "correct the slots of the rig file, or put the filters right",
+        )
+    if unclear:
+        return FilterProof(
+            verdict="cannot tell",
+            text="the frames cannot tell apart filters " + ", ".join(unclear) + "; the others are where they should be",
+        )
+    return FilterProof(verdict="confirmed", text="the frames show every filter in its slot")
+
+
+def compare_with_last(names: Sequence[str], measured: FloatArray, last: CaptureSession) -> FilterProof:
+    """Return whether the white rates are those of an earlier session, up to one factor (aperture, lamp level).
+
+    Parameters
+    ----------
+    names
+        (F,) names of the filters.
+    measured
+        (F, 3) rates above the dark level, DN/s.
+    last
+        The earlier session on the same rig.
+    """
+    before = dict(zip(_white_filters(last), last.white_rates_dn_per_s, strict=False))
+    common = [name for name in names if name in before]
+    if len(common) < FEWEST_COMMON:
+        return FilterProof(
+            verdict="cannot tell", text=f"the earlier session shares only {len(common)} filters with this one"
+        )
+    now = _levels(measured[[list(names).index(name) for name in common]])
+    apart = now - _levels(np.array([before[name] for name in common]))
+    off = np.abs(apart - np.median(apart)).max(axis=1)
+    worst = int(off.argmax())
+    if off[worst] > LARGEST_DRIFT_LN:
+        return FilterProof(
+            verdict="contradicted",
+            text=f"behind filter {common[worst]} the white tile differs from the earlier session by a factor of "
+            f"{np.exp(off[worst]):.2f} (up to {np.exp(LARGEST_DRIFT_LN):.2f} is drift): a filter was changed, soiled "
+            "or slipped, or the lamp was replaced",
+        )
+    return FilterProof(
+        verdict="confirmed",
+        text=f"the white frames repeat those of the earlier session within {np.expm1(off[worst]):.1%} behind "
+        f"{len(common)} filters",
+    )
+
+
+def _white_filters(session: CaptureSession) -> list[str]:
+    """Return the filters of a session's white frames in their order."""
+    return list(dict.fromkeys(str(f.filter_name) for f in session.frames if f.frame_type == "white"))
+
+
+def _levels(rates: FloatArray) -> FloatArray:
+    """Return ln(rate) with very dim ones held at a floor."""
+    return np.asarray(np.log(np.maximum(rates, FLOOR_FRACTION * rates.max())))
+
+
+def _chi_square(measured: FloatArray, predicted: FloatArray) -> float:
+    """Return the squared deviations over their variance after the best common factor."""
+    apart = measured - predicted
+    return float(np.square((apart - apart.mean()) / MODEL_SD_LN).sum())
+
+
+def _transmission(band: BandPassFilter, curve: SpectralCurve | None) -> FloatArray:
+    """Return the transmission of a filter on the grid."""
+    floor = 10.0**-band.blocking_od
+    if curve is not None:
+        inside = (curve.wavelength_nm[0] <= GRID_NM) & (curve.wavelength_nm[-1] >= GRID_NM)
+        return np.asarray(np.where(inside, np.maximum(curve(GRID_NM), floor), floor))
+    off = np.abs(2 * (GRID_NM - band.center_nm) / band.fwhm_nm) ** (2 * band.shape_order)
+    return np.asarray(band.peak_transmission * np.exp2(-np.minimum(off, 1000.0)) + floor)

@@ -1,0 +1,176 @@
+"""What an interrupted session left: replayed from its journal, so that only what is missing is captured."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+
+from data_schemas.capture import Frame
+from data_schemas.errors import CaptureError
+from data_schemas.model import Record
+from data_schemas.rig import RigFile
+from data_schemas.storage import sha256_of
+from rigs.capture.journal import JOURNAL_NAME, read_journal
+from rigs.capture.session_folder import SESSION_NAME
+from rigs.protocols import Clock
+
+ORPHANS = "set-aside"
+P = TypeVar("P", bound=Record)
+
+
+@dataclass(frozen=True, slots=True)
+class LaterClock:
+    """A clock whose monotonic time goes on where the interrupted part of a session stopped."""
+
+    clock: Clock
+    ahead_s: float
+
+    def utc(self) -> str:
+        """Return the time of day, ISO 8601, UTC."""
+        return self.clock.utc()
+
+    def monotonic_s(self) -> float:
+        """Return the seconds of the whole session's time axis."""
+        return self.clock.monotonic_s() + self.ahead_s
+
+
+@dataclass(frozen=True, slots=True)
+class Interrupted:
+    """The part of a session that is done.
+
+    Attributes
+    ----------
+    start
+        First line of the journal: command, kind, plan, rig, folder of the rig file, checksums of its curves.
+    frames
+        Stored frames whose files are there and unchanged, by number.
+    metered
+        Exposures (s) of the metered steps and their rates (DN/s), by the label of the step.
+    dose_j
+        Laser light that fell on the sample (J).
+    levels
+        What a camera session decided after metering; None before.
+    ended_s, ended_utc
+        Time of the last line.
+    """
+
+    start: dict[str, Any]
+    frames: dict[int, Frame] = field(default_factory=dict)
+    metered: dict[str, tuple[list[float], tuple[float, float, float]]] = field(default_factory=dict)
+    dose_j: float = 0.0
+    levels: dict[str, Any] | None = None
+    ended_s: float = 0.0
+    ended_utc: str = ""
+
+    @property
+    def kind(self) -> str:
+        """Kind of the session's plan."""
+        return str(self.start["kind"])
+
+    @property
+    def rig_folder(self) -> Path:
+        """Where relative paths in the rig file start."""
+        return Path(str(self.start["rig_folder"]))
+
+    def plan(self, kind: type[P]) -> P:
+        """Return the plan of the session."""
+        return kind.model_validate(self.start["plan"])
+
+    def rig(self) -> RigFile:
+        """Return the rig of the session."""
+        return RigFile.model_validate(self.start["rig"])
+
+    def clock_after(self, clock: Clock) -> LaterClock:
+        """Return a clock that goes on after the interruption; the pause is taken from the time of day, if it grew."""
+        paused_s = (datetime.fromisoformat(clock.utc()) - datetime.fromisoformat(self.ended_utc)).total_seconds()
+        return LaterClock(clock, self.ended_s + max(paused_s, 0.0) - clock.monotonic_s())
+
+
+def read_interrupted(folder: Path) -> Interrupted:
+    """Replay the journal of an interrupted session and re-hash its frames.
+
+    Frames that are missing, changed or without a line in the journal count as not taken; their files are moved into
+    the folder "set-aside".
+
+    Raises
+    ------
+    CaptureError
+        The session is finished, or its journal does not say how it began.
+    """
+    if (folder / SESSION_NAME).exists():
+        raise CaptureError(f"{folder}: is finished already ({SESSION_NAME} is there); nothing is left to resume")
+    lines = read_journal(folder)
+    start = next((line for line in lines if line["event"] == "start"), None)
+    if start is None or not {"kind", "plan", "rig", "rig_folder", "inputs"} <= start.keys():
+        raise CaptureError(
+            f"{folder / JOURNAL_NAME}: does not say how the session began; capture it again into another folder"
+        )
+    frames = dict(_good_frames(folder, lines))
+    _set_aside(folder, {frame.file for frame in frames.values()})
+    doses_j = [float(line.get("sample_dose_j", line.get("laser_dose_j", 0.0))) for line in lines]
+    return Interrupted(
+        start=start,
+        frames=frames,
+        metered={
+            line["label"]: (line["exposures_s"], tuple(line["rates_dn_per_s"]))
+            for line in lines
+            if line["event"] == "step" and "rates_dn_per_s" in line
+        },
+        dose_j=max(doses_j),
+        levels=next((line for line in lines if line["event"] == "levels"), None),
+        ended_s=float(lines[-1]["monotonic_s"]),
+        ended_utc=str(lines[-1]["utc"]),
+    )
+
+
+def resume_notes(interrupted: Interrupted | None) -> tuple[str, ...]:
+    """Return what the user of a resumed session should know."""
+    if interrupted is None:
+        return ()
+    return (
+        f"interrupted after {len(interrupted.frames)} frames and resumed: lamp, laser and temperature may have changed "
+        "between, and the laser dose leaves out what shone between the last stored frame and the interruption",
+    )
+
+
+def require_same_inputs(interrupted: Interrupted, inputs: dict[str, str]) -> None:
+    """Refuse to go on with other curves than the session began with.
+
+    Raises
+    ------
+    CaptureError
+        A curve file changed.
+    """
+    before: dict[str, str] = interrupted.start["inputs"]
+    changed = sorted(name for name in before.keys() | inputs.keys() if before.get(name) != inputs.get(name))
+    if changed:
+        raise CaptureError(
+            f"{changed[0]}: changed since the session began; restore the file, or capture the session again"
+        )
+
+
+def _good_frames(folder: Path, lines: list[dict[str, Any]]) -> Iterable[tuple[int, Frame]]:
+    """Yield number and record of every frame whose file is there and unchanged."""
+    for line in lines:
+        if line["event"] != "frame":
+            continue
+        try:
+            frame = Frame.model_validate({k: v for k, v in line.items() if k in Frame.model_fields})
+        except ValidationError:
+            continue
+        path = folder / frame.file
+        if path.is_file() and not path.is_symlink() and sha256_of(path) == frame.sha256:
+            yield frame.sequence, frame
+
+
+def _set_aside(folder: Path, known: set[str]) -> None:
+    """Move frame files that nothing vouches for out of the way; nothing is deleted."""
+    for path in sorted((folder / "frames").glob("*")):
+        if path.relative_to(folder).as_posix() not in known:
+            aside = folder / ORPHANS
+            aside.mkdir(exist_ok=True)
+            count = len(list(aside.iterdir()))
+            path.rename(aside / f"{count:04d}_{path.name.lstrip('.')}")

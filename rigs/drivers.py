@@ -1,0 +1,64 @@
+"""From the name of a driver to its module: each is imported only when a rig file names it.
+
+A camera's module has ``open_camera(settings, folder)``, a filter wheel's ``open_wheel(settings, operator)``, a light's
+``open_switch(address, role, operator)``; each returns a context manager.
+"""
+
+from contextlib import AbstractContextManager
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Final, cast
+
+from data_schemas.rig import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings
+from rigs.light_guard import guarded_light
+from rigs.lights.plain_light import plain_light
+from rigs.protocols import Camera, FilterWheel, Light, Operator
+
+CAMERAS: Final = {
+    "aravis": "rigs.cameras.aravis",
+    "gentl": "rigs.cameras.gentl",
+    "mjpeg": "rigs.cameras.mjpeg",
+    "picamera2": "rigs.cameras.raspberry_pi",
+    "indi": "rigs.cameras.indi",
+    "micro-manager": "rigs.cameras.micro_manager",
+    "folder": "rigs.cameras.image_folder",
+}
+FILTER_WHEELS: Final = {
+    "thorlabs": "rigs.filter_wheels.thorlabs",
+    "indi": "rigs.filter_wheels.indi",
+    "alpaca": "rigs.filter_wheels.alpaca",
+    "manual": "rigs.filter_wheels.manual",
+}
+LIGHTS: Final = {
+    "arduino": "rigs.lights.arduino",
+    "indi": "rigs.lights.indi",
+    "alpaca": "rigs.lights.alpaca",
+    "manual": "rigs.lights.manual",
+}
+
+
+def open_camera(settings: CameraSettings, folder: Path) -> AbstractContextManager[Camera]:
+    """Return the camera of a rig, open for a ``with`` block; relative paths start in `folder`."""
+    return cast(AbstractContextManager[Camera], _module(CAMERAS, settings.driver).open_camera(settings, folder))
+
+
+def open_wheel(settings: FilterWheelSettings, operator: Operator) -> AbstractContextManager[FilterWheel]:
+    """Return the filter wheel of a rig, open for a ``with`` block."""
+    wheel = _module(FILTER_WHEELS, settings.driver).open_wheel(settings, operator)
+    return cast(AbstractContextManager[FilterWheel], wheel)
+
+
+def open_laser(settings: LaserSettings) -> AbstractContextManager[Light]:
+    """Return the laser of a rig behind its guard process, open for a ``with`` block."""
+    return guarded_light("laser", settings.driver, settings.address)
+
+
+def open_lamp(settings: LampSettings, operator: Operator) -> AbstractContextManager[Light]:
+    """Return the lamp of a rig, open for a ``with`` block; it needs no guard."""
+    return plain_light(_module(LIGHTS, settings.driver).open_switch(settings.address, "lamp", operator))
+
+
+def _module(known: dict[str, str], driver: str) -> ModuleType:
+    """Return the module of a driver."""
+    return import_module(known[driver])

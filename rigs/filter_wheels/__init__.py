@@ -1,0 +1,1 @@
+"""Drivers of filter wheels, one file per make or protocol."""

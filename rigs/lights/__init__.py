@@ -1,0 +1,1 @@
+"""Drivers of lights, one file per make or protocol, and the light that needs no guard."""

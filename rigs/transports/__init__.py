@@ -1,0 +1,1 @@
+"""Framed exchange with devices: every one with a deadline and a transcript."""
