@@ -29,6 +29,11 @@ Encoding = Literal["linear", "unknown"]
 PixelLayout = Literal["RGB", "Bayer RGGB"]
 
 
+UncertaintyMm = Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})]
+UncertaintyDeg = Annotated[float, Field(ge=0.0, le=90.0, json_schema_extra={"unit": "deg"})]
+CurrentMa = Annotated[float, Field(gt=0.0, le=1e5, json_schema_extra={"unit": "mA"})]
+
+
 class RegionOfInterest(Model):
     """Rectangle of the painted (and white) area in pixels of the raw frame."""
 
@@ -148,12 +153,16 @@ class CaptureSession(Record):
 
 
 class IndenterPose(Model):
-    """What was pressed, where and how deep; the circle or strip it touches."""
+    """What was pressed, where and how deep; the circle or strip it touches. Uncertainties are standard ones."""
 
     shape: Literal["cylinder", "ball"]
     radius_mm: LengthMm
     depth_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})] | None
     position_mm: PositionMm | None = Field(description="along the pad, from the base")
+    tilt_deg: AngleDeg | None = Field(default=None, description="between the indenter's axis and the pad's normal")
+    depth_uncertainty_mm: UncertaintyMm | None = None
+    position_uncertainty_mm: UncertaintyMm | None = None
+    tilt_uncertainty_deg: UncertaintyDeg | None = None
 
 
 class ContactCircle(Model):
@@ -185,6 +194,11 @@ class TactileCapture(Record):
     contact_circle: ContactCircle | None
     mm_per_px: LengthMm | None
     source: str
+    light_angle_uncertainty_deg: UncertaintyDeg | None = Field(default=None, description="standard uncertainty")
+    led_current_ma: CurrentMa | None = Field(default=None, description="of the blue LED panel")
+    exposure_bracket_s: tuple[ExposureS, ...] = Field(
+        default=(), description="all exposures of the press, this one among them; the session holds the others' frames"
+    )
 
     @model_validator(mode="after")
     def _images_agree(self) -> "TactileCapture":

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import tifffile
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
@@ -255,9 +254,18 @@ def read_toml(path: Path, record_type: type[R]) -> R:
 
 
 def write_frame(path: Path, frame: NDArray[np.uint16], description: str) -> str:
-    """Write a raw frame as uncompressed 16-bit TIFF and return its SHA-256; an existing file is refused."""
+    """Write a frame, raw (H, W) or RGB (H, W, 3), as uncompressed 16-bit TIFF and return its SHA-256.
+
+    Raises
+    ------
+    RecordError
+        The file exists already.
+    """
+    import tifffile  # here and below, because most verbs touch no frame
+
     buffer = io.BytesIO()
-    tifffile.imwrite(buffer, frame, photometric="minisblack", description=description, metadata=None)
+    photometric = "rgb" if frame.ndim == 3 else "minisblack"
+    tifffile.imwrite(buffer, frame, photometric=photometric, description=description, metadata=None)
     write_bytes(path, buffer.getvalue())
     return hashlib.sha256(buffer.getvalue()).hexdigest()
 
@@ -270,6 +278,8 @@ def read_frame(path: Path, sha256: str) -> NDArray[np.uint16]:
     ChecksumError
         The frame is missing or its bytes differ from the recorded checksum.
     """
+    import tifffile
+
     try:
         content = path.read_bytes()
     except FileNotFoundError:

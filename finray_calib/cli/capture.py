@@ -3,14 +3,15 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli.options import add_out, command_line, file_name, naming, progress_bar, require_new, say
+from finray_calib.cli.options import add_out
 
 HELP = "capture the filtered images of a paint sample, or the frames that characterise a camera"
 DESCRIPTION = """\
 Run a capture plan; its 'kind' says which. "paint": dark frames before and after, the white reference, the sample
 under lamp and laser through every filter, and a room-light frame, at exposures at which nothing saturates.
 "camera": flat frames of the white tile from dark to beyond saturation and dark frames of the same exposures.
-Writes a folder with raw 16-bit TIFF frames, a journal, checksums and session.json."""
+Writes a folder with raw 16-bit TIFF frames, a journal, checksums and session.json. An interrupted session goes on
+where it stopped with --resume."""
 
 
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -18,18 +19,38 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     parser = verbs.add_parser(
         "capture", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("plan", type=Path, metavar="PLAN", help="plan file (TOML): kind, name, region, exposures")
-    parser.add_argument("--rig", type=Path, required=True, metavar="RIG", help="rig file (TOML): camera, wheel, lights")
+    parser.add_argument("plan", type=Path, nargs="?", metavar="PLAN", help="plan file (TOML): kind, name, region")
+    parser.add_argument("--rig", type=Path, metavar="RIG", help="rig file (TOML): camera, wheel, lights")
+    parser.add_argument(
+        "--resume", type=Path, metavar="SESSION", help="go on with an interrupted session; takes no PLAN and no --rig"
+    )
+    parser.add_argument(
+        "--dry-run", action="store_true", help="open the rig, check the plan, print time and disk; nothing moves"
+    )
+    parser.add_argument(
+        "--like", type=Path, metavar="SESSION", help="earlier session on this rig that the white frames must resemble"
+    )
     add_out(parser, "NAME-session/")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Capture and report."""
-    {"paint": _capture_paint, "camera": _capture_camera}[_plan_kind(arguments.plan)](arguments)
+    from data_schemas.errors import CaptureError
+    from finray_calib.cli.capture_kinds import KINDS, interruptible, resume
+
+    if arguments.resume is not None:
+        if arguments.plan is not None or arguments.rig is not None or arguments.out is not None:
+            raise CaptureError("--resume takes plan, rig and folder from the session; leave out PLAN, --rig and --out")
+        with interruptible(arguments.resume):
+            resume(arguments.resume)
+        return
+    if arguments.plan is None or arguments.rig is None:
+        raise CaptureError("give a PLAN and its --rig, or --resume with the folder of an interrupted session")
+    KINDS[_plan_kind(arguments.plan, tuple(KINDS))](arguments)
 
 
-def _plan_kind(path: Path) -> str:
+def _plan_kind(path: Path, known: tuple[str, ...]) -> str:
     """Return the kind of a plan; what is no TOML at all is left to the reader of plans, which says why."""
     import tomllib
 
@@ -39,50 +60,6 @@ def _plan_kind(path: Path) -> str:
         kind = tomllib.loads(path.read_text(encoding="utf-8")).get("kind", "paint")
     except (OSError, ValueError):
         return "paint"
-    if kind not in ("paint", "camera"):
-        raise RecordError(f"{path}: 'kind' is {kind!r}; it must be 'paint' or 'camera'")
+    if kind not in known:
+        raise RecordError(f"{path}: 'kind' is {kind!r}; it must be one of {', '.join(map(repr, known))}")
     return str(kind)
-
-
-def _capture_paint(arguments: argparse.Namespace) -> None:
-    """Capture a paint session."""
-    from data_schemas.capture import PaintPlan
-    from data_schemas.errors import CaptureError
-    from data_schemas.rig import RigFile
-    from data_schemas.storage import read_toml
-    from rigs.capture.paint_session import capture_paint_session
-    from rigs.capture.plan import paint_steps
-
-    plan = read_toml(arguments.plan, PaintPlan)
-    rig = read_toml(arguments.rig, RigFile)
-    out = require_new(arguments.out or Path(f"{file_name(plan.paint_name)}-session"))
-    with naming(CaptureError, arguments.plan):
-        paint_steps(plan, rig)
-    with progress_bar("capture") as progress:
-        session = capture_paint_session(rig, plan, arguments.rig.parent, out, command_line(), progress)
-    _report(out, len(session.frames), plan.paint_name, session.notes)
-
-
-def _capture_camera(arguments: argparse.Namespace) -> None:
-    """Capture a camera session."""
-    from data_schemas.camera import CameraPlan
-    from data_schemas.errors import CaptureError
-    from data_schemas.rig import RigFile
-    from data_schemas.storage import read_toml
-    from rigs.capture.camera_session import camera_step, capture_camera_session
-
-    plan = read_toml(arguments.plan, CameraPlan)
-    rig = read_toml(arguments.rig, RigFile)
-    out = require_new(arguments.out or Path(f"{file_name(plan.camera_name)}-session"))
-    with naming(CaptureError, arguments.plan):
-        camera_step(plan, rig)
-    with progress_bar("capture") as progress:
-        session = capture_camera_session(rig, plan, arguments.rig.parent, out, command_line(), progress)
-    _report(out, len(session.frames), plan.camera_name, session.notes)
-
-
-def _report(out: Path, frames: int, name: str, notes: tuple[str, ...]) -> None:
-    """Say what was stored."""
-    say(f"{out}: {frames} frames of '{name}'")
-    for note in notes:
-        say(f"  note: {note}")

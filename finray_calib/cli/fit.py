@@ -85,7 +85,6 @@ def run(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import read_record, write_bytes, write_record
     from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
     from finray_calib.fit.paint_calibration import FitOptions, calibrate_paint
-    from rigs.capture.session_folder import SESSION_NAME
 
     bands = read_record(arguments.bands, BandSignals)
     others = [read_record(path, BandSignals) for path in arguments.other_light]
@@ -102,6 +101,8 @@ def run(arguments: argparse.Namespace) -> None:
     with progress_bar("fit"), naming(FitError, *files):
         paint = calibrate_paint(bands, arguments.seed, options, others, match)
     if arguments.room_light is not None:
+        from rigs.capture.session_folder import SESSION_NAME
+
         files.append(arguments.room_light / SESSION_NAME)
     write_record(paint, out, provenance(command_line(), input_digests(files), arguments.seed))
     _say_result(paint, out)

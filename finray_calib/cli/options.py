@@ -46,6 +46,11 @@ def say(text: str) -> None:
     sys.stdout.write(text + "\n")
 
 
+def warn(text: str) -> None:
+    """Tell the user something that is not a result."""
+    sys.stderr.write(text + "\n")
+
+
 def file_name(name: str) -> str:
     """Return a paint's or finger's name as a plain file name: ASCII letters, digits and ``_ . ( ) + -``, at most 80.
 
@@ -93,7 +98,10 @@ def input_digests(paths: Iterable[Path]) -> dict[str, str]:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Progress]:
-    """Show a progress bar on standard error (a terminal) while the block runs."""
+    """Show a progress bar on standard error while the block runs; in a log file or a pipe there is none."""
+    if not sys.stderr.isatty():
+        yield lambda done, total, what: None
+        return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -103,9 +111,7 @@ def progress_bar(title: str) -> Iterator[Progress]:
         TextColumn("{task.percentage:>3.0f} %"),
         TimeRemainingColumn(),
     )
-    console = Console(stderr=True)
-    # Disabled in a log file or a pipe, where it would only leave an empty line.
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=None)
 
         def update(done: int, total: int, what: str) -> None:

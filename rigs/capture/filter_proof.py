@@ -24,11 +24,13 @@ FloatArray = NDArray[np.float64]
 GRID_NM = np.arange(380.0, 781.0)
 MODEL_SD_LN = 0.30
 """Standard deviation of ln(rate) around its prediction: response, lamp and filter data of a catalogue (about 30 %)."""
-FLOOR_FRACTION = 1e-3
-"""Of the brightest rate: dimmer ones are mostly leak and dark noise, and count as that dim."""
+FLOOR_FRACTION = 0.02
+"""Of a filter's brightest channel, which fills most of the camera's range: dimmer ones are mostly dark noise."""
+TRUSTED_FRACTION = 0.1  # of a filter's brightest channel: bright enough to be compared between sessions
 CLEAR_DIFFERENCE = 12.0
 """Of chi-square: an exchange this much better or worse is decided (odds of e^6)."""
 LEAST_RATE_DN_PER_S = 1.0
+LEAST_RELATIVE = 1e-6  # of all rates: a filter that passes nothing at all
 FEWEST_COMMON = 3
 LARGEST_DRIFT_LN = 0.15
 """Of one filter against the median of all: lamps age and filters gather dust by a few per cent."""
@@ -122,9 +124,10 @@ def compare_with_last(names: Sequence[str], measured: FloatArray, last: CaptureS
         return FilterProof(
             verdict="cannot tell", text=f"the earlier session shares only {len(common)} filters with this one"
         )
-    now = _levels(measured[[list(names).index(name) for name in common]])
-    apart = now - _levels(np.array([before[name] for name in common]))
-    off = np.abs(apart - np.median(apart)).max(axis=1)
+    now, then = measured[[list(names).index(name) for name in common]], np.array([before[name] for name in common])
+    bright = (_share_of_brightest(now) > TRUSTED_FRACTION) & (_share_of_brightest(then) > TRUSTED_FRACTION)
+    apart = _levels(now) - _levels(then)
+    off = np.where(bright, np.abs(apart - np.median(apart[bright])), 0.0).max(axis=1)
     worst = int(off.argmax())
     if off[worst] > LARGEST_DRIFT_LN:
         return FilterProof(
@@ -146,8 +149,15 @@ def _white_filters(session: CaptureSession) -> list[str]:
 
 
 def _levels(rates: FloatArray) -> FloatArray:
-    """Return ln(rate) with very dim ones held at a floor."""
-    return np.asarray(np.log(np.maximum(rates, FLOOR_FRACTION * rates.max())))
+    """Return ln(rate) with the dim channels of each filter held at a floor."""
+    brightest = np.maximum(rates.max(axis=1, keepdims=True), LEAST_RELATIVE * rates.max())
+    return np.asarray(np.log(np.maximum(rates, FLOOR_FRACTION * brightest)))
+
+
+def _share_of_brightest(rates: FloatArray) -> FloatArray:
+    """Return each rate over the brightest of its filter."""
+    brightest = np.maximum(rates.max(axis=1, keepdims=True), LEAST_RELATIVE * rates.max())
+    return np.asarray(rates / brightest)
 
 
 def _chi_square(measured: FloatArray, predicted: FloatArray) -> float:

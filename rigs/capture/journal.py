@@ -36,19 +36,24 @@ class Journal:
 
     def __init__(self, folder: Path, clock: Clock, *, resumed: bool = False):
         self._clock, self._turn = clock, threading.Lock()
-        path = folder / JOURNAL_NAME
-        try:
-            self._file = path.open("a" if resumed else "x", encoding="utf-8")
-        except FileExistsError:
+        self._path = folder / JOURNAL_NAME
+        # a journal appears under its name with its first line whole: an interrupted session always says how it began
+        self._nameless = None if resumed else folder / f".{JOURNAL_NAME}.part"
+        if self._path.exists() and not resumed:
             raise CaptureError(
-                f"{path}: exists already, so that another capture writes into this folder; choose another --out"
-            ) from None
+                f"{self._path}: exists already, so that another capture writes into this folder; choose another --out"
+            )
+        self._file = (self._nameless or self._path).open("a", encoding="utf-8")
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self._file.close()
-            raise CaptureError(f"{path}: another capture is writing into this folder; wait until it ends") from None
-        if resumed and not _ends_with_newline(path):
+            raise CaptureError(
+                f"{self._path}: another capture is writing into this folder; wait until it ends"
+            ) from None
+        if self._nameless is not None:
+            self._file.truncate(0)
+        elif not _ends_with_newline(self._path):
             self._file.write("\n")  # an interrupted line stays as it is; readers pass over it
 
     def append(self, event: str, **what: Any) -> None:
@@ -59,6 +64,9 @@ class Journal:
             self._file.write(json.dumps(line, ensure_ascii=False) + "\n")
             self._file.flush()
             os.fsync(self._file.fileno())
+            if self._nameless is not None:
+                self._nameless.rename(self._path)
+                self._nameless = None
 
     def __enter__(self) -> "Journal":
         return self

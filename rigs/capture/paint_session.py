@@ -156,6 +156,7 @@ class _Recorder:
         self._metered_s: dict[LightState, float] = {}
         self._exposures_s: dict[Step, list[float]] = {}
         self._rates: dict[Step, Rates] = {}
+        self._white: tuple[Step, ...] = ()
         self._before = {} if interrupted is None else interrupted.metered
         self.proof: FilterProof | None = None
 
@@ -185,8 +186,8 @@ class _Recorder:
             self._walk([(shot.step, shot) for shot in shots], phase, self._take)
 
     def white_rates(self) -> tuple[tuple[float, float, float], ...]:
-        """Return the rates of the white tile behind each filter of the plan, DN/s."""
-        return tuple(self._rates[step] for step in self._rates if step.frame_type == "white")
+        """Return the rates of the white tile behind each filter in the order of the plan, DN/s."""
+        return tuple(self._rates[step] for step in self._white)
 
     def _walk(self, todo: Iterable[tuple[Step, T]], phase: str, act: Callable[[T], None]) -> None:
         """Do `act` at every step with its target in place and its light on; light off between groups."""
@@ -272,10 +273,10 @@ class _Recorder:
 
     def _prove(self, steps: tuple[Step, ...]) -> None:
         """Judge from the white frames whether the wheel holds the filters that the rig file names."""
-        white = [step for step in steps if step.frame_type == "white"]
-        measured = np.array([self._rates[step] for step in white])
+        self._white = tuple(step for step in steps if step.frame_type == "white")
+        measured = np.array(self.white_rates())
         known = {f.name: f for f in self._rig.filter_wheel.filters}
-        filters = [known[str(step.filter_name)] for step in white]
+        filters = [known[str(step.filter_name)] for step in self._white]
         opened = self._opened
         predicted = predicted_rates(filters, opened.filter_curves, opened.lamp_spectrum, opened.camera_response)
         names = [f.name for f in filters]

@@ -9,7 +9,7 @@ from data_schemas.model import Record
 from data_schemas.provenance import provenance
 from data_schemas.rig import RigFile
 from data_schemas.storage import sha256_of, write_bytes, write_record
-from rigs.capture.journal import Journal
+from rigs.capture.journal import JOURNAL_NAME, Journal
 
 SESSION_NAME = "session.json"
 MANIFEST_NAME = "manifest-sha256.txt"
@@ -23,7 +23,8 @@ def require_empty(out: Path) -> None:
     CaptureError
         It does.
     """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+    unborn = f".{JOURNAL_NAME}.part"  # of a capture that ended before its first line
+    if out.exists() and (not out.is_dir() or any(path.name != unborn for path in out.iterdir())):
         raise CaptureError(
             f"{out}: exists already and is not an empty folder; a capture never overwrites: choose another --out"
         )

@@ -201,7 +201,7 @@ CASES = (
     Case(
         "session not finished",
         "radiometry {tmp}/session",
-        r"session: the capture was not finished \(session\.json is missing\); .*capture again into another folder",
+        r"session: the capture was not finished \(session\.json is missing\); .*finray capture --resume",
         session(lambda folder: (folder / "session.json").unlink()),
     ),
     Case(

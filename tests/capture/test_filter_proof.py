@@ -1,0 +1,98 @@
+"""The frames themselves show which filter is in the beam; a bench whose filters sit in other slots is convicted."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_schemas.capture import PaintPlan
+from data_schemas.errors import CaptureError, WrongPositionError
+from data_schemas.rig import RigFile
+from rigs.capture.filter_proof import compare_with_last, judge_filters
+from rigs.capture.paint_session import capture_with
+from rigs.capture.plan import paint_steps
+from rigs.capture.read_session import read_session
+from rigs.open_rig import open_rig
+
+NAMES = ("405", "450", "500", "532", "560", "600", "630", "660")
+
+
+def exchanged(rig: RigFile, first: str, second: str) -> RigFile:
+    """The same rig with two filters put into each other's slots."""
+    slots = {f.name: f.slot for f in rig.filter_wheel.filters}
+    slots[first], slots[second] = slots[second], slots[first]
+    filters = tuple(f.model_copy(update={"slot": slots[f.name]}) for f in rig.filter_wheel.filters)
+    wheel = rig.filter_wheel.model_copy(update={"filters": filters})
+    return rig.model_copy(update={"filter_wheel": wheel})
+
+
+@pytest.mark.parametrize("pair", [("450", "600"), ("500", "560"), ("405", "450"), ("600", "630")])
+def test_exchanged_filters_are_found_before_a_frame_is_stored(
+    rig: RigFile, plan: PaintPlan, tmp_path: Path, pair: tuple[str, str]
+) -> None:
+    """The bench holds other filters than the rig file says; the wheel's own counter sees nothing wrong."""
+    with open_rig(exchanged(rig, *pair), Path()) as opened:
+        try:
+            session = capture_with(opened, rig, plan, paint_steps(plan, rig), tmp_path / "out", {}, "finray capture")
+        except WrongPositionError as error:
+            assert all(name in str(error) for name in pair)  # noqa: PT017
+            assert not list((tmp_path / "out").glob("frames/*"))
+        else:  # neighbours of the same colour: it must not claim to have seen them in place
+            assert session.filter_proof is not None
+            assert session.filter_proof.verdict == "cannot tell"
+            assert f"{pair[0]} and {pair[1]}" in session.filter_proof.text
+
+
+def test_at_least_the_laser_filter_is_proved(rig: RigFile, plan: PaintPlan, tmp_path: Path) -> None:
+    with (
+        open_rig(exchanged(rig, "450", "600"), Path()) as opened,
+        pytest.raises(WrongPositionError, match="450 and 600"),
+    ):
+        capture_with(opened, rig, plan, paint_steps(plan, rig), tmp_path, {}, "finray capture")
+
+
+def test_filters_in_place_are_not_convicted(captured) -> None:
+    out, session, _ = captured
+    assert session.filter_proof is not None
+    assert session.filter_proof.verdict in ("confirmed", "cannot tell")
+    assert read_session(out).filter_proof == session.filter_proof
+    assert len(session.white_rates_dn_per_s) == 8
+
+
+def test_no_wrong_conviction_within_the_stated_error() -> None:
+    """Predictions 30 % off, filter by filter and channel by channel: at most 1 in 100 is convicted wrongly."""
+    rng = np.random.default_rng(3)
+    predicted = np.exp(rng.normal(0, 1.5, (8, 3)))
+    convicted = 0
+    for _ in range(300):
+        measured = 100 * predicted * np.exp(0.3 * rng.standard_normal((8, 3)))
+        convicted += judge_filters(NAMES, measured, predicted).verdict == "contradicted"
+    assert convicted <= 9  # 3 expected at 1 %, 9 is the 99.6 % quantile of that
+
+
+def test_dark_camera_proves_nothing() -> None:
+    proof = judge_filters(NAMES, np.full((8, 3), 0.2), np.ones((8, 3)))
+    assert proof.verdict == "cannot tell"
+    assert "dark through every filter" in proof.text
+
+
+def test_earlier_session_finds_a_soiled_filter(captured) -> None:
+    _, session, _ = captured
+    before = np.array(session.white_rates_dn_per_s)
+    names = list(dict.fromkeys(f.filter_name for f in session.frames if f.frame_type == "white"))
+    assert compare_with_last(names, 0.7 * before, session).verdict == "confirmed"  # another aperture
+    soiled = before.copy()
+    soiled[names.index("560")] *= 0.8
+    found = compare_with_last(names, soiled, session)
+    assert found.verdict == "contradicted"
+    assert "filter 560" in found.text
+    assert compare_with_last(names[:2], before[:2], session).verdict == "cannot tell"
+
+
+def test_session_unlike_an_earlier_one_is_refused(rig: RigFile, plan: PaintPlan, captured, tmp_path: Path) -> None:
+    _, session, _ = captured
+    rates = [list(row) for row in session.white_rates_dn_per_s]
+    rates[0] = [2 * rate for rate in rates[0]]
+    other = session.model_copy(update={"white_rates_dn_per_s": tuple(tuple(row) for row in rates)})
+    with open_rig(rig, Path()) as opened, pytest.raises(CaptureError, match="differs from the earlier session"):
+        capture_with(opened, rig, plan, paint_steps(plan, rig), tmp_path, {}, "finray capture", last_good=other)

@@ -1,0 +1,115 @@
+"""Frames that are refused and taken again, a bounded number of times."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_schemas.errors import BadFrameError, LostError, RefusedError
+from data_schemas.rig import DeviceIdentity, RigFile
+from rigs.capture.exchange import ATTEMPTS, CheckedCamera
+from rigs.capture.plan import Step
+from rigs.open_rig import OpenRig, open_rig
+from rigs.protocols import Camera, RawFrame
+
+DARK = Step("dark", "white", "off", "450", 2)
+
+
+@dataclass
+class Changing:
+    """A camera whose frames are changed, or withheld, by number."""
+
+    camera: Camera
+    change: Callable[[int, RawFrame], RawFrame]
+    taken: int = 0
+
+    def identity(self) -> DeviceIdentity:
+        return self.camera.identity()
+
+    def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
+        frame = self.camera.expose(exposure_s, deadline_s)
+        self.taken += 1
+        return self.change(self.taken, frame)
+
+
+@dataclass
+class Taken:
+    camera: CheckedCamera
+    refused: list[str] = field(default_factory=list)
+
+
+def over(rig: RigFile, opened: OpenRig, change: Callable[[int, RawFrame], RawFrame]) -> Taken:
+    refused: list[str] = []
+    changed = replace(opened, camera=Changing(opened.camera, change))
+    return Taken(CheckedCamera(changed, rig.camera, refused.append), refused)
+
+
+def fail_until(number: int, error: Exception) -> Callable[[int, RawFrame], RawFrame]:
+    def change(taken: int, frame: RawFrame) -> RawFrame:
+        if taken < number:
+            raise error
+        return frame
+
+    return change
+
+
+@pytest.mark.parametrize("error", [BadFrameError("camera: missing packets"), LostError("camera: gone")])
+def test_refused_frame_is_taken_again_and_counted(rig: RigFile, error: Exception) -> None:
+    with open_rig(rig, Path()) as opened:
+        taken = over(rig, opened, fail_until(3, error))
+        assert taken.camera.expose(DARK, 0.01).attempts == 3
+    assert len(taken.refused) == 2
+    assert all(str(error) in text for text in taken.refused)
+
+
+def test_attempts_are_bounded(rig: RigFile) -> None:
+    with open_rig(rig, Path()) as opened:
+        taken = over(rig, opened, fail_until(99, BadFrameError("camera: missing packets")))
+        with pytest.raises(BadFrameError, match=rf"missing packets \({ATTEMPTS} attempts at dark"):
+            taken.camera.expose(DARK, 0.01)
+
+
+@pytest.mark.parametrize(
+    "stale",
+    [
+        lambda n, f, first: replace(f, frame_id=7 if n < 3 else 8, device_time_s=1.0 if n < 3 else 2.0),
+        lambda n, f, first: replace(f, device_time_s=1.0 if n < 3 else 2.0),
+        lambda n, f, first: replace(f, counts=first) if n < 3 else f,
+    ],
+    ids=["same number", "same device time", "same payload"],
+)
+def test_frame_seen_before_is_refused(rig: RigFile, stale: Callable[[int, RawFrame, np.ndarray], RawFrame]) -> None:
+    firsts: list[np.ndarray] = []
+
+    def change(number: int, frame: RawFrame) -> RawFrame:
+        firsts.append(frame.counts)
+        return stale(number, frame, firsts[0])
+
+    with open_rig(rig, Path()) as opened:
+        taken = over(rig, opened, change)
+        assert taken.camera.expose(DARK, 0.01).attempts == 1
+        assert taken.camera.expose(DARK, 0.01).attempts == 2
+    assert "the same frame twice" in taken.refused[0]
+
+
+def test_number_that_wraps_and_constant_frames_are_no_repeats(rig: RigFile) -> None:
+    def wraps(number: int, frame: RawFrame) -> RawFrame:
+        return replace(frame, frame_id={1: 65535, 2: 1}[number])
+
+    def constant(number: int, frame: RawFrame) -> RawFrame:
+        return replace(frame, counts=np.full_like(frame.counts, 16))
+
+    for change in (wraps, constant):
+        with open_rig(rig, Path()) as opened:
+            taken = over(rig, opened, change)
+            assert [taken.camera.expose(DARK, 0.01).attempts for _ in range(2)] == [1, 1]
+
+
+def test_colour_pictures_are_refused(rig: RigFile) -> None:
+    def colour(number: int, frame: RawFrame) -> RawFrame:
+        return replace(frame, counts=np.dstack([frame.counts] * 3))
+
+    with open_rig(rig, Path()) as opened, pytest.raises(RefusedError, match=r"colour pictures \(3 values a pixel\)"):
+        over(rig, opened, colour).camera.expose(DARK, 0.01)

@@ -1,0 +1,210 @@
+"""A capture that is killed at any moment leaves no torn file, and resuming it gives the whole session."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from data_schemas.capture import CaptureSession, Frame, PaintPlan
+from data_schemas.errors import CaptureError
+from data_schemas.rig import RigFile
+from data_schemas.storage import sha256_of
+from rigs.capture.paint_session import capture_paint_session, capture_with
+from rigs.capture.plan import paint_steps
+from rigs.capture.read_session import read_frame_of, read_session
+from rigs.capture.resume import ORPHANS, read_interrupted
+from rigs.open_rig import open_rig
+
+KILLS = 25
+CHILD = """
+import sys, time
+from pathlib import Path
+from data_schemas.capture import PaintPlan
+from data_schemas.rig import RigFile
+from rigs.capture.paint_session import capture_paint_session
+from rigs.capture.resume import read_interrupted
+plan, rig = PaintPlan.model_validate_json(sys.argv[1]), RigFile.model_validate_json(sys.argv[2])
+out = Path(sys.argv[3])
+interrupted = read_interrupted(out) if (out / "journal.jsonl").exists() else None
+print("go", flush=True)
+capture_paint_session(rig, plan, Path(), out, "finray capture", interrupted=interrupted)
+"""
+
+
+@pytest.fixture(scope="module")
+def small(plan: PaintPlan) -> PaintPlan:
+    return plan.model_copy(update={"filters": ("450", "532", "600"), "bracket": (1.0, 0.25), "darks_per_exposure": 1})
+
+
+def what_was_taken(session: CaptureSession) -> list[tuple[object, ...]]:
+    """What makes two sessions the same: everything that chance and time do not touch."""
+    return [(f.sequence, f.file, f.frame_type, f.light, f.target, f.filter_name, f.exposure_s) for f in session.frames]
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(rig: RigFile, small: PaintPlan, tmp_path_factory: pytest.TempPathFactory) -> CaptureSession:
+    return capture_paint_session(rig, small, Path(), tmp_path_factory.mktemp("whole") / "out", "finray capture")
+
+
+@pytest.mark.timeout(280)
+def test_killed_at_any_moment_nothing_is_torn_and_resuming_completes(
+    rig: RigFile, small: PaintPlan, uninterrupted: CaptureSession, tmp_path: Path
+) -> None:
+    """One session is killed and resumed again and again until it is done; then another, until 25 kills are reached."""
+    chance, kills, sessions, folder = random.Random(5), 0, 0, tmp_path / "0"
+    texts = (small.model_dump_json(), rig.model_dump_json())
+    while kills < KILLS:
+        child = subprocess.Popen([sys.executable, "-c", CHILD, *texts, str(folder)], stdout=subprocess.PIPE, text=True)
+        assert child.stdout is not None
+        assert child.stdout.readline() == "go\n"
+        time.sleep(chance.uniform(0.0, 0.6))
+        child.send_signal(signal.SIGKILL)
+        child.wait()
+        child.stdout.close()
+        if not (folder / "session.json").exists():
+            kills += 1
+            for frame in stored_frames(folder):
+                read_frame_of(folder, frame)  # raises when torn or changed
+        else:
+            sessions, folder = sessions + 1, tmp_path / str(sessions + 1)
+    if not (folder / "session.json").exists():
+        interrupted = read_interrupted(folder) if (folder / "journal.jsonl").exists() else None
+        capture_paint_session(rig, small, Path(), folder, "finray capture", interrupted=interrupted)
+    for done in sorted(tmp_path.iterdir()):
+        session = read_session(done)
+        assert what_was_taken(session) == what_was_taken(uninterrupted)
+        doses = [f.laser_dose_j for f in session.frames]
+        assert doses == sorted(doses)
+        assert [f.middle_s for f in session.frames] == sorted(f.middle_s for f in session.frames)
+        for frame in session.frames:
+            read_frame_of(done, frame)
+        assert not list(done.rglob("*.part"))
+
+
+def stored_frames(folder: Path) -> list[Frame]:
+    """Frames that the journal vouches for."""
+    if not (folder / "journal.jsonl").exists():
+        return []
+    lines = (folder / "journal.jsonl").read_text().splitlines()
+    frames = []
+    for line in lines:
+        try:
+            entry = json.loads(line)
+        except ValueError:
+            continue
+        if entry["event"] == "frame":
+            frames.append(Frame.model_validate({k: v for k, v in entry.items() if k in Frame.model_fields}))
+    return frames
+
+
+@pytest.fixture
+def stopped(rig: RigFile, small: PaintPlan, tmp_path: Path) -> Path:
+    """A session that ended before its last frames: a finished one without record, manifest and last lines."""
+    out = tmp_path / "stopped"
+    with open_rig(rig, Path()) as opened:
+        capture_with(opened, rig, small, paint_steps(small, rig), out, {}, "finray capture")
+    for name in ("session.json", "manifest-sha256.txt"):
+        (out / name).unlink()
+    lines = (out / "journal.jsonl").read_text().splitlines(keepends=True)
+    (out / "journal.jsonl").write_text("".join(lines[:-8]))
+    return out
+
+
+def resumed(rig: RigFile, plan: PaintPlan, out: Path) -> CaptureSession:
+    return capture_paint_session(rig, plan, Path(), out, "finray capture", interrupted=read_interrupted(out))
+
+
+def test_changed_missing_and_unknown_frames_are_taken_again(
+    rig: RigFile, small: PaintPlan, uninterrupted: CaptureSession, stopped: Path
+) -> None:
+    known = sorted(frame.file for frame in stored_frames(stopped))
+    changed, missing, kept = stopped / known[3], stopped / known[5], stopped / known[7]
+    changed.write_bytes(changed.read_bytes()[:-1] + b"x")
+    missing.unlink()
+    before = sha256_of(kept)
+    (stopped / "frames" / ".0099_half.tiff.12345678.part").write_bytes(b"torn")
+    session = resumed(rig, small, stopped)
+    assert what_was_taken(session) == what_was_taken(uninterrupted)
+    assert sha256_of(kept) == before
+    aside = sorted(path.name for path in (stopped / ORPHANS).iterdir())
+    assert any(name.endswith("part") for name in aside)
+    assert any(name.endswith(changed.name) for name in aside)
+    assert any("interrupted after" in note for note in session.notes)
+    assert read_session(stopped).frames == session.frames
+
+
+def test_line_cut_short_is_passed_over(rig: RigFile, small: PaintPlan, stopped: Path) -> None:
+    with (stopped / "journal.jsonl").open("a") as journal:
+        journal.write('{"event": "fra')
+    assert len(resumed(rig, small, stopped).frames) > 0
+    lines = (stopped / "journal.jsonl").read_text().splitlines()
+    assert sum(line.startswith('{"event": "fra') and not line.endswith("}") for line in lines) == 1
+
+
+def test_finished_session_is_not_resumed(rig: RigFile, small: PaintPlan, stopped: Path) -> None:
+    resumed(rig, small, stopped)
+    with pytest.raises(CaptureError, match=r"is finished already .* nothing is left to resume"):
+        read_interrupted(stopped)
+
+
+def test_folder_without_a_beginning_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match=r"journal\.jsonl: cannot be read .*interrupted 'finray capture'"):
+        read_interrupted(tmp_path)
+    (tmp_path / "journal.jsonl").write_text('{"event": "start", "utc": "", "monotonic_s": 0}\n')
+    with pytest.raises(CaptureError, match=r"does not say how the session began"):
+        read_interrupted(tmp_path)
+
+
+def test_changed_curve_file_is_refused(rig: RigFile, small: PaintPlan, stopped: Path) -> None:
+    text = (stopped / "journal.jsonl").read_text()
+    (stopped / "journal.jsonl").write_text(text.replace('"inputs": {}', '"inputs": {"red.csv": "00"}', 1))
+    with pytest.raises(CaptureError, match=r"red\.csv: changed since the session began"):
+        resumed(rig, small, stopped)
+
+
+def test_second_capture_into_the_same_folder_is_refused(rig: RigFile, small: PaintPlan, stopped: Path) -> None:
+    lock = "import fcntl,sys,time; f=open(sys.argv[1],'a'); fcntl.flock(f, fcntl.LOCK_EX); print('held', flush=True); "
+    other = subprocess.Popen(
+        [sys.executable, "-c", lock + "time.sleep(60)", str(stopped / "journal.jsonl")],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(CaptureError, match=r"another capture is writing into this folder"):
+            resumed(rig, small, stopped)
+    finally:
+        other.kill()
+        other.wait()
+        if other.stdout is not None:
+            other.stdout.close()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a small disk")
+def test_full_disk_ends_the_session_and_it_can_be_resumed(rig: RigFile, small: PaintPlan, tmp_path: Path) -> None:
+    """A file system of 400 kB holds some of the 41 kB frames; the check beforehand is passed by pretending space."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=400k", "none", str(disk)], capture_output=True)
+    if mounted.returncode != 0:
+        pytest.skip("this machine does not allow to mount a file system")
+    try:
+        with open_rig(rig, Path()) as opened, pytest.MonkeyPatch.context() as patch:
+            with pytest.raises(CaptureError, match=r"the frames need .* MB and .* MB are free"):
+                capture_with(opened, rig, small, paint_steps(small, rig), disk / "refused", {}, "finray capture")
+            patch.setattr("rigs.capture.frame_store.require_space", lambda folder, needed_bytes: None)
+            with pytest.raises(CaptureError, match=r"cannot be written \(No space left .*--resume"):
+                capture_with(opened, rig, small, paint_steps(small, rig), disk / "out", {}, "finray capture")
+            assert not opened.lamp.state()
+            assert not opened.laser.state()
+        subprocess.run(["mount", "-o", "remount,size=20m", str(disk)], check=True)
+        assert len(resumed(rig, small, disk / "out").frames) > len(list((disk / "out" / ORPHANS).glob("*")))
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)

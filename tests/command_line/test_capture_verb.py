@@ -1,0 +1,63 @@
+"""``finray capture``: dry run, interruption by signals, resuming, a session like an earlier one."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rigs.capture.read_session import read_session
+from tests.command_line.running import finray, succeed
+
+
+def mistake(arguments: str) -> str:
+    """Run what must end as a user's mistake; return what it says."""
+    outcome = finray(arguments)
+    assert outcome.status == 2
+    return outcome.err
+
+
+def test_dry_run_tells_time_and_disk_and_stores_nothing(lab: Path, tmp_path: Path) -> None:
+    said = succeed(f"capture {lab}/plan.toml --rig {lab}/rig.toml --out {tmp_path}/out --dry-run")
+    assert "MB" in said
+    assert "min" in said
+    assert "nothing was moved, lit or stored" in said
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_signal_ends_the_capture_cleanly_and_resume_finishes_it(lab: Path, tmp_path: Path, number: int) -> None:
+    out = tmp_path / "out"
+    run = [sys.executable, "-m", "finray_calib.cli.main", "capture", str(lab / "plan.toml")]
+    process = subprocess.Popen(
+        [*run, "--rig", str(lab / "rig.toml"), "--out", str(out)], stderr=subprocess.PIPE, text=True
+    )
+    end_s = time.monotonic() + 60
+    while len(list((out / "frames").glob("*.tiff"))) < 5:
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+    os.kill(process.pid, number)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert f"finray capture --resume {out}" in said
+    assert '"outcome": "KeyboardInterrupt' in (out / "journal.jsonl").read_text().splitlines()[-1]
+    before = {path.name: path.stat().st_mtime_ns for path in (out / "frames").iterdir()}
+    assert "frames are there and unchanged" in succeed(f"capture --resume {out}")
+    assert all((out / "frames" / name).stat().st_mtime_ns == time_ns for name, time_ns in before.items())
+    assert len(read_session(out).frames) == len(read_session(lab / "session").frames)
+
+
+def test_resume_takes_everything_from_the_session(lab: Path, tmp_path: Path) -> None:
+    said = mistake(f"capture {lab}/plan.toml --rig {lab}/rig.toml --resume {tmp_path}")
+    assert "leave out PLAN, --rig and --out" in said
+    assert "is finished already" in mistake(f"capture --resume {lab}/session")
+    assert "journal.jsonl: cannot be read" in mistake(f"capture --resume {tmp_path}")
+    assert "give a PLAN and its --rig" in mistake(f"capture {lab}/plan.toml")
+
+
+def test_session_like_an_earlier_one_says_so(lab: Path, tmp_path: Path) -> None:
+    said = succeed(f"capture {lab}/plan.toml --rig {lab}/rig.toml --out {tmp_path}/out --like {lab}/session")
+    assert "filters: confirmed: the white frames repeat those of the earlier session" in said
