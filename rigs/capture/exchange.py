@@ -145,7 +145,12 @@ class CheckedCamera:
 
 
 def _require_slot(opened: OpenRig, step: Step, when: str) -> int | None:
-    """Return the wheel's position after checking that it is the one of the step."""
+    """Return the wheel's position after checking that it is the one of the step; None when it is swung out.
+
+    A wheel that the operator swung out of the beam still counts its slots.
+    """
+    if step.slot is None:
+        return None
     position = opened.wheel.position()
     if position != step.slot:
         raise WrongPositionError(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from data_schemas.capture import CaptureSession, FilterProof, LightState, PaintPlan, Target
 from data_schemas.errors import CaptureError, WrongPositionError
 from data_schemas.rig import RigFile
-from rigs.capture.exchange import shine
+from rigs.capture.exchange import WHEEL_DEADLINE_S, shine
 from rigs.capture.exposure import exposure_ladder, meter_exposure, rung_at_or_below
 from rigs.capture.filter_proof import compare_with_last, judge_filters, predicted_rates
 from rigs.capture.frame_store import FrameStore, Shot, numbered
@@ -193,8 +193,10 @@ class _Recorder:
         """Do `act` at every step with its target in place and its light on; light off between groups."""
         todo = list(todo)
         done = 0
-        for (target, light, tilt_deg), group in groupby(todo, key=lambda t: (t[0].target, t[0].light, t[0].tilt_deg)):
+        for (target, light, tilt_deg, by_hand), group in groupby(todo, key=lambda t: self._setting(t[0])):
             self._place(target, tilt_deg)
+            if by_hand is not None and self._opened.wheel.position() != by_hand:
+                self._opened.wheel.go_to(by_hand, WHEEL_DEADLINE_S)
             on_sample = light == "laser" and target == "sample"
             dose = self._store.dose
             with shine(self._opened, light), dose.shining() if on_sample else nullcontext():
@@ -207,6 +209,11 @@ class _Recorder:
                         self._progress(done, len(todo), f"{phase}: {step.label}")
             if light == "laser":
                 self._journal.append("laser off", target=target, sample_dose_j=dose.energy_j())
+
+    def _setting(self, step: Step) -> tuple[Target, LightState, float, int | None]:
+        """Return what stays while a light is on; a wheel turned by hand is turned in the dark."""
+        by_hand = step.slot if self._rig.filter_wheel.driver == "manual" else None
+        return step.target, step.light, step.tilt_deg, by_hand
 
     def _place(self, target: Target, tilt_deg: float) -> None:
         """Ask the operator for a target and, when it changes, for the tilt of the sample."""

@@ -31,14 +31,22 @@ def rig_locked(rig: RigFile) -> Iterator[None]:
     }
     with ExitStack() as stack:
         for role, (driver, address) in devices.items():
-            if driver not in (*NO_ADDRESS, "folder"):
-                stack.enter_context(_locked(role, driver, address))
+            stack.enter_context(device_locked(role, driver, address))
         yield
 
 
 @contextmanager
-def _locked(role: str, driver: str, address: str) -> Iterator[None]:
-    """Hold the lock of one device."""
+def device_locked(role: str, driver: str, address: str) -> Iterator[None]:
+    """Hold the lock of one device for a ``with`` block; what is no device, such as a folder of images, has none.
+
+    Raises
+    ------
+    CaptureError
+        Another process holds it.
+    """
+    if driver in (*NO_ADDRESS, "folder"):
+        yield
+        return
     name = hashlib.sha256(f"{driver} {address}".encode()).hexdigest()[:16]
     path = Path(tempfile.gettempdir()) / f"finray-{os.getuid()}-{name}.lock"
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)

@@ -3,7 +3,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import pytest
 
 from data_schemas.capture import CaptureSession, Frame, PaintPlan, Target
 from data_schemas.errors import CaptureError, ChecksumError, RecordError, SaturatedError
-from data_schemas.rig import RigFile
+from data_schemas.rig import DeviceIdentity, RigFile
 from data_schemas.storage import sha256_of
 from rigs.capture.paint_session import capture_paint_session, capture_with
 from rigs.capture.plan import paint_steps
@@ -398,3 +398,41 @@ def test_file_names_are_plain(captured: Captured) -> None:
     )
     frames: tuple[Frame, ...] = session.frames
     assert all(pattern.fullmatch(frame.file) for frame in frames)
+
+
+@dataclass
+class HandTurnedWheel:
+    """Remembers which lights were on when it was turned."""
+
+    wheel: FilterWheel
+    opened: OpenRig
+    lit_while_turned: list[bool] = field(default_factory=list)
+
+    @property
+    def slots(self) -> tuple[int, ...]:
+        return self.wheel.slots
+
+    def identity(self) -> DeviceIdentity:
+        return self.wheel.identity()
+
+    def position(self) -> int | None:
+        return self.wheel.position()
+
+    def go_to(self, slot: int, deadline_s: float) -> None:
+        self.lit_while_turned.append(self.opened.laser.state() or self.opened.lamp.state())
+        self.wheel.go_to(slot, deadline_s)
+
+
+def test_wheel_turned_by_hand_is_turned_in_the_dark(rig: RigFile, plan: PaintPlan, tmp_path: Path) -> None:
+    real = {"camera": "aravis", "filter_wheel": "manual", "laser": "arduino", "lamp": "manual"}
+    named = {
+        name: getattr(rig, name).model_copy(update={"driver": driver, "address": "" if driver == "manual" else "here"})
+        for name, driver in real.items()
+    }
+    by_hand = rig.model_copy(update=named)
+    small = plan.model_copy(update={"filters": ("450", "600"), "bracket": (1.0,), "darks_per_exposure": 1})
+    with open_rig(rig, Path()) as opened:
+        wheel = HandTurnedWheel(opened.wheel, opened)
+        capture(replace(opened, wheel=wheel), by_hand, small, tmp_path)
+    assert len(wheel.lit_while_turned) > 4
+    assert not any(wheel.lit_while_turned)

@@ -1,0 +1,211 @@
+"""Thorlabs FW102C (6 filters) and FW212C (12 filters) on their serial or USB port.
+
+115200 baud, 8 data bits, no parity, 1 stop bit. Whether the prompt of ``pos=n`` comes at once or after the move is not
+documented, so a move is over only when the prompt has come and two polls of ``pos?`` name the slot.
+"""
+
+import re
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Final
+
+from data_schemas.errors import CaptureError, RefusedError, TimedOutError, WrongPositionError
+from data_schemas.rig import BandPassFilter, DeviceIdentity, FilterWheelSettings
+from rigs.filter_wheels.arrival import require_slot
+from rigs.filter_wheels.thorlabs_dialogue import Dialogue
+from rigs.protocols import FilterWheel, Operator
+from rigs.transports.serial_link import SerialLink, usb_serial_ports
+
+BAUD: Final = 115200
+ANSWER_S: Final = 2.0
+"""Longest wait for an answer that moves nothing; a healthy wheel needs some milliseconds."""
+POLL_S: Final = 0.05
+REST_S: Final = 2.0
+"""A wheel that says this long that it stands between start and target is at rest, not passing."""
+DETECT_S: Final = 0.5
+
+_IDENTITY: Final = re.compile(r"THORLABS (FW\d{3}\S*)(?:.*version (\S+))?", re.IGNORECASE)
+
+
+class ThorlabsWheel:
+    """A wheel over its dialogue; :func:`open_wheel` makes it.
+
+    Parameters
+    ----------
+    dialogue
+        Dialogue with the wheel.
+    address
+        Serial port or URL.
+
+    Raises
+    ------
+    RefusedError
+        The device is not such a wheel, or does not keep a setting.
+    LostError, TimedOutError
+        It does not answer, or not as such a wheel does.
+    """
+
+    def __init__(self, dialogue: Dialogue, address: str) -> None:
+        self._dialogue = dialogue
+        self._address = address
+        self._name = _name(address)
+        self.identity()
+        count = dialogue.ask_number("pcount", _in(ANSWER_S))
+        if count not in (6, 12):
+            raise RefusedError(
+                f"{self._name}: says that it has {count} slots, 6 (FW102C) or 12 (FW212C) are possible; set its "
+                "position count with the maker's program"
+            )
+        self._slots = tuple(range(1, count + 1))
+        # The infra-red sensors would light the sample while the wheel rests.
+        self._keep("sensors", 0)
+        self._keep("speed", 1)
+
+    def identity(self) -> DeviceIdentity:
+        """Ask the wheel what it is."""
+        return _identity(self._dialogue, self._address, ANSWER_S)
+
+    @property
+    def slots(self) -> tuple[int, ...]:
+        """Numbers of the slots: 1 to 6 or 1 to 12, as the wheel said when it was opened."""
+        return self._slots
+
+    def position(self) -> int | None:
+        """Ask the wheel which slot is in the beam; None when it names none that exists.
+
+        It has no word for "moving": what it says during a move is not known.
+        """
+        reported = self._dialogue.ask_number("pos", _in(ANSWER_S))
+        return reported if reported in self._slots else None
+
+    def go_to(self, slot: int, deadline_s: float) -> None:
+        """Move until two polls report `slot`; at most `deadline_s` seconds.
+
+        Raises
+        ------
+        RefusedError
+            The wheel has no such slot; nothing moved.
+        TimedOutError
+            It did not report the slot, or did not answer, before the deadline.
+        WrongPositionError
+            It rests at a slot that is neither the one it left nor the one asked for.
+        LostError
+            The connection broke, or an answer was garbled.
+        """
+        require_slot(slot, self._slots, self._name)
+        end_s = _in(deadline_s)
+        start = self._dialogue.ask_number("pos", end_s)
+        try:
+            if start != slot:
+                self._dialogue.assign("pos", slot, end_s)
+            arrived, last = self._follow(slot, start, end_s)
+        except TimedOutError as error:
+            raise self._overdue(slot, deadline_s, "it does not confirm the move") from error
+        if not arrived:
+            raise self._overdue(slot, deadline_s, f"its last report is slot {last}")
+
+    def _follow(self, slot: int, start: int, end_s: float) -> tuple[bool, int]:
+        """Poll until two reports in a row name `slot`, or the time is up; return whether they did, and the last."""
+        seen, since_s, polls = start, time.monotonic(), 0
+        while time.monotonic() < end_s:
+            reported = self._dialogue.ask_number("pos", end_s)
+            if reported != seen:
+                seen, since_s, polls = reported, time.monotonic(), 0
+            polls += 1
+            if seen == slot and polls == 2:
+                return True, slot
+            if seen not in (slot, start) and time.monotonic() - since_s > REST_S:
+                raise WrongPositionError(
+                    f"{self._name}: was sent from slot {start} to slot {slot} and rests at slot {seen}; look whether "
+                    "a filter or cable drags, switch the wheel off and on, and capture again"
+                )
+            if end_s - time.monotonic() < 2.0 * POLL_S:
+                # What is left is too short for an answer.
+                break
+            time.sleep(POLL_S)
+        return False, seen
+
+    def _overdue(self, slot: int, deadline_s: float, why: str) -> TimedOutError:
+        return TimedOutError(
+            f"{self._name}: is not at slot {slot} within {deadline_s:g} s ({why}); look whether something blocks the "
+            "wheel, and check its power supply"
+        )
+
+    def _keep(self, setting: str, value: int) -> None:
+        """Change a setting and see that it is kept."""
+        self._dialogue.assign(setting, value, _in(ANSWER_S))
+        kept = self._dialogue.ask_number(setting, _in(ANSWER_S))
+        if kept != value:
+            raise RefusedError(
+                f"{self._name}: was told '{setting}={value}' and says {setting} is {kept}; switch the wheel off and on"
+            )
+
+
+@contextmanager
+def open_wheel(settings: FilterWheelSettings, operator: Operator) -> Iterator[FilterWheel]:
+    """Open the wheel of a rig for a ``with`` block: sensors dark at rest, high speed, all filters reachable.
+
+    Raises
+    ------
+    RefusedError
+        The port or the device is not what the rig file says, or the wheel has too few slots for the filters.
+    LostError, TimedOutError
+        The wheel cannot be reached or does not answer.
+    """
+    name = _name(settings.address)
+    with SerialLink(settings.address, BAUD, "filter wheel") as link:
+        wheel = ThorlabsWheel(Dialogue(link, name), settings.address)
+        _require_slots(settings.filters, wheel.slots, name)
+        yield wheel
+
+
+def found() -> list[tuple[str, str]]:
+    """Return address and description of the wheels that answer on serial ports behind USB."""
+    wheels = []
+    for port in usb_serial_ports():
+        try:
+            with SerialLink(port.address, BAUD, "filter wheel") as link:
+                wheel = _identity(Dialogue(link, _name(port.address)), port.address, DETECT_S)
+        except CaptureError:
+            continue
+        wheels.append((port.address, f"Thorlabs {wheel.model} filter wheel, firmware {wheel.firmware}"))
+    return wheels
+
+
+def _identity(dialogue: Dialogue, address: str, within_s: float) -> DeviceIdentity:
+    """Ask who is there, and refuse any other device."""
+    said = dialogue.ask("*idn", _in(within_s))
+    match = _IDENTITY.fullmatch(said)
+    if match is None:
+        raise RefusedError(
+            f"{_name(address)}: says that it is '{said}', a Thorlabs FW102C or FW212C is expected; correct address or "
+            "driver of filter_wheel in the rig file"
+        )
+    return DeviceIdentity(
+        role="filter wheel",
+        driver="thorlabs",
+        address=address,
+        vendor="Thorlabs",
+        model=match[1],
+        firmware=match[2] or "",
+    )
+
+
+def _require_slots(filters: Sequence[BandPassFilter], slots: Sequence[int], name: str) -> None:
+    """Refuse a rig whose filters do not fit into the wheel."""
+    beyond = [f"{optic.name} in slot {optic.slot}" for optic in filters if optic.slot not in slots]
+    if beyond:
+        remedy = "correct the slot numbers"
+        if len(filters) > len(slots):
+            remedy = f"{len(filters)} filters need an FW212C (12 slots), or two sessions"
+        raise RefusedError(f"{name}: has slots 1 to {slots[-1]}, the rig file puts {', '.join(beyond)}; {remedy}")
+
+
+def _name(address: str) -> str:
+    return f"filter wheel at {address}"
+
+
+def _in(duration_s: float) -> float:
+    """Return the reading of the monotonic clock in so many seconds."""
+    return time.monotonic() + duration_s

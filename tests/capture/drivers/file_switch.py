@@ -1,0 +1,51 @@
+"""A light whose state is a file, to do to a guard what no emulated board does: refuse, lie, hang, crash.
+
+The address is a folder. ``on`` exists while the light is on; ``refuse_off`` holds how many off commands fail, ``lies``
+makes them return without effect, ``refuse_keep_alive`` makes keep-alives fail, ``refuse_opening`` the opening.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from data_schemas.errors import LostError, RefusedError, UnsafeError
+from data_schemas.rig import DeviceIdentity
+from rigs.protocols import Operator
+
+
+class FileSwitch:
+    has_dead_man = False
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def identity(self) -> DeviceIdentity:
+        return DeviceIdentity(role="laser", driver="indi", address=str(self.folder), model="file")
+
+    def switch(self, on: bool, deadline_s: float) -> None:
+        if on:
+            if (self.folder / "refuse_on").exists():
+                (self.folder / "on").touch()  # the command arrived, its confirmation did not
+                raise RuntimeError("a driver's own mistake")
+            (self.folder / "on").touch()
+            return
+        refusals = self.folder / "refuse_off"
+        if refusals.exists() and (left := int(refusals.read_text())) > 0:
+            refusals.write_text(str(left - 1))
+            raise UnsafeError("the file does not go away")
+        if not (self.folder / "lies").exists():
+            (self.folder / "on").unlink(missing_ok=True)
+
+    def state(self, deadline_s: float) -> bool:
+        return (self.folder / "on").exists()
+
+    def keep_alive(self) -> None:
+        if (self.folder / "refuse_keep_alive").exists():
+            raise LostError("nobody hears the keep-alive")
+
+
+@contextmanager
+def open_switch(address: str, role: str, operator: Operator | None) -> Iterator[FileSwitch]:
+    if (Path(address) / "refuse_opening").exists():
+        raise RefusedError("the file may not be opened; change its mode")
+    yield FileSwitch(Path(address))
