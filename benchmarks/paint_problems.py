@@ -5,6 +5,7 @@ import numpy as np
 from data_schemas.radiometry import BandSignals, Optics
 from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
 from finray_calib.fit.discrepancy import PAINT_DISCREPANCY
+from finray_calib.fit.emission import REFERENCE_ROUNDS
 from finray_calib.fit.likelihood import BandData, LogPosterior
 from finray_calib.fit.nuisances import band_values
 from finray_calib.fit.paint_calibration import band_data
@@ -17,7 +18,6 @@ from rigs.presets import simulated_rig
 CHANNEL_WEIGHTS = (0.01, 0.09, 0.9)
 CALIBRATION_REL, NOISE_REL = 0.01, 0.003
 NOISE_FLOOR_REL = 0.003  # of the brightest emission band
-REFERENCE_ROUNDS = 2  # as in fit_emission
 ORANGE = {
     "zheng2014": (597.0, np.log(48.0), np.log(0.004), 1.8, np.log(0.1)),
     "log_normal_wavenumber": (597.0, np.log(48.0), np.log(0.004), 0.35, np.log(0.1)),
@@ -80,8 +80,7 @@ def default_posterior(seed: int) -> LogPosterior:
     posterior = LogPosterior(data, family, prior, PAINT_DISCREPANCY)
     best = posterior.climb(np.array([*ORANGE[family.name], 0.0]))
     for _ in range(REFERENCE_ROUNDS):
-        posterior = LogPosterior(data, family, prior, PAINT_DISCREPANCY, posterior.reference_at(best))
-        best = posterior.climb(best)
+        posterior, best = posterior.refined(best)
     return posterior
 
 

@@ -84,19 +84,22 @@ class DefaultDensity:
         self.leaked = np.concatenate([np.zeros_like(self.in_band), rule.leaked[kept]], axis=1)
         self.laser, self.leaked_laser = weights.reflected_laser[kept], weights.leaked_laser[kept]
         self.leaked_white, self.y = weights.leaked_white[kept], data.y.ravel()[kept]
-        # a log-normal's mean lies above its median
-        self.leak_mean = np.exp(data.tolerances.blocking_sd[kept] ** 2 / 2)
+        self.leak_sd = data.tolerances.blocking_sd[kept]
+        self.own_leaks = [(weights.band_index[kept] == band, at) for band, at in posterior.own_leaks.items()]
         self.covariance = data.covariance[np.ix_(kept, kept)] + posterior.imperfections @ posterior.imperfections.T
         # bands that share no discrepancy in the fit (e^-8 of its variance) share none here
         near = np.repeat(np.repeat(posterior.problem.near, nodes, axis=0), nodes, axis=1)
         self.kernel = near * self.discrepancy.smooth_kernel(self.nodes, self.nodes)
 
     def many(self, theta: np.ndarray) -> np.ndarray:
-        """Return the log posterior of (n, 6) rows, (n,)."""
+        """Return the log posterior of (n, D) rows, (n,): six parameters, then the own leaks that are sampled."""
         allowed = ((theta >= self.prior.low) & (theta <= self.prior.high)).all(axis=1)
-        mode, ln_fwhm, ln_peak, asymmetry, ln_laser, ln_blocking = theta.T[:, :, None]
+        mode, ln_fwhm, ln_peak, asymmetry, ln_laser, ln_blocking = theta.T[:6, :, None]
         curve = np.exp(ln_peak) * _log_normal(self.points, mode, np.exp(ln_fwhm), asymmetry)
-        more = np.exp(ln_blocking) * self.leak_mean - 1
+        own_leak = np.tile(np.exp(self.leak_sd**2 / 2), (len(theta), 1))  # a log-normal's mean lies above its median
+        for rows, at in self.own_leaks:
+            own_leak[:, rows] = np.exp(self.leak_sd[rows] * theta[:, at, None])
+        more = np.exp(ln_blocking) * own_leak - 1
         mu = curve @ self.emission.T + more * (curve @ self.leaked.T)
         mu += np.exp(ln_laser) * (self.laser + more * self.leaked_laser)
         mu /= 1 + more * self.leaked_white

@@ -54,11 +54,9 @@ def ranks(task):
     seconds = time.perf_counter() - start
     truth = curve_quantities(paint.curve[None], WAVELENGTH_NM)
     below = {name: np.mean(getattr(fit.quantities, name) < getattr(truth, name)[0]) for name in QUANTITIES}
-    if family.name != "gaussian_mixture":
-        below |= dict(zip(fit.log_posterior.prior.names, (fit.draws < paint.theta).mean(axis=0), strict=True))
-    else:
-        names = fit.log_posterior.prior.names[-2:]
-        below |= dict(zip(names, (fit.draws[:, -2:] < paint.theta[-2:]).mean(axis=0), strict=True))
+    size = paint.theta.size  # behind it theta holds own leaks, judged among the imperfections
+    judged_at = range(size - 2 if family.name == "gaussian_mixture" else 0, size)
+    below |= {fit.log_posterior.prior.names[i]: np.mean(fit.draws[:, i] < paint.theta[i]) for i in judged_at}
     filters = [f.name for f in paint.bands.optics.filters]
     labels = [f"{what} {name}" for what in IMPERFECTIONS for name in filters]
     share = (fit.curve_draws.imperfections[:, : len(labels)] < paint.imperfections).mean(axis=0)

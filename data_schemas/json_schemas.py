@@ -6,6 +6,7 @@ from typing import Any
 
 from data_schemas.camera import CameraCharacterisation, CameraPlan, CameraSession
 from data_schemas.capture import CaptureSession, PaintPlan, TactileCapture
+from data_schemas.check import AcceptanceReport, CheckPlan
 from data_schemas.compare import PhotometricErrorReport
 from data_schemas.decide import LightAngleDecision
 from data_schemas.design import FingerDesign
@@ -16,13 +17,23 @@ from data_schemas.paper_paints import PaperPaints
 from data_schemas.radiometry import BandSignals, PixelSignals
 from data_schemas.rig import RigFile
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
+from data_schemas.tactile import TactilePlan, TactileRig, TactileSession
 
 FOLDER = Path(__file__).resolve().parent / "json_schema"
-WRITTEN_BY_PEOPLE: tuple[type[Record], ...] = (RigFile, PaintPlan, CameraPlan, FingerDesign)
+WRITTEN_BY_PEOPLE: tuple[type[Record], ...] = (
+    RigFile,
+    TactileRig,
+    PaintPlan,
+    CameraPlan,
+    TactilePlan,
+    CheckPlan,
+    FingerDesign,
+)
 STORED: tuple[type[Record], ...] = (
     CaptureSession,
     CameraSession,
     CameraCharacterisation,
+    TactileSession,
     TactileCapture,
     BandSignals,
     PixelSignals,
@@ -33,6 +44,7 @@ STORED: tuple[type[Record], ...] = (
     LightAngleSweep,
     PhotometricErrorReport,
     LightAngleDecision,
+    AcceptanceReport,
 )
 
 

@@ -5,11 +5,12 @@ from pathlib import Path
 
 from finray_calib.cli.options import add_out
 
-HELP = "capture the filtered images of a paint sample, or the frames that characterise a camera"
+HELP = "capture a paint sample through filters, the frames that characterise a camera, or presses on a finger"
 DESCRIPTION = """\
 Run a capture plan; its 'kind' says which. "paint": dark frames before and after, the white reference, the sample
 under lamp and laser through every filter, and a room-light frame, at exposures at which nothing saturates.
 "camera": flat frames of the white tile from dark to beyond saturation and dark frames of the same exposures.
+"tactile": presses on a finger, each between images of no contact; its rig file describes a camera alone.
 Writes a folder with raw 16-bit TIFF frames, a journal, checksums and session.json. An interrupted session goes on
 where it stopped with --resume."""
 

@@ -12,6 +12,7 @@ from data_schemas.capture import CaptureSession, PaintPlan
 from data_schemas.errors import CaptureError
 from data_schemas.rig import LaserSettings, RigFile
 from data_schemas.storage import read_toml
+from finray_calib.cli.capture_tactile import capture_tactile, resume_tactile
 from finray_calib.cli.options import Progress, command_line, file_name, naming, progress_bar, require_new, say, warn
 from rigs.capture.camera_session import camera_step, capture_camera_session
 from rigs.capture.dry_run import forecast, require_ready
@@ -20,6 +21,7 @@ from rigs.capture.plan import paint_steps
 from rigs.capture.read_session import read_session
 from rigs.capture.resume import Interrupted, read_interrupted
 from rigs.capture.rig_lock import rig_locked
+from rigs.capture.tactile_resume import is_tactile
 from rigs.open_rig import open_rig
 
 
@@ -59,11 +61,18 @@ def capture_camera(arguments: argparse.Namespace) -> None:
     _report(out, session, plan.camera_name)
 
 
-KINDS: dict[str, Callable[[argparse.Namespace], None]] = {"paint": capture_paint, "camera": capture_camera}
+KINDS: dict[str, Callable[[argparse.Namespace], None]] = {
+    "paint": capture_paint,
+    "camera": capture_camera,
+    "tactile": lambda arguments: capture_tactile(arguments, interruptible),
+}
 
 
 def resume(folder: Path) -> None:
     """Go on with an interrupted session."""
+    if is_tactile(folder):
+        resume_tactile(folder)
+        return
     interrupted = read_interrupted(folder)
     kinds = {"paint": _resume_paint, "camera": _resume_camera}
     if interrupted.kind not in kinds:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from finray_calib.fit.discrepancy import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM, Discrepancy
 from finray_calib.fit.likelihood import LogPosterior
+from finray_calib.fit.nuisances import blocking_column
 
 FloatArray = NDArray[np.float64]
 
@@ -76,7 +77,10 @@ def curve_draws(log_posterior: LogPosterior, theta: FloatArray, rng: np.random.G
     rigid = edge[:, :split] * (pull * edge[:, split:]).sum(axis=1, keepdims=True)
     curves = shape[:, :split] + delta[:, :split] + scale[:, :split] * (smooth + rigid)
     above = grid >= data.weights.laser_nm
-    return CurveDraws(np.maximum(curves, 0.0) * above, shape[:, :split] * above, k + alpha @ u)
+    k += alpha @ u
+    for band, column in log_posterior.own_leaks.items():
+        k[:, blocking_column(band, data.weights.bands)] = theta[:, column]
+    return CurveDraws(np.maximum(curves, 0.0) * above, shape[:, :split] * above, k)
 
 
 def _blue_edge(theta: FloatArray, wavelength_nm: FloatArray) -> FloatArray:

@@ -29,7 +29,7 @@ _WORTH_ADAPTING: Final = 20_000
 """Draws from which adapting the proposal, some ten thousand evaluations, pays even where the first one would do."""
 
 _GROWTHS: Final = 10
-_REFERENCE_ROUNDS: Final = 2
+REFERENCE_ROUNDS: Final = 2
 """The filters' tolerances act at a reference fit that is refined twice; the first is fitted without them."""
 
 
@@ -187,11 +187,10 @@ def fit_emission(
     starts = starting_points(log_posterior, rng)
     if data.tolerances is not None:
         starts = np.array([log_posterior.climb(start) for start in starts])
-        best = starts[log_posterior(starts).argmax()]
-        for _ in range(_REFERENCE_ROUNDS):
-            reference = log_posterior.reference_at(best)
-            log_posterior = LogPosterior(data, family, prior, discrepancy, reference)
-            best = log_posterior.climb(best)
+        best, names = starts[log_posterior(starts).argmax()], log_posterior.prior.names
+        for _ in range(REFERENCE_ROUNDS):
+            log_posterior, best = log_posterior.refined(best)
+        starts = log_posterior.carried(starts, names)
     maxima = find_maxima(log_posterior, rng, starts)
     proposal, draws, sampling = draw_posterior(log_posterior, maxima, settings, rng)
     curves = curve_draws(log_posterior, draws, rng)
@@ -217,11 +216,12 @@ def draw_posterior(
         method = "adapted importance sampling"
         proposal = proposal.adapted(log_posterior, rng)
     sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
-    for _ in range(_GROWTHS):
+    for growth in range(_GROWTHS):
         if sample.trusted:
             break
         method = "adapted importance sampling"
-        proposal = proposal.grown(sample.theta, sample.weight)
+        last = growth == _GROWTHS - 1  # what growing did not mend, adapting all components together often does
+        proposal = proposal.adapted(log_posterior, rng) if last else proposal.grown(sample.theta, sample.weight)
         sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
     if sample.trusted:
         return proposal, sample.resampled(settings.kept_draws, rng), Sampling(method, sample, None)

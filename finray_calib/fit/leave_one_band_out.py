@@ -4,8 +4,9 @@ r"""How well each band is predicted from the others.
 
 Without a band the posterior is wider, so posterior draws are the wrong sample for it: the draws of the proposal, whose
 tails are heavier, are weighted anew for each band instead. Given theta the bands are jointly normal, and the
-conditional density follows from the inverse covariance. The excitation band has no score: it measures the reflectance
-at the laser, which no other band predicts and no family of emission curves describes.
+conditional density follows from the inverse covariance. A leak of the band's own that is sampled is known from that
+band alone: it is integrated over its prior again. The excitation band has no score: it measures the reflectance at the
+laser, which no other band predicts and no family of emission curves describes.
 """
 
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from finray_calib.fit.importance import WeightedSample
 from finray_calib.fit.likelihood import LogPosterior
@@ -21,6 +23,8 @@ from finray_calib.fit.pareto_smoothing import smooth_weights
 FloatArray = NDArray[np.float64]
 
 _DRAWS: Final = 2000
+_NODES, _NODE_WEIGHTS = np.polynomial.hermite_e.hermegauss(12)
+_PEAK_STEPS: Final = 12  # of at most one prior standard deviation
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,18 +67,58 @@ def leave_one_band_out(log_posterior: LogPosterior, sample: WeightedSample) -> B
     p = log_posterior.problem
     kept = np.flatnonzero(sample.weight > 0)[:_DRAWS]
     theta, ln_weight = sample.theta[kept], np.log(sample.weight[kept])
-    precision = np.linalg.inv(log_posterior.covariances(theta))
+    precision = np.asarray(np.linalg.inv(log_posterior.covariances(theta)), dtype=np.float64)
     pull = np.einsum("nij,nj->ni", precision, p.y - log_posterior.predict_usable(theta))
     bands = log_posterior.data.weights.bands
     score, k = np.full(bands, np.nan), np.full(bands, np.nan)
     excitation = log_posterior.data.weights.band_index[np.argmax(log_posterior.data.weights.is_excitation)]
     for band in np.setdiff1d(p.band, excitation):
         rows = np.flatnonzero(p.band == band)
-        own, error = precision[:, rows][:, :, rows], pull[:, rows]
-        quadratic = np.einsum("ni,ni->n", error, np.linalg.solve(own, error[..., None])[..., 0])
+        own = precision[:, rows][:, :, rows]
+        error = np.linalg.solve(own, pull[:, rows, None])[..., 0]
+        quadratic = np.einsum("ni,nij,nj->n", error, own, error)
+        if band in log_posterior.own_leaks:
+            quadratic = _without_own_leak(log_posterior, theta, rows, error, own)
         ln_p = 0.5 * (np.linalg.slogdet(own)[1] - quadratic - rows.size * np.log(2 * np.pi))
         smoothed = smooth_weights(ln_weight - ln_p)
         top = float(ln_p.max())
         score[band] = float(np.log(smoothed.weight @ np.exp(ln_p - top))) + top
         k[band] = smoothed.pareto_k
     return BandPrediction(score, k)
+
+
+def _without_own_leak(
+    log_posterior: LogPosterior, theta: FloatArray, rows: NDArray[np.int64], error: FloatArray, precision: FloatArray
+) -> FloatArray:
+    r"""Return -2 ln of the mean of exp(-e^T P e / 2) over the prior of the band's own leak, (n,).
+
+    With the leak x the prediction moves as g = (x - 1) / (1 + (x - 1) w), of which it is a linear function. By
+    Gauss-Hermite nodes around the peak in z = ln(x / common) / sd.
+    """
+    p = log_posterior.problem
+    column, sd, white = p.leak_at[rows[0]], p.leak_sd[rows[0]], p.leaked_white[rows]
+    common, drawn = np.exp(theta[:, p.shapes + 1]), theta[:, column]
+
+    def opened(z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        leak = (common * np.exp(sd * z))[:, None]
+        below = 1 + (leak - 1) * white
+        return (leak - 1) / below, sd * leak / below**2
+
+    beside = theta.copy()
+    beside[:, column] += 1.0
+    change = (log_posterior.predict_usable(beside) - log_posterior.predict_usable(theta))[:, rows]
+    start = opened(drawn)[0]
+    slope = change / (opened(drawn + 1.0)[0] - start)
+    peak = drawn.copy()
+    for _ in range(_PEAK_STEPS):
+        now, rate = opened(peak)
+        pull = np.einsum("ni,nij->nj", slope * rate, precision)
+        curvature = 1 + np.einsum("nj,nj->n", pull, slope * rate)
+        downhill = np.einsum("nj,nj->n", pull, error - slope * (now - start)) - peak
+        peak = peak + np.clip(downhill / curvature, -1.0, 1.0)
+    terms = []
+    for node, weight in zip(_NODES, _NODE_WEIGHTS, strict=True):
+        z = peak + node / np.sqrt(curvature)
+        left = error - slope * (opened(z)[0] - start)
+        terms.append(np.log(weight) + 0.5 * (node**2 - z**2 - np.einsum("ni,nij,nj->n", left, precision, left)))
+    return np.asarray(np.log(2 * np.pi * curvature) - 2 * logsumexp(terms, axis=0))

@@ -1,5 +1,6 @@
 """The likelihood of band values with noise, the imperfections of the rig, and the discrepancy of the paint."""
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 from data_schemas.errors import FitError
 from finray_calib.fit.discrepancy import NO_DISCREPANCY, Discrepancy
-from finray_calib.fit.nuisances import calibration_columns, tolerance_columns
+from finray_calib.fit.nuisances import Reference, calibration_columns, decisive_leaks, tolerance_columns
 from finray_calib.fit.posterior_kernel import Problem, climb, covariances, log_posterior, predictions
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.spectra.band_quadrature import BandQuadrature, band_quadrature
@@ -116,7 +117,17 @@ class BandData:
         """Rows of the usable entries in band-major order."""
         return np.flatnonzero(self.usable.ravel())
 
-    def imperfections(self, reference: "Reference | None" = None) -> FloatArray:
+    @property
+    def leak_sd(self) -> FloatArray:
+        """Standard deviation of ln(leak) of each row's filter around the common one, (N,)."""
+        return np.zeros(self.y.size) if self.tolerances is None else self.tolerances.blocking_sd
+
+    @property
+    def leak_mean(self) -> FloatArray:
+        """Mean over median of each row's own leak, (N,): a log-normal's mean lies above its median."""
+        return np.asarray(np.exp(self.leak_sd**2 / 2))
+
+    def imperfections(self, reference: Reference | None = None) -> FloatArray:
         """Return the imperfection columns U of the usable rows, (K, M).
 
         Parameters
@@ -127,21 +138,8 @@ class BandData:
         y = np.nan_to_num(self.y.ravel())
         columns = [calibration_columns(y, self.weights, self.band_calibration_rel)]
         if reference is not None and self.tolerances is not None:
-            columns.append(
-                tolerance_columns(
-                    reference.curve, reference.reflected_laser, reference.blocking, self.weights, self.tolerances
-                )
-            )
+            columns.append(tolerance_columns(reference, self.weights, self.tolerances))
         return np.concatenate(columns, axis=1)[self.kept]
-
-
-@dataclass(frozen=True, slots=True)
-class Reference:
-    """An emission curve on the weights' grid (L,), nm^-1, with the reflectance at the laser and the blocking."""
-
-    curve: FloatArray
-    reflected_laser: float
-    blocking: float
 
 
 def _is_symmetric(covariance: FloatArray) -> bool:
@@ -154,7 +152,7 @@ class LogPosterior:
     """Log posterior density of parameter rows: y ~ N(mu(theta), S + U U^T + discrepancy(theta)).
 
     Theta is the family's parameters, the logarithm of the reflectance at the laser and, when the filters leak, the
-    logarithm of their blocking.
+    logarithm of their blocking and the own leaks of the filters that decide, see :func:`decisive_leaks`.
 
     Parameters
     ----------
@@ -178,9 +176,11 @@ class LogPosterior:
         discrepancy: Discrepancy = NO_DISCREPANCY,
         reference: Reference | None = None,
     ) -> None:
-        self.data, self.family, self.discrepancy = data, family, discrepancy
+        self.data, self.family, self.discrepancy, self._paints = data, family, discrepancy, prior
         self.has_blocking = bool((data.weights.leaked_laser > 0).any() or (data.weights.leaked_emission > 0).any())
-        self.prior = prior.of(family, with_blocking=self.has_blocking)
+        shapes, bands = len(family.parameter_names), reference.sampled_leaks if reference else ()
+        self.own_leaks = {band: shapes + 2 + i for i, band in enumerate(bands)}
+        self.prior = prior.of(family, with_blocking=self.has_blocking, own_leaks=_leaks_by_name(data, bands))
         self.imperfections = data.imperfections(reference)
         self.problem = _problem(self)
 
@@ -210,10 +210,45 @@ class LogPosterior:
         return np.asarray(climb(self.problem, np.ascontiguousarray(start), _CLIMB_STEPS))
 
     def reference_at(self, theta: FloatArray) -> Reference:
-        """Return the emission, reflectance and blocking of one parameter vector (D,)."""
-        curve = self.family.curves(theta[None], self.data.weights.wavelength_nm)[0]
-        blocking = float(np.exp(theta[-1])) if self.has_blocking else 1.0
-        return Reference(curve, float(np.exp(theta[self.problem.shapes])), blocking)
+        """Return the emission, reflectance and leaks of one parameter vector (D,), and which leaks decide there."""
+        data, p = self.data, self.problem
+        curve = self.family.curves(theta[None], data.weights.wavelength_nm)[0]
+        reference = Reference(curve, float(np.exp(theta[p.shapes])), self.leaks(theta[None])[0])
+        if data.tolerances is None or not self.has_blocking:
+            return reference
+        # a leak that was found to be low still decides: judged by what it was believed to be
+        believed = replace(reference, leak=np.exp(theta[p.shapes + 1]) * data.leak_mean)
+        rest = data.covariance[np.ix_(data.kept, data.kept)] + self.covariances(theta[None])[0] - p.covariance
+        decisive = decisive_leaks(data.imperfections(believed), rest, data.weights.bands)
+        return replace(reference, sampled_leaks=decisive)
+
+    def refined(self, theta: FloatArray) -> tuple["LogPosterior", FloatArray]:
+        """Return the posterior whose tolerances act at `theta` (D,), and the maximum that it reaches from there."""
+        reference = self.reference_at(theta)
+        posterior = LogPosterior(self.data, self.family, self._paints, self.discrepancy, reference)
+        return posterior, posterior.climb(posterior.carried(theta[None], self.prior.names)[0])
+
+    def carried(self, theta: FloatArray, names: Sequence[str]) -> FloatArray:
+        """Return (n, D) rows of these parameters from rows of others: what `names` lacks is at its prior mean."""
+        rows = np.tile(self.prior.mean, (len(theta), 1))
+        for column, name in enumerate(self.prior.names):
+            if name in names:
+                rows[:, column] = theta[:, names.index(name)]
+        return rows
+
+    def leaks(self, theta: FloatArray) -> FloatArray:
+        """Return the multiplier of the nominal leak of all rows, (n, N): of an own leak that is not sampled its mean.
+
+        One without leak.
+        """
+        data = self.data
+        if not self.has_blocking:
+            return np.ones((len(theta), data.y.size))
+        own = np.tile(data.leak_mean, (len(theta), 1))
+        for band, column in self.own_leaks.items():
+            rows = data.weights.band_index == band
+            own[:, rows] = np.exp(data.leak_sd[rows] * theta[:, column, None])
+        return np.asarray(np.exp(theta[:, self.problem.shapes + 1, None]) * own)
 
     def information(self, theta: FloatArray) -> FloatArray:
         """Return minus the Hessian of the log posterior at one theta, (D, D), made positive definite.
@@ -236,11 +271,12 @@ class LogPosterior:
         return np.asarray(scaled / np.outer(prior.sd, prior.sd))
 
 
-def _leak_mean(data: BandData) -> FloatArray:
-    """Return mean over median of each usable row's leak, (K,): a log-normal's mean lies above its median."""
+def _leaks_by_name(data: BandData, bands: Sequence[int]) -> dict[str, float]:
+    """Return the standard deviation of ln(own leak) by filter name."""
     if data.tolerances is None:
-        return np.ones(data.kept.size)
-    return np.asarray(np.exp(data.tolerances.blocking_sd[data.kept] ** 2 / 2))
+        return {}
+    first_row = np.searchsorted(data.weights.band_index, bands)
+    return {data.tolerances.filter_names[b]: float(data.leak_sd[r]) for b, r in zip(bands, first_row, strict=True)}
 
 
 def _problem(posterior: LogPosterior) -> Problem:
@@ -266,7 +302,9 @@ def _problem(posterior: LogPosterior) -> Problem:
         band=np.ascontiguousarray(weights.band_index[kept]),
         points_nm=np.concatenate([nodes, rule.grid_nm]),
         laser=weights.reflected_laser[kept],
-        leak_mean=_leak_mean(data),
+        leak_mean=data.leak_mean[kept],
+        leak_sd=data.leak_sd[kept],
+        leak_at=np.array([posterior.own_leaks.get(band, 0) for band in weights.band_index[kept]]),
         y=data.y.ravel()[kept],
         covariance=covariance,
         whiten=np.ascontiguousarray(np.linalg.inv(factor)),

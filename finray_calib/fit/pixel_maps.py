@@ -23,15 +23,8 @@ from data_schemas.paint_map import MappedQuantity, PaintMap
 from data_schemas.radiometry import PixelSignals
 from finray_calib.fit.paint_uniformity import paint_blocks, paint_spread, worst_spots
 from finray_calib.fit.pixel_curves import SHAPES
-from finray_calib.fit.pixel_kernel import (
-    CONVERGED,
-    FEWEST_BANDS,
-    NODES,
-    NOT_CONVERGED,
-    RESULTS,
-    PixelProblem,
-    fit_pixels,
-)
+from finray_calib.fit.pixel_kernel import CONVERGED, FEWEST_BANDS, NOT_CONVERGED, RESULTS, fit_pixels
+from finray_calib.fit.pixel_normal import NODES, PixelProblem
 from finray_calib.fit.prior import BLOCKING, REFLECTED_LASER
 from finray_calib.spectra.band_quadrature import GRID_STEP_NM, BandQuadrature, band_quadrature, gauss_nodes
 from finray_calib.spectra.band_weights import EmissionWeights

@@ -24,7 +24,8 @@ _LEAST_GAIN_NATS = 1e-5
 class Problem(NamedTuple):
     """Everything the compiled functions need; K usable rows, B bands, Q nodes a band, G grid points, D parameters.
 
-    Theta is the family's parameters, then ln(reflectance at the laser), then ln(blocking) where it is sampled.
+    Theta is the family's parameters, then ln(reflectance at the laser), then ln(blocking) and the own leaks where they
+    are sampled.
     """
 
     family: int
@@ -40,6 +41,8 @@ class Problem(NamedTuple):
     leaked_laser: FloatArray  # (K,)
     leaked_white: FloatArray  # (K,)
     leak_mean: FloatArray  # (K,) mean over median of the row's own leak
+    leak_sd: FloatArray  # (K,) standard deviation of its logarithm
+    leak_at: IntArray  # (K,) where theta holds it, in these standard deviations; 0 where it is not sampled
     y: FloatArray  # (K,)
     covariance: FloatArray  # (K, K) measurement and imperfections
     whiten: FloatArray  # (K, K) inverse Cholesky factor of the covariance
@@ -95,7 +98,8 @@ def predict(p: Problem, theta: FloatArray, w: Work) -> None:
     grid = w.curve[len(p.near) * NODES :]
     for i in range(len(p.y)):
         first, emitted, leaked = p.band[i] * NODES, 0.0, 0.0
-        more = blocking * p.leak_mean[i] - 1
+        own = math.exp(p.leak_sd[i] * theta[p.leak_at[i]]) if p.leak_at[i] > 0 else p.leak_mean[i]
+        more = blocking * own - 1
         for q in range(NODES):
             emitted += p.in_band[i, q] * w.curve[first + q]
         for g in range(len(grid)):

@@ -76,8 +76,7 @@ def check_bands(log_posterior: LogPosterior, draws: FloatArray) -> BandCheck:
         chi2[band], p_value[band] = each.mean(), gammaincc(rows.size / 2, each / 2).mean()
     total = np.einsum("ni,ni->n", residual, np.linalg.solve(covariance, residual[..., None])[..., 0])
     curves = log_posterior.family.curves(draws, data.weights.wavelength_nm)
-    leak = np.exp(draws[:, -1]) if log_posterior.has_blocking else 1.0
-    every = band_values(curves, np.exp(draws[:, p.shapes]), data.weights, leak)
+    every = band_values(curves, np.exp(draws[:, p.shapes]), data.weights, log_posterior.leaks(draws))
     variance = every.var(axis=0, ddof=1)
     measured = np.diag(data.covariance)[data.kept]
     variance[data.kept] += np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0) - measured

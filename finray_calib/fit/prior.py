@@ -1,5 +1,6 @@
 """What is believed about a fluorescent paint before its bands are measured."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Self
@@ -15,6 +16,8 @@ FloatArray = NDArray[np.float64]
 
 REFLECTED_LASER = "ln_reflected_laser"
 BLOCKING = "ln_blocking"
+OWN_LEAK = "leak_{}"
+"""Of a filter, by its name: ln(leak over the common one) in its standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -123,8 +126,8 @@ class EmissionPrior:
                 f"mode_high_nm {self.mode_high_nm:g} nm"
             )
 
-    def of(self, family: EmissionFamily, *, with_blocking: bool) -> Prior:
-        """Return the joint prior of a family's parameters, the reflectance at the laser and the blocking.
+    def of(self, family: EmissionFamily, *, with_blocking: bool, own_leaks: Mapping[str, float] | None = None) -> Prior:
+        """Return the joint prior of a family's parameters, the reflectance at the laser, the blocking and own leaks.
 
         Parameters
         ----------
@@ -132,6 +135,8 @@ class EmissionPrior:
             Family of emission curves.
         with_blocking
             Whether the filters leak, so that the blocking is a parameter.
+        own_leaks
+            Standard deviation of ln(leak) around the common one, for each filter whose own leak is sampled.
         """
         log_normal = "log-normal, median {:g}{}, sd of the logarithm {:g}"
         inf = np.inf
@@ -159,5 +164,8 @@ class EmissionPrior:
         if with_blocking:
             words = f"log-normal multiplier of the filters' leak, median 1, sd of the logarithm {self.ln_blocking_sd:g}"
             rows.append((BLOCKING, 0.0, self.ln_blocking_sd, -inf, inf, words))
+        for name, sd in (own_leaks or {}).items():
+            words = f"normal(0, 1): ln(leak of filter {name} over the common one) in units of {sd:.2g}"
+            rows.append((OWN_LEAK.format(name), 0.0, 1.0, -inf, inf, words))
         names, mean, sds, low, high, texts = zip(*rows, strict=True)
         return Prior(names, np.array(mean), np.array(sds), np.array(low), np.array(high), texts)

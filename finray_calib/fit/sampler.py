@@ -21,8 +21,9 @@ from finray_calib.fit.mixture_proposal import tempered_weights
 FloatArray = NDArray[np.float64]
 LogDensity = Callable[[FloatArray], FloatArray]
 
-LEAST_WALKERS = 16
-"""Twice the parameters of the largest model: a mixture of two components with reflected laser and blocking has 8."""
+LEAST_WALKERS = 24
+"""Twice the parameters of the largest model: a mixture of two components with reflected laser, blocking and four own
+leaks has 12."""
 
 _DISCARDED_SHARE = 0.3
 _CANDIDATES_PER_WALKER = 40

@@ -39,11 +39,14 @@ _PARAMETER_WORDS = {
     "ln_reflected_laser": "reflectance at the laser",
     "ln_blocking": "filter leak over its nominal value",
 }
+_OWN_LEAK = "leak_"
 NONE = "\u2013"
 
 
 def parameter_words(name: str) -> str:
     """Return a sampled parameter in words."""
+    if name.startswith(_OWN_LEAK):
+        return f"own leak of filter {name.removeprefix(_OWN_LEAK)}, in prior sd"
     return _PARAMETER_WORDS.get(name, name)
 
 

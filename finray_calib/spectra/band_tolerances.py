@@ -33,12 +33,15 @@ class BandTolerances:
         (2,) relative change of V for one standard uncertainty of the excitation filter's centre and width.
     blocking_sd
         (N,) standard deviation of ln(leak) of a row's filter around the common blocking.
+    filter_names
+        Name of each of the B filters.
     """
 
     emission_shift: Floats
     laser_shift: Floats
     level_shift: Floats
     blocking_sd: Floats
+    filter_names: tuple[str, ...]
 
     def __post_init__(self) -> None:
         for name in ("emission_shift", "laser_shift", "level_shift", "blocking_sd"):
@@ -71,7 +74,8 @@ def tolerances_of(optics: Optics, channel_weights: ArrayLike) -> BandTolerances:
         laser.append(moved.reflected_laser / ratio - nominal.reflected_laser)
         level.append(1 / ratio - 1)
     blocking = np.array([LN_10 * f.blocking_uncertainty_od for f in optics.filters])
-    return BandTolerances(np.array(emission), np.array(laser), np.array(level), blocking[nominal.band_index])
+    names = tuple(f.name for f in optics.filters)
+    return BandTolerances(np.array(emission), np.array(laser), np.array(level), blocking[nominal.band_index], names)
 
 
 def _moved(optics: Optics, field: str, names: set[str]) -> Optics:

@@ -5,6 +5,7 @@ into the numbers that :func:`fill` needs at each wavelength.
 """
 
 import math
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -36,56 +37,36 @@ _SUPPORT_END = 1e-6 - 1  # of a log-normal, where its curve has vanished
 _NO_SKEW = 1e-12  # stands in for 0: the log-normal's limit is a Gaussian
 
 
-@compiled
-def skew_t_unit(z: float, skewness: float, tail: float) -> float:
-    """Return (1 + z^2/n)^(-(n+1)/2) (atan(w z)/pi + 1/2); n = 1 is the paper's skew-Cauchy curve."""
-    return math.exp(-(tail + 1) / 2 * math.log1p(z * z / tail)) * (math.atan(skewness * z) / math.pi + 0.5)
-
-
-@compiled
-def _mode(w: float, n: float) -> float:
-    """Return where the unit curve is largest, by bisection of its logarithmic slope."""
-    low, high = (0.0, 1.5) if w > 0 else (-1.5, 0.0)
-    for _ in range(_BISECTIONS):
-        z = (low + high) / 2
-        slope = -(n + 1) * z / (n + z * z) * (math.atan(w * z) / math.pi + 0.5) + w / math.pi / (1 + (w * z) ** 2)
-        if slope > 0:
-            low = z
-        else:
-            high = z
-    return (low + high) / 2
-
-
-@compiled
-def _half(w: float, n: float, half: float, inside: float, outside: float) -> float:
-    """Return where the unit curve falls to `half` between a point inside and one outside."""
-    for _ in range(_BISECTIONS):
-        z = (inside + outside) / 2
-        if skew_t_unit(z, w, n) > half:
-            inside = z
-        else:
-            outside = z
-    return (inside + outside) / 2
-
-
-@compiled
 def shape_table() -> FloatArray:
     """Return mode offset, peak and full width of the unit skew-t curve on the grid of kappa and ln n, (3, K, N).
 
+    The curve is (1 + z^2/n)^(-(n+1)/2) (atan(w z)/pi + 1/2) with w = sinh(kappa); n = 1 is the paper's skew-Cauchy.
     One grid step beyond each end, for cubic interpolation.
     """
-    kappas = round(KAPPA_END / KAPPA_STEP) + 3
-    tails = round((LN_TAIL_END - LN_TAIL_START) / LN_TAIL_STEP) + 3
-    table = np.empty((3, kappas, tails))
-    for i in range(kappas):
-        w = math.sinh((i - 1) * KAPPA_STEP)
-        for j in range(tails):
-            n = math.exp(LN_TAIL_START + (j - 1) * LN_TAIL_STEP)
-            m = _mode(w, n)
-            p = skew_t_unit(m, w, n)
-            table[0, i, j], table[1, i, j] = m, p
-            table[2, i, j] = _half(w, n, p / 2, m, m + 40.0) - _half(w, n, p / 2, m, m - 40.0)
-    return table
+    kappa = KAPPA_STEP * np.arange(-1, round(KAPPA_END / KAPPA_STEP) + 2)
+    ln_tail = LN_TAIL_START + LN_TAIL_STEP * np.arange(-1, round((LN_TAIL_END - LN_TAIL_START) / LN_TAIL_STEP) + 2)
+    w, n = np.broadcast_arrays(np.sinh(kappa)[:, None], np.exp(ln_tail))
+
+    def unit(z: FloatArray) -> FloatArray:
+        return np.asarray(np.exp(-(n + 1) / 2 * np.log1p(z * z / n)) * (np.arctan(w * z) / np.pi + 0.5))
+
+    def rises(z: FloatArray) -> NDArray[np.bool_]:
+        slope = -(n + 1) * z / (n + z * z) * (np.arctan(w * z) / np.pi + 0.5) + w / np.pi / (1 + (w * z) ** 2)
+        return np.asarray(slope > 0)
+
+    mode = _bisected(rises, np.where(w > 0, 0.0, -1.5), np.where(w > 0, 1.5, 0.0))
+    peak = unit(mode)
+    red, blue = (_bisected(lambda z: unit(z) > peak / 2, mode, mode + far) for far in (40.0, -40.0))
+    return np.stack([mode, peak, red - blue])
+
+
+def _bisected(holds: Callable[[FloatArray], NDArray[np.bool_]], inside: FloatArray, outside: FloatArray) -> FloatArray:
+    """Return where a condition that holds at the points inside, and not at those outside, begins to fail."""
+    for _ in range(_BISECTIONS):
+        middle = (inside + outside) / 2
+        held = holds(middle)
+        inside, outside = np.where(held, middle, inside), np.where(held, outside, middle)
+    return np.asarray((inside + outside) / 2)
 
 
 @compiled

@@ -6,7 +6,7 @@ from scipy.stats import multivariate_normal
 
 from data_schemas.radiometry import Optics
 from finray_calib.fit.likelihood import BandData, LogPosterior
-from finray_calib.fit.nuisances import tolerance_columns
+from finray_calib.fit.nuisances import Reference, tolerance_columns
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.spectra.band_tolerances import tolerances_of
 from finray_calib.spectra.rig_curves import weights_of
@@ -22,7 +22,7 @@ def values(weights, theta=PLAIN):
 
 def columns_of(weights, tolerances):
     curve = ZHENG.curves(PLAIN[None], weights.wavelength_nm)[0]
-    return tolerance_columns(curve, 0.05, 1.0, weights, tolerances)
+    return tolerance_columns(Reference(curve, 0.05, np.ones(len(weights.band_index))), weights, tolerances)
 
 
 def moved(optics: Optics, name: str, **change: float) -> Optics:
@@ -85,7 +85,7 @@ def test_likelihood_with_tolerances_equals_the_plain_gaussian(optics):
     data = BandData(y.reshape(8, 3), noise, np.ones((8, 3), bool), weights, 0.01, tolerances)
     same_band = weights.band_index[:, None] == weights.band_index
     columns = columns_of(weights, tolerances)
-    reference = LogPosterior(data, ZHENG, EmissionPrior()).reference_at(PLAIN)
+    reference = Reference(ZHENG.curves(PLAIN[None], weights.wavelength_nm)[0], 0.05, np.ones(24))
     covariance = noise + 1e-4 * np.outer(y, y) * same_band + columns @ columns.T
     posterior = LogPosterior(data, ZHENG, EmissionPrior(), reference=reference)
     expected = multivariate_normal(posterior.predict_usable(PLAIN[None])[0], covariance).logpdf(y)

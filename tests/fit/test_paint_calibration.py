@@ -91,6 +91,17 @@ def test_all_families_stand_beside_the_reported_one(paint):
     assert paint.family_choice.startswith(paint.family)
 
 
+def test_own_leaks_of_filters_stand_behind_the_common_blocking_by_name(paint):
+    leaks = paint.sampled[paint.sampled.index("ln_blocking") + 1 :]
+    assert leaks
+    assert set(leaks) <= {f"leak_{f.name}" for f in paint.optics.filters}
+    for name in leaks:
+        assert paint.prior[name].startswith(f"normal(0, 1): ln(leak of filter {name.removeprefix('leak_')} over")
+        assert name in paint.map_estimate
+        assert name in paint.parameters
+    assert paint.draws.shape[1] == paint.prior_draws.shape[1] == len(paint.sampled)
+
+
 def test_paper_parameters_are_those_of_the_paper_curve(paint):
     """l0, gamma, omega and h of the paper give back the mode of its own fit."""
     p = {name: e.estimate for name, e in paint.paper.items()}
@@ -188,7 +199,7 @@ def test_emcee_that_took_over_is_no_check_of_itself(bands, tmp_path, monkeypatch
     monkeypatch.setattr("finray_calib.fit.importance.smooth_weights", without_shape)
     monkeypatch.setattr("finray_calib.fit.leave_one_band_out.smooth_weights", without_shape)
     monkeypatch.setattr("finray_calib.fit.paint_calibration.check_by_chain", refuse_call)
-    short = SamplerSettings(walkers=16, block_steps=100, most_steps=100, kept_draws=100)
+    short = SamplerSettings(walkers=24, block_steps=100, most_steps=100, kept_draws=100)
     options = FitOptions(settings=FitSettings(importance_draws=1000, kept_draws=100, chain=short), check_by_emcee=True)
     taken_over = calibrate_paint(bands, 1, options)
     assert any("the check by emcee was left out" in said for said in taken_over.warnings)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from data_schemas.errors import FitError
+from finray_calib.fit.nuisances import MOST_SAMPLED_LEAKS
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.fit.sampler import LEAST_WALKERS, SamplerSettings, initial_walkers, sample_posterior
 from finray_calib.spectra.emission_families import FAMILIES
@@ -59,14 +60,14 @@ def test_masses_of_two_separate_maxima():
 
 
 def test_same_generator_gives_the_same_draws():
-    settings = SamplerSettings(walkers=16, block_steps=200, most_steps=400, kept_draws=100)
+    settings = SamplerSettings(walkers=24, block_steps=200, most_steps=400, kept_draws=100)
     runs = [sample_posterior(normal_density, WideNormal(), settings, np.random.default_rng(7))[0] for _ in range(2)]
     assert np.array_equal(*runs)
     assert runs[0].shape == (100, 3)
 
 
 def test_limit_of_steps_is_kept_and_reported():
-    settings = SamplerSettings(walkers=16, block_steps=100, most_steps=150, autocorrelation_times=1000.0)
+    settings = SamplerSettings(walkers=24, block_steps=100, most_steps=150, autocorrelation_times=1000.0)
     _, diagnostics = sample_posterior(normal_density, WideNormal(), settings, np.random.default_rng(7))
     assert not diagnostics.converged
     assert diagnostics.steps == 150 - int(0.3 * 150)
@@ -81,14 +82,14 @@ def test_walkers_start_distinct_and_near_the_posterior():
 
 def test_fewest_walkers_are_twice_the_parameters_of_the_largest_model():
     largest = max(EmissionPrior().of(family, with_blocking=True).size for family in FAMILIES.values())
-    assert 2 * largest == LEAST_WALKERS
+    assert 2 * (largest + MOST_SAMPLED_LEAKS) == LEAST_WALKERS
 
 
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"walkers": 33}, "33 walkers; must be an even number of at least 16"),
-        ({"walkers": 14}, "14 walkers; must be an even number of at least 16, twice the parameters"),
+        ({"walkers": 33}, "33 walkers; must be an even number of at least 24"),
+        ({"walkers": 22}, "22 walkers; must be an even number of at least 24, twice the parameters"),
         ({"block_steps": 50}, "at least 100 and at most most_steps"),
         ({"kept_draws": 10}, "at least 100 for 95 % intervals"),
     ],
