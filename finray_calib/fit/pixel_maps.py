@@ -25,8 +25,9 @@ from finray_calib.fit.paint_uniformity import paint_blocks, paint_spread, worst_
 from finray_calib.fit.pixel_curves import SHAPES
 from finray_calib.fit.pixel_kernel import CONVERGED, FEWEST_BANDS, NOT_CONVERGED, RESULTS, fit_pixels
 from finray_calib.fit.pixel_normal import NODES, PixelProblem
-from finray_calib.fit.prior import BLOCKING, REFLECTED_LASER
+from finray_calib.fit.prior import BLOCKING, OWN_LEAK, REFLECTED_LASER
 from finray_calib.spectra.band_quadrature import GRID_STEP_NM, BandQuadrature, band_quadrature, gauss_nodes
+from finray_calib.spectra.band_tolerances import LN_10
 from finray_calib.spectra.band_weights import EmissionWeights
 from finray_calib.spectra.curve_quantities import YIELD_END_NM
 from finray_calib.spectra.emission_families import FAMILIES, EmissionFamily, family_named, tables
@@ -90,8 +91,8 @@ class RegionFit:
         (5,) mode, ln FWHM, ln peak and own parameter at the posterior's maximum, and the reflectance at the laser.
     theta_sd
         (4,) posterior standard deviations of the shape.
-    blocking
-        Multiplier of the filters' leak.
+    leak
+        (B,) multiplier of each filter's nominal leak.
     signal
         (B, 3) band signals of the region, NaN where they give no factor.
     quantities
@@ -101,7 +102,7 @@ class RegionFit:
     family: EmissionFamily
     theta: Floats
     theta_sd: Floats
-    blocking: float
+    leak: Floats
     signal: Floats
     quantities: dict[str, Estimate]
 
@@ -129,10 +130,17 @@ def region_fit(paint: PaintCalibration) -> RegionFit:
         family=family,
         theta=np.array([*shape, np.exp(best[REFLECTED_LASER])]),
         theta_sd=np.array([sds[name] for name in family.parameter_names]),
-        blocking=float(np.exp(best.get(BLOCKING, 0.0))),
+        leak=np.exp(best.get(BLOCKING, 0.0) + _own_ln_leak(paint)),
         signal=np.where(firm, paint.measured, np.nan),
         quantities={**quantities, "energy_yield": paint.energy_yield},
     )
+
+
+def _own_ln_leak(paint: PaintCalibration) -> Floats:
+    """Return ln(leak of each filter over the common one), (B,): as fitted where it was sampled, else of its mean."""
+    sd = np.array([LN_10 * f.blocking_uncertainty_od for f in paint.optics.filters])
+    z = [paint.map_estimate.get(OWN_LEAK.format(f.name)) for f in paint.optics.filters]
+    return np.array([s * s / 2 if own is None else s * own for s, own in zip(sd, z, strict=True)])
 
 
 def map_paint(pixels: PixelSignals, paint: PaintCalibration, spread: PixelSpread | None = None) -> PaintMap:
@@ -211,11 +219,11 @@ def map_pixels(pixels: PixelSignals, region: RegionFit, spread: PixelSpread) -> 
 def pixel_problem(region: RegionFit, weights: EmissionWeights, spread: PixelSpread) -> tuple[PixelProblem, Floats]:
     """Return the arrays of the compiled fit, and the factor of each filter and channel, (B, 3), NaN where unused."""
     bands, theta, family = weights.bands, region.theta, region.family
-    rule, more = band_quadrature(weights), region.blocking - 1
+    rule, more = band_quadrature(weights), (region.leak - 1)[weights.band_index]
     nodes_nm, in_band = coarser_rule(rule, weights.band_index)
     at_nodes = family.curves(theta[None, :SHAPES], nodes_nm.ravel())[0].reshape(bands, NODES)
     lit = rule.grid_nm > weights.laser_nm - GRID_STEP_NM
-    grid_nm, out_of_band = rule.grid_nm[lit], (rule.out_of_band + more * rule.leaked)[:, lit]
+    grid_nm, out_of_band = rule.grid_nm[lit], (rule.out_of_band + more[:, None] * rule.leaked)[:, lit]
     emitted = (in_band * at_nodes[weights.band_index]).sum(axis=1)
     emitted += out_of_band @ family.curves(theta[None, :SHAPES], grid_nm)[0]
     laser = weights.reflected_laser + more * weights.leaked_laser

@@ -87,7 +87,7 @@ def scene(name, optics, truth, rng, noise_rel=0.01, floor=2e-4, rows=32):
         family=family,
         theta=center,
         theta_sd=np.zeros(4),
-        blocking=1.0,
+        leak=np.ones(8),
         signal=bands_of(name, optics, center[None])[0],
         quantities={key: estimate(float(value)) for key, value in quantities.items()},
     )

@@ -157,7 +157,7 @@ def test_common_errors_of_the_bands_leave_no_trace(optics):
         made.region.family,
         made.region.theta,
         made.region.theta_sd,
-        1.0,
+        np.ones(8),
         made.region.signal * error,
         made.region.quantities,
     )
