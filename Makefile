@@ -2,8 +2,10 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
+# Simulators with old pins of their own: an environment apart.
+ALPACA := .venv-alpaca
 
-.PHONY: demo test lint check-types contracts pytest bench schemas lock llvm clean
+.PHONY: demo test test-rigs lint check-types contracts pytest bench schemas lock llvm rig-programs clean
 
 demo: $(VENV)/installed llvm
 	$(BIN)/finray demo
@@ -21,7 +23,12 @@ contracts: $(VENV)/installed-dev
 	$(BIN)/lint-imports
 
 pytest: $(VENV)/installed-dev
-	$(BIN)/pytest
+	$(BIN)/pytest -m "not rigs"
+
+# The drivers against device simulators of others. A missing program is a skip that names its package; with CI set in
+# the environment it is a failure.
+test-rigs: $(VENV)/installed-dev $(ALPACA)/installed rig-programs
+	FINRAY_ALPACA_VENV=$(CURDIR)/$(ALPACA) $(BIN)/pytest -m rigs
 
 # The numbers of docs/verification.md, as ratios against public alternatives in the same run: an hour or more on two
 # cores. Each script prints what it found; the table at the end says what is met. MATERIALS holds measured matrices (CSV).
@@ -63,6 +70,25 @@ $(VENV)/installed-bench: $(VENV)/installed-dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable '.[dev,bench]'
 	@touch $@
 
+$(ALPACA)/installed:
+	$(PYTHON) -m venv $(ALPACA)
+	$(ALPACA)/bin/python -m pip install --quiet --disable-pip-version-check alpaca-simulators==1.3.2 alpyca==3.1.3
+	@touch $@
+
+RIG_PACKAGES := indi-bin aravis-tools-cli libaravis-0.8-0 qemu-system-misc gcc-avr avr-libc ffmpeg ustreamer socat
+rig-programs:
+	@missing=""; for package in $(RIG_PACKAGES); do \
+	   dpkg-query -W -f '$${db:Status-Status}' $$package 2>/dev/null | grep -qx installed || missing="$$missing $$package"; \
+	 done; \
+	 if [ -z "$$missing" ]; then exit 0; fi; \
+	 echo "installing device simulators:$$missing"; \
+	 if [ "$$(id -u)" = 0 ]; then as=""; elif [ -t 0 ]; then as="sudo"; else as="sudo -n"; fi; \
+	 if $$as apt-get update -qq && $$as apt-get install -y -qq --no-install-recommends $$missing; then exit 0; fi; \
+	 echo; \
+	 echo "The device simulators could not be installed; the tests that need them are skipped, or fail where CI is set."; \
+	 echo "Ask your administrator for:  apt-get install --no-install-recommends$$missing"; \
+	 echo
+
 # The renderer compiles its kernels with LLVM 17 or newer (15 and 16 crash). One Debian package brings it.
 llvm:
 	@if ldconfig -p 2>/dev/null | grep -qE 'libLLVM(-|\.so\.)(1[7-9]|[2-9][0-9])'; then exit 0; fi; \
@@ -75,4 +101,4 @@ llvm:
 	 echo
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache bench-out
+	rm -rf $(VENV) $(ALPACA) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache bench-out

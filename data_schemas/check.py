@@ -56,7 +56,7 @@ class CheckPlan(Record):
     )
     darks_per_exposure: Annotated[int, Field(ge=2, le=100)] = 6
     longest_dark_s: ExposureS = Field(default=1.0, description="exposure of the longest dark frames")
-    exposure_rounds: Annotated[int, Field(ge=2, le=100)] = Field(
+    exposure_rounds: Annotated[int, Field(ge=4, le=100)] = Field(
         default=6, description="times that each of the exposures t, 2 t and 4 t is taken"
     )
     light_off_repeats: Annotated[int, Field(ge=1, le=20)] = Field(default=3, description="mishaps of each layer")
@@ -101,7 +101,7 @@ class DarkFrames(Model):
     """Dark frames of one exposure time, reduced to the region."""
 
     exposure_s: ExposureS
-    means_dn: tuple[float, ...] = Field(description="mean count of each frame")
+    means_dn: tuple[float, ...] = Field(min_length=2, description="mean count of each frame")
     noise_dn: SignalDn = Field(description="temporal standard deviation of a pixel, from differences of frames")
     at_zero_fraction: Fraction = Field(description="share of counts that are 0, where noise is cut off")
     pixels: Annotated[int, Field(ge=1)]
@@ -111,8 +111,8 @@ class ExposureLevel(Model):
     """White frames of one exposure time and dark frames of the same, reduced to the region."""
 
     exposure_s: ExposureS = Field(description="as the camera reads it back")
-    white_dn: tuple[float, ...]
-    dark_dn: tuple[float, ...]
+    white_dn: tuple[float, ...] = Field(min_length=4)
+    dark_dn: tuple[float, ...] = Field(min_length=4)
 
 
 class LightOff(Model):

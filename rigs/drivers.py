@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Final, cast
 
 from data_schemas.rig import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings
-from rigs.light_guard import guarded_light
+from rigs.light_guard import GuardedLight, guarded_light
 from rigs.lights.plain_light import plain_light
 from rigs.protocols import Camera, FilterWheel, Light, Operator
 
@@ -38,9 +38,19 @@ LIGHTS: Final = {
 }
 
 
-def open_camera(settings: CameraSettings, folder: Path) -> AbstractContextManager[Camera]:
-    """Return the camera of a rig, open for a ``with`` block; relative paths start in `folder`."""
-    return cast(AbstractContextManager[Camera], _module(CAMERAS, settings.driver).open_camera(settings, folder))
+def open_camera(
+    settings: CameraSettings, folder: Path, wheel: FilterWheelSettings | None = None
+) -> AbstractContextManager[Camera]:
+    """Return the camera of a rig, open for a ``with`` block; relative paths start in `folder`.
+
+    An INDI camera names a filter in its headers: it is told which wheel, where that is on the same server.
+    """
+    module = _module(CAMERAS, settings.driver)
+    extra = {}
+    if settings.driver == "indi" and wheel is not None and wheel.driver == "indi":
+        (server, _, _), (wheel_server, _, device) = settings.address.partition("/"), wheel.address.partition("/")
+        extra = {"wheel_device": device} if server == wheel_server else {}
+    return cast(AbstractContextManager[Camera], module.open_camera(settings, folder, **extra))
 
 
 def open_wheel(settings: FilterWheelSettings, operator: Operator) -> AbstractContextManager[FilterWheel]:
@@ -49,7 +59,7 @@ def open_wheel(settings: FilterWheelSettings, operator: Operator) -> AbstractCon
     return cast(AbstractContextManager[FilterWheel], wheel)
 
 
-def open_laser(settings: LaserSettings) -> AbstractContextManager[Light]:
+def open_laser(settings: LaserSettings) -> AbstractContextManager[GuardedLight]:
     """Return the laser of a rig behind its guard process, open for a ``with`` block."""
     return guarded_light("laser", settings.driver, settings.address)
 

@@ -86,17 +86,18 @@ def open_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> It
         return
     hands = operator or TerminalOperator()
     with ExitStack() as stack:
+        laser = stack.enter_context(open_laser(rig.laser))
         yield OpenRig(
-            camera=stack.enter_context(open_camera(rig.camera, folder)),
+            camera=stack.enter_context(open_camera(rig.camera, folder, rig.filter_wheel)),
             wheel=stack.enter_context(open_wheel(rig.filter_wheel, hands)),
-            laser=stack.enter_context(open_laser(rig.laser)),
+            laser=laser,
             lamp=stack.enter_context(open_lamp(rig.lamp, hands)),
             operator=hands,
             clock=SystemClock(),
             camera_response=response,
             lamp_spectrum=lamp,
             filter_curves=filter_curves,
-            notes=notes,
+            notes=(*notes, *laser.notes),
         )
 
 

@@ -1,16 +1,76 @@
 """Rig and plan files as commented TOML, ready to be edited by a person and read by ``read_toml``."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Final
 
 from data_schemas.camera import CameraPlan
 from data_schemas.capture import PaintPlan, RegionOfInterest
 from data_schemas.rig import BandPassFilter, RigFile, SimulatedBench
 from data_schemas.storage import write_bytes
 
+_ABOVE: Final = ("address", "response")
+_CAMERA: Final = {
+    "driver": "simulated, aravis, gentl, mjpeg, picamera2, indi, micro-manager, folder",
+    "address": "aravis: name, serial number or IP address; gentl: PRODUCER.cti#SERIAL; mjpeg: http://host:port/path;\n"
+    "picamera2: number; indi: host:port/device; micro-manager: FILE.cfg; folder: folder; simulated: none",
+    "model": "as on its label",
+    "width_px": "width of a raw frame, pixels",
+    "height_px": "height of a raw frame, pixels",
+    "bit_depth": "bits of a raw count: 8, 10, 12, 14 or 16",
+    "bayer_pattern": "colours of the first four pixels",
+    "black_level_dn": "count in the dark, DN; better from a camera session",
+    "gain_e_per_dn": "electrons per count, e/DN; better from a camera session",
+    "gain_db": "amplification that is set and read back, dB; lowest is best",
+    "read_noise_e": "standard deviation in the dark, electrons; better from a camera session",
+    "shortest_exposure_s": "seconds",
+    "longest_exposure_s": "seconds",
+    "response": '"assumed" (smooth stand-in curves) or a CSV file with the header\n'
+    "wavelength_nm,red_percent,green_percent,blue_percent",
+}
+_WHEEL: Final = {
+    "driver": "simulated, thorlabs, indi, alpaca, manual",
+    "address": "thorlabs: serial port; indi: host:port/device; alpaca: http://host:port/number; others: none",
+    "model": "as on its label",
+}
+_FILTER: Final = {
+    "slot": "as on the wheel, from 1",
+    "name": "as plans call it",
+    "center_nm": "centre wavelength, nm",
+    "center_uncertainty_nm": "its standard uncertainty, nm",
+    "fwhm_nm": "full width at half maximum, nm",
+    "fwhm_uncertainty_nm": "its standard uncertainty, nm",
+    "shape_order": "1 Gaussian to 2 flat top",
+    "peak_transmission": "0 to 1; only metering cares",
+    "blocking_od": "optical density outside the pass band",
+    "blocking_uncertainty_od": "its standard uncertainty",
+}
+_LIGHT_ADDRESS: Final = (
+    "arduino: serial port; indi: host:port/device; alpaca: http://host:port/switch/DEVICE/NUMBER or\n"
+    "http://host:port/covercalibrator/NUMBER; "
+)
+_LASER: Final = {
+    "driver": "simulated, arduino (has a dead-man), indi, alpaca",
+    "address": f"{_LIGHT_ADDRESS}simulated: none",
+    "wavelength_nm": "as on its label, nm",
+    "fwhm_nm": "full width at half maximum of the line, nm",
+    "power_mw": "as on its label, mW",
+    "laser_class": "as on its label (IEC 60825-1): 1, 1M, 2, 2M, 3R, 3B or 4",
+}
+_LAMP: Final = {
+    "driver": "simulated, arduino, indi, alpaca, manual (the operator switches it)",
+    "address": f"{_LIGHT_ADDRESS}manual and simulated: none",
+    "spectrum": "tungsten halogen on its rated voltage, the only one known",
+}
+_WHITE: Final = {
+    "reflectance": "of the white tile, 0 to 1, from its certificate",
+    "uncertainty_rel": "its standard uncertainty, relative",
+}
+
 
 def write_rig(rig: RigFile, path: Path) -> Path:
-    """Write a rig on the simulated bench as a new file and return its path."""
+    """Write a rig as a new file and return its path."""
     return _write(path, rig_toml(rig))
 
 
@@ -27,52 +87,48 @@ def _write(path: Path, text: str) -> Path:
 
 def rig_toml(rig: RigFile) -> str:
     """Return a rig as commented TOML."""
-    camera, laser = rig.camera, rig.laser
+    wheel = rig.filter_wheel
+    first, *others = wheel.filters
+    filters = [_filter_toml(first, _FILTER), *(_filter_toml(band, {}) for band in others)]
     return f"""# A calibration rig. Every value has its unit in its name: _nm, _s, _mw, _dn (counts), _e (electrons).
 name = {_quoted(rig.name)}
 
 [camera]
-driver = "{camera.driver}"
-model = {_quoted(camera.model)}
-width_px = {camera.width_px}
-height_px = {camera.height_px}
-bit_depth = {camera.bit_depth}
-bayer_pattern = "{camera.bayer_pattern}"
-black_level_dn = {camera.black_level_dn!r}
-gain_e_per_dn = {camera.gain_e_per_dn!r}
-read_noise_e = {camera.read_noise_e!r}
-shortest_exposure_s = {camera.shortest_exposure_s!r}
-longest_exposure_s = {camera.longest_exposure_s!r}
-# "assumed" (smooth stand-in curves) or a CSV file with the header
-# wavelength_nm,red_percent,green_percent,blue_percent
-response = {_quoted(camera.response)}
-
+{_fields(rig.camera.model_dump(), _CAMERA)}
 [filter_wheel]
-driver = "{rig.filter_wheel.driver}"
-model = {_quoted(rig.filter_wheel.model)}
-
+{_fields(wheel.model_dump(exclude={"filters"}), _WHEEL)}
 # One table for each filter; slots count from 1. The uncertainties are standard uncertainties of a certificate; leave
 # them out for a filter known from a catalogue only. shape_order 1 is a Gaussian pass band, 2 the flat top of a
 # hard-coated filter. curve = "FILE.csv" (wavelength_nm,transmission, 0 to 1) names a measured transmission: it takes
 # the place of width, shape and peak, and center_nm must lie within 5 nm of its centre.
-{"".join(_filter_toml(f) for f in rig.filter_wheel.filters)}
-[laser]
-driver = "{laser.driver}"
-wavelength_nm = {laser.wavelength_nm!r}
-fwhm_nm = {laser.fwhm_nm!r}
-power_mw = {laser.power_mw!r}
+{"".join(filters)}[laser]
 # Class and power are named so that nobody switches it on unknowingly.
-laser_class = "{laser.laser_class}"
-
+{_fields(rig.laser.model_dump(), _LASER)}
 [lamp]
-driver = "{rig.lamp.driver}"
-spectrum = "{rig.lamp.spectrum}"
-
+{_fields(rig.lamp.model_dump(), _LAMP)}
 [white_reference]
-# Reflectance of the white tile (0 to 1) and its relative standard uncertainty.
-reflectance = {rig.white_reference.reflectance!r}
-uncertainty_rel = {rig.white_reference.uncertainty_rel!r}
-{"" if rig.simulated is None else _bench_toml(rig.simulated)}"""
+{_fields(rig.white_reference.model_dump(), _WHITE)}{"" if rig.simulated is None else _bench_toml(rig.simulated)}"""
+
+
+def _fields(values: Mapping[str, object], comments: Mapping[str, str]) -> str:
+    """Return a table's lines with their comments, beside them or, where these are long, above."""
+    lines = {name: _field(name, value) for name, value in values.items()}
+    width = max(len(line) for name, line in lines.items() if name not in _ABOVE)
+    return "".join(_commented(name, line, comments.get(name, ""), width) for name, line in lines.items())
+
+
+def _field(name: str, value: object) -> str:
+    """Return one line; what is left out stands in a comment."""
+    if value is None or (name == "address" and value == ""):
+        return f"# {name} = ..."
+    return f"{name} = {_quoted(value) if isinstance(value, str) else repr(value)}"
+
+
+def _commented(name: str, line: str, comment: str, width: int) -> str:
+    """Return a line with its comment."""
+    if comment and name in _ABOVE:
+        return "".join(f"# {part}\n" for part in comment.split("\n")) + f"{line}\n"
+    return f"{line:{width}}  # {comment}\n" if comment else f"{line}\n"
 
 
 def _quoted(text: str) -> str:
@@ -80,22 +136,10 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-def _filter_toml(band: BandPassFilter) -> str:
-    """Return one filter's table."""
-    curve = "" if band.curve is None else f"curve = {_quoted(band.curve)}\n"
-    return f"""[[filter_wheel.filters]]
-slot = {band.slot}
-name = {_quoted(band.name)}
-{curve}center_nm = {band.center_nm!r}
-center_uncertainty_nm = {band.center_uncertainty_nm!r}
-fwhm_nm = {band.fwhm_nm!r}
-fwhm_uncertainty_nm = {band.fwhm_uncertainty_nm!r}
-shape_order = {band.shape_order!r}
-peak_transmission = {band.peak_transmission!r}
-blocking_od = {band.blocking_od!r}
-blocking_uncertainty_od = {band.blocking_uncertainty_od!r}
-
-"""
+def _filter_toml(band: BandPassFilter, comments: Mapping[str, str]) -> str:
+    """Return one filter's table; a measured curve stands in it only where there is one."""
+    left_out = {"curve"} if band.curve is None else set()
+    return f"[[filter_wheel.filters]]\n{_fields(band.model_dump(exclude=left_out), comments)}\n"
 
 
 def _bench_toml(bench: SimulatedBench) -> str:

@@ -5,11 +5,24 @@ import sys
 from collections.abc import Sequence
 
 from data_schemas.errors import FinrayError
-from finray_calib.cli import capture, compare, decide, demo, export, fit, import_captures, radiometry, simulate, study
+from finray_calib.cli import (
+    capture,
+    check,
+    compare,
+    decide,
+    demo,
+    export,
+    fit,
+    import_captures,
+    radiometry,
+    rig,
+    simulate,
+    study,
+)
 
 USER_MISTAKE = 2
 INTERRUPTED = 130
-VERBS = (capture, radiometry, fit, simulate, compare, decide, import_captures, export, study, demo)
+VERBS = (capture, radiometry, fit, simulate, compare, decide, import_captures, export, rig, check, study, demo)
 DESCRIPTION = """\
 Calibrate fluorescent-paint tactile fingers: from a painted sample to a decision on the light angle.
 
@@ -31,7 +44,10 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit status: 0, 2 for a user's mistake, 130 when interrupted."""
+    """Run the command line and return its exit status.
+
+    0, 1 for a rig that is not accepted, 2 for a user's mistake, 130 when interrupted.
+    """
     parser = build_parser()
     parsed = parser.parse_args(arguments)
     if parsed.version:
@@ -43,14 +59,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.print_help()
         return USER_MISTAKE
     try:
-        parsed.run(parsed)
+        status = parsed.run(parsed)
     except (FinrayError, OSError) as error:
         sys.stderr.write(f"finray {parsed.verb}: error: {_one_line(error)}\n")
         return USER_MISTAKE
     except KeyboardInterrupt:
         sys.stderr.write(f"finray {parsed.verb}: interrupted; what was stored is whole\n")
         return INTERRUPTED
-    return 0
+    return int(status or 0)
 
 
 def _one_line(error: Exception) -> str:

@@ -62,7 +62,12 @@ class MixtureProposal:
         covariances = np.asarray(np.linalg.inv(maxima.information) * _INFLATION**2, dtype=np.float64)
         return cls(np.maximum(mass, _LEAST_MASS), maxima.theta, _symmetric(covariances), prior)
 
-    def adapted(self, log_density: Callable[[FloatArray], FloatArray], rng: np.random.Generator) -> Self:
+    def adapted(
+        self,
+        log_density: Callable[[FloatArray], FloatArray],
+        rng: np.random.Generator,
+        draws_per_round: int = _DRAWS_PER_ROUND,
+    ) -> Self:
         """Return a mixture of up to ten components fitted to a density by population Monte Carlo.
 
         Each round draws from the mixture, weights the draws by density / mixture, and updates shares, centres
@@ -76,13 +81,13 @@ class MixtureProposal:
         """
         mixture, good = self, 0
         for round_ in range(_MOST_ROUNDS):
-            theta = mixture.draw(_DRAWS_PER_ROUND, rng)
+            theta = mixture.draw(draws_per_round, rng)
             ln_weight = log_density(theta) - mixture.log_density(theta)
-            is_good = effective_number(normalised(ln_weight)) > _GOOD_EFFECTIVE * _DRAWS_PER_ROUND
+            is_good = effective_number(normalised(ln_weight)) > _GOOD_EFFECTIVE * draws_per_round
             good = good + 1 if is_good else 0
             if good == _GOOD_ROUNDS:
                 break
-            weight = tempered_weights(ln_weight, _LEAST_EFFECTIVE * _DRAWS_PER_ROUND)
+            weight = tempered_weights(ln_weight, _LEAST_EFFECTIVE * draws_per_round)
             if round_ == 0:
                 mixture = self._split(theta, weight, rng)
             mixture = mixture.updated(theta, weight)

@@ -16,6 +16,7 @@ from rigs.protocols import RawFrame
 
 WHEEL_DEADLINE_S = 20.0
 CAMERA_DEADLINE_MARGIN_S = 5.0
+CAMERA_EXPOSURES = 2  # drivers discard the frame that was under way when the exposure changed
 # Cameras set exposures in multiples of a line time; more than this is a setting that was not taken.
 EXPOSURE_TOLERANCE_REL = 0.05
 ATTEMPTS = 4
@@ -73,6 +74,7 @@ class CheckedCamera:
     ) -> None:
         self._opened, self._settings, self._on_refusal = opened, settings, on_refusal
         self._last: RawFrame | None = None
+        self._slot_of_header: dict[str, int] = {}
 
     def expose(self, step: Step, exposure_s: float) -> CheckedFrame:
         """Turn the wheel to the filter of `step` and take a frame; a refused one is taken again, three times at most.
@@ -102,10 +104,11 @@ class CheckedCamera:
         if step.slot is not None and opened.wheel.position() != step.slot:
             opened.wheel.go_to(step.slot, WHEEL_DEADLINE_S)
         slot_before, lights_before = _require_slot(opened, step, "before"), _require_lights(opened, step.light)
-        raw = opened.camera.expose(exposure_s, exposure_s + CAMERA_DEADLINE_MARGIN_S)
+        raw = opened.camera.expose(exposure_s, CAMERA_EXPOSURES * exposure_s + CAMERA_DEADLINE_MARGIN_S)
         slot_after, lights_after = _require_slot(opened, step, "after"), _require_lights(opened, step.light)
         self._require_as_asked(raw, step, exposure_s)
         self._require_new(raw)
+        self._require_own_header(raw, step)
         self._last = raw
         return CheckedFrame(raw, slot_before, slot_after, lights_before, lights_after, attempt)
 
@@ -141,6 +144,20 @@ class CheckedCamera:
         if same:
             raise BadFrameError(
                 "camera: delivered the same frame twice; its stream hangs or a picture stands in for the camera"
+            )
+
+
+    def _require_own_header(self, raw: RawFrame, step: Step) -> None:
+        """Refuse a frame whose header names one filter at two slots: it speaks of another wheel, or of an old move."""
+        header = str(raw.settings.get("filter_header", ""))
+        if not header or step.slot is None:
+            return
+        known = self._slot_of_header.setdefault(header, step.slot)
+        if known != step.slot:
+            raise RefusedError(
+                f"camera: the frame's FILTER header says '{header}' at slot {step.slot}, as at slot {known}; it "
+                f"follows the wheel '{raw.settings.get('active_filter', 'unknown')}': set the camera's ACTIVE_DEVICES to the "
+                "wheel in use and give each slot a name of its own"
             )
 
 

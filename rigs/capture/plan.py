@@ -44,7 +44,7 @@ def paint_steps(plan: PaintPlan, rig: RigFile) -> tuple[Step, ...]:
         A filter is unknown, the excitation filter does not pass the laser line or is not in the plan, the
         region is empty or leaves the frame.
     """
-    filters = _planned_filters(plan, rig)
+    filters = planned_filters(plan.filters, rig)
     excitation = _excitation_filter(plan, rig, filters)
     require_region_inside(plan.region, rig.camera)
     return (
@@ -98,10 +98,16 @@ def _tilted_steps(plan: PaintPlan, filters: list[BandPassFilter]) -> tuple[Step,
     )
 
 
-def _planned_filters(plan: PaintPlan, rig: RigFile) -> list[BandPassFilter]:
-    """Return the filters of the plan in its order."""
+def planned_filters(names: tuple[str, ...] | None, rig: RigFile) -> list[BandPassFilter]:
+    """Return the filters of a plan in its order; None names all of the rig.
+
+    Raises
+    ------
+    CaptureError
+        The plan names none, or one that the rig does not have.
+    """
     known = {f.name: f for f in rig.filter_wheel.filters}
-    names = tuple(known) if plan.filters is None else plan.filters
+    names = tuple(known) if names is None else names
     if not names:
         raise CaptureError("plan.filters: is empty; name at least one filter or leave the field out for all of the rig")
     for name in names:

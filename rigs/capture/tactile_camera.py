@@ -85,7 +85,8 @@ class TactileCamera:
             )
         if pixels.lower().startswith("mono"):
             raise RefusedError(
-                f"camera: delivers {pixels}, and a tactile capture needs colours (Bayer RGGB or RGB); use a colour camera"
+                f"camera: delivers {pixels}, and a tactile capture needs colours (Bayer RGGB or RGB); use a colour "
+                "camera"
             )
         if int(counts.max()) >= 2**self._settings.bit_depth:
             raise RefusedError(

@@ -12,6 +12,7 @@ from data_schemas.storage import read_frame
 from data_schemas.tactile import PlannedPress, TactileFrame, TactilePlan, TactileRig
 from rigs.capture.tactile_plan import press_of
 
+Triple = tuple[TactileFrame, TactileFrame, TactileFrame]
 MOST_SATURATED_FRACTION = 1e-3
 """A glint may saturate; a larger clipped part hides the press."""
 
@@ -55,8 +56,7 @@ def tactile_capture(
     bracket_s = tuple(sorted(triples))
     if not bracket_s:
         raise CaptureError(f"{folder}: holds no whole set of frames of contact {contact}; capture it again")
-    good = [t for t in bracket_s if max(f.saturated_fraction for f in triples[t]) <= MOST_SATURATED_FRACTION]
-    shown, before, after = triples[good[-1] if good else bracket_s[0]]
+    shown, before, after = _best(triples)
     images = [_image(folder, frame) for frame in (shown, before, after)]
     raw = images[0].shape[2] == 1
     read_black_dn = shown.settings.get("black_level_dn", rig.camera.black_level_dn)
@@ -82,9 +82,30 @@ def tactile_capture(
     )
 
 
-def _triples(
-    frames: Sequence[TactileFrame], contact: int
-) -> dict[float, tuple[TactileFrame, TactileFrame, TactileFrame]]:
+def clipping_notes(frames: Sequence[TactileFrame], contacts: int) -> tuple[str, ...]:
+    """Name the contacts that are clipped even at the shortest exposure of the session."""
+    notes = []
+    for contact in range(1, contacts + 1):
+        clipped = max(frame.saturated_fraction for frame in _best(_triples(frames, contact)))
+        if clipped > MOST_SATURATED_FRACTION:
+            notes.append(
+                f"contact {contact}: {100 * clipped:.1f} % of an image is clipped at the shortest exposure; "
+                "comparisons leave these pixels out: add shorter exposures, or dim the LEDs"
+            )
+    return tuple(notes)
+
+
+def _best(triples: dict[float, Triple]) -> Triple:
+    """Return the images of the longest exposure at which hardly anything saturates, else of the shortest one."""
+    good = [
+        asked_s
+        for asked_s, images in triples.items()
+        if max(frame.saturated_fraction for frame in images) <= MOST_SATURATED_FRACTION
+    ]
+    return triples[max(good) if good else min(triples)]
+
+
+def _triples(frames: Sequence[TactileFrame], contact: int) -> dict[float, Triple]:
     """Return contact, no contact before and no contact after for each exposure that was asked for."""
 
     def of(frame_type: str, place: int) -> dict[float, list[TactileFrame]]:

@@ -102,6 +102,8 @@ class SimulatedCamera:
                 f"camera: an exposure of {exposure_s:g} s cannot be done within the deadline of {deadline_s:g} s; "
                 "allow more time"
             )
+        if exposure_s <= 0.0:
+            raise RefusedError(f"camera: an exposure of {exposure_s:g} s cannot be; give more than 0 s")
         captured_utc = self.state.clock.utc()
         read_back_s = round(max(exposure_s, EXPOSURE_STEP_S), 6)
         slot = self.state.slot if self.state.wheel_in_beam else None

@@ -9,11 +9,13 @@ import pytest
 
 from data_schemas.camera import CameraPlan
 from data_schemas.capture import PaintPlan
+from data_schemas.check import CheckLimits, CheckPlan
 from data_schemas.rig import RigFile
 from data_schemas.storage import read_toml
 from finray_calib.cli.main import build_parser
 from finray_calib.exchange.band_folder_file import BandFolder
 from rigs.capture.camera_session import camera_step
+from rigs.capture.check_session import check_filters
 from rigs.capture.plan import paint_steps
 
 HOW_TO = Path(__file__).resolve().parents[2] / "docs" / "how-to"
@@ -21,7 +23,7 @@ PAGES = sorted(HOW_TO.glob("*.md"))
 FENCED = re.compile(r"^```toml\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
 INDENTED_PLAN = re.compile(r'^ +kind = "camera"\n(?:(?: +.*)?\n)+?(?=^ *Optional)', flags=re.MULTILINE)
 COMMAND = re.compile(r"^ +(finray .+?)(?: +#.*)?$", flags=re.MULTILINE)
-RECORD_OF = {"rig.toml": RigFile, "plan.toml": PaintPlan, "bands.toml": BandFolder}
+RECORD_OF = {"rig.toml": RigFile, "plan.toml": PaintPlan, "bands.toml": BandFolder, "check.toml": CheckPlan}
 
 
 def text_of(page: str) -> str:
@@ -78,6 +80,15 @@ def test_camera_plan_of_the_camera_page_fits_the_rig(tmp_path):
     plan = read_as_user(re.sub(r"^ {7}", "", indented, flags=re.MULTILINE), "camera.toml", tmp_path)
     rig = read_as_user(printed_file("calibrate-a-paint.md", "rig.toml"), "rig.toml", tmp_path)
     assert camera_step(plan, rig).filter_name == plan.filter_name
+
+
+def test_check_plan_states_every_limit_as_it_is_by_default_and_fits_the_rig(tmp_path):
+    text = printed_file("check-a-rig.md", "check.toml")
+    plan = read_as_user(text, "check.toml", tmp_path)
+    assert set(tomllib.loads(text)["limits"]) == set(CheckLimits.model_fields)
+    assert plan.limits == CheckLimits()
+    rig = read_as_user(printed_file("calibrate-a-paint.md", "rig.toml"), "rig.toml", tmp_path)
+    assert check_filters(plan, rig) == list(rig.filter_wheel.filters)
 
 
 def test_bands_file_of_the_import_page_is_valid(tmp_path):

@@ -94,11 +94,17 @@ class IndiServer:
         finally:
             os.killpg(outside, signal.SIGCONT)
 
-    def put(self, device: str, setting: str) -> None:
-        """Set a property with INDI's own program: ``put("CCD Simulator", "CCD_GAIN.GAIN=10")``."""
-        program = require("indi_setprop", "indi-bin")
-        command = [program, "-h", "127.0.0.1", "-p", str(self.port), "-t", "5", f"{device}.{setting}"]
-        subprocess.run(command, check=True, timeout=20.0, capture_output=True)
+    def put(self, device: str, setting: str, stays: bool = True) -> None:
+        """Set a property (``"CCD_GAIN.GAIN=10"``) with INDI's own program; wait until it reads so if it stays."""
+        name, value = setting.split("=")
+        self._run("indi_setprop", f"{device}.{setting}")
+        if stays:
+            wait_until(lambda: self._run("indi_getprop", "-1", f"{device}.{name}") == value, f"{device}.{setting}")
+
+    def _run(self, program: str, *arguments: str) -> str:
+        where = ("-h", "127.0.0.1", "-p", str(self.port), "-t", "2")
+        command = [require(program, "indi-bin"), *where, *arguments]
+        return subprocess.run(command, timeout=20.0, capture_output=True, text=True, check=False).stdout.strip()
 
     def _spawn(self, *command: str) -> None:
         log = (self._folder / "server.log").open("ab")

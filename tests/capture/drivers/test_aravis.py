@@ -136,8 +136,7 @@ def test_lossy_line_gives_refused_frames_and_whole_ones_only() -> None:
         for _ in range(24):
             try:
                 counts = camera.expose(EXPOSURE_S, DEADLINE_S).counts
-            except BadFrameError as error:
-                assert "the transport reports" in str(error)
+            except BadFrameError:
                 refused += 1
             else:
                 # its pattern moves through the frame, the sum stays; a lost packet of zeros would be missed by 0.5 %
@@ -153,7 +152,7 @@ def test_very_lossy_line_gives_no_frame() -> None:
     require("arv-tool-0.8", "aravis-tools-cli")
     with fake_camera(lost_per_thousand=100) as _, aravis.open_camera(SETTINGS, Path()) as camera:
         for _ in range(5):
-            with pytest.raises(BadFrameError, match="use another cable or port"):
+            with pytest.raises(BadFrameError, match=r"the transport reports .*use another cable or port"):
                 camera.expose(EXPOSURE_S, DEADLINE_S)
 
 
@@ -164,7 +163,7 @@ def test_camera_killed_in_an_exposure_is_noticed_and_comes_back(
     camera.expose(EXPOSURE_S, DEADLINE_S)
     camera_process.kill()
     started_s = time.monotonic()
-    with pytest.raises(LostError, match="did not answer within 0.9 s; check its cable and power"):
+    with pytest.raises(LostError, match=r"did not answer within 0\.9 s; check its cable and power"):
         camera.expose(EXPOSURE_S, DEADLINE_S)
     assert time.monotonic() - started_s < EXPOSURE_S + NOTICED_S
     with pytest.raises(LostError, match="did not answer within"):
@@ -176,32 +175,28 @@ def test_camera_killed_in_an_exposure_is_noticed_and_comes_back(
 
 @pytest.mark.rigs
 @pytest.mark.parametrize("fault", [signal.SIGKILL, signal.SIGSTOP])
-def test_camera_that_falls_silent_in_an_exposure_times_out(
-    camera: GenicamCamera, camera_process: FakeCamera, fault: signal.Signals
-) -> None:
-    # a frame of the fake camera is there after 40 ms at most: the fault comes before the start and after the answer
-    # of the exposure's register only by chance, so it is made the moment acquisition can begin
-    camera.expose(1.0, 8.0)
-    arv_tool_sets_the_frame_period("0.2")
-    timer = threading.Timer(0.3, camera_process.process.send_signal, [fault])
-    timer.start()
-    started_s = time.monotonic()
-    with pytest.raises(TimedOutError, match=r"no frame of 1 s came within 2\.00 s"):
-        camera.expose(1.0, 6.0)
-    assert time.monotonic() - started_s < 1.0 + NOTICED_S
-    timer.join()
-    if fault == signal.SIGSTOP:
-        with pytest.raises(LostError):
-            camera.expose(EXPOSURE_S, DEADLINE_S)
-        camera_process.process.send_signal(signal.SIGCONT)
-        assert expose_until(camera, within_s=20.0) <= 4
-
-
-def arv_tool_sets_the_frame_period(rate_hz: str) -> None:
-    """Have the fake camera deliver so few frames that a fault falls into an exposure."""
+def test_camera_that_falls_silent_in_an_exposure_times_out(camera_process: FakeCamera, fault: signal.Signals) -> None:
+    # one frame a second: the fault, 0.3 s after the last frame, falls between the start of an exposure and its frame
     subprocess.run(
-        ["arv-tool-0.8", "-a", "127.0.0.1", "control", f"AcquisitionFrameRate={rate_hz}"], check=True, timeout=20
+        ["arv-tool-0.8", "-a", "127.0.0.1", "control", "AcquisitionFrameRate=1"],
+        check=True,
+        capture_output=True,
+        timeout=20,
     )
+    with aravis.open_camera(SETTINGS, Path()) as camera:
+        camera.expose(1.0, 8.0)
+        timer = threading.Timer(0.3, camera_process.process.send_signal, [fault])
+        timer.start()
+        started_s = time.monotonic()
+        with pytest.raises(TimedOutError, match=r"no frame of 1 s came within 2\.00 s"):
+            camera.expose(1.0, 6.0)
+        assert time.monotonic() - started_s < 1.0 + NOTICED_S
+        timer.join()
+        with pytest.raises(LostError, match="did not answer within"):
+            camera.expose(1.0, 6.0)
+        if fault == signal.SIGSTOP:
+            camera_process.process.send_signal(signal.SIGCONT)
+            assert expose_until(camera, within_s=20.0) <= 4
 
 
 @pytest.mark.rigs
@@ -209,17 +204,17 @@ def test_numbers_wrap_and_memory_stays() -> None:
     """The fake camera counts from 65 401 or so: 65 535 is followed by 1, which is no lost frame."""
     require("arv-tool-0.8", "aravis-tools-cli")
     with fake_camera() as _, aravis.open_camera(SETTINGS, Path()) as camera:
-        for _ in range(50):
+        for _ in range(40):
             camera.expose(EXPOSURE_S, DEADLINE_S)
         before_kib = resident_kib()
-        numbers = [camera.expose(EXPOSURE_S, DEADLINE_S).frame_id for _ in range(250)]
+        numbers = [camera.expose(EXPOSURE_S, DEADLINE_S).frame_id for _ in range(140)]
         grown_kib = resident_kib() - before_kib
     assert numbers[0] is not None
     assert numbers[0] > 65_000
     assert numbers[-1] is not None
     assert numbers[-1] < 1000
     assert len(set(numbers)) == len(numbers)
-    # 250 frames are 64 MB; a kept buffer header alone would show after 4 MB
+    # 140 frames are 36 MB
     assert grown_kib < 4096
 
 
@@ -231,6 +226,6 @@ def resident_kib() -> int:
 def test_missing_library_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(aravis_library, "LIBRARY", "libaravis-not-here.so.0")
     aravis_library.load_aravis.cache_clear()
-    with pytest.raises(MissingExtraError, match="apt-get install --no-install-recommends libaravis-0.8-0"):
+    with pytest.raises(MissingExtraError, match=r"apt-get install --no-install-recommends libaravis-0\.8-0"):
         aravis.found()
     aravis_library.load_aravis.cache_clear()

@@ -44,7 +44,7 @@ def altered(old: bytes, new: bytes) -> list[tuple[str, bytes]]:
     [
         (b'state="Ok"', b'state="Alert" message="lamp broken"', "refuses to set FLAT_LIGHT_CONTROL.*lamp broken"),
         (b'state="Ok"', b'state="Busy"', "did not set FLAT_LIGHT_CONTROL to On within"),
-        (b"<setSwitchVector", b"<!DOCTYPE", "check that an INDI server listens|nothing listens"),
+        (b"<setSwitchVector", b"<!DOCTYPE", "the server says nothing about this device"),
     ],
 )
 def test_an_off_that_is_not_confirmed_is_unsafe(old: bytes, new: bytes, why: str) -> None:
@@ -96,7 +96,7 @@ def test_another_program_that_switches_is_seen(server: IndiServer, switch: Light
 @pytest.mark.rigs
 def test_a_remembered_off_is_no_confirmation(server: IndiServer, switch: LightSwitch) -> None:
     with server.frozen():
-        with pytest.raises(TimedOutError, match="did not say what FLAT_LIGHT_CONTROL is within 0.2 s"):
+        with pytest.raises(TimedOutError, match="did not say what FLAT_LIGHT_CONTROL is"):
             switch.state(0.2)
         with pytest.raises(UnsafeError, match="off is not confirmed; cut the power of the light"):
             switch.switch(False, 0.2)
@@ -114,7 +114,7 @@ def test_a_server_that_dies_leaves_the_light_unsafe_until_it_is_back(server: Ind
     try:
         with pytest.raises(LostError, match="the connection broke"):
             switch.state(5.0)
-        with pytest.raises(UnsafeError, match="off is not confirmed.*nothing listens"):
+        with pytest.raises(UnsafeError, match=r"off is not confirmed.*nothing listens"):
             switch.switch(False, 5.0)
     finally:
         server.start()
@@ -133,13 +133,13 @@ def test_off_connects_again_when_the_connection_broke(server: IndiServer, switch
 @pytest.mark.rigs
 def test_a_device_that_does_not_connect_or_is_not_there(server: IndiServer) -> None:
     with (
-        pytest.raises(RefusedError, match="refuses to connect to its device .the driver says: .*Failed to connect"),
+        pytest.raises(RefusedError, match=r"refuses to connect to its device \(the driver says: .*Failed to connect"),
         open_switch(server.address("Flip Flat"), "lamp", None),
     ):
         pass
-    with IndiClient(server.address("Nobody"), "lamp", "X") as client:
-        with pytest.raises(TimedOutError, match=f"has no such device, it has 'Flip Flat', '{PANEL}'"):
-            client.ready(time.monotonic() + 1.0)
+    known = f"has no such device, it has 'Flip Flat', '{PANEL}'"
+    with IndiClient(server.address("Nobody"), "lamp", "X") as client, pytest.raises(TimedOutError, match=known):
+        client.ready(time.monotonic() + 2.0)
 
 
 @pytest.mark.rigs

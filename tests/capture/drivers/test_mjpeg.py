@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -21,6 +22,8 @@ from hypothesis import strategies as st
 from data_schemas.errors import BadFrameError, CaptureError, LostError, RefusedError, TimedOutError
 from data_schemas.rig import CameraSettings
 from rigs.cameras.mjpeg import decoded_jpeg, open_camera
+from rigs.capture.exchange import CheckedCamera
+from rigs.capture.plan import Step
 from rigs.transports.multipart_stream import MultipartStream
 from tests.capture.drivers.programs import answers, free_port, require, wait_until
 
@@ -295,6 +298,16 @@ def test_ustreamer_must_tell_whether_it_has_a_camera():
         pytest.raises(RefusedError, match="add extra_headers=1 to the address"),
     ):
         camera.expose(ASKED_S, 2.0)
+
+
+def test_filtered_sessions_refuse_a_stream():
+    """Its pictures are no raw counts: no paint and no camera can be measured with them."""
+    dark = SimpleNamespace(state=lambda: False)
+    step = Step("dark", "white", "off", None, None)
+    with serving(stream_of(*(jpeg(n) for n in range(240)))) as address, opened(address) as camera:
+        rig = SimpleNamespace(camera=camera, wheel=SimpleNamespace(position=lambda: None), lamp=dark, laser=dark)
+        with pytest.raises(RefusedError, match=r"delivers colour pictures .3 values.*filtered sessions need raw"):
+            CheckedCamera(rig, camera_at(address)).expose(step, ASKED_S)
 
 
 def test_identity_names_driver_and_server():

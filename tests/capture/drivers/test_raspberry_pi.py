@@ -11,6 +11,7 @@ import pytest
 from data_schemas.errors import BadFrameError, LostError, MissingExtraError, RefusedError, TimedOutError
 from data_schemas.rig import CameraSettings
 from rigs.cameras.raspberry_pi import found, open_camera
+from rigs.cameras.raspberry_pi_raw import RawLayout
 from tests.capture.drivers import picamera2_stand_in
 
 WIDTH_PX, HEIGHT_PX = 96, 64  # 98 x 66 of a BGGR sensor, less what does not begin with red
@@ -68,6 +69,14 @@ def test_frame_begins_with_red_and_is_right_aligned(sensor, order, size, contain
     assert set(np.unique(counts[0::2, 1::2] // 100)) == {2}
     assert set(np.unique(counts[1::2, 0::2] // 100)) == {2}
     assert set(np.unique(counts[1::2, 1::2] // 100)) == {3}
+
+
+@pytest.mark.parametrize("pixel_format", ["SRGGB8", "SGBRG8"])
+def test_eight_bit_buffers_hold_a_byte_a_pixel(pixel_format):
+    stored = np.arange(96 * 70, dtype=np.uint8).reshape(70, 96)  # 80 px and padding
+    layout = RawLayout(pixel_format, pixel_format[1:5], 0, 8, (80, 70), (80, 64))
+    first_row = 1 if pixel_format == "SGBRG8" else 0
+    assert np.array_equal(layout.counts(stored, "camera"), stored[first_row : first_row + 64, :80])
 
 
 def test_settings_that_take_frames_are_waited_for(sensor):

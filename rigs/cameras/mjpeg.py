@@ -1,0 +1,221 @@
+"""Cameras behind MJPEG over HTTP: uStreamer, mjpg-streamer, ffmpeg, and what else sends JPEGs one after another.
+
+The pictures went through the camera's own curve into 8 bits: fit to see a press, never for radiometry. Exposure cannot
+be set or read over such a stream; the frame's ``exposure_s`` is NaN and its settings say ``exposure = "unknown"``.
+"""
+
+import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.errors import BadFrameError, CaptureError, RefusedError
+from data_schemas.rig import CameraSettings, DeviceIdentity
+from rigs.protocols import RawFrame
+from rigs.transports.multipart_stream import MultipartStream, Part
+from rigs.transports.newest_part import NewestPart
+
+OPEN_DEADLINE_S: Final = 5.0
+STALE_PARTS: Final = 3
+"""After a call one part may be half received, one half sent and one half exposed: these are not of the call."""
+JPEG_START, JPEG_END, PADDING = b"\xff\xd8", b"\xff\xd9", b"\x00\r\n"
+
+
+@contextmanager
+def open_camera(settings: CameraSettings, folder: Path) -> Iterator["MjpegCamera"]:
+    """Open the camera for a ``with`` block.
+
+    Parameters
+    ----------
+    settings
+        The camera of the rig file; ``address`` is ``http://host:port/path``.
+    folder
+        Not used: the address is no path.
+
+    Raises
+    ------
+    RefusedError
+        The rig file asks for raw counts, or the server refuses.
+    LostError, TimedOutError
+        The server cannot be reached.
+    """
+    if settings.bit_depth != 8:
+        raise RefusedError(
+            f"camera at {settings.address}: camera.bit_depth = {settings.bit_depth}, and a stream of JPEGs has 8 bits: "
+            "write bit_depth = 8, or use a driver of raw counts (picamera2, aravis)"
+        )
+    camera = MjpegCamera(settings)
+    try:
+        camera.open(time.monotonic() + OPEN_DEADLINE_S)
+        yield camera
+    finally:
+        camera.close()
+
+
+class MjpegCamera:
+    """A camera behind a stream that is read all the time, so that no old pictures wait in buffers on the way.
+
+    Parameters
+    ----------
+    settings
+        The camera of the rig file.
+    """
+
+    def __init__(self, settings: CameraSettings) -> None:
+        self._settings, self._name = settings, f"camera at {settings.address}"
+        self._reader: NewestPart | None = None
+        self._server, self._is_ustreamer = "", False
+        self._last: tuple[bytes, float | None] | None = None
+
+    def open(self, end_s: float) -> NewestPart:
+        """Open the stream, unless it is open, before `end_s` (:func:`time.monotonic`)."""
+        if self._reader is not None and self._reader.has_ended():
+            self.close()
+        if self._reader is None:
+            stream = MultipartStream(self._settings.address, "camera", end_s)
+            self._server = stream.headers.get("server", "")
+            self._is_ustreamer = stream.headers.get("set-cookie", "").startswith("stream_client=")
+            self._reader = NewestPart(stream)
+        return self._reader
+
+    def close(self) -> None:
+        """Close the stream."""
+        if self._reader is not None:
+            self._reader.close()
+            self._reader = None
+
+    def identity(self) -> DeviceIdentity:
+        """Return where the camera is; a stream says no more than the name of its server."""
+        return DeviceIdentity(role="camera", driver="mjpeg", address=self._settings.address, model=self._server)
+
+    def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
+        """Return the first picture that was exposed after the call, (H, W, 3) RGB of 8 bits; `exposure_s` is not set.
+
+        Raises
+        ------
+        BadFrameError
+            The picture is torn, was delivered before, or stands in for a missing camera.
+        RefusedError
+            The picture has another size than the rig file says, or its server hides whether a camera is there.
+        LostError
+            The stream broke; the next exposure opens it again.
+        TimedOutError
+            No picture came in time.
+        """
+        end_s = time.monotonic() + deadline_s
+        try:
+            part = self._fresh_part(self.open(end_s), end_s)
+        except CaptureError:
+            self.close()
+            raise
+        received_utc = datetime.now(UTC).isoformat(timespec="milliseconds")
+        counts = decoded_jpeg(part.body, self._name)
+        self._require_size(counts)
+        device_time_s = _device_time_s(part)
+        self._require_new(part.body, device_time_s, counts)
+        return RawFrame(
+            counts=counts.astype(np.uint16),
+            exposure_requested_s=exposure_s,
+            exposure_s=math.nan,
+            captured_utc=received_utc,
+            device_time_s=device_time_s,
+            settings={"exposure": "unknown", "pixel_format": "RGB8", "compression": "JPEG", "time": "of arrival"},
+        )
+
+    def _fresh_part(self, reader: NewestPart, end_s: float) -> Part:
+        """Wait for a part whose picture was exposed after now."""
+        started_s, before = time.monotonic(), reader.count()
+        count = before
+        while True:
+            count, part = reader.newer_than(count, end_s, self._name)
+            self._require_online(part)
+            age_s = _number(part, "x-ustreamer-send-time") - _number(part, "x-ustreamer-grab-time")
+            old = math.isfinite(age_s) and part.begun_s - age_s < started_s
+            if count - before > STALE_PARTS and part.begun_s >= started_s and not old:
+                return part
+
+    def _require_online(self, part: Part) -> None:
+        """Refuse uStreamer's stand-in picture, and a uStreamer that is not asked to tell."""
+        online = part.headers.get("x-ustreamer-online")
+        if online is None and self._is_ustreamer:
+            raise RefusedError(
+                f"{self._name}: is a uStreamer, which serves a stand-in picture when its camera is missing; add "
+                "extra_headers=1 to the address (/stream?extra_headers=1), so that it tells"
+            )
+        if online is not None and online.lower() != "true":
+            raise BadFrameError(
+                f"{self._name}: uStreamer has no camera and serves a stand-in picture; check the camera's cable and "
+                "the option --device"
+            )
+
+    def _require_size(self, counts: NDArray[np.uint8]) -> None:
+        """Refuse a picture of another size."""
+        asked = (self._settings.height_px, self._settings.width_px)
+        if counts.shape[:2] != asked:
+            raise RefusedError(
+                f"{self._name}: sends pictures of {counts.shape[0]} x {counts.shape[1]} px, the rig file says "
+                f"{asked[0]} x {asked[1]} px (height x width); correct the rig file or the server's resolution"
+            )
+
+    def _require_new(self, body: bytes, device_time_s: float | None, counts: NDArray[np.uint8]) -> None:
+        """Refuse the picture that was delivered last time; two pictures of one value each may well be equal."""
+        if self._last is not None:
+            last_body, last_time_s = self._last
+            same_time = device_time_s is not None and device_time_s == last_time_s
+            if same_time or (body == last_body and counts.min() < counts.max()):
+                raise BadFrameError(
+                    f"{self._name}: sent the same picture twice; its camera hangs, or a picture stands in for it"
+                )
+        self._last = body, device_time_s
+
+
+def decoded_jpeg(body: bytes, name: str) -> NDArray[np.uint8]:
+    """Return the picture of a JPEG, (H, W, 3) RGB.
+
+    Parameters
+    ----------
+    body
+        The bytes; zeros and line ends may follow the JPEG.
+    name
+        Where it comes from, for the message.
+
+    Raises
+    ------
+    BadFrameError
+        It is cut off or no JPEG at all.
+    """
+    whole = body.rstrip(PADDING)
+    bgr = None
+    # A decoder fills the missing part of a cut-off JPEG with grey and says nothing: the end mark must be there.
+    if whole.startswith(JPEG_START) and whole.endswith(JPEG_END):
+        try:
+            bgr = cv2.imdecode(np.frombuffer(whole, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        except cv2.error:
+            bgr = None
+    if bgr is None:
+        raise BadFrameError(f"{name}: sent a picture of {len(body)} bytes that is torn or no JPEG")
+    return np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)
+
+
+def _device_time_s(part: Part) -> float | None:
+    """Return the server's own time of the picture (s): when it was grabbed, or when mjpg-streamer stamped it."""
+    for header in ("x-ustreamer-grab-time", "x-timestamp"):
+        time_s = _number(part, header)
+        if math.isfinite(time_s) and time_s > 0.0:
+            return time_s
+    return None
+
+
+def _number(part: Part, header: str) -> float:
+    """Return the number in a header; NaN where it is missing or none."""
+    try:
+        return float(part.headers.get(header, "nan"))
+    except ValueError:
+        return math.nan

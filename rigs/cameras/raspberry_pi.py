@@ -1,0 +1,255 @@
+"""Raspberry Pi cameras through picamera2: raw Bayer counts with locked exposure, gain and white balance.
+
+Not hardware-verified: written after picamera2's source and manual, and tested with a stand-in that follows them.
+"""
+
+import contextlib
+import math
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.errors import BadFrameError, LostError, MissingExtraError, RefusedError, TimedOutError
+from data_schemas.rig import CameraSettings, DeviceIdentity
+from rigs.cameras.raspberry_pi_raw import RawLayout, chosen_mode
+from rigs.protocols import RawFrame
+
+MOST_REQUESTS: Final = 20
+"""Frames until a new exposure must have taken effect: sensors take up to three, and a queue may stand before them."""
+TOLERANCE_REL: Final = 0.05
+"""Sensors set exposures in lines and gains in steps; more than this is a setting that was not taken."""
+FRAME_FACTOR: Final = 1.1
+"""A frame lasts longer than its exposure, to read the sensor out."""
+BUFFERS: Final = 2
+"""As few as possible: each that waits is a frame with the settings before."""
+LEVELS: Final = 65536
+"""libcamera gives black levels on a 16-bit scale whatever the sensor delivers."""
+GAINS_OF_WHITE_BALANCE: Final = (1.0, 1.0)
+"""Raw counts do not depend on them; fixed, they say that nothing was automatic."""
+
+
+@contextmanager
+def open_camera(settings: CameraSettings, folder: Path) -> Iterator["RaspberryPiCamera"]:
+    """Open the camera for a ``with`` block.
+
+    Parameters
+    ----------
+    settings
+        The camera of the rig file; ``address`` is the number of the camera ("0").
+    folder
+        Not used: the address is no path.
+
+    Raises
+    ------
+    MissingExtraError
+        picamera2 is not installed.
+    RefusedError
+        There is no such camera, another program uses it, or it has no such frame size or bit depth.
+    """
+    camera_class = _picamera2()
+    number = _camera_number(settings.address, camera_class.global_camera_info())
+    try:
+        device = camera_class(number)
+    except RuntimeError as error:  # IndexError is excluded by the number
+        raise RefusedError(
+            f"camera {number}: cannot be opened ({error}); end the program that uses it (rpicam-vid, uStreamer)"
+        ) from None
+    try:
+        yield RaspberryPiCamera(device, settings)
+    finally:
+        with contextlib.suppress(RuntimeError):  # a dead camera cannot be stopped
+            device.stop()
+        device.close()
+
+
+def found() -> list[tuple[str, str]]:
+    """Return address and model of the cameras of this Raspberry Pi; none where picamera2 is not installed."""
+    try:
+        cameras = _picamera2().global_camera_info()
+    except MissingExtraError:
+        return []
+    return [(str(info["Num"]), str(info["Model"])) for info in cameras]
+
+
+class RaspberryPiCamera:
+    """One camera of a Raspberry Pi.
+
+    Parameters
+    ----------
+    device
+        The open ``Picamera2``.
+    settings
+        The camera of the rig file; its size is that of the frame after the cut that makes it begin with red.
+
+    Raises
+    ------
+    RefusedError
+        The camera has no such raw mode.
+    """
+
+    def __init__(self, device: Any, settings: CameraSettings) -> None:
+        self._device, self._settings, self._name = device, settings, f"camera {settings.address} (picamera2)"
+        self._asked: dict[str, object] = {}
+        self._layout = self._configured()
+
+    def _configured(self) -> RawLayout:
+        """Configure the raw stream; the first exposure starts it."""
+        device = self._device
+        mode = chosen_mode(self._settings, device.sensor_modes, self._name)
+        device.configure(
+            device.create_still_configuration(
+                raw={"format": mode["unpacked"], "size": mode["size"]}, buffer_count=BUFFERS, queue=False
+            )
+        )
+        return RawLayout.of(device.camera_configuration()["raw"], mode, self._settings, self._name)
+
+    def identity(self) -> DeviceIdentity:
+        """Return the sensor's model; Raspberry Pi cameras have no serial number."""
+        model = str(self._device.camera_properties.get("Model", ""))
+        return DeviceIdentity(
+            role="camera", driver="picamera2", address=self._settings.address, vendor="Raspberry Pi", model=model
+        )
+
+    def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
+        """Return the first frame that was exposed after the call with the settings asked for.
+
+        Raises
+        ------
+        RefusedError
+            The camera cannot expose so, or reads back other settings in all of 20 frames.
+        TimedOutError, LostError
+            No such frame came in time; the camera stopped.
+        """
+        began_ns, end_s = time.monotonic_ns(), time.monotonic() + deadline_s
+        self._set(exposure_s)
+        metadata: dict[str, Any] = {}
+        for _ in range(MOST_REQUESTS):
+            request = self._next_request(end_s)
+            try:
+                metadata = request.get_metadata()
+                start_ns = metadata["SensorTimestamp"] - round(1000 * metadata["ExposureTime"])
+                # The time stamp is that of the first pixel's readout; its exposure began before.
+                if start_ns >= began_ns and not self._differing(metadata):
+                    return self._frame(request.make_array("raw"), metadata, exposure_s, start_ns)
+            except KeyError as missing:
+                raise BadFrameError(f"{self._name}: delivered a frame without {missing} in its metadata") from None
+            finally:
+                request.release()
+        raise RefusedError(
+            f"{self._name}: {'; '.join(self._differing(metadata)) or 'all frames are older than the call'}, after "
+            f"{MOST_REQUESTS} frames; ask for settings that it can take, and end other programs that use it"
+        )
+
+    def _set(self, exposure_s: float) -> None:
+        """Ask for exposure, gain and white balance, with all automatics off, if they are not asked for already.
+
+        The stream is started anew: settings that change on the way wait behind frames of the exposure before.
+        """
+        exposure_us, gain = round(1e6 * exposure_s), 10 ** (self._settings.gain_db / 20)
+        limits = self._device.camera_controls
+        for control, value, unit, scale in (
+            ("ExposureTime", exposure_us, " s", 1e-6),
+            ("AnalogueGain", gain, "", 1.0),
+        ):
+            lowest, highest = limits[control][:2]
+            # libcamera gives 0 as the highest where it knows none.
+            if value < lowest * (1 - TOLERANCE_REL) or (highest and value > highest * (1 + TOLERANCE_REL)):
+                raise RefusedError(
+                    f"{self._name}: {control} {value * scale:g}{unit} is out of its range, {lowest * scale:g} to "
+                    f"{highest * scale:g}{unit} are allowed"
+                )
+        frame_us = max(round(FRAME_FACTOR * exposure_us), limits["FrameDurationLimits"][0])
+        asked = {
+            "AeEnable": False,
+            "AwbEnable": False,
+            "ColourGains": GAINS_OF_WHITE_BALANCE,
+            "ExposureTime": exposure_us,
+            "AnalogueGain": gain,
+            "FrameDurationLimits": (frame_us, frame_us),
+        }
+        if asked != self._asked:
+            self._device.stop()
+            self._device.set_controls(asked)
+            self._device.start()
+            self._asked = asked
+
+    def _next_request(self, end_s: float) -> Any:
+        """Return the next finished request; it must be released."""
+        left_s = end_s - time.monotonic()
+        job = self._device.capture_request(wait=False)
+        try:
+            return job.get_result(timeout=max(left_s, 0.0))
+        except TimeoutError:
+            self._device.cancel_all_and_flush()
+            raise TimedOutError(
+                f"{self._name}: delivered no frame in time; check its cable, then restart the capture"
+            ) from None
+        except RuntimeError as error:
+            raise LostError(f"{self._name}: stopped ({error}); check its cable and restart the capture") from None
+
+    def _differing(self, metadata: Mapping[str, Any]) -> list[str]:
+        """Return in words which settings read back otherwise than asked for."""
+        wanted = {name: self._asked[name] for name in ("ExposureTime", "AnalogueGain", "ColourGains")}
+        return [
+            f"{name} {value} was asked for, it reads back {metadata.get(name)}"
+            for name, value in wanted.items()
+            if not np.allclose(metadata.get(name, math.nan), np.asarray(value, float), rtol=TOLERANCE_REL, atol=0.0)
+        ]
+
+    def _frame(self, stored: NDArray[Any], metadata: Mapping[str, Any], asked_s: float, start_ns: int) -> RawFrame:
+        """Return the frame of a request."""
+        started = datetime.now(UTC) - timedelta(microseconds=(time.monotonic_ns() - start_ns) / 1000)
+        return RawFrame(
+            counts=self._layout.counts(stored, self._name),
+            exposure_requested_s=asked_s,
+            exposure_s=metadata["ExposureTime"] * 1e-6,
+            captured_utc=started.isoformat(timespec="milliseconds"),
+            device_time_s=metadata["SensorTimestamp"] * 1e-9,
+            settings={"pixel_format": self._layout.pixel_format, **_plain_settings(metadata, self._settings.bit_depth)},
+        )
+
+
+def _picamera2() -> Any:
+    """Return the class ``Picamera2``."""
+    try:
+        return import_module("picamera2").Picamera2
+    except ImportError as error:
+        raise MissingExtraError(
+            f"driver 'picamera2' runs on a Raspberry Pi and needs picamera2 there ({error}): sudo apt install "
+            "python3-picamera2, and make the virtual environment with --system-site-packages; from another computer "
+            "use driver 'mjpeg'"
+        ) from None
+
+
+def _camera_number(address: str, cameras: list[dict[str, Any]]) -> int:
+    """Return the number of a camera that is there."""
+    known = {str(info["Num"]): info for info in cameras}
+    if address not in known:
+        there = ", ".join(f"{n} ({info['Model']})" for n, info in known.items()) or "none; check the ribbon cable"
+        raise RefusedError(f"camera {address!r}: this Raspberry Pi has no such camera; it has: {there}")
+    return int(address)
+
+
+def _plain_settings(metadata: Mapping[str, Any], bit_depth: int) -> dict[str, str | float]:
+    """Return gains, frame duration, temperature and black level of a frame, as far as its metadata has them."""
+    names = {
+        "AnalogueGain": "analogue_gain_factor",
+        "DigitalGain": "digital_gain_factor",
+        "FrameDuration": "frame_duration_us",
+        "SensorTemperature": "sensor_temperature_c",
+        "ColourTemperature": "colour_temperature_k",
+    }
+    plain: dict[str, str | float] = {name: float(metadata[key]) for key, name in names.items() if key in metadata}
+    red, blue = metadata["ColourGains"]
+    plain |= {"red_gain_factor": float(red), "blue_gain_factor": float(blue)}
+    levels = metadata.get("SensorBlackLevels", ())
+    if levels and min(levels) == max(levels):
+        plain["black_level_dn"] = levels[0] * 2**bit_depth / LEVELS
+    return plain

@@ -1,0 +1,193 @@
+"""Raw Bayer counts of image files: TIFF, PNG, DNG, and JPEG of legacy Raspberry Pi cameras with appended raw data."""
+
+import io
+import re
+import struct
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from data_schemas.errors import BadFrameError, MissingExtraError
+
+JPEG_SUFFIXES: Final = (".jpeg", ".jpg")
+SUFFIXES: Final = (".dng", ".png", ".tif", ".tiff", *JPEG_SUFFIXES)
+EXPOSURE_TAG, EXIF_TAG = 33434, 34665
+# Row and column of the red pixel of each 2 x 2 cell.
+RED: Final = {"RGGB": (0, 0), "GBRG": (1, 0), "BGGR": (1, 1), "GRBG": (0, 1)}
+
+# The raw block that raspistill --raw and picamera append to a JPEG (documented in picamera's array module): "BRCM",
+# a header at byte 176, packed rows from byte 32768; a row is padded to 32 bytes, the number of rows to 16.
+BRCM_MARK: Final = b"BRCM"
+BRCM_HEADER_AT, BRCM_PIXELS_AT = 176, 32768
+BRCM_HEADER: Final = struct.Struct("<32s4H24s2H2B")
+BRCM_ORDERS: Final = ("RGGB", "GBRG", "BGGR", "GRBG")
+BRCM_BITS: Final = {3: 10, 4: 12}
+ROW_BYTES, ROWS = 32, 16
+
+
+def read_raw(path: Path) -> NDArray[np.uint16]:
+    """Read raw Bayer counts (DN) with pattern RGGB, shape (H, W).
+
+    A row or column is cut off where the sensor begins with another colour than red.
+
+    Raises
+    ------
+    BadFrameError
+        The file is unreadable, or holds a processed picture.
+    MissingExtraError
+        A DNG needs rawpy.
+    """
+    content, suffix = _content(path), path.suffix.lower()
+    if suffix in JPEG_SUFFIXES:
+        return _appended_raw(content, path)
+    if suffix == ".dng":
+        return _dng(content, path)
+    counts = _png(content, path) if suffix == ".png" else _tiff(content, path)
+    if counts.ndim != 2 or counts.dtype not in (np.uint8, np.uint16):
+        raise BadFrameError(
+            f"{path}: is {counts.dtype} of shape {counts.shape}; raw Bayer counts are one number of 8 or 16 bits per "
+            "pixel (H, W): export the raw data, not a picture"
+        )
+    return counts.astype(np.uint16)
+
+
+def read_exposure_s(path: Path) -> float | None:
+    """Return the exposure time (s) that the EXIF data of a TIFF, DNG or JPEG state; None where they do not.
+
+    Raises
+    ------
+    BadFrameError
+        The file is unreadable.
+    """
+    content = _content(path)
+    if path.suffix.lower() not in JPEG_SUFFIXES:
+        return _exposure_in_tiff_s(content)
+    mark = content.find(b"Exif\0\0", 0, 65536)
+    if mark < 2:
+        return None
+    size = int.from_bytes(content[mark - 2 : mark], "big")
+    return _exposure_in_tiff_s(content[mark + 6 : mark - 2 + size])
+
+
+def rggb(counts: NDArray[np.uint16], order: str) -> NDArray[np.uint16]:
+    """Cut off the first row or column, and as many at the end, so that red comes first and the size is even."""
+    row, column = RED[order]
+    rows, columns = (counts.shape[0] - row) // 2 * 2, (counts.shape[1] - column) // 2 * 2
+    return np.ascontiguousarray(counts[row : row + rows, column : column + columns])
+
+
+def _content(path: Path) -> bytes:
+    """Return the bytes of a file."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise BadFrameError(f"{path}: cannot be read ({error.strerror}); restore the file") from None
+
+
+def _exposure_in_tiff_s(content: bytes) -> float | None:
+    """Return the exposure time (s) of a TIFF, DNG or EXIF block, where it has one."""
+    try:
+        with tifffile.TiffFile(io.BytesIO(content)) as file:
+            tags = file.pages[0].tags
+            value = tags.valueof(EXPOSURE_TAG)
+            if value is None:
+                value = (tags.valueof(EXIF_TAG) or {}).get("ExposureTime")
+            return _seconds(value)
+    except Exception:  # of a broken file the TIFF reader raises nearly anything; without a tag there is no exposure
+        return None
+
+
+def _seconds(value: Any) -> float | None:
+    """Return a rational or plain number of seconds; None where it is none."""
+    if value is None:
+        return None
+    seconds = float(value[0] / value[1]) if isinstance(value, tuple) else float(value)
+    return seconds if np.isfinite(seconds) and seconds > 0.0 else None
+
+
+def _tiff(content: bytes, path: Path) -> NDArray[Any]:
+    """Read a TIFF."""
+    try:
+        return np.asarray(tifffile.imread(io.BytesIO(content)))
+    except Exception as error:  # of a broken file the TIFF reader raises nearly anything
+        raise BadFrameError(f"{path}: cannot be read as TIFF ({error}); is the file whole?") from error
+
+
+def _png(content: bytes, path: Path) -> NDArray[Any]:
+    """Read a PNG."""
+    import cv2
+
+    try:
+        found = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        found = None
+    if found is None:
+        raise BadFrameError(f"{path}: cannot be read as PNG; is the file whole?")
+    return np.asarray(found)
+
+
+def _dng(content: bytes, path: Path) -> NDArray[np.uint16]:
+    """Read the raw counts of a DNG, compressed or not."""
+    try:
+        import rawpy
+    except ImportError as error:
+        raise MissingExtraError(
+            f"{path}: reading DNG needs rawpy ({error}); install it with pip install 'finray-calib[dng]'"
+        ) from None
+    try:
+        with rawpy.imread(io.BytesIO(content)) as raw:
+            counts = np.array(raw.raw_image_visible)
+            sites = np.ravel(raw.raw_pattern) if raw.raw_pattern is not None else np.empty(0, dtype=int)
+            order = "".join(raw.color_desc.decode()[site : site + 1] for site in sites)
+    except rawpy.LibRawError as error:
+        raise BadFrameError(f"{path}: cannot be read as DNG ({error}); is the file whole?") from error
+    if order not in RED or counts.ndim != 2:
+        raise BadFrameError(f"{path}: has no Bayer pattern of 2 x 2 pixels ('{order}'); is it a raw DNG?")
+    return rggb(counts.astype(np.uint16), order)
+
+
+def _appended_raw(content: bytes, path: Path) -> NDArray[np.uint16]:
+    """Read the raw block behind a JPEG."""
+    for start in (match.start() for match in re.finditer(BRCM_MARK, content)):
+        found = _raw_block(content[start:])
+        if found is not None:
+            return found
+    raise BadFrameError(
+        f"{path}: no raw data follow the JPEG; a processed picture is not proportional to light: capture with "
+        "'raspistill --raw', or use DNG or TIFF"
+    )
+
+
+def _raw_block(block: bytes) -> NDArray[np.uint16] | None:
+    """Return the counts of a raw block, or None where it is none."""
+    if len(block) < BRCM_PIXELS_AT:
+        return None
+    header = BRCM_HEADER.unpack_from(block, BRCM_HEADER_AT)
+    _, width, height, pad_right, pad_down, _, _, _, order, coded = header
+    bits = BRCM_BITS.get(coded)
+    if bits is None or order >= len(BRCM_ORDERS) or not width or not height:
+        return None
+    group = {10: 5, 12: 3}[bits]  # bytes that hold 4 pixels of 10 or 2 of 12 bits
+    row = _padded(-(-(width + pad_right) * bits // 8), ROW_BYTES)
+    rows = _padded(height + pad_down, ROWS)
+    if len(block) != BRCM_PIXELS_AT + row * rows:
+        return None
+    packed = np.frombuffer(block, dtype=np.uint8, offset=BRCM_PIXELS_AT).reshape(rows, row)[:height]
+    pixels = group - 1
+    groups = -(-width // pixels)
+    if groups * group > row:
+        return None
+    sites = packed[:, : groups * group].reshape(height, groups, group).astype(np.uint16)
+    low_bits = bits - 8
+    shifts = np.arange(pixels, dtype=np.uint16) * np.uint16(low_bits)
+    low = (sites[..., -1:] >> shifts) & np.uint16(2**low_bits - 1)
+    counts = ((sites[..., :-1] << np.uint16(low_bits)) | low).reshape(height, groups * pixels)[:, :width]
+    return rggb(counts, BRCM_ORDERS[order])
+
+
+def _padded(size: int, multiple: int) -> int:
+    """Return the next multiple."""
+    return -(-size // multiple) * multiple

@@ -1,0 +1,128 @@
+"""A filter wheel behind an INDI server (``FILTER_SLOT``): ZWO, Starlight Xpress, QHY, Optec and others."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from data_schemas.errors import TimedOutError
+from data_schemas.rig import DeviceIdentity, FilterWheelSettings
+from rigs.filter_wheels.arrival import Arrival, require_slot, require_slots
+from rigs.protocols import FilterWheel, Operator
+from rigs.transports.indi_client import OPEN_WITHIN_S, IndiClient, IndiProperty
+from rigs.transports.indi_server import FILTER_WHEEL_INTERFACE, found_on_this_computer
+
+ASK_WITHIN_S: Final = 5.0
+POLL_S: Final = 0.05
+ELSEWHERE_S: Final = 1.0
+"""INDI has a word for moving, so that rest at another slot is soon believed."""
+_SLOT: Final = "FILTER_SLOT"
+_VALUE: Final = "FILTER_SLOT_VALUE"
+_AT_REST: Final = ("Ok", "Idle")
+
+
+class IndiFilterWheel:
+    """A wheel of filters of an INDI server.
+
+    Parameters
+    ----------
+    client
+        Connection to the wheel.
+    address
+        Where it was found.
+    """
+
+    def __init__(self, client: IndiClient, address: str) -> None:
+        self._client = client
+        self._address = address
+
+    def identity(self) -> DeviceIdentity:
+        """Return what the driver says it is."""
+        return self._client.identity("filter wheel", self._address)
+
+    @property
+    def slots(self) -> tuple[int, ...]:
+        """Numbers of the slots that the driver offers."""
+        least, greatest = self._client.property(_SLOT).ranges.get(_VALUE, (1.0, 0.0))
+        return tuple(range(max(1, int(least)), int(greatest) + 1))
+
+    def position(self) -> int | None:
+        """Ask the driver for the slot; None while the wheel moves and after a move that failed."""
+        end_s = time.monotonic() + ASK_WITHIN_S
+        self._client.ready(end_s)
+        return self._at(self._client.ask(_SLOT, end_s))
+
+    def go_to(self, slot: int, deadline_s: float) -> None:
+        """Move until the driver is idle and reports `slot` in two polls; at most `deadline_s` seconds.
+
+        The wheel is sent also to the slot at which it is said to be: after a restart drivers say slot 1 unseen.
+
+        Raises
+        ------
+        RefusedError
+            The wheel has no such slot, or the driver answers with an Alert.
+        TimedOutError
+            It did not arrive before the deadline.
+        WrongPositionError
+            It came to rest at another slot.
+        LostError
+            The connection broke, or the driver crashed.
+        """
+        end_s = time.monotonic() + deadline_s
+        self._client.ready(end_s)
+        require_slot(slot, self.slots, self._client.name)
+        what = f"move to slot {slot}"
+        # A move that missed its deadline, or is somebody else's: its late Ok must not answer for this one.
+        while self._client.ask(_SLOT, end_s).state == "Busy":
+            _pause(end_s, f"{self._client.name}: cannot {what}, an earlier move has not ended")
+        before = self._client.request("Number", _SLOT, {_VALUE: str(slot)}, end_s)
+        wheel = self._client.property(_SLOT)
+        self._client.wait(lambda: wheel.settings > before and wheel.state != "Busy", end_s, what)
+        arrival = Arrival(self._client.name, slot, ELSEWHERE_S)
+        while True:
+            if wheel.state == "Alert":
+                raise self._client.refusal(what)
+            wheel = self._client.ask(_SLOT, end_s)
+            at = self._at(wheel)
+            if arrival.sees(at):
+                return
+            if at != slot:
+                _pause(end_s, f"{self._client.name}: did not {what}, it reports {wheel.values.get(_VALUE)}")
+
+    def _at(self, wheel: IndiProperty) -> int | None:
+        """Return the slot of an answer of the driver."""
+        value = self._client.number(_SLOT, _VALUE)
+        return int(value) if wheel.state in _AT_REST and value in self.slots else None
+
+
+@contextmanager
+def open_wheel(settings: FilterWheelSettings, operator: Operator) -> Iterator[FilterWheel]:
+    """Open the wheel at ``host:port/device`` for a ``with`` block; nothing is moved by it.
+
+    Raises
+    ------
+    RefusedError
+        The address has another form, the driver cannot connect to its device, or the wheel lacks a slot of the rig.
+    TimedOutError
+        The server has no such device, or the device is no filter wheel.
+    LostError
+        No server listens at the address.
+    """
+    with IndiClient(settings.address, "filter wheel", _SLOT) as client:
+        client.ready(time.monotonic() + OPEN_WITHIN_S)
+        wheel = IndiFilterWheel(client, settings.address)
+        require_slots(settings.filters, wheel.slots, client.name)
+        yield wheel
+
+
+def found() -> list[tuple[str, str]]:
+    """Return address and description of the filter wheels of an INDI server on this computer."""
+    return found_on_this_computer(FILTER_WHEEL_INTERFACE)
+
+
+def _pause(end_s: float, overdue: str) -> None:
+    """Wait for the next poll; raise when there is no time for one."""
+    # What would be left after the pause is too short for an answer.
+    if time.monotonic() + 2.0 * POLL_S > end_s:
+        raise TimedOutError(f"{overdue}; look whether something blocks the wheel, and check its power supply")
+    time.sleep(POLL_S)

@@ -1,0 +1,229 @@
+"""The owner's end of a light's guard process: starting it, asking it, and what follows when it is gone."""
+
+import contextlib
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from importlib import import_module
+from typing import Any, Final, Literal
+
+from data_schemas.errors import FinrayError, LostError, TimedOutError, UnsafeError
+from rigs.light_guard_messages import EXIT_OFF, HEARTBEAT_S, HungUpError, channel, error_from, receive, send
+
+SWITCH_DEADLINE_S: Final = 5.0
+GUARD_SILENT_S: Final = 4.5
+"""A guard that tries to switch off says so at least this often: opening a port and waiting for a board takes 3.5 s."""
+START_WITHIN_S: Final = 30.0
+LEAVE_WITHIN_S: Final = 15.0
+END_WITHIN_S: Final = 1.0
+RESCUE_ATTEMPT_S: Final = 1.0
+RETRY_FOR_S: Final = 5.0
+RETRY_PAUSE_S: Final = 0.2
+
+
+class GuardClient:
+    """A running guard process, as its owner sees it.
+
+    Parameters
+    ----------
+    role, module, address
+        What the light is, the module of its driver and where its controller is.
+    """
+
+    def __init__(self, role: Literal["laser", "lamp"], module: str, address: str) -> None:
+        self.name = f"{role} at {address}"
+        self.has_dead_man = False
+        self._role, self._module, self._address = role, module, address
+        self._number = 0
+        self._ending: FinrayError | None = None
+        self._end_once, self._send_once = threading.Lock(), threading.Lock()
+        self._closing = threading.Event()
+        self._channel, theirs = channel()
+        # -P: a file of the user's folder must not stand in for a module of ours.
+        command = [sys.executable, "-P", "-m", "rigs.light_guard_process"]
+        with theirs:
+            self._guard = subprocess.Popen(
+                [*command, str(theirs.fileno()), role, self._module, address],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                pass_fds=[theirs.fileno()],
+                start_new_session=True,
+            )
+        self._heart = threading.Thread(target=self._beat, name=f"heartbeat of {self.name}", daemon=True)
+
+    @property
+    def pid(self) -> int:
+        """Process number of the guard."""
+        return self._guard.pid
+
+    def open(self) -> None:
+        """Wait until the guard has opened the light and it is confirmed off."""
+        while "ready" not in (message := self._listen(START_WITHIN_S)):
+            if "error" in message:
+                self._ending = error_from(message)
+                raise self._ending
+        self.has_dead_man = bool(message["has_dead_man"])
+        self._heart.start()
+
+    def close(self) -> None:
+        """End the guard; it switches off once more.
+
+        Raises
+        ------
+        UnsafeError
+            The light is not confirmed off.
+        """
+        self._closing.set()
+        if self._heart.ident is not None:
+            self._heart.join()
+        with self._channel:
+            with contextlib.suppress(OSError):
+                self._channel.shutdown(socket.SHUT_WR)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._guard.wait(LEAVE_WITHIN_S)
+            if self._guard.poll() != EXIT_OFF and isinstance(error := self._end(), UnsafeError):
+                raise error
+
+    def ask(self, ask: str, deadline_s: float) -> Any:
+        """Have the guard do something and return its answer.
+
+        Raises
+        ------
+        CaptureError
+            What the light's driver raised.
+        TimedOutError
+            The guard did not answer.
+        LostError
+            The guard process is gone; the light is confirmed off.
+        UnsafeError
+            The guard process is gone, and the light is not confirmed off.
+        """
+        with self._send_once:
+            self._number += 1
+            number = self._number
+            self._say(number=number, ask=ask, deadline_s=deadline_s)
+        while True:
+            message = self._listen(max(deadline_s, GUARD_SILENT_S))
+            if message.get("number") != number:
+                continue  # it tries again, or an interrupted question is answered now
+            if "error" in message:
+                raise error_from(message)
+            return message["value"]
+
+    def switch_off(self) -> None:
+        """Have the light switched off; a guard that does not answer is killed and replaced by ourselves.
+
+        Raises
+        ------
+        LostError
+            The guard process is gone; the light is confirmed off.
+        UnsafeError
+            The light is not confirmed off.
+        """
+        try:
+            why_not = self.ask("off", SWITCH_DEADLINE_S)
+        except TimedOutError as error:
+            self._guard.kill()
+            raise self._end() from error
+        if why_not is not None:
+            raise UnsafeError(self._unconfirmed(str(why_not)))
+
+    def _say(self, **message: object) -> None:
+        try:
+            send(self._channel, sent_s=time.monotonic(), **message)
+        except HungUpError as error:
+            raise self._end() from error
+        except BlockingIOError as error:
+            raise TimedOutError(f"{self.name}: its guard process is frozen") from error
+
+    def _listen(self, within_s: float) -> dict[str, Any]:
+        try:
+            message = receive(self._channel, time.monotonic() + within_s)
+        except HungUpError as error:
+            raise self._end() from error
+        except TimeoutError as error:
+            raise TimedOutError(f"{self.name}: its guard process said nothing for {within_s:g} s") from error
+        if "gone" in message:
+            raise self._end(message)
+        return message
+
+    def _beat(self) -> None:
+        """Tell the guard that we live; when it is gone, switch the light off ourselves, at once."""
+        while not self._closing.wait(HEARTBEAT_S):
+            try:
+                with self._send_once:
+                    send(self._channel, sent_s=time.monotonic())
+            except BlockingIOError:
+                continue
+            except HungUpError:
+                self._end()
+                return
+
+    def _end(self, farewell: dict[str, Any] | None = None) -> FinrayError:
+        """Make sure that the guard is gone and the light off; return the error that tells it, the same every time."""
+        with self._end_once:
+            if self._ending is None:
+                self._ending = self._find_ending(farewell or self._farewell())
+            return self._ending
+
+    def _farewell(self) -> dict[str, Any]:
+        """Return the guard's last message, if it left one unread."""
+        with contextlib.suppress(HungUpError, TimeoutError):
+            while True:
+                message = receive(self._channel, time.monotonic())
+                if "gone" in message:
+                    return message
+        return {}
+
+    def _find_ending(self, farewell: dict[str, Any]) -> FinrayError:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            # One that has hung up or said farewell ends by itself.
+            self._guard.wait(1.0)
+        if self._guard.poll() is None:
+            self._guard.kill()
+            self._guard.wait()
+        status = self._guard.returncode
+        if farewell.get("not_off") is not None:
+            return UnsafeError(self._unconfirmed(farewell["not_off"]))
+        died = f"killed by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
+        reason = farewell.get("gone", died)
+        if status == EXIT_OFF:
+            return LostError(
+                f"{self.name}: the guard process has ended ({reason}); it had the light confirmed off before. Take "
+                "the capture up again with --resume"
+            )
+        try:
+            self._rescue()
+        except Exception as error:
+            return UnsafeError(self._unconfirmed(f"the guard process has ended ({reason}), and then: {error}"))
+        return LostError(
+            f"{self.name}: the guard process has ended ({reason}); the light has been switched off without it and is "
+            "confirmed off. Take the capture up again with --resume"
+        )
+
+    def _rescue(self) -> None:
+        """Switch off over a connection of our own, now that the guard's is free; try for some seconds."""
+        end_s = time.monotonic() + RETRY_FOR_S
+        while True:
+            try:
+                with import_module(self._module).open_switch(self._address, self._role, None) as switch:
+                    switch.switch(False, RESCUE_ATTEMPT_S)
+                    if not switch.state(RESCUE_ATTEMPT_S):
+                        return
+                    raise UnsafeError(f"{self.name}: still reports on after the off command")
+            except Exception:
+                if time.monotonic() > end_s:
+                    raise
+            time.sleep(RETRY_PAUSE_S)
+
+    def _unconfirmed(self, why: str) -> str:
+        dead_man = (
+            " Its dead-man switches it off within 1 s of the last word it heard, but that cannot be read."
+            if self.has_dead_man
+            else ""
+        )
+        todo = "pull its plug before anyone opens the box"
+        return f"{self.name}: NOT CONFIRMED OFF; {todo}.{dead_man} What went wrong: {why}"

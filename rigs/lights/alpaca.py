@@ -1,0 +1,186 @@
+"""A light behind an ASCOM Alpaca server: one switch of a switch device, or the lamp of a cover calibrator."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final, Literal
+
+from data_schemas.errors import CaptureError, LostError, RefusedError, UnsafeError
+from data_schemas.rig import DeviceIdentity
+from rigs.protocols import LightSwitch, Operator
+from rigs.transports.alpaca_client import OPEN_WITHIN_S, AlpacaClient, alpaca_address, device_number
+
+ASK_WITHIN_S: Final = 5.0
+LightRole = Literal["laser", "lamp"]
+_NOT_PRESENT: Final = 0
+# Off, not ready (it warms up or goes out), ready.
+_CALIBRATOR_STATES: Final[dict[int, bool | None]] = {1: False, 2: None, 3: True}
+
+
+class Relay:
+    """One switch of a switch device.
+
+    Parameters
+    ----------
+    client
+        The device.
+    number
+        Number of the switch in it.
+    """
+
+    def __init__(self, client: AlpacaClient, number: int) -> None:
+        self._client = client
+        self._number = number
+
+    def require_light(self, end_s: float) -> None:
+        """Refuse a switch that is not there or cannot be written."""
+        count = self._client.get_int("maxswitch", end_s)
+        if self._number >= count:
+            raise RefusedError(
+                f"{self._client.name}: has no switch {self._number}, its {count} switches count from 0; correct the "
+                "address"
+            )
+        if not self._client.get_bool("canwrite", end_s, Id=self._number):
+            raise RefusedError(f"{self._client.name}: switch {self._number} can only be read; correct the address")
+
+    def command(self, on: bool, end_s: float) -> None:
+        """Ask the device to switch."""
+        self._client.put("setswitch", {"Id": self._number, "State": on}, end_s)
+
+    def reading(self, end_s: float) -> bool:
+        """Ask whether the switch is on."""
+        return self._client.get_bool("getswitch", end_s, Id=self._number)
+
+
+class Calibrator:
+    """The lamp of a cover calibrator, at its full brightness.
+
+    Parameters
+    ----------
+    client
+        The device.
+    """
+
+    def __init__(self, client: AlpacaClient) -> None:
+        self._client = client
+
+    def require_light(self, end_s: float) -> None:
+        """Refuse a cover without a lamp."""
+        if self._client.get_int("calibratorstate", end_s) == _NOT_PRESENT:
+            raise RefusedError(f"{self._client.name}: has a cover and no lamp; name another device")
+
+    def command(self, on: bool, end_s: float) -> None:
+        """Ask the device to switch."""
+        if on:
+            brightest = self._client.get_int("maxbrightness", end_s)
+            self._client.put("calibratoron", {"Brightness": brightest}, end_s)
+        else:
+            self._client.put("calibratoroff", {}, end_s)
+
+    def reading(self, end_s: float) -> bool | None:
+        """Ask whether the lamp is on; None while it warms up or goes out."""
+        state = self._client.get_int("calibratorstate", end_s)
+        if state not in _CALIBRATOR_STATES:
+            raise RefusedError(
+                f"{self._client.name}: the device cannot tell whether the lamp is on (calibratorstate {state}); look "
+                "at the lamp, and restart its driver"
+            )
+        return _CALIBRATOR_STATES[state]
+
+
+class AlpacaLight:
+    """The bare switch of a light; the server keeps it on when its client dies.
+
+    Parameters
+    ----------
+    client
+        The connected device.
+    controlled
+        What switches the light in it.
+    role, address
+        What it is in the rig, and where it was found.
+    """
+
+    has_dead_man: Final = False
+
+    def __init__(self, client: AlpacaClient, controlled: Relay | Calibrator, role: LightRole, address: str) -> None:
+        self._client = client
+        self._controlled = controlled
+        self._role = role
+        self._address = address
+
+    def identity(self) -> DeviceIdentity:
+        """Ask the device what it is."""
+        return self._client.identity(self._role, self._address, time.monotonic() + ASK_WITHIN_S)
+
+    def switch(self, on: bool, deadline_s: float) -> None:
+        """Switch, and ask until the device confirms it; at most `deadline_s` seconds.
+
+        Raises
+        ------
+        UnsafeError
+            Off was asked for and is not confirmed.
+        RefusedError
+            The device refuses to switch on.
+        TimedOutError
+            On is not confirmed before the deadline.
+        LostError
+            The connection broke before on was confirmed.
+        """
+        end_s = time.monotonic() + deadline_s
+        if on:
+            self._set(True, end_s)
+            return
+        try:
+            try:
+                self._set(False, end_s)
+            except LostError:
+                # Every request has a connection of its own: the next one may find a server that was restarted.
+                self._client.connect(end_s)
+                self._set(False, end_s)
+        except CaptureError as error:
+            raise UnsafeError(
+                f"{self._client.name}: off is not confirmed; cut the power of the light before you open the box. "
+                f"The reason: {error}"
+            ) from error
+
+    def state(self, deadline_s: float) -> bool:
+        """Ask the device whether the light is on; one that is changing counts as on."""
+        return self._controlled.reading(time.monotonic() + deadline_s) is not False
+
+    def keep_alive(self) -> None:
+        """Do nothing: Alpaca has no dead-man."""
+
+    def _set(self, on: bool, end_s: float) -> None:
+        self._controlled.command(on, end_s)
+        while self._controlled.reading(end_s) is not on:
+            self._client.pause(end_s, f"confirm {'on' if on else 'off'}")
+
+
+@contextmanager
+def open_switch(address: str, role: LightRole, operator: Operator | None) -> Iterator[LightSwitch]:
+    """Open ``http://host:port/switch/D/N`` or ``http://host:port/covercalibrator/N``; nothing is switched by it.
+
+    Raises
+    ------
+    RefusedError
+        The address has another form, or there is no such light.
+    TimedOutError, LostError
+        The server does not answer, or not as an Alpaca server.
+    """
+    form = "http://host:port/switch/0/1 (numbers of the device and of its switch) or http://host:port/covercalibrator/0"
+    where = alpaca_address(address, role, form)
+    kind, numbers = where.path[0], [device_number(piece) for piece in where.path[1:]]
+    name = f"{role} at {address}"
+    controlled: Relay | Calibrator
+    match kind, numbers:
+        case "switch", [int(device), int(switch_number)]:
+            controlled = Relay(client := AlpacaClient(where, kind, device, name), switch_number)
+        case "covercalibrator", [int(device)]:
+            controlled = Calibrator(client := AlpacaClient(where, kind, device, name))
+        case _:
+            raise RefusedError(f"{role}: '{address}' is no Alpaca address; write {form}")
+    end_s = time.monotonic() + OPEN_WITHIN_S
+    client.connect(end_s)
+    controlled.require_light(end_s)
+    yield AlpacaLight(client, controlled, role, address)

@@ -1,0 +1,255 @@
+"""A laser or lamp on an Arduino with the firmware of :mod:`rigs.lights.firmware`, whose dead-man switches it off.
+
+Lines of ASCII at 9600 baud. Every line from the host has one answer; ``TRIP`` comes unasked when the dead-man acts,
+and ``LASER 1.0`` also at every reset, which opening the port of most boards causes.
+"""
+
+import contextlib
+import re
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+
+from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutError, UnsafeError
+from data_schemas.rig import DeviceIdentity
+from rigs.transports.serial_link import SerialLink, usb_serial_ports
+
+if TYPE_CHECKING:
+    from rigs.protocols import Operator
+
+BAUD: Final = 9600
+FIRMWARE_MAJOR: Final = 1
+ASK_WITHIN_S: Final = 0.5
+"""An answer takes 5 ms on the wire and 45 ms through an emulated port."""
+RESET_WITHIN_S: Final = 2.5
+"""Start of a board's boot loader until the firmware speaks."""
+QUIET_S: Final = 0.1
+MISSED_ANSWERS: Final = 3
+"""Keep-alives in a row without an answer before the controller counts as mute."""
+BOARD_VENDORS: Final = ("2341", "2a03", "1a86")
+"""USB vendors of Arduino's own boards and of the serial chip on most copies."""
+
+Word = Literal["ON", "OFF", "ERR", "TRIP", "LASER"]
+_WORDS: Final[dict[bytes, Word]] = {b"ON": "ON", b"OFF": "OFF", b"ERR": "ERR", b"TRIP": "TRIP", b"LASER": "LASER"}
+_LINE: Final = re.compile(rb"(?:(ON|OFF|ERR|TRIP)|(LASER) (\d{1,3}\.\d{1,3}))\r?\n")
+
+
+class Said(NamedTuple):
+    """One line of the firmware; `version` of a ``LASER`` line."""
+
+    word: Word
+    version: str = ""
+
+
+def parse(line: bytes, name: str) -> Said:
+    """Return what a line of the controller `name` says.
+
+    Raises
+    ------
+    LostError
+        No firmware of ours says this.
+    """
+    match = _LINE.fullmatch(line)
+    if match is None:
+        raise LostError(
+            f"{name}: says {line[:32]!r}, which the light's firmware never does; check the cable, the ground between "
+            f"board and computer, the speed ({BAUD} baud) and that no other program uses the port"
+        )
+    return Said(_WORDS[match[1] or match[2]], (match[3] or b"").decode())
+
+
+class ArduinoSwitch:
+    """The bare switch of a light on an Arduino.
+
+    Parameters
+    ----------
+    link
+        The open serial port.
+    role, address
+        What the light is and where, for messages and the identity.
+
+    Raises
+    ------
+    RefusedError
+        Something else answers, or a firmware of another major version.
+    TimedOutError
+        Nothing answers.
+    """
+
+    has_dead_man: Final = True
+
+    def __init__(self, link: SerialLink, role: Literal["laser", "lamp"], address: str) -> None:
+        self._link, self._role, self._address = link, role, address
+        self._name = f"{role} at {address}"
+        self._unanswered = 0
+        self._out_of_step = False
+        self._require_version(self._greet())
+
+    def identity(self) -> DeviceIdentity:
+        """Ask the controller who it is."""
+        said = self._exchange("I", ASK_WITHIN_S, wanted="LASER")
+        return DeviceIdentity(
+            role=self._role, driver="arduino", address=self._address, model="light with dead-man", firmware=said.version
+        )
+
+    def switch(self, on: bool, deadline_s: float) -> None:
+        """Switch, and return when the controller's answer confirms it; at most `deadline_s` seconds.
+
+        Raises
+        ------
+        RefusedError
+            On was asked for and the controller stays off.
+        UnsafeError
+            Off was asked for and is not confirmed.
+        """
+        if on:
+            if self._exchange("L1", deadline_s).word != "ON":
+                raise RefusedError(f"{self._name}: does not switch on; flash its firmware again and check the board")
+            return
+        try:
+            answer = self._exchange("L0", deadline_s).word
+        except CaptureError as error:
+            raise UnsafeError(self._unconfirmed(str(error))) from error
+        if answer != "OFF":
+            raise UnsafeError(self._unconfirmed(f"it answers {answer} to the off command"))
+
+    def state(self, deadline_s: float) -> bool:
+        """Ask the controller afresh whether the light is on.
+
+        Raises
+        ------
+        LostError
+            The dead-man has switched the light off since the last exchange.
+        """
+        return self._exchange("?", deadline_s, tell_trip=True).word == "ON"
+
+    def keep_alive(self) -> None:
+        """Tell the controller that the host lives, and take in its earlier answers without waiting.
+
+        Raises
+        ------
+        LostError
+            The light is off: the dead-man acted, or the board restarted.
+        TimedOutError
+            The controller has not answered the last keep-alives.
+        """
+        with self._in_step():
+            while self._unanswered:
+                try:
+                    said = self._hear(time.monotonic(), tell_trip=True)
+                except TimedOutError as error:
+                    if self._unanswered < MISSED_ANSWERS:
+                        break
+                    raise TimedOutError(
+                        f"{self._name}: answered none of the last {MISSED_ANSWERS} keep-alives; check cable and board"
+                    ) from error
+                if said.word != "ON":
+                    raise LostError(f"{self._name}: answers {said.word} although it was switched on; check the board")
+            self._send("K", time.monotonic() + ASK_WITHIN_S)
+
+    def _greet(self) -> Said:
+        """Find out who is there, also when opening the port has reset the board; what it said before is forgotten."""
+        heard: list[bytes] = []
+        # Two lines: "?" ends what a former program may have left half said, and no boot loader takes either for an
+        # order. An open port that did not reset the board answers at once; otherwise the banner comes after a while.
+        for wait_s in (RESET_WITHIN_S, ASK_WITHIN_S):
+            end_s = time.monotonic() + wait_s
+            self._link.write(b"?\nI\n", end_s)
+            with contextlib.suppress(TimedOutError):
+                while True:
+                    line = self._link.read_until(b"\n", end_s)
+                    heard.append(line)
+                    if (match := _LINE.fullmatch(line)) and match[2]:
+                        self._link.drain(QUIET_S, time.monotonic() + RESET_WITHIN_S)
+                        return parse(line, self._name)
+        if heard:
+            raise RefusedError(
+                f"{self._name}: says {heard[-1][:32]!r} and not which firmware it runs; flash rigs/lights/firmware to "
+                "the board, or correct the address"
+            )
+        raise TimedOutError(
+            f"{self._name}: nothing came within {RESET_WITHIN_S + ASK_WITHIN_S:g} s; check the cable, the address "
+            "('finray rig detect') and that the board runs rigs/lights/firmware"
+        )
+
+    def _require_version(self, said: Said) -> None:
+        if int(said.version.split(".")[0]) != FIRMWARE_MAJOR:
+            raise RefusedError(
+                f"{self._name}: runs firmware {said.version}; this version of finray needs {FIRMWARE_MAJOR}.x: flash "
+                "rigs/lights/firmware to the board"
+            )
+
+    def _exchange(
+        self, command: str, deadline_s: float, *, tell_trip: bool = False, wanted: Word | None = None
+    ) -> Said:
+        """Send a command and return what answers it, not what answers an earlier command."""
+        end_s = time.monotonic() + deadline_s
+        if self._out_of_step:
+            # The command goes out before the silence is waited for, so that "off" loses no time; all can be repeated.
+            self._link.write(command.encode() + b"\n", end_s)
+            self._link.drain(QUIET_S, end_s)
+            self._unanswered, self._out_of_step = 0, False
+        self._send(command, end_s)
+        with self._in_step():
+            while True:
+                said = self._hear(end_s, tell_trip, wanted)
+                if self._unanswered == 0:
+                    return said
+
+    def _send(self, command: str, end_s: float) -> None:
+        self._link.write(command.encode() + b"\n", end_s)
+        self._unanswered += 1
+
+    @contextmanager
+    def _in_step(self) -> Iterator[None]:
+        """Note when answers may no longer belong to their commands."""
+        try:
+            yield
+        except CaptureError:
+            self._out_of_step = True
+            raise
+
+    def _hear(self, end_s: float, tell_trip: bool, wanted: Word | None = None) -> Said:
+        """Return the next answer; lines that come unasked are told as what they mean."""
+        while True:
+            said = parse(self._link.read_until(b"\n", end_s), self._name)
+            if said.word == "TRIP":
+                if tell_trip:
+                    raise LostError(
+                        f"{self._name}: the dead-man switched it off, the board had heard nothing for 0.9 s; relieve "
+                        "the computer, check the cable, and repeat what was going on"
+                    )
+                continue
+            if said.word == "LASER" and wanted != "LASER":
+                raise LostError(
+                    f"{self._name}: the board restarted, which switches the light off; check its power supply and cable"
+                )
+            self._unanswered -= 1
+            return said
+
+    def _unconfirmed(self, why: str) -> str:
+        return (
+            f"{self._name}: NOT CONFIRMED OFF: {why}. Its dead-man acts within 1 s of the last word that the board "
+            "hears, but that cannot be read: pull the plug of the light before anyone opens the box"
+        )
+
+
+@contextmanager
+def open_switch(
+    address: str, role: Literal["laser", "lamp"], operator: "Operator | None" = None
+) -> Iterator[ArduinoSwitch]:
+    """Open the light's controller for a ``with`` block."""
+    with SerialLink(address, BAUD, role) as link:
+        yield ArduinoSwitch(link, role, address)
+
+
+def found() -> list[tuple[str, str]]:
+    """Return the boards that answer as a light: address and what each is. Opening a port resets most boards."""
+    lights = []
+    for port in usb_serial_ports():
+        if port.usb_id.split(":")[0] not in BOARD_VENDORS:
+            continue
+        with contextlib.suppress(CaptureError), open_switch(port.address, "laser") as switch:
+            lights.append((port.address, f"light with dead-man, firmware {switch.identity().firmware}"))
+    return lights

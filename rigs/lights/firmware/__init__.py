@@ -1,0 +1,1 @@
+"""Source of the light's firmware (``laser.c``) and how to flash it (``README.md``)."""

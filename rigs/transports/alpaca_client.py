@@ -1,0 +1,263 @@
+"""Requests to one device of an ASCOM Alpaca server: JSON over HTTP, each with one deadline for all of it.
+
+Source: ASCOM Alpaca API reference, version 1: ``GET`` and ``PUT /api/v1/{device type}/{number}/{member}``.
+"""
+
+import itertools
+import json
+import os
+import socket
+import time
+from collections.abc import Mapping
+from contextlib import closing
+from http.client import HTTPConnection, HTTPException
+from typing import Any, Final, Literal, NamedTuple
+from urllib.parse import urlencode, urlsplit
+
+from data_schemas.errors import LostError, RefusedError, TimedOutError
+from data_schemas.rig import DeviceIdentity
+
+OPEN_WITHIN_S: Final = 15.0
+POLL_S: Final = 0.02
+LARGEST_ANSWER_BYTES: Final = 2**16
+_NOT_CONNECTED: Final = 0x407
+_ERRORS: Final = {
+    0x400: "not implemented",
+    0x401: "invalid value",
+    0x402: "value not set",
+    _NOT_CONNECTED: "not connected",
+    0x40B: "invalid operation",
+    0x40C: "action not implemented",
+    0x40E: "operation cancelled",
+}
+# Servers tell clients apart by it; two programs of one user differ by their process.
+_CLIENT_ID: Final = 1 + os.getpid() % 65535
+
+
+class AlpacaAddress(NamedTuple):
+    """Where a device is: host and port of the server, and the path behind it."""
+
+    host: str
+    port: int
+    path: tuple[str, ...]
+
+
+def alpaca_address(address: str, role: str, form: str) -> AlpacaAddress:
+    """Take ``http://host:port/...`` apart; `form` says how this kind of device is written, for the message.
+
+    Raises
+    ------
+    RefusedError
+        It has no such form.
+    """
+    try:
+        parts = urlsplit(address)
+        host, port = parts.hostname, parts.port or 0
+    except ValueError:
+        host, port = None, 0
+    path = tuple(piece for piece in parts.path.split("/") if piece) if host else ()
+    if not host or not port or parts.scheme != "http" or not path or parts.query or parts.fragment:
+        raise RefusedError(f"{role}: '{address}' is no Alpaca address; write {form}")
+    return AlpacaAddress(host, port, path)
+
+
+def device_number(text: str) -> int | None:
+    """Return the number of a device or switch; None where there is none."""
+    return int(text) if text.isascii() and text.isdecimal() and len(text) < 10 else None
+
+
+class AlpacaClient:
+    """One device of an Alpaca server.
+
+    Instants `end_s` are readings of :func:`time.monotonic`.
+
+    Parameters
+    ----------
+    where
+        Host and port of the server.
+    device_type, number
+        Kind of the device (``filterwheel``) and its number there.
+    name
+        Role and address, for messages.
+    """
+
+    def __init__(self, where: AlpacaAddress, device_type: str, number: int, name: str) -> None:
+        self.name = name
+        self._host, self._port = where.host, where.port
+        self._path = f"/api/v1/{device_type}/{number}/"
+        self._transactions = itertools.count(1)
+
+    def connect(self, end_s: float) -> None:
+        """Have the server connect to its device, and wait until it says that it did."""
+        if self.get_bool("connected", end_s):
+            return
+        self.put("connected", {"Connected": True}, end_s)
+        while not self.get_bool("connected", end_s):
+            self.pause(end_s, "connect to its device")
+
+    def get(self, member: str, end_s: float, **parameters: int) -> Any:
+        """Return what a member of the device holds.
+
+        Raises
+        ------
+        RefusedError
+            The device answers with an error.
+        TimedOutError
+            The answer is not there until `end_s`.
+        LostError
+            Nothing listens, the connection broke, the device is not connected, or the answer is not Alpaca's.
+        """
+        return self._exchange("GET", member, parameters, end_s).get("Value")
+
+    def get_bool(self, member: str, end_s: float, **parameters: int) -> bool:
+        """Return a truth value."""
+        value = self.get(member, end_s, **parameters)
+        if not isinstance(value, bool):
+            raise self._not_alpaca(member, value)
+        return value
+
+    def get_int(self, member: str, end_s: float, **parameters: int) -> int:
+        """Return a whole number."""
+        value = self.get(member, end_s, **parameters)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise self._not_alpaca(member, value)
+        return value
+
+    def get_text(self, member: str, end_s: float) -> str:
+        """Return a text; empty where the device has none."""
+        value = self.get(member, end_s)
+        if not isinstance(value, str):
+            raise self._not_alpaca(member, value)
+        return value
+
+    def get_list(self, member: str, end_s: float) -> list[Any]:
+        """Return a list."""
+        value = self.get(member, end_s)
+        if not isinstance(value, list):
+            raise self._not_alpaca(member, value)
+        return value
+
+    def put(self, member: str, parameters: Mapping[str, bool | int], end_s: float) -> None:
+        """Set or start something; raises as :meth:`get` does."""
+        self._exchange("PUT", member, parameters, end_s)
+
+    def identity(self, role: Literal["filter wheel", "laser", "lamp"], address: str, end_s: float) -> DeviceIdentity:
+        """Ask the device what it is."""
+        return DeviceIdentity(
+            role=role,
+            driver="alpaca",
+            address=address,
+            model=self.get_text("name", end_s),
+            firmware=self.get_text("driverversion", end_s),
+        )
+
+    def pause(self, end_s: float, what: str) -> None:
+        """Wait for the next poll.
+
+        Raises
+        ------
+        TimedOutError
+            There is no time for one.
+        """
+        # What would be left after the pause is too short for an answer.
+        if time.monotonic() + 2.0 * POLL_S > end_s:
+            raise TimedOutError(f"{self.name}: did not {what} before its deadline; check the device and its driver")
+        time.sleep(POLL_S)
+
+    def _exchange(self, method: str, member: str, parameters: Mapping[str, bool | int], end_s: float) -> dict[str, Any]:
+        """Send one request and return the checked answer."""
+        transaction = next(self._transactions)
+        fields = urlencode({**parameters, "ClientID": _CLIENT_ID, "ClientTransactionID": transaction})
+        status, body = self._ask_server(method, self._path + member, fields, end_s)
+        if status != 200:
+            raise RefusedError(
+                f"{self.name}: '{member}' is refused with HTTP status {status} ({_start(body)}); check the numbers in "
+                "the address"
+            )
+        try:
+            answer = json.loads(body)
+        except (ValueError, RecursionError):
+            answer = None
+        if not isinstance(answer, dict) or not isinstance(answer.get("ErrorNumber"), int):
+            raise self._not_alpaca(member, _start(body))
+        # Servers that do not count say 0, or nothing.
+        if answer.get("ClientTransactionID") not in (None, 0, transaction):
+            raise self._not_alpaca(member, f"an answer to request {answer['ClientTransactionID']!s:.20}")
+        self._require_success(member, answer)
+        return answer
+
+    def _require_success(self, member: str, answer: Mapping[str, Any]) -> None:
+        error = answer["ErrorNumber"]
+        if error == 0:
+            return
+        said = str(answer.get("ErrorMessage", ""))[:200]
+        told = f"{self.name}: '{member}' fails with error {error:#x} ({_ERRORS.get(error, 'of the driver')}): {said}"
+        if error == _NOT_CONNECTED:
+            raise LostError(f"{told}; check the device's cable and connect it in its server")
+        raise RefusedError(f"{told}; ask for what the device can do, or mend it")
+
+    def _ask_server(self, method: str, path: str, fields: str, end_s: float) -> tuple[int, bytes]:
+        """Return status and body of one HTTP request."""
+        try:
+            with closing(_Connection(self._host, self._port, end_s)) as connection:
+                if method == "GET":
+                    connection.request(method, f"{path}?{fields}")
+                else:
+                    connection.request(method, path, fields, {"Content-Type": "application/x-www-form-urlencoded"})
+                response = connection.getresponse()
+                body = response.read(LARGEST_ANSWER_BYTES + 1)
+        except TimeoutError as error:
+            raise TimedOutError(
+                f"{self.name}: the server did not answer in time; check that its computer runs and its firewall lets "
+                f"port {self._port} through"
+            ) from error
+        except (OSError, HTTPException, ValueError) as error:
+            raise LostError(
+                f"{self.name}: no answer from {self._host}:{self._port} ({error!r:.200}); start the Alpaca server, or "
+                "correct the address"
+            ) from error
+        if len(body) > LARGEST_ANSWER_BYTES:
+            raise self._not_alpaca(path, f"more than {LARGEST_ANSWER_BYTES} bytes")
+        return response.status, body
+
+    def _not_alpaca(self, member: str, said: object) -> LostError:
+        return LostError(
+            f"{self.name}: answers '{member}' with {said!r:.100}, which is no answer of such a device; check that an "
+            "Alpaca server listens at this address"
+        )
+
+
+class _Socket(socket.socket):
+    """A socket whose reads together end at one instant: a server that drips bytes cannot go on for ever."""
+
+    end_s = 0.0
+
+    def recv_into(self, *arguments: Any, **options: Any) -> int:
+        """Read within what is left of the time."""
+        left_s = self.end_s - time.monotonic()
+        if left_s <= 0.0:
+            raise TimeoutError
+        self.settimeout(left_s)
+        return super().recv_into(*arguments, **options)
+
+
+class _Connection(HTTPConnection):
+    """A connection for one request that ends at one instant."""
+
+    def __init__(self, host: str, port: int, end_s: float) -> None:
+        super().__init__(host, port)
+        self._end_s = end_s
+
+    def connect(self) -> None:
+        """Connect within what is left of the time."""
+        left_s = self._end_s - time.monotonic()
+        if left_s <= 0.0:
+            raise TimeoutError
+        opened = socket.create_connection((self.host, self.port), left_s)
+        self.sock = _Socket(opened.family, opened.type, opened.proto, opened.detach())
+        self.sock.end_s = self._end_s
+        self.sock.settimeout(left_s)
+
+
+def _start(body: bytes) -> str:
+    return body[:100].decode("utf-8", "replace")

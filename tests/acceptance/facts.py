@@ -1,0 +1,58 @@
+"""Facts of a flawless rig, to be spoilt one by one."""
+
+from data_schemas.capture import FilterProof, RegionOfInterest
+from data_schemas.check import (
+    CheckFacts,
+    CheckPlan,
+    DarkFrames,
+    ExposureLevel,
+    Handshake,
+    LightOff,
+    Revisit,
+    WheelMove,
+)
+from data_schemas.rig import DeviceIdentity
+
+PLAN = CheckPlan(check_name="lab", region=RegionOfInterest(row_px=0, column_px=0, height_px=20, width_px=20))
+
+
+def handshake(role: str = "camera", driver: str = "aravis", **changed: object) -> Handshake:
+    said = DeviceIdentity.model_validate({"role": role, "driver": driver, "model": "X1", "serial": "007"})
+    given = {"role": role, "driver": driver, "identity": said, "durations_s": (0.1, 0.3, 0.2), **changed}
+    return Handshake.model_validate(given)
+
+
+def dark(exposure_s: float, *means_dn: float, noise_dn: float = 1.41439, **changed: float) -> DarkFrames:
+    return DarkFrames.model_validate(
+        {"exposure_s": exposure_s, "means_dn": means_dn, "noise_dn": noise_dn, "at_zero_fraction": 0.0, "pixels": 400}
+        | changed
+    )
+
+
+def level(exposure_s: float, signal_dn: float, scatter_dn: float = 0.1) -> ExposureLevel:
+    apart = (-scatter_dn, scatter_dn) * 3
+    return ExposureLevel(
+        exposure_s=exposure_s,
+        white_dn=tuple(16.0 + signal_dn + a for a in apart),
+        dark_dn=tuple(16.0 + a for a in apart),
+    )
+
+
+GOOD = CheckFacts(
+    handshakes=(handshake(), handshake("filter wheel"), handshake("laser"), handshake("lamp")),
+    moves=tuple(WheelMove(from_slot=1, to_slot=2, arrived_slot=2, duration_s=s) for s in (0.5, 1.5)),
+    darks=(dark(0.001, 16.0, 16.01), dark(0.5, 16.1, 16.11), dark(1.0, 16.2, 16.21)),
+    filter_proof=FilterProof(verdict="confirmed", text="the frames show every filter in its slot"),
+    revisit_filter="600",
+    revisits=tuple(Revisit(still_rel=0.001, moved_rel=sign * 0.002) for sign in (1, -1, 1, -1)),
+    levels=(level(0.1, 100.0), level(0.2, 200.0), level(0.4, 400.0)),
+    light_off=(
+        LightOff(layer="block", witness="its own connection", earliest_s=(0.0,), latest_s=(0.1,)),
+        LightOff(layer="guard", witness="a new connection", earliest_s=(0.0, 0.1), latest_s=(0.1, 0.3)),
+        LightOff(layer="dead-man", witness="the camera", earliest_s=(0.8,), latest_s=(0.9,)),
+    ),
+)
+
+
+def spoilt(**changed: object) -> CheckFacts:
+    return CheckFacts.model_validate(GOOD.model_dump() | changed)

@@ -1,0 +1,162 @@
+"""From facts to verdicts: every check passes on a flawless rig, and fails for its own reason only."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import binom, linregress
+
+from data_schemas.capture import FilterProof
+from data_schemas.check import AcceptanceReport, CheckResult, LightOff, Revisit, WheelMove
+from data_schemas.rig import RigFile
+from finray_calib.acceptance.acceptance_report import SECTIONS, judge
+from finray_calib.acceptance.judge_devices import CLOCK_SD_S, largest_failure_share, slowest_off
+from finray_calib.acceptance.judge_frames import dark_line, rate_dn_per_s
+from finray_calib.acceptance.result_text import result_line, value_text
+from rigs.presets import simulated_rig
+from tests.acceptance.facts import GOOD, PLAN, dark, handshake, level, spoilt
+
+
+@pytest.fixture(scope="module")
+def rig() -> RigFile:
+    return simulated_rig("red", width_px=64, height_px=64)
+
+
+def results(report: AcceptanceReport) -> dict[str, CheckResult]:
+    return {result.name: result for result in report.results}
+
+
+def bad(report: AcceptanceReport) -> dict[str, str]:
+    """Return the verdicts that are not PASS, by name."""
+    return {result.name: result.verdict for result in report.results if result.verdict != "PASS"}
+
+
+def test_a_flawless_rig_passes_every_check(rig):
+    report = judge(GOOD, PLAN, rig)
+    assert bad(report) == {}
+    assert report.verdict == "PASS"
+    assert len(results(report)) == len(report.results) == 16
+    assert {result.section for result in report.results} == set(SECTIONS) - {"opening", "closing"}
+    assert "simulated clock" in report.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("changed", "name", "verdict", "evidence"),
+    [
+        ({"handshakes": (handshake(error="camera: mute"),)}, "camera answers", "ERROR", "camera: mute"),
+        ({"handshakes": (handshake(identity=None),)}, "camera answers", "ERROR", "was not asked"),
+        ({"handshakes": (handshake(durations_s=(0.1, 2.1)),)}, "camera answers", "FAIL", "model X1, serial 007"),
+        ({"handshakes": (handshake(driver="indi", identity=handshake().identity),)}, "camera answers", "FAIL",
+         "a camera behind driver 'aravis' answers"),
+        ({"handshakes": (handshake(identity={"role": "camera", "driver": "aravis"}),)}, "camera answers", "UNDECIDED",
+         "does not say what it is"),
+        ({"handshakes": (handshake("lamp", "manual"),)}, "lamp answers", "UNDECIDED", "a person switches it"),
+        ({"moves": (WheelMove(from_slot=1, to_slot=2, arrived_slot=3, duration_s=1.0),)}, "wheel arrives", "FAIL",
+         "sent from slot 1 to 2, reads 3"),
+        ({"moves": (WheelMove(from_slot=1, to_slot=2, arrived_slot=2, duration_s=9.0),)}, "wheel moves in time", "FAIL",
+         "mean 9 s of 1 moves"),
+        ({"darks": (dark(0.001, 19.0, 19.01), dark(1.0, 19.1, 19.11))}, "dark level", "FAIL", "says 16 DN"),
+        ({"darks": (dark(0.001, 16.0, 16.01), dark(1.0, 21.0, 21.01))}, "dark rate", "FAIL", "lamp and laser off"),
+        ({"darks": (dark(1.0, 16.0, 16.01),)}, "dark rate", "UNDECIDED", "2 frames of 1 s"),
+        ({"darks": (dark(0.001, 16.0, 16.01, noise_dn=2.5), *GOOD.darks[1:])}, "read noise", "FAIL", "2.5 DN at"),
+        ({"darks": (dark(0.001, 16.0, 16.01, noise_dn=0.3), *GOOD.darks[1:])}, "read noise", "UNDECIDED", "rounding"),
+        ({"darks": (dark(0.001, 16.0, 16.01, at_zero_fraction=0.2), *GOOD.darks[1:])}, "read noise", "UNDECIDED",
+         "20 % of the counts are 0"),
+        ({"filter_proof": FilterProof(verdict="contradicted", text="exchanged")}, "filters in their slots", "FAIL",
+         "exchanged"),
+        ({"filter_proof": FilterProof(verdict="cannot tell", text="dark")}, "filters in their slots", "UNDECIDED",
+         "dark"),
+        ({"revisits": (Revisit(still_rel=0.001, moved_rel=0.05),) * 8}, "wheel repeats optically", "FAIL",
+         "behind filter 600; 0.1 % without a move"),
+        ({"revisits": ()}, "wheel repeats optically", "UNDECIDED", "one filter only"),
+        ({"levels": (level(0.1, 100.0), level(0.2, 206.0), level(0.4, 400.0))}, "exposure ratio 2 : 1", "FAIL",
+         "0.2 s against 0.1 s"),
+        ({"light_off": (LightOff(layer="guard", missing="nobody can watch"),)}, "laser off by the guard", "UNDECIDED",
+         "nobody can watch"),
+        ({"light_off": (LightOff(layer="guard", error="laser: mute"),)}, "laser off by the guard", "ERROR", "mute"),
+        ({"light_off": (LightOff(layer="guard", latest_s=(0.1,), earliest_s=(0.0,), still_on=1, watched_s=5.0),)},
+         "laser off by the guard", "FAIL", "still on in 1 of 2 mishaps, watched for 5 s"),
+        ({"light_off": (LightOff(layer="dead-man", latest_s=(1.3,), earliest_s=(1.2,), witness="the camera"),)},
+         "laser off by the dead-man", "FAIL", "slowest of 1; seen by the camera"),
+        ({"light_off": (LightOff(layer="dead-man", latest_s=(1.1,), earliest_s=(0.8,), witness="the camera"),)},
+         "laser off by the dead-man", "UNDECIDED", "slowest of 1"),
+    ],
+)  # fmt: skip
+def test_one_fault_changes_one_verdict(rig, changed, name, verdict, evidence):
+    report = judge(spoilt(**changed), PLAN, rig)
+    assert bad(report) == {name: verdict}
+    assert evidence in results(report)[name].evidence
+    assert report.verdict == verdict
+
+
+def test_no_moves_are_undecided_and_an_error_is_told_once(rig):
+    assert set(bad(judge(spoilt(moves=()), PLAN, rig)).values()) == {"UNDECIDED"}
+    report = judge(spoilt(moves=(), revisits=(), errors={"wheel": "stuck", "revisits": "stuck too"}), PLAN, rig)
+    assert bad(report) == {"wheel moves": "ERROR", "wheel repeats optically": "ERROR"}
+    assert results(report)["wheel moves"].evidence == "stuck"
+
+
+def test_facts_before_an_error_are_still_judged(rig):
+    wrong = (WheelMove(from_slot=1, to_slot=2, arrived_slot=3, duration_s=1.0),)
+    report = judge(spoilt(moves=wrong, errors={"wheel": "mute"}), PLAN, rig)
+    assert bad(report) == {"wheel arrives": "FAIL", "wheel moves": "ERROR"}
+    assert report.verdict == "FAIL"
+
+
+def test_nothing_measured_is_an_error_for_every_section_named(rig):
+    errors = dict.fromkeys(SECTIONS, "not tried")
+    report = judge(spoilt(**dict.fromkeys(("handshakes", "moves", "darks", "revisits", "levels", "light_off"), ()),
+                          filter_proof=None, errors=errors), PLAN, rig)  # fmt: skip
+    assert bad(report) == dict.fromkeys(SECTIONS.values(), "ERROR")
+
+
+def test_dark_line_is_that_of_scipy():
+    rng = np.random.default_rng(3)
+    darks = tuple(dark(t, *(16.0 + 0.4 * t + 0.02 * rng.standard_normal(6))) for t in (0.001, 0.4, 1.0))
+    times = np.repeat([d.exposure_s for d in darks], 6)
+    truth = linregress(times, np.concatenate([d.means_dn for d in darks]))
+    expected = (truth.intercept, truth.intercept_stderr, truth.slope, truth.stderr)
+    np.testing.assert_allclose(dark_line(darks), expected, rtol=1e-9)
+
+
+def test_rate_errs_at_most_at_the_nominal_rate_with_few_frames():
+    rng, runs, outside = np.random.default_rng(4), 4000, 0
+    for _ in range(runs):
+        white, darks = 116.0 + rng.standard_normal(4), 16.0 + 0.01 * rng.standard_normal(4)
+        one = level(0.5, 0.0).model_copy(update={"white_dn": tuple(white), "dark_dn": tuple(darks)})
+        rate, sd = rate_dn_per_s(one)
+        outside += rate + 1.645 * sd < 200.0
+    # 5 % one-sided is promised; the test errs once in a million
+    assert outside <= binom.ppf(1 - 1e-6, runs, 0.05)
+
+
+def test_time_of_going_off_lies_evenly_between_two_looks():
+    layer = LightOff(layer="guard", earliest_s=(0.0, 0.2), latest_s=(0.1, 0.5))
+    assert slowest_off(layer) == pytest.approx((0.35, math.hypot(0.3 / math.sqrt(12), CLOCK_SD_S)))
+
+
+def test_share_of_failures_that_n_successes_rule_out():
+    # the "rule of three" for many tries, and the closed form for one
+    assert largest_failure_share(1) == pytest.approx(0.95)
+    assert largest_failure_share(1000) == pytest.approx(3 / 1000, rel=0.01)
+    assert binom.cdf(0, 20, largest_failure_share(20)) == pytest.approx(0.05)
+
+
+def test_read_noise_takes_rounding_and_gain_into_account(rig):
+    # 9 e at 6.5 e/DN with rounding: sqrt((9/6.5)^2 + 1/12) DN
+    value = results(judge(GOOD, PLAN, rig))["read noise"]
+    assert value.value == pytest.approx(9.0, abs=0.001)
+    assert value.sd == pytest.approx(9.0 / math.sqrt(2 * 400), rel=1e-3)
+
+
+def test_results_in_words(rig):
+    found = results(judge(GOOD, PLAN, rig))
+    assert value_text(found["laser off by the guard"]) == "0.200 +- 0.058 s"
+    assert value_text(found["wheel arrives"]) == "0 moves"
+    assert value_text(found["filters in their slots"]) == ""
+    assert result_line(found["laser off by the guard"]) == (
+        "PASS      laser off by the guard: 0.200 +- 0.058 s (allowed: at most 1 s); slowest of 2; seen by a new "
+        "connection"
+    )
+    line = result_line(found["filters in their slots"])
+    assert line == "PASS      filters in their slots: the frames show every filter in its slot"

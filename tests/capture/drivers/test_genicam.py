@@ -1,0 +1,270 @@
+"""What every GenICam camera is told and asked, and calls with a deadline."""
+
+import threading
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_schemas.errors import BadFrameError, LostError, RefusedError
+from data_schemas.rig import CameraSettings, DeviceIdentity
+from rigs.cameras.call_thread import CallThread, NoAnswerError
+from rigs.cameras.genicam import (
+    ConnectionBrokenError,
+    FeatureError,
+    RawPixels,
+    configure,
+    raw_pixels,
+    read_settings,
+    require_new,
+    right_aligned,
+    set_exposure,
+)
+from rigs.cameras.genicam_camera import Delivered, GenicamCamera, image
+
+SETTINGS = CameraSettings(driver="gentl", address="here.cti", width_px=64, height_px=64, bit_depth=10, gain_db=3.0)
+
+
+@dataclass
+class Nodes:
+    """Features of a camera that keeps some of its values whatever it is told."""
+
+    values: dict[str, str | float | bool]
+    kept: tuple[str, ...] = ()
+    limits: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    def has(self, name: str) -> bool:
+        return name in self.values
+
+    def entries(self, name: str) -> tuple[str, ...]:
+        return ("BayerRG8", "BayerRG16")
+
+    def text(self, name: str) -> str:
+        return str(self.values[name])
+
+    def number(self, name: str) -> float:
+        return float(self.values[name])
+
+    def is_on(self, name: str) -> bool:
+        return bool(self.values[name])
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        return self.limits.get(name, (0.0, 1e9))
+
+    def set_text(self, name: str, value: str) -> None:
+        self._set(name, value)
+
+    def set_number(self, name: str, value: float) -> None:
+        self._set(name, value)
+
+    def switch(self, name: str, on: bool) -> None:
+        self._set(name, on)
+
+    def _set(self, name: str, value: str | float | bool) -> None:
+        if name not in self.kept:
+            self.values[name] = value
+
+
+def nodes(*kept: str) -> Nodes:
+    return Nodes(
+        {
+            "PixelFormat": "BayerRG8",
+            "ExposureAuto": "Continuous",
+            "GammaEnable": True,
+            "Gamma": 2.2,
+            "Width": 32,
+            "OffsetX": 8,
+            "Height": 32,
+            "Gain": 0.0,
+            "ExposureTime": 5000.0,
+        },
+        kept,
+    )
+
+
+def test_everything_automatic_is_off_and_recorded() -> None:
+    camera = nodes()
+    pixels = configure(camera, SETTINGS, "camera")
+    assert pixels == RawPixels("BayerRG16", 16)
+    assert camera.values == {
+        "PixelFormat": "BayerRG16",
+        "ExposureAuto": "Off",
+        "GammaEnable": False,
+        "Gamma": 1.0,
+        "Width": 64,
+        "OffsetX": 0.0,
+        "Height": 64,
+        "Gain": 3.0,
+        "ExposureTime": 5000.0,
+    }
+    assert read_settings(camera) == {"PixelFormat": "BayerRG16", "ExposureAuto": "Off", "Gain": 3.0, "Gamma": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("kept", "message"),
+    [
+        ("PixelFormat", "PixelFormat was set to BayerRG16 and reads back BayerRG8"),
+        ("ExposureAuto", "ExposureAuto was set to Off and reads back Continuous"),
+        ("GammaEnable", "GammaEnable stays on, which changes raw counts"),
+        ("Gamma", r"Gamma was set to 1 and reads back 2\.2; gamma is fixed at 1"),
+        ("OffsetX", "OffsetX was set to 0 and reads back 8"),
+        ("Width", "Width was set to 64 and reads back 32; correct width_px"),
+        ("Gain", "Gain was set to 3 and reads back 0; correct gain_db"),
+    ],
+)
+def test_setting_that_is_kept_silently_is_refused(kept: str, message: str) -> None:
+    with pytest.raises(RefusedError, match=message):
+        configure(nodes(kept), SETTINGS, "camera")
+
+
+def test_setting_that_is_fixed_at_the_right_value_is_fine() -> None:
+    camera = nodes("Gamma", "Gain")
+    camera.values |= {"Gamma": 1.0, "Gain": 3.0}
+    assert configure(camera, SETTINGS, "camera").bits == 16
+
+
+def test_exposure_that_is_kept_silently_is_refused() -> None:
+    assert set_exposure(nodes(), 0.02, "camera") == pytest.approx(0.02)
+    with pytest.raises(RefusedError, match=r"was asked to expose for 0\.02 s and keeps 0\.005 s"):
+        set_exposure(nodes("ExposureTime"), 0.02, "camera")
+
+
+@pytest.mark.parametrize(
+    ("offered", "bits", "name"),
+    [
+        (("BayerRG8", "BayerRG10", "BayerRG16", "Mono8"), 10, "BayerRG10"),
+        (("BayerRG8", "BayerRG16", "Mono8"), 10, "BayerRG16"),
+        (("BayerRG8", "BayerRG16"), 8, "BayerRG8"),
+        (("Mono8", "Mono16"), 12, "Mono16"),
+    ],
+)
+def test_pixel_format_follows_the_bits(offered: tuple[str, ...], bits: int, name: str) -> None:
+    assert raw_pixels(offered, bits, "camera").name == name
+
+
+@pytest.mark.parametrize("offered", [("BayerGB8", "Mono8"), ("RGB8",), ()])
+def test_other_patterns_and_colour_pictures_are_refused(offered: tuple[str, ...]) -> None:
+    with pytest.raises(RefusedError, match="no raw pixel format with 8 bits and Bayer pattern RGGB"):
+        raw_pixels(offered, 8, "camera")
+
+
+@given(st.integers(1, 1023), st.sampled_from([10, 12, 14, 16]))
+def test_counts_come_down_to_their_bits(count: int, bit_depth: int) -> None:
+    stored = np.full((2, 2), count << (16 - bit_depth), dtype=np.uint16)
+    found = right_aligned(stored, RawPixels("BayerRG16", 16), bit_depth, "camera")
+    np.testing.assert_array_equal(found, np.full((2, 2), count))
+    unpacked = np.full((2, 2), count, dtype=np.uint16)
+    np.testing.assert_array_equal(right_aligned(unpacked, RawPixels("BayerRG10", 10), 10, "camera"), unpacked)
+
+
+def test_counts_with_too_many_bits_are_refused() -> None:
+    counts = np.full((2, 2), 64 + 16, dtype=np.uint16)
+    with pytest.raises(RefusedError, match="carries more than the 10 bits of the rig file"):
+        right_aligned(counts, RawPixels("BayerRG16", 16), 10, "camera")
+    with pytest.raises(BadFrameError, match="holds a count of 1024 DN, more than 10 bits"):
+        right_aligned(np.array([[1024]], dtype=np.uint16), RawPixels("BayerRG10", 10), 10, "camera")
+
+
+def test_frame_that_was_delivered_before_is_refused() -> None:
+    require_new((7, 1.5), None, "camera")
+    require_new((7, 1.6), (7, 1.5), "camera")  # numbers begin again in each acquisition
+    require_new((7, 0.0), (7, 0.0), "camera")  # without a time the number tells nothing
+    with pytest.raises(BadFrameError, match="delivered frame 7 twice"):
+        require_new((7, 1.5), (7, 1.5), "camera")
+
+
+def test_bytes_become_counts_of_the_container() -> None:
+    content = np.arange(13, dtype=np.uint8)  # a transport may pad
+    found = image(Delivered("", 1, 0.0, 3, 2, content), RawPixels("Mono16", 16), "camera")
+    np.testing.assert_array_equal(found, [[0x0100, 0x0302, 0x0504], [0x0706, 0x0908, 0x0B0A]])
+    with pytest.raises(BadFrameError, match="frame 1 holds 5 bytes; 2 x 3 px of Mono8 need 6"):
+        image(Delivered("", 1, 0.0, 3, 2, content[:5]), RawPixels("Mono8", 8), "camera")
+
+
+class Unreachable(Nodes):
+    """A camera whose serial number changes each time it is opened, and that breaks when it is used."""
+
+    opened = 0
+
+    def identity(self) -> DeviceIdentity:
+        return DeviceIdentity(role="camera", driver="gentl", model="M", serial=str(self.opened))
+
+    def prepare(self) -> None:
+        """Nothing to do."""
+
+    def acquire(self, limit_s: float) -> Delivered | None:
+        raise ConnectionBrokenError("unplugged")
+
+    def close(self) -> None:
+        """Nothing to do."""
+
+
+def test_broken_connection_is_lost_and_another_camera_is_not_taken() -> None:
+    def connect() -> Unreachable:
+        Unreachable.opened += 1
+        return Unreachable(nodes().values)
+
+    camera = GenicamCamera(SETTINGS, connect)
+    camera.open()
+    with pytest.raises(LostError, match=r"the connection broke \(unplugged\)"):
+        camera.expose(0.01, 5.0)
+    with pytest.raises(LostError, match="the connection broke before"):
+        camera.identity()
+    with pytest.raises(RefusedError, match=r"another camera answers now .M, serial 2.; give the serial number"):
+        camera.expose(0.01, 5.0)
+    camera.close()
+
+
+@pytest.mark.parametrize(
+    ("error", "raised", "message"),
+    [
+        (ConnectionBrokenError("gone"), LostError, "cannot be opened .gone."),
+        (FeatureError("locked"), RefusedError, "cannot be opened or configured .locked."),
+    ],
+)
+def test_camera_that_cannot_be_opened_says_why(error: FeatureError, raised: type[Exception], message: str) -> None:
+    def connect() -> Unreachable:
+        raise error
+
+    camera = GenicamCamera(SETTINGS, connect)
+    with pytest.raises(raised, match=message):
+        camera.open()
+    camera.close()
+
+
+def test_refusal_of_a_feature_names_it() -> None:
+    class Locked(Unreachable):
+        def set_number(self, name: str, value: float) -> None:
+            if name == "ExposureTime":
+                raise FeatureError("ExposureTime is locked")
+            super().set_number(name, value)
+
+    camera = GenicamCamera(SETTINGS, lambda: Locked(nodes().values))
+    camera.open()
+    with pytest.raises(RefusedError, match=r"refuses what was asked .ExposureTime is locked."):
+        camera.expose(0.01, 5.0)
+    camera.close()
+
+
+def test_call_that_hangs_is_left_alone() -> None:
+    calls, hold, ran = CallThread("test"), threading.Event(), threading.Event()
+    assert calls.call(lambda: 3, 5.0) == 3
+    with pytest.raises(ZeroDivisionError):
+        calls.call(lambda: 1 // 0, 5.0)
+    started_s = time.monotonic()
+    with pytest.raises(NoAnswerError):
+        calls.call(hold.wait, 0.05)
+    with pytest.raises(NoAnswerError):  # it waits behind the one that hangs, and is never made
+        calls.call(ran.set, 0.05)
+    assert time.monotonic() - started_s < 2.0
+    calls.close(lambda: None, 0.05)  # does not wait longer either
+    hold.set()
+    last = CallThread("test")
+    closed: list[int] = []
+    last.post(lambda: closed.append(1))
+    last.close(lambda: closed.append(2), 5.0)
+    assert closed == [1, 2]
+    assert not ran.is_set()

@@ -1,0 +1,385 @@
+"""The contracts of rigs.contracts over every implementation that can be opened here."""
+
+import subprocess
+import sys
+import urllib.parse
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from data_schemas.capture import Target
+from data_schemas.rig import CameraSettings, FilterWheelSettings, LampSettings
+from rigs.contracts.camera import CameraContract
+from rigs.contracts.filter_wheel import FilterWheelContract
+from rigs.contracts.light import LightContract
+from rigs.drivers import open_camera, open_lamp, open_wheel
+from rigs.host import TerminalOperator
+from rigs.light_guard import guarded_light
+from rigs.open_rig import OpenRig, open_rig
+from rigs.presets import simulated_rig
+from rigs.protocols import Camera, FilterWheel, Light
+from rigs.simulated.devices import SimulatedLight
+from rigs.toml_text import write_rig
+from tests.capture.drivers import picamera2_stand_in
+from tests.capture.drivers.alpaca_server import AlpacaServer
+from tests.capture.drivers.fake_gigevision_camera import fake_camera
+from tests.capture.drivers.firmware_in_qemu import build, firmware_board
+from tests.capture.drivers.indi_server import CCD, PANEL, SIMULATORS, WHEEL, IndiServer
+from tests.capture.drivers.programs import require, require_module
+from tests.capture.drivers.rig_excerpts import camera_settings as indi_camera_settings
+from tests.capture.drivers.rig_excerpts import wheel_settings as settings_of_wheel
+from tests.capture.drivers.test_micro_manager import DEMO
+from tests.capture.drivers.test_micro_manager import SETTINGS as DEMO_SETTINGS
+from tests.capture.drivers.test_mjpeg import HEIGHT_PX as PICTURE_HEIGHT_PX
+from tests.capture.drivers.test_mjpeg import WIDTH_PX as PICTURE_WIDTH_PX
+from tests.capture.drivers.test_mjpeg import ffmpeg_server
+from tests.capture.drivers.thorlabs_wheel import emulated_wheel
+
+RIG = simulated_rig("red", width_px=64, height_px=64)
+
+
+class Willing:
+    """An operator who does everything at once."""
+
+    def place(self, target: Target) -> None: ...
+
+    def swing_wheel_out(self) -> None: ...
+
+    def tilt(self, angle_deg: float) -> None: ...
+
+    def do(self, instruction: str) -> None: ...
+
+
+@pytest.fixture(scope="module")
+def bench() -> Iterator[OpenRig]:
+    with open_rig(RIG, Path()) as opened:
+        yield opened
+
+
+class TestSimulatedCamera(CameraContract):
+    @pytest.fixture
+    def camera_settings(self) -> CameraSettings:
+        return RIG.camera
+
+    @pytest.fixture
+    def camera(self, bench: OpenRig) -> Camera:
+        return bench.camera
+
+
+class TestSimulatedWheel(FilterWheelContract):
+    @pytest.fixture
+    def wheel_settings(self) -> FilterWheelSettings:
+        return RIG.filter_wheel
+
+    @pytest.fixture
+    def wheel(self, bench: OpenRig) -> FilterWheel:
+        return bench.wheel
+
+
+@pytest.mark.parametrize("name", ["lamp", "laser"])
+class TestSimulatedLights(LightContract):
+    @pytest.fixture
+    def light(self, bench: OpenRig, name: str) -> Light:
+        return bench.lamp if name == "lamp" else bench.laser
+
+    @pytest.fixture
+    def switch_off_behind(self, light: SimulatedLight) -> Callable[[], None]:
+        return lambda: setattr(light.bench_state, light.name, False)
+
+
+@pytest.fixture(scope="module")
+def fw212c() -> Iterator[str]:
+    require_module("lewis", "lewis")
+    with emulated_wheel() as running:
+        running.reset()
+        yield running.address
+
+
+class TestThorlabsWheel(FilterWheelContract):
+    @pytest.fixture
+    def wheel_settings(self, fw212c: str) -> FilterWheelSettings:
+        return settings_of_wheel(fw212c, "thorlabs", 8)
+
+    @pytest.fixture
+    def wheel(self, wheel_settings: FilterWheelSettings) -> Iterator[FilterWheel]:
+        with open_wheel(wheel_settings, Willing()) as wheel:
+            yield wheel
+
+
+class TestManualWheel(FilterWheelContract):
+    @pytest.fixture
+    def wheel_settings(self) -> FilterWheelSettings:
+        return settings_of_wheel("", "manual")
+
+    @pytest.fixture
+    def wheel(self, wheel_settings: FilterWheelSettings) -> Iterator[FilterWheel]:
+        with open_wheel(wheel_settings, Willing()) as wheel:
+            yield wheel
+
+
+class TestManualLamp(LightContract):
+    @pytest.fixture
+    def light(self) -> Iterator[Light]:
+        with open_lamp(LampSettings(driver="manual"), Willing()) as lamp:
+            yield lamp
+
+
+class TestMicroManagerCamera(CameraContract):
+    @pytest.fixture
+    def camera_settings(self) -> CameraSettings:
+        return DEMO_SETTINGS
+
+    @pytest.fixture
+    def camera(
+        self, camera_settings: CameraSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> Iterator[Camera]:
+        require_module("pymmcore", "pymmcore")
+        require_module("mm_test_adapters", "mm-test-adapters")
+        import mm_test_adapters
+
+        monkeypatch.setenv("MICROMANAGER_PATH", str(Path(mm_test_adapters.__file__).parent / "libs"))
+        (tmp_path / camera_settings.address).write_text("\n".join(DEMO) + "\n", encoding="utf-8")
+        with open_camera(camera_settings, tmp_path) as camera:
+            yield camera
+
+
+class TestImageFolder(CameraContract):
+    @pytest.fixture
+    def camera_settings(self, tmp_path: Path) -> CameraSettings:
+        return CameraSettings(driver="folder", address=str(tmp_path), width_px=96, height_px=64)
+
+    @pytest.fixture
+    def camera(self, camera_settings: CameraSettings, tmp_path: Path) -> Iterator[Camera]:
+        exposures_s = (0.01,) * 4 + (0.02,) * 2 + (2.0,) * 2
+        lines = ["file,exposure_s"]
+        for number, exposure_s in enumerate(exposures_s):
+            counts = np.random.default_rng(number).integers(0, 1024, (64, 96)).astype(np.uint16)
+            tifffile.imwrite(tmp_path / f"{number}.tiff", counts, photometric="minisblack")
+            lines.append(f"{number}.tiff,{exposure_s}")
+        (tmp_path / "frames.csv").write_text("\n".join(lines) + "\n")
+        with open_camera(camera_settings, tmp_path) as camera:
+            yield camera
+
+
+class TestRaspberryPiCamera(CameraContract):
+    """Over a stand-in that follows picamera2's source; not hardware-verified."""
+
+    @pytest.fixture
+    def camera_settings(self) -> CameraSettings:
+        return CameraSettings(driver="picamera2", address="0", width_px=96, height_px=64)
+
+    @pytest.mark.skip(reason="the stand-in takes frames in the caller's thread and knows no time-out but for silence")
+    def test_deadline_is_kept(self) -> None: ...
+
+    @pytest.fixture
+    def camera(self, camera_settings: CameraSettings, monkeypatch: pytest.MonkeyPatch) -> Iterator[Camera]:
+        monkeypatch.setitem(sys.modules, "picamera2", picamera2_stand_in.module())
+        with open_camera(camera_settings, Path()) as camera:
+            yield camera
+
+
+@pytest.mark.rigs
+class TestMjpegCamera(CameraContract):
+    @pytest.fixture
+    def camera_settings(self) -> Iterator[CameraSettings]:
+        with ffmpeg_server() as (address, _):
+            yield mjpeg_settings(address)
+
+    @pytest.fixture
+    def camera(self, camera_settings: CameraSettings) -> Iterator[Camera]:
+        with open_camera(camera_settings, Path()) as camera:
+            yield camera
+
+
+def mjpeg_settings(address: str) -> CameraSettings:
+    size = {"width_px": PICTURE_WIDTH_PX, "height_px": PICTURE_HEIGHT_PX, "bit_depth": 8}
+    return CameraSettings.model_validate({"driver": "mjpeg", "address": address, **size})
+
+
+@pytest.fixture(scope="module")
+def gigevision() -> Iterator[str]:
+    require("arv-tool-0.8", "aravis-tools-cli libaravis-0.8-0")
+    with fake_camera():
+        yield "127.0.0.1"
+
+
+@pytest.mark.rigs
+class TestAravisCamera(CameraContract):
+    @pytest.fixture
+    def camera_settings(self, gigevision: str) -> CameraSettings:
+        return CameraSettings(driver="aravis", address=gigevision, width_px=512, height_px=512, bit_depth=8)
+
+    @pytest.fixture
+    def camera(self, camera_settings: CameraSettings) -> Iterator[Camera]:
+        with open_camera(camera_settings, Path()) as camera:
+            yield camera
+
+
+@pytest.fixture(scope="module")
+def indi(tmp_path_factory: pytest.TempPathFactory) -> Iterator[IndiServer]:
+    with IndiServer(tmp_path_factory.mktemp("indi"), SIMULATORS) as server:
+        yield server
+
+
+@pytest.mark.rigs
+class TestIndiCamera(CameraContract):
+    @pytest.fixture
+    def camera_settings(self, indi: IndiServer) -> CameraSettings:
+        return indi_camera_settings(indi.address(CCD), width_px=64, height_px=64)
+
+    @pytest.fixture
+    def camera(self, camera_settings: CameraSettings) -> Iterator[Camera]:
+        with open_camera(camera_settings, Path()) as camera:
+            yield camera
+
+
+@pytest.mark.rigs
+class TestIndiWheel(FilterWheelContract):
+    @pytest.fixture
+    def wheel_settings(self, indi: IndiServer) -> FilterWheelSettings:
+        return settings_of_wheel(indi.address(WHEEL), "indi", 8)
+
+    @pytest.fixture
+    def wheel(self, wheel_settings: FilterWheelSettings) -> Iterator[FilterWheel]:
+        with open_wheel(wheel_settings, Willing()) as wheel:
+            yield wheel
+
+
+@pytest.mark.rigs
+class TestIndiLaser(LightContract):
+    @pytest.fixture
+    def light(self, indi: IndiServer) -> Iterator[Light]:
+        with guarded_light("laser", "indi", indi.address(PANEL)) as light:
+            yield light
+
+    @pytest.fixture
+    def switch_off_behind(self, indi: IndiServer) -> Callable[[], None]:
+        return lambda: indi.put(PANEL, "FLAT_LIGHT_CONTROL.FLAT_LIGHT_OFF=On")
+
+
+@pytest.mark.rigs
+class TestIndiLamp(LightContract):
+    @pytest.fixture
+    def light(self, indi: IndiServer) -> Iterator[Light]:
+        settings = LampSettings(driver="indi", address=indi.address(PANEL))
+        with open_lamp(settings, TerminalOperator()) as light:
+            yield light
+
+    @pytest.fixture
+    def switch_off_behind(self, indi: IndiServer) -> Callable[[], None]:
+        return lambda: indi.put(PANEL, "FLAT_LIGHT_CONTROL.FLAT_LIGHT_OFF=On")
+
+
+@pytest.fixture(scope="module")
+def elf(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build(tmp_path_factory.mktemp("firmware"))
+
+
+@pytest.mark.rigs
+class TestArduinoLaser(LightContract):
+    @pytest.fixture
+    def light(self, elf: Path) -> Iterator[Light]:
+        with ExitStack() as stack:
+            board = stack.enter_context(firmware_board(elf))
+            yield stack.enter_context(guarded_light("laser", "arduino", board.address))
+
+
+@pytest.fixture(scope="module")
+def alpaca(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AlpacaServer]:
+    with AlpacaServer(tmp_path_factory.mktemp("alpaca")) as server:
+        yield server
+
+
+@pytest.mark.rigs
+class TestAlpacaWheel(FilterWheelContract):
+    @pytest.fixture
+    def wheel_settings(self, alpaca: AlpacaServer) -> FilterWheelSettings:
+        return settings_of_wheel(f"{alpaca.url}/0", "alpaca", 8)
+
+    @pytest.fixture
+    def wheel(self, wheel_settings: FilterWheelSettings) -> Iterator[FilterWheel]:
+        with open_wheel(wheel_settings, Willing()) as wheel:
+            yield wheel
+
+
+@pytest.mark.rigs
+class TestAlpacaLaser(LightContract):
+    @pytest.fixture
+    def light(self, alpaca: AlpacaServer) -> Iterator[Light]:
+        with guarded_light("laser", "alpaca", f"{alpaca.url}/switch/0/0") as light:
+            yield light
+
+    @pytest.fixture
+    def switch_off_behind(self, alpaca: AlpacaServer) -> Callable[[], None]:
+        return lambda: put(f"{alpaca.url}/api/v1/switch/0/setswitch", Id="0", State="False")
+
+
+@pytest.mark.rigs
+class TestAlpacaLamp(LightContract):
+    @pytest.fixture
+    def light(self, alpaca: AlpacaServer) -> Iterator[Light]:
+        settings = LampSettings(driver="alpaca", address=f"{alpaca.url}/covercalibrator/0")
+        with open_lamp(settings, TerminalOperator()) as light:
+            yield light
+
+    @pytest.fixture
+    def switch_off_behind(self, alpaca: AlpacaServer) -> Callable[[], None]:
+        return lambda: put(f"{alpaca.url}/api/v1/covercalibrator/0/calibratoroff")
+
+
+def put(url: str, **fields: str) -> None:
+    """Send an Alpaca request as any other client would."""
+    body = urllib.parse.urlencode({"ClientID": "77", "ClientTransactionID": "1", **fields}).encode()
+    urllib.request.urlopen(urllib.request.Request(url, data=body, method="PUT"), timeout=5.0).close()
+
+
+class TestOnARigFile:
+    """The suites as their users run them."""
+
+    def run(self, folder: Path, *options: str) -> "subprocess.CompletedProcess[str]":
+        command = [sys.executable, "-m", "pytest", "-p", "rigs.contracts.plugin", "--pyargs", "rigs.contracts"]
+        return subprocess.run(
+            [*command, "-p", "no:cacheprovider", "-rs", *options],
+            cwd=folder, capture_output=True, text=True, check=False, timeout=120,
+        )  # fmt: skip
+
+    def test_simulated_rig_passes(self, tmp_path: Path) -> None:
+        write_rig(RIG, tmp_path / "my-rig.toml")
+        done = self.run(tmp_path, "--rig", "my-rig.toml")
+        assert done.returncode == 0, done.stdout
+        assert "laser (450 nm, 4.5 mW, class 3R): " in done.stdout
+        for name in ("camera.py", "filter_wheel.py", "light.py"):
+            assert name in done.stdout
+
+    def test_laser_of_a_real_rig_stays_off_unless_it_is_asked_for(self, tmp_path: Path) -> None:
+        for name, text in (("missing.toml", ""), ("real.toml", real_rig_text())):
+            (tmp_path / name).write_text(text)
+        asked = self.run(tmp_path, "--rig", "real.toml", "-k", "TestLaser")
+        assert asked.returncode == 0, asked.stdout
+        assert "stays off, without --with-laser" in asked.stdout
+        assert "LASER NOT TESTED: it is switched on only with --with-laser" in asked.stdout
+        refused = self.run(tmp_path, "--rig", "missing.toml")
+        assert refused.returncode == pytest.ExitCode.USAGE_ERROR
+        assert "missing.toml" in refused.stderr
+
+    def test_nothing_is_tested_without_a_rig_file(self, tmp_path: Path) -> None:
+        assert self.run(tmp_path).returncode == pytest.ExitCode.NO_TESTS_COLLECTED
+
+    def test_missing_pytest_is_named(self) -> None:
+        code = "import sys; sys.modules['pytest'] = None; import rigs.contracts"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+        assert "need pytest" in done.stderr
+        assert "pip install pytest" in done.stderr
+
+
+def real_rig_text() -> str:
+    """A rig whose laser must not be opened here: its port does not exist."""
+    from rigs.rig_template import paper_rig
+    from rigs.toml_text import rig_toml
+
+    return rig_toml(paper_rig({}))

@@ -1,0 +1,234 @@
+"""``finray rig``: a rig file to start from, what can be found, and what the devices of a rig report."""
+
+import io
+import sys
+import threading
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from data_schemas.errors import LostError, MissingExtraError
+from data_schemas.rig import (
+    BandPassFilter,
+    CameraSettings,
+    FilterWheelSettings,
+    LampSettings,
+    LaserSettings,
+    RigFile,
+    WhiteReference,
+)
+from data_schemas.storage import read_toml
+from finray_calib.cli.choose_devices import choose
+from rigs import detect as detect_module
+from rigs import drivers
+from rigs.detect import FoundDevice, detect
+from rigs.rig_template import paper_rig
+from rigs.simulated.devices import SimulatedFilterWheel, SimulatedLight
+from rigs.toml_text import rig_toml
+from tests.command_line.running import edit, finray, succeed
+
+CAMERA = FoundDevice("camera", "aravis", "FLIR-1234", "FLIR Chameleon3, serial 1234, at usb")
+WHEEL = FoundDevice("filter wheel", "thorlabs", "/dev/ttyUSB7", "Thorlabs FW212C filter wheel, firmware 1.04")
+LIGHTS = tuple(FoundDevice("light", "arduino", f"/dev/ttyACM{n}", "light with dead-man") for n in (3, 4))
+
+
+def driver(monkeypatch: pytest.MonkeyPatch, table: str, name: str, **contents: object) -> None:
+    """Put a module with these contents in the place of a driver."""
+    module = ModuleType(f"stand_in_{table}_{name}".replace("-", "_").lower())
+    vars(module).update(contents)
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setitem(getattr(drivers, table), name, module.__name__)
+
+
+def raising(error: Exception):
+    def fail(*_: object) -> list[tuple[str, str]]:
+        raise error
+
+    return fail
+
+
+@pytest.fixture
+def nothing_in_reach(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep the search from this computer's own ports and networks."""
+    for table in ("CAMERAS", "FILTER_WHEELS", "LIGHTS"):
+        for name in tuple(getattr(drivers, table)):
+            driver(monkeypatch, table, name, found=lambda: [])
+
+
+def test_init_without_a_terminal_writes_the_papers_rig_and_says_what_to_fill_in(tmp_path: Path) -> None:
+    said = succeed(f"rig init --out {tmp_path}/rig.toml")
+    rig = read_toml(tmp_path / "rig.toml", RigFile)
+    assert rig == paper_rig({})
+    assert (rig.camera.driver, rig.camera.model) == ("aravis", "CM3-U3-13Y3C-CS")
+    assert (rig.filter_wheel.driver, rig.filter_wheel.model) == ("thorlabs", "FW212C")
+    assert (rig.laser.driver, rig.laser.wavelength_nm, rig.laser.power_mw, rig.laser.laser_class) == (
+        "arduino",
+        450.0,
+        4.5,
+        "3R",
+    )
+    assert rig.lamp.driver == "manual"
+    assert [f.center_nm for f in rig.filter_wheel.filters] == [405, 450, 500, 532, 560, 600, 630, 660]
+    # what a catalogue leaves open: 1.5 nm of centre and 1 nm of width, evenly likely
+    assert {(f.center_uncertainty_nm, f.fwhm_uncertainty_nm) for f in rig.filter_wheel.filters} == {(0.9, 0.6)}
+    for what in ("SERIAL-NUMBER", "/dev/ttyUSB0", "/dev/ttyACM0", "laser_class", f"finray rig show {tmp_path}"):
+        assert what in said
+    again = finray(f"rig init --out {tmp_path}/rig.toml")
+    assert again.status == 2
+    assert "exists already and is not overwritten" in again.err
+
+
+def test_every_field_of_the_written_file_has_a_comment() -> None:
+    text = rig_toml(paper_rig({}))
+    lines = text.splitlines()
+    models = (CameraSettings, FilterWheelSettings, BandPassFilter, LaserSettings, LampSettings, WhiteReference)
+    fields = {name for model in models for name in model.model_fields} - {"filters", "curve"}
+    for field in fields:
+        number = next(n for n, line in enumerate(lines) if line.removeprefix("# ").startswith(f"{field} = "))
+        assert "  # " in lines[number] or lines[number - 1].startswith("# "), lines[number]
+    assert "curve = " in text
+    assert max(map(len, lines)) <= 120
+
+
+def test_devices_that_the_user_takes_stand_in_the_file(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\nno\nY\n\n"))
+    chosen = choose((CAMERA, *LIGHTS))
+    assert chosen == {"camera": CAMERA, "laser": LIGHTS[1], "lamp": LIGHTS[0]}
+    asked = capsys.readouterr().err
+    assert "camera found: FLIR Chameleon3, serial 1234, at usb (aravis, FLIR-1234); use it? [Y/n]" in asked
+    rig = paper_rig(chosen)
+    assert (rig.camera.address, rig.camera.model) == ("FLIR-1234", CAMERA.what)
+    assert (rig.laser.address, rig.lamp.driver, rig.lamp.address) == ("/dev/ttyACM4", "arduino", "/dev/ttyACM3")
+    assert rig.filter_wheel.address == "/dev/ttyUSB0"
+
+
+def test_end_of_input_takes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    assert choose((CAMERA, WHEEL)) == {}
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.usefixtures("nothing_in_reach")
+def test_init_on_a_terminal_offers_what_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    driver(monkeypatch, "FILTER_WHEELS", "thorlabs", found=lambda: [(WHEEL.address, WHEEL.what)])
+    monkeypatch.setattr(sys, "stdin", Terminal("y\n"))
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    from finray_calib.cli.choose_devices import chosen_devices
+
+    assert chosen_devices() == {"filter wheel": WHEEL}
+
+
+@pytest.mark.usefixtures("nothing_in_reach")
+def test_detect_lists_devices_and_no_error_hides_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    missing = MissingExtraError("harvesters is not installed (pip install 'finray-calib[gentl]')")
+    driver(monkeypatch, "CAMERAS", "gentl", found=raising(missing))
+    driver(monkeypatch, "CAMERAS", "aravis", found=lambda: [(CAMERA.address, CAMERA.what)])
+    driver(monkeypatch, "CAMERAS", "mjpeg")
+    for table in ("FILTER_WHEELS", "LIGHTS"):
+        driver(monkeypatch, table, "indi", found=raising(LostError("no server")))
+    driver(monkeypatch, "FILTER_WHEELS", "thorlabs", found=raising(RuntimeError("a driver's own mistake")))
+    driver(monkeypatch, "LIGHTS", "arduino", found=lambda: [(LIGHTS[0].address, LIGHTS[0].what)])
+    outcome = finray("rig detect")
+    assert outcome.status == 0
+    table = [line.split(maxsplit=3) for line in outcome.out.splitlines()]
+    assert table[0][:3] == ["device", "driver", "address"]
+    assert table[1] == ["camera", "aravis", CAMERA.address, CAMERA.what]
+    assert table[2] == ["light", "arduino", LIGHTS[0].address, LIGHTS[0].what]
+    assert len(table) == 3
+    assert "note: gentl: harvesters is not installed (pip install 'finray-calib[gentl]')" in outcome.err
+    assert "note: thorlabs: a driver's own mistake" in outcome.err
+    assert outcome.err.count("note: indi: no server") == 1
+    assert "not searched for: mjpeg" in outcome.err
+
+
+@pytest.mark.usefixtures("nothing_in_reach")
+def test_detect_says_when_there_is_nothing() -> None:
+    assert succeed("rig detect") == "no device found\n"
+
+
+@pytest.mark.usefixtures("nothing_in_reach")
+def test_a_search_that_hangs_ends_at_its_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
+    released = threading.Event()
+    driver(monkeypatch, "CAMERAS", "aravis", found=lambda: [("late", "late")] if released.wait(60.0) else [])
+    driver(monkeypatch, "LIGHTS", "arduino", found=lambda: [(LIGHTS[0].address, LIGHTS[0].what)])
+    try:
+        detection = detect(limit_s=0.2)
+    finally:
+        released.set()
+    assert detection.notes == ("aravis: the search for a camera did not end within 0.2 s",)
+    assert detection.devices == (LIGHTS[0],)
+
+
+def test_every_search_returns_addresses_that_a_rig_file_can_hold() -> None:
+    """Whatever drivers are there: what a search is called and what it returns is what the table needs."""
+    for modules in detect_module.DRIVERS.values():
+        assert modules
+    for module in {m for modules in detect_module.DRIVERS.values() for m in modules.values()}:
+        found = getattr(__import__(module, fromlist=["found"]), "found", None)
+        assert found is None or found.__annotations__["return"] in (list[tuple[str, str]], "list[tuple[str, str]]")
+
+
+def test_show_prints_every_part_of_a_simulated_rig_and_moves_nothing(
+    lab: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forbidden(*_: object) -> None:
+        raise AssertionError("nothing may move or be lit")
+
+    monkeypatch.setattr(SimulatedFilterWheel, "go_to", forbidden)
+    monkeypatch.setattr(SimulatedLight, "lit", forbidden)
+    said = succeed(f"rig show {lab}/rig.toml")
+    for part in ("laser: simulated", "lamp: simulated", "filter wheel: simulated", "camera: simulated"):
+        assert f"\n{part}\n" in said
+    assert said.count("reports off") == 2
+    assert "450 nm, 4.5 mW, class 3R" in said
+    assert "at slot 1, filter 405" in said
+    assert "320 x 256 px; 0.01 s asked for, 0.01 s read back" in said
+    assert "the black level is 16 DN" in said
+    rows = [line.split() for line in said.splitlines() if line.endswith(" nominal")]
+    assert [row[1] for row in rows] == ["405", "450", "500", "532", "560", "600", "630", "660"]
+    assert rows[0] == ["1", "405", "405", "+-", "0.15", "10", "+-", "0.15", "5", "nominal"]
+    assert "warning: the camera's response is assumed" in said
+
+
+def test_show_puts_each_error_beside_its_device(tmp_path: Path) -> None:
+    succeed(f"rig init --out {tmp_path}/rig.toml")
+    rig = tmp_path / "rig.toml"
+    edit(rig, 'driver = "aravis"', 'driver = "gentl"')
+    edit(rig, '"SERIAL-NUMBER"', '"nowhere.cti"')
+    edit(rig, "/dev/ttyUSB0", f"{tmp_path}/no-wheel")
+    edit(rig, "/dev/ttyACM0", f"{tmp_path}/no-laser")
+    outcome = finray(f"rig show {rig}")
+    assert outcome.status == 2
+    parts = dict(part.split("\n", 1) for part in outcome.out.split("\n\n")[1:])
+    assert "ERROR: laser at" in parts[f"laser: arduino at {tmp_path}/no-laser"]
+    assert "switched by hand; nobody is asked here" in parts["lamp: manual"]
+    assert "ERROR: filter wheel at" in parts[f"filter wheel: thorlabs at {tmp_path}/no-wheel"]
+    assert "there is no producer" in parts["camera: gentl at nowhere.cti"]
+    assert " 660 " in parts["filters and curves"]
+    assert "errors above at laser: arduino at" in outcome.err
+
+
+def test_show_says_what_does_not_fit_the_rig_file(lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "rig.toml").write_text((lab / "rig.toml").read_text())
+    edit(tmp_path / "rig.toml", 'response = "assumed"', 'response = "missing.csv"')
+    outcome = finray(f"rig show {tmp_path}/rig.toml")
+    assert outcome.status == 2
+    assert "missing.csv" in outcome.err + outcome.out
+    monkeypatch.setattr(SimulatedLight, "state", lambda self: True)
+    monkeypatch.setattr(SimulatedFilterWheel, "position", lambda self: None)
+    said = succeed(f"rig show {lab}/rig.toml")
+    assert said.count("warning: reports ON although it was switched off") == 2
+    assert "position unknown" in said
+
+
+def test_show_of_another_file_is_a_mistake(lab: Path) -> None:
+    outcome = finray(f"rig show {lab}/plan.toml")
+    assert outcome.status == 2
+    assert "plan.toml: " in outcome.err
