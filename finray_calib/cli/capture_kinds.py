@@ -34,7 +34,7 @@ def capture_paint(arguments: argparse.Namespace) -> None:
         with rig_locked(rig), open_rig(rig, arguments.rig.parent) as opened:
             require_ready(opened, steps)
         expected = forecast(plan, rig, steps)
-        say(f"{expected.steps} steps, at most {expected.most_frames} frames, {expected.disk_mb:.0f} MB")
+        say(f"{expected.steps} steps, at most {expected.most_frames} frames, {1e-6 * expected.disk_bytes:.0f} MB")
         say(f"{expected.targets} times another target, {expected.moves} moves of the wheel")
         say(f"about {expected.typical_s / 60:.0f} min; {expected.longest_s / 60:.0f} min if every exposure is longest")
         say("the rig is ready; nothing was moved, lit or stored")

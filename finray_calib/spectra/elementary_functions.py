@@ -16,8 +16,8 @@ _DOUBLINGS: Final = 8
 
 
 @compiled
-def arctangent(x: float) -> float:
-    """Return atan(x) to 1e-16 + 4e-16 |atan(x)|.
+def arctangent(value: float) -> float:
+    """Return atan(value) to 1e-16 + 4e-16 |atan(value)|.
 
     Arguments are brought below tan(pi / 8), where a rational function serves.
 
@@ -25,7 +25,7 @@ def arctangent(x: float) -> float:
     ----------
     Moshier, Methods and Programs for Mathematical Functions, 1989 (Cephes, atan).
     """
-    a = abs(x)
+    a = abs(value)
     large, middle = a > _LARGE, a > _MIDDLE
     above = -1.0 if large else (a - 1 if middle else a)
     below = a if large else (a + 1 if middle else 1.0)
@@ -36,17 +36,17 @@ def arctangent(x: float) -> float:
     p = (p * q - 1.228866684490136e2) * q - 6.485021904942025e1
     d = ((q + 2.485846490142306e1) * q + 1.650270098316988e2) * q + 4.328810604912903e2
     d = (d * q + 4.853903996359137e2) * q + 1.945506571482614e2
-    value = start + t * q * p / d + t
-    return value if x >= 0 else -value
+    angle = start + t * q * p / d + t
+    return angle if value >= 0 else -angle
 
 
 @compiled
-def falling_exponential(x: float) -> float:
-    """Return exp(x) for x <= 0 to 1e-13 (absolute); below -80 it is exp(-80).
+def falling_exponential(value: float) -> float:
+    """Return exp(value) for 0 and below to 1e-13 (absolute); below -80 it is exp(-80).
 
-    The series of exp(x / 256), squared eight times.
+    The series of exp(value / 256), squared eight times.
     """
-    y = max(x, _LEAST_EXPONENT) / 256
+    y = max(value, _LEAST_EXPONENT) / 256
     e = 1 + y / 8 * (1 + y / 9 * (1 + y / 10 * (1 + y / 11)))
     e = 1 + y * (1 + y / 2 * (1 + y / 3 * (1 + y / 4 * (1 + y / 5 * (1 + y / 6 * (1 + y / 7 * e))))))
     for _ in range(_DOUBLINGS):
@@ -55,12 +55,12 @@ def falling_exponential(x: float) -> float:
 
 
 @compiled
-def log_of_one_plus(x: float) -> float:
-    """Return ln(1 + x) for x > -1, to 1e-14 (relative) while 1 + x lies in 1/40 to 40, to 1e-8 in 1e-4 to 1e4.
+def log_of_one_plus(value: float) -> float:
+    """Return ln(1 + value) above -1, to 1e-14 (relative) while 1 + value lies in 1/40 to 40, to 1e-8 in 1e-4 to 1e4.
 
-    ln(1 + x) = 16 artanh(t), t = r / (r + 2), r = (1 + x)^(1/8) - 1, of which the series converges fast.
+    ln(1 + value) = 16 artanh(t), t = r / (r + 2), r = (1 + value)^(1/8) - 1, of which the series converges fast.
     """
-    r = x / (math.sqrt(1 + x) + 1)
+    r = value / (math.sqrt(1 + value) + 1)
     r = r / (math.sqrt(1 + r) + 1)
     r = r / (math.sqrt(1 + r) + 1)
     t = r / (r + 2)

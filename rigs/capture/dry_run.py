@@ -29,8 +29,8 @@ class Forecast:
         How often the operator is asked for another target.
     moves
         Moves of the wheel.
-    disk_mb
-        Space on disk for `most_frames` (MB).
+    disk_bytes
+        Space on disk for `most_frames`.
     typical_s, longest_s
         Duration with typical exposures, and if every frame took the camera's longest (s); operator not counted.
     """
@@ -39,7 +39,7 @@ class Forecast:
     most_frames: int
     targets: int
     moves: int
-    disk_mb: float
+    disk_bytes: int
     typical_s: float
     longest_s: float
 
@@ -64,7 +64,7 @@ def forecast(plan: PaintPlan, rig: RigFile, steps: Sequence[Step]) -> Forecast:
         most_frames=frames,
         targets=2 * len(list(groupby(steps, key=lambda step: step.target))) - 1,
         moves=moves,
-        disk_mb=1e-6 * BYTES_PER_PIXEL * rig.camera.width_px * rig.camera.height_px * frames,
+        disk_bytes=BYTES_PER_PIXEL * rig.camera.width_px * rig.camera.height_px * frames,
         typical_s=moves * WHEEL_MOVE_S + (frames + metering) * LIT_SESSION_EXPOSURE_S,
         longest_s=moves * WHEEL_MOVE_S + (frames + metering) * rig.camera.longest_exposure_s,
     )

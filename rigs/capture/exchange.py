@@ -156,8 +156,8 @@ class CheckedCamera:
         if known != step.slot:
             raise RefusedError(
                 f"camera: the frame's FILTER header says '{header}' at slot {step.slot}, as at slot {known}; it "
-                f"follows the wheel '{raw.settings.get('active_filter', 'unknown')}': set the camera's ACTIVE_DEVICES to the "
-                "wheel in use and give each slot a name of its own"
+                f"follows the wheel '{raw.settings.get('active_filter', 'unknown')}': set the camera's "
+                "ACTIVE_DEVICES to the wheel in use and give each slot a name of its own"
             )
 
 

@@ -54,8 +54,6 @@ EXCEPTIONS = {
     "p_within_5deg": "probability",
     **dict.fromkeys(("probability", "posterior_predictive_p"), "probability"),
     "reflected_laser": "share of the laser's light that the sample reflects",
-    "blocking": "multiple of the nominal leak",
-    "tail": "degrees of freedom",
     **dict.fromkeys(("effective", "effective_samples"), "a number of samples"),
     "left_out_bands": "a sum of log densities, nats",
     "left_out_bands_sd": "its standard error, nats",

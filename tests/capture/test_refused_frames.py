@@ -113,3 +113,16 @@ def test_colour_pictures_are_refused(rig: RigFile) -> None:
 
     with open_rig(rig, Path()) as opened, pytest.raises(RefusedError, match=r"colour pictures \(3 values a pixel\)"):
         over(rig, opened, colour).camera.expose(DARK, 0.01)
+
+
+def test_header_that_names_one_filter_at_two_slots_is_refused(rig: RigFile) -> None:
+    """INDI's camera follows its own inner wheel by default: its frames say "Red" behind every filter."""
+
+    def snooping(number: int, frame: RawFrame) -> RawFrame:
+        return replace(frame, settings={"filter_header": "Red", "active_filter": "CCD Simulator"})
+
+    with open_rig(rig, Path()) as opened:
+        taken = over(rig, opened, snooping)
+        taken.camera.expose(DARK, 0.01)
+        with pytest.raises(RefusedError, match=r"FILTER header says 'Red' at slot 3, as at slot 2; .*'CCD Simulator'"):
+            taken.camera.expose(replace(DARK, filter_name="500", slot=3), 0.01)
