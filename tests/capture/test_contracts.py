@@ -5,7 +5,8 @@ import sys
 import urllib.parse
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from rigs.light_guard import guarded_light
 from rigs.open_rig import OpenRig, open_rig
 from rigs.presets import simulated_rig
 from rigs.protocols import Camera, FilterWheel, Light
-from rigs.simulated.devices import SimulatedLight
+from rigs.simulated.devices import SimulatedCamera, SimulatedFilterWheel, SimulatedLight
 from rigs.toml_text import write_rig
 from tests.capture.drivers import picamera2_stand_in
 from tests.capture.drivers.alpaca_server import AlpacaServer
@@ -336,6 +337,57 @@ def put(url: str, **fields: str) -> None:
     """Send an Alpaca request as any other client would."""
     body = urllib.parse.urlencode({"ClientID": "77", "ClientTransactionID": "1", **fields}).encode()
     urllib.request.urlopen(urllib.request.Request(url, data=body, method="PUT"), timeout=5.0).close()
+
+
+class TestBrokenDevices:
+    """What the suites are there to find is found."""
+
+    def test_wheel_that_is_stuck(self, bench: OpenRig, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(SimulatedFilterWheel, "go_to", lambda self, slot, deadline_s: None)
+        with pytest.raises(AssertionError):
+            FilterWheelContract().test_every_slot_is_reached_and_read_twice(bench.wheel)
+
+    def test_wheel_that_takes_any_slot(self, bench: OpenRig, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(SimulatedFilterWheel, "go_to", lambda self, slot, deadline_s: None)
+        with pytest.raises(pytest.fail.Exception, match="DID NOT RAISE"):
+            FilterWheelContract().test_slot_that_it_lacks_is_refused_before_it_moves(bench.wheel)
+
+    def test_light_that_an_exception_leaves_on(self, bench: OpenRig, monkeypatch: pytest.MonkeyPatch) -> None:
+        @contextmanager
+        def lit(light: SimulatedLight) -> Iterator[None]:
+            light.bench_state.lamp = True
+            yield
+            light.bench_state.lamp = False
+
+        monkeypatch.setattr(SimulatedLight, "lit", lit)
+        LightContract().test_on_and_off_are_confirmed(bench.lamp)
+        try:
+            with pytest.raises(AssertionError):
+                LightContract().test_exception_leaves_it_off(bench.lamp)
+        finally:
+            bench.lamp.bench_state.lamp = False
+
+    def test_light_whose_state_is_remembered(self, bench: OpenRig) -> None:
+        with pytest.raises(AssertionError):
+            LightContract().test_state_is_asked_afresh(bench.lamp, lambda: None)
+
+    def test_camera_that_repeats_a_frame(self, bench: OpenRig, monkeypatch: pytest.MonkeyPatch) -> None:
+        frame = bench.camera.expose(0.01, 5.0)
+        monkeypatch.setattr(SimulatedCamera, "expose", lambda self, exposure_s, deadline_s: frame)
+        with pytest.raises(AssertionError):
+            CameraContract().test_every_frame_is_new(bench.camera, (0.01, 0.02))
+
+    def test_camera_that_keeps_its_exposure(self, bench: OpenRig, monkeypatch: pytest.MonkeyPatch) -> None:
+        frame = bench.camera.expose(0.01, 5.0)
+        monkeypatch.setattr(
+            SimulatedCamera, "expose", lambda self, asked_s, deadline_s: replace(frame, exposure_requested_s=asked_s)
+        )
+        with pytest.raises(AssertionError):
+            CameraContract().test_exposure_is_read_back(bench.camera, RIG.camera, (0.01, 0.02))
+        with pytest.raises(pytest.fail.Exception, match="DID NOT RAISE"):
+            CameraContract().test_impossible_exposure_is_refused_and_the_next_is_not(
+                bench.camera, RIG.camera, (0.01, 0.02)
+            )
 
 
 class TestOnARigFile:

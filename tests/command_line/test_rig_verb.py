@@ -3,6 +3,7 @@
 import io
 import sys
 import threading
+from contextlib import ExitStack
 from pathlib import Path
 from types import ModuleType
 
@@ -26,6 +27,11 @@ from rigs.detect import FoundDevice, detect
 from rigs.rig_template import paper_rig
 from rigs.simulated.devices import SimulatedFilterWheel, SimulatedLight
 from rigs.toml_text import rig_toml
+from tests.capture.drivers.fake_gigevision_camera import fake_camera
+from tests.capture.drivers.firmware_in_qemu import build, firmware_board
+from tests.capture.drivers.indi_server import PANEL, IndiServer
+from tests.capture.drivers.programs import require, require_module
+from tests.capture.drivers.thorlabs_wheel import emulated_wheel
 from tests.command_line.running import edit, finray, succeed
 
 CAMERA = FoundDevice("camera", "aravis", "FLIR-1234", "FLIR Chameleon3, serial 1234, at usb")
@@ -226,6 +232,51 @@ def test_show_says_what_does_not_fit_the_rig_file(lab: Path, tmp_path: Path, mon
     said = succeed(f"rig show {lab}/rig.toml")
     assert said.count("warning: reports ON although it was switched off") == 2
     assert "position unknown" in said
+
+
+@pytest.mark.rigs
+def test_show_of_real_drivers_on_emulated_devices(tmp_path: Path) -> None:
+    require("arv-tool-0.8", "aravis-tools-cli libaravis-0.8-0")
+    require_module("lewis", "lewis")
+    rig = tmp_path / "rig.toml"
+    with ExitStack() as stack:
+        stack.enter_context(fake_camera())
+        wheel = stack.enter_context(emulated_wheel())
+        wheel.reset()
+        board = stack.enter_context(firmware_board(build(tmp_path)))
+        succeed(f"rig init --out {rig}")
+        edit(rig, "SERIAL-NUMBER", "127.0.0.1")
+        edit(rig, "/dev/ttyUSB0", wheel.address)
+        edit(rig, "/dev/ttyACM0", board.address)
+        for old, new in (("width_px = 1280", "width_px = 512"), ("height_px = 1024", "height_px = 512")):
+            edit(rig, old, new)
+        edit(rig, "bit_depth = 10", "bit_depth = 8")
+        said = succeed(f"rig show {rig}")
+        assert not board.state()
+        assert not board.times("host", b"L1")
+        assert wheel.control.get("pos") == 1
+    assert "3 layers switch it off: the capture, its guard process and the controller's dead-man" in said
+    assert "light with dead-man, firmware 1.0" in said
+    assert "Aravis Fake, serial FINRAY01" in said
+    assert "512 x 512 px; 0.01 s asked for, 0.01 s read back" in said
+    assert "PixelFormat BayerRG8" in said
+    assert "at slot 1, filter 405" in said
+    assert "12 (none)" in said
+
+
+@pytest.mark.rigs
+def test_show_says_that_a_light_without_dead_man_has_two_layers(tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    succeed(f"rig init --out {rig}")
+    with IndiServer(tmp_path, {"indi_simulator_lightpanel": PANEL}) as server:
+        edit(rig, 'driver = "arduino"', 'driver = "indi"')
+        edit(rig, "/dev/ttyACM0", server.address(PANEL))
+        outcome = finray(f"rig show {rig}")
+    laser = next(part for part in outcome.out.split("\n\n") if part.startswith("laser: indi"))
+    assert "reports off" in laser
+    assert "2 layers switch it off: the capture and its guard process" in laser
+    assert "warning: laser at" in laser
+    assert "has no dead-man" in laser
 
 
 def test_show_of_another_file_is_a_mistake(lab: Path) -> None:

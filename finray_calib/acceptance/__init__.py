@@ -1,0 +1,1 @@
+"""Acceptance of a rig: from what its devices did to a verdict for each check."""

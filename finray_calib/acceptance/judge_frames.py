@@ -1,0 +1,149 @@
+"""Verdicts on what the frames show: filters, revisits, dark level, read noise, exposure ratios."""
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.check import CheckFacts, CheckPlan, CheckResult, DarkFrames, ExposureLevel, Verdict
+from data_schemas.rig import CameraSettings
+from finray_calib.acceptance.guard_band import measured, unmeasured
+
+Floats = NDArray[np.float64]
+ROUNDING_DN2: Final = 1.0 / 12.0
+"""Variance of rounding to whole counts."""
+LEAST_NOISE_DN: Final = 0.4
+"""Below it, rounding hides what the noise is."""
+MOST_AT_ZERO: Final = 1e-3  # share of counts at 0: beyond it, the noise is cut off
+_PROOF: Final[dict[str, Verdict]] = {"confirmed": "PASS", "contradicted": "FAIL", "cannot tell": "UNDECIDED"}
+
+
+def judge_filters(facts: CheckFacts) -> tuple[CheckResult, ...]:
+    """Return whether the white frames show the filters where the rig file puts them."""
+    if facts.filter_proof is None:
+        return ()
+    verdict = _PROOF[facts.filter_proof.verdict]
+    what = "white frames under the lamp against the data of filters, lamp and camera, for every exchange of two filters"
+    limit = "no exchange of two filters explains the frames as well"
+    return (unmeasured("filters", "filters in their slots", what, verdict, facts.filter_proof.text, limit),)
+
+
+def judge_revisits(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
+    r"""Return how well the white signal repeats when the wheel comes back.
+
+    .. math:: y = \sqrt{\textstyle\sum r^2 / n}, \quad u = y / \sqrt{2 n}
+    """
+    name, what = "wheel repeats optically", "RMS change of the white signal over a move away and back"
+    if not facts.revisits:
+        if "revisits" in facts.errors:
+            return ()
+        return (unmeasured("revisits", name, what, "UNDECIDED", "the plan asks for none, or names one filter only"),)
+    moved, still = (
+        math.sqrt(sum(value**2 for value in values) / len(values))
+        for values in ([r.moved_rel for r in facts.revisits], [r.still_rel for r in facts.revisits])
+    )
+    number = len(facts.revisits)
+    evidence = f"{number} times behind filter {facts.revisit_filter}; {100 * still:.2g} % without a move"
+    sd = 100 * moved / math.sqrt(2 * number)
+    return (measured("revisits", name, what, 100 * moved, sd, "%", evidence, high=100 * plan.limits.revisit_rel),)
+
+
+def judge_dark_frames(facts: CheckFacts, plan: CheckPlan, camera: CameraSettings) -> tuple[CheckResult, ...]:
+    """Return dark level, its growth with the exposure, and read noise."""
+    if not facts.darks:
+        return ()
+    level_dn, level_sd_dn, rate, rate_sd = dark_line(facts.darks)
+    frames = sum(len(dark.means_dn) for dark in facts.darks)
+    exposures = ", ".join(f"{dark.exposure_s:.3g}" for dark in facts.darks)
+    evidence, apart_dn = f"{frames} frames of {exposures} s", plan.limits.black_level_dn
+    most_rate = plan.limits.dark_rate_dn_per_s
+    return (
+        measured(
+            "dark frames", "dark level", "dark level at exposure zero", level_dn, level_sd_dn, "DN",
+            f"{evidence}; the rig file says {camera.black_level_dn:g} DN",
+            low=camera.black_level_dn - apart_dn, high=camera.black_level_dn + apart_dn,
+        ),
+        measured(
+            "dark frames", "dark rate", "growth of the dark level with the exposure: dark current and leaking light",
+            rate, rate_sd, "DN/s", f"{evidence}, lamp and laser off", low=-most_rate, high=most_rate,
+        ),
+        _read_noise(facts.darks[0], plan, camera),
+    )  # fmt: skip
+
+
+def dark_line(darks: tuple[DarkFrames, ...]) -> tuple[float, float, float, float]:
+    """Return level at exposure zero (DN) and rate (DN/s) of the dark frames' means, each with its standard uncertainty.
+
+    Ordinary least squares over all frames; the uncertainty follows from their scatter about the line.
+    """
+    times = np.concatenate([np.full(len(dark.means_dn), dark.exposure_s) for dark in darks])
+    means = np.concatenate([np.array(dark.means_dn) for dark in darks])
+    design = np.column_stack([np.ones_like(times), times])
+    solution, _, rank, _ = np.linalg.lstsq(design, means, rcond=None)
+    residual = means - design @ solution
+    if rank < 2:  # one exposure time only: a level, and nothing about its growth
+        return float(means.mean()), float(means.std(ddof=1) / math.sqrt(means.size)), 0.0, math.inf
+    variance = float(residual @ residual) / (means.size - 2)
+    sd = np.sqrt(variance * np.diag(np.linalg.inv(design.T @ design)))
+    return float(solution[0]), float(sd[0]), float(solution[1]), float(sd[1])
+
+
+def _read_noise(dark: DarkFrames, plan: CheckPlan, camera: CameraSettings) -> CheckResult:
+    r"""Judge the temporal noise of the shortest dark frames.
+
+    .. math:: \sigma = K \sqrt{s^2 - 1/12}, \quad u = \sigma / \sqrt{2 n}
+
+    with K the gain of the rig file (e/DN) and n differences of two counts.
+    """
+    name, what = "read noise", "temporal noise of a pixel in the dark, rounding taken off"
+    low, high = (camera.read_noise_e * (1.0 + sign * plan.limits.read_noise_rel) for sign in (-1.0, 1.0))
+    limit = f"{low:.4g} to {high:.4g} e"
+    if dark.at_zero_fraction > MOST_AT_ZERO:
+        reason = f"{100 * dark.at_zero_fraction:.2g} % of the counts are 0, which cuts the noise off: raise black level"
+        return unmeasured("dark frames", name, what, "UNDECIDED", reason, limit)
+    if dark.noise_dn < LEAST_NOISE_DN:
+        reason = f"{dark.noise_dn:.2g} DN: rounding to whole counts hides it; raise the camera's gain"
+        return unmeasured("dark frames", name, what, "UNDECIDED", reason, limit)
+    noise_e = camera.gain_e_per_dn * math.sqrt(dark.noise_dn**2 - ROUNDING_DN2)
+    differences = dark.pixels * (len(dark.means_dn) // 2)
+    evidence = f"{dark.noise_dn:.3g} DN at {dark.exposure_s:.3g} s and {camera.gain_e_per_dn:g} e/DN of the rig file"
+    sd_e = noise_e / math.sqrt(2 * differences)
+    return measured("dark frames", name, what, noise_e, sd_e, "e", evidence, low=low, high=high)
+
+
+def judge_exposures(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
+    """Return whether the signal is proportional to the exposure, at twice and four times the shortest of three."""
+    if not facts.levels:
+        return ()
+    rates = [rate_dn_per_s(level) for level in facts.levels]
+    first, most = rates[0], 100 * plan.limits.exposure_ratio_rel
+    results = []
+    for factor, level, (rate, rate_sd) in zip((2, 4), facts.levels[1:], rates[1:], strict=True):
+        ratio = rate / first[0]
+        sd = abs(ratio) * math.hypot(rate_sd / rate, first[1] / first[0])
+        evidence = (
+            f"{level.exposure_s:.4g} s against {facts.levels[0].exposure_s:.4g} s, {len(level.white_dn)} frames each, "
+            "dark level taken off"
+        )
+        what = "signal per second of exposure, apart from that of the shortest of three"
+        name = f"exposure ratio {factor} : 1"
+        results.append(
+            measured("exposures", name, what, 100 * (ratio - 1.0), 100 * sd, "%", evidence, low=-most, high=most)
+        )
+    return tuple(results)
+
+
+def rate_dn_per_s(level: ExposureLevel) -> tuple[float, float]:
+    r"""Return the signal per second of exposure (DN/s) and its standard uncertainty.
+
+    Each mean of n frames has the standard uncertainty of GUM Supplement 1 (6.4.9), which few frames enlarge:
+
+    .. math:: u^2 = \frac{n - 1}{n - 3} \frac{s^2}{n}
+    """
+    white, dark = np.array(level.white_dn), np.array(level.dark_dn)
+    signal_dn = float(white.mean() - dark.mean())
+    variance = sum(
+        float(values.var(ddof=1)) / values.size * (values.size - 1) / (values.size - 3) for values in (white, dark)
+    )
+    return signal_dn / level.exposure_s, math.sqrt(variance) / level.exposure_s
