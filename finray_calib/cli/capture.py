@@ -38,7 +38,8 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
 def run(arguments: argparse.Namespace) -> None:
     """Capture and report."""
     from data_schemas.errors import CaptureError
-    from finray_calib.cli.capture_kinds import KINDS, interruptible, resume
+    from finray_calib.cli.capture_kinds import KINDS, resume
+    from finray_calib.cli.interruption import interruptible
 
     if arguments.resume is not None:
         if arguments.plan is not None or arguments.rig is not None or arguments.out is not None:

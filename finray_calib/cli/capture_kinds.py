@@ -1,11 +1,9 @@
 """What ``finray capture`` does for each kind of plan, for a dry run and for an interrupted session."""
 
 import argparse
-import signal
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from types import FrameType
 
 from data_schemas.camera import CameraPlan, CameraSession
 from data_schemas.capture import CaptureSession, PaintPlan
@@ -13,6 +11,7 @@ from data_schemas.errors import CaptureError
 from data_schemas.rig import LaserSettings, RigFile
 from data_schemas.storage import read_toml
 from finray_calib.cli.capture_tactile import capture_tactile, resume_tactile
+from finray_calib.cli.interruption import interruptible
 from finray_calib.cli.options import Progress, command_line, file_name, naming, progress_bar, require_new, say, warn
 from rigs.capture.camera_session import camera_step, capture_camera_session
 from rigs.capture.dry_run import forecast, require_ready
@@ -64,7 +63,7 @@ def capture_camera(arguments: argparse.Namespace) -> None:
 KINDS: dict[str, Callable[[argparse.Namespace], None]] = {
     "paint": capture_paint,
     "camera": capture_camera,
-    "tactile": lambda arguments: capture_tactile(arguments, interruptible),
+    "tactile": capture_tactile,
 }
 
 
@@ -99,25 +98,6 @@ def _resume_camera(folder: Path, interrupted: Interrupted) -> None:
             rig, plan, interrupted.rig_folder, folder, command_line(), progress, interrupted=interrupted
         )
     _report(folder, session, plan.camera_name)
-
-
-@contextmanager
-def interruptible(out: Path) -> Iterator[None]:
-    """Let SIGTERM and a closed terminal end a capture as Ctrl-C does, and say how to go on."""
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield
-    except (KeyboardInterrupt, CaptureError, OSError):
-        if (out / "journal.jsonl").exists():
-            warn(f"{out}: holds what was captured so far; go on with: finray capture --resume {out}")
-        raise
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager

@@ -1,22 +1,19 @@
 """What ``finray capture`` does for a tactile plan."""
 
 import argparse
-from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
 
 from data_schemas.errors import CaptureError
 from data_schemas.storage import read_toml
 from data_schemas.tactile import TactilePlan, TactileRig, TactileSession
+from finray_calib.cli.interruption import interruptible
 from finray_calib.cli.options import command_line, file_name, naming, require_new, say, warn
 from rigs.capture.tactile_plan import planned_presses, tactile_shots
 from rigs.capture.tactile_resume import read_interrupted_presses
 from rigs.capture.tactile_session import capture_tactile_session
 
 
-def capture_tactile(
-    arguments: argparse.Namespace, interruptible: Callable[[Path], AbstractContextManager[None]]
-) -> None:
+def capture_tactile(arguments: argparse.Namespace) -> None:
     """Capture a tactile session, or list what it would ask for."""
     if arguments.like is not None:
         raise CaptureError("--like is for plans of kind 'paint'; leave it out")

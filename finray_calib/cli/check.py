@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     from data_schemas.storage import read_toml, write_bytes, write_record
     from finray_calib.acceptance.acceptance_report import judge
     from finray_calib.acceptance.result_text import result_line
-    from finray_calib.cli.capture_kinds import interruptible
+    from finray_calib.cli.interruption import interruptible
     from finray_calib.exchange.junit_xml import junit_xml
     from finray_calib.reports.check_report import check_report
     from rigs.capture.check_session import check_filters, record_facts

@@ -26,7 +26,7 @@ def paint_map_figure(fitted: PaintMap) -> str:
 
 def draw_paint_map(fitted: PaintMap) -> Figure:
     """Draw five maps with colour bars and the caption."""
-    panels = (
+    panels: tuple[tuple[str, NDArray[np.floating], str], ...] = (
         ("mode (nm)", fitted.mode_nm, "viridis"),
         ("energy yield (1)", fitted.energy_yield, "cividis"),
         ("chi-square per band (1)", fitted.chi_square / np.maximum(fitted.bands_used, 1), "magma"),
