@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from data_schemas.check import CheckFacts, CheckPlan, CheckResult, DarkFrames, ExposureLevel, Verdict
 from data_schemas.rig import CameraSettings
-from finray_calib.acceptance.guard_band import measured, unmeasured
+from finray_calib.acceptance.guard_band import limit_text, measured, unmeasured
 
 Floats = NDArray[np.float64]
 ROUNDING_DN2: Final = 1.0 / 12.0
@@ -57,19 +57,24 @@ def judge_dark_frames(facts: CheckFacts, plan: CheckPlan, camera: CameraSettings
     frames = sum(len(dark.means_dn) for dark in facts.darks)
     exposures = ", ".join(f"{dark.exposure_s:.3g}" for dark in facts.darks)
     evidence, apart_dn = f"{frames} frames of {exposures} s", plan.limits.black_level_dn
-    most_rate = plan.limits.dark_rate_dn_per_s
     return (
         measured(
             "dark frames", "dark level", "dark level at exposure zero", level_dn, level_sd_dn, "DN",
             f"{evidence}; the rig file says {camera.black_level_dn:g} DN",
             low=camera.black_level_dn - apart_dn, high=camera.black_level_dn + apart_dn,
         ),
-        measured(
-            "dark frames", "dark rate", "growth of the dark level with the exposure: dark current and leaking light",
-            rate, rate_sd, "DN/s", f"{evidence}, lamp and laser off", low=-most_rate, high=most_rate,
-        ),
+        _dark_rate(rate, rate_sd, f"{evidence}, lamp and laser off", plan.limits.dark_rate_dn_per_s),
         _read_noise(facts.darks[0], plan, camera),
     )  # fmt: skip
+
+
+def _dark_rate(rate: float, sd: float, evidence: str, most: float) -> CheckResult:
+    """Judge the growth of the dark level."""
+    name, what = "dark rate", "growth of the dark level with the exposure: dark current and leaking light"
+    if not math.isfinite(sd):
+        reason = f"{evidence}: one exposure time shows no growth; raise longest_dark_s"
+        return unmeasured("dark frames", name, what, "UNDECIDED", reason, limit_text(-most, most, "DN/s"))
+    return measured("dark frames", name, what, rate, sd, "DN/s", evidence, low=-most, high=most)
 
 
 def dark_line(darks: tuple[DarkFrames, ...]) -> tuple[float, float, float, float]:
@@ -118,6 +123,9 @@ def judge_exposures(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ..
         return ()
     rates = [rate_dn_per_s(level) for level in facts.levels]
     first, most = rates[0], 100 * plan.limits.exposure_ratio_rel
+    if min(rate for rate, _ in rates) <= 0.0:
+        what, reason = "signal per second of exposure", "the white frames are no brighter than the dark ones"
+        return (unmeasured("exposures", "exposure ratios", what, "FAIL", reason),)
     results = []
     for factor, level, (rate, rate_sd) in zip((2, 4), facts.levels[1:], rates[1:], strict=True):
         ratio = rate / first[0]

@@ -44,8 +44,10 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.resume is not None:
         if arguments.plan is not None or arguments.rig is not None or arguments.out is not None:
             raise CaptureError("--resume takes plan, rig and folder from the session; leave out PLAN, --rig and --out")
+        if arguments.dry_run:
+            raise CaptureError("--resume goes on at once, and --dry-run is for a session that is to begin; give one")
         with interruptible(arguments.resume):
-            resume(arguments.resume)
+            resume(arguments.resume, arguments.like)
         return
     if arguments.plan is None or arguments.rig is None:
         raise CaptureError("give a PLAN and its --rig, or --resume with the folder of an interrupted session")

@@ -67,25 +67,37 @@ KINDS: dict[str, Callable[[argparse.Namespace], None]] = {
 }
 
 
-def resume(folder: Path) -> None:
+def resume(folder: Path, like: Path | None) -> None:
     """Go on with an interrupted session."""
-    if is_tactile(folder):
+    tactile = is_tactile(folder)
+    interrupted = None if tactile else read_interrupted(folder)
+    if like is not None and (interrupted is None or interrupted.kind != "paint"):
+        raise CaptureError("--like is for sessions of kind 'paint'; leave it out")
+    if interrupted is None:
         resume_tactile(folder)
         return
-    interrupted = read_interrupted(folder)
-    kinds = {"paint": _resume_paint, "camera": _resume_camera}
-    if interrupted.kind not in kinds:
+    if interrupted.kind not in ("paint", "camera"):
         raise CaptureError(f"{folder}: sessions of kind '{interrupted.kind}' cannot be resumed; capture it again")
     say(f"{folder}: {len(interrupted.frames)} frames are there and unchanged")
-    kinds[interrupted.kind](folder, interrupted)
+    if interrupted.kind == "camera":
+        _resume_camera(folder, interrupted)
+    else:
+        _resume_paint(folder, interrupted, None if like is None else read_session(like))
 
 
-def _resume_paint(folder: Path, interrupted: Interrupted) -> None:
+def _resume_paint(folder: Path, interrupted: Interrupted, last_good: CaptureSession | None) -> None:
     """Go on with a paint session."""
     plan, rig = interrupted.plan(PaintPlan), interrupted.rig()
     with _telling(rig) as progress:
         session = capture_paint_session(
-            rig, plan, interrupted.rig_folder, folder, command_line(), progress, interrupted=interrupted
+            rig,
+            plan,
+            interrupted.rig_folder,
+            folder,
+            command_line(),
+            progress,
+            interrupted=interrupted,
+            last_good=last_good,
         )
     _report(folder, session, plan.paint_name)
 

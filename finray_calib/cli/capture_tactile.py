@@ -10,7 +10,7 @@ from finray_calib.cli.interruption import interruptible
 from finray_calib.cli.options import command_line, file_name, naming, require_new, say, warn
 from rigs.capture.tactile_plan import planned_presses, tactile_shots
 from rigs.capture.tactile_resume import read_interrupted_presses
-from rigs.capture.tactile_session import capture_tactile_session
+from rigs.capture.tactile_session import capture_tactile_session, session_bytes
 
 
 def capture_tactile(arguments: argparse.Namespace) -> None:
@@ -22,7 +22,10 @@ def capture_tactile(arguments: argparse.Namespace) -> None:
     with naming(CaptureError, arguments.plan):
         shots = tactile_shots(plan, rig.camera, len(presses))
     if arguments.dry_run:
-        say(f"{len(presses)} presses, {plan.repeats} times each; {len(shots)} frames")
+        say(
+            f"{len(presses)} presses, {plan.repeats} times each; {len(shots)} frames, "
+            f"{1e-6 * session_bytes(rig, plan, len(presses), len(shots)):.0f} MB at most"
+        )
         say(f"{len({shot.group for shot in shots})} things to do by hand")
         say(f"{sum(shot.exposure_s for shot in shots):.0f} s of exposure; the camera was not opened")
         return

@@ -6,9 +6,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
-from data_schemas.errors import CaptureError
+from data_schemas.errors import FinrayError
 from finray_calib.cli.options import warn
 from rigs.capture.journal import JOURNAL_NAME
+from rigs.capture.session_folder import SESSION_NAME
 
 
 @contextmanager
@@ -21,8 +22,8 @@ def interruptible(out: Path) -> Iterator[None]:
     before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGHUP)}
     try:
         yield
-    except (KeyboardInterrupt, CaptureError, OSError):
-        if (out / JOURNAL_NAME).exists():
+    except (KeyboardInterrupt, FinrayError, OSError):
+        if (out / JOURNAL_NAME).exists() and not (out / SESSION_NAME).exists():
             warn(f"{out}: holds what was captured so far; go on with: finray capture --resume {out}")
         raise
     finally:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from data_schemas.bayer import FIRST_RED, BayerOrder, rggb_frame
 from data_schemas.capture import ContactCircle, IndenterPose, PixelLayout, TactileCapture
 from data_schemas.errors import ImportFormatError
 from data_schemas.faults import explain
@@ -29,13 +30,7 @@ from finray_calib.exchange.raspberry_pi_images import (
     read_image,
 )
 from finray_calib.radiometry.libcamera_tuning import LibcameraTuning, shading_gains
-from finray_calib.radiometry.raspberry_pi import (
-    FIRST_RED,
-    BayerOrder,
-    processed_signal,
-    raw_signal,
-    rggb_frame,
-)
+from finray_calib.radiometry.raspberry_pi import processed_signal, raw_signal
 from finray_calib.radiometry.raspberry_pi_settings import CaptureSettings, capture_settings, require_same_settings
 
 Floats = NDArray[np.float64]

@@ -8,24 +8,18 @@ from typing import Literal
 
 import cv2
 import numpy as np
-import tifffile
 from numpy.typing import NDArray
 
-from data_schemas.errors import ImportFormatError
+from data_schemas.bayer import BayerOrder
+from data_schemas.errors import BadFrameError, ImportFormatError
 from finray_calib.radiometry.libcamera_tuning import LibcameraTuning, parse_tuning
-from finray_calib.radiometry.raspberry_pi import BayerOrder
+from rigs.cameras.dng_file import read_dng
+from rigs.cameras.raw_files import read_content, read_plain_counts
 
 BitDepth = Literal[8, 10, 12, 14, 16]
 BIT_DEPTHS: tuple[BitDepth, ...] = (8, 10, 12, 14, 16)
 RAW_SUFFIXES = (".dng", ".tiff", ".tif")
 PROCESSED_SUFFIXES = (".png", ".jpg", ".jpeg")
-COLOUR_FILTER_ARRAY = 32803
-ORDER_OF_PATTERN: dict[bytes, BayerOrder] = {
-    bytes([0, 1, 1, 2]): "RGGB",
-    bytes([2, 1, 1, 0]): "BGGR",
-    bytes([1, 0, 2, 1]): "GRBG",
-    bytes([1, 2, 0, 1]): "GBRG",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +45,7 @@ def read_image(path: Path, order: BayerOrder | None, bit_depth: BitDepth | None)
     Parameters
     ----------
     path
-        DNG (uncompressed, as rpicam-still writes it), TIFF, PNG or JPEG.
+        DNG, TIFF, PNG or JPEG.
     order, bit_depth
         Bayer order and bits of a 16-bit TIFF, which cannot tell them; a DNG says them itself.
 
@@ -59,6 +53,8 @@ def read_image(path: Path, order: BayerOrder | None, bit_depth: BitDepth | None)
     ------
     ImportFormatError
         The file is unreadable, or what its values mean cannot be known.
+    MissingExtraError
+        A packed or compressed DNG needs rawpy.
     """
     if path.suffix.lower() == ".dng":
         return _read_dng(path)
@@ -95,31 +91,17 @@ def read_tuning(path: Path) -> LibcameraTuning:
 
 
 def _read_dng(path: Path) -> RawImage:
-    """Read the raw page of an uncompressed DNG: the first page, or one below it, that is a colour filter array."""
+    """Read a DNG, which says the order of its colours and its bits."""
     try:
-        with tifffile.TiffFile(path) as file:
-            pages = [p for top in file.pages for p in (top, *(top.pages or ()))]
-            raw = [p for p in pages if p.photometric == COLOUR_FILTER_ARRAY]
-            if not raw:
-                raise ImportFormatError(f"{path}: holds no colour filter array (Bayer) image; is it a raw DNG?")
-            pattern = raw[0].tags.valueof("CFAPattern", b"")
-            white_dn = int(np.ravel(raw[0].tags.valueof("WhiteLevel", 0))[0])
-            counts = raw[0].asarray()
-    except ImportFormatError:
-        raise
-    except Exception as error:  # of a broken file the TIFF reader raises nearly anything
+        image = read_dng(read_content(path), path)
+    except BadFrameError as error:
+        raise ImportFormatError(str(error)) from error
+    depths = [bits for bits in BIT_DEPTHS if 2**bits - 1 == image.white_dn]
+    if not depths:
         raise ImportFormatError(
-            f"{path}: cannot be read as an uncompressed 16-bit DNG ({error}); save it with rpicam-still --raw, or as a "
-            "16-bit TIFF"
-        ) from error
-    order = ORDER_OF_PATTERN.get(bytes(pattern))
-    depths = [bits for bits in BIT_DEPTHS if 2**bits - 1 == white_dn]
-    if order is None or not depths or counts.ndim != 2:
-        raise ImportFormatError(
-            f"{path}: Bayer pattern {list(bytes(pattern))} with white level {white_dn} DN is not understood; known are "
-            f"{', '.join(ORDER_OF_PATTERN.values())} with 2^bits - 1 for {BIT_DEPTHS} bits"
+            f"{path}: white level {image.white_dn} DN is not understood; known is 2^bits - 1 for {BIT_DEPTHS} bits"
         )
-    return RawImage(np.asarray(counts, dtype=np.uint16), order, depths[0])
+    return RawImage(image.counts, image.order, depths[0])
 
 
 def _read_bayer_tiff(path: Path, order: BayerOrder | None, bit_depth: BitDepth | None) -> RawImage:
@@ -130,14 +112,9 @@ def _read_bayer_tiff(path: Path, order: BayerOrder | None, bit_depth: BitDepth |
             "(--bayer-order, --bit-depth), or use the DNG"
         )
     try:
-        counts = tifffile.imread(path)
-    except Exception as error:  # of a broken file the TIFF reader raises nearly anything
-        raise ImportFormatError(f"{path}: cannot be read as TIFF ({error}); is the file whole?") from error
-    if counts.ndim != 2 or counts.dtype != np.uint16:
-        raise ImportFormatError(
-            f"{path}: is {counts.dtype} of shape {counts.shape}; raw Bayer counts are one 16-bit number per "
-            "pixel (H, W)"
-        )
+        counts = read_plain_counts(path)
+    except BadFrameError as error:
+        raise ImportFormatError(str(error)) from error
     if int(counts.max()) >= 2**bit_depth:
         raise ImportFormatError(
             f"{path}: holds {counts.max()} DN, more than {bit_depth} bits allow ({2**bit_depth - 1}); correct "

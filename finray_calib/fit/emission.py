@@ -30,6 +30,7 @@ _WORTH_ADAPTING: Final = 20_000
 
 _GROWTHS: Final = 10
 _DRAWS_OF_LAST_ADAPTATION: Final = 10_000  # a round; a curved ridge in ten dimensions needs them
+_SHARE_OF_LAST_ADAPTATION: Final = 0.75  # the rest watches over what the adaptation forgot
 REFERENCE_ROUNDS: Final = 2
 """The filters' tolerances act at a reference fit that is refined twice; the first is fitted without them."""
 
@@ -222,11 +223,11 @@ def draw_posterior(
             break
         method = "adapted importance sampling"
         last = growth == _GROWTHS - 1  # what growing did not mend, adapting all components together often does
-        proposal = (
-            proposal.adapted(log_posterior, rng, _DRAWS_OF_LAST_ADAPTATION)
-            if last
-            else proposal.grown(sample.theta, sample.weight)
-        )
+        if last:
+            adapted = proposal.adapted(log_posterior, rng, _DRAWS_OF_LAST_ADAPTATION)
+            proposal = proposal.joined(adapted, _SHARE_OF_LAST_ADAPTATION)
+        else:
+            proposal = proposal.grown(sample.theta, sample.weight)
         sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
     if sample.trusted:
         return proposal, sample.resampled(settings.kept_draws, rng), Sampling(method, sample, None)

@@ -1,6 +1,6 @@
 """The likelihood of band values with noise, the imperfections of the rig, and the discrepancy of the paint."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from data_schemas.errors import FitError
 from finray_calib.fit.discrepancy import NO_DISCREPANCY, Discrepancy
 from finray_calib.fit.nuisances import Reference, calibration_columns, decisive_leaks, tolerance_columns
-from finray_calib.fit.posterior_kernel import Problem, climb, covariances, log_posterior, predictions
+from finray_calib.fit.posterior_kernel import Problem, TruncatedNormals, climb, covariances, log_posterior, predictions
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.spectra.band_quadrature import BandQuadrature, band_quadrature
 from finray_calib.spectra.band_tolerances import BandTolerances
@@ -186,24 +186,28 @@ class LogPosterior:
 
     def __call__(self, theta: FloatArray) -> FloatArray:
         """Return the log posterior density (up to the evidence) of (n, D) rows, (n,)."""
-        threads = min(machine_threads(), len(theta) // _ROWS_WORTH_A_THREAD)
-        if threads < 2:
-            return np.asarray(log_posterior(self.problem, np.ascontiguousarray(theta), True))
-        pieces = np.array_split(np.ascontiguousarray(theta), threads)
-        with ThreadPoolExecutor(threads) as pool:
-            return np.concatenate(list(pool.map(lambda piece: log_posterior(self.problem, piece, True), pieces)))
+        return self._by_row(lambda rows: log_posterior(self.problem, rows, True), theta)
 
     def log_likelihood(self, theta: FloatArray) -> FloatArray:
         """Return ln p(y | theta) of (n, D) rows inside the prior, (n,)."""
-        return np.asarray(log_posterior(self.problem, np.ascontiguousarray(theta), False))
+        return self._by_row(lambda rows: log_posterior(self.problem, rows, False), theta)
 
     def predict_usable(self, theta: FloatArray) -> FloatArray:
         """Return the predicted usable band values of (n, D) rows, without discrepancy, (n, K)."""
-        return np.asarray(predictions(self.problem, np.ascontiguousarray(theta)))
+        return self._by_row(lambda rows: predictions(self.problem, rows), theta)
 
     def covariances(self, theta: FloatArray) -> FloatArray:
         """Return the covariance of the usable band values at (n, D) rows, (n, K, K)."""
-        return np.asarray(covariances(self.problem, np.ascontiguousarray(theta)))
+        return self._by_row(lambda rows: covariances(self.problem, rows), theta)
+
+    def _by_row(self, compiled_function: Callable[[FloatArray], FloatArray], theta: FloatArray) -> FloatArray:
+        """Return a compiled function of many rows, computed by several threads where that pays."""
+        threads = min(machine_threads(), len(theta) // _ROWS_WORTH_A_THREAD)
+        theta = np.ascontiguousarray(theta)
+        if threads < 2:
+            return np.asarray(compiled_function(theta))
+        with ThreadPoolExecutor(threads) as pool:
+            return np.concatenate(list(pool.map(compiled_function, np.array_split(theta, threads))))
 
     def climb(self, start: FloatArray) -> FloatArray:
         """Return the local maximum that Levenberg-Marquardt steps from `start` (D,) reach, (D,)."""
@@ -314,11 +318,7 @@ def _problem(posterior: LogPosterior) -> Problem:
         near=near.astype(np.int64),
         floor_rel=discrepancy.floor_rel,
         reabsorption_rel=discrepancy.reabsorption_rel,
-        prior_mean=prior.mean,
-        prior_sd=prior.sd,
-        low=prior.low,
-        high=prior.high,
-        ln_prior_norm=prior.ln_norm,
+        prior=TruncatedNormals(prior.mean, prior.sd, prior.low, prior.high, prior.ln_norm),
         **row,
         **own,
     )

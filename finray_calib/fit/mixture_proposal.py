@@ -55,6 +55,11 @@ class MixtureProposal:
         constant = gammaln((df + dimension) / 2) - gammaln(df / 2) - dimension / 2 * np.log(df * np.pi)
         self._ln_norm = constant - np.log(np.diagonal(self._factors, axis1=1, axis2=2)).sum(axis=1)
 
+    @property
+    def shares(self) -> FloatArray:
+        """Shares of the components, (K,), without the prior's; their sum is 1."""
+        return np.asarray(self._shares[:-1] / self._shares[:-1].sum())
+
     @classmethod
     def around(cls, maxima: Maxima, prior: Prior) -> Self:
         """Return one component per maximum: its Laplace approximation, slightly widened, weighted by its mass."""
@@ -119,11 +124,22 @@ class MixtureProposal:
         share = weight[near] + 1 / len(theta)
         beside = theta[near] - centre
         covariance = _symmetric((beside.T @ (beside * share[:, None]) / share.sum())[None])
-        shares = self._shares[:-1] / self._shares[:-1].sum()
         return type(self)(
-            np.append(shares * (1 - _GROWN_SHARE), _GROWN_SHARE),
+            np.append(self.shares * (1 - _GROWN_SHARE), _GROWN_SHARE),
             np.concatenate([self._centres, centre[None]]),
             np.concatenate([self._covariances, covariance]),
+            self._prior,
+        )
+
+    def joined(self, other: Self, share: float) -> Self:
+        """Return the mixture of this one and another one, which takes `share` of the draws.
+
+        What an adapted mixture has forgotten, the one that it came from still draws, and its weights tell.
+        """
+        return type(self)(
+            np.concatenate([self.shares * (1 - share), other.shares * share]),
+            np.concatenate([self._centres, other._centres]),
+            np.concatenate([self._covariances, other._covariances]),
             self._prior,
         )
 

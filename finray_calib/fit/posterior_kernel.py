@@ -21,6 +21,16 @@ _FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-2, 1e-9, 1e8
 _LEAST_GAIN_NATS = 1e-5
 
 
+class TruncatedNormals(NamedTuple):
+    """The prior of D parameters."""
+
+    mean: FloatArray  # (D,)
+    sd: FloatArray
+    low: FloatArray
+    high: FloatArray
+    ln_norm: float
+
+
 class Problem(NamedTuple):
     """Everything the compiled functions need; K usable rows, B bands, Q nodes a band, G grid points, D parameters.
 
@@ -52,11 +62,7 @@ class Problem(NamedTuple):
     near: IntArray  # (B, B) 1 where two bands share discrepancy
     floor_rel: float
     reabsorption_rel: float
-    prior_mean: FloatArray  # (D,)
-    prior_sd: FloatArray
-    low: FloatArray
-    high: FloatArray
-    ln_prior_norm: float
+    prior: TruncatedNormals
 
 
 class Work(NamedTuple):
@@ -73,15 +79,14 @@ class Work(NamedTuple):
 
 
 @compiled
-def scratch(p: Problem) -> Work:
+def scratch(rows: int, points: int, bands: int) -> Work:
     """Return scratch arrays of the right sizes."""
-    rows = len(p.y)
     return Work(
         np.empty(CONSTANTS),
-        np.empty(len(p.points_nm)),
+        np.empty(points),
         np.empty(rows),
         np.empty((rows, NODES)),
-        np.empty((len(p.near), NODES)),
+        np.empty((bands, NODES)),
         np.empty(rows),
         np.empty((rows, rows)),
         np.empty(rows),
@@ -166,53 +171,48 @@ def factorise(a: FloatArray) -> float:
 
 
 @compiled
-def whitened_residual(p: Problem, theta: FloatArray, w: Work) -> float:
-    """Fill w.z with the whitened residual of predict(); return the log normalisation."""
-    rows = len(p.y)
-    if not p.discrepancy:
-        for i in range(rows):
-            s = 0.0
-            for j in range(i + 1):
-                s += p.whiten[i, j] * (p.y[j] - w.mu[j])
-            w.z[i] = s
-        return p.ln_norm
-    add_discrepancy(p, theta, w)
-    half = factorise(w.factor)
-    for i in range(rows):
-        s = p.y[i] - w.mu[i]
-        for j in range(i):
-            s -= w.factor[i, j] * w.z[j]
-        w.z[i] = s / w.factor[i, i]
-    return -0.5 * rows * _LN_2PI - half
-
-
-@compiled
-def log_prior(p: Problem, theta: FloatArray) -> float:
+def log_prior(prior: TruncatedNormals, theta: FloatArray) -> float:
     """Return the log prior density, minus infinity outside the truncation."""
-    s = p.ln_prior_norm
+    s = prior.ln_norm
     for d in range(len(theta)):
-        if not (p.low[d] <= theta[d] <= p.high[d]):
+        if not (prior.low[d] <= theta[d] <= prior.high[d]):
             return -math.inf
-        s -= 0.5 * ((theta[d] - p.prior_mean[d]) / p.prior_sd[d]) ** 2
+        s -= 0.5 * ((theta[d] - prior.mean[d]) / prior.sd[d]) ** 2
     return s
 
 
 @compiled
 def log_likelihood_one(p: Problem, theta: FloatArray, w: Work) -> float:
-    """Return ln p(y | theta) of one parameter vector."""
+    """Return ln p(y | theta) of one parameter vector, and leave the whitened residual in w.z."""
+    # one function where two would read better: what takes a Problem costs a second to compile
+    rows = len(p.y)
     predict(p, theta, w)
-    s = whitened_residual(p, theta, w)
-    for i in range(len(p.y)):
-        s -= 0.5 * w.z[i] * w.z[i]
-    return s if math.isfinite(s) else -math.inf
+    if p.discrepancy:
+        add_discrepancy(p, theta, w)
+        value = -0.5 * rows * _LN_2PI - factorise(w.factor)
+    else:
+        value = p.ln_norm
+    for i in range(rows):
+        s = 0.0
+        if p.discrepancy:
+            s = p.y[i] - w.mu[i]
+            for j in range(i):
+                s -= w.factor[i, j] * w.z[j]
+            s /= w.factor[i, i]
+        else:
+            for j in range(i + 1):
+                s += p.whiten[i, j] * (p.y[j] - w.mu[j])
+        w.z[i] = s
+        value -= 0.5 * s * s
+    return value if math.isfinite(value) else -math.inf
 
 
 @compiled
 def log_posterior(p: Problem, theta: FloatArray, with_prior: bool) -> FloatArray:
     """Return the log posterior (or likelihood) of (n, D) rows, (n,)."""
-    out, w = np.empty(len(theta)), scratch(p)
+    out, w = np.empty(len(theta)), scratch(len(p.y), len(p.points_nm), len(p.near))
     for i in range(len(theta)):
-        prior = log_prior(p, theta[i])
+        prior = log_prior(p.prior, theta[i])
         out[i] = prior
         if prior > -math.inf:
             out[i] = log_likelihood_one(p, theta[i], w) + (prior if with_prior else 0.0)
@@ -222,7 +222,7 @@ def log_posterior(p: Problem, theta: FloatArray, with_prior: bool) -> FloatArray
 @compiled
 def predictions(p: Problem, theta: FloatArray) -> FloatArray:
     """Return the predicted usable band values of (n, D) rows, (n, K)."""
-    out, w = np.empty((len(theta), len(p.y))), scratch(p)
+    out, w = np.empty((len(theta), len(p.y))), scratch(len(p.y), len(p.points_nm), len(p.near))
     for i in range(len(theta)):
         predict(p, theta[i], w)
         for k in range(len(p.y)):
@@ -234,7 +234,7 @@ def predictions(p: Problem, theta: FloatArray) -> FloatArray:
 def covariances(p: Problem, theta: FloatArray) -> FloatArray:
     """Return the covariance of the usable band values at each of (n, D) rows, (n, K, K)."""
     rows = len(p.y)
-    out, w = np.empty((len(theta), rows, rows)), scratch(p)
+    out, w = np.empty((len(theta), rows, rows)), scratch(len(p.y), len(p.points_nm), len(p.near))
     for n in range(len(theta)):
         if p.discrepancy:
             predict(p, theta[n], w)
@@ -259,7 +259,7 @@ def _linearise(p: Problem, theta: FloatArray, w: Work, residual: FloatArray, jac
     for i in range(rows):  # element by element: numba compiles slice assignment ten times longer
         residual[i] = w.z[i]
     for d in range(len(theta)):
-        h = _DIFFERENCE * p.prior_sd[d]
+        h = _DIFFERENCE * p.prior.sd[d]
         moved[d] = theta[d] + h
         predict(p, moved, w)
         moved[d] = theta[d]
@@ -278,7 +278,7 @@ def _linearise(p: Problem, theta: FloatArray, w: Work, residual: FloatArray, jac
 
 @compiled
 def _damped_step(
-    p: Problem,
+    prior: TruncatedNormals,
     theta: FloatArray,
     residual: FloatArray,
     jacobian: FloatArray,
@@ -289,14 +289,14 @@ def _damped_step(
     """Fill the Levenberg-Marquardt step (D,)."""
     size, rows = len(theta), len(residual)
     for d in range(size):
-        step[d] = -(theta[d] - p.prior_mean[d]) / p.prior_sd[d] ** 2
+        step[d] = -(theta[d] - prior.mean[d]) / prior.sd[d] ** 2
         for i in range(rows):
             step[d] += jacobian[i, d] * residual[i]
         for e in range(d + 1):
             s = 0.0
             for i in range(rows):
                 s += jacobian[i, d] * jacobian[i, e]
-            normal[d, e] = (s + p.prior_sd[d] ** -2) * (1 + damping) if e == d else s
+            normal[d, e] = (s + prior.sd[d] ** -2) * (1 + damping) if e == d else s
     factorise(normal)
     for d in range(size):
         for e in range(d):
@@ -315,20 +315,20 @@ def climb(p: Problem, start: FloatArray, iterations: int) -> FloatArray:
     The covariance is held within a step and renewed at every accepted one; steps are accepted by the true density.
     """
     size, rows = len(start), len(p.y)
-    w, theta, moved = scratch(p), start.copy(), start.copy()
+    w, theta, moved = scratch(len(p.y), len(p.points_nm), len(p.near)), start.copy(), start.copy()
     residual, jacobian = np.empty(rows), np.empty((rows, size))
     normal, step = np.empty((size, size)), np.empty(size)
-    best = log_likelihood_one(p, theta, w) + log_prior(p, theta)
+    best = log_likelihood_one(p, theta, w) + log_prior(p.prior, theta)
     damping, fresh = _FIRST_DAMPING, True
     for _ in range(iterations):
         if fresh:
             _linearise(p, theta, w, residual, jacobian)
-        _damped_step(p, theta, residual, jacobian, damping, normal, step)
+        _damped_step(p.prior, theta, residual, jacobian, damping, normal, step)
         for d in range(size):
-            limit = p.prior_sd[d]
+            limit = p.prior.sd[d]
             moved[d] = theta[d] + min(max(step[d], -limit), limit)
-            moved[d] = min(max(moved[d], p.low[d] + _INSIDE * limit), p.high[d] - _INSIDE * limit)
-        new = log_likelihood_one(p, moved, w) + log_prior(p, moved)
+            moved[d] = min(max(moved[d], p.prior.low[d] + _INSIDE * limit), p.prior.high[d] - _INSIDE * limit)
+        new = log_likelihood_one(p, moved, w) + log_prior(p.prior, moved)
         fresh = new > best
         if fresh:
             gain, best = new - best, new

@@ -10,7 +10,6 @@ image, shading adapted from image to image) is not undone; it is carried as a st
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +19,6 @@ from finray_calib.radiometry.libcamera_tuning import LibcameraTuning
 from finray_calib.radiometry.raspberry_pi_settings import CaptureSettings
 
 Floats = NDArray[np.float64]
-BayerOrder = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
-# Rows and columns to leave out at the start so that the frame begins with red.
-FIRST_RED: dict[BayerOrder, tuple[int, int]] = {"RGGB": (0, 0), "GRBG": (0, 1), "GBRG": (1, 0), "BGGR": (1, 1)}
 LARGEST_CODE = 255
 ROUNDING_CODES = 12**-0.5
 # Assumed, not measured: sharpening and denoising change smooth regions by about one code (edges by more).
@@ -59,21 +55,6 @@ class LinearEstimate:
         """Return the median over pixels and channels of sd / value, of values above 1 % of full scale (NaN if none)."""
         bright = self.values_rel > 0.01
         return float(np.median(self.sd_rel[bright] / self.values_rel[bright])) if bright.any() else float("nan")
-
-
-def rggb_frame(counts: NDArray[np.uint16], order: BayerOrder) -> NDArray[np.uint16]:
-    """Return a Bayer frame that begins with red and has whole 2 x 2 cells, by cutting off rows and columns.
-
-    Parameters
-    ----------
-    counts
-        (H, W) raw counts (DN).
-    order
-        Colours of the first 2 x 2 pixels, row by row.
-    """
-    row, column = FIRST_RED[order]
-    height, width = ((n - first) // 2 * 2 for n, first in zip(counts.shape, (row, column), strict=True))
-    return counts[row : row + height, column : column + width]
 
 
 def raw_signal(
