@@ -3,7 +3,8 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 # Simulators with old pins of their own: an environment apart.
-ALPACA := .venv-alpaca
+# GPL programs and heavy simulators live in an environment of their own and run as separate processes.
+OTHERS := .venv-others
 
 .PHONY: demo test test-rigs lint check-types contracts pytest bench schemas lock llvm rig-programs clean
 
@@ -27,8 +28,8 @@ pytest: $(VENV)/installed-dev
 
 # The drivers against device simulators of others. A missing program is a skip that names its package; with CI set in
 # the environment it is a failure.
-test-rigs: $(VENV)/installed-dev $(ALPACA)/installed rig-programs
-	FINRAY_ALPACA_VENV=$(CURDIR)/$(ALPACA) $(BIN)/pytest -m rigs
+test-rigs: $(VENV)/installed-dev $(OTHERS)/installed rig-programs
+	FINRAY_OTHERS_VENV=$(CURDIR)/$(OTHERS) $(BIN)/pytest -m rigs
 
 # The numbers of docs/verification.md, as ratios against public alternatives in the same run: an hour or more on two
 # cores. Each script prints what it found; the table at the end says what is met. MATERIALS holds measured matrices (CSV).
@@ -70,9 +71,10 @@ $(VENV)/installed-bench: $(VENV)/installed-dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable '.[dev,bench]'
 	@touch $@
 
-$(ALPACA)/installed:
-	$(PYTHON) -m venv $(ALPACA)
-	$(ALPACA)/bin/python -m pip install --quiet --disable-pip-version-check alpaca-simulators==1.3.2 alpyca==3.1.3
+$(OTHERS)/installed:
+	$(PYTHON) -m venv $(OTHERS)
+	$(OTHERS)/bin/python -m pip install --quiet --disable-pip-version-check \
+	  alpaca-simulators==1.3.2 alpyca==3.1.3 pylablib==1.4.5
 	@touch $@
 
 RIG_PACKAGES := indi-bin aravis-tools-cli libaravis-0.8-0 qemu-system-misc gcc-avr avr-libc ffmpeg ustreamer socat
@@ -101,4 +103,4 @@ llvm:
 	 echo
 
 clean:
-	rm -rf $(VENV) $(ALPACA) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache bench-out
+	rm -rf $(VENV) $(OTHERS) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache bench-out

@@ -284,6 +284,16 @@ class RigFile(Record):
             raise ValueError("a simulated device needs a [simulated] table that names a paint or a material")
         return self
 
+    @model_validator(mode="after")
+    def _one_light_each(self) -> "RigFile":
+        laser, lamp = ((light.driver, light.address) for light in (self.laser, self.lamp))
+        if laser == lamp and self.laser.address:
+            raise ValueError(
+                f"laser and lamp are both driver '{laser[0]}' at {laser[1]}: one switch cannot be both; correct the "
+                "address of one of them"
+            )
+        return self
+
     @property
     def is_simulated(self) -> bool:
         """Whether the simulated bench stands in for all devices."""

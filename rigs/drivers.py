@@ -14,6 +14,7 @@ from data_schemas.rig import CameraSettings, FilterWheelSettings, LampSettings, 
 from rigs.light_guard import GuardedLight, guarded_light
 from rigs.lights.plain_light import plain_light
 from rigs.protocols import Camera, FilterWheel, Light, Operator
+from rigs.transports.indi_server import indi_address
 
 CAMERAS: Final = {
     "aravis": "rigs.cameras.aravis",
@@ -48,8 +49,8 @@ def open_camera(
     module = _module(CAMERAS, settings.driver)
     extra = {}
     if settings.driver == "indi" and wheel is not None and wheel.driver == "indi":
-        (server, _, _), (wheel_server, _, device) = settings.address.partition("/"), wheel.address.partition("/")
-        extra = {"wheel_device": device} if server == wheel_server else {}
+        camera_at, wheel_at = indi_address(settings.address, "camera"), indi_address(wheel.address, "filter wheel")
+        extra = {"wheel_device": wheel_at.device} if camera_at[:2] == wheel_at[:2] else {}
     return cast(AbstractContextManager[Camera], module.open_camera(settings, folder, **extra))
 
 
@@ -65,8 +66,13 @@ def open_laser(settings: LaserSettings) -> AbstractContextManager[GuardedLight]:
 
 
 def open_lamp(settings: LampSettings, operator: Operator) -> AbstractContextManager[Light]:
-    """Return the lamp of a rig, open for a ``with`` block; it needs no guard."""
-    return plain_light(_module(LIGHTS, settings.driver).open_switch(settings.address, "lamp", operator))
+    """Return the lamp of a rig, open for a ``with`` block.
+
+    One with a controller has a guard process too: it also feeds the dead-man, without which a lamp goes off.
+    """
+    if settings.driver == "manual":
+        return plain_light(_module(LIGHTS, settings.driver).open_switch(settings.address, "lamp", operator))
+    return guarded_light("lamp", settings.driver, settings.address)
 
 
 def _module(known: dict[str, str], driver: str) -> ModuleType:

@@ -36,11 +36,14 @@ class TerminalOperator:
     def place(self, target: Target) -> None:
         """Have `target` put in view; nothing is asked when it is there already."""
         if target != self._in_view:
+            self._in_view = None
             self.do(_TARGETS[target])
             self._in_view = target
 
     def swing_wheel_out(self) -> None:
         """Have the filter wheel swung out of the beam."""
+        # The next place() asks for the wheel to be swung in again.
+        self._in_view = None
         self.do("Swing the filter wheel out of the beam.")
 
     def tilt(self, angle_deg: float) -> None:

@@ -8,14 +8,11 @@ without one have two layers only.
 import contextlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 from data_schemas.errors import LostError
 from data_schemas.rig import DeviceIdentity
 from rigs.light_guard_client import SWITCH_DEADLINE_S, GuardClient
-
-if TYPE_CHECKING:
-    pass
 
 STATE_DEADLINE_S: Final = 2.0
 

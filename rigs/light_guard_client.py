@@ -7,21 +7,27 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import AbstractContextManager
 from importlib import import_module
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from data_schemas.errors import FinrayError, LostError, TimedOutError, UnsafeError
+from rigs.held_light import HeldLight
 from rigs.light_guard_messages import EXIT_OFF, HEARTBEAT_S, HungUpError, channel, error_from, receive, send
+
+if TYPE_CHECKING:
+    from rigs.protocols import LightSwitch
 
 SWITCH_DEADLINE_S: Final = 5.0
 GUARD_SILENT_S: Final = 4.5
 """A guard that tries to switch off says so at least this often: opening a port and waiting for a board takes 3.5 s."""
-START_WITHIN_S: Final = 30.0
+START_WITHIN_S: Final = 45.0
+"""Opening a light may take 30 s (INDI), and its driver says better than we what is wrong."""
 LEAVE_WITHIN_S: Final = 15.0
 END_WITHIN_S: Final = 1.0
+ANSWER_MARGIN_S: Final = 0.5
+"""What the guard's answer takes beyond the light's."""
 RESCUE_ATTEMPT_S: Final = 1.0
-RETRY_FOR_S: Final = 5.0
-RETRY_PAUSE_S: Final = 0.2
 
 
 class GuardClient:
@@ -38,6 +44,7 @@ class GuardClient:
         self.has_dead_man = False
         self._role, self._module, self._address = role, module, address
         self._number = 0
+        self._is_on_unanswered = False
         self._ending: FinrayError | None = None
         self._end_once, self._send_once = threading.Lock(), threading.Lock()
         self._closing = threading.Event()
@@ -104,13 +111,15 @@ class GuardClient:
         with self._send_once:
             self._number += 1
             number = self._number
+            self._is_on_unanswered |= ask == "on"
             self._say(number=number, ask=ask, deadline_s=deadline_s)
         while True:
-            message = self._listen(max(deadline_s, GUARD_SILENT_S))
+            message = self._listen(max(deadline_s + ANSWER_MARGIN_S, GUARD_SILENT_S))
             if message.get("number") != number:
                 continue  # it tries again, or an interrupted question is answered now
             if "error" in message:
                 raise error_from(message)
+            self._is_on_unanswered &= ask not in ("on", "off")
             return message["value"]
 
     def switch_off(self) -> None:
@@ -181,7 +190,7 @@ class GuardClient:
     def _find_ending(self, farewell: dict[str, Any]) -> FinrayError:
         with contextlib.suppress(subprocess.TimeoutExpired):
             # One that has hung up or said farewell ends by itself.
-            self._guard.wait(1.0)
+            self._guard.wait(END_WITHIN_S)
         if self._guard.poll() is None:
             self._guard.kill()
             self._guard.wait()
@@ -195,29 +204,28 @@ class GuardClient:
                 f"{self.name}: the guard process has ended ({reason}); it had the light confirmed off before. Take "
                 "the capture up again with --resume"
             )
-        try:
-            self._rescue()
-        except Exception as error:
-            return UnsafeError(self._unconfirmed(f"the guard process has ended ({reason}), and then: {error}"))
+        if (why_not := self._rescue()) is not None:
+            return UnsafeError(self._unconfirmed(f"the guard process has ended ({reason}), and then: {why_not}"))
         return LostError(
             f"{self.name}: the guard process has ended ({reason}); the light has been switched off without it and is "
             "confirmed off. Take the capture up again with --resume"
         )
 
-    def _rescue(self) -> None:
-        """Switch off over a connection of our own, now that the guard's is free; try for some seconds."""
-        end_s = time.monotonic() + RETRY_FOR_S
-        while True:
-            try:
-                with import_module(self._module).open_switch(self._address, self._role, None) as switch:
-                    switch.switch(False, RESCUE_ATTEMPT_S)
-                    if not switch.state(RESCUE_ATTEMPT_S):
-                        return
-                    raise UnsafeError(f"{self.name}: still reports on after the off command")
-            except Exception:
-                if time.monotonic() > end_s:
-                    raise
-            time.sleep(RETRY_PAUSE_S)
+    def _rescue(self) -> str | None:
+        """Switch off over a connection of our own, now that the guard's is free; return why it does not go off."""
+
+        def opening() -> "AbstractContextManager[LightSwitch]":
+            switch: AbstractContextManager[LightSwitch]
+            switch = import_module(self._module).open_switch(self._address, self._role, None)
+            return switch
+
+        light = HeldLight(opening, self.name)
+        if self._is_on_unanswered:
+            light.expect_late_on()
+        try:
+            return light.make_off(RESCUE_ATTEMPT_S, lambda word: None)
+        finally:
+            light.close()
 
     def _unconfirmed(self, why: str) -> str:
         dead_man = (

@@ -63,23 +63,25 @@ def receive(end: socket.socket, end_s: float) -> dict[str, Any]:
     Raises
     ------
     HungUpError
-        The other end is closed.
+        One of the ends is closed, or what came is no message of ours.
     TimeoutError
         Nothing came until `end_s`.
     """
-    if not select.select([end], [], [], max(end_s - time.monotonic(), 0.0))[0]:
-        raise TimeoutError
     try:
+        if not select.select([end], [], [], max(end_s - time.monotonic(), 0.0))[0]:
+            raise TimeoutError
         try:
             packet = end.recv(LONGEST_MESSAGE_BYTES)
         except ConnectionResetError:
             # Told once when the other end closed without reading all of ours; its last words are still here.
             packet = end.recv(LONGEST_MESSAGE_BYTES)
-    except OSError as error:
+        message = json.loads(packet)  # nothing at all comes from a closed end
+    except TimeoutError:
+        raise
+    except (OSError, ValueError) as error:
         raise HungUpError from error
-    if not packet:
+    if not isinstance(message, dict):
         raise HungUpError
-    message: dict[str, Any] = json.loads(packet)
     return message
 
 

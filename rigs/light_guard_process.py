@@ -2,8 +2,8 @@
 
 Started by :mod:`rigs.light_guard` as ``python -m rigs.light_guard_process FD ROLE MODULE ADDRESS``. The light goes off,
 and a fresh answer of its controller confirms it, when the owner's end of the socket closes, when nothing comes from the
-owner for 0.8 s while the light is on, and at SIGTERM and SIGHUP; then the process ends. SIGINT is ignored: Ctrl-C in
-a terminal is the owner's affair.
+owner for 0.8 s while the light is on, and at SIGTERM and SIGHUP; then the process ends. A controller that is slow to
+answer does not delay this: waiting for it is given up. SIGINT is ignored: Ctrl-C in a terminal is the owner's affair.
 """
 
 import contextlib
@@ -12,11 +12,13 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
+from rigs.held_light import HeldLight
 from rigs.light_guard_messages import (
     EXIT_NOT_OFF,
     EXIT_OFF,
@@ -32,8 +34,12 @@ if TYPE_CHECKING:
 
 KEEP_ALIVE_S: Final = 0.25
 ATTEMPT_S: Final = 0.5
-RETRY_FOR_S: Final = 5.0
-RETRY_PAUSE_S: Final = 0.2
+WATCH_S: Final = 0.02
+"""How often the guard looks for its owner while it waits for the light; of the 50 ms in which it sends "off"."""
+
+
+class _GivenUp(BaseException):
+    """Nobody waits for the light's answer any more; no driver may take it for an error of its own."""
 
 
 class Guard:
@@ -52,35 +58,37 @@ class Guard:
     def __init__(
         self, owner: socket.socket, opening: "Callable[[], AbstractContextManager[LightSwitch]]", name: str
     ) -> None:
-        self._owner, self._opening, self._name = owner, opening, name
-        self._connection = ExitStack()
-        self._lit = False
+        self._owner, self._name = owner, name
+        self._light = HeldLight(opening, name)
+        self._lit = self._is_watching = self._is_owner_gone = False
         self._heard_s = self._kept_alive_s = time.monotonic()
+        self._questions: deque[dict[str, Any]] = deque()
         self._signal = ""
         self._why_not_off: str | None = None
-        self._woken, waker = socket.socketpair()
-        for end in (self._woken, waker):
+        self._woken, self._waker = socket.socketpair()
+        for end in (self._woken, self._waker):
             end.setblocking(False)
-        self._waker = waker
 
     def run(self) -> int:
         """Open the light, serve its owner, switch off; return the exit status."""
         self._take_signals()
         try:
-            self._open()
+            self._light.open()
         except Exception as error:
             self._tell(**error_words(error))
             return 1
         reason = "at the start"
         if self._make_off() is None:
-            self._tell(ready=True, has_dead_man=self._switch.has_dead_man)
-            reason = self._serve()
+            self._tell(ready=True, has_dead_man=self._light.switch.has_dead_man)
+            try:
+                reason = self._serve()
+            except Exception as error:  # a mistake of ours, and the light may be on
+                reason = repr(error)
         why_not = self._why_not_off or self._make_off()
         self._tell(gone=reason, not_off=why_not)
         if why_not is not None:
             self._shout(why_not)
-        with contextlib.suppress(Exception):
-            self._connection.close()
+        self._light.close()
         return EXIT_OFF if why_not is None else EXIT_NOT_OFF
 
     def _take_signals(self) -> None:
@@ -88,39 +96,53 @@ class Guard:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         for number in (signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, self._note_signal)
+        signal.signal(signal.SIGALRM, self._look_up)
         signal.set_wakeup_fd(self._waker.fileno(), warn_on_full_buffer=False)
 
     def _note_signal(self, number: int, frame: object) -> None:
         self._signal = signal.Signals(number).name
 
-    def _open(self) -> None:
-        self._switch = self._connection.enter_context(self._opening())
-
     def _serve(self) -> str:
         """Do what the owner asks until it is time to go; return why it is."""
-        while True:
-            if self._signal:
-                return f"it received {self._signal}"
-            if self._why_not_off is not None:
-                return "the light does not go off"
-            ready = select.select([self._owner, self._woken], [], [], self._pause_s())[0]
-            try:
-                if self._owner in ready:
-                    self._obey(receive(self._owner, time.monotonic()))
-                    continue  # what has come already is read before the owner's silence is judged
-            except HungUpError:
-                return "its owner is gone"
-            if not self._lit:
-                continue
-            now_s = time.monotonic()
-            if now_s - self._heard_s >= OWNER_SILENT_S:
-                return f"its owner was frozen for {OWNER_SILENT_S:g} s"
-            if now_s - self._kept_alive_s >= KEEP_ALIVE_S:
-                self._kept_alive_s = now_s
+        while (reason := self._reason_to_go()) is None:
+            if self._questions:
+                self._answer(self._questions.popleft())
+            elif self._lit and time.monotonic() - self._kept_alive_s >= KEEP_ALIVE_S:
+                self._kept_alive_s = time.monotonic()
                 try:
-                    self._switch.keep_alive()
+                    self._light.switch.keep_alive()
                 except Exception as error:
                     return str(error)
+            elif self._woken in select.select([self._owner, self._woken], [], [], self._pause_s())[0]:
+                self._woken.recv(4096)
+        return reason
+
+    def _reason_to_go(self) -> str | None:
+        """Take in what has come; return why the light must go off now, None when it need not."""
+        self._listen()
+        if self._signal:
+            return f"it received {self._signal}"
+        if self._why_not_off is not None:
+            return "the light does not go off"
+        if self._is_owner_gone:
+            return "its owner is gone"
+        if self._lit and time.monotonic() - self._heard_s >= OWNER_SILENT_S:
+            return f"its owner was frozen for {OWNER_SILENT_S:g} s"
+        return None
+
+    def _listen(self) -> None:
+        """Take in all that has come from the owner, before its silence is judged."""
+        try:
+            while True:
+                message = receive(self._owner, time.monotonic())
+                # One that waited here while the guard was busy shows that the owner lived when it was sent, not now.
+                self._heard_s = max(self._heard_s, float(message["sent_s"]))
+                if "number" in message:
+                    self._questions.append(message)
+        except TimeoutError:
+            pass
+        except HungUpError:
+            self._is_owner_gone = True
 
     def _pause_s(self) -> float | None:
         """Return how long nothing is to be done unless something comes."""
@@ -129,56 +151,53 @@ class Guard:
         next_s = min(self._heard_s + OWNER_SILENT_S, self._kept_alive_s + KEEP_ALIVE_S)
         return max(next_s - time.monotonic(), 0.0)
 
-    def _obey(self, message: dict[str, Any]) -> None:
+    @contextmanager
+    def _watching(self) -> Iterator[None]:
+        """Look up from waiting for the light, every few milliseconds."""
+        self._is_watching = True
+        signal.setitimer(signal.ITIMER_REAL, WATCH_S, WATCH_S)
+        try:
+            yield
+        finally:
+            self._is_watching = False
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+    def _look_up(self, number: int, frame: object) -> None:
+        """Give up waiting for the light when it must go off, or when the owner asks for something else meanwhile."""
+        if self._is_watching and (self._reason_to_go() is not None or self._questions):
+            self._is_watching = False  # once is enough, and never outside of the wait
+            raise _GivenUp
+
+    def _answer(self, message: dict[str, Any]) -> None:
         """Do what one message asks and answer it."""
-        # A message that waited here while the guard was busy shows that the owner lived when it was sent, not now.
-        self._heard_s = max(self._heard_s, float(message["sent_s"]))
-        if "number" not in message:
-            return
         try:
             answer: dict[str, object] = {"value": self._do(message["ask"], float(message["deadline_s"]))}
+        except _GivenUp:
+            return
         except Exception as error:
             answer = {**error_words(error)}
         self._tell(number=message["number"], **answer)
 
     def _do(self, ask: str, deadline_s: float) -> object:
-        if ask == "identity":
-            return self._switch.identity().model_dump()
-        if ask == "state":
-            return self._switch.state(deadline_s)
-        self._lit = ask == "on"
-        if self._lit:
-            self._switch.switch(True, deadline_s)
+        if ask == "off":
+            return self._make_off()
+        with self._watching():
+            switch = self._light.switch
+            if ask == "identity":
+                return switch.identity().model_dump()
+            if ask == "state":
+                return switch.state(deadline_s)
+            self._lit = True
+            self._light.expect_late_on()
+            switch.switch(True, deadline_s)
+            self._light.confirm_on()
             return None
-        return self._make_off()
 
     def _make_off(self) -> str | None:
-        """Switch off until a fresh answer confirms it, for some seconds; return why it does not, None when off."""
-        self._lit, self._why_not_off = False, None
-        end_s = time.monotonic() + RETRY_FOR_S
-        while True:
-            try:
-                self._switch.switch(False, ATTEMPT_S)
-                if not self._switch.state(ATTEMPT_S):
-                    return None
-                why_not = f"{self._name}: still reports on after the off command"
-            except Exception as error:  # whatever goes wrong here, the light must be tried again
-                why_not = str(error)
-            if time.monotonic() > end_s:
-                self._why_not_off = why_not
-                return why_not
-            self._tell(trying=why_not)
-            time.sleep(RETRY_PAUSE_S)
-            self._reopen()
-
-    def _reopen(self) -> None:
-        """Open the connection anew: a lost one never comes back, and opening resets most boards."""
-        with contextlib.suppress(Exception):
-            self._connection.close()
-        self._connection = ExitStack()
-        with contextlib.suppress(Exception):
-            self._open()
-        self._tell(trying="reopened")
+        """Switch off; return why the light does not go off, None when it is confirmed off."""
+        self._lit = False
+        self._why_not_off = self._light.make_off(ATTEMPT_S, lambda word: self._tell(trying=word))
+        return self._why_not_off
 
     def _tell(self, **message: object) -> None:
         """Tell the owner, if it is there and listens."""

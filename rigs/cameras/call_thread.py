@@ -42,9 +42,8 @@ class CallThread:
         try:
             return answer.result(max(limit_s, 0.0))
         except TimeoutError:
-            if answer.done() and not answer.cancelled():
+            if not answer.cancel() and answer.done():  # it ended meanwhile, or raised a TimeoutError of its own
                 return answer.result()
-            answer.cancel()
             raise NoAnswerError from None
 
     def post(self, function: Callable[[], object]) -> None:

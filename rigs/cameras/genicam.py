@@ -1,17 +1,16 @@
 """What every GenICam camera is told, by whichever library it is reached: raw pixels, nothing automatic, read back."""
 
-from dataclasses import dataclass
 from typing import Final, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
 
 from data_schemas.errors import BadFrameError, RefusedError
 from data_schemas.rig import CameraSettings
+from rigs.cameras.genicam_pixels import RawPixels, raw_pixels
 
 # Names before and after the GenICam Standard Features Naming Convention 1.0.
 EXPOSURE_NAMES: Final = ("ExposureTime", "ExposureTimeAbs")
 AUTOMATIC: Final = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto", "AcquisitionFrameRateAuto")
+TRIGGER: Final = "TriggerMode"
+MIRRORED: Final = ("ReverseX", "ReverseY")
 # A limited frame rate limits the exposure; the others change raw counts.
 SWITCHED_OFF: Final = (
     "AcquisitionFrameRateEnable",
@@ -28,7 +27,7 @@ SWITCHED_OFF: Final = (
 LINE_S: Final = 50e-6
 CLOCK_REL: Final = 1e-3
 GAIN_STEP_DB: Final = 0.1
-CONTAINER_BITS: Final = {8: 8, 10: 16, 12: 16, 14: 16, 16: 16}
+BALANCE_STEP: Final = 5e-3
 
 
 class FeatureError(Exception):
@@ -79,37 +78,6 @@ class Features(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class RawPixels:
-    """A raw pixel format: its name and the bits of a count inside its container."""
-
-    name: str
-    bits: int
-
-    @property
-    def container(self) -> type[np.uint8 | np.uint16]:
-        """Type of one count in the camera's buffer."""
-        return np.uint8 if CONTAINER_BITS[self.bits] == 8 else np.uint16
-
-
-def raw_pixels(offered: tuple[str, ...], bit_depth: int, camera: str) -> RawPixels:
-    """Choose the raw pixel format: Bayer RG with the asked bits or 16, monochrome only where there is no Bayer.
-
-    Raises
-    ------
-    RefusedError
-        The camera has no such format.
-    """
-    colours = "BayerRG" if any(name.startswith("Bayer") for name in offered) else "Mono"
-    for bits in sorted({bit_depth, 8 if bit_depth <= 8 else 16}):
-        if f"{colours}{bits}" in offered:
-            return RawPixels(f"{colours}{bits}", bits)
-    raise RefusedError(
-        f"{camera}: has no raw pixel format with {bit_depth} bits and Bayer pattern RGGB; it offers "
-        f"{', '.join(offered)}: correct bit_depth of the rig file, or use another camera"
-    )
-
-
 def configure(features: Features, settings: CameraSettings, camera: str) -> RawPixels:
     """Set everything but the exposure: nothing automatic, raw pixels, whole frame, gain; each is read back.
 
@@ -118,16 +86,17 @@ def configure(features: Features, settings: CameraSettings, camera: str) -> RawP
     RefusedError
         The camera cannot do what the rig file says, or reads back something else.
     """
+    # A mirrored frame begins with another colour, and some cameras then offer other formats.
+    for name in MIRRORED:
+        _switch_off(features, name, camera)
     pixels = raw_pixels(features.entries("PixelFormat"), settings.bit_depth, camera)
     _set_text(features, "PixelFormat", pixels.name, camera)
-    for name in AUTOMATIC:
+    for name in (*AUTOMATIC, TRIGGER):
         if features.has(name):
             _set_text(features, name, "Off", camera)
     for name in SWITCHED_OFF:
-        if features.has(name) and features.is_on(name):
-            features.switch(name, False)
-            if features.is_on(name):
-                raise RefusedError(f"{camera}: {name} stays on, which changes raw counts or limits the exposure")
+        _switch_off(features, name, camera)
+    _equal_white_balance(features, camera)
     if features.has("Gamma"):
         _set_number(features, "Gamma", 1.0, 1e-3, camera, "gamma is fixed at 1")
     _whole_frame(features, settings, camera)
@@ -137,7 +106,7 @@ def configure(features: Features, settings: CameraSettings, camera: str) -> RawP
 
 def read_settings(features: Features) -> dict[str, str | float]:
     """Read back what a frame's record should hold beside its exposure."""
-    found: dict[str, str | float] = {"PixelFormat": features.text("PixelFormat")}
+    found: dict[str, str | float] = {"pixel_format": features.text("PixelFormat")}
     found |= {name: features.text(name) for name in AUTOMATIC if features.has(name)}
     found |= {name: features.number(name) for name in ("Gain", "BlackLevel", "Gamma") if features.has(name)}
     return found
@@ -185,31 +154,6 @@ def set_exposure(features: Features, exposure_s: float, camera: str) -> float:
     return actual_s
 
 
-def right_aligned(counts: NDArray[np.uint16], pixels: RawPixels, bit_depth: int, camera: str) -> NDArray[np.uint16]:
-    """Return counts (DN) with the lowest bit of the converter at the lowest bit, shape (H, W).
-
-    Cameras put the 10 or 12 bits of their converter at the top of a 16-bit format.
-
-    Raises
-    ------
-    RefusedError
-        The counts have more bits than the rig file says.
-    BadFrameError
-        A count is larger than its format allows.
-    """
-    if pixels.bits == 16:
-        surplus = 16 - bit_depth
-        if surplus and np.any(counts & np.uint16(2**surplus - 1)):
-            raise RefusedError(
-                f"{camera}: {pixels.name} carries more than the {bit_depth} bits of the rig file (its lowest "
-                f"{surplus} bits are not all 0); correct bit_depth"
-            )
-        return counts >> np.uint16(surplus)
-    if counts.max(initial=0) >= 2**pixels.bits:
-        raise BadFrameError(f"{camera}: {pixels.name} holds a count of {counts.max()} DN, more than {pixels.bits} bits")
-    return counts
-
-
 def require_new(label: tuple[int, float], last: tuple[int, float] | None, camera: str) -> None:
     """Refuse the frame that was delivered last time, by its number and the camera's time (s).
 
@@ -241,6 +185,26 @@ def _whole_frame(features: Features, settings: CameraSettings, camera: str) -> N
         _set_number(features, size, wanted, 0.0, camera, f"correct {size.lower()}_px of the rig file")
 
 
+def _switch_off(features: Features, name: str, camera: str) -> None:
+    """Switch off what a camera may have, and read it back."""
+    if features.has(name) and features.is_on(name):
+        features.switch(name, False)
+        if features.is_on(name):
+            raise RefusedError(
+                f"{camera}: {name} stays on, which changes raw counts or limits the exposure; switch it off in the "
+                "camera maker's program"
+            )
+
+
+def _equal_white_balance(features: Features, camera: str) -> None:
+    """Set the digital gains of the colours to 1: also with nothing automatic, some cameras apply them to raw counts."""
+    if not (features.has("BalanceRatioSelector") and features.has("BalanceRatio")):
+        return
+    for colour in features.entries("BalanceRatioSelector"):
+        _set_text(features, "BalanceRatioSelector", colour, camera)
+        _set_number(features, "BalanceRatio", 1.0, BALANCE_STEP, camera, f"white balance ({colour}) changes raw counts")
+
+
 def _set_gain(features: Features, gain_db: float, camera: str) -> None:
     """Set the gain (dB); a camera without one has 0 dB."""
     if features.has("Gain"):
@@ -256,7 +220,9 @@ def _set_text(features: Features, name: str, value: str, camera: str) -> None:
     features.set_text(name, value)
     found = features.text(name)
     if found != value:
-        raise RefusedError(f"{camera}: {name} was set to {value} and reads back {found}")
+        raise RefusedError(
+            f"{camera}: {name} was set to {value} and reads back {found}; set it in the camera maker's program"
+        )
 
 
 def _set_number(features: Features, name: str, value: float, tolerance: float, camera: str, advice: str) -> None:

@@ -17,14 +17,13 @@ from rigs.cameras.genicam import (
     ConnectionBrokenError,
     FeatureError,
     Features,
-    RawPixels,
     configure,
     exposure_name,
     read_settings,
     require_new,
-    right_aligned,
     set_exposure,
 )
+from rigs.cameras.genicam_pixels import RawPixels, right_aligned
 from rigs.protocols import RawFrame
 
 T = TypeVar("T")

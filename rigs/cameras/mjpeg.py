@@ -96,7 +96,9 @@ class MjpegCamera:
         return DeviceIdentity(role="camera", driver="mjpeg", address=self._settings.address, model=self._server)
 
     def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
-        """Return the first picture that was exposed after the call, (H, W, 3) RGB of 8 bits; `exposure_s` is not set.
+        """Return the fourth picture that arrives after the call, (H, W, 3) RGB of 8 bits; `exposure_s` is not set.
+
+        It was exposed after the call unless the network held back more than three; a stream does not tell that.
 
         Raises
         ------

@@ -175,24 +175,33 @@ class RaspberryPiCamera:
             "FrameDurationLimits": (frame_us, frame_us),
         }
         if asked != self._asked:
-            self._device.stop()
-            self._device.set_controls(asked)
-            self._device.start()
+            self._asked = {}
+            try:
+                self._device.stop()
+                self._device.set_controls(asked)
+                self._device.start()
+            except RuntimeError as error:
+                raise self._lost(error) from None
             self._asked = asked
 
     def _next_request(self, end_s: float) -> Any:
         """Return the next finished request; it must be released."""
-        left_s = end_s - time.monotonic()
-        job = self._device.capture_request(wait=False)
         try:
-            return job.get_result(timeout=max(left_s, 0.0))
+            job = self._device.capture_request(wait=False)
+            return job.get_result(timeout=max(end_s - time.monotonic(), 0.0))
         except TimeoutError:
             self._device.cancel_all_and_flush()
+            self._asked = {}
             raise TimedOutError(
                 f"{self._name}: delivered no frame in time; check its cable, then restart the capture"
             ) from None
         except RuntimeError as error:
-            raise LostError(f"{self._name}: stopped ({error}); check its cable and restart the capture") from None
+            raise self._lost(error) from None
+
+    def _lost(self, error: RuntimeError) -> LostError:
+        """Return the error of a camera that stopped; the next exposure starts its stream anew."""
+        self._asked = {}
+        return LostError(f"{self._name}: stopped ({error}); check its cable and restart the capture")
 
     def _differing(self, metadata: Mapping[str, Any]) -> list[str]:
         """Return in words which settings read back otherwise than asked for."""

@@ -3,17 +3,16 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Any, Final, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.bayer import FIRST_RED, BayerOrder
 from data_schemas.errors import BadFrameError, RefusedError
 from data_schemas.rig import CameraSettings
 
 CONTAINER_BITS: Final = 16
-FIRST_RED: Final = {"RGGB": (0, 0), "GRBG": (0, 1), "GBRG": (1, 0), "BGGR": (1, 1)}
-"""Rows and columns to cut off at the start, so that the frame begins with red."""
 RAW_FORMAT: Final = re.compile(r"S(RGGB|GRBG|GBRG|BGGR)(8|10|12|14|16)")
 
 Mode = Mapping[str, Any]
@@ -56,7 +55,7 @@ def _size_after_cut(mode: Mode) -> tuple[int, int] | None:
     found = RAW_FORMAT.fullmatch(str(mode.get("unpacked", "")))
     if found is None:
         return None
-    row, column = FIRST_RED[found[1]]
+    row, column = FIRST_RED[cast(BayerOrder, found[1])]
     width, height = mode["size"]
     return (width - column) // 2 * 2, (height - row) // 2 * 2
 
@@ -80,7 +79,7 @@ class RawLayout:
     """
 
     pixel_format: str
-    order: str
+    order: BayerOrder
     shift: int
     bit_depth: int
     stored_px: tuple[int, int]
@@ -104,7 +103,14 @@ class RawLayout:
                 f"{width} x {height} px; update picamera2, or take another size or bit_depth"
             )
         frame_px = settings.width_px, settings.height_px
-        return cls(found[0], found[1], bits - settings.bit_depth, settings.bit_depth, (width, height), frame_px)
+        return cls(
+            found[0],
+            cast(BayerOrder, found[1]),
+            bits - settings.bit_depth,
+            settings.bit_depth,
+            (width, height),
+            frame_px,
+        )
 
     def counts(self, stored: NDArray[Any], name: str) -> NDArray[np.uint16]:
         """Return counts (DN), shape (H, W): padding off, right-aligned, beginning with red.

@@ -10,20 +10,20 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from data_schemas.errors import BadFrameError, MissingExtraError
+from data_schemas.bayer import BayerOrder, rggb_frame
+from data_schemas.errors import BadFrameError
+from rigs.cameras.dng_file import read_dng
 
 JPEG_SUFFIXES: Final = (".jpeg", ".jpg")
 SUFFIXES: Final = (".dng", ".png", ".tif", ".tiff", *JPEG_SUFFIXES)
 EXPOSURE_TAG, EXIF_TAG = 33434, 34665
-# Row and column of the red pixel of each 2 x 2 cell.
-RED: Final = {"RGGB": (0, 0), "GBRG": (1, 0), "BGGR": (1, 1), "GRBG": (0, 1)}
 
 # The raw block that raspistill --raw and picamera append to a JPEG (documented in picamera's array module): "BRCM",
 # a header at byte 176, packed rows from byte 32768; a row is padded to 32 bytes, the number of rows to 16.
 BRCM_MARK: Final = b"BRCM"
 BRCM_HEADER_AT, BRCM_PIXELS_AT = 176, 32768
 BRCM_HEADER: Final = struct.Struct("<32s4H24s2H2B")
-BRCM_ORDERS: Final = ("RGGB", "GBRG", "BGGR", "GRBG")
+BRCM_ORDERS: Final[tuple[BayerOrder, ...]] = ("RGGB", "GBRG", "BGGR", "GRBG")
 BRCM_BITS: Final = {3: 10, 4: 12}
 ROW_BYTES, ROWS = 32, 16
 
@@ -38,14 +38,27 @@ def read_raw(path: Path) -> NDArray[np.uint16]:
     BadFrameError
         The file is unreadable, or holds a processed picture.
     MissingExtraError
-        A DNG needs rawpy.
+        A packed or compressed DNG needs rawpy.
     """
-    content, suffix = _content(path), path.suffix.lower()
+    suffix = path.suffix.lower()
     if suffix in JPEG_SUFFIXES:
-        return _appended_raw(content, path)
+        return _appended_raw(read_content(path), path)
     if suffix == ".dng":
-        return _dng(content, path)
-    counts = _png(content, path) if suffix == ".png" else _tiff(content, path)
+        image = read_dng(read_content(path), path)
+        return rggb_frame(image.counts, image.order)
+    return read_plain_counts(path)
+
+
+def read_plain_counts(path: Path) -> NDArray[np.uint16]:
+    """Read the counts (DN) of a TIFF or PNG, shape (H, W); neither says its Bayer pattern.
+
+    Raises
+    ------
+    BadFrameError
+        The file is unreadable, or holds a processed picture.
+    """
+    content = read_content(path)
+    counts = _png(content, path) if path.suffix.lower() == ".png" else _tiff(content, path)
     if counts.ndim != 2 or counts.dtype not in (np.uint8, np.uint16):
         raise BadFrameError(
             f"{path}: is {counts.dtype} of shape {counts.shape}; raw Bayer counts are one number of 8 or 16 bits per "
@@ -62,7 +75,7 @@ def read_exposure_s(path: Path) -> float | None:
     BadFrameError
         The file is unreadable.
     """
-    content = _content(path)
+    content = read_content(path)
     if path.suffix.lower() not in JPEG_SUFFIXES:
         return _exposure_in_tiff_s(content)
     mark = content.find(b"Exif\0\0", 0, 65536)
@@ -72,15 +85,14 @@ def read_exposure_s(path: Path) -> float | None:
     return _exposure_in_tiff_s(content[mark + 6 : mark - 2 + size])
 
 
-def rggb(counts: NDArray[np.uint16], order: str) -> NDArray[np.uint16]:
-    """Cut off the first row or column, and as many at the end, so that red comes first and the size is even."""
-    row, column = RED[order]
-    rows, columns = (counts.shape[0] - row) // 2 * 2, (counts.shape[1] - column) // 2 * 2
-    return np.ascontiguousarray(counts[row : row + rows, column : column + columns])
+def read_content(path: Path) -> bytes:
+    """Return the bytes of an image file.
 
-
-def _content(path: Path) -> bytes:
-    """Return the bytes of a file."""
+    Raises
+    ------
+    BadFrameError
+        It is missing or cannot be read.
+    """
     try:
         return path.read_bytes()
     except OSError as error:
@@ -129,26 +141,6 @@ def _png(content: bytes, path: Path) -> NDArray[Any]:
     return np.asarray(found)
 
 
-def _dng(content: bytes, path: Path) -> NDArray[np.uint16]:
-    """Read the raw counts of a DNG, compressed or not."""
-    try:
-        import rawpy
-    except ImportError as error:
-        raise MissingExtraError(
-            f"{path}: reading DNG needs rawpy ({error}); install it with pip install 'finray-calib[dng]'"
-        ) from None
-    try:
-        with rawpy.imread(io.BytesIO(content)) as raw:
-            counts = np.array(raw.raw_image_visible)
-            sites = np.ravel(raw.raw_pattern) if raw.raw_pattern is not None else np.empty(0, dtype=int)
-            order = "".join(raw.color_desc.decode()[site : site + 1] for site in sites)
-    except rawpy.LibRawError as error:
-        raise BadFrameError(f"{path}: cannot be read as DNG ({error}); is the file whole?") from error
-    if order not in RED or counts.ndim != 2:
-        raise BadFrameError(f"{path}: has no Bayer pattern of 2 x 2 pixels ('{order}'); is it a raw DNG?")
-    return rggb(counts.astype(np.uint16), order)
-
-
 def _appended_raw(content: bytes, path: Path) -> NDArray[np.uint16]:
     """Read the raw block behind a JPEG."""
     for start in (match.start() for match in re.finditer(BRCM_MARK, content)):
@@ -185,7 +177,7 @@ def _raw_block(block: bytes) -> NDArray[np.uint16] | None:
     shifts = np.arange(pixels, dtype=np.uint16) * np.uint16(low_bits)
     low = (sites[..., -1:] >> shifts) & np.uint16(2**low_bits - 1)
     counts = ((sites[..., :-1] << np.uint16(low_bits)) | low).reshape(height, groups * pixels)[:, :width]
-    return rggb(counts, BRCM_ORDERS[order])
+    return rggb_frame(counts, BRCM_ORDERS[order])
 
 
 def _padded(size: int, multiple: int) -> int:

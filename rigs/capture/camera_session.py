@@ -15,7 +15,7 @@ from rigs.capture.exposure import exposure_ladder, meter_exposure
 from rigs.capture.frame_store import FrameStore, Shot, numbered
 from rigs.capture.journal import Journal
 from rigs.capture.plan import Step, require_region_inside
-from rigs.capture.resume import Interrupted, require_same_inputs, resume_notes
+from rigs.capture.resume import Interrupted, require_same_inputs, resume_notes, take_over
 from rigs.capture.rig_lock import rig_locked
 from rigs.capture.session_folder import curve_files, require_empty, write_manifest, write_session, write_start
 from rigs.open_rig import OpenRig, open_rig
@@ -111,6 +111,7 @@ def capture_camera_with(
         if interrupted is None:
             write_start(journal, plan, rig, rig_folder, inputs, command)
         else:
+            take_over(out, interrupted)
             journal.append("resume", frames=len(interrupted.frames))
         with FrameStore(opened, rig, whole_cells, out, journal, interrupted) as store:
             recorder = _Recorder(opened, rig, plan, step, store, journal, progress)

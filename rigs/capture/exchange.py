@@ -39,6 +39,8 @@ class CheckedFrame:
         Lights that were on.
     attempts
         Exposures it took.
+    delivered_s
+        When the camera had delivered it (s, monotonic).
     """
 
     raw: RawFrame
@@ -47,6 +49,7 @@ class CheckedFrame:
     lights_before: tuple[LightName, ...]
     lights_after: tuple[LightName, ...]
     attempts: int
+    delivered_s: float
 
 
 @contextmanager
@@ -75,6 +78,7 @@ class CheckedCamera:
         self._opened, self._settings, self._on_refusal = opened, settings, on_refusal
         self._last: RawFrame | None = None
         self._slot_of_header: dict[str, int] = {}
+        self._header_of_slot: dict[int, str] = {}
 
     def expose(self, step: Step, exposure_s: float) -> CheckedFrame:
         """Turn the wheel to the filter of `step` and take a frame; a refused one is taken again, three times at most.
@@ -105,12 +109,13 @@ class CheckedCamera:
             opened.wheel.go_to(step.slot, WHEEL_DEADLINE_S)
         slot_before, lights_before = _require_slot(opened, step, "before"), _require_lights(opened, step.light)
         raw = opened.camera.expose(exposure_s, CAMERA_EXPOSURES * exposure_s + CAMERA_DEADLINE_MARGIN_S)
+        delivered_s = opened.clock.monotonic_s()
         slot_after, lights_after = _require_slot(opened, step, "after"), _require_lights(opened, step.light)
         self._require_as_asked(raw, step, exposure_s)
         self._require_new(raw)
         self._require_own_header(raw, step)
         self._last = raw
-        return CheckedFrame(raw, slot_before, slot_after, lights_before, lights_after, attempt)
+        return CheckedFrame(raw, slot_before, slot_after, lights_before, lights_after, attempt, delivered_s)
 
     def _require_as_asked(self, raw: RawFrame, step: Step, exposure_s: float) -> None:
         """Refuse another exposure or frame size than was asked for."""
@@ -121,15 +126,16 @@ class CheckedCamera:
                 "rig"
             )
         asked = (self._settings.height_px, self._settings.width_px)
-        if raw.counts.ndim != 2:
+        shape = raw.counts.shape
+        if len(shape) == 3:
             raise RefusedError(
-                f"camera: delivers colour pictures ({raw.counts.shape[2]} values a pixel); filtered sessions need raw "
-                "Bayer counts: choose a raw pixel format, or another driver"
+                f"camera: delivers colour pictures ({shape[2]} values a pixel); filtered sessions need raw Bayer "
+                "counts: choose a raw pixel format, or another driver"
             )
-        if raw.counts.shape != asked:
+        if shape != asked:
             raise RefusedError(
-                f"camera: delivered a frame of {raw.counts.shape[0]} x {raw.counts.shape[1]} px, the rig file says "
-                f"{asked[0]} x {asked[1]} px (height x width); correct the rig file"
+                f"camera: delivered a frame of {' x '.join(map(str, shape))} px, the rig file says {asked[0]} x "
+                f"{asked[1]} px (height x width); correct the rig file"
             )
 
     def _require_new(self, raw: RawFrame) -> None:
@@ -146,19 +152,21 @@ class CheckedCamera:
                 "camera: delivered the same frame twice; its stream hangs or a picture stands in for the camera"
             )
 
-
     def _require_own_header(self, raw: RawFrame, step: Step) -> None:
-        """Refuse a frame whose header names one filter at two slots: it speaks of another wheel, or of an old move."""
+        """Refuse a header that names one filter at two slots, or two at one: it tells another wheel, or an old move."""
         header = str(raw.settings.get("filter_header", ""))
         if not header or step.slot is None:
             return
-        known = self._slot_of_header.setdefault(header, step.slot)
-        if known != step.slot:
-            raise RefusedError(
-                f"camera: the frame's FILTER header says '{header}' at slot {step.slot}, as at slot {known}; it "
-                f"follows the wheel '{raw.settings.get('active_filter', 'unknown')}': set the camera's "
-                "ACTIVE_DEVICES to the wheel in use and give each slot a name of its own"
-            )
+        slot = self._slot_of_header.setdefault(header, step.slot)
+        name = self._header_of_slot.setdefault(step.slot, header)
+        if slot == step.slot and name == header:
+            return
+        before = f"as at slot {slot}" if slot != step.slot else f"where it said '{name}' before"
+        raise RefusedError(
+            f"camera: the frame's FILTER header says '{header}' at slot {step.slot}, {before}; it follows the wheel "
+            f"'{raw.settings.get('active_filter', 'unknown')}': set the camera's ACTIVE_DEVICES to the wheel in use "
+            "and give each slot a name of its own"
+        )
 
 
 def _require_slot(opened: OpenRig, step: Step, when: str) -> int | None:
@@ -170,8 +178,9 @@ def _require_slot(opened: OpenRig, step: Step, when: str) -> int | None:
         return None
     position = opened.wheel.position()
     if position != step.slot:
+        reads = "no slot (it moves)" if position is None else f"slot {position}"
         raise WrongPositionError(
-            f"filter wheel: reads slot {position} {when} the exposure of {step.label}, slot {step.slot} is needed; "
+            f"filter wheel: reads {reads} {when} the exposure of {step.label}, slot {step.slot} is needed; "
             "the wheel slipped or is not where the operator left it: home it and start again"
         )
     return position

@@ -2,7 +2,7 @@
 
 import re
 import shutil
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -96,15 +96,22 @@ class FrameStore:
         require_space(self._out, len(left) * self._frame_bytes)
         return left
 
-    def take(self, shot: Shot) -> RawFrame:
-        """Take one frame; write it and note it in the journal while the next one is prepared."""
+    def take(self, shot: Shot, check: Callable[[RawFrame], None] = lambda raw: None) -> None:
+        """Take one frame; write it and note it in the journal while the next one is prepared.
+
+        Parameters
+        ----------
+        shot
+            What to take.
+        check
+            Raises when the frame must not be stored: what is in the journal is not taken again at a resumption.
+        """
         checked = self.camera.expose(shot.step, shot.exposure_s)
-        middle_ago_s = 0.5 * checked.raw.exposure_s
-        middle_s = max(self._opened.clock.monotonic_s() - middle_ago_s, 0.0)
-        dose_j = self.dose.energy_j(middle_ago_s)
+        check(checked.raw)
+        middle_s = max(checked.delivered_s - 0.5 * checked.raw.exposure_s, 0.0)
+        dose_j = self.dose.energy_j(self._opened.clock.monotonic_s() - middle_s)
         self._wait(MOST_WAITING - 1)
         self._waiting.append(self._writer.submit(self._write, shot, checked, middle_s, dose_j))
-        return checked.raw
 
     def _write(self, shot: Shot, checked: CheckedFrame, middle_s: float, dose_j: float) -> None:
         """Write a frame, then its line of the journal."""

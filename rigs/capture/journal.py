@@ -1,5 +1,6 @@
 """The journal of a session: one JSON object per line, on disk before the next step begins."""
 
+import contextlib
 import fcntl
 import json
 import os
@@ -39,10 +40,8 @@ class Journal:
         self._path = folder / JOURNAL_NAME
         # a journal appears under its name with its first line whole: an interrupted session always says how it began
         self._nameless = None if resumed else folder / f".{JOURNAL_NAME}.part"
-        if self._path.exists() and not resumed:
-            raise CaptureError(
-                f"{self._path}: exists already, so that another capture writes into this folder; choose another --out"
-            )
+        if not resumed:
+            self._require_new()
         self._file = (self._nameless or self._path).open("a", encoding="utf-8")
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -52,21 +51,39 @@ class Journal:
                 f"{self._path}: another capture is writing into this folder; wait until it ends"
             ) from None
         if self._nameless is not None:
+            try:
+                self._require_new()  # again: the lock of a file that got its name meanwhile is ours too
+            except CaptureError:
+                self._file.close()
+                raise
             self._file.truncate(0)
         elif not _ends_with_newline(self._path):
             self._file.write("\n")  # an interrupted line stays as it is; readers pass over it
 
     def append(self, event: str, **what: Any) -> None:
-        """Write one line (start, step, frame, note or stop) and wait until it is on the disk."""
+        """Write one line (start, step, frame, note or stop) and wait until it is on the disk.
+
+        Raises
+        ------
+        CaptureError
+            The disk does not take it.
+        """
         with self._turn:
             time_s = round(self._clock.monotonic_s(), 3)
             line = {"event": event, "utc": self._clock.utc(), "monotonic_s": time_s, **what}
-            self._file.write(json.dumps(line, ensure_ascii=False) + "\n")
-            self._file.flush()
-            os.fsync(self._file.fileno())
-            if self._nameless is not None:
-                self._nameless.rename(self._path)
-                self._nameless = None
+            try:
+                self._file.write(json.dumps(line, ensure_ascii=False) + "\n")
+                self._file.flush()
+                os.fsync(self._file.fileno())
+                if self._nameless is not None:
+                    self._nameless.rename(self._path)
+                    self._nameless = None
+                    _sync_folder(self._path.parent)
+            except OSError as error:
+                raise CaptureError(
+                    f"{self._path}: cannot be written ({error.strerror}); free space or mend the disk, then "
+                    f"finray capture --resume {self._path.parent}"
+                ) from None
 
     def __enter__(self) -> "Journal":
         return self
@@ -76,9 +93,22 @@ class Journal:
     ) -> None:
         outcome = "done" if error is None else f"{type(error).__name__}: {error}"
         try:
-            self.append("stop", outcome=outcome)
+            if self._nameless is None:  # else nothing began
+                self.append("stop", outcome=outcome)
+        except CaptureError:
+            if error is None:
+                raise
+            # what ended the capture says more than a last line that finds no space
         finally:
-            self._file.close()
+            with contextlib.suppress(OSError):  # what is left of a line that found no space
+                self._file.close()
+
+    def _require_new(self) -> None:
+        """Refuse a folder that has a journal."""
+        if self._path.exists():
+            raise CaptureError(
+                f"{self._path}: exists already, so that another capture writes into this folder; choose another --out"
+            )
 
 
 def read_journal(folder: Path) -> list[dict[str, Any]]:
@@ -105,6 +135,15 @@ def read_journal(folder: Path) -> list[dict[str, Any]]:
         if isinstance(entry, dict) and "event" in entry:
             lines.append(entry)
     return lines
+
+
+def _sync_folder(folder: Path) -> None:
+    """Have the names in a folder on the disk."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def _ends_with_newline(path: Path) -> bool:

@@ -12,7 +12,7 @@ from data_schemas.check import Witness
 from data_schemas.errors import BadFrameError, CaptureError, UnsafeError
 from data_schemas.rig import LaserSettings, RigFile
 from rigs.capture.check_frames import CheckFrames
-from rigs.capture.exchange import CAMERA_DEADLINE_MARGIN_S, shine
+from rigs.capture.exchange import CAMERA_DEADLINE_MARGIN_S, WHEEL_DEADLINE_S, shine
 from rigs.capture.plan import Step
 from rigs.drivers import LIGHTS, open_camera
 from rigs.open_rig import OpenRig
@@ -72,6 +72,8 @@ def find_sight(opened: OpenRig, rig: RigFile, frames: CheckFrames) -> Sight | No
     lit = Step("laser white", "white", "laser", passing[0].name, passing[0].slot)
     dark = Step("dark", "white", "off", passing[0].name, passing[0].slot)
     try:
+        if opened.wheel.position() != lit.slot:  # in the dark: a wheel may be turned by hand
+            opened.wheel.go_to(passing[0].slot, WHEEL_DEADLINE_S)
         with shine(opened, "laser"):
             exposure_s = min(frames.meter(lit), max(LONGEST_SIGHT_S, rig.camera.shortest_exposure_s))
             on_dn = frames.expose(lit, exposure_s)

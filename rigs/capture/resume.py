@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from data_schemas.capture import Frame
 from data_schemas.errors import CaptureError
+from data_schemas.faults import explain
 from data_schemas.model import Record
 from data_schemas.rig import RigFile
 from data_schemas.storage import sha256_of
@@ -55,6 +56,8 @@ class Interrupted:
         What a camera session decided after metering; None before.
     ended_s, ended_utc
         Time of the last line.
+    lines
+        Number of lines of the journal.
     """
 
     start: dict[str, Any]
@@ -64,6 +67,7 @@ class Interrupted:
     levels: dict[str, Any] | None = None
     ended_s: float = 0.0
     ended_utc: str = ""
+    lines: int = 0
 
     @property
     def kind(self) -> str:
@@ -76,12 +80,24 @@ class Interrupted:
         return Path(str(self.start["rig_folder"]))
 
     def plan(self, kind: type[P]) -> P:
-        """Return the plan of the session."""
-        return kind.model_validate(self.start["plan"])
+        """Return the plan of the session.
+
+        Raises
+        ------
+        CaptureError
+            It is none of today's: another version of finray began the session.
+        """
+        return _as_today("plan", self.start["plan"], kind)
 
     def rig(self) -> RigFile:
-        """Return the rig of the session."""
-        return RigFile.model_validate(self.start["rig"])
+        """Return the rig of the session.
+
+        Raises
+        ------
+        CaptureError
+            It is none of today's: another version of finray began the session.
+        """
+        return _as_today("rig", self.start["rig"], RigFile)
 
     def clock_after(self, clock: Clock) -> LaterClock:
         """Return a clock that goes on after the interruption; the pause is taken from the time of day, if it grew."""
@@ -90,10 +106,9 @@ class Interrupted:
 
 
 def read_interrupted(folder: Path) -> Interrupted:
-    """Replay the journal of an interrupted session and re-hash its frames.
+    """Replay the journal of an interrupted session and re-hash its frames; nothing is changed.
 
-    Frames that are missing, changed or without a line in the journal count as not taken; their files are moved into
-    the folder "set-aside".
+    Frames that are missing, changed or without a line in the journal count as not taken: see :func:`take_over`.
 
     Raises
     ------
@@ -109,21 +124,63 @@ def read_interrupted(folder: Path) -> Interrupted:
             f"{folder / JOURNAL_NAME}: does not say how the session began; capture it again into another folder"
         )
     frames = dict(_good_frames(folder, lines))
-    _set_aside(folder, {frame.file for frame in frames.values()})
+    try:
+        interrupted = _replayed(start, frames, lines)
+    except (KeyError, TypeError, ValueError):
+        raise CaptureError(
+            f"{folder / JOURNAL_NAME}: holds lines that finray did not write; restore it, or capture the session again "
+            "into another folder"
+        ) from None
+    return interrupted
+
+
+def _replayed(start: dict[str, Any], frames: dict[int, Frame], lines: list[dict[str, Any]]) -> Interrupted:
+    """Return what the lines of a journal say."""
     doses_j = [float(line.get("sample_dose_j", line.get("laser_dose_j", 0.0))) for line in lines]
     return Interrupted(
         start=start,
         frames=frames,
         metered={
-            line["label"]: (line["exposures_s"], tuple(line["rates_dn_per_s"]))
+            line["label"]: ([float(t) for t in line["exposures_s"]], _rates(line["rates_dn_per_s"]))
             for line in lines
             if line["event"] == "step" and "rates_dn_per_s" in line
         },
         dose_j=max(doses_j),
         levels=next((line for line in lines if line["event"] == "levels"), None),
         ended_s=float(lines[-1]["monotonic_s"]),
-        ended_utc=str(lines[-1]["utc"]),
+        ended_utc=datetime.fromisoformat(lines[-1]["utc"]).astimezone(UTC).isoformat(),
+        lines=len(lines),
     )
+
+
+def _rates(values: Iterable[float]) -> tuple[float, float, float]:
+    """Return the rates of red, green and blue (DN/s)."""
+    red, green, blue = values
+    return float(red), float(green), float(blue)
+
+
+def _as_today(what: str, stored: Any, kind: type[P]) -> P:
+    """Return a plan or rig of a journal as a record of today."""
+    try:
+        return kind.model_validate(stored)
+    except ValidationError as error:
+        raise CaptureError(
+            f"{JOURNAL_NAME}: the {what} in its first line is none of this version of finray ({explain(error, kind)}); "
+            "resume with the version that began the session, or capture it again"
+        ) from None
+
+
+def take_over(folder: Path, interrupted: Interrupted) -> None:
+    """Move the frame files that nothing vouches for into the folder "set-aside"; the journal must be ours by now.
+
+    Raises
+    ------
+    CaptureError
+        The session went on since it was read.
+    """
+    if (folder / SESSION_NAME).exists() or len(read_journal(folder)) != interrupted.lines:
+        raise CaptureError(f"{folder}: another capture went on with this session meanwhile; look at what it did")
+    _set_aside(folder, {frame.file for frame in interrupted.frames.values()})
 
 
 def resume_notes(interrupted: Interrupted | None) -> tuple[str, ...]:

@@ -47,7 +47,9 @@ def device_locked(role: str, driver: str, address: str) -> Iterator[None]:
     if driver in (*NO_ADDRESS, "folder"):
         yield
         return
-    name = hashlib.sha256(f"{driver} {address}".encode()).hexdigest()[:16]
+    # /dev/serial/by-id/... leads to /dev/ttyUSB0
+    device = os.path.realpath(address) if address.startswith("/") else address
+    name = hashlib.sha256(f"{driver} {device}".encode()).hexdigest()[:16]
     path = Path(tempfile.gettempdir()) / f"finray-{os.getuid()}-{name}.lock"
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
     try:

@@ -7,6 +7,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from data_schemas.errors import CaptureError
+from data_schemas.rig import DeviceIdentity
 from data_schemas.storage import sha256_of
 from data_schemas.tactile import PlannedPress, TactileFrame, TactilePlan, TactileRig
 from rigs.capture.journal import JOURNAL_NAME, read_journal
@@ -30,6 +31,10 @@ class InterruptedPresses:
     frames
         Stored frames whose files are there and unchanged, by number: those of whole groups only, since a press that
         is done again is another press.
+    device
+        The camera that took them; None where the journal does not say it.
+    lines
+        Number of lines of the journal.
     """
 
     plan: TactilePlan
@@ -37,6 +42,8 @@ class InterruptedPresses:
     presses: tuple[PlannedPress, ...]
     rig_folder: Path
     frames: dict[int, TactileFrame]
+    device: DeviceIdentity | None
+    lines: int
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -59,12 +66,12 @@ def is_tactile(folder: Path) -> bool:
 
 
 def read_interrupted_presses(folder: Path) -> InterruptedPresses:
-    """Replay the journal of an interrupted tactile session and re-hash its frames; others are set aside.
+    """Replay the journal of an interrupted tactile session and re-hash its frames; nothing is changed.
 
     Raises
     ------
     CaptureError
-        The session is finished, or its journal does not say how it began.
+        The session is finished, its journal does not say how it began, or it replays a folder of images.
     """
     if (folder / SESSION_NAME).exists():
         raise CaptureError(f"{folder}: is finished already ({SESSION_NAME} is there); nothing is left to resume")
@@ -74,10 +81,16 @@ def read_interrupted_presses(folder: Path) -> InterruptedPresses:
         plan, rig = TactilePlan.model_validate(start["plan"]), TactileRig.model_validate(start["rig"])
         presses = tuple(PlannedPress.model_validate(press) for press in start["presses"])
         rig_folder = Path(start["rig_folder"])
+        device = DeviceIdentity.model_validate(start["device"]) if "device" in start else None
     except (StopIteration, KeyError, TypeError, ValidationError):
         raise CaptureError(
             f"{folder / JOURNAL_NAME}: does not say how the session began; capture it again into another folder"
         ) from None
+    if rig.camera.driver == "folder":
+        raise CaptureError(
+            f"{folder}: replays a folder of images, which would begin with its first image again; capture it again "
+            "into another folder"
+        )
     good = {}
     for line in lines:
         frame = _frame(line) if line["event"] == "frame" else None
@@ -87,8 +100,30 @@ def read_interrupted_presses(folder: Path) -> InterruptedPresses:
     wanted = Counter(shot.group for shot in shots)
     there = Counter(shot.group for shot in shots if shot.sequence in good)
     whole = {shot.sequence: good[shot.sequence] for shot in shots if there[shot.group] == wanted[shot.group]}
-    _set_aside(folder, {frame.file for frame in whole.values()})
-    return InterruptedPresses(plan, rig, presses, rig_folder, whole)
+    return InterruptedPresses(plan, rig, presses, rig_folder, whole, device, len(lines))
+
+
+def take_over(folder: Path, interrupted: InterruptedPresses, device: DeviceIdentity) -> None:
+    """Move what will be made anew into the folder "set-aside": other frames, and captures; the journal must be ours.
+
+    Raises
+    ------
+    CaptureError
+        The session went on since it was read, or another camera answers now.
+    """
+    if (folder / SESSION_NAME).exists() or len(read_journal(folder)) != interrupted.lines:
+        raise CaptureError(f"{folder}: another capture went on with this session meanwhile; look at what it did")
+    if interrupted.device not in (None, device):
+        raise CaptureError(
+            f"camera: {device.model} (serial '{device.serial}') answers now; the session began with "
+            f"{interrupted.device}: connect that one, or capture the session again"
+        )
+    known = {folder / frame.file for frame in interrupted.frames.values()}
+    frames = [path for path in sorted((folder / "frames").glob("*")) if path not in known]
+    for path in (*frames, *sorted(folder.glob("press-*"))):
+        aside = folder / ORPHANS
+        aside.mkdir(exist_ok=True)
+        path.rename(aside / f"{len(list(aside.iterdir())):04d}_{path.name.lstrip('.')}")
 
 
 def _frame(line: dict[str, object]) -> TactileFrame | None:
@@ -103,12 +138,3 @@ def _is_unchanged(folder: Path, frame: TactileFrame) -> bool:
     """Whether the file of a frame is there as it was written."""
     path = folder / frame.file
     return path.is_file() and not path.is_symlink() and sha256_of(path) == frame.sha256
-
-
-def _set_aside(folder: Path, known: set[str]) -> None:
-    """Move the files of other frames out of the way; nothing is deleted."""
-    for path in sorted((folder / "frames").glob("*")):
-        if path.relative_to(folder).as_posix() not in known:
-            aside = folder / ORPHANS
-            aside.mkdir(exist_ok=True)
-            path.rename(aside / f"{len(list(aside.iterdir())):04d}_{path.name.lstrip('.')}")

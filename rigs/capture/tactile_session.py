@@ -6,6 +6,7 @@ from pathlib import Path
 
 from data_schemas.errors import CaptureError
 from data_schemas.provenance import provenance
+from data_schemas.rig import DeviceIdentity
 from data_schemas.storage import write_frame, write_record
 from data_schemas.tactile import PlannedPress, TactileFrame, TactilePlan, TactileRig, TactileSession
 from rigs.capture.exposure import saturated_fraction
@@ -16,7 +17,7 @@ from rigs.capture.session_folder import SESSION_NAME, require_empty, write_manif
 from rigs.capture.tactile_camera import TactileCamera
 from rigs.capture.tactile_captures import capture_file, clipping_notes, tactile_capture
 from rigs.capture.tactile_plan import TactileShot, instruction, press_of, tactile_shots
-from rigs.capture.tactile_resume import KIND, InterruptedPresses
+from rigs.capture.tactile_resume import KIND, InterruptedPresses, take_over
 from rigs.drivers import open_camera
 from rigs.host import SystemClock, TerminalOperator
 from rigs.protocols import Camera, Clock, Operator
@@ -77,9 +78,11 @@ def capture_tactile_session(
             recorder = _Recorder(
                 camera, rig, plan, presses, out, journal, clock, operator or TerminalOperator(), progress
             )
+            device = camera.identity()
             if interrupted is None:
-                _write_start(journal, rig, plan, presses, rig_folder, command)
+                _write_start(journal, rig, plan, presses, rig_folder, command, device)
             else:
+                take_over(out, interrupted, device)
                 recorder.frames.update(interrupted.frames)
                 journal.append("resume", frames=len(interrupted.frames))
             recorder.record(shots)
@@ -91,7 +94,7 @@ def capture_tactile_session(
                 presses=presses,
                 frames=frames,
                 captures=tuple(capture_file(contact) for contact in range(1, contacts + 1)),
-                devices=(camera.identity(),),
+                devices=(device,),
                 notes=(*(interrupted.notes if interrupted else ()), *clipping_notes(frames, contacts)),
             )
             _write_captures(session, out, command)
@@ -101,7 +104,13 @@ def capture_tactile_session(
 
 
 def _write_start(
-    journal: Journal, rig: TactileRig, plan: TactilePlan, presses: Sequence[PlannedPress], folder: Path, command: str
+    journal: Journal,
+    rig: TactileRig,
+    plan: TactilePlan,
+    presses: Sequence[PlannedPress],
+    folder: Path,
+    command: str,
+    device: DeviceIdentity,
 ) -> None:
     """Write the first line of the journal: everything that a resumed session needs."""
     journal.append(
@@ -112,17 +121,26 @@ def _write_start(
         rig=rig.model_dump(mode="json"),
         rig_folder=str(folder.resolve()),
         presses=[press.model_dump(mode="json") for press in presses],
+        device=device.model_dump(mode="json"),
     )
 
 
 def _write_captures(session: TactileSession, out: Path, command: str) -> None:
-    """Write the tactile captures that are not there yet; a resumed session has some already."""
+    """Write the tactile capture of each contact."""
     for contact, name in enumerate(session.captures, 1):
-        if not (out / name).exists():
-            press = session.presses[press_of(contact, session.plan.repeats)]
-            capture = tactile_capture(out, session.plan, session.rig, press, contact, session.frames)
-            used = {frame.file: frame.sha256 for frame in session.frames if frame.place in (contact - 1, contact)}
-            write_record(capture, out / name, provenance(command, used, None))
+        press = session.presses[press_of(contact, session.plan.repeats)]
+        capture = tactile_capture(out, session.plan, session.rig, press, contact, session.frames)
+        groups = (("no contact", contact - 1), ("contact", contact), ("no contact", contact))
+        used = {frame.file: frame.sha256 for frame in session.frames if (frame.frame_type, frame.place) in groups}
+        write_record(capture, out / name, provenance(command, used, None))
+
+
+def session_bytes(rig: TactileRig, plan: TactilePlan, presses: int, frames: int) -> int:
+    """Return the space on the disk (bytes) of so many frames and of the captures made of them."""
+    camera = rig.camera
+    samples = SAMPLES_OF_RGB if camera.driver == "mjpeg" else 1
+    images = frames + IMAGES_OF_A_CAPTURE * presses * plan.repeats
+    return images * camera.width_px * camera.height_px * samples * BYTES_PER_PIXEL
 
 
 class _Recorder:
@@ -142,7 +160,7 @@ class _Recorder:
     ):
         self._plan, self._presses, self._out, self._journal = plan, presses, out, journal
         self._clock, self._operator, self._progress = clock, operator, progress
-        self._settings = rig.camera
+        self._rig = rig
         self._camera = TactileCamera(
             camera, rig.camera, len(plan.bracket_s(rig.camera)) == 1, lambda text: journal.append("refused", text=text)
         )
@@ -151,7 +169,7 @@ class _Recorder:
     def record(self, shots: tuple[TactileShot, ...]) -> None:
         """Have everything done that needs hands, and take the frames that are missing."""
         missing = [shot for shot in shots if shot.sequence not in self.frames]
-        self._require_space(missing)
+        require_space(self._out, session_bytes(self._rig, self._plan, len(self._presses), len(missing)))
         for _, group in groupby(missing, key=lambda shot: shot.group):
             todo = list(group)
             self._operator.do(instruction(todo[0], self._plan, self._presses))
@@ -159,16 +177,6 @@ class _Recorder:
                 self._take(shot)
                 if self._progress is not None:
                     self._progress(len(self.frames), len(shots), shot.label)
-
-    def _require_space(self, missing: Sequence[TactileShot]) -> None:
-        """Refuse to start what the disk cannot hold."""
-        values = self._settings.width_px * self._settings.height_px * (SAMPLES_OF_RGB if self._is_rgb() else 1)
-        contacts = len(self._presses) * self._plan.repeats
-        require_space(self._out, (len(missing) + IMAGES_OF_A_CAPTURE * contacts) * values * BYTES_PER_PIXEL)
-
-    def _is_rgb(self) -> bool:
-        """Whether the camera's driver delivers three values a pixel."""
-        return self._settings.driver == "mjpeg"
 
     def _take(self, shot: TactileShot) -> None:
         """Take a frame, write it, then its line of the journal."""
@@ -196,7 +204,7 @@ class _Recorder:
             device_time_s=raw.device_time_s,
             settings=dict(raw.settings),
             attempts=attempts,
-            saturated_fraction=saturated_fraction(raw.counts, 2**self._settings.bit_depth - 1),
+            saturated_fraction=saturated_fraction(raw.counts, 2**self._rig.camera.bit_depth - 1),
             sha256=sha256,
         )
         self._journal.append("frame", **frame.model_dump())

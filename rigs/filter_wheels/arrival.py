@@ -20,7 +20,7 @@ class Arrival:
     slot
         Where it was sent.
     elsewhere_s
-        A wheel that says for so long (s) that it rests at another slot is not on its way any more.
+        A wheel that names one other slot for so long (s) rests there and is not on its way any more.
     """
 
     def __init__(self, name: str, slot: int, elsewhere_s: float) -> None:
@@ -28,7 +28,8 @@ class Arrival:
         self._slot = slot
         self._elsewhere_s = elsewhere_s
         self._polls_there = 0
-        self._elsewhere_since_s: float | None = None
+        self._elsewhere: int | None = None
+        self._elsewhere_since_s = 0.0
 
     def sees(self, at: int | None) -> bool:
         """Take the slot of one poll (None: moving); return whether the wheel has arrived.
@@ -40,11 +41,12 @@ class Arrival:
         """
         self._polls_there = self._polls_there + 1 if at == self._slot else 0
         if at is None or at == self._slot:
-            self._elsewhere_since_s = None
+            self._elsewhere = None
             return self._polls_there == POLLS_THERE
         now_s = time.monotonic()
-        if self._elsewhere_since_s is None:
-            self._elsewhere_since_s = now_s
+        if at != self._elsewhere:
+            # Some wheels name the slots that they pass.
+            self._elsewhere, self._elsewhere_since_s = at, now_s
         if now_s - self._elsewhere_since_s > self._elsewhere_s:
             raise WrongPositionError(
                 f"{self._name}: was sent to slot {self._slot} and rests at slot {at}; look whether a filter or cable "

@@ -9,13 +9,16 @@ from data_schemas.errors import TimedOutError
 from data_schemas.rig import DeviceIdentity, FilterWheelSettings
 from rigs.filter_wheels.arrival import Arrival, require_slot, require_slots
 from rigs.protocols import FilterWheel, Operator
-from rigs.transports.indi_client import OPEN_WITHIN_S, IndiClient, IndiProperty
+from rigs.transports.indi_client import OPEN_WITHIN_S, IndiClient
+from rigs.transports.indi_device import IndiProperty
 from rigs.transports.indi_server import FILTER_WHEEL_INTERFACE, found_on_this_computer
 
 ASK_WITHIN_S: Final = 5.0
 POLL_S: Final = 0.05
 ELSEWHERE_S: Final = 1.0
 """INDI has a word for moving, so that rest at another slot is soon believed."""
+MOST_SLOTS: Final = 100
+"""No wheel has more: what a broken driver says beyond it would fill the memory."""
 _SLOT: Final = "FILTER_SLOT"
 _VALUE: Final = "FILTER_SLOT_VALUE"
 _AT_REST: Final = ("Ok", "Idle")
@@ -44,7 +47,7 @@ class IndiFilterWheel:
     def slots(self) -> tuple[int, ...]:
         """Numbers of the slots that the driver offers."""
         least, greatest = self._client.property(_SLOT).ranges.get(_VALUE, (1.0, 0.0))
-        return tuple(range(max(1, int(least)), int(greatest) + 1))
+        return tuple(range(max(1, int(least)), min(int(greatest), MOST_SLOTS) + 1))
 
     def position(self) -> int | None:
         """Ask the driver for the slot; None while the wheel moves and after a move that failed."""

@@ -6,16 +6,16 @@ Source: ASCOM Alpaca API reference, version 1: ``GET`` and ``PUT /api/v1/{device
 import itertools
 import json
 import os
-import socket
 import time
 from collections.abc import Mapping
-from contextlib import closing
-from http.client import HTTPConnection, HTTPException
+from contextlib import ExitStack
+from http.client import HTTPException
 from typing import Any, Final, Literal, NamedTuple
 from urllib.parse import urlencode, urlsplit
 
 from data_schemas.errors import LostError, RefusedError, TimedOutError
 from data_schemas.rig import DeviceIdentity
+from rigs.transports.timed_http import TimedConnection
 
 OPEN_WITHIN_S: Final = 15.0
 POLL_S: Final = 0.02
@@ -199,7 +199,9 @@ class AlpacaClient:
     def _ask_server(self, method: str, path: str, fields: str, end_s: float) -> tuple[int, bytes]:
         """Return status and body of one HTTP request."""
         try:
-            with closing(_Connection(self._host, self._port, end_s)) as connection:
+            connection = TimedConnection(self._host, self._port, end_s)
+            with ExitStack() as ending:
+                ending.callback(connection.hang_up)
                 if method == "GET":
                     connection.request(method, f"{path}?{fields}")
                 else:
@@ -225,38 +227,6 @@ class AlpacaClient:
             f"{self.name}: answers '{member}' with {said!r:.100}, which is no answer of such a device; check that an "
             "Alpaca server listens at this address"
         )
-
-
-class _Socket(socket.socket):
-    """A socket whose reads together end at one instant: a server that drips bytes cannot go on for ever."""
-
-    end_s = 0.0
-
-    def recv_into(self, *arguments: Any, **options: Any) -> int:
-        """Read within what is left of the time."""
-        left_s = self.end_s - time.monotonic()
-        if left_s <= 0.0:
-            raise TimeoutError
-        self.settimeout(left_s)
-        return super().recv_into(*arguments, **options)
-
-
-class _Connection(HTTPConnection):
-    """A connection for one request that ends at one instant."""
-
-    def __init__(self, host: str, port: int, end_s: float) -> None:
-        super().__init__(host, port)
-        self._end_s = end_s
-
-    def connect(self) -> None:
-        """Connect within what is left of the time."""
-        left_s = self._end_s - time.monotonic()
-        if left_s <= 0.0:
-            raise TimeoutError
-        opened = socket.create_connection((self.host, self.port), left_s)
-        self.sock = _Socket(opened.family, opened.type, opened.proto, opened.detach())
-        self.sock.end_s = self._end_s
-        self.sock.settimeout(left_s)
 
 
 def _start(body: bytes) -> str:

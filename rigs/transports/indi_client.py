@@ -3,17 +3,13 @@
 import contextlib
 import socket
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Final, Literal, Self
 
 from data_schemas.errors import LostError, RefusedError, TimedOutError
-from data_schemas.rig import DeviceIdentity
+from rigs.transports.indi_device import IndiDevice, IndiProperty
 from rigs.transports.indi_messages import (
-    IndiElement,
-    IndiMessage,
     IndiReader,
     enable_blobs,
     get_properties,
@@ -27,34 +23,10 @@ OPEN_WITHIN_S: Final = 30.0
 _RECEIVE_BYTES: Final = 2**20
 ANSWER_WITHIN_S: Final = 5.0
 """A driver that crashed is back after one to three seconds."""
-_KEPT_TEXTS: Final = 8
 _SWITCHED_ON: Final = "On"
 
 
-@dataclass(slots=True)
-class IndiProperty:
-    """What the driver said last about a property; updated in place.
-
-    Attributes
-    ----------
-    state
-        Idle, Ok, Busy or Alert.
-    values
-        Texts of the members, by name.
-    ranges
-        Least and greatest value of numbers, by name of the member.
-    definitions, settings
-        How often the driver has defined and set it in this connection: whoever waits for news compares.
-    """
-
-    state: str = "Idle"
-    values: dict[str, str] = field(default_factory=dict)
-    ranges: dict[str, tuple[float, float]] = field(default_factory=dict)
-    definitions: int = 0
-    settings: int = 0
-
-
-class IndiClient:
+class IndiClient(IndiDevice):
     """One device of an INDI server; a lost connection is told once, and the next call connects again.
 
     Instants `end_s` are readings of :func:`time.monotonic`.
@@ -70,14 +42,10 @@ class IndiClient:
     """
 
     def __init__(self, address: str, role: str, needed: str) -> None:
-        self.name = f"{role} at {address}"
         self._where = indi_address(address, role)
-        self._needed = needed
+        super().__init__(self._where.device, f"{role} at {address}", needed)
         self._socket: socket.socket | None = None
         self._reader = IndiReader(self.name)
-        self.properties: dict[str, IndiProperty] = {}
-        self.blobs: dict[str, IndiElement] = {}
-        self._texts: deque[str] = deque(maxlen=_KEPT_TEXTS)
 
     def __enter__(self) -> Self:
         return self
@@ -121,8 +89,8 @@ class IndiClient:
         self.drain(end_s)
         known = self.properties.get(name)
         before = known.definitions if known else 0
-        self._send(get_properties(self._where.device, name), end_s)
-        self.wait(lambda: self._definitions(name) > before, end_s, f"say what {name} is")
+        self._send(get_properties(self._device, name), end_s)
+        self.wait(lambda: self.definitions(name) > before, end_s, f"say what {name} is")
         return self.properties[name]
 
     def request(
@@ -132,7 +100,7 @@ class IndiClient:
         self.drain(end_s)
         before = self.property(name).settings
         self._texts.clear()
-        self._send(new_vector(kind, self._where.device, name, values), end_s)
+        self._send(new_vector(kind, self._device, name, values), end_s)
         return before
 
     def change(
@@ -160,45 +128,9 @@ class IndiClient:
                 )
         return known
 
-    def property(self, name: str) -> IndiProperty:
-        """Return what was said last about a property.
-
-        Raises
-        ------
-        RefusedError
-            The device has no such property.
-        """
-        if name not in self.properties:
-            raise RefusedError(f"{self.name}: has no property {name}; name another device of the server")
-        return self.properties[name]
-
-    def number(self, name: str, member: str) -> float:
-        """Return a number of a property as it was said last."""
-        return number(self.property(name).values.get(member, ""), f"{self.name}: {name}.{member}")
-
-    def identity(self, role: Literal["camera", "filter wheel", "laser", "lamp"], address: str) -> DeviceIdentity:
-        """Return what the driver says it is."""
-        info = self.properties.get("DRIVER_INFO", IndiProperty()).values
-        version = info.get("DRIVER_VERSION", "")
-        return DeviceIdentity(
-            role=role,
-            driver="indi",
-            address=address,
-            model=self._where.device,
-            firmware=f"{info.get('DRIVER_EXEC', '')} {version}".strip(),
-        )
-
     def enable_blobs(self, end_s: float) -> None:
         """Ask the server for the frames of the device."""
-        self._send(enable_blobs(self._where.device), end_s)
-
-    def refusal(self, what: str) -> RefusedError:
-        """Return the error for an Alert, with what the driver says about it."""
-        return RefusedError(f"{self.name}: refuses to {what}{self.said()}; ask for what it can do, or mend the device")
-
-    def said(self) -> str:
-        """Return what the driver said since the last request, as the end of a message."""
-        return f" (the driver says: {'; '.join(self._texts)})" if self._texts else ""
+        self._send(enable_blobs(self._device), end_s)
 
     def wait(self, condition: Callable[[], bool], end_s: float, what: str) -> None:
         """Take in messages until `condition` holds.
@@ -212,7 +144,9 @@ class IndiClient:
         """
         began_s = time.monotonic()
         while not condition():
-            if not self._receive(end_s) and time.monotonic() >= end_s:
+            self._receive(end_s)
+            # A server that talks without end about something else is late as well as a mute one.
+            if time.monotonic() >= end_s and not condition():
                 raise TimedOutError(
                     f"{self.name}: did not {what} within {max(end_s - began_s, 0.0):.2g} s{self.said()}; check the "
                     "device and its driver"
@@ -229,12 +163,12 @@ class IndiClient:
         self._texts.clear()
         self._reader = IndiReader(self.name)
         self._socket = open_socket(self._where, self.name, end_s)
-        self._send(get_properties(self._where.device), end_s)
+        self._send(get_properties(self._device), end_s)
         try:
             # Half a second is kept to ask which devices there are, or half of the time if that is less.
             now_s = time.monotonic()
             answer_s = max(min(now_s + ANSWER_WITHIN_S, end_s - 0.5), (now_s + end_s) / 2)
-            self.wait(lambda: self._definitions("CONNECTION") > 0, answer_s, "answer")
+            self.wait(lambda: self.definitions("CONNECTION") > 0, answer_s, "answer")
         except TimedOutError as error:
             raise self._unknown_device(end_s) from error
         if self.property("CONNECTION").values.get("CONNECT") != _SWITCHED_ON:
@@ -285,54 +219,15 @@ class IndiClient:
         try:
             messages = self._reader.feed(data)
             for message in messages:
-                self._take(message)
+                self.take(message)
         except LostError:
             self.close()
             raise
         return True
 
-    def _take(self, message: IndiMessage) -> None:
-        """Bring what is known up to date."""
-        if message.device != self._where.device:
-            return
-        if message.attributes.get("message"):
-            self._texts.append(message.attributes["message"])
-        if message.tag == "delProperty":
-            self._forget(message.name)
-        elif message.tag == "setBLOBVector":
-            self.blobs.update({blob.name: blob for blob in message.elements})
-        elif message.tag.startswith(("def", "set")) and message.name:
-            known = self.properties.setdefault(message.name, IndiProperty())
-            is_definition = message.tag.startswith("def")
-            known.definitions += is_definition
-            known.settings += not is_definition
-            known.state = message.attributes.get("state", known.state)
-            for element in message.elements:
-                known.values[element.name] = element.text
-                if "min" in element.attributes and "max" in element.attributes:
-                    where = f"{self.name}: range of {message.name}"
-                    known.ranges[element.name] = (
-                        number(element.attributes["min"], where),
-                        number(element.attributes["max"], where),
-                    )
-
-    def _forget(self, name: str) -> None:
-        """Drop a property, or all; without the needed one there is no device."""
-        gone = [name] if name else list(self.properties)
-        for each in gone:
-            self.properties.pop(each, None)
-        if not name or name == self._needed:
-            raise self._lost(f"the driver withdrew {name or 'the device'}: it crashed, or was disconnected")
-
     def _lost(self, reason: str) -> LostError:
         self.close()
-        return LostError(
-            f"{self.name}: the connection broke ({reason}){self.said()}; check the device's cable, and that indiserver "
-            "runs with its driver"
-        )
-
-    def _definitions(self, name: str) -> int:
-        return self.properties[name].definitions if name in self.properties else 0
+        return self.lost(reason)
 
     def _agrees(self, kind: str, read_back: str, asked: str) -> bool:
         if kind == "Number" and read_back:

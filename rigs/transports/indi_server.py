@@ -35,7 +35,9 @@ def indi_address(address: str, role: str) -> IndiAddress:
     server, _, device = address.partition("/")
     host, colon, port = server.rpartition(":")
     host, port = (host, port) if colon else (server, str(DEFAULT_PORT))
-    if not (host and device.strip() and port.isascii() and port.isdecimal() and 0 < int(port[:6]) < 2**16):
+    if not (
+        host and device.strip() and port.isascii() and port.isdecimal() and len(port) < 6 and 0 < int(port) < 2**16
+    ):
         raise RefusedError(
             f"{role}: '{address}' is no INDI address; write host:port/device name, such as "
             f"localhost:{DEFAULT_PORT}/Filter Simulator"
@@ -57,7 +59,8 @@ def devices_at(where: IndiAddress, end_s: float) -> dict[str, int]:
             for message in reader.feed(data):
                 if message.device and message.tag.startswith("def"):
                     kinds = {element.name: element.text for element in message.elements}.get("DRIVER_INTERFACE", "0")
-                    found[message.device] = found.get(message.device, 0) | (int(kinds) if kinds.isdecimal() else 0)
+                    bits = int(kinds) if kinds.isascii() and kinds.isdecimal() and len(kinds) < 10 else 0
+                    found[message.device] = found.get(message.device, 0) | bits
     return found
 
 
@@ -81,7 +84,7 @@ def open_socket(where: IndiAddress, name: str, end_s: float) -> socket.socket:
             f"{name}: {where.host} did not answer; check that the computer runs and its firewall lets port "
             f"{where.port} through"
         ) from error
-    except OSError as error:
+    except (OSError, UnicodeError) as error:  # a host name that cannot be one fails to be encoded
         raise LostError(
             f"{name}: nothing listens at {where.host}:{where.port} ({error}); start indiserver, or correct the address"
         ) from error

@@ -72,7 +72,7 @@ class MultipartStream:
             raise TimedOutError(
                 f"{self._name}: did not answer in time; is the camera server running, and is the network up?"
             ) from None
-        except (OSError, http.client.HTTPException) as error:
+        except (OSError, UnicodeError, http.client.HTTPException) as error:  # UnicodeError: no host can have that name
             self.close()
             raise LostError(
                 f"{self._name}: cannot be reached ({error or type(error).__name__}); start the camera server there, "
@@ -135,7 +135,12 @@ class MultipartStream:
             host, port = parts.hostname, parts.port or 80
         except ValueError:
             host, port = None, 0
-        if host is None or parts.scheme != "http" or not address.isascii() or any(c <= " " for c in address):
+        if (
+            host is None
+            or parts.scheme != "http"
+            or not address.isascii()
+            or any(c <= " " or c == "\x7f" for c in address)
+        ):
             raise RefusedError(
                 f"{self._name}: is no address of a stream; write http://host:port/path, such as "
                 "http://raspberrypi.local:8080/stream"

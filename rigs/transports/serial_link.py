@@ -131,7 +131,9 @@ class SerialLink:
                     f"{self._name}: sends more than {LONGEST_ANSWER_BYTES} bytes without {terminator!r} (they begin "
                     f"with {start!r}); check that this port belongs to the device, and its speed"
                 )
-            if not self._receive() and time.monotonic() >= end_s:
+            self._receive()
+            # A device that drips bytes is late as well as a mute one.
+            if time.monotonic() >= end_s and terminator not in self._unread:
                 said = bytes(self._unread).strip()
                 heard = f"only {said!r} came" if said else "nothing came"
                 raise TimedOutError(
@@ -169,15 +171,19 @@ class SerialLink:
                 )
 
     def _receive(self) -> bool:
-        """Take in what has come, waiting a moment for the first byte; return whether anything came."""
+        """Take in all that has come, waiting a moment for the first byte; return whether anything came."""
+        before = len(self._unread)
         try:
-            data = bytes(self._port.read(max(1, self._port.in_waiting)))
+            # A TCP line hands over single bytes.
+            wanted = max(1, self._port.in_waiting)
+            while wanted and len(self._unread) <= LONGEST_ANSWER_BYTES and (data := bytes(self._port.read(wanted))):
+                self._unread += data
+                self._note("device", data)
+                wanted = self._port.in_waiting
         except _PORT_ERRORS as error:
-            raise self._lost(error) from error
-        self._unread += data
-        if data:
-            self._note("device", data)
-        return bool(data)
+            if len(self._unread) == before:
+                raise self._lost(error) from error
+        return len(self._unread) > before
 
     def _note(self, who: str, data: bytes) -> None:
         if self._transcript is not None:

@@ -48,7 +48,7 @@ class TimedConnection(http.client.HTTPConnection):
 
     def connect(self) -> None:
         """Connect before the deadline."""
-        self._link = socket.create_connection((self.host, self.port), timeout=self.clock.left_s())
+        self._link = _connected(self.host, self.port, self.clock)
         self.sock: Any = _TimedSocket(self._link, self.clock)
 
     def hang_up(self) -> None:
@@ -57,6 +57,23 @@ class TimedConnection(http.client.HTTPConnection):
             with contextlib.suppress(OSError):  # the other end was faster
                 self._link.shutdown(socket.SHUT_RDWR)
             self._link.close()
+
+
+def _connected(host: str, port: int, clock: _Clock) -> socket.socket:
+    """Connect to the first address of a name that answers; all of them together have the time that is left."""
+    known = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    failed: OSError = TimeoutError()
+    for number, (family, kind, protocol, _, address) in enumerate(known):
+        link = socket.socket(family, kind, protocol)
+        try:
+            link.settimeout(clock.left_s() / (len(known) - number))
+            link.connect(address)
+        except OSError as error:
+            link.close()
+            failed = error
+        else:
+            return link
+    raise failed
 
 
 class _TimedSocket:

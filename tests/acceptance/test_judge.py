@@ -8,7 +8,9 @@ from scipy.stats import binom, linregress
 
 from data_schemas.capture import FilterProof
 from data_schemas.check import AcceptanceReport, CheckResult, LightOff, Revisit, WheelMove
+from data_schemas.provenance import provenance
 from data_schemas.rig import RigFile
+from data_schemas.storage import read_record, write_record
 from finray_calib.acceptance.acceptance_report import SECTIONS, judge
 from finray_calib.acceptance.judge_devices import CLOCK_SD_S, largest_failure_share, slowest_off
 from finray_calib.acceptance.judge_frames import dark_line, rate_dn_per_s
@@ -71,6 +73,8 @@ def test_a_flawless_rig_passes_every_check(rig):
         ({"revisits": ()}, "wheel repeats optically", "UNDECIDED", "one filter only"),
         ({"levels": (level(0.1, 100.0), level(0.2, 206.0), level(0.4, 400.0))}, "exposure ratio 2 : 1", "FAIL",
          "0.2 s against 0.1 s"),
+        ({"levels": (level(0.1, 0.0), level(0.2, 0.0), level(0.4, 0.0))}, "exposure ratios", "FAIL",
+         "no brighter than the dark ones"),
         ({"light_off": (LightOff(layer="guard", missing="nobody can watch"),)}, "laser off by the guard", "UNDECIDED",
          "nobody can watch"),
         ({"light_off": (LightOff(layer="guard", error="laser: mute"),)}, "laser off by the guard", "ERROR", "mute"),
@@ -108,6 +112,13 @@ def test_nothing_measured_is_an_error_for_every_section_named(rig):
     report = judge(spoilt(**dict.fromkeys(("handshakes", "moves", "darks", "revisits", "levels", "light_off"), ()),
                           filter_proof=None, errors=errors), PLAN, rig)  # fmt: skip
     assert bad(report) == dict.fromkeys(SECTIONS.values(), "ERROR")
+
+
+def test_report_of_one_dark_exposure_can_be_stored(rig, tmp_path):
+    """An infinite uncertainty would have no place in JSON."""
+    report = judge(spoilt(darks=(dark(1.0, 16.0, 16.01),)), PLAN, rig)
+    write_record(report, tmp_path / "check.json", provenance("pytest"))
+    assert read_record(tmp_path / "check.json", AcceptanceReport).results == report.results
 
 
 def test_dark_line_is_that_of_scipy():

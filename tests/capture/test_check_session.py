@@ -313,6 +313,20 @@ class TestCameraWatch:
                 with CameraWatch(rig, Path(), frames, sight).open() as watch:
                     assert watch.look().on is None
 
+    def test_the_wheel_is_turned_before_the_laser_is_lit(self, rig, plan):
+        """It may be turned by hand."""
+        lit: list[bool] = []
+        with open_rig(rig, Path()) as opened:
+            opened.wheel.go_to(7, 20.0)
+
+            def go_to(slot: int, deadline_s: float) -> None:
+                lit.append(opened.laser.state())
+                opened.wheel.go_to(slot, deadline_s)
+
+            watched = replace(opened, wheel=Device(opened.wheel, {"go_to": go_to}))
+            assert find_sight(watched, rig, CheckFrames(watched, rig, plan, check_filters(plan, rig))) is not None
+        assert lit == [False]
+
     def test_no_sight_without_a_filter_light_or_camera(self, rig, plan):
         with open_rig(rig, Path()) as opened:
             frames = CheckFrames(opened, rig, plan, check_filters(plan, rig))

@@ -1,5 +1,6 @@
 """The frames themselves show which filter is in the beam; a bench whose filters sit in other slots is convicted."""
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -7,12 +8,13 @@ import pytest
 
 from data_schemas.capture import PaintPlan
 from data_schemas.errors import CaptureError, WrongPositionError
-from data_schemas.rig import RigFile
+from data_schemas.rig import DeviceIdentity, RigFile
 from rigs.capture.filter_proof import compare_with_last, judge_filters
 from rigs.capture.paint_session import capture_with
 from rigs.capture.plan import paint_steps
 from rigs.capture.read_session import read_session
 from rigs.open_rig import open_rig
+from rigs.protocols import FilterWheel
 
 NAMES = ("405", "450", "500", "532", "560", "600", "630", "660")
 
@@ -87,6 +89,74 @@ def test_earlier_session_finds_a_soiled_filter(captured) -> None:
     assert found.verdict == "contradicted"
     assert "filter 560" in found.text
     assert compare_with_last(names[:2], before[:2], session).verdict == "cannot tell"
+
+
+def test_earlier_session_finds_exchanged_filters_of_other_colours(captured) -> None:
+    _, session, _ = captured
+    before = np.array(session.white_rates_dn_per_s)
+    names = list(dict.fromkeys(f.filter_name for f in session.frames if f.frame_type == "white"))
+    first, second = names.index("450"), names.index("600")
+    exchanged = before.copy()
+    exchanged[[first, second]] = exchanged[[second, first]]
+    assert compare_with_last(names, exchanged, session).verdict == "contradicted"
+    assert compare_with_last(names, np.zeros((8, 3)), session).verdict == "cannot tell"
+
+
+@dataclass
+class CountingWheel:
+    """A wheel that counts its steps and does not turn."""
+
+    wheel: FilterWheel
+    slot: int = 1
+
+    @property
+    def slots(self) -> tuple[int, ...]:
+        return self.wheel.slots
+
+    def identity(self) -> DeviceIdentity:
+        return self.wheel.identity()
+
+    def position(self) -> int | None:
+        return None if self.wheel.position() is None else self.slot
+
+    def go_to(self, slot: int, deadline_s: float) -> None:
+        self.slot = slot
+
+
+@pytest.mark.parametrize("stuck", NAMES)
+def test_wheel_that_counts_and_does_not_turn_is_convicted(
+    rig: RigFile, plan: PaintPlan, tmp_path: Path, stuck: str
+) -> None:
+    with open_rig(rig, Path()) as opened:
+        opened.wheel.go_to(NAMES.index(stuck) + 1, 20.0)
+        broken = replace(opened, wheel=CountingWheel(opened.wheel))
+        with pytest.raises(WrongPositionError, match=f"show filter {stuck} at every slot: the wheel counts"):
+            capture_with(broken, rig, plan, paint_steps(plan, rig), tmp_path, {}, "finray capture")
+    assert not list(tmp_path.glob("frames/*"))
+
+
+def test_grey_picture_and_single_filter_prove_nothing(captured) -> None:
+    """A camera that does not see the lamp gives the same grey picture behind all filters: no filter looks like that."""
+    _, session, _ = captured
+    predicted = np.array(session.white_rates_dn_per_s)  # the simulated bench keeps close to the prediction
+    assert judge_filters(NAMES, np.full((8, 3), 500.0), predicted).verdict == "cannot tell"
+    assert judge_filters(NAMES[:1], predicted[:1], predicted[:1]).verdict == "cannot tell"
+
+
+def test_earlier_session_of_other_filters_leaves_the_verdict(
+    rig: RigFile, plan: PaintPlan, captured, tmp_path: Path
+) -> None:
+    _, session, _ = captured
+    frames = tuple(f for f in session.frames if f.frame_type != "white")
+    with open_rig(rig, Path()) as opened:
+        now = capture_with(
+            opened, rig, plan, paint_steps(plan, rig), tmp_path, {}, "finray capture",
+            last_good=session.model_copy(update={"frames": frames}),
+        )  # fmt: skip
+    assert now.filter_proof is not None
+    assert session.filter_proof is not None
+    assert now.filter_proof.verdict == session.filter_proof.verdict
+    assert now.filter_proof.text.endswith("the earlier session shares only 0 filters with this one")
 
 
 def test_session_unlike_an_earlier_one_is_refused(rig: RigFile, plan: PaintPlan, captured, tmp_path: Path) -> None:

@@ -126,3 +126,16 @@ def test_header_that_names_one_filter_at_two_slots_is_refused(rig: RigFile) -> N
         taken.camera.expose(DARK, 0.01)
         with pytest.raises(RefusedError, match=r"FILTER header says 'Red' at slot 3, as at slot 2; .*'CCD Simulator'"):
             taken.camera.expose(replace(DARK, filter_name="500", slot=3), 0.01)
+
+
+def test_header_that_changes_at_one_slot_is_refused(rig: RigFile) -> None:
+    """The header of an old move: slot 2 is named after a slot that was left before the first frame."""
+
+    def late(number: int, frame: RawFrame) -> RawFrame:
+        return replace(frame, settings={"filter_header": "Green" if number == 1 else "Red"})
+
+    with open_rig(rig, Path()) as opened:
+        taken = over(rig, opened, late)
+        taken.camera.expose(DARK, 0.01)
+        with pytest.raises(RefusedError, match=r"says 'Red' at slot 2, where it said 'Green' before"):
+            taken.camera.expose(DARK, 0.01)

@@ -161,6 +161,48 @@ def test_folder_without_a_beginning_is_refused(tmp_path: Path) -> None:
         read_interrupted(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"rates_dn_per_s": [', '"rates_dn_per_s": [1.0, '),
+        ('"exposures_s": [', '"exposures_s": ["long", '),
+        ('"label": ', '"lable": '),
+    ],
+)
+def test_edited_journal_is_refused(stopped: Path, old: str, new: str) -> None:
+    text = (stopped / "journal.jsonl").read_text()
+    assert old in text
+    (stopped / "journal.jsonl").write_text(text.replace(old, new, 1))
+    with pytest.raises(CaptureError, match=r"journal\.jsonl: holds lines that finray did not write; restore it"):
+        read_interrupted(stopped)
+
+
+def test_session_of_another_version_is_refused(rig: RigFile, small: PaintPlan, stopped: Path) -> None:
+    journal = stopped / "journal.jsonl"
+    journal.write_text(journal.read_text().replace('"bracket"', '"brackets"', 1).replace('"lamp"', '"lamps"', 1))
+    interrupted = read_interrupted(stopped)
+    with pytest.raises(CaptureError, match=r"the plan in its first line is none of this version .*'brackets'.*resume"):
+        interrupted.plan(PaintPlan)
+    with pytest.raises(CaptureError, match=r"the rig in its first line is none of this version .*'lamps'"):
+        interrupted.rig()
+
+
+def test_reading_touches_nothing_and_a_session_that_went_on_is_left_alone(
+    rig: RigFile, small: PaintPlan, stopped: Path
+) -> None:
+    """A capture may be running in the folder: its part files are moved only when its journal is ours."""
+    part = stopped / "frames" / ".0099_half.tiff.12345678.part"
+    part.write_bytes(b"being written")
+    early = read_interrupted(stopped)
+    assert part.exists()
+    resumed(rig, small, stopped)
+    (stopped / "session.json").unlink()
+    whole = sorted(path.name for path in (stopped / "frames").iterdir())
+    with pytest.raises(CaptureError, match=r"another capture went on with this session meanwhile"):
+        capture_paint_session(rig, small, Path(), stopped, "finray capture", interrupted=early)
+    assert sorted(path.name for path in (stopped / "frames").iterdir()) == whole
+
+
 def test_changed_curve_file_is_refused(rig: RigFile, small: PaintPlan, stopped: Path) -> None:
     text = (stopped / "journal.jsonl").read_text()
     (stopped / "journal.jsonl").write_text(text.replace('"inputs": {}', '"inputs": {"red.csv": "00"}', 1))

@@ -163,6 +163,8 @@ def test_session_of_raw_frames(sensor, tmp_path):
     assert not any(line["event"] == "refused" for line in read_journal(tmp_path / "out"))
     stored = read_record(tmp_path / "out" / "press-001.json", TactileCapture)
     assert (stored.layout, stored.encoding, stored.bit_depth, stored.black_level_dn) == ("Bayer RGGB", "linear", 10, 64)
+    second = read_record(tmp_path / "out" / "press-002.json", TactileCapture)
+    assert set(second.provenance.input_sha256) == {frame.file for frame in session.frames[3:8]}
     assert stored.exposure_s == session.frames[2].exposure_s
     assert stored.exposure_s != session.frames[2].exposure_requested_s
     assert stored.indenter.depth_uncertainty_mm == 0.02
@@ -325,6 +327,67 @@ def test_changed_frame_is_taken_again(sensor, tmp_path):
     assert sorted(read_interrupted_presses(tmp_path / "out").frames) == [0, 1, 3, 4]
 
 
+def resumed(folder: Path, hands: Hands) -> TactileSession:
+    interrupted = read_interrupted_presses(folder / "out")
+    return capture_tactile_session(
+        interrupted.rig, interrupted.plan, interrupted.presses, (folder, folder / "out"), "pytest",
+        operator=hands, interrupted=interrupted,
+    )  # fmt: skip
+
+
+def test_captures_of_an_interrupted_session_are_made_anew(sensor, tmp_path):
+    """One of their frames was changed since, so that its group is taken again."""
+    capture(tmp_path, plan_of(tmp_path), rig_of(tmp_path), pressing(sensor))
+    out = tmp_path / "out"
+    for name in ("session.json", "manifest-sha256.txt"):
+        (out / name).unlink()
+    next((out / "frames").glob("00002_contact*")).write_bytes(b"torn")
+    before = read_record(out / "press-001.json", TactileCapture)
+    sensor.scene = lambda exposure_s: np.tile(np.arange(98) * 5, (66, 1))
+    session = resumed(tmp_path, Hands())
+    after = read_record(out / "press-001.json", TactileCapture)
+    assert np.array_equal(after.contact[..., 0], read_frame(out / session.frames[2].file, session.frames[2].sha256))
+    assert not np.array_equal(after.contact, before.contact)
+    assert len(list((out / "set-aside").glob("*_press-001.json"))) == 1
+
+
+def interrupt_at_press_2(text: str) -> None:
+    if text.startswith("Press 2"):
+        raise KeyboardInterrupt
+
+
+def test_session_does_not_go_on_with_another_camera(sensor, tmp_path, monkeypatch):
+    with pytest.raises(KeyboardInterrupt):
+        capture(tmp_path, plan_of(tmp_path), rig_of(tmp_path), Hands(interrupt_at_press_2))
+    monkeypatch.setattr(picamera2_stand_in.Picamera2, "camera_properties", {"Model": "imx708"})
+    with pytest.raises(CaptureError, match=r"imx708 .* answers now; the session began with .*imx219"):
+        resumed(tmp_path, Hands())
+
+
+def test_session_that_went_on_elsewhere_is_left_alone(sensor, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        capture(tmp_path, plan_of(tmp_path), rig_of(tmp_path), Hands(interrupt_at_press_2))
+    interrupted, out = read_interrupted_presses(tmp_path / "out"), tmp_path / "out"
+    (out / "frames" / "00005_new.tiff").write_bytes(b"being written")
+    with (out / "journal.jsonl").open("a", encoding="utf-8") as journal:
+        journal.write('{"event": "resume", "frames": 5}\n')
+    with pytest.raises(CaptureError, match="another capture went on with this session meanwhile"):
+        capture_tactile_session(
+            interrupted.rig, interrupted.plan, interrupted.presses, (tmp_path, out), "pytest", interrupted=interrupted
+        )
+    assert (out / "frames" / "00005_new.tiff").exists()
+
+
+def test_replay_is_not_resumed(sensor, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        capture(tmp_path, plan_of(tmp_path), rig_of(tmp_path), Hands(interrupt_at_press_2))
+    journal = tmp_path / "out" / "journal.jsonl"
+    text = journal.read_text(encoding="utf-8").replace('"driver": "picamera2"', '"driver": "folder"')
+    journal.write_text(text, encoding="utf-8")
+    with pytest.raises(CaptureError, match="replays a folder of images, which would begin with its first image again"):
+        read_interrupted_presses(tmp_path / "out")
+
+
 def test_resume_through_the_command_line(sensor, tmp_path, monkeypatch):
     plan_of(tmp_path)
     rig_of(tmp_path)
@@ -345,7 +408,7 @@ def test_dry_run_lists_and_opens_nothing(sensor, tmp_path):
     plan_of(tmp_path)
     rig_of(tmp_path)
     outcome = finray(f"capture {tmp_path}/tactile.toml --rig {tmp_path}/rig.toml --dry-run")
-    assert "2 presses, 1 times each; 8 frames\n5 things to do by hand" in outcome.out
+    assert "2 presses, 1 times each; 8 frames, 0 MB at most\n5 things to do by hand" in outcome.out
     assert sensor.log == []
 
 

@@ -9,7 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from data_schemas.rig import LampSettings, LaserSettings, RigFile
+from data_schemas.storage import read_toml
 from rigs.capture.read_session import read_session
+from rigs.toml_text import write_rig
+from tests.capture.drivers.programs import free_port
 from tests.command_line.running import finray, succeed
 
 
@@ -53,7 +57,10 @@ def test_signal_ends_the_capture_cleanly_and_resume_finishes_it(lab: Path, tmp_p
 def test_resume_takes_everything_from_the_session(lab: Path, tmp_path: Path) -> None:
     said = mistake(f"capture {lab}/plan.toml --rig {lab}/rig.toml --resume {tmp_path}")
     assert "leave out PLAN, --rig and --out" in said
-    assert "is finished already" in mistake(f"capture --resume {lab}/session")
+    finished = mistake(f"capture --resume {lab}/session")
+    assert "is finished already" in finished
+    assert "go on with" not in finished
+    assert "--dry-run is for a session that is to begin" in mistake(f"capture --resume {tmp_path} --dry-run")
     assert "journal.jsonl: cannot be read" in mistake(f"capture --resume {tmp_path}")
     assert "give a PLAN and its --rig" in mistake(f"capture {lab}/plan.toml")
 
@@ -61,3 +68,29 @@ def test_resume_takes_everything_from_the_session(lab: Path, tmp_path: Path) -> 
 def test_session_like_an_earlier_one_says_so(lab: Path, tmp_path: Path) -> None:
     said = succeed(f"capture {lab}/plan.toml --rig {lab}/rig.toml --out {tmp_path}/out --like {lab}/session")
     assert "filters: confirmed: the white frames repeat those of the earlier session" in said
+
+
+def real_rig(lab: Path) -> RigFile:
+    """The rig of the lab with real devices, which nobody has switched on."""
+    rig = read_toml(lab / "rig.toml", RigFile)
+    laser = {"address": f"socket://127.0.0.1:{free_port()}", "power_mw": 4.5, "laser_class": "3R"}
+    return RigFile(
+        name="lab",
+        camera=rig.camera.model_copy(update={"driver": "folder", "address": "images"}),
+        filter_wheel=rig.filter_wheel.model_copy(update={"driver": "manual"}),
+        laser=LaserSettings(driver="arduino", wavelength_nm=450.0, **laser),
+        lamp=LampSettings(driver="manual"),
+    )
+
+
+def test_real_laser_needs_its_label_and_is_announced(lab: Path, tmp_path: Path) -> None:
+    capture = f"capture {lab}/plan.toml --out {tmp_path}/out --rig"
+    named, nameless = tmp_path / "named.toml", tmp_path / "nameless.toml"
+    write_rig(real_rig(lab), named)
+    lines = named.read_text().splitlines(keepends=True)
+    nameless.write_text("".join(line for line in lines if not line.startswith(("power_mw", "laser_class"))))
+    said = mistake(f"{capture} {nameless}")
+    assert "switched on only when the rig file states its laser_class, power_mw; read them from its label" in said
+    said = mistake(f"{capture} {named}")
+    assert "LASER 450 nm, 4.5 mW, class 3R: it will be switched on. Wear goggles for 450 nm, close the box" in said
+    assert said.index("LASER 450 nm") < said.index("cannot be opened")  # told before anything is tried

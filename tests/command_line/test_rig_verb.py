@@ -259,7 +259,7 @@ def test_show_of_real_drivers_on_emulated_devices(tmp_path: Path) -> None:
     assert "light with dead-man, firmware 1.0" in said
     assert "Aravis Fake, serial FINRAY01" in said
     assert "512 x 512 px; 0.01 s asked for, 0.01 s read back" in said
-    assert "PixelFormat BayerRG8" in said
+    assert "pixel_format BayerRG8" in said
     assert "at slot 1, filter 405" in said
     assert "12 (none)" in said
 

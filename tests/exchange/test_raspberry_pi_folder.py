@@ -187,6 +187,8 @@ def spoil(folder, kind):
             contact.write_bytes(b"no image")
         case "odd pattern":
             write_dng(contact, np.full((40, 60), 100, np.uint16), pattern=(0, 0, 1, 2))
+        case "odd white level":
+            write_dng(contact, np.full((40, 60), 100, np.uint16), white_dn=1000)
         case "no black level":
             for name in NAMES:
                 (folder / f"{name}.json").write_text(json.dumps(metadata(SensorBlackLevels=None)))
@@ -210,8 +212,9 @@ def spoil(folder, kind):
         ("mixed", r"mixes raw and processed images"),
         ("sizes differ", r"differ in Bayer order, bits or size"),
         ("no raw page", r"holds no colour filter array \(Bayer\) image"),
-        ("not a DNG", r"cannot be read as an uncompressed 16-bit DNG"),
-        ("odd pattern", r"Bayer pattern \[0, 0, 1, 2\] with white level 1023 DN is not understood"),
+        ("not a DNG", r"cannot be read as DNG .*; is the file whole"),
+        ("odd pattern", r"Bayer pattern \[0, 0, 1, 2\] of an image .* is not understood"),
+        ("odd white level", r"white level 1000 DN is not understood; known is 2\^bits - 1"),
         ("no black level", r"neither metadata \(SensorBlackLevels\) nor a tuning file says the black level"),
     ],
 )

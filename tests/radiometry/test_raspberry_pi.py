@@ -2,6 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
+from data_schemas.bayer import rggb_frame
 from data_schemas.errors import ImportFormatError
 from finray_calib.radiometry.libcamera_tuning import parse_tuning, shading_gains
 from finray_calib.radiometry.raspberry_pi import (
@@ -9,7 +10,6 @@ from finray_calib.radiometry.raspberry_pi import (
     LUMA,
     processed_signal,
     raw_signal,
-    rggb_frame,
 )
 from finray_calib.radiometry.raspberry_pi_settings import capture_settings, require_same_settings
 from tests.radiometry.libcamera_documents import metadata, version_2

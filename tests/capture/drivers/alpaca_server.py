@@ -1,7 +1,6 @@
 """The ASCOM Alpaca simulators in their own environment, and a scripted server for what they never do."""
 
 import json
-import os
 import signal
 import subprocess
 import threading
@@ -12,9 +11,8 @@ from pathlib import Path
 from typing import Self
 from urllib.parse import parse_qsl, urlsplit
 
-from tests.capture.drivers.programs import answers, free_port, require, wait_until
+from tests.capture.drivers.programs import answers, free_port, others_environment, others_python, wait_until
 
-CHECKOUT = Path(__file__).parents[3]
 # Starting it imports astropy, seconds on a busy machine.
 READY_WITHIN_S = 60.0
 # Written with the simulators' own reader of YAML, from their own template.
@@ -34,17 +32,12 @@ Path(sys.argv[1]).write_text(yaml.safe_dump(rig))
 """
 
 
-def environment() -> Path:
-    """Return the virtual environment of the simulators."""
-    return Path(os.environ.get("FINRAY_ALPACA_VENV", CHECKOUT / ".venv-alpaca"))
-
-
 class AlpacaServer:
     """The simulators with 8 slots, two switches and two cover calibrators; stop and start at the same address."""
 
     def __init__(self, folder: Path) -> None:
-        self._program = require(str(environment() / "bin" / "alpaca-simulators"), "alpaca-simulators (pip)")
-        self.python = str(environment() / "bin" / "python")
+        self.python = others_python("alpaca-simulators")
+        self._program = str(others_environment() / "bin" / "alpaca-simulators")
         self.port = free_port()
         self.url = f"http://127.0.0.1:{self.port}"
         self._rig = folder / "rig.yaml"

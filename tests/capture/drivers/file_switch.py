@@ -1,16 +1,29 @@
 """A light whose state is a file, to do to a guard what no emulated board does: refuse, lie, hang, crash.
 
 The address is a folder. ``on`` exists while the light is on; ``refuse_off`` holds how many off commands fail, ``lies``
-makes them return without effect, ``refuse_keep_alive`` makes keep-alives fail, ``refuse_opening`` the opening.
+makes them return without effect, ``refuse_keep_alive`` makes keep-alives fail, ``refuse_opening`` the opening;
+``slow_on`` makes the confirmation of "on" wait, ``late_on`` lets it fail and happen a second later, and ``slow_state``
+holds back the state.
 """
 
+import subprocess
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
+
 from data_schemas.errors import LostError, RefusedError, UnsafeError
 from data_schemas.rig import DeviceIdentity
+from rigs import drivers
 from rigs.protocols import Operator
+
+
+def install(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take the place of INDI's lights, here and in the guard."""
+    monkeypatch.setitem(drivers.LIGHTS, "indi", __name__)
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
 
 
 class FileSwitch:
@@ -27,7 +40,14 @@ class FileSwitch:
             if (self.folder / "refuse_on").exists():
                 (self.folder / "on").touch()  # the command arrived, its confirmation did not
                 raise RuntimeError("a driver's own mistake")
+            if (self.folder / "late_on").exists():
+                # As a server does whose client has gone: no process of ours can stop it.
+                subprocess.Popen(["sh", "-c", 'sleep 1; touch "$0"', str(self.folder / "on")], start_new_session=True)
+                (self.folder / "asked").touch()
+                time.sleep(deadline_s)
             (self.folder / "on").touch()
+            if (self.folder / "slow_on").exists():
+                time.sleep(deadline_s)
             return
         refusals = self.folder / "refuse_off"
         if refusals.exists() and (left := int(refusals.read_text())) > 0:
@@ -37,6 +57,9 @@ class FileSwitch:
             (self.folder / "on").unlink(missing_ok=True)
 
     def state(self, deadline_s: float) -> bool:
+        if (self.folder / "slow_state").exists():
+            (self.folder / "slow_state").unlink()
+            time.sleep(deadline_s)
         return (self.folder / "on").exists()
 
     def keep_alive(self) -> None:

@@ -26,7 +26,7 @@ class Sensor:
         self.keeps: dict[str, Any] = {}  # what reads back whatever was asked
         self.lacks: tuple[str, ...] = ()
         self.answers_format: str | None = None
-        self.silent = self.broken = False
+        self.silent = self.broken = self.cannot_start = False
         self.cameras = [{"Model": "imx219", "Location": 2, "Rotation": 180, "Id": "/base/i2c/imx219@10", "Num": 0}]
         self.log: list[str] = []
 
@@ -112,6 +112,8 @@ class Picamera2:
         return self._config
 
     def start(self) -> None:
+        if self.sensor.cannot_start:
+            raise RuntimeError("Failed to start camera: Input/output error")
         self.started = True
         self.sensor.log.append("start")
 

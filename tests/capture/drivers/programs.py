@@ -6,6 +6,7 @@ import socket
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
@@ -19,6 +20,22 @@ def require(program: str, package: str) -> str:
     if path is None:
         _miss(f"{program} is missing: apt-get install --no-install-recommends {package} (make test-rigs does it)")
     return str(path)
+
+
+def others_python(package: str) -> str:
+    """Return the interpreter of the environment that `make test-rigs` makes for other people's programs.
+
+    GPL programs and heavy simulators live there and run as processes of their own.
+    """
+    python = others_environment() / "bin" / "python"
+    if not python.exists():
+        _miss(f"{python} is missing, with {package} in it: make test-rigs makes it")
+    return str(python)
+
+
+def others_environment() -> Path:
+    """Return that environment's folder."""
+    return Path(os.environ.get("FINRAY_OTHERS_VENV", Path(__file__).parents[3] / ".venv-others"))
 
 
 def require_module(module: str, package: str) -> None:

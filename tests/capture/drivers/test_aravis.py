@@ -57,7 +57,7 @@ def test_frame_is_raw_new_and_what_was_asked(camera: GenicamCamera) -> None:
     assert first.counts.shape == (SIDE_PX, SIDE_PX)
     assert first.counts.dtype == "uint16"
     assert 0 < first.counts.max() <= 255
-    assert first.settings["PixelFormat"] == "BayerRG8"
+    assert first.settings["pixel_format"] == "BayerRG8"
     assert first.settings["GainAuto"] == "Off"
     assert first.exposure_s == pytest.approx(EXPOSURE_S, abs=1e-6)
     assert first.frame_id is not None

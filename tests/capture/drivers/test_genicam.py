@@ -15,15 +15,13 @@ from rigs.cameras.call_thread import CallThread, NoAnswerError
 from rigs.cameras.genicam import (
     ConnectionBrokenError,
     FeatureError,
-    RawPixels,
     configure,
-    raw_pixels,
     read_settings,
     require_new,
-    right_aligned,
     set_exposure,
 )
 from rigs.cameras.genicam_camera import Delivered, GenicamCamera, image
+from rigs.cameras.genicam_pixels import RawPixels, raw_pixels, right_aligned
 
 SETTINGS = CameraSettings(driver="gentl", address="here.cti", width_px=64, height_px=64, bit_depth=10, gain_db=3.0)
 
@@ -40,7 +38,7 @@ class Nodes:
         return name in self.values
 
     def entries(self, name: str) -> tuple[str, ...]:
-        return ("BayerRG8", "BayerRG16")
+        return {"PixelFormat": ("BayerRG8", "BayerRG16"), "BalanceRatioSelector": ("Red", "Blue")}[name]
 
     def text(self, name: str) -> str:
         return str(self.values[name])
@@ -100,7 +98,7 @@ def test_everything_automatic_is_off_and_recorded() -> None:
         "Gain": 3.0,
         "ExposureTime": 5000.0,
     }
-    assert read_settings(camera) == {"PixelFormat": "BayerRG16", "ExposureAuto": "Off", "Gain": 3.0, "Gamma": 1.0}
+    assert read_settings(camera) == {"pixel_format": "BayerRG16", "ExposureAuto": "Off", "Gain": 3.0, "Gamma": 1.0}
 
 
 @pytest.mark.parametrize(
@@ -118,6 +116,21 @@ def test_everything_automatic_is_off_and_recorded() -> None:
 def test_setting_that_is_kept_silently_is_refused(kept: str, message: str) -> None:
     with pytest.raises(RefusedError, match=message):
         configure(nodes(kept), SETTINGS, "camera")
+
+
+def test_mirroring_trigger_and_white_balance_are_undone() -> None:
+    """White balance of a colour camera multiplies raw counts; a trigger would be waited for."""
+    camera = nodes()
+    camera.values |= {"ReverseX": True, "TriggerMode": "On", "BalanceRatioSelector": "Red", "BalanceRatio": 1.7}
+    configure(camera, SETTINGS, "camera")
+    assert camera.values | {"ReverseX": False, "TriggerMode": "Off", "BalanceRatio": 1.0} == camera.values
+    assert camera.values["BalanceRatioSelector"] == "Blue"  # both were set
+    camera = nodes("BalanceRatio")
+    camera.values |= {"BalanceRatioSelector": "Red", "BalanceRatio": 1.7}
+    with pytest.raises(
+        RefusedError, match=r"BalanceRatio was set to 1 and reads back 1\.7; white balance .Red. changes"
+    ):
+        configure(camera, SETTINGS, "camera")
 
 
 def test_setting_that_is_fixed_at_the_right_value_is_fine() -> None:
@@ -138,6 +151,9 @@ def test_exposure_that_is_kept_silently_is_refused() -> None:
         (("BayerRG8", "BayerRG10", "BayerRG16", "Mono8"), 10, "BayerRG10"),
         (("BayerRG8", "BayerRG16", "Mono8"), 10, "BayerRG16"),
         (("BayerRG8", "BayerRG16"), 8, "BayerRG8"),
+        # In the order of the standard's names: packed formats are never chosen.
+        (("BayerRG12Packed", "BayerRG12p", "BayerRG10p", "BayerRG16", "BayerRG8"), 10, "BayerRG16"),
+        (("BayerRG12Packed", "BayerRG12p", "BayerRG16", "BayerRG8"), 12, "BayerRG16"),
         (("Mono8", "Mono16"), 12, "Mono16"),
     ],
 )

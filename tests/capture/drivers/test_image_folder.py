@@ -12,11 +12,13 @@ import tifffile
 from hypothesis import given
 from hypothesis import strategies as st
 
+from data_schemas.bayer import rggb_frame
 from data_schemas.capture import CaptureSession
 from data_schemas.errors import BadFrameError, MissingExtraError, RefusedError
 from data_schemas.rig import CameraSettings
+from rigs.cameras.dng_file import read_dng
 from rigs.cameras.image_folder import open_camera
-from rigs.cameras.raw_files import BRCM_ORDERS, read_exposure_s, read_raw, rggb
+from rigs.cameras.raw_files import BRCM_ORDERS, read_exposure_s, read_raw
 from rigs.capture.read_session import read_frame_of
 from tests.capture.drivers.programs import require_module
 
@@ -36,7 +38,7 @@ def write_tiff(path: Path, counts: np.ndarray, exposure: tuple[int, int] | None 
     tifffile.imwrite(path, counts, photometric="minisblack", metadata=None, extratags=tags)
 
 
-def write_dng(path: Path, counts: np.ndarray, pattern: tuple[int, ...]) -> None:
+def write_dng(path: Path, counts: np.ndarray, pattern: tuple[int, ...], *more: tuple[Any, ...]) -> None:
     """Write a plain DNG: the tags that Adobe's specification demands of a raw image."""
     matrix = tuple(number for value in np.eye(3).ravel() for number in (int(1000 * value), 1000))
     tags = [
@@ -48,6 +50,7 @@ def write_dng(path: Path, counts: np.ndarray, pattern: tuple[int, ...]) -> None:
         (50721, "2i", 9, matrix, True),  # ColorMatrix1
         (50778, "H", 1, 21, True),  # CalibrationIlluminant1
         (33434, "2I", 1, (1, 50), True),  # ExposureTime
+        *more,
     ]
     tifffile.imwrite(path, counts, photometric=32803, planarconfig=1, metadata=None, extratags=tags)
 
@@ -159,27 +162,84 @@ def test_png_by_another_writer(tmp_path: Path) -> None:
 PATTERNS = {"RGGB": (0, 1, 1, 2), "BGGR": (2, 1, 1, 0), "GRBG": (1, 0, 2, 1), "GBRG": (1, 2, 0, 1)}
 
 
+def libraw_counts(path: Path) -> np.ndarray:
+    """The oracle: counts of the active area as LibRaw reads them."""
+    import rawpy
+
+    with rawpy.imread(str(path)) as raw:
+        return np.array(raw.raw_image_visible)
+
+
 @pytest.mark.parametrize("order", PATTERNS)
-def test_dng_is_read_by_libraw_and_begins_with_red(tmp_path: Path, order: str) -> None:
+def test_dng_is_read_as_by_libraw_and_begins_with_red(tmp_path: Path, order: str) -> None:
     require_module("rawpy", "rawpy")
     write_dng(tmp_path / "a.dng", COUNTS, PATTERNS[order])
     found = read_raw(tmp_path / "a.dng")
     assert read_exposure_s(tmp_path / "a.dng") == pytest.approx(0.02)
+    np.testing.assert_array_equal(libraw_counts(tmp_path / "a.dng"), COUNTS)
     row, column = divmod(PATTERNS[order].index(0), 2)
     np.testing.assert_array_equal(found[:2, :2], COUNTS[row : row + 2, column : column + 2])
     assert found.shape == (HEIGHT_PX - 2 * row, WIDTH_PX - 2 * column)
 
 
-def test_broken_and_missing_dng(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def packed_dng(counts: np.ndarray, more: tuple[tuple[Any, ...], ...] = ()) -> bytes:
+    """A DNG of 10 bits without gaps, most significant bit first, as PiDNG writes it: tags in order, then the strip."""
+    bits = np.unpackbits(counts.astype(">u2").view(np.uint8).reshape(*counts.shape, 2), axis=2)[..., 6:]
+    strip = np.packbits(bits.reshape(counts.shape[0], -1), axis=1).tobytes()
+    matrix = [number for value in np.eye(3).ravel() for number in (int(1000 * value), 1000)]
+    codes = {"B": 1, "H": 3, "I": 4, "i": 10}
+    tags = [
+        (254, "I", [0]), (256, "I", [counts.shape[1]]), (257, "I", [counts.shape[0]]), (258, "H", [10]),
+        (259, "H", [1]), (262, "H", [32803]), (273, "I", [0]), (277, "H", [1]), (278, "I", [counts.shape[0]]),
+        (279, "I", [len(strip)]), (33421, "H", [2, 2]), (33422, "B", [2, 1, 1, 0]), (50706, "B", [1, 4, 0, 0]),
+        (50717, "H", [1023]), (50721, "i", matrix), *more,
+    ]  # fmt: skip
+    extra_at = 8 + 2 + 12 * len(tags) + 4
+    strip_at = extra_at + sum(len(v) * struct.calcsize(k) for _, k, v in tags if len(v) * struct.calcsize(k) > 4)
+    entries, extra = b"", b""
+    for number, kind, values in tags:
+        values = [strip_at] if number == 273 else values
+        content = struct.pack(f"<{len(values)}{kind}", *values)
+        if len(content) > 4:
+            content, extra = struct.pack("<I", extra_at + len(extra)), extra + content
+        count = len(values) // (2 if kind == "i" else 1)  # a rational has two
+        entries += struct.pack("<HHI", number, codes[kind], count) + content.ljust(4, b"\0")
+    return b"II*\0" + struct.pack("<IH", 8, len(tags)) + entries + bytes(4) + extra + strip
+
+
+def test_packed_dng_is_read_by_libraw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     require_module("rawpy", "rawpy")
+    image = read_dng(packed_dng(COUNTS), Path("a.dng"))
+    assert (image.order, image.white_dn) == ("BGGR", 1023)
+    np.testing.assert_array_equal(image.counts, COUNTS)
+    with pytest.raises(BadFrameError, match="cannot be read as DNG"):
+        read_dng(packed_dng(COUNTS)[:200], Path("a.dng"))
+    monkeypatch.setitem(sys.modules, "rawpy", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'finray-calib\[dng\]'"):
+        read_dng(packed_dng(COUNTS), Path("a.dng"))
+
+
+ACTIVE_AREA = (50829, "I", 4, (3, 5, 63, 95), True)
+
+
+def test_active_area_of_a_dng_is_cut_out(tmp_path: Path) -> None:
+    """An odd margin turns the pattern, which the file gives for the active area."""
+    require_module("rawpy", "rawpy")
+    write_dng(tmp_path / "a.dng", COUNTS, PATTERNS["BGGR"], ACTIVE_AREA)
+    found = read_dng((tmp_path / "a.dng").read_bytes(), tmp_path / "a.dng")
+    assert found.order == "BGGR"
+    np.testing.assert_array_equal(found.counts, COUNTS[3:63, 5:95])
+    # LibRaw begins a row and a column later, with red: the same frame after the cut.
+    by_libraw = read_dng(packed_dng(COUNTS, ((50829, "I", [3, 5, 63, 95]),)), tmp_path / "a.dng")
+    np.testing.assert_array_equal(rggb_frame(by_libraw.counts, by_libraw.order), rggb_frame(found.counts, found.order))
+
+
+def test_broken_and_missing_dng(tmp_path: Path) -> None:
     (tmp_path / "a.dng").write_bytes(b"no raw file at all")
     with pytest.raises(BadFrameError, match="cannot be read as DNG"):
         read_raw(tmp_path / "a.dng")
     with pytest.raises(BadFrameError, match=r"none\.dng: cannot be read .No such file"):
         read_raw(tmp_path / "none.dng")
-    monkeypatch.setitem(sys.modules, "rawpy", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'finray-calib\[dng\]'"):
-        read_raw(tmp_path / "a.dng")
 
 
 def packed(counts: np.ndarray, bits: int) -> np.ndarray:
@@ -210,7 +270,7 @@ def raw_jpeg(counts: np.ndarray, bits: int, order: int) -> bytes:
 def test_raw_behind_a_legacy_jpeg(tmp_path: Path, bits: int, order: int) -> None:
     counts = (COUNTS << (bits - 10)) | (COUNTS & (2 ** (bits - 10) - 1))
     (tmp_path / "a.jpg").write_bytes(raw_jpeg(counts, bits, order))
-    np.testing.assert_array_equal(read_raw(tmp_path / "a.jpg"), rggb(counts, BRCM_ORDERS[order]))
+    np.testing.assert_array_equal(read_raw(tmp_path / "a.jpg"), rggb_frame(counts, BRCM_ORDERS[order]))
 
 
 @pytest.mark.parametrize("cut", [1, 100, 32768])
@@ -248,13 +308,12 @@ def test_pictures_are_no_raw_counts(tmp_path: Path) -> None:
 
 
 def test_dng_without_a_known_pattern_is_refused(tmp_path: Path) -> None:
-    require_module("rawpy", "rawpy")
     write_dng(tmp_path / "a.dng", COUNTS, (0, 0, 0, 0))
-    with pytest.raises(BadFrameError, match="has no Bayer pattern of 2 x 2 pixels"):
+    with pytest.raises(BadFrameError, match=r"Bayer pattern \[0, 0, 0, 0\] of an image .* is not understood"):
         read_raw(tmp_path / "a.dng")
 
 
-@given(st.sampled_from([".jpg", ".png", ".tiff"]), st.data())
+@given(st.sampled_from([".jpg", ".png", ".tiff", ".dng"]), st.data())
 def test_any_bytes_give_counts_or_the_declared_error(
     tmp_path_factory: pytest.TempPathFactory, suffix: str, data: st.DataObject
 ) -> None:

@@ -167,6 +167,12 @@ def test_addresses(address: str, where: tuple[str, int, str]) -> None:
     assert indi_address(address, "camera") == where
 
 
+@pytest.mark.parametrize("address", ["pi:00000199999/A", "pi:0/A", "pi:65536/A", "pi:٣/A"])
+def test_ports_that_are_none(address: str) -> None:
+    with pytest.raises(RefusedError, match="is no INDI address"):
+        indi_address(address, "camera")
+
+
 @given(st.one_of(st.text(), st.from_regex(r"[a-z]{0,3}:?[0-9]{0,7}/? ?[A-Z]?", fullmatch=True)))
 def test_any_address_is_one_or_refused(address: str) -> None:
     try:
@@ -263,6 +269,58 @@ def test_a_stranger_at_the_port_is_found_out_in_time(said: bytes, error: type[Ex
         thread.join()
         for connection in accepted:
             connection.close()
+
+
+def test_a_server_that_talks_without_end_is_late() -> None:
+    """Every message comes in time, the one that is waited for never does."""
+    stop = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            connection, _ = server.accept()
+            with connection, contextlib.suppress(OSError):
+                while not stop.is_set():
+                    connection.sendall(b'<message device="other" message="still here"/>' * 1000)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            began_s = time.monotonic()
+            with (
+                IndiClient(f"127.0.0.1:{server.getsockname()[1]}/A", "camera", "B") as client,
+                pytest.raises(TimedOutError, match="the server says nothing about this device"),
+            ):
+                client.ready(began_s + 0.5)
+            # One second more than allowed, for a machine that is busy.
+            assert time.monotonic() - began_s < 1.5
+        finally:
+            stop.set()
+            thread.join()
+
+
+def test_a_server_that_says_monstrous_numbers_is_listed() -> None:
+    kinds = b"9" * 5000
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            connection, _ = server.accept()
+            with connection:
+                connection.sendall(
+                    b'<defTextVector device="A" name="DRIVER_INFO"><defText name="DRIVER_INTERFACE">'
+                    + kinds
+                    + b"</defText></defTextVector>"
+                )
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        assert devices_at(IndiAddress("127.0.0.1", server.getsockname()[1], ""), time.monotonic() + 1.0) == {"A": 0}
+        thread.join()
+
+
+@pytest.mark.parametrize("host", ["a..b", "x" * 64])
+def test_a_name_that_no_host_has_is_lost(host: str) -> None:
+    with IndiClient(f"{host}:1/A", "camera", "B") as client, pytest.raises(LostError, match="nothing listens at"):
+        client.ready(time.monotonic() + 1.0)
 
 
 def test_the_address_is_checked_before_anything_is_opened() -> None:

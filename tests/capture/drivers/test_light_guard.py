@@ -4,24 +4,24 @@ import os
 import re
 import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
 
 import pytest
 
 from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutError, UnsafeError
-from rigs import drivers
+from data_schemas.rig import LampSettings
+from rigs.drivers import open_lamp
+from rigs.host import TerminalOperator
 from rigs.light_guard import GuardedLight, guarded_light
 from rigs.light_guard_messages import HungUpError, channel, error_from, error_words, receive, send
 from rigs.lights.indi import open_switch
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.firmware_in_qemu import Tap, build, firmware_board
 from tests.capture.drivers.indi_server import PANEL, IndiServer
+from tests.capture.drivers.light_owner import Interrupt, guards, owner, the_guard
 from tests.capture.drivers.programs import wait_until
 
 KILLS = 3
@@ -33,24 +33,6 @@ OFF_WITHIN_S = 1.0
 DEAD_MAN_S = (0.85, 1.0)
 RETRY_S = 5.0
 STATE_WITHIN_S = 2.0
-
-OWNER = """
-import sys, time
-from data_schemas.errors import CaptureError
-from rigs.light_guard import guarded_light
-try:
-    with guarded_light("laser", sys.argv[3], sys.argv[1]) as light, light.lit():
-        print("ON", flush=True)
-        end_s = time.monotonic() + 60.0
-        while time.monotonic() < end_s:
-            time.sleep(0.02)
-            if sys.argv[2] == "asks":
-                light.state()
-except CaptureError as error:
-    print(f"{type(error).__name__}: {error}", flush=True)
-except KeyboardInterrupt:
-    print("interrupted", flush=True)
-"""
 
 
 @pytest.fixture(scope="module")
@@ -67,52 +49,8 @@ def board(elf: Path) -> Iterator[Tap]:
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return the address of a light in a file."""
-    monkeypatch.setitem(drivers.LIGHTS, "indi", file_switch.__name__)
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
+    file_switch.install(monkeypatch)
     return tmp_path
-
-
-@contextmanager
-def owner(address: str, habit: str = "waits", driver: str = "arduino") -> Iterator["subprocess.Popen[str]"]:
-    """Run a program that keeps the laser on for a ``with`` block, in a process group of its own."""
-    command = [sys.executable, "-c", OWNER, address, habit, driver]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
-        try:
-            assert process.stdout is not None
-            assert process.stdout.readline() == "ON\n"
-            yield process
-        finally:
-            process.kill()
-    wait_until(lambda: not guards(address), "the end of the guard")
-
-
-def guards(address: str) -> list[int]:
-    """Return the guard processes of a light that run."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        try:
-            words = (entry / "cmdline").read_bytes().split(b"\0") if entry.name.isdigit() else []
-        except OSError:
-            continue  # it ended meanwhile
-        if b"rigs.light_guard_process" in words and address.encode() in words:
-            found.append(int(entry.name))
-    return found
-
-
-def the_guard(address: str) -> int:
-    (pid,) = guards(address)
-    return pid
-
-
-class Interrupt:
-    """A signal to be sent, and when it was."""
-
-    def __init__(self, number: signal.Signals) -> None:
-        self._number, self.at_s = number, 0.0
-
-    def to(self, pid: int) -> None:
-        self.at_s = time.monotonic()
-        os.kill(pid, self._number)
 
 
 @pytest.mark.rigs
@@ -140,6 +78,14 @@ class TestFirmware:
                 time.sleep(0.1)
             assert light.state()
         assert not board.times("device", b"TRIP")
+
+    def test_lamp_stays_on_longer_than_the_dead_man(self, board):
+        settings = LampSettings(driver="arduino", address=board.address)
+        with open_lamp(settings, TerminalOperator()) as lamp, lamp.lit():
+            time.sleep(2.0 * DEAD_MAN_S[1])
+            assert lamp.state()
+        assert not board.times("device", b"TRIP")
+        assert not board.state()
 
     def test_a_block_in_a_block_leaves_the_light_on(self, board):
         with guarded_light("laser", "arduino", board.address) as light, light.lit():

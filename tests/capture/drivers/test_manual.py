@@ -95,6 +95,21 @@ def test_the_operator_at_the_terminal(monkeypatch: pytest.MonkeyPatch, capsys: p
     assert "Turn the filter wheel to slot 1: filter '500 nm', 500 nm." in capsys.readouterr().err
 
 
+def test_a_wheel_that_was_swung_out_is_asked_back(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n" * 4))
+    person = TerminalOperator()
+    person.place("white")
+    person.place("white")
+    assert capsys.readouterr().err.count("Press Enter") == 1
+    person.swing_wheel_out()
+    person.place("white")
+    said = capsys.readouterr().err
+    assert said.count("Press Enter") == 2
+    assert said.index("Swing the filter wheel out") < said.index("swing the filter wheel into the beam")
+
+
 def test_the_operator_switches_the_lamp_and_is_asked_no_more_than_needed() -> None:
     person = Person()
     with open_lamp(LampSettings(driver="manual"), person) as lamp:

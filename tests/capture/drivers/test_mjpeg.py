@@ -24,6 +24,7 @@ from data_schemas.rig import CameraSettings
 from rigs.cameras.mjpeg import decoded_jpeg, open_camera
 from rigs.capture.exchange import CheckedCamera
 from rigs.capture.plan import Step
+from rigs.host import SystemClock
 from rigs.transports.multipart_stream import MultipartStream
 from tests.capture.drivers.programs import answers, free_port, require, wait_until
 
@@ -220,8 +221,35 @@ def test_server_that_never_answers_times_out():
         MultipartStream(f"http://127.0.0.1:{silent.getsockname()[1]}/", "camera", time.monotonic() + 0.2)
 
 
+def test_addresses_of_a_name_share_the_deadline(monkeypatch):
+    """A name with several addresses, of which the first ones do not even refuse (their queue is full)."""
+    with socket.socket() as full, closing(socket.socket()) as first, closing(socket.socket()) as second:
+        full.bind(("127.0.0.1", 0))
+        full.listen(0)
+        for link in (first, second):
+            link.setblocking(False)
+            link.connect_ex(full.getsockname())
+        silent = (socket.AF_INET, socket.SOCK_STREAM, 0, "", full.getsockname())
+        with serving(stream_of(jpeg(1)), hold=True) as address:
+            answering = (*silent[:4], ("127.0.0.1", int(address.split(":")[2].split("/")[0])))
+            monkeypatch.setattr(socket, "getaddrinfo", lambda *asked, **options: [silent, silent, answering])
+            with MultipartStream("http://camera/", "camera", time.monotonic() + 0.6) as stream:
+                assert stream.next_part(time.monotonic() + 1.0).body
+            monkeypatch.setattr(socket, "getaddrinfo", lambda *asked, **options: [silent] * 3)
+            began_s = time.monotonic()
+            with pytest.raises(TimedOutError, match="did not answer in time"):
+                MultipartStream("http://camera/", "camera", began_s + 0.3)
+            assert time.monotonic() - began_s < 0.6  # three times the deadline would be 0.9
+
+
 def test_nobody_there_is_lost():
     with pytest.raises(LostError, match="cannot be reached"), opened(f"http://127.0.0.1:{free_port()}/stream"):
+        pass
+
+
+@pytest.mark.parametrize("host", ["a..b", "x" * 64])
+def test_name_that_no_host_has_is_lost(host):
+    with pytest.raises(LostError, match="cannot be reached"), opened(f"http://{host}/stream"):
         pass
 
 
@@ -231,7 +259,9 @@ def test_other_status_is_refused():
         pass
 
 
-@pytest.mark.parametrize("address", ["/dev/video0", "http://", "http://host:port/x", "http://host/a b", "https://h/"])
+@pytest.mark.parametrize(
+    "address", ["/dev/video0", "http://", "http://host:port/x", "http://host/a b", "http://a\x7f/", "https://h/"]
+)
 def test_what_is_no_address_is_refused(address):
     with pytest.raises(RefusedError, match="is no address of a stream"), opened(address):
         pass
@@ -305,7 +335,7 @@ def test_filtered_sessions_refuse_a_stream():
     dark = SimpleNamespace(state=lambda: False)
     step = Step("dark", "white", "off", None, None)
     with serving(stream_of(*(jpeg(n) for n in range(240)))) as address, opened(address) as camera:
-        rig = SimpleNamespace(camera=camera, wheel=SimpleNamespace(position=lambda: None), lamp=dark, laser=dark)
+        rig = SimpleNamespace(camera=camera, wheel=None, lamp=dark, laser=dark, clock=SystemClock())
         with pytest.raises(RefusedError, match=r"delivers colour pictures .3 values.*filtered sessions need raw"):
             CheckedCamera(rig, camera_at(address)).expose(step, ASKED_S)
 

@@ -152,6 +152,19 @@ def test_broken_camera_is_lost(sensor):
             camera.expose(0.01, 1.0)
 
 
+def test_stream_of_a_camera_that_failed_is_started_anew(sensor):
+    with opened() as camera:
+        sensor.broken = True
+        with pytest.raises(LostError, match="frontend has timed out"):
+            camera.expose(0.01, 1.0)
+        sensor.cannot_start = True
+        with pytest.raises(LostError, match=r"stopped .Failed to start camera"):
+            camera.expose(0.01, 1.0)
+        sensor.broken = sensor.cannot_start = False
+        assert camera.expose(0.01, 1.0).exposure_s == pytest.approx(0.01, rel=0.01)
+    assert sensor.log.count("start") == 2
+
+
 def test_incomplete_metadata_is_a_bad_frame(sensor):
     sensor.lacks = ("SensorTimestamp",)
     with opened() as camera, pytest.raises(BadFrameError, match="without 'SensorTimestamp'"):

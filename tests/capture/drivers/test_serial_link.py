@@ -6,6 +6,7 @@ import io
 import os
 import pty
 import socket
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -82,6 +83,27 @@ def test_silence_ends_at_the_deadline(said: bytes, heard: str) -> None:
         with pytest.raises(TimedOutError, match=rf"wheel at {path}: did not answer within 0.2 s \({heard}\)"):
             link.read_until(b"> ", began_s + 0.2)
         assert 0.2 <= time.monotonic() - began_s < 0.2 + LATE_S
+
+
+def test_a_device_that_drips_bytes_is_late() -> None:
+    with terminal() as (device, path), SerialLink(path, 9600, "wheel") as link:
+        stop = threading.Event()
+
+        def drip() -> None:
+            # Faster than the link waits for a byte.
+            while not stop.wait(0.005):
+                os.write(device, b"x")
+
+        thread = threading.Thread(target=drip)
+        thread.start()
+        try:
+            began_s = time.monotonic()
+            with pytest.raises(TimedOutError, match=r"did not answer within 0.2 s \(only b'xx"):
+                link.read_until(b"> ", began_s + 0.2)
+            assert time.monotonic() - began_s < 0.2 + LATE_S
+        finally:
+            stop.set()
+            thread.join()
 
 
 def test_an_endless_answer_is_no_answer() -> None:

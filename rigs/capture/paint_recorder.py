@@ -1,0 +1,199 @@
+"""The frames of a paint session: meter, prove the filters, dark frames, every step at every exposure, dark frames."""
+
+from collections.abc import Callable, Iterable
+from contextlib import nullcontext
+from dataclasses import replace
+from itertools import groupby
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.capture import CaptureSession, FilterProof, LightState, PaintPlan, Target
+from data_schemas.errors import CaptureError, WrongPositionError
+from data_schemas.rig import RigFile
+from rigs.capture.exchange import WHEEL_DEADLINE_S, shine
+from rigs.capture.exposure import exposure_ladder, meter_exposure, rung_at_or_below
+from rigs.capture.filter_proof import compare_with_last, judge_filters, predicted_rates
+from rigs.capture.frame_store import FrameStore, Shot, numbered
+from rigs.capture.journal import Journal
+from rigs.capture.plan import Step, with_repeat
+from rigs.capture.resume import Interrupted
+from rigs.open_rig import OpenRig
+from rigs.protocols import RawFrame
+
+Progress = Callable[[int, int, str], None]
+T = TypeVar("T")
+Rates = tuple[float, float, float]
+
+LARGEST_CHANGE = 1.25
+"""Factor by which the signal of a step may differ from its metering; lamps warm up by less, filters differ by more."""
+LEAST_SIGNAL_FRACTION = 0.02  # of full scale: below it a change cannot be told from the dark level
+
+
+class PaintRecorder:
+    """Walks through the steps of one session and stores the frames."""
+
+    def __init__(
+        self,
+        opened: OpenRig,
+        rig: RigFile,
+        plan: PaintPlan,
+        store: FrameStore,
+        journal: Journal,
+        progress: Progress | None,
+        interrupted: Interrupted | None,
+        last_good: CaptureSession | None,
+    ):
+        self._opened, self._rig, self._plan, self._last_good = opened, rig, plan, last_good
+        self._journal, self._progress, self._store = journal, progress, store
+        self._ladder = exposure_ladder(rig.camera.shortest_exposure_s, rig.camera.longest_exposure_s)
+        # an interrupted session may have left the sample tilted
+        left_tilted = interrupted is not None and plan.second_tilt_deg is not None
+        self._tilt_deg = None if left_tilted else 0.0
+        self._metered_s: dict[LightState, float] = {}
+        self._exposures_s: dict[Step, list[float]] = {}
+        self._rates: dict[Step, Rates] = {}
+        self._white: tuple[Step, ...] = ()
+        self._before = {} if interrupted is None else interrupted.metered
+        self.proof: FilterProof | None = None
+
+    def record(self, steps: tuple[Step, ...]) -> None:
+        """Meter all steps backwards, then store darks, frames (brightest emission again at the end) and darks."""
+        for step in steps:
+            if step.label in self._before:
+                self._exposures_s[step], self._rates[step] = self._before[step.label]
+        self._walk([(s, s) for s in steps[::-1] if s not in self._exposures_s], "metering", self._meter)
+        self._prove(steps)
+        longest_s = {step: self._exposures_s[step][0] for step in steps}
+        steps = with_repeat(steps, self._plan.excitation_filter, longest_s)
+        for step in steps:
+            if step.frame_type == "fluorescence repeat":
+                once = replace(step, frame_type="fluorescence")
+                self._exposures_s[step], self._rates[step] = self._exposures_s[once], self._rates[once]
+        used_s = sorted({exposure_s for step in steps for exposure_s in self._exposures_s[step]})
+        lit = [(step, exposure_s) for step in steps for exposure_s in self._exposures_s[step]]
+        before, after = self._darks(steps[0], used_s), self._darks(steps[-1], used_s)
+        missing = self._store.missing(numbered([*before, *lit, *after]))
+        for phase, first, last in (
+            ("dark frames before", 0, len(before)),
+            ("frames", len(before), len(before) + len(lit)),
+            ("dark frames after", len(before) + len(lit), len(before) + len(lit) + len(after)),
+        ):
+            shots = [shot for shot in missing if first <= shot.sequence < last]
+            self._walk([(shot.step, shot) for shot in shots], phase, self._take)
+
+    def white_rates(self) -> tuple[tuple[float, float, float], ...]:
+        """Return the rates of the white tile behind each filter in the order of the plan, DN/s."""
+        return tuple(self._rates[step] for step in self._white)
+
+    def _walk(self, todo: Iterable[tuple[Step, T]], phase: str, act: Callable[[T], None]) -> None:
+        """Do `act` at every step with its target in place and its light on; light off between groups."""
+        todo = list(todo)
+        done = 0
+        for (target, light, tilt_deg, by_hand), group in groupby(todo, key=lambda t: self._setting(t[0])):
+            self._place(target, tilt_deg)
+            if by_hand is not None and self._opened.wheel.position() != by_hand:
+                self._opened.wheel.go_to(by_hand, WHEEL_DEADLINE_S)
+            on_sample = light == "laser" and target == "sample"
+            dose = self._store.dose
+            with shine(self._opened, light), dose.shining() if on_sample else nullcontext():
+                if light == "laser":
+                    self._journal.append("laser on", target=target, sample_dose_j=dose.energy_j())
+                for step, what in group:
+                    act(what)
+                    done += 1
+                    if self._progress is not None:
+                        self._progress(done, len(todo), f"{phase}: {step.label}")
+            if light == "laser":
+                self._journal.append("laser off", target=target, sample_dose_j=dose.energy_j())
+
+    def _setting(self, step: Step) -> tuple[Target, LightState, float, int | None]:
+        """Return what stays while a light is on; a wheel turned by hand is turned in the dark."""
+        by_hand = step.slot if self._rig.filter_wheel.driver == "manual" else None
+        return step.target, step.light, step.tilt_deg, by_hand
+
+    def _place(self, target: Target, tilt_deg: float) -> None:
+        """Ask the operator for a target and, when it changes, for the tilt of the sample."""
+        self._opened.operator.place(target)
+        if tilt_deg != self._tilt_deg:
+            self._opened.operator.tilt(tilt_deg)
+            self._tilt_deg = tilt_deg
+
+    def _darks(self, beside: Step, exposures_s: list[float]) -> list[tuple[Step, float]]:
+        """Return half of the dark frames (rounded up) of every exposure with the box as it is at the step `beside`."""
+        each = (self._plan.darks_per_exposure + 1) // 2
+        dark = replace(beside, frame_type="dark", light="off", filter_name=None)
+        return [(dark, exposure_s) for exposure_s in exposures_s for _ in range(each)]
+
+    def _meter(self, step: Step) -> None:
+        """Find the exposures (s) of a step's bracket, longest first, without repeats."""
+        region = self._store.region if step.light != "room" else (slice(None), slice(None))
+        rates: dict[float, Rates] = {}
+
+        def take(exposure_s: float) -> NDArray[np.uint16]:
+            raw = self._store.camera.expose(step, exposure_s).raw
+            rates[exposure_s] = self._rate(raw.counts, raw.exposure_s)
+            return raw.counts[region]
+
+        metered_s = meter_exposure(
+            take,
+            self._ladder,
+            self._store.full_scale_dn,
+            self._rig.camera.black_level_dn,
+            self._plan.target_fraction,
+            step.label,
+            self._metered_s.get(step.light),
+        )
+        self._metered_s[step.light] = metered_s
+        rungs_s = {rung_at_or_below(self._ladder, metered_s * factor) for factor in self._plan.bracket}
+        self._exposures_s[step], self._rates[step] = sorted(rungs_s, reverse=True), rates[metered_s]
+        self._journal.append(
+            "step", label=step.label, exposures_s=self._exposures_s[step], rates_dn_per_s=rates[metered_s]
+        )
+
+    def _take(self, shot: Shot) -> None:
+        """Take a frame and store it when its signal is that of its step's metering."""
+        self._store.take(shot, lambda raw: self._require_as_metered(shot.step, raw))
+
+    def _require_as_metered(self, step: Step, raw: RawFrame) -> None:
+        """Refuse a frame whose signal is not that of its step's metering."""
+        if step.light in ("off", "room"):
+            return
+        now, metered = self._rate(raw.counts, raw.exposure_s), self._rates[step]
+        visible_dn_per_s = LEAST_SIGNAL_FRACTION * self._store.full_scale_dn / raw.exposure_s
+        for name, rate, before in zip(("red", "green", "blue"), now, metered, strict=True):
+            if before > visible_dn_per_s and not 1 / LARGEST_CHANGE < rate / before < LARGEST_CHANGE:
+                raise CaptureError(
+                    f"camera: {step.label} gives {rate:.3g} DN/s in {name}, at metering it gave {before:.3g} DN/s "
+                    f"(a factor of {LARGEST_CHANGE:g} is allowed): the wheel slipped, the light changed or something "
+                    "moved; put it right and resume the session"
+                )
+
+    def _rate(self, counts: NDArray[np.uint16], exposure_s: float) -> Rates:
+        """Return the mean rates of the region above the black level (DN/s), red, green, blue."""
+        rows, columns = self._store.region
+        rows, columns = slice(rows.start & ~1, rows.stop), slice(columns.start & ~1, columns.stop)
+        part = counts[rows, columns].astype(np.float64) - self._rig.camera.black_level_dn
+        green = 0.5 * (part[0::2, 1::2].mean() + part[1::2, 0::2].mean())
+        red, blue = part[0::2, 0::2].mean(), part[1::2, 1::2].mean()
+        return float(red) / exposure_s, float(green) / exposure_s, float(blue) / exposure_s
+
+    def _prove(self, steps: tuple[Step, ...]) -> None:
+        """Judge from the white frames whether the wheel holds the filters that the rig file names."""
+        self._white = tuple(step for step in steps if step.frame_type == "white")
+        measured = np.array(self.white_rates())
+        known = {f.name: f for f in self._rig.filter_wheel.filters}
+        filters = [known[str(step.filter_name)] for step in self._white]
+        opened = self._opened
+        predicted = predicted_rates(filters, opened.filter_curves, opened.lamp_spectrum, opened.camera_response)
+        names = [f.name for f in filters]
+        self.proof = judge_filters(names, measured, predicted)
+        if self._last_good is not None and self.proof.verdict != "contradicted":
+            repeated = compare_with_last(names, measured, self._last_good)
+            if repeated.verdict == "cannot tell":
+                repeated = FilterProof(verdict=self.proof.verdict, text=f"{self.proof.text}; {repeated.text}")
+            self.proof = repeated
+        self._journal.append("filter proof", verdict=self.proof.verdict, text=self.proof.text)
+        if self.proof.verdict == "contradicted":
+            raise WrongPositionError(f"filter wheel: {self.proof.text}")

@@ -1,0 +1,103 @@
+"""A light's connection in the hands of whoever must get the light off: the guard, or the owner when that is gone."""
+
+import contextlib
+import math
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack
+from typing import TYPE_CHECKING, Final
+
+from data_schemas.errors import LostError
+
+if TYPE_CHECKING:
+    from rigs.protocols import LightSwitch
+
+LATE_ON_S: Final = 2.0
+"""A server whose "on" nobody has confirmed may carry it out so late: "off" is repeated meanwhile."""
+RETRY_FOR_S: Final = 5.0
+RETRY_PAUSE_S: Final = 0.2
+
+
+class HeldLight:
+    """A light that is made to be off, over a new connection where the old one fails.
+
+    Parameters
+    ----------
+    opening
+        Opens the light's switch.
+    name
+        What the light is and where, for messages.
+    """
+
+    def __init__(self, opening: "Callable[[], AbstractContextManager[LightSwitch]]", name: str) -> None:
+        self._opening, self._name = opening, name
+        self._connection = ExitStack()
+        self._switch: LightSwitch | None = None
+        self._late_on_until_s = 0.0
+
+    def open(self) -> None:
+        """Open the connection; raises what the driver does."""
+        self._switch = self._connection.enter_context(self._opening())
+
+    def close(self) -> None:
+        """Close the connection, also one that is lost."""
+        self._switch = None
+        with contextlib.suppress(Exception):
+            self._connection.close()
+        self._connection = ExitStack()
+
+    @property
+    def switch(self) -> "LightSwitch":
+        """The open switch."""
+        if self._switch is None:
+            raise LostError(f"{self._name}: the connection is closed; start again")
+        return self._switch
+
+    def expect_late_on(self) -> None:
+        """Note that an "on" is under way: until it is confirmed, it may be carried out after an "off"."""
+        self._late_on_until_s = math.inf
+
+    def confirm_on(self) -> None:
+        """Note that the "on" under way has been carried out."""
+        self._late_on_until_s = 0.0
+
+    def make_off(self, attempt_s: float, tell: Callable[[str], None]) -> str | None:
+        """Switch off until a fresh answer confirms it, for some seconds; return why it does not, None when off.
+
+        After an "on" that nobody confirmed it is switched off again and again for :data:`LATE_ON_S`. Lines of a
+        controller with a dead-man keep their order, and need it not.
+
+        Parameters
+        ----------
+        attempt_s
+            Longest wait for one answer.
+        tell
+            Called with a word at every step, for those who wait.
+        """
+        now_s = time.monotonic()
+        self._late_on_until_s = min(self._late_on_until_s, now_s + LATE_ON_S)
+        end_s = max(now_s, self._late_on_until_s) + RETRY_FOR_S
+        while True:
+            try:
+                if self._switch is None:
+                    self.open()
+                    tell("opened")
+                why_not = self._off_once(attempt_s)
+                if why_not is None and (time.monotonic() >= self._late_on_until_s or self.switch.has_dead_man):
+                    return None
+            except Exception as error:  # whatever goes wrong here, the light must be tried again
+                why_not = str(error)
+            if why_not is not None:
+                # A lost connection never comes back, and opening resets most boards.
+                self.close()
+                if time.monotonic() > end_s:
+                    return why_not
+            tell(why_not or "a late on may come")
+            time.sleep(RETRY_PAUSE_S)
+
+    def _off_once(self, attempt_s: float) -> str | None:
+        """Switch off and ask; return what is wrong."""
+        self.switch.switch(False, attempt_s)
+        if self.switch.state(attempt_s):
+            return f"{self._name}: still reports on after the off command"
+        return None

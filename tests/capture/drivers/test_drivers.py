@@ -1,0 +1,50 @@
+"""What the table of drivers adds to them."""
+
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from data_schemas.rig import CameraSettings, LampSettings
+from rigs import drivers
+from rigs.drivers import open_camera, open_lamp
+from rigs.host import TerminalOperator
+from rigs.light_guard import GuardedLight
+from tests.capture.drivers import file_switch
+from tests.capture.drivers.rig_excerpts import wheel_settings
+
+
+@pytest.mark.parametrize(
+    ("camera_at", "wheel_at", "wheel_driver", "told"),
+    [
+        ("pi:7624/CCD", "pi/EFW", "indi", {"wheel_device": "EFW"}),
+        ("pi/CCD", "pi:7624/EFW", "indi", {"wheel_device": "EFW"}),
+        ("pi/CCD", "pi:7625/EFW", "indi", {}),
+        ("pi/CCD", "po/EFW", "indi", {}),
+        ("pi/CCD", "http://pi:1/0", "alpaca", {}),
+    ],
+)
+def test_an_indi_camera_is_told_the_wheel_of_its_own_server(
+    camera_at: str, wheel_at: str, wheel_driver: str, told: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard: list[dict[str, Any]] = []
+
+    def record(settings: CameraSettings, folder: Path, **extra: Any) -> nullcontext[None]:
+        heard.append(extra)
+        return nullcontext()
+
+    monkeypatch.setattr("rigs.cameras.indi.open_camera", record)
+    camera = CameraSettings.model_construct(driver="indi", address=camera_at)
+    open_camera(camera, Path(), wheel_settings(wheel_at, driver=wheel_driver))
+    assert heard == [told]
+
+
+def test_a_lamp_with_a_controller_has_a_guard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file_switch.install(monkeypatch)
+    assert drivers.LIGHTS["indi"] == file_switch.__name__
+    with open_lamp(LampSettings.model_construct(driver="indi", address=str(tmp_path)), TerminalOperator()) as lamp:
+        assert isinstance(lamp, GuardedLight)
+        with lamp.lit():
+            assert (tmp_path / "on").exists()
+        assert not (tmp_path / "on").exists()

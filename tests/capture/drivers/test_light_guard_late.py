@@ -1,0 +1,148 @@
+"""A light that is slow to answer, or comes on late, while its owner or its guard goes away."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from data_schemas.errors import LostError
+from rigs.held_light import LATE_ON_S
+from rigs.light_guard import guarded_light
+from rigs.light_guard_messages import HungUpError, channel, receive
+from tests.capture.drivers import file_switch
+from tests.capture.drivers.light_owner import OWNER, guards, the_guard
+from tests.capture.drivers.programs import wait_until
+
+# Of the 5 s that "on" may take and the 2 s of a state: what is given up at once is off long before. The guard needs
+# some hundredths of a second; the rest is for a busy machine.
+AT_ONCE_S = 1.0
+LATE_BY_S = 1.0  # of file_switch
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the address of a light in a file."""
+    file_switch.install(monkeypatch)
+    return tmp_path
+
+
+def start(folder: Path, habit: str = "waits") -> "subprocess.Popen[str]":
+    """Start an owner that keeps the light in a file on."""
+    program = f"from rigs import drivers\ndrivers.LIGHTS['indi'] = {file_switch.__name__!r}\n{OWNER}"
+    command = [sys.executable, "-c", program, str(folder), habit, "indi"]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+
+
+def is_off_at_once(folder: Path, since_s: float) -> None:
+    wait_until(lambda: not (folder / "on").exists(), "the light to go off")
+    assert time.monotonic() - since_s < AT_ONCE_S
+    wait_until(lambda: not guards(str(folder)), "the end of the guard")
+    assert not (folder / "on").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_owner_goes_away_while_on_is_not_confirmed(folder, number):
+    (folder / "slow_on").touch()
+    with start(folder) as process:
+        try:
+            wait_until((folder / "on").exists, "the light to go on")
+            os.kill(process.pid, number)
+            # A frozen owner is missed after 0.8 s.
+            is_off_at_once(folder, time.monotonic() + (0.8 if number == signal.SIGSTOP else 0.0))
+        finally:
+            process.kill()
+
+
+def test_guard_is_told_to_end_while_on_is_not_confirmed(folder):
+    (folder / "slow_on").touch()
+    with start(folder) as process:
+        try:
+            wait_until((folder / "on").exists, "the light to go on")
+            began_s = time.monotonic()
+            os.kill(the_guard(str(folder)), signal.SIGTERM)
+            is_off_at_once(folder, began_s)
+            assert "LostError" in process.stdout.readline()
+        finally:
+            process.kill()
+
+
+def test_ctrl_c_while_on_is_not_confirmed(folder):
+    (folder / "slow_on").touch()
+    with start(folder) as process:
+        try:
+            wait_until((folder / "on").exists, "the light to go on")
+            began_s = time.monotonic()
+            process.send_signal(signal.SIGINT)
+            is_off_at_once(folder, began_s)
+            assert process.stdout.readline() == "interrupted\n"
+        finally:
+            process.kill()
+
+
+def test_owner_is_killed_while_the_light_is_slow_to_say_its_state(folder):
+    with start(folder, "asks") as process:
+        try:
+            assert process.stdout.readline() == "ON\n"
+            (folder / "slow_state").touch()
+            wait_until(lambda: not (folder / "slow_state").exists(), "the question")
+            process.kill()
+            is_off_at_once(folder, time.monotonic())
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("victim", ["owner", "guard"])
+def test_on_that_is_carried_out_after_everybody_has_gone(folder, victim):
+    """As a server does that is slow: "off" finds the light off, and then the "on" before it takes effect."""
+    assert LATE_BY_S < LATE_ON_S
+    (folder / "late_on").touch()
+    with start(folder) as process:
+        try:
+            wait_until((folder / "asked").exists, "the question")
+            asked_s = time.monotonic()
+            if victim == "owner":
+                process.kill()
+                wait_until(lambda: not guards(str(folder)), "the end of the guard")
+            else:
+                os.kill(the_guard(str(folder)), signal.SIGKILL)
+                assert "switched off without it" in process.stdout.readline()
+            assert time.monotonic() - asked_s > LATE_BY_S
+            wait_until(lambda: not (folder / "on").exists(), "the light to be off")
+        finally:
+            process.kill()
+    time.sleep(max(asked_s + LATE_BY_S + 0.5 - time.monotonic(), 0.0))
+    assert not (folder / "on").exists()
+
+
+def test_guard_that_hears_nonsense_ends_in_the_dark(folder):
+    def work(light):
+        with light.lit():
+            light._guard._channel.send(b'{"no": "time"}')  # noqa: SLF001 - nothing of ours says this
+            wait_until(lambda: not guards(str(folder)), "the end of the guard")
+
+    with guarded_light("laser", "indi", str(folder)) as light:
+        with pytest.raises(LostError, match=r"KeyError.*confirmed off"):
+            work(light)
+        assert not (folder / "on").exists()
+
+
+@pytest.mark.parametrize("packet", [b"{", b"[]", b"\xff", b"9" * 5000])
+def test_a_packet_that_is_no_message_ends_the_talk(packet):
+    ours, theirs = channel()
+    with ours, theirs:
+        theirs.send(packet)
+        with pytest.raises(HungUpError):
+            receive(ours, time.monotonic() + 1.0)
+
+
+def test_a_light_that_was_closed_says_so(folder):
+    with guarded_light("laser", "indi", str(folder)) as light:
+        pass
+    with pytest.raises(LostError, match="the guard process has ended"):
+        light.state()
+    with pytest.raises(LostError, match="the guard process has ended"), light.lit():
+        pytest.fail("lit")

@@ -1,0 +1,78 @@
+"""The journal on a disk that is full, in a folder that is taken, and before anything began."""
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from data_schemas.errors import CaptureError, UnsafeError
+from rigs.capture import journal as journal_module
+from rigs.capture.journal import JOURNAL_NAME, Journal, read_journal
+from rigs.host import SystemClock
+
+
+def full_disk(handle: object) -> None:
+    raise OSError(28, "No space left on device")
+
+
+def test_full_disk_is_a_capture_error_that_tells_the_way_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Journal(tmp_path, SystemClock()) as journal:
+        journal.append("start")
+        with monkeypatch.context() as patch:
+            patch.setattr(journal_module.os, "fsync", full_disk)
+            with pytest.raises(CaptureError, match=r"journal\.jsonl: cannot be written \(No space left.*--resume"):
+                journal.append("frame")
+
+
+def test_what_ended_the_capture_is_not_hidden_by_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A light that is not confirmed off is told, whatever the disk says."""
+    journal = Journal(tmp_path, SystemClock())
+    journal.append("start")
+
+    def capture() -> None:
+        with journal:
+            monkeypatch.setattr(journal_module.os, "fsync", full_disk)
+            raise UnsafeError("laser: NOT CONFIRMED OFF")
+
+    with pytest.raises(UnsafeError, match="NOT CONFIRMED OFF"):
+        capture()
+
+
+def test_capture_that_ends_before_its_first_line_leaves_no_journal(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="early"), Journal(tmp_path, SystemClock()):
+        raise ValueError("early")
+    assert not (tmp_path / JOURNAL_NAME).exists()
+    with Journal(tmp_path, SystemClock()) as journal:
+        journal.append("start")
+    assert [line["event"] for line in read_journal(tmp_path)] == ["start", "stop"]
+
+
+def test_folder_that_is_taken_meanwhile_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The other capture gives its journal its name between our look and our lock: ours must not replace it."""
+    flock = journal_module.fcntl.flock
+
+    def late(handle: object, operation: int) -> None:
+        (tmp_path / JOURNAL_NAME).write_text(json.dumps({"event": "start"}) + "\n")
+        flock(handle, operation)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(journal_module.fcntl, "flock", late)
+    with pytest.raises(CaptureError, match="exists already, so that another capture writes into this folder"):
+        Journal(tmp_path, SystemClock())
+    assert read_journal(tmp_path) == [{"event": "start"}]
+
+
+def test_every_line_is_on_the_disk_before_the_next_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fsync, synced = os.fsync, []
+
+    def counted(handle: int) -> None:
+        synced.append(len((tmp_path / JOURNAL_NAME).read_text()) if (tmp_path / JOURNAL_NAME).exists() else 0)
+        fsync(handle)
+
+    monkeypatch.setattr(journal_module.os, "fsync", counted)
+    with Journal(tmp_path, SystemClock()) as journal:
+        journal.append("start")
+        first = len(synced)
+        journal.append("frame", number=1)
+        assert len(synced) == first + 1
+        assert synced[-1] == len((tmp_path / JOURNAL_NAME).read_text())

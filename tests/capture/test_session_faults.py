@@ -1,0 +1,272 @@
+"""Faults in the middle of a session: lights go off, nothing that was captured is lost, the session can be resumed."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from data_schemas.capture import CaptureSession, PaintPlan
+from data_schemas.errors import CaptureError, LostError, RefusedError, SaturatedError, TimedOutError, WrongPositionError
+from data_schemas.rig import DeviceIdentity, FilterWheelSettings, RigFile
+from data_schemas.storage import sha256_of
+from rigs.capture import exchange
+from rigs.capture.paint_session import capture_with
+from rigs.capture.plan import paint_steps
+from rigs.capture.read_session import read_session
+from rigs.capture.resume import Interrupted, read_interrupted
+from rigs.filter_wheels.thorlabs import open_wheel
+from rigs.open_rig import OpenRig, open_rig
+from rigs.protocols import Camera, Clock, FilterWheel, RawFrame
+from tests.capture.drivers.programs import require_module
+from tests.capture.drivers.thorlabs_wheel import EmulatedWheel, emulated_wheel
+
+FRAMES_BEFORE = 12
+"""Of about 30: the white tile is done, the sample has begun."""
+
+
+@pytest.fixture(scope="module")
+def small(plan: PaintPlan) -> PaintPlan:
+    changed = {"filters": ("450", "532", "600"), "bracket": (1.0,), "darks_per_exposure": 1}
+    return plan.model_copy(update=changed)
+
+
+def capture(
+    opened: OpenRig, rig: RigFile, plan: PaintPlan, out: Path, interrupted: Interrupted | None = None
+) -> CaptureSession:
+    return capture_with(opened, rig, plan, paint_steps(plan, rig), out, {}, "finray capture", interrupted=interrupted)
+
+
+def dark(opened: OpenRig) -> bool:
+    return not (opened.lamp.state() or opened.laser.state())
+
+
+@dataclass
+class TurningBench:
+    """A real wheel that turns the simulated bench with it; something happens after so many moves."""
+
+    wheel: FilterWheel
+    bench: FilterWheel
+    moves: int = 0
+    at_move: dict[int, Any] = field(default_factory=dict)
+
+    @property
+    def slots(self) -> tuple[int, ...]:
+        return self.wheel.slots
+
+    def identity(self) -> DeviceIdentity:
+        return self.wheel.identity()
+
+    def position(self) -> int | None:
+        if self.bench.position() is None:
+            return None  # swung out
+        return self.wheel.position()
+
+    def go_to(self, slot: int, deadline_s: float) -> None:
+        self.moves += 1
+        self.at_move.get(self.moves, lambda: None)()
+        self.wheel.go_to(slot, deadline_s)
+        self.bench.go_to(slot, deadline_s)
+
+
+@pytest.fixture(scope="module")
+def device() -> Iterator[EmulatedWheel]:
+    require_module("lewis", "lewis")
+    with emulated_wheel() as wheel:
+        yield wheel
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "message"),
+    [
+        ({"stuck": True}, TimedOutError, "is not at slot . within 3 s"),
+        ({"slip": 1}, WrongPositionError, "and rests at slot"),
+        ({"mute": True}, TimedOutError, "did not answer within"),
+        ({"garble": True}, LostError, "attempts at"),
+    ],
+    ids=["stuck", "lost step", "mute", "garbled"],
+)
+def test_wheel_that_fails_ends_in_the_dark_and_the_session_goes_on_later(
+    rig: RigFile,
+    small: PaintPlan,
+    tmp_path: Path,
+    device: EmulatedWheel,
+    monkeypatch: pytest.MonkeyPatch,
+    fault: dict[str, object],
+    error: type[CaptureError],
+    message: str,
+) -> None:
+    """The wheel is lewis' FW212C; it fails at the tenth move, when metering is done and frames are being stored."""
+    monkeypatch.setattr(exchange, "WHEEL_DEADLINE_S", 3.0)  # longer than a wheel may rest on its way
+    device.reset()
+    settings = FilterWheelSettings(driver="thorlabs", address=device.address, filters=rig.filter_wheel.filters)
+    with open_rig(rig, Path()) as opened, open_wheel(settings, opened.operator) as wheel:
+        turning = TurningBench(wheel, opened.wheel, at_move={10: lambda: device.control.put(**fault)})
+        with pytest.raises(error, match=message):
+            capture(replace(opened, wheel=turning), rig, small, tmp_path / "out")
+        assert dark(opened)
+    stored = {path: sha256_of(path) for path in (tmp_path / "out" / "frames").iterdir()}
+    assert stored
+    device.reset()
+    with open_rig(rig, Path()) as opened, open_wheel(settings, opened.operator) as wheel:
+        mended = replace(opened, wheel=TurningBench(wheel, opened.wheel))
+        session = capture(mended, rig, small, tmp_path / "out", read_interrupted(tmp_path / "out"))
+        assert dark(opened)
+    assert all(sha256_of(path) == digest for path, digest in stored.items())
+    assert read_session(tmp_path / "out").frames == session.frames
+    assert any("resumed" in note for note in session.notes)
+
+
+@dataclass
+class ChangedCamera:
+    """A camera whose frames are changed from a number on."""
+
+    camera: Camera
+    change: Any
+    taken: int = 0
+
+    def identity(self) -> DeviceIdentity:
+        return self.camera.identity()
+
+    def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
+        self.taken += 1
+        return self.change(self.taken, self.camera.expose(exposure_s, deadline_s))
+
+
+def test_frame_unlike_its_metering_is_not_stored_and_is_taken_again(
+    rig: RigFile, small: PaintPlan, tmp_path: Path
+) -> None:
+    """The lamp fails by a third while frames are stored: the frame that shows it must not be in the resumed session."""
+
+    def dimmed(number: int, raw: RawFrame) -> RawFrame:
+        signal = raw.counts.astype(float) - rig.camera.black_level_dn
+        counts = (rig.camera.black_level_dn + 0.67 * signal).clip(0).astype(np.uint16)
+        return replace(raw, counts=counts) if len(list(tmp_path.glob("frames/*.tiff"))) >= FRAMES_BEFORE else raw
+
+    with open_rig(rig, Path()) as opened:
+        failing = replace(opened, camera=ChangedCamera(opened.camera, dimmed))
+        with pytest.raises(CaptureError, match=r"DN/s in .* at metering it gave .* put it right and resume"):
+            capture(failing, rig, small, tmp_path)
+        assert dark(opened)
+    before = set(read_interrupted(tmp_path).frames)
+    with open_rig(rig, Path()) as opened:
+        session = capture(opened, rig, small, tmp_path, read_interrupted(tmp_path))
+    assert before < {frame.sequence for frame in session.frames}
+    assert not list(tmp_path.glob("set-aside/*"))  # the dimmed frame never reached the disk
+
+
+def test_saturated_pixels_are_exposed_again_shorter_and_flagged(rig: RigFile, small: PaintPlan, tmp_path: Path) -> None:
+    """One pixel in 500 clips in exposures above 20 ms; a hot one clips in every stored frame."""
+    full_dn = 2**rig.camera.bit_depth - 1
+
+    def clipped(number: int, raw: RawFrame) -> RawFrame:
+        counts = raw.counts.copy()
+        if raw.exposure_s > 0.02:
+            counts.flat[::499] = full_dn
+        if (tmp_path / "frames").exists():
+            region = small.region
+            counts[region.row_px, region.column_px] = full_dn
+        return replace(raw, counts=counts)
+
+    with open_rig(rig, Path()) as opened:
+        session = capture(replace(opened, camera=ChangedCamera(opened.camera, clipped)), rig, small, tmp_path)
+    lit = [frame for frame in session.frames if frame.light in ("lamp", "laser")]
+    assert max(frame.exposure_s for frame in lit) <= 0.02
+    pixels = small.region.height_px * small.region.width_px
+    # the first frame is on its way to the disk while the folder of the frames comes into being
+    flagged = [frame.saturated_fraction for frame in session.frames[2:]]
+    assert flagged == pytest.approx([1 / pixels] * len(flagged))
+
+
+def test_camera_that_always_saturates_ends_the_session(rig: RigFile, small: PaintPlan, tmp_path: Path) -> None:
+    def white(number: int, raw: RawFrame) -> RawFrame:
+        return replace(raw, counts=np.full_like(raw.counts, 2**rig.camera.bit_depth - 1))
+
+    with open_rig(rig, Path()) as opened:
+        with pytest.raises(SaturatedError):
+            capture(replace(opened, camera=ChangedCamera(opened.camera, white)), rig, small, tmp_path)
+        assert dark(opened)
+
+
+STEPS_AT_LINE = 20  # of the journal, which has about 30 when the camera fails
+
+
+@dataclass
+class SteppingClock:
+    """A host whose time of day is put right, or wrong, while the monotonic clock runs on."""
+
+    clock: Clock
+    step_s: float
+    asked: int = 0
+
+    def utc(self) -> str:
+        self.asked += 1
+        stepped_s = self.step_s if self.asked > STEPS_AT_LINE else 0.0
+        return (datetime.fromisoformat(self.clock.utc()) + timedelta(seconds=stepped_s)).isoformat()
+
+    def monotonic_s(self) -> float:
+        return self.clock.monotonic_s()
+
+
+@pytest.mark.parametrize("step_s", [-86400.0, 86400.0])
+def test_order_of_frames_survives_a_step_of_the_clock(
+    rig: RigFile, small: PaintPlan, tmp_path: Path, step_s: float
+) -> None:
+    """The time of day steps by a day in the session, and back before it is resumed."""
+
+    def lost(number: int, raw: RawFrame) -> RawFrame:
+        if len(list(tmp_path.glob("frames/*.tiff"))) >= FRAMES_BEFORE:
+            raise RefusedError("camera: unplugged")
+        return raw
+
+    with open_rig(rig, Path()) as opened:
+        clock = SteppingClock(opened.clock, step_s)
+        stepping = replace(opened, clock=clock, camera=ChangedCamera(opened.camera, lost))
+        with pytest.raises(RefusedError, match="unplugged"):
+            capture(stepping, rig, small, tmp_path)
+    assert clock.asked > STEPS_AT_LINE + 5  # the step lies within
+    with open_rig(rig, Path()) as opened:
+        session = capture(opened, rig, small, tmp_path, read_interrupted(tmp_path))
+    middles_s = [frame.middle_s for frame in session.frames]
+    assert middles_s == sorted(middles_s)
+    assert len(set(middles_s)) == len(middles_s)
+    doses_j = [frame.laser_dose_j for frame in session.frames]
+    assert doses_j == sorted(doses_j)
+
+
+def test_sample_that_may_be_tilted_is_turned_back_at_a_resumption(
+    rig: RigFile, small: PaintPlan, tmp_path: Path
+) -> None:
+    """Metering begins with the tilted sample; what an interruption then left behind, nobody knows."""
+    tilted = small.model_copy(update={"second_tilt_deg": 30.0, "second_tilt_filters": ("532", "600")})
+    steps = paint_steps(tilted, rig)
+    asked: list[float] = []
+
+    def lost(number: int, raw: RawFrame) -> RawFrame:
+        if (tmp_path / "journal.jsonl").read_text().count('"label": "tilted') == len(tilted.second_tilt_filters or ()):
+            raise RefusedError("camera: unplugged")
+        return raw
+
+    with open_rig(rig, Path()) as opened:
+        broken = replace(opened, camera=ChangedCamera(opened.camera, lost))
+        with pytest.raises(RefusedError, match="unplugged"):
+            capture_with(broken, rig, tilted, steps, tmp_path, {}, "finray capture")
+
+    @dataclass
+    class Hands:
+        hands: Any
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self.hands, name)
+
+        def tilt(self, angle_deg: float) -> None:
+            asked.append(angle_deg)
+            self.hands.tilt(angle_deg)
+
+    with open_rig(rig, Path()) as opened:
+        hands = replace(opened, operator=Hands(opened.operator))
+        capture_with(hands, rig, tilted, steps, tmp_path, {}, "finray capture", interrupted=read_interrupted(tmp_path))
+    assert asked == [0.0, 30.0]  # upright for what is left of metering, tilted for the last frames
