@@ -66,7 +66,8 @@ class CheckFrames:
                 rates.append(self._channel_rates(counts, exposure_s))
         opened = self._opened
         predicted = predicted_rates(self._filters, opened.filter_curves, opened.lamp_spectrum, opened.camera_response)
-        return judge_filters([band.name for band in self._filters], np.array(rates), predicted)
+        names = [band.name for band in self._filters]
+        return judge_filters(names, np.array(rates), predicted, lambda: self._rates_in_the_dark(self._filters[0]))
 
     def brightest_filter(self) -> BandPassFilter:
         """Return the filter with the shortest metered exposure; the filters are metered first if need be.
@@ -169,6 +170,13 @@ class CheckFrames:
         self._metered_s[name] = exposure_s
         self._signals_dn[name] = self.region_mean_dn(raw.counts) - self._settings.black_level_dn
         return raw.counts[self._region], raw.exposure_s
+
+    def _rates_in_the_dark(self, band: BandPassFilter) -> tuple[float, float, float]:
+        """Return the rates of the white tile behind a filter with the lamp off (DN/s)."""
+        step = replace(self.white_step(band), frame_type="dark", light="off")
+        with shine(self._opened, "off"):
+            raw = self._camera.expose(step, self._metered_s[band.name]).raw
+        return self._channel_rates(raw.counts[self._region], raw.exposure_s)
 
     def _white(self, step: Step, exposure_s: float) -> float:
         """Return the signal of the region above the black level (DN)."""

@@ -119,12 +119,6 @@ class CheckedCamera:
 
     def _require_as_asked(self, raw: RawFrame, step: Step, exposure_s: float) -> None:
         """Refuse another exposure or frame size than was asked for."""
-        if abs(raw.exposure_s / exposure_s - 1.0) > EXPOSURE_TOLERANCE_REL:
-            raise RefusedError(
-                f"camera: {exposure_s:g} s were asked for {step.label}, it reads back {raw.exposure_s:g} s (within "
-                f"{EXPOSURE_TOLERANCE_REL:.0%} is allowed); correct shortest_exposure_s and longest_exposure_s of the "
-                "rig"
-            )
         asked = (self._settings.height_px, self._settings.width_px)
         shape = raw.counts.shape
         if len(shape) == 3:
@@ -136,6 +130,13 @@ class CheckedCamera:
             raise RefusedError(
                 f"camera: delivered a frame of {' x '.join(map(str, shape))} px, the rig file says {asked[0]} x "
                 f"{asked[1]} px (height x width); correct the rig file"
+            )
+        # a camera that does not read its exposure back says NaN, which is within nothing
+        if not abs(raw.exposure_s / exposure_s - 1.0) <= EXPOSURE_TOLERANCE_REL:
+            raise RefusedError(
+                f"camera: {exposure_s:g} s were asked for {step.label}, it reads back {raw.exposure_s:g} s (within "
+                f"{EXPOSURE_TOLERANCE_REL:.0%} is allowed); correct shortest_exposure_s and longest_exposure_s of the "
+                "rig"
             )
 
     def _require_new(self, raw: RawFrame) -> None:

@@ -10,7 +10,7 @@ one filter in the beam at all slots (a wheel that counts and does not turn). An 
 well cannot be told from the claimed order, and is named.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -30,6 +30,7 @@ FLOOR_FRACTION = 0.02
 TRUSTED_FRACTION = 0.1  # of a filter's brightest channel: bright enough, in one session, to be compared with the other
 CLEAR_DIFFERENCE = 12.0
 """Of chi-square: an exchange this much better or worse is decided (odds of e^6)."""
+LIT_SHARE = 0.5  # of the rate with the lamp on: what is left of it without the lamp, when the lamp lights the picture
 LEAST_RATE_DN_PER_S = 1.0
 LEAST_RELATIVE = 1e-6  # of all rates: a filter that passes nothing at all
 FEWEST_COMMON = 3
@@ -60,7 +61,12 @@ def predicted_rates(
     return np.array([light @ _transmission(f, filter_curves.get(f.name)) for f in filters])
 
 
-def judge_filters(names: Sequence[str], measured: FloatArray, predicted: FloatArray) -> FilterProof:
+def judge_filters(
+    names: Sequence[str],
+    measured: FloatArray,
+    predicted: FloatArray,
+    lamp_off: Callable[[], Sequence[float]] = lambda: (0.0, 0.0, 0.0),
+) -> FilterProof:
     """Return whether the measured rates show the filters in the claimed order.
 
     All exchanges of two filters are tried, and each filter at all slots. Another wrong order is seen as the exchange
@@ -74,6 +80,9 @@ def judge_filters(names: Sequence[str], measured: FloatArray, predicted: FloatAr
         (F, 3) rates above the dark level, DN/s.
     predicted
         (F, 3) relative rates.
+    lamp_off
+        Returns the 3 rates behind the first filter with the lamp off, DN/s. Asked only when all slots look alike: a
+        camera that shows a picture of its own looks so, too.
     """
     if measured.max() < LEAST_RATE_DN_PER_S:
         return FilterProof(
@@ -84,6 +93,12 @@ def judge_filters(names: Sequence[str], measured: FloatArray, predicted: FloatAr
         return FilterProof(verdict="cannot tell", text="one filter alone has nothing to be compared with")
     ln_measured, ln_predicted = _levels(measured), _levels(predicted)
     stuck = _only_filter(ln_measured, ln_predicted)
+    if stuck is not None and sum(lamp_off()) > LIT_SHARE * measured[0].sum():
+        return FilterProof(
+            verdict="cannot tell",
+            text="the picture is alike at every slot and hardly changes when the lamp goes off: this camera does not "
+            "see it, or other light does the work",
+        )
     if stuck is not None:
         return FilterProof(
             verdict="contradicted",

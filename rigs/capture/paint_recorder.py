@@ -188,7 +188,7 @@ class PaintRecorder:
         opened = self._opened
         predicted = predicted_rates(filters, opened.filter_curves, opened.lamp_spectrum, opened.camera_response)
         names = [f.name for f in filters]
-        self.proof = judge_filters(names, measured, predicted)
+        self.proof = judge_filters(names, measured, predicted, lambda: self._rates_in_the_dark(self._white[0]))
         if self._last_good is not None and self.proof.verdict != "contradicted":
             repeated = compare_with_last(names, measured, self._last_good)
             if repeated.verdict == "cannot tell":
@@ -197,3 +197,11 @@ class PaintRecorder:
         self._journal.append("filter proof", verdict=self.proof.verdict, text=self.proof.text)
         if self.proof.verdict == "contradicted":
             raise WrongPositionError(f"filter wheel: {self.proof.text}")
+
+    def _rates_in_the_dark(self, lit: Step) -> Rates:
+        """Return the rates of a step with its light off (DN/s)."""
+        self._place(lit.target, lit.tilt_deg)
+        dark, exposure_s = replace(lit, frame_type="dark", light="off"), self._exposures_s[lit][0]
+        with shine(self._opened, "off"):
+            raw = self._store.camera.expose(dark, exposure_s).raw
+        return self._rate(raw.counts, raw.exposure_s)

@@ -123,6 +123,11 @@ def read_interrupted(folder: Path) -> Interrupted:
         raise CaptureError(
             f"{folder / JOURNAL_NAME}: does not say how the session began; capture it again into another folder"
         )
+    rig_camera = start["rig"].get("camera", {}) if isinstance(start["rig"], dict) else {}
+    if rig_camera.get("driver") == "folder":
+        raise CaptureError(
+            f"{folder}: replays a folder of images, which would begin again at its first; capture the session again"
+        )
     frames = dict(_good_frames(folder, lines))
     try:
         interrupted = _replayed(start, frames, lines)

@@ -1,4 +1,4 @@
-"""A light without a guard: off at the start, at the end of every block and when the connection closes."""
+"""A light that only the operator switches, without a guard: off at the start, after every block and at the end."""
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager

@@ -135,6 +135,17 @@ def test_wheel_that_counts_and_does_not_turn_is_convicted(
     assert not list(tmp_path.glob("frames/*"))
 
 
+def test_picture_that_needs_no_lamp_proves_nothing(captured) -> None:
+    """A coloured test pattern looks like one filter at every slot; with the lamp off it is still there."""
+    _, session, _ = captured
+    predicted = np.array(session.white_rates_dn_per_s)
+    pattern = np.repeat(predicted[7:], 8, axis=0)
+    assert judge_filters(NAMES, pattern, predicted, lambda: 0.01 * pattern[0]).verdict == "contradicted"
+    proof = judge_filters(NAMES, pattern, predicted, lambda: 0.9 * pattern[0])
+    assert proof.verdict == "cannot tell"
+    assert "hardly changes when the lamp goes off" in proof.text
+
+
 def test_grey_picture_and_single_filter_prove_nothing(captured) -> None:
     """A camera that does not see the lamp gives the same grey picture behind all filters: no filter looks like that."""
     _, session, _ = captured

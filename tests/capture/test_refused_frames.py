@@ -139,3 +139,11 @@ def test_header_that_changes_at_one_slot_is_refused(rig: RigFile) -> None:
         taken.camera.expose(DARK, 0.01)
         with pytest.raises(RefusedError, match=r"says 'Red' at slot 2, where it said 'Green' before"):
             taken.camera.expose(DARK, 0.01)
+
+
+def test_exposure_that_is_not_read_back_is_refused(rig: RigFile) -> None:
+    def silent(number: int, frame: RawFrame) -> RawFrame:
+        return replace(frame, exposure_s=float("nan"))
+
+    with open_rig(rig, Path()) as opened, pytest.raises(RefusedError, match=r"it reads back nan s"):
+        over(rig, opened, silent).camera.expose(DARK, 0.01)

@@ -250,3 +250,11 @@ def test_full_disk_ends_the_session_and_it_can_be_resumed(rig: RigFile, small: P
         assert len(resumed(rig, small, disk / "out").frames) > len(list((disk / "out" / ORPHANS).glob("*")))
     finally:
         subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_replayed_folder_is_not_resumed(stopped: Path) -> None:
+    """The images of a folder come in their order: a resumed session would begin with the first again."""
+    text = (stopped / "journal.jsonl").read_text()
+    (stopped / "journal.jsonl").write_text(text.replace('"driver": "simulated"', '"driver": "folder"', 1))
+    with pytest.raises(CaptureError, match=r"replays a folder of images"):
+        read_interrupted(stopped)

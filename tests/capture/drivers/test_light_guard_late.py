@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from data_schemas.errors import LostError
-from rigs.held_light import LATE_ON_S
+from rigs.held_light import LATE_ON_S, HeldLight
 from rigs.light_guard import guarded_light
 from rigs.light_guard_messages import HungUpError, channel, receive
 from tests.capture.drivers import file_switch
@@ -146,3 +146,8 @@ def test_a_light_that_was_closed_says_so(folder):
         light.state()
     with pytest.raises(LostError, match="the guard process has ended"), light.lit():
         pytest.fail("lit")
+
+
+def test_a_held_light_that_is_not_open_has_no_switch():
+    with pytest.raises(LostError, match="laser: the connection is closed"):
+        HeldLight(lambda: file_switch.open_switch("", "laser", None), "laser").switch.keep_alive()
