@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 KEEP_ALIVE_S: Final = 0.25
 ATTEMPT_S: Final = 0.5
+ALONE_FOR_S: Final = 600.0
 WATCH_S: Final = 0.02
 """How often the guard looks for its owner while it waits for the light; of the 50 ms in which it sends "off"."""
 
@@ -88,8 +89,18 @@ class Guard:
         self._tell(gone=reason, not_off=why_not)
         if why_not is not None:
             self._shout(why_not)
+            why_not = self._go_on_alone(why_not)
         self._light.close()
         return EXIT_OFF if why_not is None else EXIT_NOT_OFF
+
+    def _go_on_alone(self, why_not: str) -> str | None:
+        """Where no owner is left that could: go on trying, for the light of a server may come back with it, lit."""
+        end_s = time.monotonic() + ALONE_FOR_S
+        failure: str | None = why_not
+        self._listen()
+        while failure is not None and self._is_owner_gone and time.monotonic() < end_s:
+            failure = self._make_off()
+        return failure
 
     def _take_signals(self) -> None:
         """Note signals instead of dying of them, and let them wake the wait."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from data_schemas.errors import LostError
-from rigs.held_light import LATE_ON_S, HeldLight
+from rigs.held_light import LATE_ON_S, RETRY_FOR_S, HeldLight
 from rigs.light_guard import guarded_light
 from rigs.light_guard_messages import HungUpError, channel, receive
 from tests.capture.drivers import file_switch
@@ -151,3 +151,17 @@ def test_a_light_that_was_closed_says_so(folder):
 def test_a_held_light_that_is_not_open_has_no_switch():
     with pytest.raises(LostError, match="laser: the connection is closed"):
         HeldLight(lambda: file_switch.open_switch("", "laser", None), "laser").switch.keep_alive()
+
+
+def test_guard_without_owner_goes_on_trying_after_it_shouted(folder):
+    """A server that comes back may come back lit: the guard is the only one left."""
+    with start(folder) as process:
+        assert process.stdout.readline() == "ON\n"
+        (folder / "refuse_off").write_text("1000000")
+        process.kill()
+        process.wait()
+    time.sleep(RETRY_FOR_S + AT_ONCE_S)
+    assert (folder / "on").exists()
+    assert guards(str(folder))
+    (folder / "refuse_off").write_text("0")
+    is_off_at_once(folder, time.monotonic())
