@@ -100,8 +100,8 @@ def main() -> int:
         "megabytes": 1e-6 * len(session.frames) * np.prod(camera.camera.expose(1e-3, 1.0).counts.shape) * 2,
     }
     print(
-        f"{found['frames']} frames, {found['megabytes']:.0f} MB: {wall_s:.1f} s for {camera.slept_s:.1f} s of exposures "
-        f"and {wheel.slept_s:.1f} s of wheel moves: x{found['ratio']:.3f} (at most {BAR})"
+        f"{found['frames']} frames, {found['megabytes']:.0f} MB: {wall_s:.1f} s for {camera.slept_s:.1f} s of "
+        f"exposures and {wheel.slept_s:.1f} s of wheel moves: x{found['ratio']:.3f} (at most {BAR})"
     )
     if arguments.out:
         arguments.out.parent.mkdir(parents=True, exist_ok=True)

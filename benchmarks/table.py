@@ -89,6 +89,17 @@ def rows() -> list[Row]:
     command = ("fit_command_time.py", "fit-command.json")
     table.append(Row("finray fit, whole process, warm", "-", *command, lambda r: r["warm_s"], high=3.0, unit=" s"))
     table.append(Row("finray fit, whole process, cold", "-", *command, lambda r: r["cold_s"], high=20.0, unit=" s"))
+    table.append(
+        Row(
+            "paint session over exposures and moves",
+            "-",
+            "session_time.py",
+            "session-time.json",
+            lambda r: r["ratio"],
+            high=1.15,
+            unit="x",
+        )
+    )
     return table
 
 
