@@ -1,6 +1,7 @@
 """What the devices of a rig say about themselves, each on its own; nothing moves and the lights stay off."""
 
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -10,13 +11,16 @@ import numpy as np
 from data_schemas.curve_files import read_filter_curves
 from data_schemas.errors import FinrayError
 from data_schemas.filter_curves import coverage_notes
-from data_schemas.rig import DeviceIdentity, RigFile
+from data_schemas.rig import CameraSettings, DeviceIdentity, RigFile
 from data_schemas.standard_curves import camera_response, halogen_lamp
+from data_schemas.tactile import TactileRig
 from rigs.capture.exchange import CAMERA_DEADLINE_MARGIN_S
+from rigs.capture.rig_lock import device_locked
+from rigs.drivers import open_camera
 from rigs.host import TerminalOperator
 from rigs.light_guard import GuardedLight
 from rigs.lone_devices import Settings, lone_camera, lone_lamp, lone_laser, lone_wheel
-from rigs.protocols import Light
+from rigs.protocols import Camera, Light
 
 DARK_EXPOSURE_S: Final = 0.01
 Lines = Iterator["str | Warned"]
@@ -63,8 +67,27 @@ def look_at(rig: RigFile, folder: Path) -> Iterator[PartReport]:
     yield _report(_title("laser", rig.laser), lambda: _laser(rig, folder))
     yield _report(_title("lamp", rig.lamp), lambda: _lamp(rig, folder))
     yield _report(_title("filter wheel", rig.filter_wheel), lambda: _wheel(rig, folder))
-    yield _report(_title("camera", rig.camera), lambda: _camera(rig, folder))
+    yield _report(_title("camera", rig.camera), lambda: _camera(lone_camera(rig, folder), rig.camera))
     yield _report("filters and curves", lambda: _curves(rig, folder))
+
+
+def look_at_tactile(rig: TactileRig, folder: Path) -> Iterator[PartReport]:
+    """Report on the camera of a tactile rig, which has nothing else.
+
+    Parameters
+    ----------
+    rig
+        The rig file's content.
+    folder
+        Where relative paths in it start.
+    """
+    camera = rig.camera
+
+    def lines() -> Lines:
+        with device_locked("camera", camera.driver, camera.address):
+            yield from _camera(open_camera(camera, folder), camera)
+
+    yield _report(_title("camera", camera), lines)
 
 
 def _title(role: str, settings: Settings) -> str:
@@ -94,12 +117,6 @@ def _laser(rig: RigFile, folder: Path) -> Lines:
     laser = rig.laser
     with lone_laser(rig, folder) as light:
         yield from _light(light)
-        if isinstance(light, GuardedLight):
-            layers = "the capture, its guard process and the controller's dead-man"
-            yield f"{light.layers} layers switch it off: " + (
-                layers if light.layers == 3 else "the capture and its guard process"
-            )
-            yield from map(Warned, light.notes)
     yield f"by the rig file: {laser.wavelength_nm:g} nm, {laser.power_mw:g} mW, class {laser.laser_class}"
 
 
@@ -110,8 +127,6 @@ def _lamp(rig: RigFile, folder: Path) -> Lines:
         return
     with lone_lamp(rig, folder, TerminalOperator()) as light:
         yield from _light(light)
-        if not rig.is_simulated:
-            yield "the capture switches it off; it has no guard process"
 
 
 def _light(light: Light) -> Lines:
@@ -120,6 +135,12 @@ def _light(light: Light) -> Lines:
         yield Warned("reports ON although it was switched off; look at its controller")
     else:
         yield "reports off"
+    if isinstance(light, GuardedLight):
+        layers = "the capture, its guard process and the controller's dead-man"
+        yield f"{light.layers} layers switch it off: " + (
+            layers if light.layers == 3 else "the capture and its guard process"
+        )
+        yield from map(Warned, light.notes)
 
 
 def _wheel(rig: RigFile, folder: Path) -> Lines:
@@ -136,9 +157,8 @@ def _wheel(rig: RigFile, folder: Path) -> Lines:
             yield Warned(f"the wheel has no slot {lost[0]}, where the rig file puts filter {names[lost[0]]}")
 
 
-def _camera(rig: RigFile, folder: Path) -> Lines:
-    settings = rig.camera
-    with lone_camera(rig, folder) as camera:
+def _camera(opening: AbstractContextManager[Camera], settings: CameraSettings) -> Lines:
+    with opening as camera:
         yield _says(camera.identity())
         if settings.driver == "folder":
             yield "not exposed: each image of a folder is used once"

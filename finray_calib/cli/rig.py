@@ -73,12 +73,18 @@ def run_show(arguments: argparse.Namespace) -> None:
     from data_schemas.errors import CaptureError
     from data_schemas.rig import RigFile
     from data_schemas.storage import read_toml
-    from rigs.overview import look_at
+    from data_schemas.tactile import TactileRig
+    from rigs.overview import look_at, look_at_tactile
 
-    rig = read_toml(arguments.rig, RigFile)
-    say(rig.name)
+    if _has_a_wheel(arguments.rig):
+        rig = read_toml(arguments.rig, RigFile)
+        name, parts = rig.name, look_at(rig, arguments.rig.parent)
+    else:
+        tactile = read_toml(arguments.rig, TactileRig)
+        name, parts = tactile.name, look_at_tactile(tactile, arguments.rig.parent)
+    say(name)
     failed = []
-    for part in look_at(rig, arguments.rig.parent):
+    for part in parts:
         say(f"\n{part.title}")
         for line in part.lines:
             say(f"  {line}")
@@ -89,3 +95,14 @@ def run_show(arguments: argparse.Namespace) -> None:
             failed.append(part.title)
     if failed:
         raise CaptureError(f"{arguments.rig}: errors above at {'; '.join(failed)}; correct them and show the rig again")
+
+
+def _has_a_wheel(path: Path) -> bool:
+    """Whether a rig file is that of a paint rig; what is no TOML at all is left to its reader, which says why."""
+    import tomllib
+
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return True
+    return tables.keys() != {"name", "camera"}

@@ -7,7 +7,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
+import tifffile
 
 from data_schemas.errors import LostError, MissingExtraError
 from data_schemas.rig import (
@@ -283,3 +285,14 @@ def test_show_of_another_file_is_a_mistake(lab: Path) -> None:
     outcome = finray(f"rig show {lab}/plan.toml")
     assert outcome.status == 2
     assert "plan.toml: " in outcome.err
+
+
+def test_show_takes_the_rig_of_a_finger_which_is_a_camera_alone(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "press.tiff", np.full((64, 64), 16, np.uint16))
+    (tmp_path / "frames.csv").write_text("file,exposure_s\npress.tiff,0.01\n")
+    camera = 'driver = "folder"\naddress = "."\nwidth_px = 64\nheight_px = 64\n'
+    (tmp_path / "finger.toml").write_text(f'name = "finger"\n\n[camera]\n{camera}')
+    said = succeed(f"rig show {tmp_path}/finger.toml")
+    assert "camera: folder at ." in said
+    assert "each image of a folder is used once" in said
+    assert "laser" not in said
