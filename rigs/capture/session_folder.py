@@ -4,7 +4,7 @@ from pathlib import Path
 
 from data_schemas.camera import CameraSession
 from data_schemas.capture import CaptureSession
-from data_schemas.errors import CaptureError
+from data_schemas.errors import CaptureError, CurveError
 from data_schemas.model import Record
 from data_schemas.provenance import provenance
 from data_schemas.rig import RigFile
@@ -31,11 +31,20 @@ def require_empty(out: Path) -> None:
 
 
 def curve_files(rig: RigFile, rig_folder: Path) -> dict[str, str]:
-    """Return name -> SHA-256 of the curve files that the rig file names."""
+    """Return name -> SHA-256 of the curve files that the rig file names.
+
+    Raises
+    ------
+    CurveError
+        One is missing.
+    """
     named = [] if rig.camera.response == "assumed" else [rig.camera.response]
     named += [band.curve for band in rig.filter_wheel.filters if band.curve is not None]
     if rig.simulated is not None and rig.simulated.material is not None:
         named.append(rig.simulated.material)
+    lost = [name for name in named if not (rig_folder / name).is_file()]
+    if lost:
+        raise CurveError(f"{rig_folder / lost[0]}: no such file; give the path of a CSV file")
     return {name: sha256_of(rig_folder / name) for name in named}
 
 

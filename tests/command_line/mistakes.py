@@ -162,6 +162,7 @@ CASES = (
         edited("plan.toml", "row_px = 100", "row_px = 250"),
     ),
     # curves
+    Case("no rig given", "capture {lab}/plan.toml", r"give a PLAN and its --rig, or --resume with the folder"),
     Case("no curve file", BAD_RIG, r"no\.csv: no such file", edited("rig.toml", '"assumed"\n', '"no.csv"\n')),
     Case(
         "unsorted wavelengths",
@@ -408,7 +409,6 @@ CASES = (
 )
 
 USAGE = (
-    Case("no rig given", "capture {lab}/plan.toml", r"the following arguments are required: --rig"),
     Case("no such verb", "calibrate", r"invalid choice: 'calibrate' \(choose from .*'capture', 'radiometry', 'fit'"),
     Case(
         "paint of another colour",

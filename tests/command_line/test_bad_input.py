@@ -88,7 +88,8 @@ def test_interrupted_capture_leaves_whole_files(lab: Path, tmp_path: Path) -> No
     process.send_signal(signal.SIGINT)
     said, complaint = process.communicate(timeout=60)
     assert (process.returncode, said) == (130, "")
-    assert complaint == "finray capture: interrupted; what was stored is whole\n"
+    way_on = f"{out}: holds what was captured so far; go on with: finray capture --resume {out}\n"
+    assert complaint == f"{way_on}finray capture: interrupted; what was stored is whole\n"
     assert not list(out.rglob("*.part"))
     assert not (out / "session.json").exists()
     events = [json.loads(line) for line in (out / "journal.jsonl").read_text().splitlines()]
