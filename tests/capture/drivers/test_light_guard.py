@@ -142,8 +142,10 @@ class TestFirmware:
 
     def test_ctrl_c_to_the_whole_group(self, board):
         with owner(board.address) as process:
+            began_s = time.monotonic()
             os.killpg(process.pid, signal.SIGINT)
-            assert process.stdout.readline() == "interrupted\n"
+            said = process.stdout.readline()
+            assert said == "interrupted\n", f"exit status {process.poll()} after {time.monotonic() - began_s:.1f} s"
             assert not board.state()
 
     def test_only_the_dead_man_is_left(self, board):
