@@ -112,7 +112,7 @@ class CheckedCamera:
         delivered_s = opened.clock.monotonic_s()
         slot_after, lights_after = _require_slot(opened, step, "after"), _require_lights(opened, step.light)
         self._require_as_asked(raw, step, exposure_s)
-        self._require_new(raw)
+        require_new(raw, self._last)
         self._require_own_header(raw, step)
         self._last = raw
         return CheckedFrame(raw, slot_before, slot_after, lights_before, lights_after, attempt, delivered_s)
@@ -139,20 +139,6 @@ class CheckedCamera:
                 "rig"
             )
 
-    def _require_new(self, raw: RawFrame) -> None:
-        """Refuse the frame that was delivered last time."""
-        last = self._last
-        if last is None:
-            return
-        if raw.frame_id is not None or raw.device_time_s is not None:
-            same = (raw.frame_id, raw.device_time_s) == (last.frame_id, last.device_time_s)
-        else:  # two frames of one value each may well be equal
-            same = np.array_equal(raw.counts, last.counts) and raw.counts.min() < raw.counts.max()
-        if same:
-            raise BadFrameError(
-                "camera: delivered the same frame twice; its stream hangs or a picture stands in for the camera"
-            )
-
     def _require_own_header(self, raw: RawFrame, step: Step) -> None:
         """Refuse a header that names one filter at two slots, or two at one: it tells another wheel, or an old move."""
         header = str(raw.settings.get("filter_header", ""))
@@ -167,6 +153,26 @@ class CheckedCamera:
             f"camera: the frame's FILTER header says '{header}' at slot {step.slot}, {before}; it follows the wheel "
             f"'{raw.settings.get('active_filter', 'unknown')}': set the camera's ACTIVE_DEVICES to the wheel in use "
             "and give each slot a name of its own"
+        )
+
+
+def require_new(raw: RawFrame, last: RawFrame | None) -> None:
+    """Refuse the frame that was delivered last time.
+
+    Raises
+    ------
+    BadFrameError
+        It has the number and time of the last one, or its payload where there are none.
+    """
+    if last is None:
+        return
+    if raw.frame_id is not None or raw.device_time_s is not None:
+        same = (raw.frame_id, raw.device_time_s) == (last.frame_id, last.device_time_s)
+    else:  # two frames of one value each may well be equal
+        same = np.array_equal(raw.counts, last.counts) and raw.counts.min() < raw.counts.max()
+    if same:
+        raise BadFrameError(
+            "camera: delivered the same frame twice; its stream hangs or a picture stands in for the camera"
         )
 
 

@@ -4,11 +4,9 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-import numpy as np
-
 from data_schemas.errors import BadFrameError, LostError, RefusedError
 from data_schemas.rig import CameraSettings
-from rigs.capture.exchange import ATTEMPTS, CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL
+from rigs.capture.exchange import ATTEMPTS, CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL, require_new
 from rigs.protocols import Camera, RawFrame
 
 DEADLINE_EXPOSURES: Final = 3.0
@@ -70,7 +68,7 @@ class TactileCamera:
                 f"{EXPOSURE_TOLERANCE_REL:.0%} is allowed); correct the exposures of the plan or the limits of the rig"
             )
         self._require_images(raw)
-        self._require_new(raw)
+        require_new(raw, self._last)
         self._last = raw
         return raw
 
@@ -92,18 +90,4 @@ class TactileCamera:
             raise RefusedError(
                 f"camera: delivered a count of {counts.max()} DN, more than camera.bit_depth = "
                 f"{self._settings.bit_depth} allows ({2**self._settings.bit_depth - 1} DN); correct the rig file"
-            )
-
-    def _require_new(self, raw: RawFrame) -> None:
-        """Refuse the frame that was delivered last time."""
-        last = self._last
-        if last is None:
-            return
-        if raw.frame_id is not None or raw.device_time_s is not None:
-            same = (raw.frame_id, raw.device_time_s) == (last.frame_id, last.device_time_s)
-        else:  # two frames of one value each may well be equal
-            same = np.array_equal(raw.counts, last.counts) and raw.counts.min() < raw.counts.max()
-        if same:
-            raise BadFrameError(
-                "camera: delivered the same frame twice; its stream hangs or a picture stands in for the camera"
             )
