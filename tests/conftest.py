@@ -1,5 +1,6 @@
 """Fixtures shared by all test folders."""
 
+import signal
 from pathlib import Path
 
 import pytest
@@ -13,3 +14,9 @@ def shared_data() -> Path:
     if not (SHARED_DATA / "spectra" / "README.md").is_file():
         pytest.skip(f"MEASURED DATA ABSENT: {SHARED_DATA} not found; tests on real paint and captures were NOT run")
     return SHARED_DATA
+
+
+def pytest_configure() -> None:
+    """Take Ctrl-C as a terminal's processes do: a job in the background inherits, and passes on, that it is ignored."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
