@@ -61,6 +61,12 @@ class HeldLight:
         """Note that the "on" under way has been carried out."""
         self._late_on_until_s = 0.0
 
+    @property
+    def may_come_on_late(self) -> bool:
+        """Whether an "on" was sent that nobody confirmed, and the controller has no order of lines to rely on."""
+        has_dead_man = self._switch is not None and self._switch.has_dead_man
+        return self._late_on_until_s > 0.0 and not has_dead_man
+
     def make_off(self, attempt_s: float, tell: Callable[[str], None]) -> str | None:
         """Switch off until a fresh answer confirms it, for some seconds; return why it does not, None when off.
 

@@ -7,18 +7,20 @@ answer does not delay this: waiting for it is given up. SIGINT is ignored: Ctrl-
 """
 
 import contextlib
+import math
 import select
 import signal
 import socket
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from rigs.held_light import HeldLight
+from rigs.interruptible_wait import GivenUp, Wait
 from rigs.light_guard_messages import (
     EXIT_NOT_OFF,
     EXIT_OFF,
@@ -32,15 +34,15 @@ from rigs.light_guard_messages import (
 if TYPE_CHECKING:
     from rigs.protocols import LightSwitch
 
-KEEP_ALIVE_S: Final = 0.25
+KEEP_ALIVE_S: Final = 0.15
+"""Four fit into the 0.7 s of the firmware's dead-man: three may be lost or late."""
+LOOK_EVERY_S: Final = 0.5
+"""How often a dark light without a dead-man is asked: a server may carry out an "on" of long ago."""
+LOOK_WITHIN_S: Final = 2.0
+LOOK_ALONE_S: Final = 6.0
+"""So long it is switched off again after an "on" that nobody confirmed and whose owner is gone."""
 ATTEMPT_S: Final = 0.5
 ALONE_FOR_S: Final = 600.0
-WATCH_S: Final = 0.02
-"""How often the guard looks for its owner while it waits for the light; of the 50 ms in which it sends "off"."""
-
-
-class _GivenUp(BaseException):
-    """Nobody waits for the light's answer any more; no driver may take it for an error of its own."""
 
 
 class Guard:
@@ -61,8 +63,10 @@ class Guard:
     ) -> None:
         self._owner, self._name = owner, name
         self._light = HeldLight(opening, name)
-        self._lit = self._is_watching = self._is_owner_gone = False
-        self._heard_s = self._kept_alive_s = time.monotonic()
+        self._lit = self._is_owner_gone = False
+        self._heard_s = self._looked_s = time.monotonic()
+        # Given up when the light must go off, or when the owner asks for something else meanwhile.
+        self._wait = Wait(lambda: self._reason_to_go() is not None or bool(self._questions))
         self._questions: deque[dict[str, Any]] = deque()
         self._signal = ""
         self._why_not_off: str | None = None
@@ -89,16 +93,20 @@ class Guard:
         self._tell(gone=reason, not_off=why_not)
         if why_not is not None:
             self._shout(why_not)
-            why_not = self._go_on_alone(why_not)
+        why_not = self._go_on_alone(why_not)
         self._light.close()
         return EXIT_OFF if why_not is None else EXIT_NOT_OFF
 
-    def _go_on_alone(self, why_not: str) -> str | None:
-        """Where no owner is left that could: go on trying, for the light of a server may come back with it, lit."""
-        end_s = time.monotonic() + ALONE_FOR_S
-        failure: str | None = why_not
+    def _go_on_alone(self, why_not: str | None) -> str | None:
+        """Where no owner is left that could: go on trying, for the light of a server may come back with it, lit.
+
+        A light that is off stays watched for a while where an "on" may still be on its way.
+        """
+        began_s, failure = time.monotonic(), why_not
+        watch_s = LOOK_ALONE_S if self._light.may_come_on_late else 0.0
         self._listen()
-        while failure is not None and self._is_owner_gone and time.monotonic() < end_s:
+        while self._is_owner_gone and time.monotonic() < began_s + (watch_s if failure is None else ALONE_FOR_S):
+            time.sleep(LOOK_EVERY_S)
             failure = self._make_off()
         return failure
 
@@ -107,7 +115,7 @@ class Guard:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         for number in (signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, self._note_signal)
-        signal.signal(signal.SIGALRM, self._look_up)
+        self._wait.take_alarms()
         signal.set_wakeup_fd(self._waker.fileno(), warn_on_full_buffer=False)
 
     def _note_signal(self, number: int, frame: object) -> None:
@@ -118,15 +126,37 @@ class Guard:
         while (reason := self._reason_to_go()) is None:
             if self._questions:
                 self._answer(self._questions.popleft())
-            elif self._lit and time.monotonic() - self._kept_alive_s >= KEEP_ALIVE_S:
-                self._kept_alive_s = time.monotonic()
-                try:
-                    self._light.switch.keep_alive()
-                except Exception as error:
-                    return str(error)
+            elif time.monotonic() >= self._next_look_s():
+                if (why := self._look_after()) is not None:
+                    return why
             elif self._woken in select.select([self._owner, self._woken], [], [], self._pause_s())[0]:
                 self._woken.recv(4096)
         return reason
+
+    def _next_look_s(self) -> float:
+        """Return when the light must next hear of us, or be looked at; a dark one with a dead-man never."""
+        if self._lit:
+            return self._looked_s + KEEP_ALIVE_S
+        return math.inf if self._light.switch.has_dead_man else self._looked_s + LOOK_EVERY_S
+
+    def _look_after(self) -> str | None:
+        """Keep a lit light alive, and see that a dark one is dark; return why it is time to go."""
+        self._looked_s = time.monotonic()
+        switch = self._light.switch
+        try:
+            if self._lit and switch.has_dead_man:  # waits for nothing, and must not be torn from its line
+                switch.keep_alive()
+                return None
+            with self._wait.for_the_light():
+                if self._lit:
+                    switch.keep_alive()
+                elif switch.state(LOOK_WITHIN_S):
+                    return "the light was on although nobody had asked for it"
+        except GivenUp:
+            return None
+        except Exception as error:  # a dark light that cannot be asked now is asked again
+            return str(error) if self._lit else None
+        return None
 
     def _reason_to_go(self) -> str | None:
         """Take in what has come; return why the light must go off now, None when it need not."""
@@ -156,34 +186,17 @@ class Guard:
             self._is_owner_gone = True
 
     def _pause_s(self) -> float | None:
-        """Return how long nothing is to be done unless something comes."""
-        if not self._lit:
-            return None
-        next_s = min(self._heard_s + OWNER_SILENT_S, self._kept_alive_s + KEEP_ALIVE_S)
-        return max(next_s - time.monotonic(), 0.0)
-
-    @contextmanager
-    def _watching(self) -> Iterator[None]:
-        """Look up from waiting for the light, every few milliseconds."""
-        self._is_watching = True
-        signal.setitimer(signal.ITIMER_REAL, WATCH_S, WATCH_S)
-        try:
-            yield
-        finally:
-            self._is_watching = False
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
-
-    def _look_up(self, number: int, frame: object) -> None:
-        """Give up waiting for the light when it must go off, or when the owner asks for something else meanwhile."""
-        if self._is_watching and (self._reason_to_go() is not None or self._questions):
-            self._is_watching = False  # once is enough, and never outside of the wait
-            raise _GivenUp
+        """Return how long nothing is to be done unless something comes; None for ever."""
+        next_s = self._next_look_s()
+        if self._lit:
+            next_s = min(next_s, self._heard_s + OWNER_SILENT_S)
+        return None if math.isinf(next_s) else max(next_s - time.monotonic(), 0.0)
 
     def _answer(self, message: dict[str, Any]) -> None:
         """Do what one message asks and answer it."""
         try:
             answer: dict[str, object] = {"value": self._do(message["ask"], float(message["deadline_s"]))}
-        except _GivenUp:
+        except GivenUp:
             return
         except Exception as error:
             answer = {**error_words(error)}
@@ -192,7 +205,7 @@ class Guard:
     def _do(self, ask: str, deadline_s: float) -> object:
         if ask == "off":
             return self._make_off()
-        with self._watching():
+        with self._wait.for_the_light():
             switch = self._light.switch
             if ask == "identity":
                 return switch.identity().model_dump()

@@ -1,17 +1,18 @@
 """GenICam cameras through Aravis: USB3 Vision and GigE Vision."""
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, suppress
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
 
 from data_schemas.errors import LostError, RefusedError
 from data_schemas.rig import CameraSettings, DeviceIdentity
-from rigs.cameras.aravis_library import Aravis, AravisDevice, AravisStream, load_aravis
+from rigs.cameras.aravis_device import AravisDevice, AravisStream
+from rigs.cameras.aravis_library import Aravis, load_aravis
 from rigs.cameras.genicam import ConnectionBrokenError
-from rigs.cameras.genicam_camera import Delivered, GenicamCamera, name_of
+from rigs.cameras.genicam_camera import GenicamCamera, opened_camera
+from rigs.cameras.genicam_device import Delivered, firmware_of, name_of
 
 # A camera that ignores SingleFrame may be sending its next frame when it is told to stop (2.6 MB take 21 ms on gigabit
 # Ethernet); what is left of it must not meet the buffer of the next exposure.
@@ -36,7 +37,6 @@ class AravisCamera(AravisDevice):
 
     def identity(self) -> DeviceIdentity:
         """Read what the camera is."""
-        firmware = next((n for n in ("DeviceFirmwareVersion", "DeviceVersion") if self.has(n)), None)
         return DeviceIdentity(
             role="camera",
             driver="aravis",
@@ -44,7 +44,7 @@ class AravisCamera(AravisDevice):
             vendor=self.about("vendor_name"),
             model=self.about("model_name"),
             serial=self.about("device_serial_number"),
-            firmware=self.text(firmware) if firmware else "",
+            firmware=firmware_of(self),
         )
 
     def prepare(self) -> None:
@@ -72,22 +72,16 @@ class AravisCamera(AravisDevice):
         super().close()
 
 
-@contextmanager
-def open_camera(settings: CameraSettings, folder: Path) -> Iterator[GenicamCamera]:
-    """Open a camera for a ``with`` block; its address is a name, serial number or IP address.
+def open_camera(settings: CameraSettings, folder: Path) -> AbstractContextManager[GenicamCamera]:
+    """Return the camera, open for a ``with`` block; its address is a name, serial number or IP address.
 
     Raises
     ------
     MissingExtraError
         Aravis is not installed.
     """
-    library, address = load_aravis(), settings.address
-    camera = GenicamCamera(settings, lambda: AravisCamera(library, _name(library, address, name_of(settings)), address))
-    try:
-        camera.open()
-        yield camera
-    finally:
-        camera.close()
+    library, address, where = load_aravis(), settings.address, name_of(settings)
+    return opened_camera(settings, lambda: AravisCamera(library, _name(library, address, where), address))
 
 
 def found() -> list[tuple[str, str]]:

@@ -1,11 +1,11 @@
 """A GenICam camera as the capture engine sees it: one acquisition for each frame, every exchange with a deadline."""
 
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Final, Protocol, TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +16,13 @@ from rigs.cameras.call_thread import CallThread, NoAnswerError
 from rigs.cameras.genicam import (
     ConnectionBrokenError,
     FeatureError,
-    Features,
     configure,
     exposure_name,
     read_settings,
     require_new,
     set_exposure,
 )
+from rigs.cameras.genicam_device import Delivered, Device, image, name_of
 from rigs.cameras.genicam_pixels import RawPixels, right_aligned
 from rigs.protocols import RawFrame
 
@@ -33,51 +33,12 @@ REOPEN_DEADLINE_S: Final = 3.0
 CLOSE_DEADLINE_S: Final = 2.0
 # A living camera answers a register in milliseconds; libraries would try for seconds.
 ANSWER_S: Final = 0.9
+# A camera whose frame is overdue is asked whether it is there at all; with the transfer's time, a loss is told within
+# 2 s of the exposure.
+THERE_S: Final = 0.6
 # From the end of the exposure to the last packet; 24 MB take 0.25 s on a gigabit line.
 TRANSFER_S: Final = 1.0
 FIRST_FRAME: Final = "FirstFrameAfterChange"
-
-
-@dataclass(frozen=True, slots=True)
-class Delivered:
-    """What the transport delivered.
-
-    Attributes
-    ----------
-    fault
-        Why the frame is not whole; empty where it is.
-    frame_id, device_time_s
-        The camera's number and time (s) of the frame; the time is 0 where it gives none.
-    width_px, height_px, content
-        Size and bytes of a whole frame.
-    """
-
-    fault: str
-    frame_id: int
-    device_time_s: float
-    width_px: int
-    height_px: int
-    content: NDArray[np.uint8]
-
-
-class Device(Features, Protocol):
-    """An open camera; every method may raise :class:`~rigs.cameras.genicam.FeatureError`."""
-
-    def identity(self) -> DeviceIdentity:
-        """Read what the camera is."""
-        ...
-
-    def prepare(self) -> None:
-        """Get ready to acquire frames with the settings of now."""
-        ...
-
-    def acquire(self, limit_s: float) -> Delivered | None:
-        """Start an acquisition, return its first frame (None after `limit_s` seconds) and stop it."""
-        ...
-
-    def close(self) -> None:
-        """Close the connection."""
-        ...
 
 
 @dataclass(slots=True)
@@ -154,9 +115,9 @@ class GenicamCamera:
         Raises
         ------
         TimedOutError
-            No frame came: the camera is silent or the deadline too short.
+            No frame came from a camera that answers: it waits for something, or the deadline is too short.
         LostError
-            The camera does not answer.
+            The camera does not answer; told within 2 s of the end of the exposure.
         BadFrameError
             The transport lost part of the frame, or it is the one that was delivered before.
         RefusedError
@@ -206,24 +167,31 @@ class GenicamCamera:
     def _grab(self, exposure_s: float, end_s: float) -> Delivered:
         """Take one frame within the deadline."""
         limit_s = min(exposure_s + TRANSFER_S, end_s - time.monotonic())
-        delivered = None
-        with suppress(NoAnswerError):
-            delivered = self._call(lambda device: device.acquire(limit_s), limit_s + ANSWER_S)
+        try:
+            delivered = self._call(lambda device: device.acquire(limit_s), limit_s + THERE_S)
+        except NoAnswerError:
+            raise self._silent(limit_s + THERE_S) from None
         if delivered is None:
+            # Whether the camera is gone decides what the user must do; a register tells in milliseconds.
+            self._ask(lambda device: device.number(exposure_name(device, self._where)), THERE_S)
             self._give_up()
             raise TimedOutError(
-                f"{self._where}: no frame of {exposure_s:g} s came within {limit_s:.2f} s; check its cable, power and "
-                "trigger settings, or allow more time"
+                f"{self._where}: no frame of {exposure_s:g} s came within {limit_s:.2f} s, though the camera answers; "
+                "check its trigger settings and cable, or allow more time"
             )
         return delivered
 
-    def _ask(self, function: Callable[[Device], T]) -> T:
+    def _ask(self, function: Callable[[Device], T], limit_s: float = ANSWER_S) -> T:
         """Exchange registers with the camera."""
         try:
-            return self._call(function, ANSWER_S)
+            return self._call(function, limit_s)
         except NoAnswerError:
-            self._give_up()
-            raise LostError(f"{self._where}: did not answer within {ANSWER_S:g} s; check its cable and power") from None
+            raise self._silent(limit_s) from None
+
+    def _silent(self, limit_s: float) -> LostError:
+        """Leave a camera that does not answer; return the error that tells it."""
+        self._give_up()
+        return LostError(f"{self._where}: did not answer within {limit_s:.3g} s; check its cable and power")
 
     def _call(self, function: Callable[[Device], T], limit_s: float) -> T:
         device = self._require_connection().device
@@ -273,24 +241,12 @@ class GenicamCamera:
             connection.device.close()
 
 
-def name_of(settings: CameraSettings) -> str:
-    """Return the camera's name in messages: driver and address."""
-    return f"camera ({settings.driver}, {settings.address})"
-
-
-def image(delivered: Delivered, pixels: RawPixels, camera: str) -> NDArray[np.uint16]:
-    """Return the counts of a whole frame as they stand in its container, shape (H, W).
-
-    Raises
-    ------
-    BadFrameError
-        It holds fewer bytes than its size needs.
-    """
-    shape = (delivered.height_px, delivered.width_px)
-    needed = shape[0] * shape[1] * np.dtype(pixels.container).itemsize
-    if delivered.content.size < needed:
-        raise BadFrameError(
-            f"{camera}: frame {delivered.frame_id} holds {delivered.content.size} bytes; {shape[0]} x {shape[1]} px of "
-            f"{pixels.name} need {needed}"
-        )
-    return delivered.content[:needed].view(pixels.container).reshape(shape).astype(np.uint16)
+@contextmanager
+def opened_camera(settings: CameraSettings, connect: Callable[[], Device]) -> Iterator[GenicamCamera]:
+    """Open a camera for a ``with`` block; `connect` finds and opens it behind its library."""
+    camera = GenicamCamera(settings, connect)
+    try:
+        camera.open()
+        yield camera
+    finally:
+        camera.close()

@@ -1,8 +1,9 @@
 """GenICam cameras of any make through the maker's own GenTL producer (a .cti file) and harvesters."""
 
+import os
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -11,13 +12,16 @@ import numpy as np
 from data_schemas.errors import LostError, MissingExtraError, RefusedError
 from data_schemas.rig import CameraSettings, DeviceIdentity
 from rigs.cameras.genicam import ConnectionBrokenError, FeatureError
-from rigs.cameras.genicam_camera import Delivered, GenicamCamera, name_of
+from rigs.cameras.genicam_camera import GenicamCamera, opened_camera
+from rigs.cameras.genicam_device import Delivered, firmware_of, name_of
 
 T = TypeVar("T")
 NS_PER_S: Final = 1e9
 _NOTHING: Final = np.empty(0, dtype=np.uint8)
 READ_ONLY, READ_WRITE = 3, 4
 """Access modes of GenApi that allow to read."""
+PRODUCERS_VARIABLE: Final = "GENICAM_GENTL64_PATH"
+"""Where installers of GenTL producers for 64 bits put their folders (GenTL standard, chapter 2)."""
 
 
 class GentlCamera:
@@ -89,7 +93,6 @@ class GentlCamera:
     def identity(self) -> DeviceIdentity:
         """Read what the camera is."""
         about = self._about
-        firmware = next((n for n in ("DeviceFirmwareVersion", "DeviceVersion") if self.has(n)), None)
         return DeviceIdentity(
             role="camera",
             driver="gentl",
@@ -97,7 +100,7 @@ class GentlCamera:
             vendor=about.vendor,
             model=about.model,
             serial=about.serial_number,
-            firmware=self.text(firmware) if firmware else "",
+            firmware=firmware_of(self),
         )
 
     def prepare(self) -> None:
@@ -136,9 +139,8 @@ class GentlCamera:
         _asked(write)
 
 
-@contextmanager
-def open_camera(settings: CameraSettings, folder: Path) -> Iterator[GenicamCamera]:
-    """Open a camera for a ``with`` block; its address is ``PRODUCER.cti`` or ``PRODUCER.cti#SERIAL``.
+def open_camera(settings: CameraSettings, folder: Path) -> AbstractContextManager[GenicamCamera]:
+    """Return a camera, open for a ``with`` block; its address is ``PRODUCER.cti`` or ``PRODUCER.cti#SERIAL``.
 
     Raises
     ------
@@ -147,12 +149,24 @@ def open_camera(settings: CameraSettings, folder: Path) -> Iterator[GenicamCamer
     """
     path, _, serial = settings.address.partition("#")
     where = name_of(settings)
-    camera = GenicamCamera(settings, lambda: GentlCamera(folder / path, serial, settings.address, where))
-    try:
-        camera.open()
-        yield camera
-    finally:
-        camera.close()
+    return opened_camera(settings, lambda: GentlCamera(folder / path, serial, settings.address, where))
+
+
+def found() -> list[tuple[str, str]]:
+    """List the cameras of the producers that the camera makers' software has installed: address, and what each is."""
+    seen = []
+    for folder in filter(None, os.environ.get(PRODUCERS_VARIABLE, "").split(os.pathsep)):
+        for producer in sorted(Path(folder).glob("*.cti")):
+            with suppress(RefusedError):  # one of another kind of computer must not hide the others
+                harvester = _harvester(producer, "camera (gentl)")
+                try:
+                    seen += [
+                        (f"{producer}#{d.serial_number}", f"{d.vendor} {d.model}, serial {d.serial_number}")
+                        for d in harvester.device_info_list
+                    ]
+                finally:
+                    harvester.reset()
+    return seen
 
 
 def _harvester(producer: Path, where: str) -> Any:

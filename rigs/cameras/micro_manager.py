@@ -15,7 +15,7 @@ from data_schemas.errors import BadFrameError, CaptureError, LostError, MissingE
 from data_schemas.rig import CameraSettings, DeviceIdentity
 from rigs.cameras.call_thread import CallThread, NoAnswerError
 from rigs.cameras.genicam import CLOCK_REL, LINE_S
-from rigs.cameras.genicam_camera import name_of
+from rigs.cameras.genicam_device import name_of
 from rigs.protocols import RawFrame
 
 if TYPE_CHECKING:

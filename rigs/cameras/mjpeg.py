@@ -12,12 +12,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.errors import BadFrameError, CaptureError, RefusedError
+from data_schemas.errors import BadFrameError, CaptureError, RefusedError, TimedOutError
 from data_schemas.rig import CameraSettings, DeviceIdentity
+from rigs.cameras.jpeg_picture import decoded_jpeg, jpeg_size_px
 from rigs.protocols import RawFrame
 from rigs.transports.multipart_stream import MultipartStream, Part
 from rigs.transports.newest_part import NewestPart
@@ -25,7 +25,6 @@ from rigs.transports.newest_part import NewestPart
 OPEN_DEADLINE_S: Final = 5.0
 STALE_PARTS: Final = 3
 """After a call one part may be half received, one half sent and one half exposed: these are not of the call."""
-JPEG_START, JPEG_END, PADDING = b"\xff\xd8", b"\xff\xd9", b"\x00\r\n"
 
 
 @contextmanager
@@ -118,8 +117,8 @@ class MjpegCamera:
             self.close()
             raise
         received_utc = datetime.now(UTC).isoformat(timespec="milliseconds")
+        self._require_size(*jpeg_size_px(part.body, self._name))
         counts = decoded_jpeg(part.body, self._name)
-        self._require_size(counts)
         device_time_s = _device_time_s(part)
         self._require_new(part.body, device_time_s, counts)
         return RawFrame(
@@ -142,6 +141,11 @@ class MjpegCamera:
             old = math.isfinite(age_s) and part.begun_s - age_s < started_s
             if count - before > STALE_PARTS and part.begun_s >= started_s and not old:
                 return part
+            if time.monotonic() > end_s:
+                raise TimedOutError(
+                    f"{self._name}: pictures come, but none in time that was exposed after it was asked for; the "
+                    "camera or its server hangs, or the network is slow"
+                )
 
     def _require_online(self, part: Part) -> None:
         """Refuse uStreamer's stand-in picture, and a uStreamer that is not asked to tell."""
@@ -157,12 +161,12 @@ class MjpegCamera:
                 "the option --device"
             )
 
-    def _require_size(self, counts: NDArray[np.uint8]) -> None:
-        """Refuse a picture of another size."""
+    def _require_size(self, height_px: int, width_px: int) -> None:
+        """Refuse a picture of another size, before it is decoded: a few bytes can claim any."""
         asked = (self._settings.height_px, self._settings.width_px)
-        if counts.shape[:2] != asked:
+        if (height_px, width_px) != asked:
             raise RefusedError(
-                f"{self._name}: sends pictures of {counts.shape[0]} x {counts.shape[1]} px, the rig file says "
+                f"{self._name}: sends pictures of {height_px} x {width_px} px, the rig file says "
                 f"{asked[0]} x {asked[1]} px (height x width); correct the rig file or the server's resolution"
             )
 
@@ -176,34 +180,6 @@ class MjpegCamera:
                     f"{self._name}: sent the same picture twice; its camera hangs, or a picture stands in for it"
                 )
         self._last = body, device_time_s
-
-
-def decoded_jpeg(body: bytes, name: str) -> NDArray[np.uint8]:
-    """Return the picture of a JPEG, (H, W, 3) RGB.
-
-    Parameters
-    ----------
-    body
-        The bytes; zeros and line ends may follow the JPEG.
-    name
-        Where it comes from, for the message.
-
-    Raises
-    ------
-    BadFrameError
-        It is cut off or no JPEG at all.
-    """
-    whole = body.rstrip(PADDING)
-    bgr = None
-    # A decoder fills the missing part of a cut-off JPEG with grey and says nothing: the end mark must be there.
-    if whole.startswith(JPEG_START) and whole.endswith(JPEG_END):
-        try:
-            bgr = cv2.imdecode(np.frombuffer(whole, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-        except cv2.error:
-            bgr = None
-    if bgr is None:
-        raise BadFrameError(f"{name}: sent a picture of {len(body)} bytes that is torn or no JPEG")
-    return np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)
 
 
 def _device_time_s(part: Part) -> float | None:

@@ -1,17 +1,15 @@
 """The device part of an acceptance check: it records what the devices do; :mod:`finray_calib.acceptance` judges."""
 
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Final, Literal, Protocol, TypeVar
+from typing import Final, Literal, TypeVar
 
-import numpy as np
-
-from data_schemas.check import CheckFacts, CheckPlan, Handshake, LightOff, Section, WheelMove
-from data_schemas.errors import CaptureError, UnsafeError, WrongPositionError
-from data_schemas.rig import BandPassFilter, DeviceIdentity, RigFile
+from data_schemas.check import CheckFacts, CheckPlan, LightOff, Section, WheelMove
+from data_schemas.errors import CaptureError, UnsafeError
+from data_schemas.rig import BandPassFilter, RigFile
+from rigs.capture.check_devices import handshakes, wheel_moves
 from rigs.capture.check_frames import CheckFrames
-from rigs.capture.exchange import WHEEL_DEADLINE_S
 from rigs.capture.laser_watch import (
     CameraWatch,
     ConnectionWatch,
@@ -31,7 +29,6 @@ from rigs.protocols import Operator
 Progress = Callable[[int, int, str], None]
 T = TypeVar("T")
 
-HANDSHAKES: Final = 3
 QUIET_SHARE: Final = 0.95
 """Of the limit: when a dead-man is asked whether it has acted. Earlier questions would keep it from acting."""
 WITH_OPEN_RIG: Final[tuple[Section, ...]] = (
@@ -87,14 +84,6 @@ def record_facts(
         return _Recorder(rig, plan, rig_folder, filters, progress).record(operator or TerminalOperator())
 
 
-class _Named(Protocol):
-    """What every device of a rig is."""
-
-    def identity(self) -> DeviceIdentity:
-        """Return what it says it is."""
-        ...
-
-
 class _Recorder:
     """Walks through the sections of one check."""
 
@@ -131,8 +120,10 @@ class _Recorder:
         """Try everything that the open rig can show."""
         self._layers = opened.laser.layers if isinstance(opened.laser, GuardedLight) else 0
         frames = self._frames = CheckFrames(opened, self._rig, self._plan, self._filters)
-        self._keep(handshakes=self._attempt("handshake", lambda: self._handshakes(opened)) or ())
-        self._attempt("wheel", lambda: self._moves(opened))
+        self._keep(handshakes=self._attempt("handshake", lambda: handshakes(opened, self._rig)) or ())
+        moves: list[WheelMove] = []
+        self._attempt("wheel", lambda: moves.extend(wheel_moves(opened, self._plan, self._filters)))
+        self._keep(moves=tuple(moves))  # those before an error too
         self._lights_are_off(opened, "wheel")
         self._keep(darks=self._attempt("dark frames", frames.dark_frames) or ())
         self._lights_are_off(opened, "dark frames")
@@ -177,57 +168,6 @@ class _Recorder:
     def _keep(self, **what: object) -> None:
         """Add facts."""
         self._facts = self._facts.model_copy(update=what)
-
-    def _handshakes(self, opened: OpenRig) -> tuple[Handshake, ...]:
-        """Ask every device who it is and how it stands."""
-        rig = self._rig
-        return (
-            self._handshake(opened, "camera", rig.camera.driver, opened.camera, lambda: None),
-            self._handshake(opened, "filter wheel", rig.filter_wheel.driver, opened.wheel, opened.wheel.position),
-            self._handshake(opened, "laser", rig.laser.driver, opened.laser, opened.laser.state),
-            self._handshake(opened, "lamp", rig.lamp.driver, opened.lamp, opened.lamp.state),
-        )
-
-    def _handshake(
-        self, opened: OpenRig, role: object, driver: str, device: _Named, state: Callable[[], object]
-    ) -> Handshake:
-        """Ask one device some times."""
-        durations_s: list[float] = []
-        identity, error = None, None
-        try:
-            for _ in range(HANDSHAKES):
-                start_s = opened.clock.monotonic_s()
-                identity = device.identity()
-                state()
-                durations_s.append(opened.clock.monotonic_s() - start_s)
-        except CaptureError as raised:
-            error = str(raised)
-        return Handshake.model_validate(
-            {"role": role, "driver": driver, "identity": identity, "durations_s": durations_s, "error": error}
-        )
-
-    def _moves(self, opened: OpenRig) -> None:
-        """Turn the wheel to filters drawn at random, never to the one in the beam; arrival is asked afresh."""
-        opened.operator.place("white")
-        rng = np.random.default_rng(self._plan.seed)
-        moves: list[WheelMove] = []
-        slots = [band.slot for band in self._filters]
-        try:
-            for _ in range(self._plan.wheel_moves):
-                here = opened.wheel.position()
-                elsewhere = [slot for slot in slots if slot != here]
-                if not elsewhere:
-                    break
-                slot = int(rng.choice(elsewhere))
-                start_s = opened.clock.monotonic_s()
-                # where it stands is asked below, and is what the check is about
-                with suppress(WrongPositionError):
-                    opened.wheel.go_to(slot, WHEEL_DEADLINE_S)
-                duration_s = opened.clock.monotonic_s() - start_s
-                arrived = opened.wheel.position()
-                moves.append(WheelMove(from_slot=here, to_slot=slot, arrived_slot=arrived, duration_s=duration_s))
-        finally:
-            self._keep(moves=tuple(moves))
 
     def _block_layer(self, opened: OpenRig) -> None:
         """Try the block that lights the laser, and see whether the camera sees it."""

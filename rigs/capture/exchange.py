@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 
 from data_schemas.capture import LightState
-from data_schemas.errors import BadFrameError, CaptureError, LostError, RefusedError, WrongPositionError
+from data_schemas.errors import BadFrameError, CaptureError, RefusedError, WrongPositionError
 from data_schemas.rig import CameraSettings
+from rigs.capture.attempts import exposed, within_attempts
 from rigs.capture.plan import Step
 from rigs.open_rig import OpenRig
 from rigs.protocols import RawFrame
@@ -19,8 +20,6 @@ CAMERA_DEADLINE_MARGIN_S = 5.0
 CAMERA_EXPOSURES = 2  # drivers discard the frame that was under way when the exposure changed
 # Cameras set exposures in multiples of a line time; more than this is a setting that was not taken.
 EXPOSURE_TOLERANCE_REL = 0.05
-ATTEMPTS = 4
-"""Exposures before a frame that is refused every time ends the capture."""
 
 LightName = Literal["lamp", "laser"]
 
@@ -81,7 +80,10 @@ class CheckedCamera:
         self._header_of_slot: dict[int, str] = {}
 
     def expose(self, step: Step, exposure_s: float) -> CheckedFrame:
-        """Turn the wheel to the filter of `step` and take a frame; a refused one is taken again, three times at most.
+        """Turn the wheel to the filter of `step` and take a frame; four attempts at most.
+
+        A refused frame is taken again, and so is one that did not come: a camera that is lost or late is connected
+        again by its next exposure. A wheel that is lost is redone too, one that is late is not: it may be stuck.
 
         Raises
         ------
@@ -92,15 +94,11 @@ class CheckedCamera:
         CaptureError
             A light is not as planned, or the camera used another exposure or frame size.
         """
-        for attempt in range(1, ATTEMPTS):
-            try:
-                return self._once(step, exposure_s, attempt)
-            except (BadFrameError, LostError) as error:
-                self._on_refusal(f"{step.label}, {exposure_s:g} s, attempt {attempt}: {error}")
-        try:
-            return self._once(step, exposure_s, ATTEMPTS)
-        except (BadFrameError, LostError) as error:
-            raise type(error)(f"{error} ({ATTEMPTS} attempts at {step.label})") from error
+
+        def once(attempt: int) -> CheckedFrame:
+            return self._once(step, exposure_s, attempt)
+
+        return within_attempts(once, self._on_refusal, f"{step.label}, {exposure_s:g} s")[0]
 
     def _once(self, step: Step, exposure_s: float, attempt: int) -> CheckedFrame:
         """Take one frame and check it."""
@@ -108,7 +106,7 @@ class CheckedCamera:
         if step.slot is not None and opened.wheel.position() != step.slot:
             opened.wheel.go_to(step.slot, WHEEL_DEADLINE_S)
         slot_before, lights_before = _require_slot(opened, step, "before"), _require_lights(opened, step.light)
-        raw = opened.camera.expose(exposure_s, CAMERA_EXPOSURES * exposure_s + CAMERA_DEADLINE_MARGIN_S)
+        raw = exposed(opened.camera, exposure_s, CAMERA_EXPOSURES * exposure_s + CAMERA_DEADLINE_MARGIN_S)
         delivered_s = opened.clock.monotonic_s()
         slot_after, lights_after = _require_slot(opened, step, "after"), _require_lights(opened, step.light)
         self._require_as_asked(raw, step, exposure_s)

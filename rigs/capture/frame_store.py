@@ -165,6 +165,12 @@ class FrameStore:
         self._writer.shutdown(wait=True)
         if error is None:
             self._wait(0)
+            return
+        unwritten = [failed for waiting in self._waiting if (failed := waiting.exception()) is not None]
+        if unwritten and isinstance(error, CaptureError):
+            raise type(error)(f"{error}. Besides: {unwritten[0]}") from error
+        if unwritten:
+            error.add_note(str(unwritten[0]))
 
 
 def require_space(folder: Path, needed_bytes: int) -> None:

@@ -1,9 +1,10 @@
 """Capture of a paint session: from plan and rig to a folder with frames, journal, record and checksums."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from data_schemas.capture import CaptureSession, PaintPlan
+from data_schemas.capture import CaptureSession, Frame, PaintPlan
 from data_schemas.rig import RigFile
 from rigs.capture.frame_store import FrameStore
 from rigs.capture.journal import Journal
@@ -110,8 +111,21 @@ def capture_with(
             devices=opened.identities(),
             filter_proof=recorder.proof,
             white_rates_dn_per_s=recorder.white_rates(),
-            notes=(*opened.notes, *resume_notes(interrupted)),
+            notes=(*opened.notes, *colour_notes(store.frames), *resume_notes(interrupted)),
         )
         write_session(session, out, inputs, command)
     write_manifest(out)
     return session
+
+
+def colour_notes(frames: Iterable[Frame]) -> tuple[str, ...]:
+    """Return what must be known of a camera that says of itself that it sees no colours."""
+    formats = sorted({str(frame.settings.get("pixel_format", "")) for frame in frames})
+    mono = [name for name in formats if name.lower().startswith("mono")]
+    if not mono:
+        return ()
+    return (
+        f"camera: its frames are {', '.join(mono)}, and radiometry takes them for Bayer RGGB: red, green and blue will "
+        "be one and the same response, and only the filters tell wavelengths apart; for a colour camera choose its raw "
+        "Bayer pixel format",
+    )

@@ -4,9 +4,10 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-from data_schemas.errors import BadFrameError, LostError, RefusedError
+from data_schemas.errors import RefusedError
 from data_schemas.rig import CameraSettings
-from rigs.capture.exchange import ATTEMPTS, CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL, require_new
+from rigs.capture.attempts import exposed, within_attempts
+from rigs.capture.exchange import CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL, require_new
 from rigs.protocols import Camera, RawFrame
 
 DEADLINE_EXPOSURES: Final = 3.0
@@ -43,19 +44,11 @@ class TactileCamera:
         RefusedError
             The camera used another exposure or frame size, or delivers what a tactile capture cannot hold.
         """
-        for attempt in range(1, ATTEMPTS):
-            try:
-                return self._once(exposure_s), attempt
-            except (BadFrameError, LostError) as error:
-                self._on_refusal(f"{exposure_s:g} s, attempt {attempt}: {error}")
-        try:
-            return self._once(exposure_s), ATTEMPTS
-        except (BadFrameError, LostError) as error:
-            raise type(error)(f"{error} ({ATTEMPTS} attempts)") from error
+        return within_attempts(lambda attempt: self._once(exposure_s), self._on_refusal, f"{exposure_s:g} s")
 
     def _once(self, exposure_s: float) -> RawFrame:
         """Take one frame and check it."""
-        raw = self._camera.expose(exposure_s, DEADLINE_EXPOSURES * exposure_s + CAMERA_DEADLINE_MARGIN_S)
+        raw = exposed(self._camera, exposure_s, DEADLINE_EXPOSURES * exposure_s + CAMERA_DEADLINE_MARGIN_S)
         if not math.isfinite(raw.exposure_s):
             if not self._one_exposure:
                 raise RefusedError(

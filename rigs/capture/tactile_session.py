@@ -1,6 +1,6 @@
 """Capture of a tactile session: board, no contact, and each press between images of no contact."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 
@@ -86,21 +86,34 @@ def capture_tactile_session(
                 recorder.frames.update(interrupted.frames)
                 journal.append("resume", frames=len(interrupted.frames))
             recorder.record(shots)
-            frames = tuple(frame for _, frame in sorted(recorder.frames.items()))
-            contacts = len(presses) * plan.repeats
-            session = TactileSession(
-                plan=plan,
-                rig=rig,
-                presses=presses,
-                frames=frames,
-                captures=tuple(capture_file(contact) for contact in range(1, contacts + 1)),
-                devices=(device,),
-                notes=(*(interrupted.notes if interrupted else ()), *clipping_notes(frames, contacts)),
-            )
+            notes = interrupted.notes if interrupted else ()
+            session = _session_of(plan, rig, presses, recorder.frames, device, notes)
             _write_captures(session, out, command)
             write_record(session, out / SESSION_NAME, provenance(command, {}, None))
     write_manifest(out)
     return session
+
+
+def _session_of(
+    plan: TactilePlan,
+    rig: TactileRig,
+    presses: tuple[PlannedPress, ...],
+    frames_by_number: Mapping[int, TactileFrame],
+    device: DeviceIdentity,
+    notes: tuple[str, ...],
+) -> TactileSession:
+    """Return the record of a session all of whose frames are there."""
+    frames = tuple(frame for _, frame in sorted(frames_by_number.items()))
+    contacts = len(presses) * plan.repeats
+    return TactileSession(
+        plan=plan,
+        rig=rig,
+        presses=presses,
+        frames=frames,
+        captures=tuple(capture_file(contact) for contact in range(1, contacts + 1)),
+        devices=(device,),
+        notes=(*notes, *clipping_notes(frames, contacts)),
+    )
 
 
 def _write_start(

@@ -10,6 +10,7 @@ from data_schemas.rig import DeviceIdentity, FilterWheelSettings
 from rigs.filter_wheels.arrival import Arrival, require_slot, require_slots
 from rigs.protocols import FilterWheel, Operator
 from rigs.transports.alpaca_client import OPEN_WITHIN_S, AlpacaClient, alpaca_address, device_number
+from rigs.transports.alpaca_discovery import alpaca_devices
 
 ASK_WITHIN_S: Final = 5.0
 ELSEWHERE_S: Final = 2.0
@@ -102,3 +103,12 @@ def open_wheel(settings: FilterWheelSettings, operator: Operator) -> Iterator[Fi
     wheel = AlpacaFilterWheel(client, settings.address, len(client.get_list("names", end_s)))
     require_slots(settings.filters, wheel.slots, client.name)
     yield wheel
+
+
+def found() -> list[tuple[str, str]]:
+    """Return address and description of the wheels of the Alpaca servers in reach."""
+    return [
+        (f"{device.server}/{device.number}", f"Alpaca filter wheel {device.name}")
+        for device in alpaca_devices()
+        if device.kind == "filterwheel"
+    ]

@@ -3,15 +3,15 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final, Literal
+from typing import Final
 
-from data_schemas.errors import CaptureError, LostError, RefusedError, UnsafeError
+from data_schemas.errors import RefusedError
 from data_schemas.rig import DeviceIdentity
+from rigs.lights.server_light import LightRole, ServerLight
 from rigs.protocols import LightSwitch, Operator
 from rigs.transports.alpaca_client import OPEN_WITHIN_S, AlpacaClient, alpaca_address, device_number
+from rigs.transports.alpaca_discovery import alpaca_devices
 
-ASK_WITHIN_S: Final = 5.0
-LightRole = Literal["laser", "lamp"]
 _NOT_PRESENT: Final = 0
 # Off, not ready (it warms up or goes out), ready.
 _CALIBRATOR_STATES: Final[dict[int, bool | None]] = {1: False, 2: None, 3: True}
@@ -88,8 +88,8 @@ class Calibrator:
         return _CALIBRATOR_STATES[state]
 
 
-class AlpacaLight:
-    """The bare switch of a light; the server keeps it on when its client dies.
+class AlpacaPanel:
+    """A light of an Alpaca server.
 
     Parameters
     ----------
@@ -97,64 +97,29 @@ class AlpacaLight:
         The connected device.
     controlled
         What switches the light in it.
-    role, address
-        What it is in the rig, and where it was found.
     """
 
-    has_dead_man: Final = False
+    def __init__(self, client: AlpacaClient, controlled: Relay | Calibrator) -> None:
+        self._client, self._controlled = client, controlled
+        self.name: Final = client.name
 
-    def __init__(self, client: AlpacaClient, controlled: Relay | Calibrator, role: LightRole, address: str) -> None:
-        self._client = client
-        self._controlled = controlled
-        self._role = role
-        self._address = address
-
-    def identity(self) -> DeviceIdentity:
+    def identity(self, role: LightRole, address: str, end_s: float) -> DeviceIdentity:
         """Ask the device what it is."""
-        return self._client.identity(self._role, self._address, time.monotonic() + ASK_WITHIN_S)
+        return self._client.identity(role, address, end_s)
 
-    def switch(self, on: bool, deadline_s: float) -> None:
-        """Switch, and ask until the device confirms it; at most `deadline_s` seconds.
+    def connect(self, end_s: float) -> None:
+        """Have the server connect again: every request has a connection of its own, so a restarted one is found."""
+        self._client.connect(end_s)
 
-        Raises
-        ------
-        UnsafeError
-            Off was asked for and is not confirmed.
-        RefusedError
-            The device refuses to switch on.
-        TimedOutError
-            On is not confirmed before the deadline.
-        LostError
-            The connection broke before on was confirmed.
-        """
-        end_s = time.monotonic() + deadline_s
-        if on:
-            self._set(True, end_s)
-            return
-        try:
-            try:
-                self._set(False, end_s)
-            except LostError:
-                # Every request has a connection of its own: the next one may find a server that was restarted.
-                self._client.connect(end_s)
-                self._set(False, end_s)
-        except CaptureError as error:
-            raise UnsafeError(
-                f"{self._client.name}: off is not confirmed; cut the power of the light before you open the box. "
-                f"The reason: {error}"
-            ) from error
-
-    def state(self, deadline_s: float) -> bool:
-        """Ask the device whether the light is on; one that is changing counts as on."""
-        return self._controlled.reading(time.monotonic() + deadline_s) is not False
-
-    def keep_alive(self) -> None:
-        """Do nothing: Alpaca has no dead-man."""
-
-    def _set(self, on: bool, end_s: float) -> None:
+    def set(self, on: bool, end_s: float) -> None:
+        """Switch, and ask until the device confirms it."""
         self._controlled.command(on, end_s)
         while self._controlled.reading(end_s) is not on:
             self._client.pause(end_s, f"confirm {'on' if on else 'off'}")
+
+    def reading(self, end_s: float) -> bool:
+        """Ask the device whether the light is on; one that is changing counts as on."""
+        return self._controlled.reading(end_s) is not False
 
 
 @contextmanager
@@ -183,4 +148,20 @@ def open_switch(address: str, role: LightRole, operator: Operator | None) -> Ite
     end_s = time.monotonic() + OPEN_WITHIN_S
     client.connect(end_s)
     controlled.require_light(end_s)
-    yield AlpacaLight(client, controlled, role, address)
+    yield ServerLight(AlpacaPanel(client, controlled), role, address)
+
+
+def found() -> list[tuple[str, str]]:
+    """Return address and description of the lights of the Alpaca servers in reach; of a switch device its first."""
+    forms = {
+        "switch": (
+            "{0.server}/switch/{0.number}/0",
+            "Alpaca switches {0.name}; the last number chooses one",
+        ),
+        "covercalibrator": ("{0.server}/covercalibrator/{0.number}", "Alpaca cover calibrator {0.name}"),
+    }
+    return [
+        (forms[device.kind][0].format(device), forms[device.kind][1].format(device))
+        for device in alpaca_devices()
+        if device.kind in forms
+    ]

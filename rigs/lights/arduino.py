@@ -1,62 +1,33 @@
 """A laser or lamp on an Arduino with the firmware of :mod:`rigs.lights.firmware`, whose dead-man switches it off.
 
 Lines of ASCII at 9600 baud. Every line from the host has one answer; ``TRIP`` comes unasked when the dead-man acts,
-and ``LASER 1.0`` also at every reset, which opening the port of most boards causes.
+and ``LASER 1.1`` also at every reset, which opening the port of most boards causes.
 """
 
 import contextlib
-import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal
 
 from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutError, UnsafeError
 from data_schemas.rig import DeviceIdentity
+from rigs.lights.arduino_lines import BAUD, LINE, Said, Word, parse
 from rigs.transports.serial_link import SerialLink, usb_serial_ports
 
 if TYPE_CHECKING:
     from rigs.protocols import Operator
 
-BAUD: Final = 9600
 FIRMWARE_MAJOR: Final = 1
 ASK_WITHIN_S: Final = 0.5
 """An answer takes 5 ms on the wire and 45 ms through an emulated port."""
 RESET_WITHIN_S: Final = 2.5
 """Start of a board's boot loader until the firmware speaks."""
 QUIET_S: Final = 0.1
-MISSED_ANSWERS: Final = 3
+MISSED_ANSWERS: Final = 5
 """Keep-alives in a row without an answer before the controller counts as mute."""
 BOARD_VENDORS: Final = ("2341", "2a03", "1a86")
 """USB vendors of Arduino's own boards and of the serial chip on most copies."""
-
-Word = Literal["ON", "OFF", "ERR", "TRIP", "LASER"]
-_WORDS: Final[dict[bytes, Word]] = {b"ON": "ON", b"OFF": "OFF", b"ERR": "ERR", b"TRIP": "TRIP", b"LASER": "LASER"}
-_LINE: Final = re.compile(rb"(?:(ON|OFF|ERR|TRIP)|(LASER) (\d{1,3}\.\d{1,3}))\r?\n")
-
-
-class Said(NamedTuple):
-    """One line of the firmware; `version` of a ``LASER`` line."""
-
-    word: Word
-    version: str = ""
-
-
-def parse(line: bytes, name: str) -> Said:
-    """Return what a line of the controller `name` says.
-
-    Raises
-    ------
-    LostError
-        No firmware of ours says this.
-    """
-    match = _LINE.fullmatch(line)
-    if match is None:
-        raise LostError(
-            f"{name}: says {line[:32]!r}, which the light's firmware never does; check the cable, the ground between "
-            f"board and computer, the speed ({BAUD} baud) and that no other program uses the port"
-        )
-    return Said(_WORDS[match[1] or match[2]], (match[3] or b"").decode())
 
 
 class ArduinoSwitch:
@@ -160,7 +131,7 @@ class ArduinoSwitch:
                 while True:
                     line = self._link.read_until(b"\n", end_s)
                     heard.append(line)
-                    if (match := _LINE.fullmatch(line)) and match[2]:
+                    if (match := LINE.fullmatch(line)) and match[2]:
                         self._link.drain(QUIET_S, time.monotonic() + RESET_WITHIN_S)
                         return parse(line, self._name)
         if heard:
@@ -217,7 +188,7 @@ class ArduinoSwitch:
             if said.word == "TRIP":
                 if tell_trip:
                     raise LostError(
-                        f"{self._name}: the dead-man switched it off, the board had heard nothing for 0.9 s; relieve "
+                        f"{self._name}: the dead-man switched it off, the board had heard nothing for 0.7 s; relieve "
                         "the computer, check the cable, and repeat what was going on"
                     )
                 continue

@@ -1,3 +1,4 @@
+import sys
 from pathlib import Path
 
 import pytest
@@ -6,6 +7,7 @@ from data_schemas.capture import CaptureSession, PaintPlan
 from data_schemas.rig import RigFile
 from rigs.capture.paint_session import capture_paint_session
 from rigs.presets import paint_plan, simulated_rig
+from tests.capture.drivers import picamera2_stand_in
 
 WIDTH_PX, HEIGHT_PX = 160, 128
 
@@ -30,3 +32,9 @@ def captured(
     calls: list[tuple[int, int, str]] = []
     session = capture_paint_session(rig, plan, Path(), out, "finray capture", lambda *call: calls.append(call))
     return out, session, calls
+
+
+@pytest.fixture
+def sensor(monkeypatch):
+    monkeypatch.setitem(sys.modules, "picamera2", picamera2_stand_in.module())
+    return picamera2_stand_in.Picamera2.sensor

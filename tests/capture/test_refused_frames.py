@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.errors import BadFrameError, LostError, RefusedError
+from data_schemas.errors import BadFrameError, LostError, RefusedError, TimedOutError
 from data_schemas.rig import DeviceIdentity, RigFile
-from rigs.capture.exchange import ATTEMPTS, CheckedCamera
+from rigs.capture.attempts import ATTEMPTS
+from rigs.capture.exchange import CheckedCamera
 from rigs.capture.plan import Step
 from rigs.open_rig import OpenRig, open_rig
 from rigs.protocols import Camera, RawFrame
@@ -55,7 +56,9 @@ def fail_until(number: int, error: Exception) -> Callable[[int, RawFrame], RawFr
     return change
 
 
-@pytest.mark.parametrize("error", [BadFrameError("camera: missing packets"), LostError("camera: gone")])
+@pytest.mark.parametrize(
+    "error", [BadFrameError("camera: missing packets"), LostError("camera: gone"), TimedOutError("camera: no frame")]
+)
 def test_refused_frame_is_taken_again_and_counted(rig: RigFile, error: Exception) -> None:
     with open_rig(rig, Path()) as opened:
         taken = over(rig, opened, fail_until(3, error))
@@ -69,6 +72,14 @@ def test_attempts_are_bounded(rig: RigFile) -> None:
         taken = over(rig, opened, fail_until(99, BadFrameError("camera: missing packets")))
         with pytest.raises(BadFrameError, match=rf"missing packets \({ATTEMPTS} attempts at dark"):
             taken.camera.expose(DARK, 0.01)
+
+
+def test_camera_that_is_late_every_time_is_lost(rig: RigFile) -> None:
+    with open_rig(rig, Path()) as opened:
+        taken = over(rig, opened, fail_until(99, TimedOutError("camera: no frame of 1 s came")))
+        with pytest.raises(LostError, match=rf"no frame of 1 s came \({ATTEMPTS} attempts at dark"):
+            taken.camera.expose(DARK, 0.01)
+    assert len(taken.refused) == ATTEMPTS - 1
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """Faults in the middle of a session: lights go off, nothing that was captured is lost, the session can be resumed."""
 
+import errno
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
@@ -13,7 +15,7 @@ from data_schemas.capture import CaptureSession, PaintPlan
 from data_schemas.errors import CaptureError, LostError, RefusedError, SaturatedError, TimedOutError, WrongPositionError
 from data_schemas.rig import DeviceIdentity, FilterWheelSettings, RigFile
 from data_schemas.storage import sha256_of
-from rigs.capture import exchange
+from rigs.capture import exchange, frame_store
 from rigs.capture.paint_session import capture_with
 from rigs.capture.plan import paint_steps
 from rigs.capture.read_session import read_session
@@ -156,6 +158,47 @@ def test_frame_unlike_its_metering_is_not_stored_and_is_taken_again(
         session = capture(opened, rig, small, tmp_path, read_interrupted(tmp_path))
     assert before < {frame.sequence for frame in session.frames}
     assert not list(tmp_path.glob("set-aside/*"))  # the dimmed frame never reached the disk
+
+
+@pytest.mark.parametrize("ending", [RefusedError("camera: unplugged"), KeyboardInterrupt()])
+def test_frame_that_could_not_be_written_is_told_beside_what_ended_the_capture(
+    rig: RigFile, small: PaintPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: BaseException
+) -> None:
+    """The disk fills up while the camera fails: the frames that are waiting to be written are lost too."""
+    opening_gate = threading.Event()
+
+    def full(path: Path, counts: np.ndarray, title: str) -> str:
+        opening_gate.wait(10.0)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def fails(number: int, raw: RawFrame) -> RawFrame:
+        if waiting:
+            opening_gate.set()
+            raise ending
+        return raw
+
+    waiting: list[object] = []
+    monkeypatch.setattr(frame_store, "write_frame", full)
+    take = frame_store.FrameStore.take
+    monkeypatch.setattr(frame_store.FrameStore, "take", lambda *given: (take(*given), waiting.append(given)))
+    with open_rig(rig, Path()) as opened:
+        broken = replace(opened, camera=ChangedCamera(opened.camera, fails))
+        with pytest.raises(type(ending)) as caught:
+            capture(broken, rig, small, tmp_path)
+        assert dark(opened)
+    told = " ".join([str(caught.value), *getattr(caught.value, "__notes__", ())])
+    assert "cannot be written (No space left on device); free space" in told
+    assert str(ending) in told
+
+
+def test_camera_without_colours_is_noted(rig: RigFile, small: PaintPlan, tmp_path: Path) -> None:
+    def mono(number: int, raw: RawFrame) -> RawFrame:
+        return replace(raw, settings={"pixel_format": "Mono16"})
+
+    with open_rig(rig, Path()) as opened:
+        session = capture(replace(opened, camera=ChangedCamera(opened.camera, mono)), rig, small, tmp_path)
+    (note,) = [note for note in session.notes if note not in opened.notes]
+    assert "its frames are Mono16, and radiometry takes them for Bayer RGGB" in note
 
 
 def test_saturated_pixels_are_exposed_again_shorter_and_flagged(rig: RigFile, small: PaintPlan, tmp_path: Path) -> None:

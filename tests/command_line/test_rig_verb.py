@@ -258,7 +258,7 @@ def test_show_of_real_drivers_on_emulated_devices(tmp_path: Path) -> None:
         assert not board.times("host", b"L1")
         assert wheel.control.get("pos") == 1
     assert "3 layers switch it off: the capture, its guard process and the controller's dead-man" in said
-    assert "light with dead-man, firmware 1.0" in said
+    assert "light with dead-man, firmware 1.1" in said
     assert "Aravis Fake, serial FINRAY01" in said
     assert "512 x 512 px; 0.01 s asked for, 0.01 s read back" in said
     assert "pixel_format BayerRG8" in said

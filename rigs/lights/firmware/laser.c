@@ -2,9 +2,9 @@
 
    9600 baud, 8N1; lines end with LF (a CR before it is ignored):
      L1 on, L0 off, K "the host lives", ? state   -> "ON" or "OFF"
-     I  who is there                              -> "LASER 1.0", also said at every reset
+     I  who is there                              -> "LASER 1.1", also said at every reset
      anything else                                -> "ERR"; it changes nothing and is no sign of life
-   No valid line for 0.9 s while the light is on: the timer's interrupt switches off, whatever the main loop does, and
+   No valid line for 0.7 s while the light is on: the timer's interrupt switches off, whatever the main loop does, and
    the line "TRIP" is sent unasked.
 
    Build and flash: README.md */
@@ -13,7 +13,7 @@
 
 #define LINE_UP() (PORTB |= 1)    /* one instruction each, so an interrupt cannot come in between */
 #define LINE_DOWN() (PORTB &= ~1)
-#define SILENCE_LIMIT 18          /* twentieths of a second: 0.85 to 0.90 s, as the phase falls */
+#define SILENCE_LIMIT 70          /* hundredths of a second: 0.69 to 0.70 s, as the phase falls */
 #define UNREADABLE 0xFF           /* stands for a byte that the line damaged: no command holds it */
 #define QUEUE 32                  /* a power of two; longer than any two commands */
 
@@ -52,7 +52,7 @@ static void say(const char *text) {
 static void obey(const unsigned char *line, unsigned char length) {
     if (length == 2 && line[0] == 'L' && line[1] == '1') set(1);
     else if (length == 2 && line[0] == 'L' && line[1] == '0') set(0);
-    else if (length == 1 && line[0] == 'I') { silence = 0; say("LASER 1.0\n"); return; }
+    else if (length == 1 && line[0] == 'I') { silence = 0; say("LASER 1.1\n"); return; }
     else if (length == 1 && (line[0] == 'K' || line[0] == '?')) silence = 0;
     else { say("ERR\n"); return; }
     say(on ? "ON\n" : "OFF\n");
@@ -66,10 +66,10 @@ int main(void) {
     UCSR0B = (1 << RXEN0) | (1 << TXEN0) | (1 << RXCIE0);
     UCSR0C = 3 << UCSZ00;
     TCCR1B = (1 << WGM12) | (1 << CS12); /* clear on match, clock / 256 */
-    OCR1A = 3124;                        /* 20 Hz */
+    OCR1A = 624;                         /* 100 Hz */
     TIMSK1 = 1 << OCIE1A;
     sei();
-    say("LASER 1.0\n");
+    say("LASER 1.1\n");
     for (;;) {
         if (tripped) {
             tripped = 0;

@@ -101,7 +101,7 @@ def scripted(script: Script) -> Iterator[str]:
                     "Value": value,
                     "ErrorNumber": error,
                     "ErrorMessage": "scripted",
-                    "ClientTransactionID": int(fields["ClientTransactionID"]),
+                    "ClientTransactionID": int(fields.get("ClientTransactionID", 0)),
                 }
                 body = json.dumps(answer).encode()
             self.send_response(status)

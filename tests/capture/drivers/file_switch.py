@@ -1,9 +1,9 @@
 """A light whose state is a file, to do to a guard what no emulated board does: refuse, lie, hang, crash.
 
 The address is a folder. ``on`` exists while the light is on; ``refuse_off`` holds how many off commands fail, ``lies``
-makes them return without effect, ``refuse_keep_alive`` makes keep-alives fail, ``refuse_opening`` the opening;
-``slow_on`` makes the confirmation of "on" wait, ``late_on`` lets it fail and happen a second later, and ``slow_state``
-holds back the state.
+makes them return without effect, ``refuse_keep_alive`` makes keep-alives fail, ``refuse_state`` the state and
+``refuse_opening`` the opening; ``slow_on`` makes the confirmation of "on" wait, ``late_on`` lets it fail and happen
+later, after the seconds that it holds, and ``slow_state`` holds back the state.
 """
 
 import subprocess
@@ -40,9 +40,12 @@ class FileSwitch:
             if (self.folder / "refuse_on").exists():
                 (self.folder / "on").touch()  # the command arrived, its confirmation did not
                 raise RuntimeError("a driver's own mistake")
-            if (self.folder / "late_on").exists():
+            if (late := self.folder / "late_on").exists():
                 # As a server does whose client has gone: no process of ours can stop it.
-                subprocess.Popen(["sh", "-c", 'sleep 1; touch "$0"', str(self.folder / "on")], start_new_session=True)
+                subprocess.Popen(
+                    ["sh", "-c", 'sleep $1; touch "$0"', str(self.folder / "on"), late.read_text()],
+                    start_new_session=True,
+                )
                 (self.folder / "asked").touch()
                 time.sleep(deadline_s)
             (self.folder / "on").touch()
@@ -57,6 +60,8 @@ class FileSwitch:
             (self.folder / "on").unlink(missing_ok=True)
 
     def state(self, deadline_s: float) -> bool:
+        if (self.folder / "refuse_state").exists():
+            raise LostError("the folder is away")
         if (self.folder / "slow_state").exists():
             (self.folder / "slow_state").unlink()
             time.sleep(deadline_s)

@@ -15,7 +15,8 @@ from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutE
 from rigs.filter_wheels import alpaca
 from rigs.filter_wheels.alpaca import AlpacaFilterWheel, open_wheel
 from rigs.host import TerminalOperator
-from rigs.lights.alpaca import AlpacaLight, Calibrator, Relay, open_switch
+from rigs.lights.alpaca import AlpacaPanel, Calibrator, Relay, open_switch
+from rigs.lights.server_light import ServerLight
 from rigs.transports.alpaca_client import AlpacaAddress, AlpacaClient, alpaca_address
 from tests.capture.drivers.alpaca_server import AlpacaServer, scripted
 from tests.capture.drivers.programs import free_port
@@ -204,9 +205,9 @@ def test_addresses_of_lights_that_are_none(path: str) -> None:
         pass
 
 
-def calibrator_at(url: str) -> AlpacaLight:
+def calibrator_at(url: str) -> ServerLight:
     client = client_of(url, "covercalibrator")
-    return AlpacaLight(client, Calibrator(client), "lamp", url)
+    return ServerLight(AlpacaPanel(client, Calibrator(client)), "lamp", url)
 
 
 @pytest.mark.parametrize(("state", "why"), [(2, "did not confirm off"), (3, "did not confirm off"), (5, "cannot tell")])
@@ -238,13 +239,13 @@ def test_a_lamp_that_warms_up_counts_as_on_and_is_not_confirmed() -> None:
 def test_a_relay_that_stays_as_it_is_is_not_believed() -> None:
     with scripted(lambda *_: True) as url:
         client = client_of(url, "switch")
-        light = AlpacaLight(client, Relay(client, 0), "laser", url)
+        light = ServerLight(AlpacaPanel(client, Relay(client, 0)), "laser", url)
         with pytest.raises(UnsafeError, match="off is not confirmed"):
             light.switch(False, 0.2)
     with scripted(lambda *_: False) as url:
         client = client_of(url, "switch")
         with pytest.raises(TimedOutError, match="did not confirm on before its deadline"):
-            AlpacaLight(client, Relay(client, 0), "laser", url).switch(True, 0.2)
+            ServerLight(AlpacaPanel(client, Relay(client, 0)), "laser", url).switch(True, 0.2)
 
 
 def test_a_device_that_never_connects_is_late() -> None:

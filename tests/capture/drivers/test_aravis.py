@@ -5,6 +5,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from data_schemas.errors import BadFrameError, LostError, MissingExtraError, Ref
 from data_schemas.rig import CameraSettings
 from rigs.cameras import aravis, aravis_library
 from rigs.cameras.genicam_camera import GenicamCamera
+from rigs.capture.tactile_camera import TactileCamera
 from tests.capture.drivers.fake_gigevision_camera import SERIAL, FakeCamera, fake_camera
 from tests.capture.drivers.programs import require
 
@@ -175,7 +177,7 @@ def test_camera_killed_in_an_exposure_is_noticed_and_comes_back(
 
 @pytest.mark.rigs
 @pytest.mark.parametrize("fault", [signal.SIGKILL, signal.SIGSTOP])
-def test_camera_that_falls_silent_in_an_exposure_times_out(camera_process: FakeCamera, fault: signal.Signals) -> None:
+def test_camera_that_falls_silent_in_an_exposure_is_lost(camera_process: FakeCamera, fault: signal.Signals) -> None:
     # one frame a second: the fault, 0.3 s after the last frame, falls between the start of an exposure and its frame
     subprocess.run(
         ["arv-tool-0.8", "-a", "127.0.0.1", "control", "AcquisitionFrameRate=1"],
@@ -188,7 +190,7 @@ def test_camera_that_falls_silent_in_an_exposure_times_out(camera_process: FakeC
         timer = threading.Timer(0.3, camera_process.process.send_signal, [fault])
         timer.start()
         started_s = time.monotonic()
-        with pytest.raises(TimedOutError, match=r"no frame of 1 s came within 2\.00 s"):
+        with pytest.raises(LostError, match=r"did not answer within 0\.6 s; check its cable and power"):
             camera.expose(1.0, 6.0)
         assert time.monotonic() - started_s < 1.0 + NOTICED_S
         timer.join()
@@ -196,7 +198,39 @@ def test_camera_that_falls_silent_in_an_exposure_times_out(camera_process: FakeC
             camera.expose(1.0, 6.0)
         if fault == signal.SIGSTOP:
             camera_process.process.send_signal(signal.SIGCONT)
-            assert expose_until(camera, within_s=20.0) <= 4
+        else:
+            camera_process.process.wait()
+            camera_process.start()
+        assert expose_until(camera, within_s=20.0) <= 4
+
+
+@pytest.mark.rigs
+def test_capture_goes_on_when_a_frozen_camera_comes_back(camera_process: FakeCamera) -> None:
+    refused: list[str] = []
+    with aravis.open_camera(SETTINGS, Path()) as camera:
+        engine = TactileCamera(camera, SETTINGS, False, refused.append)
+        assert engine.expose(EXPOSURE_S)[1] == 1
+        camera_process.process.send_signal(signal.SIGSTOP)
+        timer = threading.Timer(2.0, camera_process.process.send_signal, [signal.SIGCONT])
+        timer.start()
+        assert engine.expose(EXPOSURE_S)[1] in (2, 3)
+        timer.join()
+    assert "did not answer within" in refused[0]
+
+
+@pytest.mark.rigs
+def test_frame_that_does_not_come_from_a_camera_that_answers_is_late(camera_process: FakeCamera) -> None:
+    subprocess.run(
+        ["arv-tool-0.8", "-a", "127.0.0.1", "control", "AcquisitionFrameRate=0.2"],
+        check=True,
+        capture_output=True,
+        timeout=20,
+    )
+    with aravis.open_camera(SETTINGS, Path()) as camera:
+        with suppress(TimedOutError):
+            camera.expose(EXPOSURE_S, DEADLINE_S)  # the fake camera may send its first one at once
+        with pytest.raises(TimedOutError, match=r"no frame of 0\.01 s came within 1\.01 s, though the camera answers"):
+            camera.expose(EXPOSURE_S, DEADLINE_S)
 
 
 @pytest.mark.rigs

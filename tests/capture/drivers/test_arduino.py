@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutError, UnsafeError
 from rigs.lights import arduino
-from rigs.lights.arduino import BAUD, ArduinoSwitch, Said, found, open_switch, parse
+from rigs.lights.arduino import ArduinoSwitch, found, open_switch
+from rigs.lights.arduino_lines import BAUD, Said, parse
 from rigs.transports.serial_link import SerialLink, UsbSerialPort
 from tests.capture.drivers.firmware_in_qemu import Tap, build, firmware_board
 from tests.capture.drivers.serial_replay import TRANSCRIPTS, read_transcript, replayed
@@ -20,7 +21,7 @@ from tests.capture.drivers.serial_replay import TRANSCRIPTS, read_transcript, re
 DEADLINE_S = 2.0
 # Waits end within one poll of the port (0.02 s) of their deadline; the rest is for a busy machine.
 LATE_S = 0.5
-GREETING = [("host", b"?\nI\n"), ("device", b"OFF\nLASER 1.0\n")]
+GREETING = [("host", b"?\nI\n"), ("device", b"OFF\nLASER 1.1\n")]
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +37,7 @@ def board(elf: Path) -> Iterator[Tap]:
 
 def session(switch: ArduinoSwitch) -> None:
     """Use everything once."""
-    assert switch.identity().firmware == "1.0"
+    assert switch.identity().firmware == "1.1"
     assert not switch.state(DEADLINE_S)
     switch.switch(True, DEADLINE_S)
     for _ in range(3):
@@ -50,7 +51,7 @@ def silence(switch: ArduinoSwitch) -> None:
     """Say nothing until the dead-man acts, and learn of it."""
     switch.switch(True, DEADLINE_S)
     time.sleep(1.2)
-    with pytest.raises(LostError, match=r"the dead-man switched it off.*nothing for 0\.9 s"):
+    with pytest.raises(LostError, match=r"the dead-man switched it off.*nothing for 0\.7 s"):
         switch.state(DEADLINE_S)
     assert not switch.state(DEADLINE_S)
 
@@ -81,7 +82,7 @@ class TestFirmware:
                 time.sleep(0.1)
         assert board.times("device", b"ERR")
         # The board obeyed up to 0.05 s before its answer came through QEMU's port.
-        assert 0.80 <= board.times("device", b"TRIP")[0] - on_s <= 1.0
+        assert 0.69 - 0.05 <= board.times("device", b"TRIP")[0] - on_s <= 1.0
         assert not board.state()
 
     @pytest.mark.parametrize("line", [b"L", b"L2", b"L11", b"l1", b"L1 ", b"1", b"K1", b"??", b"L1\x00", b"\xffL1"])
@@ -121,7 +122,7 @@ def with_board(*spoken: tuple[str, bytes]) -> "list[tuple[str, bytes]]":
 class TestOpening:
     def test_board_that_resets_says_its_banner_late(self):
         with (
-            replayed([("host", b"?\nI\n"), ("device", b"\x00\xfeLASER 1.0\n"), ("device", b"LASER 1.0\n")]) as address,
+            replayed([("host", b"?\nI\n"), ("device", b"\x00\xfeLASER 1.1\n"), ("device", b"LASER 1.1\n")]) as address,
             open_switch(address, "lamp", None) as switch,
         ):
             assert switch.has_dead_man
@@ -154,14 +155,14 @@ class TestOpening:
             pytest.fail("opened")
 
     def test_boards_are_found(self, monkeypatch):
-        with replayed(with_board(("host", b"I\n"), ("device", b"LASER 1.0\n"))) as address:
+        with replayed(with_board(("host", b"I\n"), ("device", b"LASER 1.1\n"))) as address:
             ports = [
                 UsbSerialPort("/dev/none", "a filter wheel", "0403:6001"),
                 UsbSerialPort("/dev/none", "a board that is away", "2341:0043"),
                 UsbSerialPort(address, "Arduino Uno", "2341:0043"),
             ]
             monkeypatch.setattr(arduino, "usb_serial_ports", lambda: ports)
-            assert found() == [(address, "light with dead-man, firmware 1.0")]
+            assert found() == [(address, "light with dead-man, firmware 1.1")]
 
 
 class TestFaults:
@@ -174,7 +175,7 @@ class TestFaults:
         ):
             switch.switch(True, DEADLINE_S)
 
-    @pytest.mark.parametrize("answer", [b"ON\n", b"ERR\n", b"", b"O\xff\n", b"LASER 1.0\n"])
+    @pytest.mark.parametrize("answer", [b"ON\n", b"ERR\n", b"", b"O\xff\n", b"LASER 1.1\n"])
     def test_off_is_not_confirmed(self, answer):
         with (
             replayed(with_board(("host", b"L0\n"), ("device", answer))) as address,
@@ -215,7 +216,7 @@ class TestFaults:
         [
             (b"TRIP\nOFF\n", "the dead-man switched it off"),
             (b"OFF\n", "answers OFF although it was switched on"),
-            (b"LASER 1.0\n", "the board restarted, which switches the light off"),
+            (b"LASER 1.1\n", "the board restarted, which switches the light off"),
             (b"\x80\x81\n", r"says b'\\x80\\x81\\n', which the light's firmware never does"),
         ],
     )
@@ -231,12 +232,12 @@ class TestFaults:
 
     def test_mute_board_is_noticed(self):
         with (
-            replayed(with_board(("host", b"K\nK\nK\n"))) as address,
+            replayed(with_board(("host", b"K\nK\nK\nK\nK\n"))) as address,
             open_switch(address, "laser", None) as switch,
         ):
-            for _ in range(3):
+            for _ in range(5):
                 switch.keep_alive()
-            with pytest.raises(TimedOutError, match="answered none of the last 3 keep-alives"):
+            with pytest.raises(TimedOutError, match="answered none of the last 5 keep-alives"):
                 switch.keep_alive()
 
     def test_identity_is_asked_afresh(self):
@@ -266,7 +267,7 @@ class LineOf:
         return line + terminator
 
 
-WORDS = st.sampled_from([b"ON\n", b"OFF\n", b"ERR\n", b"TRIP\n", b"LASER 1.0\n", b"\n"])
+WORDS = st.sampled_from([b"ON\n", b"OFF\n", b"ERR\n", b"TRIP\n", b"LASER 1.1\n", b"\n"])
 
 
 @given(line=st.one_of(st.binary(max_size=20), WORDS))
@@ -282,7 +283,7 @@ def test_any_line_is_a_word_or_lost(line):
 @given(data=st.lists(st.one_of(st.binary(max_size=6), WORDS), max_size=12).map(b"".join))
 def test_whatever_comes_only_declared_errors_leave_the_driver(data):
     try:
-        switch = ArduinoSwitch(LineOf(b"LASER 1.0\n"), "laser", "a port")
+        switch = ArduinoSwitch(LineOf(b"LASER 1.1\n"), "laser", "a port")
         switch._link = LineOf(data)  # noqa: SLF001 - after a good start
         switch.keep_alive()
         switch.state(DEADLINE_S)

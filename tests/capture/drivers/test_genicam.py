@@ -20,7 +20,8 @@ from rigs.cameras.genicam import (
     require_new,
     set_exposure,
 )
-from rigs.cameras.genicam_camera import Delivered, GenicamCamera, image
+from rigs.cameras.genicam_camera import GenicamCamera
+from rigs.cameras.genicam_device import Delivered, image
 from rigs.cameras.genicam_pixels import RawPixels, raw_pixels, right_aligned
 
 SETTINGS = CameraSettings(driver="gentl", address="here.cti", width_px=64, height_px=64, bit_depth=10, gain_db=3.0)

@@ -9,7 +9,7 @@ from data_schemas.errors import LostError, MissingExtraError, RefusedError
 from data_schemas.rig import CameraSettings
 from rigs.cameras import gentl
 from rigs.cameras.genicam import FeatureError, RawPixels, configure, set_exposure
-from rigs.cameras.genicam_camera import image
+from rigs.cameras.genicam_device import image
 from tests.capture.drivers.programs import require_module
 
 SIDE_PX = 400
@@ -116,3 +116,15 @@ def test_missing_package_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_pa
         gentl.open_camera(settings("any.cti"), tmp_path),
     ):
         pass
+
+
+def test_cameras_of_installed_producers_are_found(
+    producer: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "broken.cti").write_bytes(b"no library")
+    monkeypatch.setenv(gentl.PRODUCERS_VARIABLE, f"{tmp_path}:{producer.parent}:")
+    listed = dict(gentl.found())
+    assert f"{producer}#1" in listed
+    assert "Viky, serial 1" in listed[f"{producer}#1"]
+    monkeypatch.delenv(gentl.PRODUCERS_VARIABLE)
+    assert gentl.found() == []

@@ -7,6 +7,7 @@ import pytest
 
 from data_schemas.errors import LostError, RefusedError, TimedOutError, UnsafeError
 from rigs.lights.indi import open_switch
+from rigs.lights.server_light import ASK_EVERY_S
 from rigs.protocols import LightSwitch
 from rigs.transports.indi_client import IndiClient
 from tests.capture.drivers.indi_server import PANEL, IndiServer
@@ -91,6 +92,17 @@ def test_another_program_that_switches_is_seen(server: IndiServer, switch: Light
     assert switch.state(5.0) is True
     server.put(PANEL, "FLAT_LIGHT_CONTROL.FLAT_LIGHT_OFF=On")
     assert switch.state(5.0) is False
+
+
+@pytest.mark.rigs
+def test_a_lit_light_that_another_program_switches_off_is_noticed(server: IndiServer, switch: LightSwitch) -> None:
+    switch.switch(True, 5.0)
+    time.sleep(ASK_EVERY_S)
+    switch.keep_alive()
+    server.put(PANEL, "FLAT_LIGHT_CONTROL.FLAT_LIGHT_OFF=On")
+    time.sleep(ASK_EVERY_S)
+    with pytest.raises(LostError, match="is off although it was switched on; see whether another program"):
+        switch.keep_alive()
 
 
 @pytest.mark.rigs

@@ -29,8 +29,8 @@ KILLS = 3
 SENT_WITHIN_S = 0.050
 CONFIRMED_WITHIN_S = 0.250
 OFF_WITHIN_S = 1.0
-# How long after the last word the board's timer acts: 0.85 to 0.90 s, and QEMU's port tells it up to 0.1 s later.
-DEAD_MAN_S = (0.85, 1.0)
+# The board's timer acts 0.69 to 0.70 s after its last word; a busy machine hears of it up to 0.25 s later.
+DEAD_MAN_S = 0.69
 RETRY_S = 5.0
 STATE_WITHIN_S = 2.0
 
@@ -59,7 +59,7 @@ class TestFirmware:
         with guarded_light("laser", "arduino", board.address) as light:
             assert isinstance(light, GuardedLight)
             assert (light.layers, light.notes) == (3, ())
-            assert (light.identity().driver, light.identity().firmware) == ("arduino", "1.0")
+            assert (light.identity().driver, light.identity().firmware) == ("arduino", "1.1")
             assert not light.state()
             with light.lit():
                 assert board.when("device", b"ON")
@@ -73,7 +73,7 @@ class TestFirmware:
 
     def test_stays_on_longer_than_the_dead_man_while_the_owner_lives(self, board):
         with guarded_light("laser", "arduino", board.address) as light, light.lit():
-            end_s = time.monotonic() + 2.0 * DEAD_MAN_S[1]
+            end_s = time.monotonic() + 2.0 * OFF_WITHIN_S
             while time.monotonic() < end_s:
                 time.sleep(0.1)
             assert light.state()
@@ -82,7 +82,7 @@ class TestFirmware:
     def test_lamp_stays_on_longer_than_the_dead_man(self, board):
         settings = LampSettings(driver="arduino", address=board.address)
         with open_lamp(settings, TerminalOperator()) as lamp, lamp.lit():
-            time.sleep(2.0 * DEAD_MAN_S[1])
+            time.sleep(2.0 * OFF_WITHIN_S)
             assert lamp.state()
         assert not board.times("device", b"TRIP")
         assert not board.state()
@@ -157,7 +157,8 @@ class TestFirmware:
             os.kill(guard, signal.SIGKILL)
             last_word_s = max(line.at_s for line in board.lines if line.who == "host")
             tripped_s = board.when("device", b"TRIP", frozen_s)
-            assert DEAD_MAN_S[0] <= tripped_s - last_word_s <= DEAD_MAN_S[1]
+            assert tripped_s - last_word_s >= DEAD_MAN_S
+            assert tripped_s - frozen_s <= OFF_WITHIN_S
             assert not board.state()
 
     def test_frozen_guard_is_replaced_after_the_dead_man_has_acted(self, board):

@@ -13,6 +13,7 @@ from data_schemas.errors import LostError
 from rigs.held_light import LATE_ON_S, RETRY_FOR_S, HeldLight
 from rigs.light_guard import guarded_light
 from rigs.light_guard_messages import HungUpError, channel, receive
+from rigs.light_guard_process import LOOK_ALONE_S, LOOK_EVERY_S
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.light_owner import OWNER, guards, the_guard
 from tests.capture.drivers.programs import wait_until
@@ -99,7 +100,7 @@ def test_owner_is_killed_while_the_light_is_slow_to_say_its_state(folder):
 def test_on_that_is_carried_out_after_everybody_has_gone(folder, victim):
     """As a server does that is slow: "off" finds the light off, and then the "on" before it takes effect."""
     assert LATE_BY_S < LATE_ON_S
-    (folder / "late_on").touch()
+    (folder / "late_on").write_text(f"{LATE_BY_S}")
     with start(folder) as process:
         try:
             wait_until((folder / "asked").exists, "the question")
@@ -116,6 +117,40 @@ def test_on_that_is_carried_out_after_everybody_has_gone(folder, victim):
             process.kill()
     time.sleep(max(asked_s + LATE_BY_S + 0.5 - time.monotonic(), 0.0))
     assert not (folder / "on").exists()
+
+
+def test_on_that_is_carried_out_later_still_is_seen(folder):
+    """Later than "off" is repeated for those who wait: the guard stays for a while, without an owner."""
+    late_s = LATE_ON_S + 1.5
+    assert late_s < LATE_ON_S + LOOK_ALONE_S
+    (folder / "late_on").write_text(f"{late_s}")
+    with start(folder) as process:
+        try:
+            wait_until((folder / "asked").exists, "the question")
+            asked_s = time.monotonic()
+            process.kill()
+            wait_until((folder / "on").exists, "the light to come on late")
+            assert time.monotonic() - asked_s > LATE_ON_S
+            wait_until(lambda: not (folder / "on").exists(), "the light to be off", 2 * LOOK_EVERY_S)
+        finally:
+            process.kill()
+
+
+def test_light_that_comes_on_in_the_dark_is_switched_off_and_told(folder):
+    with guarded_light("laser", "indi", str(folder)) as light:
+        assert not light.state()
+        (folder / "on").touch()
+        wait_until(lambda: not (folder / "on").exists(), "the light to be off", AT_ONCE_S)
+        with pytest.raises(LostError, match=r"on although nobody had asked for it.*confirmed off"):
+            light.state()
+
+
+def test_dark_light_that_cannot_be_asked_for_a_while_is_asked_again(folder):
+    with guarded_light("laser", "indi", str(folder)) as light:
+        (folder / "refuse_state").touch()
+        time.sleep(2 * LOOK_EVERY_S)
+        (folder / "refuse_state").unlink()
+        assert not light.state()
 
 
 def test_guard_that_hears_nonsense_ends_in_the_dark(folder):

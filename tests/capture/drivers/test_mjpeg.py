@@ -21,11 +21,12 @@ from hypothesis import strategies as st
 
 from data_schemas.errors import BadFrameError, CaptureError, LostError, RefusedError, TimedOutError
 from data_schemas.rig import CameraSettings
-from rigs.cameras.mjpeg import decoded_jpeg, open_camera
+from rigs.cameras.jpeg_picture import decoded_jpeg, jpeg_size_px
+from rigs.cameras.mjpeg import open_camera
 from rigs.capture.exchange import CheckedCamera
 from rigs.capture.plan import Step
 from rigs.host import SystemClock
-from rigs.transports.multipart_stream import MultipartStream
+from rigs.transports.multipart_stream import MultipartStream, Part
 from tests.capture.drivers.programs import answers, free_port, require, wait_until
 
 TRANSCRIPTS = Path(__file__).parent / "transcripts"
@@ -213,6 +214,59 @@ def test_trickling_stream_times_out():
         assert time.monotonic() - began_s < 1.0
 
 
+def test_pictures_that_are_all_old_time_out(monkeypatch):
+    """A camera that hangs behind a uStreamer that goes on sending, as fast as it can: always what it grabbed before."""
+    old = {"x-ustreamer-online": "true", "x-ustreamer-grab-time": "1.0", "x-ustreamer-send-time": "100.0"}
+    numbers = itertools.count(1)
+    with serving(stream_of(jpeg(1)), hold=True) as address, opened(address) as camera:
+        reader = camera.open(time.monotonic())
+        monkeypatch.setattr(
+            reader, "newer_than", lambda seen, end_s, name: (next(numbers), Part(old, b"", time.monotonic()))
+        )
+        began_s = time.monotonic()
+        with pytest.raises(TimedOutError, match="none in time that was exposed after it was asked for"):
+            camera.expose(ASKED_S, 0.3)
+        assert 0.3 <= time.monotonic() - began_s < 1.0
+
+
+def test_picture_that_trickles_in_times_out():
+    trickle = [bytes([b]) for b in part(jpeg(1))]
+    with serving(trickle, every_s=0.02) as address, opened(address) as camera:
+        began_s = time.monotonic()
+        with pytest.raises(TimedOutError, match="no new picture came in time"):
+            camera.expose(ASKED_S, 0.4)
+        assert time.monotonic() - began_s < 1.0
+
+
+def test_picture_that_claims_to_be_huge_is_not_decoded(monkeypatch):
+    """A few bytes may claim 65500 x 65500 px, which would be 13 GB."""
+    whole = jpeg(7)
+    at = whole.index(b"\xff\xc0") + 5
+    huge = whole[:at] + (65500).to_bytes(2) * 2 + whole[at + 4 :]
+    monkeypatch.setattr(cv2, "imdecode", lambda *given: pytest.fail("decoded"))
+    with (
+        serving(stream_of(*[huge] * 40)) as address,
+        opened(address) as camera,
+        pytest.raises(RefusedError, match="pictures of 65500 x 65500 px, the rig file says 240 x 320 px"),
+    ):
+        camera.expose(ASKED_S, 2.0)
+
+
+@pytest.mark.parametrize("name", [".jpg", "progressive"])
+def test_size_is_that_of_the_decoded_picture(name):
+    progressive = [cv2.IMWRITE_JPEG_PROGRESSIVE, 1] if name == "progressive" else []
+    body = cv2.imencode(".jpg", np.zeros((48, 70, 3), np.uint8), progressive)[1].tobytes()
+    assert jpeg_size_px(body, "camera") == (48, 70) == decoded_jpeg(body, "camera").shape[:2]
+
+
+@pytest.mark.parametrize(
+    "body", [b"", b"\xff\xd8", b"\xff\xd8\xff\xd9" + bytes(20), b"GIF89a" + bytes(20), jpeg(3)[:20]]
+)
+def test_bytes_without_a_frame_header_are_refused(body):
+    with pytest.raises(BadFrameError, match="torn or no JPEG"):
+        jpeg_size_px(body, "camera")
+
+
 def test_server_that_never_answers_times_out():
     with (
         socket.create_server(("127.0.0.1", 0)) as silent,
@@ -369,6 +423,8 @@ def test_any_bytes_give_a_part_or_a_declared_error(pieces):
 @given(st.binary(max_size=300), st.integers(0, 300))
 def test_any_bytes_give_a_picture_or_a_bad_frame(tail, at):
     whole = jpeg(9)
+    with suppress(BadFrameError):
+        jpeg_size_px(whole[:at] + tail, "camera")
     with suppress(BadFrameError):
         assert decoded_jpeg(whole[:at] + tail + whole[-2:], "camera").dtype == np.uint8
 

@@ -1,0 +1,81 @@
+"""The camera of a finger: what it delivers is checked, and taken again."""
+
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data_schemas.errors import BadFrameError, LostError, RefusedError
+from data_schemas.rig import CameraSettings
+from rigs.capture.tactile_camera import TactileCamera
+from rigs.protocols import RawFrame
+from tests.capture.finger_session import HEIGHT_PX, WIDTH_PX
+
+
+class Scripted:
+    """A camera that delivers what it is given, frames or errors."""
+
+    def __init__(self, *script) -> None:
+        self._script = list(script)
+
+    def identity(self):
+        raise NotImplementedError
+
+    def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
+        what = self._script.pop(0)
+        if isinstance(what, Exception):
+            raise what
+        return what
+
+
+def frame(level: int = 9, **other) -> RawFrame:
+    counts = np.full((HEIGHT_PX, WIDTH_PX), level, np.uint16)
+    counts[0, 0] = 0
+    return replace(RawFrame(counts, 0.01, 0.01, "2026-01-01T00:00:00+00:00"), **other)
+
+
+@contextmanager
+def checked(*script):
+    settings = CameraSettings(driver="picamera2", address="0", width_px=WIDTH_PX, height_px=HEIGHT_PX, bit_depth=10)
+    refused: list[str] = []
+    yield TactileCamera(Scripted(*script), settings, True, refused.append), refused
+
+
+def test_refused_frames_are_taken_again():
+    with checked(BadFrameError("torn"), LostError("gone"), frame()) as (camera, refused):
+        assert camera.expose(0.01)[1] == 3
+    assert refused == ["0.01 s, attempt 1: torn", "0.01 s, attempt 2: gone"]
+
+
+def test_four_refused_frames_end_the_capture():
+    with (
+        checked(*[BadFrameError("torn")] * 4) as (camera, _),
+        pytest.raises(BadFrameError, match=r"torn \(4 attempts at 0\.01 s\)"),
+    ):
+        camera.expose(0.01)
+
+
+@pytest.mark.parametrize(
+    "same", [{}, {"frame_id": 7}, {"device_time_s": 1.5}], ids=["payload", "frame number", "device time"]
+)
+def test_same_frame_twice_is_refused(same):
+    with checked(frame(**same), frame(**same), frame(10, frame_id=8)) as (camera, refused):
+        camera.expose(0.01)
+        assert camera.expose(0.01)[1] == 2
+    assert "the same frame twice" in refused[0]
+
+
+@pytest.mark.parametrize(
+    ("delivered", "message"),
+    [
+        (frame(exposure_s=0.02), r"0\.01 s were asked for, it reads back 0\.02 s"),
+        (frame(counts=np.zeros((10, 10), np.uint16)), "delivered a frame of 10 x 10, the rig file says 64 x 96"),
+        (frame(settings={"pixel_format": "Mono16"}), "delivers Mono16, and a tactile capture needs colours"),
+        (frame(1024), r"a count of 1024 DN.*bit_depth = 10 allows \(1023 DN\)"),
+    ],
+    ids=["exposure", "size", "no colours", "bits"],
+)
+def test_frame_that_is_not_as_asked_is_refused(delivered, message):
+    with checked(delivered) as (camera, _), pytest.raises(RefusedError, match=message):
+        camera.expose(0.01)

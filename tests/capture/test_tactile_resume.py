@@ -1,0 +1,147 @@
+"""Tactile sessions that were interrupted, and go on."""
+
+import io
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_schemas.capture import TactileCapture
+from data_schemas.errors import CaptureError
+from data_schemas.storage import read_frame, read_record
+from data_schemas.tactile import TactileSession
+from rigs.capture.tactile_resume import is_tactile, read_interrupted_presses
+from rigs.capture.tactile_session import capture_tactile_session
+from tests.capture.drivers import picamera2_stand_in
+from tests.capture.finger_session import PLAN, Hands, capture, plan_of, pressing, rig_of
+from tests.command_line.running import finray
+
+
+@pytest.mark.parametrize("stop_at", ["Set", "Press 1", "Take", "Press 2", "frame of a bracket"])
+def test_resumed_session_is_the_same(sensor, tmp_path, stop_at):
+    plan = plan_of(tmp_path, PLAN.replace("[0.01]", "[0.005, 0.01]"))
+    rig, hands, out = rig_of(tmp_path), pressing(sensor), tmp_path / "out"
+
+    def stop(text: str) -> None:
+        if text.startswith(stop_at):
+            raise KeyboardInterrupt
+        hands.do(text)
+
+    def stop_within_a_press(done: int, total: int, what: str) -> None:
+        if stop_at == "frame of a bracket" and done == 5:  # the first of the two exposures of press 1
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        capture(tmp_path, plan, rig, Hands(stop), progress=stop_within_a_press)
+    assert is_tactile(out)
+    interrupted = read_interrupted_presses(out)
+    asked = Hands()
+    session = capture_tactile_session(
+        interrupted.rig, interrupted.plan, interrupted.presses, (interrupted.rig_folder, out), "pytest",
+        operator=asked, interrupted=interrupted,
+    )  # fmt: skip
+    assert [f.sequence for f in session.frames] == list(range(16))
+    assert len(session.captures) == 2
+    assert asked.asked[0].startswith("Press 1" if stop_at == "frame of a bracket" else stop_at)
+    aside = [path.name for path in (out / "set-aside").glob("*")] if (out / "set-aside").exists() else []
+    assert len(aside) == (1 if stop_at == "frame of a bracket" else 0)
+    assert f"interrupted after {len(interrupted.frames)} frames" in session.notes[0]
+    assert len(session.notes) == 1
+    with pytest.raises(CaptureError, match="is finished already"):
+        read_interrupted_presses(out)
+
+
+def test_changed_frame_is_taken_again(sensor, tmp_path):
+    def stop(text: str) -> None:
+        if text.startswith("Press 2"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        capture(tmp_path, plan_of(tmp_path), rig_of(tmp_path), Hands(stop))
+    next((tmp_path / "out" / "frames").glob("00002_contact*")).write_bytes(b"torn")
+    assert sorted(read_interrupted_presses(tmp_path / "out").frames) == [0, 1, 3, 4]
+
+
+def resumed(folder: Path, hands: Hands) -> TactileSession:
+    interrupted = read_interrupted_presses(folder / "out")
+    return capture_tactile_session(
+        interrupted.rig, interrupted.plan, interrupted.presses, (folder, folder / "out"), "pytest",
+        operator=hands, interrupted=interrupted,
+    )  # fmt: skip
+
+
+def test_captures_of_an_interrupted_session_are_made_anew(sensor, tmp_path):
+    """One of their frames was changed since, so that its group is taken again."""
+    capture(tmp_path, plan_of(tmp_path), rig_of(tmp_path), pressing(sensor))
+    out = tmp_path / "out"
+    for name in ("session.json", "manifest-sha256.txt"):
+        (out / name).unlink()
+    next((out / "frames").glob("00002_contact*")).write_bytes(b"torn")
+    before = read_record(out / "press-001.json", TactileCapture)
+    sensor.scene = lambda exposure_s: np.tile(np.arange(98) * 5, (66, 1))
+    session = resumed(tmp_path, Hands())
+    after = read_record(out / "press-001.json", TactileCapture)
+    assert np.array_equal(after.contact[..., 0], read_frame(out / session.frames[2].file, session.frames[2].sha256))
+    assert not np.array_equal(after.contact, before.contact)
+    assert len(list((out / "set-aside").glob("*_press-001.json"))) == 1
+
+
+def interrupt_at_press_2(text: str) -> None:
+    if text.startswith("Press 2"):
+        raise KeyboardInterrupt
+
+
+def test_session_does_not_go_on_with_another_camera(sensor, tmp_path, monkeypatch):
+    with pytest.raises(KeyboardInterrupt):
+        capture(tmp_path, plan_of(tmp_path), rig_of(tmp_path), Hands(interrupt_at_press_2))
+    monkeypatch.setattr(picamera2_stand_in.Picamera2, "camera_properties", {"Model": "imx708"})
+    with pytest.raises(CaptureError, match=r"imx708 .* answers now; the session began with .*imx219"):
+        resumed(tmp_path, Hands())
+
+
+def test_session_that_went_on_elsewhere_is_left_alone(sensor, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        capture(tmp_path, plan_of(tmp_path), rig_of(tmp_path), Hands(interrupt_at_press_2))
+    interrupted, out = read_interrupted_presses(tmp_path / "out"), tmp_path / "out"
+    (out / "frames" / "00005_new.tiff").write_bytes(b"being written")
+    with (out / "journal.jsonl").open("a", encoding="utf-8") as journal:
+        journal.write('{"event": "resume", "frames": 5}\n')
+    with pytest.raises(CaptureError, match="another capture went on with this session meanwhile"):
+        capture_tactile_session(
+            interrupted.rig, interrupted.plan, interrupted.presses, (tmp_path, out), "pytest", interrupted=interrupted
+        )
+    assert (out / "frames" / "00005_new.tiff").exists()
+
+
+def test_replay_is_not_resumed(sensor, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        capture(tmp_path, plan_of(tmp_path), rig_of(tmp_path), Hands(interrupt_at_press_2))
+    journal = tmp_path / "out" / "journal.jsonl"
+    text = journal.read_text(encoding="utf-8").replace('"driver": "picamera2"', '"driver": "folder"')
+    journal.write_text(text, encoding="utf-8")
+    with pytest.raises(CaptureError, match="replays a folder of images, which would begin with its first image again"):
+        read_interrupted_presses(tmp_path / "out")
+
+
+def test_resume_through_the_command_line(sensor, tmp_path, monkeypatch):
+    plan_of(tmp_path)
+    rig_of(tmp_path)
+    out = tmp_path / "presses"
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n"))
+    stopped = finray(f"capture {tmp_path}/tactile.toml --rig {tmp_path}/rig.toml --out {out}")
+    assert stopped.status == 2
+    assert "needs a person" in stopped.err
+    assert f"finray capture --resume {out}" in stopped.err
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n" * 9))
+    resumed = finray(f"capture --resume {out}")
+    assert resumed.status == 0, resumed.err
+    assert "3 frames are there and unchanged" in resumed.out
+    assert "8 frames of 'finger 3, ball', 2 tactile captures" in resumed.out
+
+
+@pytest.mark.parametrize("start", ["", '{"event": "start", "kind": "tactile"}', '{"event": "start", "kind": "paint"}'])
+def test_journal_without_a_start_is_refused(tmp_path, start):
+    (tmp_path / "journal.jsonl").write_text(start + '\n{"event": "frame", "file": "no"}\n', encoding="utf-8")
+    with pytest.raises(CaptureError, match="does not say how the session began"):
+        read_interrupted_presses(tmp_path)
