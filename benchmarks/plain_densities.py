@@ -88,7 +88,7 @@ class DefaultDensity:
         self.own_leaks = [(weights.band_index[kept] == band, at) for band, at in posterior.own_leaks.items()]
         self.covariance = data.covariance[np.ix_(kept, kept)] + posterior.imperfections @ posterior.imperfections.T
         # bands that share no discrepancy in the fit (e^-8 of its variance) share none here
-        near = np.repeat(np.repeat(posterior.problem.near, nodes, axis=0), nodes, axis=1)
+        near = posterior.problem.kernel > 0
         self.kernel = near * self.discrepancy.smooth_kernel(self.nodes, self.nodes)
 
     def many(self, theta: np.ndarray) -> np.ndarray:

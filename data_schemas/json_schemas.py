@@ -17,6 +17,7 @@ from data_schemas.paper_paints import PaperPaints
 from data_schemas.radiometry import BandSignals, PixelSignals
 from data_schemas.rig import RigFile
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
+from data_schemas.surfaces import FingerSurfaces
 from data_schemas.tactile import TactilePlan, TactileRig, TactileSession
 
 FOLDER = Path(__file__).resolve().parent / "json_schema"
@@ -40,6 +41,7 @@ STORED: tuple[type[Record], ...] = (
     PaintCalibration,
     PaintMap,
     PaperPaints,
+    FingerSurfaces,
     SimulatedPress,
     LightAngleSweep,
     PhotometricErrorReport,

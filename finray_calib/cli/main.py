@@ -11,6 +11,7 @@ from finray_calib.cli import (
     compare,
     decide,
     demo,
+    design,
     export,
     fit,
     import_captures,
@@ -22,7 +23,7 @@ from finray_calib.cli import (
 
 USER_MISTAKE = 2
 INTERRUPTED = 130
-VERBS = (capture, radiometry, fit, simulate, compare, decide, import_captures, export, rig, check, study, demo)
+VERBS = (capture, radiometry, fit, simulate, compare, decide, import_captures, export, rig, check, design, study, demo)
 DESCRIPTION = """\
 Calibrate fluorescent-paint tactile fingers: from a painted sample to a decision on the light angle.
 

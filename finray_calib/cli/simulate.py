@@ -20,8 +20,14 @@ DESCRIPTION = """\
 Render the contact and no-contact image of a finger with calibrated paints. With --angles, sweep the angle of
 the blue light instead and write the brightness beside the indenter at each angle, for 'finray decide'.
 
+With --only optics the images are written as files too, in a folder beside the record: basis bands, spectra and
+geometry per pixel (OpenEXR), raw frames and pictures (PNG), and the press as a capture for 'finray compare'.
+
 Levels: b (default) the walls re-emit the blue light that reaches them; a the paper's emitter, textured by the
-distance from the light (linear as printed, or inverse square; no angle dependence: for comparison only)."""
+distance from the light (linear as printed, or inverse square; no angle dependence: for comparison only); c the
+reference, fluorescence traced along every path: the mean of b without its smoothing, much noisier.
+
+With --surfaces, a deformed finger (FingerSurfaces record) takes the place of the analytic press."""
 
 
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -34,12 +40,17 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         "--paint", action="append", default=[], type=_paint, metavar="COLOUR=FILE",
         help="paint calibration of a wall: --paint red=FILE --paint green=FILE",
     )  # fmt: skip
+    parser.add_argument("--only", choices=["optics"], help="optics: render and write the images too")
     parser.add_argument("--angles", type=_angles, metavar="FIRST:LAST:STEP", help="light angles in deg, e.g. 0:120:10")
+    parser.add_argument("--surfaces", type=Path, metavar="FILE", help="the finger without and with contact, as meshes")
     parser.add_argument(
-        "--level", choices=["a", "a_inverse_square", "b"], default="b", help="how the walls emit (default: b)"
+        "--level", choices=["a", "a_inverse_square", "b", "c"], default="b", help="how the walls emit (default: b)"
     )
     parser.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
     parser.add_argument("--samples", type=_even, metavar="N", help="paths per pixel (default 128) or per probe (4000)")
+    parser.add_argument(
+        "--denoise", action="store_true", help="with --only optics: also denoised pictures, for the eye only"
+    )
     add_out(parser, "DESIGN.press.json or DESIGN.sweep.json")
     add_seed(parser)
     parser.set_defaults(run=run)
@@ -81,9 +92,12 @@ def run(arguments: argparse.Namespace) -> None:
     from data_schemas.fit import PaintCalibration
     from data_schemas.provenance import provenance
     from data_schemas.storage import read_record, read_toml, sha256_of, write_record
+    from data_schemas.surfaces import FingerSurfaces
+    from finray_calib.cli.simulate_optics import DEFAULT_SAMPLES, simulate_optics
     from sim.experiments.light_angle import light_angle_sweep
     from sim.experiments.painted_finger import paint_finger
     from sim.experiments.press import simulate_press
+    from sim.surface_meshes.stored_shape import restore_shapes
 
     design = read_toml(arguments.design, FingerDesign)
     kind = "press" if arguments.angles is None else "sweep"
@@ -96,13 +110,27 @@ def run(arguments: argparse.Namespace) -> None:
             f"--level {arguments.level}: its walls know no light angle, so that a sweep would show nothing; leave out "
             "--level, or --angles"
         )
+    if arguments.angles is not None and arguments.surfaces is not None:
+        raise SimulateError("--surfaces: a sweep is made beside the analytic press; leave out --surfaces, or --angles")
+    if arguments.denoise and arguments.only != "optics":
+        raise SimulateError("--denoise makes pictures, which --only optics writes; add --only optics or leave it out")
+    if arguments.only == "optics" and arguments.angles is not None:
+        raise SimulateError("--angles writes no images; leave out --only optics, or --angles")
     calibrations = {colour: read_record(path, PaintCalibration) for colour, path in files.items()}
     digests = {colour: sha256_of(path) for colour, path in files.items()}
+    meshes = [] if arguments.surfaces is None else [arguments.surfaces]
+    shapes = restore_shapes(read_record(meshes[0], FingerSurfaces)) if meshes else None
     finger = paint_finger(design, calibrations, arguments.design.parent, arguments.engine)
-    origin = provenance(command_line(), input_digests([arguments.design, *files.values()]), arguments.seed)
+    origin = provenance(command_line(), input_digests([arguments.design, *files.values(), *meshes]), arguments.seed)
     with progress_bar("simulate") as progress:
-        if arguments.angles is None:
-            press = simulate_press(finger, arguments.level, arguments.seed, arguments.samples or 128, digests, progress)
+        if arguments.only == "optics":
+            simulate_optics(
+                finger, arguments.level, arguments.seed, arguments.samples, digests, out, origin, progress,
+                arguments.denoise, shapes,
+            )  # fmt: skip
+        elif arguments.angles is None:
+            samples = arguments.samples or DEFAULT_SAMPLES
+            press = simulate_press(finger, arguments.level, arguments.seed, samples, digests, progress, shapes)
             write_record(press, out, origin)
             say(f"{out}: {press.label}")
         else:

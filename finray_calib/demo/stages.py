@@ -226,4 +226,5 @@ def true_paint_optics(colour: str, truth: BenchTruth) -> PaintOptics:
         wavelength_nm=grid_nm,
         emission_per_nm=np.concatenate([np.zeros_like(blue_nm), np.maximum(emission.values, 0.0)]),
         reflectance=np.clip(reflectance(grid_nm), 0.0, 1.0),
+        absorption_rel=np.maximum(truth.absorption(grid_nm), 0.0),
     )

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from data_schemas.errors import FitError
 from finray_calib.fit.absorption_prior import AbsorptionPrior
@@ -91,13 +90,13 @@ class Deviation:
         self.covariance = difference @ full @ difference.T
         self.root = np.linalg.cholesky(self.covariance + _JITTER * np.eye(points.size))
         noise = np.diag(self.sd[1:] ** 2) + self.sd[0] ** 2
-        self.factor = cho_factor(self.covariance[: self.lights, : self.lights] + noise)
+        self.seen = self.covariance[: self.lights, : self.lights] + noise
 
     def log_likelihood(self, residual: Floats) -> Floats:
         """Return the log density up to a constant of (K, lights) residuals of ln yield."""
         if self.lights == 0:
             return np.zeros(len(residual))
-        solved = cho_solve(self.factor, residual.T)
+        solved = np.linalg.solve(self.seen, residual.T)
         return np.asarray(-0.5 * np.einsum("kl,lk->k", residual, solved))
 
     def draw(self, residual: Floats, rng: np.random.Generator) -> Floats:
@@ -107,7 +106,7 @@ class Deviation:
             return prior
         noise = rng.standard_normal((len(residual), self.lights + 1)) * self.sd
         seen = prior[:, : self.lights] + noise[:, 1:] - noise[:, :1]
-        gain = cho_solve(self.factor, self.covariance[: self.lights, self.lights :])
+        gain = np.linalg.solve(self.seen, self.covariance[: self.lights, self.lights :])
         return np.asarray(prior[:, self.lights :] + (residual - seen) @ gain)
 
 

@@ -5,9 +5,9 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
 from data_schemas.errors import FitError
+from finray_calib.fit.normal_distribution import normal_cdf, normal_quantile
 
 Floats = NDArray[np.float64]
 
@@ -86,8 +86,8 @@ class AbsorptionPrior:
 
     def draw(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
         """Return (count,) Stokes shifts in nm, and (4, count) absorbance, half widths (red, blue, nm) and floor."""
-        below = ndtr(-self.stokes_mean_nm / self.stokes_sd_nm)
-        shift = self.stokes_mean_nm + self.stokes_sd_nm * ndtri(below + (1 - below) * rng.random(count))
+        below = normal_cdf(-self.stokes_mean_nm / self.stokes_sd_nm)
+        shift = self.stokes_mean_nm + self.stokes_sd_nm * normal_quantile(below + (1 - below) * rng.random(count))
         medians = (self.absorbance_median_factor, self.red_half_width_median_nm, self.blue_half_width_median_nm)
         spreads = (self.ln_absorbance_sd, self.ln_red_half_width_sd, self.ln_blue_half_width_sd)
         shape = [m * np.exp(s * rng.standard_normal(count)) for m, s in zip(medians, spreads, strict=True)]

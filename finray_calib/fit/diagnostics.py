@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 FloatArray = NDArray[np.float64]
 
@@ -127,6 +126,8 @@ def _split(chains: FloatArray) -> FloatArray:
 
 def _normal_scores(values: FloatArray) -> FloatArray:
     """Return the normal quantiles of the fractional ranks."""
+    from scipy.special import ndtri  # here, because it takes long to load, and most fits have no chain
+
     _, place, count = np.unique(values, return_inverse=True, return_counts=True)
     ranks = (np.cumsum(count) - (count - 1) / 2)[place].reshape(values.shape)  # repeated values share their mean rank
     return np.asarray(ndtri((ranks - 0.375) / (values.size + 0.25)))

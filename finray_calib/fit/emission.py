@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from data_schemas.errors import FitError
 from data_schemas.fit import SamplingMethod
+from finray_calib.fit.band_data import BandData
 from finray_calib.fit.curve_draws import CurveDraws, curve_draws
 from finray_calib.fit.diagnostics import ChainDiagnostics
 from finray_calib.fit.discrepancy import Discrepancy
 from finray_calib.fit.importance import SMALLEST_EFFECTIVE_SHARE, WeightedSample, importance_sample
-from finray_calib.fit.likelihood import BandData, LogPosterior
+from finray_calib.fit.likelihood import LogPosterior
 from finray_calib.fit.map_search import Maxima, find_maxima, starting_points
-from finray_calib.fit.mixture_proposal import MixtureProposal
+from finray_calib.fit.mixture_proposal import GOOD_EFFECTIVE_SHARE, MixtureProposal
 from finray_calib.fit.predictive import BandCheck, check_bands
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.fit.sampler import SamplerSettings, sample_posterior
@@ -29,10 +30,14 @@ _WORTH_ADAPTING: Final = 20_000
 """Draws from which adapting the proposal, some ten thousand evaluations, pays even where the first one would do."""
 
 _GROWTHS: Final = 10
+_TRIAL_DRAWS: Final = 2000  # tell whether a grown proposal is worth all draws
 _DRAWS_OF_LAST_ADAPTATION: Final = 10_000  # a round; a curved ridge in ten dimensions needs them
 _SHARE_OF_LAST_ADAPTATION: Final = 0.75  # the rest watches over what the adaptation forgot
 REFERENCE_ROUNDS: Final = 2
 """The filters' tolerances act at a reference fit that is refined twice; the first is fitted without them."""
+
+
+FEWEST_DRAWS: Final = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +50,8 @@ class FitSettings:
         Draws of the proposal.
     kept_draws
         Draws of equal weight that are kept.
+    good_effective_share
+        Effective share of the draws at which the adaptation of a proposal stops.
     chain
         Settings of emcee, which takes over when importance sampling cannot be trusted.
 
@@ -56,13 +63,14 @@ class FitSettings:
 
     importance_draws: int = 6000
     kept_draws: int = 1000
+    good_effective_share: float = GOOD_EFFECTIVE_SHARE
     chain: SamplerSettings = field(default_factory=SamplerSettings)
 
     def __post_init__(self) -> None:
-        if not 100 <= self.kept_draws <= self.importance_draws:
+        if not FEWEST_DRAWS <= self.kept_draws <= self.importance_draws:
             raise FitError(
-                f"fit settings: kept_draws {self.kept_draws} must be at least 100 and at most importance_draws "
-                f"{self.importance_draws}"
+                f"fit settings: kept_draws {self.kept_draws} must be at least {FEWEST_DRAWS} and at most "
+                f"importance_draws {self.importance_draws}"
             )
 
 
@@ -216,7 +224,7 @@ def draw_posterior(
     many = settings.importance_draws >= _WORTH_ADAPTING
     if many or pilot.effective < SMALLEST_EFFECTIVE_SHARE * _PILOT_DRAWS:
         method = "adapted importance sampling"
-        proposal = proposal.adapted(log_posterior, rng)
+        proposal = proposal.adapted(log_posterior, rng, good_effective_share=settings.good_effective_share)
     sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
     for growth in range(_GROWTHS):
         if sample.trusted:
@@ -228,7 +236,10 @@ def draw_posterior(
             proposal = proposal.joined(adapted, _SHARE_OF_LAST_ADAPTATION)
         else:
             proposal = proposal.grown(sample.theta, sample.weight)
-        sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
+        trial = settings.importance_draws if last else min(_TRIAL_DRAWS, settings.importance_draws)
+        sample = importance_sample(log_posterior, proposal, trial, rng)
+        if sample.covered and trial < settings.importance_draws:
+            sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
     if sample.trusted:
         return proposal, sample.resampled(settings.kept_draws, rng), Sampling(method, sample, None)
     chain, diagnostics = sample_posterior(log_posterior, proposal, settings.chain, rng)

@@ -6,9 +6,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
-from finray_calib.fit.mixture_proposal import MixtureProposal
+from finray_calib.fit.mixture_proposal import MixtureProposal, log_sum_exp
 from finray_calib.fit.pareto_smoothing import LARGEST_PARETO_K, smooth_weights
 
 FloatArray = NDArray[np.float64]
@@ -46,10 +45,14 @@ class WeightedSample:
     ln_evidence_sd: float
 
     @property
+    def covered(self) -> bool:
+        """Whether the proposal covers the density, as far as k and the effective share tell."""
+        return self.pareto_k <= LARGEST_PARETO_K and self.effective >= SMALLEST_EFFECTIVE_SHARE * len(self.weight)
+
+    @property
     def trusted(self) -> bool:
-        """Whether k and the effective number allow 95 % limits."""
-        enough = max(FEWEST_EFFECTIVE, SMALLEST_EFFECTIVE_SHARE * len(self.weight))
-        return self.pareto_k <= LARGEST_PARETO_K and self.effective >= enough
+        """Whether the proposal covers the density and enough draws are effective for 95 % limits."""
+        return self.covered and self.effective >= FEWEST_EFFECTIVE
 
     def resampled(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Return (count, D) draws of equal weight in random order, by systematic resampling."""
@@ -79,7 +82,7 @@ def importance_sample(
     theta = proposal.draw(count, rng)
     ln_weight = log_density(theta) - proposal.log_density(theta)
     smoothed = smooth_weights(ln_weight)
-    ln_sum = float(logsumexp(ln_weight))
+    ln_sum = float(log_sum_exp(ln_weight))
     raw = np.exp(ln_weight - ln_sum)
     sd = float(np.sqrt(max(float((raw**2).sum()) - 1 / count, 0.0)))
     return WeightedSample(

@@ -14,10 +14,10 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from finray_calib.fit.importance import WeightedSample
 from finray_calib.fit.likelihood import LogPosterior
+from finray_calib.fit.mixture_proposal import log_sum_exp
 from finray_calib.fit.pareto_smoothing import smooth_weights
 
 FloatArray = NDArray[np.float64]
@@ -96,7 +96,8 @@ def _without_own_leak(
     Gauss-Hermite nodes around the peak in z = ln(x / common) / sd.
     """
     p = log_posterior.problem
-    column, sd, white = p.leak_at[rows[0]], p.leak_sd[rows[0]], p.leaked_white[rows]
+    own = p.rows[rows]
+    column, sd, white = own["leak_at"][0], own["leak_sd"][0], own["leaked_white"]
     common, drawn = np.exp(theta[:, p.shapes + 1]), theta[:, column]
 
     def opened(z: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -121,4 +122,4 @@ def _without_own_leak(
         z = peak + node / np.sqrt(curvature)
         left = error - slope * (opened(z)[0] - start)
         terms.append(np.log(weight) + 0.5 * (node**2 - z**2 - np.einsum("ni,nij,nj->n", left, precision, left)))
-    return np.asarray(np.log(2 * np.pi * curvature) - 2 * logsumexp(terms, axis=0))
+    return np.asarray(np.log(2 * np.pi * curvature) - 2 * log_sum_exp(np.array(terms)))

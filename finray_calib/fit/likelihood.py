@@ -1,151 +1,30 @@
 """The likelihood of band values with noise, the imperfections of the rig, and the discrepancy of the paint."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.errors import FitError
+from finray_calib.fit.band_data import LEAST_BANDS, BandData
 from finray_calib.fit.discrepancy import NO_DISCREPANCY, Discrepancy
-from finray_calib.fit.nuisances import Reference, calibration_columns, decisive_leaks, tolerance_columns
-from finray_calib.fit.posterior_kernel import Problem, TruncatedNormals, climb, covariances, log_posterior, predictions
+from finray_calib.fit.nuisances import Reference, decisive_leaks
+from finray_calib.fit.posterior_calls import COVARIANCE, LOG_LIKELIHOOD, LOG_POSTERIOR, PREDICTION, TOP, evaluate
+from finray_calib.fit.posterior_kernel import NORMAL, ROW, Problem
 from finray_calib.fit.prior import EmissionPrior
-from finray_calib.spectra.band_quadrature import BandQuadrature, band_quadrature
-from finray_calib.spectra.band_tolerances import BandTolerances
-from finray_calib.spectra.band_weights import EmissionWeights, read_only
+from finray_calib.spectra.band_quadrature import NODES
 from finray_calib.spectra.compiled import machine_threads
 from finray_calib.spectra.emission_families import EmissionFamily, tables
 
+__all__ = ["LEAST_BANDS", "BandData", "LogPosterior"]
+
 FloatArray = NDArray[np.float64]
 
-LEAST_BANDS = 4
-"""Fewest bands with a usable channel: a mode, a width, a skewness and a height need as many."""
-
-_ASYMMETRY_REL = 1e-6  # of the two standard deviations: far above rounding, far below what a fit could feel
 _HESSIAN_STEP = 1e-3  # in prior standard deviations: truncation 1e-6, rounding 1e-9 of the curvature
 _CLIMB_STEPS = 60
 _ROWS_WORTH_A_THREAD = 500  # some milliseconds, against a tenth of one to start a thread
 _LENGTHS_APART = 4.0  # bands further apart than four correlation lengths share no discrepancy (e^-8)
-
-
-@dataclass(frozen=True, slots=True)
-class BandData:
-    """Normalised band values of one region or pixel, ready to fit.
-
-    Attributes
-    ----------
-    y
-        (B, C) normalised band values, dimensionless; may be NaN where not usable.
-    covariance
-        (B C, B C) measurement covariance of y in band-major order, without the calibration error.
-    usable
-        (B, C) False for saturated or lost entries.
-    weights
-        Weights of the rig with B C rows.
-    band_calibration_rel
-        Relative standard uncertainty of each band's calibration, common to its channels.
-    tolerances
-        Tolerances of the filters' centre, width and blocking; perfectly known filters when None.
-    quadrature
-        Few-node rule of the weights.
-
-    Raises
-    ------
-    FitError
-        When shapes disagree, usable values are not finite, fewer than four bands are usable, or the
-        covariance is not symmetric positive definite.
-    """
-
-    y: FloatArray
-    covariance: FloatArray
-    usable: NDArray[np.bool_]
-    weights: EmissionWeights
-    band_calibration_rel: float = 0.01
-    tolerances: BandTolerances | None = None
-    quadrature: BandQuadrature = field(init=False)
-
-    def __post_init__(self) -> None:
-        rows = self.weights.band_index.size
-        if self.y.size != rows or self.usable.shape != self.y.shape or self.covariance.shape != (rows, rows):
-            raise FitError(
-                f"band data: y {self.y.shape}, usable {self.usable.shape} and covariance {self.covariance.shape} do "
-                f"not fit the rig's {rows} band values; y and usable must be bands x channels"
-            )
-        bands = int(self.usable.any(axis=1).sum())
-        if bands < LEAST_BANDS:
-            raise FitError(
-                f"band data: only {bands} bands have a usable channel, at least {LEAST_BANDS} are needed; "
-                "repeat the saturated or lost bands"
-            )
-        if not np.isfinite(self.y[self.usable]).all():
-            raise FitError("band data: usable band values are NaN or infinite; mark them as not usable")
-        if not 0 <= self.band_calibration_rel < 1:
-            raise FitError(
-                f"band data: band_calibration_rel {self.band_calibration_rel:g} must be 0 or more and below 1"
-            )
-        kept = self.usable.ravel()
-        measured = self.covariance[np.ix_(kept, kept)]
-        if not (np.isfinite(measured).all() and _is_symmetric(measured)):
-            raise FitError("band data: the covariance must be finite and symmetric over the usable entries")
-        try:
-            np.linalg.cholesky(measured)
-        except np.linalg.LinAlgError:
-            raise FitError(
-                "band data: the covariance is not positive definite over the usable entries; give every band "
-                "value a variance of its own (read noise at least)"
-            ) from None
-        for name in ("y", "covariance", "usable"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
-        object.__setattr__(self, "quadrature", band_quadrature(self.weights))
-
-    def without_band(self, band: int) -> "BandData":
-        """Return the data with one band left out.
-
-        Raises
-        ------
-        FitError
-            When fewer than four bands remain.
-        """
-        usable = self.usable.copy()
-        usable[band] = False
-        return replace(self, usable=usable)
-
-    @property
-    def kept(self) -> NDArray[np.int64]:
-        """Rows of the usable entries in band-major order."""
-        return np.flatnonzero(self.usable.ravel())
-
-    @property
-    def leak_sd(self) -> FloatArray:
-        """Standard deviation of ln(leak) of each row's filter around the common one, (N,)."""
-        return np.zeros(self.y.size) if self.tolerances is None else self.tolerances.blocking_sd
-
-    @property
-    def leak_mean(self) -> FloatArray:
-        """Mean over median of each row's own leak, (N,): a log-normal's mean lies above its median."""
-        return np.asarray(np.exp(self.leak_sd**2 / 2))
-
-    def imperfections(self, reference: Reference | None = None) -> FloatArray:
-        """Return the imperfection columns U of the usable rows, (K, M).
-
-        Parameters
-        ----------
-        reference
-            The emission at which the filters' tolerances act; calibration errors alone when None.
-        """
-        y = np.nan_to_num(self.y.ravel())
-        columns = [calibration_columns(y, self.weights, self.band_calibration_rel)]
-        if reference is not None and self.tolerances is not None:
-            columns.append(tolerance_columns(reference, self.weights, self.tolerances))
-        return np.concatenate(columns, axis=1)[self.kept]
-
-
-def _is_symmetric(covariance: FloatArray) -> bool:
-    """Whether C_ij and C_ji agree, relative to sqrt(C_ii C_jj)."""
-    sd = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    return bool((np.abs(covariance - covariance.T) <= _ASYMMETRY_REL * np.outer(sd, sd)).all())
 
 
 class LogPosterior:
@@ -186,32 +65,37 @@ class LogPosterior:
 
     def __call__(self, theta: FloatArray) -> FloatArray:
         """Return the log posterior density (up to the evidence) of (n, D) rows, (n,)."""
-        return self._by_row(lambda rows: log_posterior(self.problem, rows, True), theta)
+        return self._by_row(LOG_POSTERIOR, theta, 1)[:, 0]
 
     def log_likelihood(self, theta: FloatArray) -> FloatArray:
         """Return ln p(y | theta) of (n, D) rows inside the prior, (n,)."""
-        return self._by_row(lambda rows: log_posterior(self.problem, rows, False), theta)
+        return self._by_row(LOG_LIKELIHOOD, theta, 1)[:, 0]
 
     def predict_usable(self, theta: FloatArray) -> FloatArray:
         """Return the predicted usable band values of (n, D) rows, without discrepancy, (n, K)."""
-        return self._by_row(lambda rows: predictions(self.problem, rows), theta)
+        return self._by_row(PREDICTION, theta, self.data.kept.size)
 
     def covariances(self, theta: FloatArray) -> FloatArray:
         """Return the covariance of the usable band values at (n, D) rows, (n, K, K)."""
-        return self._by_row(lambda rows: covariances(self.problem, rows), theta)
+        size = self.data.kept.size
+        return np.reshape(self._by_row(COVARIANCE, theta, size**2), (-1, size, size))
 
-    def _by_row(self, compiled_function: Callable[[FloatArray], FloatArray], theta: FloatArray) -> FloatArray:
-        """Return a compiled function of many rows, computed by several threads where that pays."""
-        threads = min(machine_threads(), len(theta) // _ROWS_WORTH_A_THREAD)
-        theta = np.ascontiguousarray(theta)
-        if threads < 2:
-            return np.asarray(compiled_function(theta))
+    def _by_row(self, quantity: int, theta: FloatArray, columns: int, steps: int = 0) -> FloatArray:
+        """Return a compiled quantity of many rows, (n, columns), computed by several threads where that pays."""
+        threads = max(1, min(machine_threads(), len(theta) // _ROWS_WORTH_A_THREAD))
+        theta, out = np.ascontiguousarray(theta), np.empty((len(theta), columns))
+        if threads == 1:
+            evaluate(self.problem, theta, quantity, steps, out)
+            return out
         with ThreadPoolExecutor(threads) as pool:
-            return np.concatenate(list(pool.map(compiled_function, np.array_split(theta, threads))))
+            parts = zip(np.array_split(theta, threads), np.array_split(out, threads), strict=True)
+            for done in [pool.submit(evaluate, self.problem, rows, quantity, steps, part) for rows, part in parts]:
+                done.result()
+        return out
 
     def climb(self, start: FloatArray) -> FloatArray:
         """Return the local maximum that Levenberg-Marquardt steps from `start` (D,) reach, (D,)."""
-        return np.asarray(climb(self.problem, np.ascontiguousarray(start), _CLIMB_STEPS))
+        return np.asarray(self._by_row(TOP, start[None], start.size, _CLIMB_STEPS)[0])
 
     def reference_at(self, theta: FloatArray) -> Reference:
         """Return the emission, reflectance and leaks of one parameter vector (D,), and which leaks decide there."""
@@ -290,35 +174,34 @@ def _problem(posterior: LogPosterior) -> Problem:
     rule = data.quadrature
     u = posterior.imperfections
     covariance = data.covariance[np.ix_(kept, kept)] + u @ u.T
-    factor = np.linalg.cholesky(covariance)
     nodes = rule.nodes_nm.ravel()
     centres = rule.nodes_nm.mean(axis=1)
     near = np.abs(centres[:, None] - centres) < _LENGTHS_APART * discrepancy.length_nm
     emits = np.bincount(weights.band_index, np.abs(rule.in_band).sum(axis=1)) > 0
     near &= emits[:, None] & emits
-    row = {name: np.ascontiguousarray(getattr(rule, name)[kept]) for name in ("in_band", "out_of_band", "leaked")}
-    own = {name: getattr(weights, name)[kept] for name in ("leaked_laser", "leaked_white")}
+    rows, normals = np.zeros(kept.size, ROW), np.zeros(prior.size, NORMAL)
+    rows["band"], rows["y"], rows["laser"] = (
+        weights.band_index[kept],
+        data.y.ravel()[kept],
+        weights.reflected_laser[kept],
+    )
+    rows["leaked_laser"], rows["leaked_white"] = weights.leaked_laser[kept], weights.leaked_white[kept]
+    rows["leak_mean"], rows["leak_sd"] = data.leak_mean[kept], data.leak_sd[kept]
+    rows["leak_at"] = [posterior.own_leaks.get(band, 0) for band in rows["band"]]
+    for name in NORMAL.names or ():
+        normals[name] = getattr(prior, name)
     return Problem(
         family=posterior.family.code,
         shapes=len(posterior.family.parameter_names),
         has_blocking=posterior.has_blocking,
-        table=np.ascontiguousarray(tables()),
-        band=np.ascontiguousarray(weights.band_index[kept]),
+        table=tables(),
         points_nm=np.concatenate([nodes, rule.grid_nm]),
-        laser=weights.reflected_laser[kept],
-        leak_mean=data.leak_mean[kept],
-        leak_sd=data.leak_sd[kept],
-        leak_at=np.array([posterior.own_leaks.get(band, 0) for band in weights.band_index[kept]]),
-        y=data.y.ravel()[kept],
+        rows=rows,
+        weights=np.concatenate([rule.in_band, rule.out_of_band, rule.leaked], axis=1)[kept],
         covariance=covariance,
-        whiten=np.ascontiguousarray(np.linalg.inv(factor)),
-        ln_norm=float(-0.5 * kept.size * np.log(2 * np.pi) - np.log(np.diagonal(factor)).sum()),
-        discrepancy=discrepancy.acts,
-        kernel=discrepancy.smooth_kernel(nodes, nodes),
-        near=near.astype(np.int64),
+        kernel=discrepancy.smooth_kernel(nodes, nodes) * np.repeat(np.repeat(near, NODES, axis=0), NODES, axis=1),
         floor_rel=discrepancy.floor_rel,
         reabsorption_rel=discrepancy.reabsorption_rel,
-        prior=TruncatedNormals(prior.mean, prior.sd, prior.low, prior.high, prior.ln_norm),
-        **row,
-        **own,
+        prior=normals,
+        ln_prior_norm=prior.ln_norm,
     )

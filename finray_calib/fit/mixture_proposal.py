@@ -1,11 +1,11 @@
 """A heavy-tailed mixture fitted to the posterior: where the walkers start and where they may jump to."""
 
+import math
 from collections.abc import Callable
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln, logsumexp
 
 from finray_calib.fit.map_search import Maxima
 from finray_calib.fit.prior import Prior
@@ -20,7 +20,9 @@ _COMPONENTS = 12
 _MOST_ROUNDS = 20
 _DRAWS_PER_ROUND = 2000
 _LEAST_EFFECTIVE = 0.1  # effective share of the draws below which the weights are tempered
-_GOOD_EFFECTIVE = 0.4  # effective share of the draws at which adaptation stops
+GOOD_EFFECTIVE_SHARE: Final = 0.4
+"""Effective share of the draws at which adaptation stops."""
+
 _GOOD_ROUNDS = 2  # one round can be lucky and miss a tail
 _NEIGHBOURS = 0.05  # of the draws: they shape a component that is added
 _GROWN_SHARE = 0.1
@@ -52,7 +54,7 @@ class MixtureProposal:
         self._factors = np.linalg.cholesky(covariances)
         self._whiten = np.linalg.inv(self._factors)
         dimension, df = centres.shape[1], _DEGREES_OF_FREEDOM
-        constant = gammaln((df + dimension) / 2) - gammaln(df / 2) - dimension / 2 * np.log(df * np.pi)
+        constant = math.lgamma((df + dimension) / 2) - math.lgamma(df / 2) - dimension / 2 * np.log(df * np.pi)
         self._ln_norm = constant - np.log(np.diagonal(self._factors, axis1=1, axis2=2)).sum(axis=1)
 
     @property
@@ -72,6 +74,7 @@ class MixtureProposal:
         log_density: Callable[[FloatArray], FloatArray],
         rng: np.random.Generator,
         draws_per_round: int = _DRAWS_PER_ROUND,
+        good_effective_share: float = GOOD_EFFECTIVE_SHARE,
     ) -> Self:
         """Return a mixture of up to ten components fitted to a density by population Monte Carlo.
 
@@ -88,7 +91,7 @@ class MixtureProposal:
         for round_ in range(_MOST_ROUNDS):
             theta = mixture.draw(draws_per_round, rng)
             ln_weight = log_density(theta) - mixture.log_density(theta)
-            is_good = effective_number(normalised(ln_weight)) > _GOOD_EFFECTIVE * draws_per_round
+            is_good = effective_number(normalised(ln_weight)) > good_effective_share * draws_per_round
             good = good + 1 if is_good else 0
             if good == _GOOD_ROUNDS:
                 break
@@ -183,7 +186,7 @@ class MixtureProposal:
         """Return the mixture after one step of expectation maximisation on (n, D) draws with (n,) weights."""
         squared = self._squared_distance(theta)
         terms = self._ln_terms(theta, squared)
-        member = np.exp(terms - logsumexp(terms, axis=1, keepdims=True))[:, :-1] * weight[:, None]
+        member = np.exp(terms - log_sum_exp(terms, axis=1)[:, None])[:, :-1] * weight[:, None]
         share = member.sum(axis=0)
         keep = share > _LEAST_SHARE
         if not keep.any():
@@ -213,6 +216,12 @@ def tempered_weights(ln_weight: FloatArray, least_effective: float) -> FloatArra
     while effective_number(normalised(power * ln_weight)) < least_effective and power > 1e-4:
         power *= 0.8
     return normalised(power * ln_weight)
+
+
+def log_sum_exp(terms: FloatArray, axis: int = 0) -> FloatArray:
+    """Return ln sum exp(terms) along an axis, without overflow; some term of each sum is finite."""
+    top = terms.max(axis=axis)
+    return np.asarray(top + np.log(np.exp(terms - np.expand_dims(top, axis)).sum(axis=axis)))
 
 
 def normalised(ln_weight: FloatArray) -> FloatArray:

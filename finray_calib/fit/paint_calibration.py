@@ -1,7 +1,8 @@
 """From band signals to the stored paint calibration."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -16,18 +17,19 @@ from data_schemas.reradiation import Reradiation
 from finray_calib.fit import calibration_records as records
 from finray_calib.fit.absorption_fit import fit_absorption
 from finray_calib.fit.absorption_prior import AbsorptionPrior
+from finray_calib.fit.band_data import BandData
 from finray_calib.fit.calibration_warnings import absorption_warnings, fit_warnings, signal_warnings
 from finray_calib.fit.chain_check import check_by_chain
 from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY, Discrepancy
-from finray_calib.fit.emission import EmissionPosterior, FitSettings, fit_emission
+from finray_calib.fit.emission import FEWEST_DRAWS, EmissionPosterior, FitSettings, fit_emission
 from finray_calib.fit.family_choice import DEFAULT_FAMILY, choose_family, score_families
-from finray_calib.fit.leave_one_band_out import leave_one_band_out
-from finray_calib.fit.likelihood import BandData
+from finray_calib.fit.leave_one_band_out import BandPrediction, leave_one_band_out
 from finray_calib.fit.other_lights import excitation_yields, refuse_unfit_lights
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.fit.reflectance import METHOD, reflectance
 from finray_calib.spectra.band_tolerances import tolerances_of
-from finray_calib.spectra.emission_families import FAMILIES, family_named
+from finray_calib.spectra.compiled import machine_threads
+from finray_calib.spectra.emission_families import FAMILIES, family_named, tables
 from finray_calib.spectra.reradiation_matrix import reradiation_matrix
 from finray_calib.spectra.rig_curves import WAVELENGTH_NM, held_shares, weights_of
 
@@ -44,6 +46,7 @@ LARGEST_LEAK_OF_WHITE: Final = 0.1
 PAPER_FAMILY: Final = "zheng2014"
 PRIOR_DRAWS: Final = 2000
 CURVE_DRAWS: Final = 400
+_GOOD_EFFECTIVE_SHARE_OF_OTHERS: Final = 0.3  # a little above what is trusted: adapting costs more than draws
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,14 +108,15 @@ def calibrate_paint(
     refuse_unfit_lights(bands, other_lights)
     rng = np.random.default_rng(seed)
     data = band_data(bands)
-    posteriors = {name: _fit(data, name, options.discrepancy, options, rng) for name in FAMILIES}
-    left_out = {name: leave_one_band_out(p.log_posterior, p.sampling.sample) for name, p in posteriors.items()}
+    posteriors, left_out, paper = _fit_families(data, options, rng)
     scores = score_families(posteriors, left_out)
     chosen, why = choose_family(scores)
     if options.family is not None and options.family != chosen:
         why = f"{options.family}: asked for; the rule would take {why}"
     chosen = options.family or chosen
-    posterior, paper = posteriors[chosen], _fit(data, PAPER_FAMILY, NO_DISCREPANCY, options, rng)
+    posterior = posteriors[chosen]
+    if chosen != DEFAULT_FAMILY:
+        posterior = _fit(data, chosen, options.discrepancy, options, rng)
     independent = options.check_by_emcee and posterior.sampling.chain is None
     check = check_by_chain(posterior, options.settings.chain, rng) if independent else None
     curve = records.curve_bands(posterior.curve_draws.curves)
@@ -194,6 +198,38 @@ def band_data(bands: BandSignals) -> BandData:
         band_calibration_rel=BAND_CALIBRATION_REL,
         tolerances=tolerances_of(bands.optics, bands.channel_weights),
     )
+
+
+def _fit_families(
+    data: BandData, options: FitOptions, rng: np.random.Generator
+) -> tuple[dict[str, EmissionPosterior], dict[str, BandPrediction], EmissionPosterior]:
+    """Return posterior and left-out bands of each family, and the posterior of the paper's curve alone.
+
+    Side by side in threads, each with randomness of its own. The families beside the default get fewer draws:
+    one of them that is reported after all is fitted again.
+    """
+    sizes = options.settings
+    few = replace(
+        sizes,
+        importance_draws=max(sizes.importance_draws // 2, FEWEST_DRAWS),
+        kept_draws=max(sizes.kept_draws // 2, FEWEST_DRAWS),
+        good_effective_share=_GOOD_EFFECTIVE_SHARE_OF_OTHERS,
+    )
+    fewer = replace(options, settings=few)
+
+    def fitted(name: str, own: np.random.Generator) -> tuple[EmissionPosterior, BandPrediction]:
+        posterior = _fit(data, name, options.discrepancy, options if name == DEFAULT_FAMILY else fewer, own)
+        return posterior, leave_one_band_out(posterior.log_posterior, posterior.sampling.sample)
+
+    *own, last = rng.spawn(len(FAMILIES) + 1)
+    tables()  # once, before several ask for them at the same time
+    with ThreadPoolExecutor(machine_threads()) as pool:
+        running = {name: pool.submit(fitted, name, each) for name, each in zip(FAMILIES, own, strict=True)}
+        alone = pool.submit(_fit, data, PAPER_FAMILY, NO_DISCREPANCY, options, last)
+        results = {name: done.result() for name, done in running.items()}
+        paper = alone.result()
+    posteriors = {name: posterior for name, (posterior, _) in results.items()}
+    return posteriors, {name: left_out for name, (_, left_out) in results.items()}, paper
 
 
 def _fit(

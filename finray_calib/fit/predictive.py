@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincc
 
 from finray_calib.fit.likelihood import LogPosterior
+from finray_calib.fit.normal_distribution import chi_square_survival
 from finray_calib.fit.nuisances import band_values
 
 FloatArray = NDArray[np.float64]
@@ -73,7 +73,7 @@ def check_bands(log_posterior: LogPosterior, draws: FloatArray) -> BandCheck:
         rows = np.flatnonzero(p.band == band)
         own = residual[:, rows]
         each = np.einsum("ni,ni->n", own, np.linalg.solve(covariance[:, rows][:, :, rows], own[..., None])[..., 0])
-        chi2[band], p_value[band] = each.mean(), gammaincc(rows.size / 2, each / 2).mean()
+        chi2[band], p_value[band] = each.mean(), chi_square_survival(each, rows.size).mean()
     total = np.einsum("ni,ni->n", residual, np.linalg.solve(covariance, residual[..., None])[..., 0])
     curves = log_posterior.family.curves(draws, data.weights.wavelength_nm)
     every = band_values(curves, np.exp(draws[:, p.shapes]), data.weights, log_posterior.leaks(draws))

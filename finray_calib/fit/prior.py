@@ -7,9 +7,9 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
 from data_schemas.errors import FitError
+from finray_calib.fit.normal_distribution import normal_cdf, normal_quantile
 from finray_calib.spectra.emission_families import COMMON_PARAMETERS, EmissionFamily
 
 FloatArray = NDArray[np.float64]
@@ -51,7 +51,7 @@ class Prior:
     @cached_property
     def ln_norm(self) -> float:
         """Logarithm of the normalisation of the truncated normals."""
-        inside = ndtr((self.high - self.mean) / self.sd) - ndtr((self.low - self.mean) / self.sd)
+        inside = normal_cdf((self.high - self.mean) / self.sd) - normal_cdf((self.low - self.mean) / self.sd)
         return -float(np.log(self.sd * np.sqrt(2 * np.pi) * inside).sum())
 
     def contains(self, theta: FloatArray) -> NDArray[np.bool_]:
@@ -68,8 +68,9 @@ class Prior:
 
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Return (count, D) independent draws, by inversion of the truncated distribution functions."""
-        below, above = (ndtr((limit - self.mean) / self.sd) for limit in (self.low, self.high))
-        return np.asarray(self.mean + self.sd * ndtri(below + (above - below) * rng.random((count, self.size))))
+        below, above = (normal_cdf((limit - self.mean) / self.sd) for limit in (self.low, self.high))
+        share = below + (above - below) * rng.random((count, self.size))
+        return np.asarray(self.mean + self.sd * normal_quantile(share))
 
     def widened(self, factor: float) -> Self:
         """Return the prior with all standard deviations multiplied by `factor`."""

@@ -29,6 +29,12 @@ def compiled(function: Function) -> Function:
     return _cached(numba.njit(fastmath=_REORDER, error_model="numpy", nogil=True), function)
 
 
+def compiled_inside(function: Function) -> Function:
+    """Compile a function that only compiled functions call, without the wrappers that calls from Python would need."""
+    options = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return _cached(numba.njit(fastmath=_REORDER, error_model="numpy", nogil=True, **options), function)
+
+
 def compiled_in_parallel(function: Function) -> Function:
     """Compile a function whose loops over :data:`numba.prange` run on several threads."""
     return _cached(numba.njit(error_model="numpy", parallel=True), function)

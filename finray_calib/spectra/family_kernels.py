@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from finray_calib.spectra.compiled import compiled
+from finray_calib.spectra.compiled import compiled, compiled_inside
 from finray_calib.spectra.elementary_functions import arctangent, falling_exponential, log_of_one_plus
 
 FloatArray = NDArray[np.float64]
@@ -69,7 +69,7 @@ def _bisected(holds: Callable[[FloatArray], NDArray[np.bool_]], inside: FloatArr
     return np.asarray((inside + outside) / 2)
 
 
-@compiled
+@compiled_inside
 def _cubic(t: float) -> tuple[float, float, float, float]:
     """Return the weights of cubic (Catmull-Rom) interpolation at the fraction t of a cell."""
     return (
@@ -80,7 +80,7 @@ def _cubic(t: float) -> tuple[float, float, float, float]:
     )
 
 
-@compiled
+@compiled_inside
 def skew_t_shape(kappa: float, ln_tail: float, table: FloatArray) -> tuple[float, float, float]:
     """Return mode offset m, peak p and width v of the unit curve by cubic interpolation of the table."""
     a = min(abs(kappa), KAPPA_END - 1e-9) / KAPPA_STEP + 1
@@ -97,7 +97,7 @@ def skew_t_shape(kappa: float, ln_tail: float, table: FloatArray) -> tuple[float
     return (m if kappa >= 0 else -m), p, v
 
 
-@compiled
+@compiled_inside
 def constants(family: int, theta: FloatArray, table: FloatArray, out: FloatArray) -> None:
     """Fill the constants of a curve from its parameters (mode, ln FWHM, ln peak, the family's own)."""
     mode, width, peak = theta[0], math.exp(theta[1]), math.exp(theta[2])
@@ -120,7 +120,7 @@ def constants(family: int, theta: FloatArray, table: FloatArray, out: FloatArray
         out[5] = peak * math.exp(theta[5])
 
 
-@compiled
+@compiled_inside
 def fill(family: int, c: FloatArray, wavelength_nm: FloatArray, out: FloatArray) -> None:
     """Fill the curve at (L,) wavelengths from its constants."""
     # local numbers: the compiler cannot know that filling `out` leaves c alone

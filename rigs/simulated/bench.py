@@ -226,6 +226,8 @@ class BenchTruth:
         Maximum and full width at half maximum of that emission (nm).
     energy_yield
         Emitted over incident energy at the laser line, up to 780 nm.
+    absorption
+        Photons that light of other wavelengths makes the paint emit, relative to the laser line.
     reflectance
         Non-fluorescent reflectance.
     reflectance_at_laser
@@ -236,6 +238,7 @@ class BenchTruth:
     mode_nm: float
     fwhm_nm: float
     energy_yield: float
+    absorption: SpectralCurve
     reflectance: SpectralCurve
     reflectance_at_laser: float
 
@@ -254,6 +257,9 @@ def bench_truth(rig: RigFile, folder: Path) -> BenchTruth:
     values = through(fine_nm)
     above = fine_nm[values >= 0.5 * values.max()]
     counted = column.wavelength_nm <= TRUTH_NM[-1]
+    # emitted energy over the excitation's wavelength counts photons, as far as the emission keeps its shape
+    photons = np.trapezoid(matrix.radiance_factor_per_nm, matrix.emission_nm, axis=0) / matrix.excitation_nm
+    at_laser = np.interp(rig.laser.wavelength_nm, matrix.excitation_nm, photons)
     return BenchTruth(
         emission=SpectralCurve(
             name=column.name, wavelength_nm=TRUTH_NM, values=through(TRUTH_NM), source=column.source
@@ -261,6 +267,12 @@ def bench_truth(rig: RigFile, folder: Path) -> BenchTruth:
         mode_nm=float(fine_nm[values.argmax()]),
         fwhm_nm=float(above[-1] - above[0]),
         energy_yield=float(np.trapezoid(column.values[counted], column.wavelength_nm[counted])),
+        absorption=SpectralCurve(
+            name=f"{column.name}, absorption",
+            wavelength_nm=matrix.excitation_nm,
+            values=photons / at_laser,
+            source=column.source,
+        ),
         reflectance=matrix.reflectance,
         reflectance_at_laser=float(matrix.reflectance(rig.laser.wavelength_nm)),
     )

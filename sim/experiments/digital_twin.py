@@ -52,7 +52,16 @@ def capture_twin(
     seed, samples_per_pixel
         Seed of render and sensor noise, paths per pixel.
     """
-    render = render_press(finger.design, finger.paints, finger.renderer, "b", seed, samples_per_pixel, progress)
+    render = render_press(
+        finger.design,
+        finger.paints,
+        finger.renderer,
+        "b",
+        seed,
+        samples_per_pixel,
+        progress,
+        calibration=finger.calibration,
+    )
     matrix = finger.camera_matrix(render.bands)
     rng = np.random.default_rng([seed, 1])
     repeat_bands = repeat_render(render.no_contact_bands, render.no_contact_variance, rng)

@@ -1,6 +1,7 @@
 """Sweep the angle of the blue light: the paper's brightness near the indenter, with paint uncertainty."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,4 +74,4 @@ def _draw(paint: PaintOptics, calibration: PaintCalibration | None, rng: np.rand
     if calibration is None:
         return paint
     emission = calibration.emission_draws_per_nm[rng.integers(len(calibration.emission_draws_per_nm))]
-    return PaintOptics(paint.name, paint.wavelength_nm, emission, paint.reflectance)
+    return replace(paint, emission_per_nm=emission)

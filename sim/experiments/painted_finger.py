@@ -8,11 +8,13 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.camera_calibration import CameraCalibration
 from data_schemas.curves import SpectralCurve, require_coverage
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
 from data_schemas.fit import PaintCalibration
 from data_schemas.standard_curves import camera_response
+from sim.optics.opencv_camera import read_calibration
 from sim.optics.paint_bands import BAND_NAMES, PaintBands, PaintOptics, camera_matrix
 from sim.optics.variants import Preference, choose_variant, open_renderer
 
@@ -37,12 +39,15 @@ class PaintedFinger:
         Tactile camera: red, green and blue curve.
     renderer
         Opened by :func:`sim.optics.variants.open_renderer`.
+    calibration
+        Geometry of the tactile camera; an ideal pinhole without it.
     """
 
     design: FingerDesign
     paints: Mapping[str, PaintOptics]
     response: CameraResponse
     renderer: ModuleType
+    calibration: CameraCalibration | None = None
 
     def __post_init__(self) -> None:
         missing = [colour for colour in COLOURS if colour not in self.paints]
@@ -80,16 +85,21 @@ class PaintedFinger:
 
 
 def paint_optics(calibration: PaintCalibration) -> PaintOptics:
-    """Return the optics of a calibrated paint: fitted emission, reflectance interpolated between the filters."""
+    """Return the optics of a calibrated paint.
+
+    Fitted emission and absorption (posterior means), reflectance interpolated between the filters.
+    """
     wavelength_nm = calibration.wavelength_nm
     centers = [f.center_nm for f in calibration.optics.filters]
     order = np.argsort(centers)
+    absorption = calibration.reradiation
     reflectance = np.clip([r.estimate for r in calibration.reflectance], 0.0, 1.0)
     return PaintOptics(
         name=calibration.paint_name,
         wavelength_nm=wavelength_nm,
         emission_per_nm=np.maximum(calibration.emission_per_nm, 0.0),
         reflectance=np.interp(wavelength_nm, np.array(centers)[order], reflectance[order]),
+        absorption_rel=np.interp(wavelength_nm, absorption.excitation_nm, absorption.absorption_rel),
     )
 
 
@@ -111,4 +121,6 @@ def paint_finger(
     """
     response = camera_response(design.camera.response, folder)
     paints = {colour: paint_optics(calibration) for colour, calibration in calibrations.items()}
-    return PaintedFinger(design, paints, response, open_renderer(choose_variant(engine)))
+    file = design.camera.calibration
+    calibration = None if file is None else read_calibration(folder / file)
+    return PaintedFinger(design, paints, response, open_renderer(choose_variant(engine)), calibration)

@@ -8,19 +8,20 @@ from numpy.typing import NDArray
 from data_schemas.simulate import SimulatedPress
 from sim.experiments.painted_finger import PaintedFinger
 from sim.optics.paint_bands import BAND_NAMES
-from sim.optics.render import PressRender, Progress, render_press
-from sim.optics.wall_emission import Level
+from sim.optics.render import PressRender, Progress, RenderLevel, render_press
+from sim.surface_meshes.finger_shape import FingerShape
 
 Floats = NDArray[np.float64]
 
 
 def simulate_press(
     finger: PaintedFinger,
-    level: Level,
+    level: RenderLevel,
     seed: int,
     samples_per_pixel: int,
     paint_sha256: Mapping[str, str],
     progress: Progress | None = None,
+    shapes: tuple[FingerShape, FingerShape] | None = None,
 ) -> SimulatedPress:
     """Render the contact and no-contact image of a finger in its camera's linear RGB.
 
@@ -29,13 +30,31 @@ def simulate_press(
     finger
         Design, paints, camera response and renderer.
     level
-        "b": walls re-emit the blue light that reaches them; "a": the paper's distance-textured emitter.
+        "b": walls re-emit the blue light that reaches them; "a": the paper's distance-textured emitter; "c": the
+        reference, fluorescence traced along each path.
     seed, samples_per_pixel
         Random seed and paths per pixel.
     paint_sha256
         Colour -> SHA-256 of the paint calibration the optics came from.
+    shapes
+        The finger without and with contact; by default the design's indenter is pressed in analytically.
     """
-    render = render_press(finger.design, finger.paints, finger.renderer, level, seed, samples_per_pixel, progress)
+    render = render_press(
+        finger.design,
+        finger.paints,
+        finger.renderer,
+        level,
+        seed,
+        samples_per_pixel,
+        progress,
+        shapes,
+        finger.calibration,
+    )
+    return press_record(finger, render, paint_sha256)
+
+
+def press_record(finger: PaintedFinger, render: PressRender, paint_sha256: Mapping[str, str]) -> SimulatedPress:
+    """Return the record of a render of `finger`; colours and checksums of its paints as in :func:`simulate_press`."""
     matrix = finger.camera_matrix(render.bands)
     return SimulatedPress(
         name=f"{finger.design.name}, press of {finger.design.indenter.depth_mm:g} mm",
@@ -44,7 +63,7 @@ def simulate_press(
         encoding="linear",
         no_contact=camera_rgb(render.no_contact_bands, matrix),
         contact=camera_rgb(render.contact_bands, matrix),
-        distance=render.distance_in_half_widths.astype(np.float32),
+        distance=render.contact_maps.contact_distance.astype(np.float32),
         variance=camera_rgb(render.contact_variance, matrix**2),
         no_contact_bands=render.no_contact_bands,
         contact_bands=render.contact_bands,
@@ -68,7 +87,7 @@ def _notes(finger: PaintedFinger, render: PressRender) -> tuple[str, ...]:
     notes = [
         f"camera response: {finger.response[0].source}",
         *finger.coverage_notes(render.bands),
-        "the press is analytic (a cylinder with a volume-preserving bulge), not a mechanical simulation",
+        f"shape of the finger: {render.contact_label}",
     ]
     notes += [
         f"{colour} paint: {share:.1%} of the fitted emission lay below the LED's upper edge and was cut"

@@ -1,7 +1,7 @@
 """Sweep the light angle and measure the radiance of the coated face at probe points instead of rendering pictures."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -11,16 +11,17 @@ from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from sim.optics.chain_images import chain_matrix
 from sim.optics.paint_bands import PaintBands, PaintOptics
-from sim.optics.pressed_pad import contact_half_width_mm, pressed_profile
-from sim.optics.render import BAKE_SAMPLES, Progress, check_paints, open_scene, stream_seed
+from sim.optics.render import BAKE_SAMPLES, Progress, check_paints, lit_integrator, open_scene, stream_seed
 from sim.optics.scene import band_film
-from sim.optics.wall_baking import indirect_irradiance, light_walls
+from sim.optics.variants import SCALAR_VARIANT
+from sim.optics.wall_baking import bake_walls
+from sim.surface_meshes.finger_shape import pressed_shape
+from sim.surface_meshes.pressed_pad import contact_half_width_mm, pressed_height_mm
 
 # each repeat bakes its own walls, so that the repeats show the bake's noise; together they sample it well
 _BAKE_SHARE = 0.2
-
-_Probe = Callable[[int], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +109,7 @@ def sweep_light_angle(
 
 def default_probe_points_mm(design: FingerDesign) -> NDArray[np.float64]:
     """Return four points (x, z): on both edges of the contact, a sixth of the width left and right of the middle."""
-    pad, half_width = design.pad, contact_half_width_mm(design)
+    pad, half_width = design.pad, float(contact_half_width_mm(design))
     z = np.clip(
         design.indenter.position_mm + np.array([-half_width, half_width]), 0.05 * pad.length_mm, 0.95 * pad.length_mm
     )
@@ -134,7 +135,12 @@ def _on_coat(design: FingerDesign, points_xz_mm: NDArray[np.float64]) -> NDArray
             f"the probe at x = {x:g} mm, z = {z:g} mm lies outside the pad (|x| < {pad.width_mm / 2.0:g} mm, 0 < z < "
             f"{pad.length_mm:g} mm); move it onto the pad"
         )
-    return np.column_stack([points[:, 0], pressed_profile(design, points[:, 1]), points[:, 1]])
+    return np.column_stack([points[:, 0], _heights_mm(design, points), points[:, 1]])
+
+
+def _heights_mm(design: FingerDesign, points_xz_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the height of the coated face at each point."""
+    return np.array([pressed_height_mm(design, point[:1], point[1:])[0, 0] for point in points_xz_mm])
 
 
 def _measure_repeats(
@@ -147,50 +153,48 @@ def _measure_repeats(
     seed: int,
 ) -> NDArray[np.float64]:
     """Return the band radiance (repeat, probe, 3) at the points for one light angle."""
-    scene, integrator = open_scene(design, bands, renderer, sensor=_meter(renderer, points_mm[0]))
-    if integrator is None:
-        read = _stock_probe(scene, renderer, points_mm, samples)
-    else:
-        read = _traced_probe(scene, integrator, renderer, points_mm, samples)
-    bake_samples = max(1, round(BAKE_SAMPLES[integrator is None] * _BAKE_SHARE))
-    bakes = indirect_irradiance(scene, design, renderer, seed, bake_samples, repeats)
+    shape = pressed_shape(design)
+    scene = open_scene(design, shape, bands, renderer, sensor=_meter(renderer, points_mm[0]))
+    scalar = renderer.variant() == SCALAR_VARIANT
+    bake_samples = max(1, round(BAKE_SAMPLES[scalar] * _BAKE_SHARE))
     values = []
-    for repeat, indirect in enumerate(bakes):
-        light_walls(scene, design, bands, renderer, "b", indirect)
-        values.append(read(stream_seed(seed, repeat)))
+    for repeat, light in enumerate(bake_walls(scene, design, shape, bands, renderer, "b", seed, bake_samples, repeats)):
+        integrator, chains = lit_integrator(scene, design, shape, renderer, light)
+        read = _read_meters if scalar else _read_together
+        of_chains = read(scene, integrator, renderer, points_mm, samples, stream_seed(seed, repeat))
+        values.append(of_chains @ chain_matrix(chains).T)
     return np.stack(values)
 
 
-def _traced_probe(
-    scene: Any, integrator: Any, renderer: ModuleType, points_mm: NDArray[np.float64], samples: int
-) -> _Probe:
-    """Trace all probes' rays as one wavefront of the compiled integrator."""
+def _read_together(
+    scene: Any, integrator: Any, renderer: ModuleType, points_mm: NDArray[np.float64], samples: int, seed: int
+) -> NDArray[np.float64]:
+    """Return the radiance (probe, chain), all probes' rays traced as one wavefront of the compiled integrator."""
     count = len(points_mm) * samples
     origins = np.repeat(_ray_origins_mm(points_mm), samples, axis=0).T.astype(np.float32)
     rays = renderer.Ray3f(renderer.Point3f(np.ascontiguousarray(origins)), renderer.Vector3f(0.0, 1.0, 0.0))
     sampler = renderer.load_dict({"type": "independent"})
-
-    def measure(seed: int) -> NDArray[np.float64]:
-        sampler.seed(seed, count)
-        radiance, _, _ = integrator.sample(scene, sampler, rays, None, renderer.Bool(True))
-        values = np.asarray(radiance.numpy(), dtype=np.float64).reshape(3, len(points_mm), samples)
-        return np.asarray(values.mean(axis=2).T)
-
-    return measure
+    sampler.seed(seed, count)
+    radiance, _, further = integrator.sample(scene, sampler, rays, None, renderer.Bool(True))
+    channels = np.stack([*radiance.numpy(), *(np.array(channel) for channel in further)]).astype(np.float64)
+    return np.asarray(channels.reshape(-1, len(points_mm), samples).mean(axis=2).T)
 
 
-def _stock_probe(scene: Any, renderer: ModuleType, points_mm: NDArray[np.float64], samples: int) -> _Probe:
-    """Render one-pixel radiance meters with Mitsuba's own path tracer."""
-    meters = [renderer.load_dict(_meter(renderer, point)) for point in points_mm]
-
-    def measure(seed: int) -> NDArray[np.float64]:
-        images = [
-            renderer.render(scene, sensor=meter, spp=samples, seed=stream_seed(seed, k))
-            for k, meter in enumerate(meters)
-        ]
-        return np.array([np.array(image, dtype=np.float64).reshape(3) for image in images])
-
-    return measure
+def _read_meters(
+    scene: Any, integrator: Any, renderer: ModuleType, points_mm: NDArray[np.float64], samples: int, seed: int
+) -> NDArray[np.float64]:
+    """Return the radiance (probe, band) of one-pixel radiance meters, by Mitsuba's own path tracer."""
+    images = [
+        renderer.render(
+            scene,
+            sensor=renderer.load_dict(_meter(renderer, point)),
+            integrator=integrator,
+            spp=samples,
+            seed=stream_seed(seed, k),
+        )
+        for k, point in enumerate(points_mm)
+    ]
+    return np.array([np.array(image, dtype=np.float64).reshape(3) for image in images])
 
 
 def _ray_origins_mm(points_mm: NDArray[np.float64]) -> NDArray[np.float64]:

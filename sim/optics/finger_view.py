@@ -11,35 +11,16 @@ from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
-from sim.optics.pressed_pad import pressed_profile
 from sim.optics.refracted_light import panel_frame
+from sim.surface_meshes.back_mirror import MirrorShape, layout_scale, mirror_shape
+from sim.surface_meshes.pressed_pad import pressed_height_mm
 
-# Assumed lay-out for a pad of 70 x 35 mm, chosen so that the pad fills the frame of a 120 deg camera; it scales
-# with the pad. The mirror is a straight back beam (positions in mm, y then z), slightly convex.
-_NOMINAL_LENGTH_MM, _NOMINAL_WIDTH_MM = 70.0, 35.0
-_MIRROR_BASE = np.array([-20.0, 0.0])
-_MIRROR_TIP = np.array([-4.5, 70.0])
-_MIRROR_OVERHANG_MM = 4.0
+# Assumed place for a pad of 70 x 35 mm (y then z), chosen so that the pad fills the frame; it scales with the pad.
 _CAMERA = np.array([-15.0, -2.0])
 _CAMERA_AIM_DEG = 14.0
 _BISECTIONS = 48
 # around the coat's pixels, to hold the painted walls beside them
 _WINDOW_MARGIN = 0.15
-
-
-@dataclass(frozen=True, slots=True)
-class MirrorShape:
-    """Convex mirror, straight across (x): apex, unit tangent and unit normal to the pad in (y, z), and radius.
-
-    Points: apex + s tangent - s^2 / (2 radius) normal, for s in -half_length_mm .. half_length_mm.
-    """
-
-    apex_yz_mm: NDArray[np.float64]
-    tangent_yz: NDArray[np.float64]
-    normal_yz: NDArray[np.float64]
-    radius_mm: float
-    half_length_mm: float
-    half_width_mm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,22 +88,6 @@ class Window:
         }
 
 
-def mirror_shape(design: FingerDesign) -> MirrorShape:
-    """Return the mirror on the back beam, scaled with the pad."""
-    scale = _scale(design)
-    base, tip = _MIRROR_BASE * scale, _MIRROR_TIP * scale
-    length = float(np.linalg.norm(tip - base))
-    tangent = (tip - base) / length
-    return MirrorShape(
-        apex_yz_mm=(base + tip) / 2.0,
-        tangent_yz=tangent,
-        normal_yz=np.array([tangent[1], -tangent[0]]),
-        radius_mm=design.mirror.radius_mm,
-        half_length_mm=length / 2.0 + _MIRROR_OVERHANG_MM,
-        half_width_mm=design.pad.width_mm / 2.0 + 1.0,
-    )
-
-
 def camera_pose(design: FingerDesign) -> CameraPose:
     """Return the camera at the base: it looks at the mirror, the pad's length runs along the rows.
 
@@ -135,7 +100,7 @@ def camera_pose(design: FingerDesign) -> CameraPose:
     rows, columns = design.camera.height_px // 2, design.camera.width_px // 2
     tan_per_px = np.tan(np.radians(design.camera.field_of_view_deg) / 2.0) / np.hypot(rows, columns)
     return CameraPose(
-        centre_mm=np.array([0.0, *(_CAMERA * _scale(design))]),
+        centre_mm=np.array([0.0, *(_CAMERA * layout_scale(design))]),
         forward=np.array([0.0, *forward]),
         right=np.array([0.0, forward[1], -forward[0]]),
         down=np.array([-1.0, 0.0, 0.0]),
@@ -172,15 +137,10 @@ def coat_positions(design: FingerDesign) -> NDArray[np.float64]:
         seen &= (entry[..., 2] > 0.0) & (entry[..., 2] < pad.length_mm)
         seen &= ~_panel_blocks(design, np.broadcast_to(pose.centre_mm, entry.shape), on_mirror)
         seen &= ~_panel_blocks(design, on_mirror, entry)
-        on_coat = _meet_coat(design, entry, _refract(reflected, pad.refractive_index))
+        on_coat = _meet_coat(design, entry, _refract(reflected, pad.index_at(design.light.peak_wavelength_nm)))
         seen &= (np.abs(on_coat[..., 0]) < pad.width_mm / 2.0) & (on_coat[..., 2] > 0.0)
         seen &= on_coat[..., 2] < pad.length_mm
     return np.where(seen[..., None], on_coat[..., [2, 0]], np.nan)
-
-
-def _scale(design: FingerDesign) -> float:
-    """Return the size of this finger's lay-out over the nominal one."""
-    return max(design.pad.length_mm / _NOMINAL_LENGTH_MM, design.pad.width_mm / _NOMINAL_WIDTH_MM)
 
 
 def _reflect(
@@ -216,9 +176,14 @@ def _meet_coat(design: FingerDesign, entry: NDArray[np.float64], rays: NDArray[n
     near, far = np.zeros(entry.shape[:-1]), highest / rays[..., 1]
     for _ in range(_BISECTIONS):
         middle = 0.5 * (near + far)
-        below = middle * rays[..., 1] < pressed_profile(design, entry[..., 2] + middle * rays[..., 2])
+        below = middle * rays[..., 1] < _flat_pad_height_mm(design, entry[..., 2] + middle * rays[..., 2])
         near, far = np.where(below, middle, near), np.where(below, far, middle)
     return np.asarray(entry + (0.5 * (near + far))[..., None] * rays)
+
+
+def _flat_pad_height_mm(design: FingerDesign, z_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the height of the coat of a flat pad, which is the same all across."""
+    return np.asarray(pressed_height_mm(design, np.zeros(1), z_mm.ravel())[0].reshape(z_mm.shape))
 
 
 def _panel_blocks(design: FingerDesign, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -1,8 +1,8 @@
 """Three spectral bands carry all the light: red emission, green emission and the LED.
 
-The renderer's three channels are these bands; a paint is its mean reflectance in each band plus the share of LED
-energy it turns into its own band. Camera channels are formed after rendering, RGB = C @ bands, so the camera's
-response and the white balance never need a new render.
+The renderer's three channels are these bands; a paint is its mean reflectance in each band plus the share of each
+band's energy that it turns into its own band: a 3 x 3 matrix diag(rho) + K, of which K has one row. Camera channels
+are formed after rendering, RGB = C @ bands, so the camera's response and the white balance never need a new render.
 """
 
 from collections.abc import Mapping
@@ -32,21 +32,28 @@ class PaintOptics:
 
     ``emission_per_nm`` (n,) is the bispectral radiance factor per nm for excitation at the LED: its integral over
     wavelength is the share of the LED's energy that is emitted. ``reflectance`` (n,) is 0..1 on the same grid.
+    ``absorption_rel`` (n,) is the absorption spectrum of the fluorescent pigment in any unit: it tells what other
+    wavelengths excite the same emission. Without it only the LED does.
     """
 
     name: str
     wavelength_nm: NDArray[np.float64]
     emission_per_nm: NDArray[np.float64]
     reflectance: NDArray[np.float64]
+    absorption_rel: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        shapes = {self.wavelength_nm.shape, self.emission_per_nm.shape, self.reflectance.shape}
+        values = [self.wavelength_nm, self.emission_per_nm, self.reflectance]
+        if self.absorption_rel is not None:
+            values.append(self.absorption_rel)
+        shapes = {v.shape for v in values}
         if len(shapes) != 1 or self.wavelength_nm.ndim != 1 or self.wavelength_nm.size < 2:
             raise SimulateError(
-                f"paint {self.name}: wavelength_nm, emission_per_nm and reflectance must be equally long lists of at "
-                f"least 2 values, got shapes {sorted(map(str, shapes))}"
+                f"paint {self.name}: wavelength_nm, emission_per_nm, reflectance and absorption_rel must be equally "
+                f"long lists of at least 2 values, got shapes {sorted(map(str, shapes))}"
             )
-        values = (self.wavelength_nm, self.emission_per_nm, self.reflectance)
+        if self.absorption_rel is not None and (self.absorption_rel < 0.0).any():
+            raise SimulateError(f"paint {self.name}: absorption_rel must be >= 0")
         if not all(np.isfinite(v).all() for v in values) or (np.diff(self.wavelength_nm) <= 0.0).any():
             raise SimulateError(f"paint {self.name}: all values must be finite and wavelength_nm must increase")
         if (self.emission_per_nm < 0.0).any() or (self.reflectance < 0.0).any() or (self.reflectance > 1.0).any():
@@ -70,28 +77,45 @@ class SpectralBand:
 class PaintBands:
     """What the renderer needs of two paints and a panel.
 
-    ``bands`` in the order of BAND_NAMES; per paint, ``reflectance`` (3,) is the mean over each band,
-    ``energy_conversion`` the share of LED energy emitted in its own band and ``cut_share`` the share of the
+    ``bands`` in the order of BAND_NAMES; per paint, ``reflectance`` (3,) is the mean over each band, ``conversion``
+    (3,) the share of each band's energy that is emitted in the paint's own band and ``cut_share`` the share of the
     measured emission that lay below the LED's upper edge and was dropped: paint does not emit below its excitation.
     """
 
     bands: tuple[SpectralBand, SpectralBand, SpectralBand]
     reflectance: Mapping[str, NDArray[np.float64]]
-    energy_conversion: Mapping[str, float]
+    conversion: Mapping[str, NDArray[np.float64]]
     cut_share: Mapping[str, float]
+
+    @property
+    def energy_conversion(self) -> dict[str, float]:
+        """Per paint, the share of the LED's energy that is emitted."""
+        return {paint: float(row[BAND_NAMES.index("led")]) for paint, row in self.conversion.items()}
+
+    def excites(self, band: str) -> bool:
+        """Whether light of a band makes any paint emit."""
+        return any(row[BAND_NAMES.index(band)] > 0.0 for row in self.conversion.values())
+
+    def matrix(self, paint: str) -> NDArray[np.float64]:
+        """Return the paint's reradiation matrix M[band out, band in] = diag(rho) + K."""
+        matrix = np.diag(self.reflectance[paint])
+        matrix[BAND_NAMES.index(paint)] += self.conversion[paint]
+        return matrix
 
 
 def paint_bands(red: PaintOptics, green: PaintOptics, light: LightPanel) -> PaintBands:
     """Return the three bands and what each paint does in them.
 
-    K = integral of the emission above the LED's upper edge; rho_j = integral of reflectance times band j. Exact
-    for reflection and for light that the LED excites once; emission of one paint exciting the other is left out.
+    rho_j = integral of reflectance times band j. K[own, LED] = integral of the emission above the LED's upper edge;
+    K[own, j] follows from the absorption a: photons absorbed in band j emit as those of the LED do, so
+    K[own, j] / K[own, LED] = mean of a(l) l over band j over its mean over the LED. Exact for light that has the
+    bands' shapes, and for emission whose shape does not depend on what excites it.
 
     Raises
     ------
     SimulateError
-        When a paint has no emission above the edge, when a curve misses more than a fifth of a band, or when
-        reflectance at the LED plus K exceeds one.
+        When a paint has no emission above the edge or does not absorb the LED, when a curve misses more than a fifth
+        of a band, or when reflectance plus emission in a band exceed one.
     """
     led = led_band(light)
     emissions = {"red": _emission_band(red, light), "green": _emission_band(green, light)}
@@ -101,14 +125,15 @@ def paint_bands(red: PaintOptics, green: PaintOptics, light: LightPanel) -> Pain
         what = f"reflectance of paint {paint.name}"
         values = [band_mean(paint.wavelength_nm, paint.reflectance, band, what) for band in bands]
         reflectance[key] = np.array(values)
-        _, conversion[key], cut[key] = emissions[key]
-        energy = float(reflectance[key][2]) + conversion[key]
-        if energy > 1.0 + _ENERGY_TOLERANCE:
-            raise SimulateError(
-                f"paint {paint.name} returns more energy than the LED brings: reflectance {reflectance[key][2]:.3f} "
-                f"at {light.peak_wavelength_nm:g} nm plus emitted share {conversion[key]:.3f} must not exceed 1; "
-                "check the paint's calibration"
-            )
+        _, of_led, cut[key] = emissions[key]
+        conversion[key] = of_led * _excitation(paint, bands)
+        for name, band, out in zip(BAND_NAMES, bands, reflectance[key] + conversion[key], strict=True):
+            if out > 1.0 + _ENERGY_TOLERANCE:
+                source = "LED" if name == "led" else f"{name} band"
+                raise SimulateError(
+                    f"paint {paint.name} returns more energy than the {source} brings: reflectance plus emitted share "
+                    f"at {band.centroid_nm:.0f} nm make {out:.3f} and must not exceed 1; check the paint's calibration"
+                )
     return PaintBands(bands, reflectance, conversion, cut)
 
 
@@ -201,3 +226,18 @@ def _emission_band(paint: PaintOptics, light: LightPanel) -> tuple[SpectralBand,
         )
     total = float(np.trapezoid(emission, wavelength))
     return SpectralBand(above, kept / conversion), conversion, max(0.0, 1.0 - conversion / total)
+
+
+def _excitation(paint: PaintOptics, bands: tuple[SpectralBand, SpectralBand, SpectralBand]) -> NDArray[np.float64]:
+    """Return how strongly each band excites a paint per energy, relative to the LED."""
+    if paint.absorption_rel is None:
+        return np.array([0.0, 0.0, 1.0])
+    photons = paint.absorption_rel * paint.wavelength_nm
+    what = f"absorption of paint {paint.name}"
+    means = np.array([band_mean(paint.wavelength_nm, photons, band, what) for band in bands])
+    if means[-1] <= 0.0:
+        raise SimulateError(
+            f"paint {paint.name} does not absorb the LED at {bands[-1].centroid_nm:.0f} nm, so its emission under the "
+            "LED cannot be its own; check absorption_rel"
+        )
+    return np.asarray(means / means[-1])

@@ -1,127 +1,223 @@
-"""Band path tracer with refractive next-event estimation through the gel's flat inner face.
+"""Band path tracer with refractive next-event estimation through the gel's smooth curved inner face.
 
-Import this module only after an LLVM variant has been set (see :mod:`sim.optics.variants`): integrators written
-in Python do not run in scalar variants, which use Mitsuba's own ``path`` instead.
+Import this module only after a compiled variant has been set (see :mod:`sim.optics.variants`): integrators written in
+Python do not run in scalar variants, which use Mitsuba's own ``path`` instead.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
 
-from data_schemas.design import FingerDesign
+from data_schemas.design import FingerDesign, LightPanel
+from sim.optics.curved_refraction import (
+    GelFace,
+    curved_irradiance,
+    film_transmittance,
+    inner_face,
+    refract_through,
+)
 from sim.optics.refracted_light import panel_frame
 from sim.optics.scene import MAX_DEPTH, PANEL_RADIANCE_REL, ROULETTE_DEPTH
+from sim.optics.wall_emission import FIRST_CHAINS, TEXELS_ALONG, TEXELS_UP
+from sim.surface_meshes.finger_shape import FingerShape
 
 _NAME = "finray_band_paths"
-_NEWTON_STEPS = 6
-# points nearer to the inner face than this count as on it, mm
-_FACE_MARGIN_MM = 1e-3
-_SHORTEST_LATERAL_MM = 1e-3
+# from the start in the undeformed face, three steps meet Snell's law to a millionth even at a bending radius of 50 mm
+_NEWTON_STEPS = 3
 _LARGEST_SURVIVAL = 0.95
+# shadow rays leave a surface by this much, and stop before the face by as much more as its mesh lies off its map
+_LIFT_MM = 2e-3
 # how a path left its last surface that was not a smooth interface
 _FROM_SURFACE, _STRAIGHT_OUT, _OTHER_WAY, _FROM_EYE = 0, 1, 2, 3
+_CHANNELS_PER_WALL = 4
+_SMALLEST_COSINE = 1e-4
+# panels light different parts of the pad, so none is drawn more rarely than this
+_SMALLEST_SHARE = 0.25
+_SHARE_GRID = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 
 
 class BandPaths(mi.SamplingIntegrator):
-    """Unidirectional path tracer; emitters are met by chance, the panel through the inner face by construction.
+    """Unidirectional path tracer whose channels are chains of fluorescence, one LED light and two painted walls.
 
-    A point in the gel and a uniformly drawn panel point are joined by the one refracted path between them (Newton
-    on Snell's law) with weight n^2 T A dw/dA, as in :func:`sim.optics.refracted_light.trace_crossing`. A path that
-    later meets the panel by just that kind of route is given weight zero, so nothing is counted twice. The painted
-    walls are large and need no such connection. Valid while the inner face is the plane y = 0.
+    A point in the gel and a uniformly drawn panel point are joined by the refracted path between them, see
+    :func:`sim.optics.curved_refraction.refract_through`. A path that later meets the panel by just that kind of route
+    is given weight zero, so nothing is counted twice. What the painted walls emit is looked up where a path meets
+    them: they are large and need no connection. Light that enters through the ends of the gel is left to chance.
     """
 
     def __init__(self, props: Any) -> None:
         super().__init__(props)
         self.max_depth = props.get("max_depth", MAX_DEPTH)
         self.roulette_depth = props.get("rr_depth", ROULETTE_DEPTH)
-        self.refractive = True
         self.from_wall = props.get("from_wall", False)
+        self.refractive, self.with_led = True, True
+        self.chains: tuple[str, ...] = FIRST_CHAINS
 
-    def aim(self, design: FingerDesign, refractive: bool = True) -> None:
-        """Tell the integrator where panel and inner face are; `refractive` False leaves the panel to chance."""
-        frame = panel_frame(design.light)
-        self.refractive = refractive
-        self.index, self.area = mi.Float(design.pad.refractive_index), mi.Float(frame.area_mm2)
-        self.half_width, self.length = mi.Float(design.pad.width_mm / 2.0), mi.Float(design.pad.length_mm)
-        self.centre = mi.Point3f(*frame.centre_mm.tolist())
-        self.across = mi.Vector3f(*frame.half_across_mm.tolist())
-        self.along = mi.Vector3f(*frame.half_along_mm.tolist())
-        self.normal = mi.Normal3f(*frame.normal.tolist())
+    def aim(self, scene: Any, design: FingerDesign, face: GelFace) -> None:
+        """Tell the integrator where panels, inner face and walls are."""
+        self.face, self.evaluate_face = face, face.map.in_renderer(mi)
+        self.index = mi.Float(face.index)
+        self.gap = mi.Float(face.map.gap_mm + _LIFT_MM)
+        shares = _panel_shares(design, face)
+        self.panels = [_Panel(light, share) for light, share in zip(design.lights, shares, strict=True)]
+        by_name = {shape.id(): shape for shape in scene.shapes()}
+        self.inner, self.red, self.green, self.coat = (
+            mi.ShapePtr(by_name[name]) for name in ("inner", "red", "green", "coat")
+        )
+        self.panel_shapes = [mi.ShapePtr(by_name[f"panel{k}"]) for k in range(len(self.panels))]
+        normal = np.ones(1)
+        film = face.film
+        self.film_index = 1.0 if film is None else film.refractive_index
+        self.film_at_normal = (
+            1.0 if film is None else float(film_transmittance(normal, normal, face.index, film.refractive_index)[0])
+        )
         # numbers that vary between scenes must not become constants of the compiled kernel
-        dr.make_opaque(self.index, self.area, self.half_width, self.length)
-        dr.make_opaque(self.centre, self.across, self.along, self.normal)
+        dr.make_opaque(self.index, self.gap, self.inner, self.red, self.green, self.coat, self.panel_shapes)
+
+    def emit(self, emission: Mapping[str, NDArray[np.float64]]) -> None:
+        """Set what the walls emit: per chain, radiance (TEXELS_ALONG, TEXELS_UP) of the wall that the chain ends at."""
+        further = tuple(chain for chain in emission if chain not in FIRST_CHAINS)
+        self.chains = FIRST_CHAINS + further
+        self.of_wall = {w: [c for c in self.chains if c.split(">")[-1] == w] for w in ("red", "green")}
+        texels = np.zeros((2, TEXELS_ALONG, TEXELS_UP, _CHANNELS_PER_WALL), dtype=np.float32)
+        for k, wall in enumerate(("red", "green")):
+            for channel, chain in enumerate(self.of_wall[wall]):
+                texels[k, ..., channel] = emission.get(chain, 0.0)
+        self.texels = mi.Float(texels.ravel())
+        dr.make_opaque(self.texels)
+
+    def aov_names(self) -> list[str]:
+        """Return the names of the channels beyond the first three chains."""
+        return list(self.chains[len(FIRST_CHAINS) :])
+
+    def wall_radiance(self, si: Any, is_green: Any, active: Any) -> Any:
+        """Return the emission at wall points, bilinear between texel centres, one component per chain of the wall."""
+        x = dr.clip(si.uv.x * TEXELS_UP - 0.5, 0.0, TEXELS_UP - 1.0)
+        y = dr.clip(si.uv.y * TEXELS_ALONG - 0.5, 0.0, TEXELS_ALONG - 1.0)
+        i, j = (dr.minimum(mi.UInt32(t), most - 2) for t, most in ((x, TEXELS_UP), (y, TEXELS_ALONG)))
+        s, t = x - mi.Float(i), y - mi.Float(j)
+        first = (dr.select(is_green, mi.UInt32(TEXELS_ALONG), mi.UInt32(0)) + j) * TEXELS_UP + i
+        corner = [
+            dr.gather(mi.Vector4f, self.texels, first + (b * TEXELS_UP + a), active) for b in (0, 1) for a in (0, 1)
+        ]
+        return (1 - t) * ((1 - s) * corner[0] + s * corner[1]) + t * ((1 - s) * corner[2] + s * corner[3])
+
+    def panel_point(self, sample: Any) -> tuple[Any, Any, Any]:
+        """Return a point on a panel drawn by its light, (normal, beam exponent), and radiance over density in mm^2."""
+        chosen, start = self.panels[0], 0.0
+        point, normal, exponent, weight = chosen.at(sample.x, sample.y, start)
+        for panel in self.panels[1:]:
+            start = start + chosen.share
+            chosen = panel
+            here = sample.x >= start
+            other = panel.at(sample.x, sample.y, start)
+            point, normal, exponent, weight = (
+                dr.select(here, b, a) for a, b in zip((point, normal, exponent, weight), other, strict=True)
+            )
+        return point, (normal, exponent), weight
 
     def connect(self, scene: Any, si: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
-        """Return (visible, direction in the gel, n^2 T A dw/dA) of a panel point seen through y = 0."""
-        panel_point = self.centre + (2 * sample.x - 1) * self.across + (2 * sample.y - 1) * self.along
-        p: Any = si.p
-        n: Any = self.index
-        height, depth = dr.maximum(p.y, 1e-4), dr.maximum(-panel_point.y, 1e-4)
-        offset_x, offset_z = panel_point.x - p.x, panel_point.z - p.z
-        lateral = dr.maximum(dr.sqrt(offset_x * offset_x + offset_z * offset_z), _SHORTEST_LATERAL_MM)
-        r = lateral * height / (height + n * depth)
-        for _ in range(_NEWTON_STEPS):
-            in_gel, in_air = dr.sqrt(r * r + height * height), dr.sqrt(dr.square(lateral - r) + depth * depth)
-            residual = n * r / in_gel - (lateral - r) / in_air
-            slope = n * height * height / (in_gel * in_gel * in_gel) + depth * depth / (in_air * in_air * in_air)
-            r = dr.clip(r - residual / slope, 0, lateral)
-        in_gel, in_air = dr.sqrt(r * r + height * height), dr.sqrt(dr.square(lateral - r) + depth * depth)
-        cos_gel, cos_air = height / in_gel, depth / in_air
-        crossing = mi.Point3f(p.x + offset_x * (r / lateral), 0.0, p.z + offset_z * (r / lateral))
-        gel_direction, air_direction = (crossing - p) / in_gel, (panel_point - crossing) / in_air
-        cos_panel = dr.maximum(-dr.dot(self.normal, air_direction), 0)
-        spread = height / (cos_gel * cos_gel) + depth * n * cos_gel / (cos_air * cos_air * cos_air)
-        solid_angle = self.area * (r / in_gel) * cos_panel / (lateral * spread * cos_air)
-        seen = active & (p.y > _FACE_MARGIN_MM) & (solid_angle > 0)
-        seen &= (dr.abs(crossing.x) < self.half_width) & (crossing.z > 0) & (crossing.z < self.length)
-        seen &= ~scene.ray_test(
-            mi.Ray3f(p + gel_direction * 2e-3, gel_direction, in_gel - 6e-3, si.time, si.wavelengths), seen
+        """Return (visible, direction in the gel, LED radiance x solid angle) of a panel point seen through the face."""
+        point, (normal, exponent), weight = self.panel_point(sample)
+        foot_u = dr.select(si.shape == self.red, 0.0, dr.select(si.shape == self.green, 1.0, si.uv.x))
+        path = refract_through(
+            self.evaluate_face,
+            (si.p.x, si.p.y, si.p.z),
+            (foot_u, si.uv.y),
+            (point.x, point.y, point.z),
+            self.face,
+            dr,
+            _NEWTON_STEPS,
+            self.index,
         )
-        outside = mi.Ray3f(crossing + air_direction * 4e-3, air_direction, in_air - 8e-3, si.time, si.wavelengths)
-        seen &= ~scene.ray_test(outside, seen)
-        transmittance = 1 - mi.fresnel(cos_air, n)[0]
-        return seen, gel_direction, n * n * transmittance * solid_angle
+        in_gel, in_air = mi.Vector3f(*path.to_crossing), mi.Vector3f(*path.to_panel)
+        cos_panel = dr.maximum(-dr.dot(normal, in_air), 0.0)
+        sent = dr.power(cos_panel, exponent) if any(p.beamed for p in self.panels) else cos_panel
+        weight = weight * path.weight * sent
+        seen = active & (weight > 0.0)
+        crossing = mi.Point3f(*path.crossing)
+        before_face, after_face = self.gap / path.cos_gel, self.gap / dr.maximum(path.cos_air, 0.02)
+        inside = mi.Ray3f(
+            si.p + in_gel * _LIFT_MM, in_gel, path.length_in_gel - _LIFT_MM - before_face, si.time, si.wavelengths
+        )
+        seen &= ~scene.ray_test(inside, seen & (inside.maxt > 0.0))
+        outside = mi.Ray3f(
+            crossing + in_air * after_face,
+            in_air,
+            path.length_in_air - after_face - _LIFT_MM,
+            si.time,
+            si.wavelengths,
+        )
+        seen &= ~scene.ray_test(outside, seen & (outside.maxt > 0.0))
+        return seen, in_gel, weight
+
+    def film_factor(self, si: Any, transmitted: Any) -> Any:
+        """Return what the film changes where a path meets the inner face, beyond the scene's factor."""
+        cosine = dr.minimum(dr.abs(mi.Frame3f.cos_theta(si.wi)), 1.0)
+        sine2 = 1.0 - cosine * cosine
+        n: Any = self.index
+        from_gel: Any = mi.Frame3f.cos_theta(si.wi) < 0.0
+        other = dr.safe_sqrt(1.0 - sine2 * dr.select(from_gel, n * n, 1.0 / (n * n)))
+        cos_gel, cos_air = dr.select(from_gel, cosine, other), dr.select(from_gel, other, cosine)
+        cos_air = dr.maximum(cos_air, _SMALLEST_COSINE)
+        relative = film_transmittance(cos_gel, cos_air, n, self.film_index)
+        bare_reflectance: Any = mi.fresnel(dr.select(from_gel, -cosine, cosine), n)[0]
+        reflected = (1.0 - (1.0 - bare_reflectance) * relative) / bare_reflectance
+        return dr.select(transmitted, relative / self.film_at_normal, reflected)
 
     @dr.syntax
     def sample(  # type: ignore[no-untyped-def]
         self, scene, sampler, ray, medium=None, active=True
     ):
-        """Return radiance along rays in the three bands (called by Mitsuba)."""
+        """Return the radiance of the chains along rays (called by Mitsuba)."""
         context = mi.BSDFContext()
         ray = mi.Ray3f(ray)
         throughput: Any = mi.Color3f(1)
-        radiance: Any = mi.Color3f(0)
+        led = mi.Float(0)
+        reds, greens = [mi.Float(0) for _ in self.of_wall["red"]], [mi.Float(0) for _ in self.of_wall["green"]]
         depth, eta = mi.UInt32(0), mi.Float(1)
-        active, valid, in_gel = mi.Bool(active), mi.Bool(False), mi.Bool(self.from_wall)
+        active, valid = mi.Bool(active), mi.Bool(False)
         state = mi.UInt32(_FROM_SURFACE if self.from_wall else _FROM_EYE)
         while dr.hint(active, max_iterations=self.max_depth):
             si = scene.ray_intersect(ray, active)
             valid |= si.is_valid() & (depth == 0)
             active &= si.is_valid()
-            bsdf = si.bsdf(ray)
-            emitted = si.emitter(scene).eval(si, active)
-            if dr.hint(self.refractive, mode="scalar"):
-                emitted = dr.select((state == _STRAIGHT_OUT) & in_gel, 0, emitted)
-            radiance += dr.select(active, throughput * emitted, 0)
+            front = mi.Frame3f.cos_theta(si.wi) > 0
+            if dr.hint(self.with_led, mode="scalar"):
+                led += dr.select(active & front, throughput.z * self.panel_met(si, state), 0)
+            is_red, is_green = si.shape == self.red, si.shape == self.green
+            on_wall = active & front & (is_red | is_green)
+            glow = self.wall_radiance(si, is_green, on_wall)
+            for k in range(len(reds)):
+                reds[k] += dr.select(on_wall & is_red, throughput.x * glow[k], 0)
+            for k in range(len(greens)):
+                greens[k] += dr.select(on_wall & is_green, throughput.y * glow[k], 0)
             active &= (depth + 1) < self.max_depth
-            here_in_gel = si.p.y > _FACE_MARGIN_MM
-            if dr.hint(self.refractive, mode="scalar"):
-                can_connect = active & here_in_gel & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-                seen, direction, weight = self.connect(scene, si, sampler.next_2d(can_connect), can_connect)
-                value = bsdf.eval(context, si, si.to_local(direction), seen) * mi.Color3f(0, 0, PANEL_RADIANCE_REL)
-                radiance += dr.select(seen, throughput * value * weight, 0)
-            chosen, chosen_weight = bsdf.sample(context, si, sampler.next_1d(active), sampler.next_2d(active), active)
+            bsdf = si.bsdf(ray)
+            direction = mi.Vector3f(0, 0, 1)
+            weight, seen = mi.Float(0), mi.Bool(False)
+            if dr.hint(self.with_led and self.refractive, mode="scalar"):
+                can_connect = on_wall | (active & ~front & (si.shape == self.coat))
+                seen, direction, weight = self.connect(scene, si, sampler.next_2d(can_connect), can_connect & active)
+            value, _, chosen, chosen_weight = bsdf.eval_pdf_sample(
+                context, si, si.to_local(direction), sampler.next_1d(active), sampler.next_2d(active), active
+            )
+            led += dr.select(seen, throughput.z * value.z * weight, 0)
             smooth = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
+            transmitted = smooth & mi.has_flag(chosen.sampled_type, mi.BSDFFlags.DeltaTransmission)
             throughput *= chosen_weight
+            on_inner = si.shape == self.inner
+            if dr.hint(self.face.film is not None, mode="scalar"):
+                throughput *= dr.select(on_inner & smooth, self.film_factor(si, transmitted), 1)
             eta *= dr.select(smooth, chosen.eta, 1.0)
-            straight = smooth & mi.has_flag(chosen.sampled_type, mi.BSDFFlags.DeltaTransmission)
-            straight &= (dr.abs(si.p.y) < 1e-4) & (ray.d.y < 0) & (state == _FROM_SURFACE)
+            straight = transmitted & on_inner & ~front & (state == _FROM_SURFACE)
             after = dr.select(straight, mi.UInt32(_STRAIGHT_OUT), mi.UInt32(_OTHER_WAY))
             after = dr.select(state == _FROM_EYE, mi.UInt32(_FROM_EYE), after)
             state = dr.select(smooth, after, mi.UInt32(_FROM_SURFACE))
-            in_gel = dr.select(smooth, in_gel, here_in_gel)
             ray = si.spawn_ray(si.to_world(chosen.wo))
             depth += 1
             largest = dr.max(throughput)
@@ -130,26 +226,89 @@ class BandPaths(mi.SamplingIntegrator):
             survival = dr.select(depth >= self.roulette_depth, survival, 1.0)
             active &= sampler.next_1d(active) < survival
             throughput /= survival
-        return radiance, valid, []
+        return mi.Color3f(reds[0], greens[0], led), valid, reds[1:] + greens[1:]
+
+    def panel_met(self, si: Any, state: Any) -> Any:
+        """Return the radiance of a panel that a path has met, none if its connection has counted it."""
+        cosine = mi.Frame3f.cos_theta(si.wi)
+        radiance = mi.Float(0)
+        for panel, shape in zip(self.panels, self.panel_shapes, strict=True):
+            beam: Any = dr.power(cosine, panel.exponent - 1) if panel.beamed else 1.0
+            sent = beam * panel.radiance
+            radiance = dr.select(si.shape == shape, sent, radiance)
+        return dr.select(state == _STRAIGHT_OUT, 0, radiance) if self.refractive else radiance
+
+
+class _Panel:
+    """A light panel as the renderer's numbers."""
+
+    def __init__(self, light: LightPanel, share: float) -> None:
+        frame = panel_frame(light)
+        self.share = float(share)
+        self.beamed = light.beam_exponent != 1.0
+        self.centre = mi.Point3f(*frame.centre_mm.tolist())
+        self.across, self.along = (mi.Vector3f(*edge.tolist()) for edge in (frame.half_across_mm, frame.half_along_mm))
+        self.normal = mi.Vector3f(*frame.normal.tolist())
+        self.exponent = mi.Float(light.beam_exponent)
+        self.radiance = mi.Float(PANEL_RADIANCE_REL * light.power_rel)
+        self.radiance_per_density = mi.Float(PANEL_RADIANCE_REL * light.power_rel * frame.area_mm2 / share)
+        dr.make_opaque(self.centre, self.across, self.along, self.normal)
+        dr.make_opaque(self.exponent, self.radiance, self.radiance_per_density)
+
+    def at(self, x: Any, y: Any, start: float) -> tuple[Any, Any, Any, Any]:
+        """Return point, normal, beam exponent and radiance over density for sample x in start .. start + share."""
+        across: Any = 2.0 * (x - start) / self.share - 1.0
+        point = self.centre + across * self.across + (2.0 * y - 1.0) * self.along
+        return point, self.normal, self.exponent, self.radiance_per_density
+
+
+def _panel_shares(design: FingerDesign, face: GelFace) -> NDArray[np.float64]:
+    """Return with which probability each panel is drawn: by the light that it sends through the face into the pad."""
+    u, v = np.meshgrid(_SHARE_GRID, _SHARE_GRID)
+    uv = np.stack([u.ravel(), v.ravel()], axis=-1)
+    outward = face.map.normals(uv)
+    points = face.map.positions_mm(uv) - design.pad.thickness_mm / 2.0 * outward
+    sent = np.array(
+        [light.power_rel * curved_irradiance(points, outward, uv, light, face, (4, 2)).sum() for light in design.lights]
+    )
+    sent = np.maximum(sent, _SMALLEST_SHARE * sent.sum()) if sent.sum() > 0.0 else np.ones_like(sent)
+    return np.asarray(sent / sent.sum())
 
 
 def band_integrator(
-    design: FingerDesign, refractive: bool = True, max_depth: int = MAX_DEPTH, from_wall: bool = False
+    scene: Any,
+    design: FingerDesign,
+    shape: FingerShape,
+    emission: Mapping[str, NDArray[np.float64]] | None = None,
+    refractive: bool = True,
+    max_depth: int = MAX_DEPTH,
+    from_wall: bool = False,
+    with_led: bool = True,
 ) -> BandPaths:
-    """Return the path tracer aimed at a design's panel.
+    """Return the path tracer of a scene.
+
+    Its first three channels are the chains led>red, led>green and led, the others ``aov_names()``.
 
     Parameters
     ----------
-    design
-        Panel, pad and refractive index.
+    scene
+        From :func:`sim.optics.scene.finger_scene`; emitters of its walls are not looked at.
+    design, shape
+        Panels, pad and the shape of the inner face.
+    emission
+        What the walls emit per chain, see :func:`sim.optics.wall_emission.wall_emission`; dark by default.
     refractive
         False leaves the panel to chance: the same mean, much more noise; it serves as a check.
     max_depth
         Longest path in surfaces; below 30 the painted bands lose light.
     from_wall
         Rays start on a wall in the gel: the panel's direct light through the inner face is left out.
+    with_led
+        False leaves the panels dark.
     """
     mi.register_integrator(_NAME, BandPaths)
     integrator: BandPaths = mi.load_dict({"type": _NAME, "max_depth": max_depth, "from_wall": from_wall})
-    integrator.aim(design, refractive)
+    integrator.refractive, integrator.with_led = refractive, with_led
+    integrator.aim(scene, design, inner_face(design, shape))
+    integrator.emit(emission or {})
     return integrator

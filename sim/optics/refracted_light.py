@@ -138,14 +138,15 @@ def refracted_irradiance(
     """
     frame = panel_frame(light)
     panel_points, weights_mm2 = _panel_quadrature(frame, *quadrature)
-    seen = trace_crossing(points_mm[:, None, :], panel_points[None, :, :], frame.normal, pad.refractive_index)
+    index = pad.index_at(light.peak_wavelength_nm)
+    seen = trace_crossing(points_mm[:, None, :], panel_points[None, :, :], frame.normal, index)
     inside = (
         (np.abs(seen.crossing_mm[..., 0]) < pad.width_mm / 2.0)
         & (seen.crossing_mm[..., 2] > 0.0)
         & (seen.crossing_mm[..., 2] < pad.length_mm)
     )
     cos_surface = np.maximum(np.einsum("nmk,nk->nm", seen.direction, normals), 0.0)
-    kernel = pad.refractive_index**2 * seen.transmittance * cos_surface * seen.solid_angle_per_mm2 * inside
+    kernel = index**2 * seen.transmittance * cos_surface * seen.solid_angle_per_mm2 * inside
     return np.asarray(kernel @ weights_mm2)
 
 

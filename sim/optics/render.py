@@ -4,26 +4,32 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.camera_calibration import CameraCalibration
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
-from sim.optics.finger_view import Window, coat_positions
-from sim.optics.paint_bands import PaintBands, PaintOptics, paint_bands
-from sim.optics.pressed_pad import contact_half_width_mm, without_press
+from sim.optics.finger_view import Window
+from sim.optics.paint_bands import BAND_NAMES, PaintBands, PaintOptics, paint_bands
+from sim.optics.pixel_maps import PixelMaps, pixel_maps
 from sim.optics.scene import camera_sensor, finger_scene
 from sim.optics.variants import SCALAR_VARIANT
-from sim.optics.wall_baking import indirect_irradiance, light_walls
-from sim.optics.wall_emission import LEVEL_NAMES, Level, unbaked_emission
+from sim.optics.wall_baking import bake_walls, light_walls
+from sim.optics.wall_emission import FIRST_CHAINS, LEVEL_NAMES, Level, WallLight, last_band, unbaked_walls
+from sim.surface_meshes.finger_shape import FingerShape, pressed_shape, rest_shape
+from sim.surface_meshes.intersections import check_no_intersections
 
 BAKE_SAMPLES = {False: 64_000, True: 12_000}
 """Paths per wall of one bake, by whether the variant is scalar (there each path costs a call from Python)."""
 
 SURROUNDINGS_SHARE = 8
 """Pixels that see neither coat nor walls get this many times fewer paths: nothing is measured there."""
+
+RenderLevel = Level | Literal["c"]
+"""A level of :data:`sim.optics.wall_emission.Level`, or c: fluorescence traced along each path, the reference."""
 
 Progress = Callable[[int, int, str], None]
 """Called with the number of finished steps, of all steps, and what was done."""
@@ -33,27 +39,30 @@ Progress = Callable[[int, int, str], None]
 class PressRender:
     """Band images of a finger without and with a press.
 
-    Images are (rows, columns, 3 bands: red emission, green emission, LED), radiance in units of the panel's. Each
+    Images are (rows, columns, 3 bands: red emission, green emission, LED), radiance in units of the panel's;
+    ``*_chains`` hold the same light apart, per chain of fluorescence in the order of ``chains``. Each
     half has its own bake of the walls, so the variance holds the bake's noise too; that part (about 2 % of the painted
     bands) is common to all pixels and does not average out over an area.
-    ``*_variance`` is the variance of the mean of the two independent halves. ``*_coat_uv_mm`` (rows, columns, 2) is
-    the point (z, x) of the coated face that a pixel sees, NaN elsewhere. ``distance_in_half_widths``
-    (rows, columns) is |z - z0| over the half width of the contact for the pressed pad; NaN outside and without press.
+    ``*_variance`` is the variance of the mean of the two independent halves, ``*_maps`` is what each pixel sees,
+    ``contact_label`` where the pressed shape comes from.
     """
 
     no_contact_bands: NDArray[np.float32]
     contact_bands: NDArray[np.float32]
+    chains: tuple[str, ...]
+    no_contact_chains: NDArray[np.float32]
+    contact_chains: NDArray[np.float32]
     no_contact_variance: NDArray[np.float32]
     contact_variance: NDArray[np.float32]
-    no_contact_coat_uv_mm: NDArray[np.float64]
-    contact_coat_uv_mm: NDArray[np.float64]
-    distance_in_half_widths: NDArray[np.float64]
+    no_contact_maps: PixelMaps
+    contact_maps: PixelMaps
+    contact_label: str
     bands: PaintBands
     samples_per_pixel: int
     seed: int
     timings_s: Mapping[str, float]
     variant: str
-    level: Level
+    level: RenderLevel
     label: str
 
 
@@ -61,10 +70,12 @@ def render_press(
     design: FingerDesign,
     paints: Mapping[str, PaintOptics],
     renderer: ModuleType,
-    level: Level = "b",
+    level: RenderLevel = "b",
     seed: int = 0,
     samples_per_pixel: int = 64,
     progress: Progress | None = None,
+    shapes: tuple[FingerShape, FingerShape] | None = None,
+    calibration: CameraCalibration | None = None,
 ) -> PressRender:
     """Render a finger without and with its press.
 
@@ -74,13 +85,13 @@ def render_press(
     Parameters
     ----------
     design
-        The finger; its indenter is the press.
+        The finger; without `shapes` its indenter is pressed in analytically.
     paints
         Optics of the paints "red" (x = -width/2) and "green" (x = +width/2).
     renderer
         From :func:`sim.optics.variants.open_renderer`.
     level
-        How the walls emit, see :func:`sim.optics.wall_emission.wall_emission`.
+        How the walls emit. Level c needs a compiled variant.
     seed
         Random seed, >= 0.
     samples_per_pixel
@@ -88,11 +99,16 @@ def render_press(
         surroundings get an eighth.
     progress
         Called after each step.
+    shapes
+        The finger without and with contact, equal meshes.
+    calibration
+        Of the camera; without it the ideal pinhole of the design.
 
     Raises
     ------
     SimulateError
-        When a paint is missing, a paint gains energy, or samples_per_pixel is odd.
+        When a paint is missing, a paint gains energy, samples_per_pixel is odd, the gel intersects itself, the camera
+        does not see the coat, or level c meets a scalar variant.
     """
     if samples_per_pixel < 2 or samples_per_pixel % 2:
         raise SimulateError(
@@ -102,40 +118,50 @@ def render_press(
     bands = check_paints(design, paints)
     timings: dict[str, float] = {}
     images, variances = {}, {}
-    fingers = {"no contact": without_press(design), "contact": design}
-    maps = {name: coat_positions(finger) for name, finger in fingers.items()}
-    window = Window.around(*maps.values())
-    for step, (name, finger) in enumerate(fingers.items()):
+    rest, pressed = shapes or (rest_shape(design), pressed_shape(design))
+    for shape in (rest, pressed):
+        check_no_intersections(shape.gel)
+    by_name = {"no contact": rest, "contact": pressed}
+    maps = {name: pixel_maps(design, shape, rest, renderer, calibration) for name, shape in by_name.items()}
+    timings["pixel maps"] = time.monotonic() - start
+    window = Window.around(*(seen.coat_mm(design) for seen in maps.values()))
+    camera = _Camera(design, calibration, window)
+    for step, (name, shape) in enumerate(by_name.items()):
         begun = time.monotonic()
         halves = []
         for half in (0, 1):
             image, bake_s = _render_half(
-                finger, bands, renderer, level, stream_seed(seed, half), samples_per_pixel // 2, window
+                camera, shape, bands, renderer, level, stream_seed(seed, half), samples_per_pixel // 2
             )
             halves.append(image)
             timings[f"bake {name}"] = timings.get(f"bake {name}", 0.0) + bake_s
-        images[name] = np.float32(0.5) * (halves[0] + halves[1])
-        variances[name] = np.float32(0.25) * (halves[0] - halves[1]) ** 2
+        images[name] = _mean_of_chains(*halves)
+        one, other = (_bands_of(half) for half in halves)
+        variances[name] = np.float32(0.25) * (one - other) ** 2
         timings[f"render {name}"] = time.monotonic() - begun - timings[f"bake {name}"]
         if progress is not None:
-            progress(step + 1, len(fingers), f"rendered {name}")
+            progress(step + 1, len(by_name), f"rendered {name}")
     timings["total"] = time.monotonic() - start
     variant = renderer.variant()
+    chains = tuple(dict.fromkeys([*images["no contact"], *images["contact"]]))
     return PressRender(
-        no_contact_bands=images["no contact"],
-        contact_bands=images["contact"],
+        no_contact_bands=_bands_of(images["no contact"]),
+        contact_bands=_bands_of(images["contact"]),
+        chains=chains,
+        no_contact_chains=_stacked(images["no contact"], chains),
+        contact_chains=_stacked(images["contact"], chains),
         no_contact_variance=variances["no contact"],
         contact_variance=variances["contact"],
-        no_contact_coat_uv_mm=maps["no contact"],
-        contact_coat_uv_mm=maps["contact"],
-        distance_in_half_widths=_distance_in_half_widths(design, maps["contact"]),
+        no_contact_maps=maps["no contact"],
+        contact_maps=maps["contact"],
+        contact_label=pressed.label,
         bands=bands,
         samples_per_pixel=samples_per_pixel,
         seed=seed,
         timings_s=timings,
         variant=variant,
         level=level,
-        label=f"rendered, {LEVEL_NAMES[level]}, {variant}",
+        label=f"rendered, {'level c' if level == 'c' else LEVEL_NAMES[level]}, {variant}",
     )
 
 
@@ -153,54 +179,109 @@ def check_paints(design: FingerDesign, paints: Mapping[str, PaintOptics]) -> Pai
     return paint_bands(paints["red"], paints["green"], design.light)
 
 
-def scene_integrator(design: FingerDesign, renderer: ModuleType) -> Any:
-    """Return the band path tracer, or None in a scalar variant, which uses the scene's own ``path``."""
-    if renderer.variant() == SCALAR_VARIANT:
-        return None
-    from sim.optics.paths import band_integrator  # needs the variant set
-
-    return band_integrator(design)
-
-
 def stream_seed(seed: int, stream: int) -> int:
     """Return the renderer's 32-bit seed of one of several independent random streams."""
     return int(np.random.SeedSequence((seed, stream)).generate_state(1)[0])
 
 
-def open_scene(design: FingerDesign, bands: PaintBands, renderer: ModuleType, **extra: Any) -> tuple[Any, Any]:
-    """Return a scene whose walls can emit (still unbaked) and its integrator, None in a scalar variant."""
-    scene = finger_scene(design, bands, renderer, unbaked_emission(), **extra)
-    return scene, scene_integrator(design, renderer)
+def open_scene(
+    design: FingerDesign,
+    shape: FingerShape,
+    bands: PaintBands,
+    renderer: ModuleType,
+    sensor: Mapping[str, Any] | None = None,
+) -> Any:
+    """Return a scene whose walls can be lit with :func:`lit_integrator`."""
+    # the band path tracer looks the walls' light up itself; Mitsuba's own integrators need emitters
+    emission = unbaked_walls() if renderer.variant() == SCALAR_VARIANT else None
+    return finger_scene(design, shape, bands, renderer, emission, sensor)
+
+
+def lit_integrator(
+    scene: Any, design: FingerDesign, shape: FingerShape, renderer: ModuleType, light: WallLight
+) -> tuple[Any, tuple[str, ...]]:
+    """Return what renders a scene with lit walls, and the chains that its channels hold.
+
+    In a scalar variant this is the scene's own ``path``: its channels are the bands, all chains of a band together.
+    """
+    if renderer.variant() == SCALAR_VARIANT:
+        light_walls(scene, light, renderer)
+        return scene.integrator(), FIRST_CHAINS
+    from sim.optics.paths import band_integrator  # needs the variant set
+
+    integrator = band_integrator(scene, design, shape, light)
+    return integrator, integrator.chains
+
+
+@dataclass(frozen=True, slots=True)
+class _Camera:
+    """The finger's camera and the window of pixels that see the pad."""
+
+    design: FingerDesign
+    calibration: CameraCalibration | None
+    window: Window
 
 
 def _render_half(
-    design: FingerDesign,
+    camera: _Camera,
+    shape: FingerShape,
     bands: PaintBands,
     renderer: ModuleType,
-    level: Level,
+    level: RenderLevel,
     seed: int,
     samples_per_pixel: int,
-    window: Window,
-) -> tuple[NDArray[np.float32], float]:
-    """Bake the walls and render once, the window finely; return the image and the seconds of the bake."""
+) -> tuple[dict[str, NDArray[np.float32]], float]:
+    """Bake the walls and render once, the window finely; return an image per chain and the seconds of the bake."""
     begun = time.monotonic()
-    scene, integrator = open_scene(design, bands, renderer)
-    samples = BAKE_SAMPLES[renderer.variant() == SCALAR_VARIANT]
-    indirect = indirect_irradiance(scene, design, renderer, seed, samples)[0]
-    light_walls(scene, design, bands, renderer, level, indirect)
+    design, window = camera.design, camera.window
+    scene = open_scene(design, shape, bands, renderer, camera_sensor(design, renderer, camera.calibration))
+    chains: tuple[str, ...]
+    if level == "c":
+        integrator, chains = _pathwise_integrator(scene, design, shape, bands, renderer), FIRST_CHAINS
+    else:
+        samples = BAKE_SAMPLES[renderer.variant() == SCALAR_VARIANT]
+        light = bake_walls(scene, design, shape, bands, renderer, level, seed, samples)[0]
+        integrator, chains = lit_integrator(scene, design, shape, renderer, light)
     bake_s = time.monotonic() - begun
-    extra = {} if integrator is None else {"integrator": integrator}
     coarse = max(1, samples_per_pixel // SURROUNDINGS_SHARE)
-    image = np.array(renderer.render(scene, spp=coarse, seed=seed, **extra), dtype=np.float32)
-    sensor = renderer.load_dict(camera_sensor(design, renderer, window))
-    fine = renderer.render(scene, sensor=sensor, spp=samples_per_pixel, seed=stream_seed(seed, 1), **extra)
+    image = np.array(renderer.render(scene, integrator=integrator, spp=coarse, seed=seed), dtype=np.float32)
+    sensor = renderer.load_dict(camera_sensor(design, renderer, camera.calibration, window))
+    fine = renderer.render(
+        scene, sensor=sensor, integrator=integrator, spp=samples_per_pixel, seed=stream_seed(seed, 1)
+    )
     image[window.rows, window.columns] = np.array(fine, dtype=np.float32)
-    return image, bake_s
+    return {chain: image[..., k] for k, chain in enumerate(chains)}, bake_s
 
 
-def _distance_in_half_widths(design: FingerDesign, coat_uv_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return each pixel's distance from the line of contact in units of the contact's half width."""
-    half_width = contact_half_width_mm(design)
-    if half_width == 0.0:
-        return np.full(coat_uv_mm.shape[:2], np.nan)
-    return np.asarray(np.abs(coat_uv_mm[..., 0] - design.indenter.position_mm) / half_width)
+def _pathwise_integrator(
+    scene: Any, design: FingerDesign, shape: FingerShape, bands: PaintBands, renderer: ModuleType
+) -> Any:
+    """Return the integrator of level c; its channels are the bands, all chains of a band together."""
+    if renderer.variant() == SCALAR_VARIANT:
+        raise SimulateError("level c runs in compiled variants only; install LLVM 17 or newer, or take level b")
+    from sim.optics.fluorescent_bands import fluorescent_bands  # these need the variant set
+    from sim.optics.paths import band_integrator
+
+    panels = band_integrator(scene, design, shape)
+    return fluorescent_bands(scene, {wall: bands.matrix(wall) for wall in ("red", "green")}, panels=panels)
+
+
+def _mean_of_chains(
+    one: dict[str, NDArray[np.float32]], other: dict[str, NDArray[np.float32]]
+) -> dict[str, NDArray[np.float32]]:
+    """Return the mean of two halves; a chain at the edge of being left out may be in one of them only."""
+    chains = dict.fromkeys([*one, *other])
+    dark = np.zeros_like(next(iter(one.values())))
+    return {c: np.asarray(np.float32(0.5) * (one.get(c, dark) + other.get(c, dark))) for c in chains}
+
+
+def _bands_of(images: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Return the band images (rows, columns, 3) that chain images add up to."""
+    of_band = {b: [image for chain, image in images.items() if last_band(chain) == b] for b in BAND_NAMES}
+    return np.stack([np.sum(of_band[band], axis=0, dtype=np.float32) for band in BAND_NAMES], axis=-1)
+
+
+def _stacked(images: Mapping[str, NDArray[np.float32]], chains: tuple[str, ...]) -> NDArray[np.float32]:
+    """Return chain images as (rows, columns, chain)."""
+    dark = np.zeros_like(next(iter(images.values())))
+    return np.stack([images.get(chain, dark) for chain in chains], axis=-1)

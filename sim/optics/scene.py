@@ -11,14 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.camera_calibration import CameraCalibration
 from data_schemas.design import FingerDesign, LightPanel
-from sim.optics.finger_view import MirrorShape, Window, camera_pose, mirror_shape
-from sim.optics.gel_surfaces import Surface, check_closed, gel_surfaces
+from data_schemas.errors import SimulateError
+from sim.optics.curved_refraction import film_transmittance
+from sim.optics.finger_view import Window, camera_pose
+from sim.optics.opencv_sensor import opencv_sensor
 from sim.optics.paint_bands import PaintBands
 from sim.optics.refracted_light import panel_frame
+from sim.optics.variants import SCALAR_VARIANT
+from sim.surface_meshes.finger_shape import GEL_FACES, FingerShape
+from sim.surface_meshes.surface import Surface
 
 PANEL_RADIANCE_REL = 1.0
-BOX_REFLECTANCE = 0.04
 PANEL_REFLECTANCE = 0.05
 MAX_DEPTH = 30
 ROULETTE_DEPTH = 6
@@ -35,12 +40,12 @@ _ALUMINIUM = np.array(
         [700.0, 1.830, 8.31],
     ]
 )
-_MIRROR_ROWS = 241
 _BOX_CLEARANCE_MM = 8.0
 
 
 def finger_scene(
     design: FingerDesign,
+    shape: FingerShape,
     bands: PaintBands,
     renderer: ModuleType,
     emission: Mapping[str, NDArray[np.float64]] | None = None,
@@ -51,7 +56,9 @@ def finger_scene(
     Parameters
     ----------
     design
-        Finger; the indenter of the design is pressed in.
+        Materials, lights and camera.
+    shape
+        Surfaces of the finger, at rest or deformed; lights and camera stay on the base.
     bands
         Band reflectances of the paints.
     renderer
@@ -69,27 +76,56 @@ def finger_scene(
     Raises
     ------
     SimulateError
-        When the gel's surfaces are open or face inward.
+        When a light panel lies in the gel or behind the inner face.
     """
-    surfaces = gel_surfaces(design)
-    check_closed(surfaces)
-    glass = {"type": "dielectric", "int_ior": design.pad.refractive_index, "ext_ior": 1.0}
+    for light in design.lights:
+        check_outside_the_gel(light, shape)
+    surfaces = shape.surfaces
+    glass = _gel_face(design)
     scene: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": MAX_DEPTH, "rr_depth": ROULETTE_DEPTH},
         "coat": _mesh(renderer, "coat", surfaces["coat"], _coating(design, bands), smooth=True),
-        "mirror": _mesh(renderer, "mirror", _mirror_surface(mirror_shape(design)), _mirror(design), smooth=True),
-        "panel": panel_shape(design.light, renderer),
-        "box": _box(design, renderer),
+        "mirror": _mesh(renderer, "mirror", surfaces["mirror"], _mirror(design), smooth=True),
+        "inner": _mesh(renderer, "inner", surfaces["inner"], glass | _film(design, renderer), smooth=True),
+        "box": _box(design, shape, renderer),
         "sensor": dict(sensor) if sensor is not None else camera_sensor(design, renderer),
     }
-    for name in ("inner", "base", "tip"):
+    for number, light in enumerate(design.lights):
+        scene[f"panel{number}"] = panel_shape(light, renderer)
+    for name in ("base", "tip"):
         scene[name] = _mesh(renderer, name, surfaces[name], glass)
     for name in ("red", "green"):
         paint = {"type": "diffuse", "reflectance": _rgb(bands.reflectance[name])}
         emitter = None if emission is None else wall_emitter(emission[name], renderer)
         scene[name] = _mesh(renderer, name, surfaces[name].reversed(), paint, emitter=emitter)
+    dark = {"type": "twosided", "dark": _diffuse(design.enclosure.base_reflectance)}
+    for name in surfaces.keys() - {*GEL_FACES, "mirror"}:
+        scene[name] = _mesh(renderer, name, surfaces[name], dark)
     return renderer.load_dict(scene)
+
+
+def check_outside_the_gel(light: LightPanel, shape: FingerShape) -> None:
+    """Check that every corner of a panel lies on the air side of the inner face.
+
+    Raises
+    ------
+    SimulateError
+        When a corner lies behind the nearest part of the inner face: in the gel, or beyond it.
+    """
+    frame, inner = panel_frame(light), shape.surfaces["inner"]
+    a, b, c = (inner.vertices_mm[inner.triangles[:, k]] for k in range(3))
+    centres, normals = (a + b + c) / 3.0, np.cross(b - a, c - a)
+    for across in (-1.0, 1.0):
+        for along in (-1.0, 1.0):
+            corner = frame.centre_mm + across * frame.half_across_mm + along * frame.half_along_mm
+            nearest = np.argmin(((centres - corner) ** 2).sum(axis=1))
+            if (corner - centres[nearest]) @ normals[nearest] <= 0.0:
+                place = ", ".join(f"{v:.1f}" for v in corner)
+                raise SimulateError(
+                    f"the light panel at position_mm = {list(light.position_mm)}, angle_deg = {light.angle_deg:g} has "
+                    f"a corner at ({place}) mm, behind the gel's inner face ({shape.label}); move it to smaller y"
+                )
 
 
 def wall_emitter(radiance: NDArray[np.float64], renderer: ModuleType) -> dict[str, Any]:
@@ -116,26 +152,36 @@ def panel_shape(light: LightPanel, renderer: ModuleType) -> dict[str, Any]:
     return {
         "type": "rectangle",
         "to_world": renderer.ScalarTransform4f(matrix),
-        "bsdf": {"type": "diffuse", "reflectance": _rgb(np.full(3, PANEL_REFLECTANCE))},
-        "emitter": {"type": "area", "radiance": _rgb(np.array([0.0, 0.0, PANEL_RADIANCE_REL]))},
+        "bsdf": _diffuse(PANEL_REFLECTANCE),
+        "emitter": {"type": "area", "radiance": _rgb(np.array([0.0, 0.0, PANEL_RADIANCE_REL * light.power_rel]))},
     }
 
 
-def camera_sensor(design: FingerDesign, renderer: ModuleType, window: Window | None = None) -> dict[str, Any]:
-    """Return the camera at the base, one pixel per Bayer cell; with a window, only these pixels."""
+def camera_sensor(
+    design: FingerDesign,
+    renderer: ModuleType,
+    calibration: CameraCalibration | None = None,
+    window: Window | None = None,
+) -> dict[str, Any]:
+    """Return the camera at the base, one pixel per Bayer cell; with a window, only these pixels.
+
+    An ideal pinhole of the design's field of view, or the calibrated camera in its place.
+    """
     pose = camera_pose(design)
-    crop = {} if window is None else window.film_crop()
+    film = band_film(pose.columns_px, pose.rows_px) | ({} if window is None else window.film_crop())
+    # the renderer's cameras look along z with x to the left and y up
+    to_world = np.eye(4)
+    to_world[:3] = np.column_stack([-pose.right, -pose.down, pose.forward, pose.centre_mm])
+    transform = renderer.ScalarTransform4f(to_world)
+    if calibration is not None:
+        return opencv_sensor(calibration, transform, film, renderer)
     return {
         "type": "perspective",
         "fov": float(np.degrees(2.0 * np.arctan(pose.tan_half_width))),
         "fov_axis": "x",
         "near_clip": 0.1,
-        "to_world": renderer.ScalarTransform4f().look_at(
-            origin=pose.centre_mm.tolist(),
-            target=(pose.centre_mm + pose.forward).tolist(),
-            up=(-pose.down).tolist(),
-        ),
-        "film": band_film(pose.columns_px, pose.rows_px) | crop,
+        "to_world": transform,
+        "film": film,
         "sampler": {"type": "independent", "sample_count": 16},
     }
 
@@ -157,11 +203,40 @@ def _rgb(values: NDArray[np.float64]) -> dict[str, Any]:
     return {"type": "rgb", "value": [float(v) for v in values]}
 
 
+def _diffuse(reflectance: float) -> dict[str, Any]:
+    """Return a grey Lambertian material."""
+    return {"type": "diffuse", "reflectance": _rgb(np.full(3, reflectance))}
+
+
+def _gel_face(design: FingerDesign) -> dict[str, Any]:
+    """Return the bare face of the gel; its index is that at the LED, whose light must find its way exactly.
+
+    The painted bands see an index lower by up to 0.01, which moves what a pixel sees by less than 0.05 mm.
+    """
+    index = design.pad.index_at(design.light.peak_wavelength_nm)
+    return {"type": "dielectric", "int_ior": index, "ext_ior": 1.0}
+
+
+def _film(design: FingerDesign, renderer: ModuleType) -> dict[str, Any]:
+    """Return what the film changes at the inner face: its transmittance at normal incidence over the bare face's.
+
+    The band integrator adds what changes with the angle and sends back what does not pass. Mitsuba's own integrators
+    would lose that light, so that scalar variants render the bare face.
+    """
+    film = design.pad.film
+    if film is None or renderer.variant() == SCALAR_VARIANT:
+        return {}
+    index, straight = design.pad.index_at(design.light.peak_wavelength_nm), np.ones(1)
+    transmittance = film_transmittance(straight, straight, index, film.refractive_index)[0]
+    return {"specular_transmittance": _rgb(np.full(3, transmittance))}
+
+
 def _coating(design: FingerDesign, bands: PaintBands) -> dict[str, Any]:
     """Return the aluminium coating as seen from inside the gel."""
     centroids = [band.centroid_nm for band in bands.bands]
     # the renderer takes conductors to stand in vacuum; relative to gel, n and k are divided by its index
-    eta, k = (np.interp(centroids, _ALUMINIUM[:, 0], _ALUMINIUM[:, c]) / design.pad.refractive_index for c in (1, 2))
+    index = design.pad.index_at(design.light.peak_wavelength_nm)
+    eta, k = (np.interp(centroids, _ALUMINIUM[:, 0], _ALUMINIUM[:, c]) / index for c in (1, 2))
     metal = {
         "type": "roughconductor",
         "distribution": "ggx",
@@ -169,7 +244,7 @@ def _coating(design: FingerDesign, bands: PaintBands) -> dict[str, Any]:
         "eta": _rgb(eta),
         "k": _rgb(k),
     }
-    diffuse = {"type": "diffuse", "reflectance": _rgb(np.full(3, design.coating.diffuse_reflectance))}
+    diffuse = _diffuse(design.coating.diffuse_reflectance)
     blend = {"type": "blendbsdf", "weight": design.coating.diffuse_share, "metal": metal, "diffuse": diffuse}
     return {"type": "twosided", "coating": blend}
 
@@ -181,35 +256,20 @@ def _mirror(design: FingerDesign) -> dict[str, Any]:
     return {"type": "twosided", "metal": metal}
 
 
-def _mirror_surface(mirror: MirrorShape) -> Surface:
-    """Triangulate the convex mirror."""
-    s = np.linspace(-mirror.half_length_mm, mirror.half_length_mm, _MIRROR_ROWS)
-    sag = s**2 / (2.0 * mirror.radius_mm)
-    yz = mirror.apex_yz_mm + s[:, None] * mirror.tangent_yz - sag[:, None] * mirror.normal_yz
-    x = np.array([-mirror.half_width_mm, mirror.half_width_mm])
-    left, right = (np.column_stack([np.full(s.size, v), yz]) for v in x)
-    k = np.arange(s.size - 1)
-    n = s.size
-    triangles = np.concatenate([np.column_stack([k, k + 1, n + k + 1]), np.column_stack([k, n + k + 1, n + k])])
-    uv = np.column_stack([np.repeat([0.0, 1.0], n), np.tile(np.linspace(0.0, 1.0, n), 2)])
-    return Surface(np.concatenate([left, right]), triangles, uv)
-
-
-def _box(design: FingerDesign, renderer: ModuleType) -> dict[str, Any]:
-    """Return the dark box around everything."""
-    mirror, camera = mirror_shape(design), camera_pose(design).centre_mm
-    ends = mirror.apex_yz_mm + np.array([[-1.0], [1.0]]) * mirror.half_length_mm * mirror.tangent_yz
-    panel = np.array(design.light.position_mm)
-    reach = np.hypot(design.light.width_mm, design.light.height_mm) / 2.0
-    low = np.min([[-design.pad.width_mm / 2.0, *ends.min(0)], camera, panel - reach], axis=0) - _BOX_CLEARANCE_MM
-    top = [design.pad.width_mm / 2.0, 1.5 * design.pad.thickness_mm, design.pad.length_mm]
-    high = np.max([top, [0.0, *ends.max(0)], panel + reach], axis=0) + _BOX_CLEARANCE_MM
+def _box(design: FingerDesign, shape: FingerShape, renderer: ModuleType) -> dict[str, Any]:
+    """Return the dark cloth around everything."""
+    corners = [s.vertices_mm for s in shape.surfaces.values()] + [camera_pose(design).centre_mm[None, :]]
+    for light in design.lights:
+        reach = np.hypot(light.width_mm, light.height_mm) / 2.0
+        corners += [np.array([light.position_mm]) + side * reach for side in (-1.0, 1.0)]
+    points = np.concatenate(corners)
+    low, high = points.min(axis=0) - _BOX_CLEARANCE_MM, points.max(axis=0) + _BOX_CLEARANCE_MM
     transform = renderer.ScalarTransform4f().translate(((low + high) / 2.0).tolist())
     return {
         "type": "cube",
         "to_world": transform @ renderer.ScalarTransform4f().scale(((high - low) / 2.0).tolist()),
         "flip_normals": True,
-        "bsdf": {"type": "diffuse", "reflectance": _rgb(np.full(3, BOX_REFLECTANCE))},
+        "bsdf": _diffuse(design.enclosure.cloth_reflectance),
     }
 
 

@@ -1,7 +1,7 @@
 """Choose a Mitsuba variant that really runs here, and open it: the one door to the renderer.
 
 LLVM 15 and 16 load and then abort the whole process at the first compiled kernel, so a library is taken only
-after a child process has rendered a small picture with it.
+after a child process has rendered a small picture with it. A GPU is taken only when asked for and after the same proof.
 """
 
 import functools
@@ -20,7 +20,9 @@ from data_schemas.errors import MissingExtraError
 
 LLVM_VARIANT = "llvm_ad_rgb"
 SCALAR_VARIANT = "scalar_rgb"
+CUDA_VARIANT = "cuda_ad_rgb"
 MINIMUM_LLVM_MAJOR = 17
+GPU_NOTE = "the GPU variants need an NVIDIA driver with CUDA and OptiX; use 'auto' to render on the processor"
 INSTALL_NOTE = "install LLVM 17 or newer to render faster and with less noise (Debian: apt-get install libllvm19)"
 
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
@@ -33,9 +35,9 @@ _LIBRARY_PATTERNS = (
     (Path("/usr/local/lib"), "libLLVM*.so*"),
     (Path("/opt/homebrew/opt"), "llvm*/lib/libLLVM*.dylib"),
 )
-_PROOF = f"""
+_PROOF = """
 import mitsuba
-mitsuba.set_variant("{LLVM_VARIANT}")
+mitsuba.set_variant("{variant}")
 scene = mitsuba.cornell_box()
 scene["sensor"]["film"].update(width=8, height=8)
 mean = float(mitsuba.TensorXf(mitsuba.render(mitsuba.load_dict(scene), spp=2)).numpy().mean())
@@ -43,7 +45,7 @@ raise SystemExit(0 if 0.0 < mean < 1e6 else "the proof picture is empty")
 """
 
 
-Preference = Literal["auto", "llvm", "scalar"]
+Preference = Literal["auto", "llvm", "scalar", "cuda"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,16 +57,21 @@ class RendererChoice:
     note: str
 
 
-def choose_variant(prefer: Preference = "auto", libraries: Sequence[str] | None = None) -> RendererChoice:
-    """Return the fastest Mitsuba variant that is proven to work on this machine.
+def choose_variant(
+    prefer: Preference = "auto", libraries: Sequence[str] | None = None, spectral: bool = False
+) -> RendererChoice:
+    """Return a Mitsuba variant that is proven to work on this machine.
 
     Parameters
     ----------
     prefer
-        "auto" takes LLVM when it works and the scalar variant otherwise; "llvm" insists; "scalar" needs no LLVM.
+        "auto" takes LLVM when it works and the scalar variant otherwise; "llvm" insists; "scalar" needs no LLVM;
+        "cuda" insists on the GPU, which "auto" never takes.
     libraries
         Paths of LLVM libraries to try in this order; by default the one named by ``DRJIT_LIBLLVM_PATH``, else
         those of the system from the newest version down.
+    spectral
+        True for full spectra (the reference of level c), False for three bands.
 
     Returns
     -------
@@ -74,21 +81,29 @@ def choose_variant(prefer: Preference = "auto", libraries: Sequence[str] | None 
     Raises
     ------
     MissingExtraError
-        When LLVM is demanded and no library passes the proof.
+        When LLVM or a GPU is demanded and none passes the proof.
     """
+    llvm, scalar, cuda = (
+        name.replace("_rgb", "_spectral") if spectral else name for name in (LLVM_VARIANT, SCALAR_VARIANT, CUDA_VARIANT)
+    )
     if prefer == "scalar":
-        return RendererChoice(SCALAR_VARIANT, None, "scalar variant as asked")
+        return RendererChoice(scalar, None, "scalar variant as asked")
+    if prefer == "cuda":
+        failure = prove_variant(cuda)
+        if failure is not None:
+            raise MissingExtraError(f"the renderer was asked for on a GPU, but {failure}; {GPU_NOTE}")
+        return RendererChoice(cuda, None, "compiled for the GPU")
     failures = []
     for path in find_llvm_libraries() if libraries is None else libraries:
         failure = prove_llvm_library(path)
         if failure is None:
             os.environ[_LIBRARY_VARIABLE] = path
-            return RendererChoice(LLVM_VARIANT, path, f"compiled with {Path(path).name}")
+            return RendererChoice(llvm, path, f"compiled with {Path(path).name}")
         failures.append(f"{path}: {failure}")
     tried = "; ".join(failures) if failures else f"no LLVM library of version >= {MINIMUM_LLVM_MAJOR} was found"
     if prefer == "llvm":
         raise MissingExtraError(f"the renderer was asked for with LLVM, but {tried}; {INSTALL_NOTE}")
-    return RendererChoice(SCALAR_VARIANT, None, f"{tried}; {INSTALL_NOTE}")
+    return RendererChoice(scalar, None, f"{tried}; {INSTALL_NOTE}")
 
 
 def find_llvm_libraries() -> list[str]:
@@ -106,13 +121,18 @@ def find_llvm_libraries() -> list[str]:
     return sorted(found, key=lambda path: (-found[path], path))
 
 
-@functools.cache
 def prove_llvm_library(path: str) -> str | None:
     """Render a small picture in a child process with this library; None when it worked, else the reason."""
-    environment = {**os.environ, _LIBRARY_VARIABLE: path}
+    return prove_variant(LLVM_VARIANT, path)
+
+
+@functools.cache
+def prove_variant(variant: str, llvm_library: str | None = None) -> str | None:
+    """Render a small picture in a child process with this variant; None when it worked, else the reason."""
+    environment = dict(os.environ) if llvm_library is None else {**os.environ, _LIBRARY_VARIABLE: llvm_library}
     try:
         child = subprocess.run(
-            [sys.executable, "-c", _PROOF],
+            [sys.executable, "-c", _PROOF.format(variant=variant)],
             env=environment,
             capture_output=True,
             text=True,

@@ -1,4 +1,8 @@
-"""Light that the painted walls emit: baked from the panel (level b) or by the rule of the paper (level a)."""
+"""Light that the painted walls emit, per chain of fluorescence: excited by the LED, or by what other paint emitted.
+
+A chain names the way of the energy: "led>red" is LED light turned into red emission at the red wall,
+"led>green>red" green emission of the green wall turned into red emission at the red wall.
+"""
 
 from collections.abc import Mapping
 from typing import Literal
@@ -7,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
-from sim.optics.paint_bands import PaintBands
-from sim.optics.pressed_pad import pressed_profile
-from sim.optics.refracted_light import refracted_irradiance
-from sim.optics.scene import PANEL_RADIANCE_REL
+from sim.optics.curved_refraction import curved_irradiance, inner_face
+from sim.optics.paint_bands import BAND_NAMES, PaintBands
+from sim.optics.position_map import PositionMap
+from sim.surface_meshes.finger_shape import FingerShape
 
 Level = Literal["a", "a_inverse_square", "b"]
 """b: baked; a: emitter proportional to the distance from the blue light, as printed; a_inverse_square: 1/d^2."""
@@ -21,79 +25,105 @@ LEVEL_NAMES: dict[Level, str] = {
     "b": "level b",
 }
 
+WallLight = Mapping[str, NDArray[np.float64]]
+"""Per chain of fluorescence: radiance of the wall at its end, (TEXELS_ALONG, TEXELS_UP), in units of the panel's."""
+
+FIRST_CHAINS = ("led>red", "led>green", "led")
+"""The chains of first order, in the order of the bands."""
+
 TEXELS_ALONG, TEXELS_UP = 70, 8
+# a texture that is black everywhere turns the stock tracer's emitter sampling into 0 / 0
+SMALLEST_RADIANCE_REL = 1e-12
+WALLS = ("red", "green")
+# feet of the walls' points on the inner face, as its coordinate across
+_FOOT_ACROSS = {"red": 0.0, "green": 1.0}
 # the panel is at least its own height away from any wall: these points resolve it to parts in ten thousand
 _PANEL_QUADRATURE = (12, 4)
-# a texture that is black everywhere turns the stock tracer's emitter sampling into 0 / 0
-_SMALLEST_RADIANCE_REL = 1e-12
-WALL_SIDES = {"red": -1.0, "green": 1.0}
-_BAND_OF_PAINT = {"red": 0, "green": 1}
 
 
-def wall_emission(
-    design: FingerDesign,
-    bands: PaintBands,
-    level: Level = "b",
-    indirect: Mapping[str, NDArray[np.float64]] | None = None,
+def last_band(chain: str) -> str:
+    """Return the band in which a chain's light is, "red", "green" or "led"; also the name of its last wall."""
+    return chain.rsplit(">", 1)[-1]
+
+
+def excited(
+    chain: str, irradiance: Mapping[str, NDArray[np.float64]], bands: PaintBands
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the radiance emitted by the walls "red" and "green", in units of the panel's radiance.
-
-    Level b: L = K E / pi in the paint's own band; E is the panel's direct irradiance through the flat inner face
-    plus `indirect`. It follows position and angle of the panel. Left out: emission excited by the other paint.
-    Level a: the paper's texture, intensity following the distance from the panel's centre alone, with the gain
-    that gives level b's mean; it knows nothing of the panel's angle beyond that gain.
+    """Return what the light of a chain makes the walls emit, L = K E / pi in each paint's own band.
 
     Parameters
     ----------
-    design
-        Finger with its press and light angle.
+    chain
+        The chain whose light falls onto the walls.
+    irradiance
+        Irradiance of the walls "red" and "green" by that light, any shape.
     bands
-        Energy conversion of the two paints.
-    level
-        Which rule.
-    indirect
-        Irradiance of each wall by mirror, coating, other wall and ends, shape (TEXELS_ALONG, TEXELS_UP), from
-        :func:`sim.optics.wall_baking.indirect_irradiance`; none by default (a one-bounce bake).
+        Energy conversion of the paints.
+    """
+    column = BAND_NAMES.index(last_band(chain))
+    return {f"{chain}>{wall}": np.asarray(bands.conversion[wall][column] / np.pi * irradiance[wall]) for wall in WALLS}
 
-    Returns
-    -------
-    dict
-        Arrays of shape (TEXELS_ALONG, TEXELS_UP, 3 bands) at texel centres.
+
+def paper_emission(design: FingerDesign, shape: FingerShape, light: WallLight, level: Level) -> WallLight:
+    """Return the emission of the walls by the rule of the paper, with the mean of a baked one.
+
+    Intensity follows the distance from the panel's centre alone: proportional to it as printed, or to its inverse
+    square. It knows nothing of the panel's angle beyond the gain; only the chains of first order remain.
     """
     emission = {}
-    for wall, side in WALL_SIDES.items():
-        points = wall_points_mm(design, wall)
-        irradiance = direct_irradiance(design, points.reshape(-1, 3), side).reshape(points.shape[:2])
-        if indirect is not None:
-            irradiance = irradiance + indirect[wall]
-        profile = bands.energy_conversion[wall] / np.pi * irradiance
-        if level != "b":
-            distance = np.linalg.norm(points - np.array(design.light.position_mm), axis=-1)
-            shape = distance if level == "a" else distance**-2
-            profile = shape * profile.mean() / shape.mean()
-        emission[wall] = np.zeros((*profile.shape, 3))
-        emission[wall][..., _BAND_OF_PAINT[wall]] = np.maximum(profile, _SMALLEST_RADIANCE_REL)
+    for wall in WALLS:
+        points = wall_map(shape, wall).positions_mm(texel_uv())
+        distance = np.linalg.norm(points - np.array(design.light.position_mm), axis=-1)
+        rule = distance if level == "a" else distance**-2
+        emission[f"led>{wall}"] = rule * light[f"led>{wall}"].mean() / rule.mean()
     return emission
 
 
-def unbaked_emission() -> dict[str, NDArray[np.float64]]:
-    """Return faint uniform walls, to be replaced by a bake."""
-    emission = {wall: np.zeros((TEXELS_ALONG, TEXELS_UP, 3)) for wall in WALL_SIDES}
-    for wall, band in _BAND_OF_PAINT.items():
-        emission[wall][..., band] = _SMALLEST_RADIANCE_REL
+def unbaked_walls() -> dict[str, NDArray[np.float64]]:
+    """Return faint uniform emission (TEXELS_ALONG, TEXELS_UP, 3 bands) per wall, a place for a bake to be put."""
+    emission = {wall: np.zeros((TEXELS_ALONG, TEXELS_UP, len(BAND_NAMES))) for wall in WALLS}
+    for wall in WALLS:
+        emission[wall][..., BAND_NAMES.index(wall)] = SMALLEST_RADIANCE_REL
     return emission
 
 
-def direct_irradiance(design: FingerDesign, points_mm: NDArray[np.float64], side: float) -> NDArray[np.float64]:
-    """Return the panel's direct irradiance at points (n, 3) of the wall at `side` (-1 red, +1 green) of the pad."""
-    normals = np.broadcast_to([-side, 0.0, 0.0], points_mm.shape)
-    return PANEL_RADIANCE_REL * refracted_irradiance(points_mm, normals, design.light, design.pad, _PANEL_QUADRATURE)
+def direct_irradiance(
+    design: FingerDesign, shape: FingerShape, wall: str, uv: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the direct irradiance of all panels at points of a wall, in units of the first panel's radiance.
+
+    By quadrature over the panels through the inner face, whatever its shape; see
+    :func:`sim.optics.curved_refraction.curved_irradiance`. Valid while the coating does not shade the wall.
+
+    Parameters
+    ----------
+    design, shape
+        Panels and surfaces.
+    wall
+        "red" or "green".
+    uv
+        Texture coordinates (u up the wall, v along), shape (..., 2).
+    """
+    where, face = wall_map(shape, wall), inner_face(design, shape)
+    points, inward = where.positions_mm(uv).reshape(-1, 3), -where.normals(uv).reshape(-1, 3)
+    foot = np.stack([np.full(uv.shape[:-1], _FOOT_ACROSS[wall]), uv[..., 1]], axis=-1).reshape(-1, 2)
+    total = np.zeros(len(points))
+    for light in design.lights:
+        total += light.power_rel * curved_irradiance(points, inward, foot, light, face, _PANEL_QUADRATURE)
+    return total.reshape(uv.shape[:-1])
 
 
-def wall_points_mm(design: FingerDesign, wall: str) -> NDArray[np.float64]:
-    """Return the points of a wall's texel centres, shape (TEXELS_ALONG, TEXELS_UP, 3)."""
-    z = (np.arange(TEXELS_ALONG) + 0.5) / TEXELS_ALONG * design.pad.length_mm
-    up = (np.arange(TEXELS_UP) + 0.5) / TEXELS_UP
-    y = up[None, :] * pressed_profile(design, z)[:, None]
-    x = WALL_SIDES[wall] * design.pad.width_mm / 2.0
-    return np.stack(np.broadcast_arrays(x, y, z[:, None]), axis=-1)
+def wall_map(shape: FingerShape, wall: str) -> PositionMap:
+    """Return where a wall is; its normals point out of the gel."""
+    return PositionMap.of(shape.surfaces[wall], f"{wall} wall")
+
+
+def texel_uv() -> NDArray[np.float64]:
+    """Return the texture coordinates (up, along) of the texel centres, shape (TEXELS_ALONG, TEXELS_UP, 2)."""
+    return grid_uv(TEXELS_ALONG, TEXELS_UP)
+
+
+def grid_uv(along: int, up: int) -> NDArray[np.float64]:
+    """Return texture coordinates (up, along) at the centres of a regular grid, shape (along, up, 2)."""
+    v, u = np.meshgrid((np.arange(along) + 0.5) / along, (np.arange(up) + 0.5) / up, indexing="ij")
+    return np.stack([u, v], axis=-1)

@@ -17,7 +17,7 @@ PACKAGES = ("data_schemas", "rigs", "finray_calib", "sim")
 MODULES = sorted(p for package in PACKAGES for p in (ROOT / package).rglob("*.py"))
 DUMPING_GROUNDS = {"util", "utils", "helper", "helpers", "common", "misc", "core", "base", "tools"}
 UNIT = re.compile(
-    r"_(nm|mm|px|s|deg|mpa|n|dn|e|mw|ma|rel|od|db|dn2|k|j|per_j|per_nm|per_s|e_per_dn|e_per_s|dn_per_s|per_px|mm_per_px)$"
+    r"_(nm|mm|mm3|px|s|deg|mpa|n|dn|e|mw|ma|rel|od|db|dn2|k|j|per_j|per_nm|per_s|e_per_dn|e_per_s|dn_per_s|per_px|mm_per_px)$"
 )
 # Dimensionless by their nature: a name is allowed when one of these is a whole word of it.
 DIMENSIONLESS_WORDS = frozenset(
@@ -26,6 +26,7 @@ DIMENSIONLESS_WORDS = frozenset(
         "alpha",
         "chi",
         "chi2",
+        "exponent",
         "factor",
         "fraction",
         "hat",
@@ -33,6 +34,7 @@ DIMENSIONLESS_WORDS = frozenset(
         "kappa",
         "ln",
         "order",
+        "ratio",
         "reflectance",
         "regret",
         "share",
@@ -63,7 +65,10 @@ EXCEPTIONS = {
     "k": "exposure factor, as in the paper",
     "u": "its relative uncertainty",
     "z": "standard score of a curve's shape",
-    "side": "-1 or +1: which wall",
+    "turn": "-1 or +1: which way a surface is oriented",
+    **dict.fromkeys(("begin", "start"), "a share of a whole, 0 to 1"),
+    "abbe_number": "ratio of refractivity to dispersion",
+    "bulk_over_shear": "ratio of two moduli",
     "scale": "of image values of any unit",
     "autocorrelation_times": "a count of autocorrelation times",
     "least_effective": "a number of samples",

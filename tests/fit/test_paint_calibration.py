@@ -15,9 +15,12 @@ from data_schemas.radiometry import BandSignals
 from data_schemas.standard_curves import assumed_camera_response
 from data_schemas.storage import read_record, write_record
 from finray_calib.fit.calibration_warnings import absorption_warnings, fit_warnings, signal_warnings
-from finray_calib.fit.emission import FitSettings
+from finray_calib.fit.discrepancy import PAINT_DISCREPANCY
+from finray_calib.fit.emission import FitSettings, fit_emission
+from finray_calib.fit.family_choice import DEFAULT_FAMILY
 from finray_calib.fit.paint_calibration import FitOptions, band_data, calibrate_paint
 from finray_calib.fit.pareto_smoothing import smooth_weights
+from finray_calib.fit.prior import EmissionPrior
 from finray_calib.fit.reflectance import reflectance
 from finray_calib.fit.sampler import SamplerSettings
 from finray_calib.spectra.emission_families import FAMILIES
@@ -285,3 +288,23 @@ def test_held_share_of_a_curve_that_ends_early(optics):
     assert shares[0].min() == pytest.approx(1.0, abs=1e-6)
     assert 0.1 < shares[7].min() < 0.5
     assert held_shares(optics).max() < 1e-6
+
+
+@pytest.mark.parametrize("name", [name for name in FAMILIES if name != DEFAULT_FAMILY])
+def test_fewer_draws_of_the_other_families_give_the_numbers_of_all_draws(bands, name):
+    result = next(r for r in calibrate_paint(bands, 3).families if r.name == name)
+    full = fit_emission(
+        band_data(bands), FAMILIES[name], EmissionPrior(), PAINT_DISCREPANCY, FitSettings(), np.random.default_rng(4)
+    )
+    sample = full.sampling.sample
+    # four standard errors: a false alarm in 2e4 families
+    error = np.hypot(result.ln_evidence_sd, sample.ln_evidence_sd)
+    assert result.ln_evidence == pytest.approx(sample.ln_evidence, abs=4 * error)
+    # 500 draws of 750 effective ones are worth 300, 1000 of 1500 600; a median scatters by 1.25 sd / sqrt(n)
+    apart = 4 * 1.25 * np.sqrt(1 / 300 + 1 / 600)
+    for quantity, draws in (("mode_nm", full.quantities.mode_nm), ("fwhm_nm", full.quantities.fwhm_nm)):
+        got = result.quantities[quantity]
+        assert abs(got.estimate - np.median(draws)) < apart * got.sd
+        assert (
+            0.75 < got.sd / draws.std(ddof=1) < 1.33
+        )  # four standard errors, 1 / sqrt(2 n) each, of tails twice normal

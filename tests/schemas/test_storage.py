@@ -311,7 +311,7 @@ class TestFilesPeopleWrite:
             ),
             (
                 '[origin]\nxyz = "measured"\n',
-                r"'xyz' is no field of the design; fields are pad\.length_mm, pad\.width_mm",
+                r"'xyz' is no field of the design; fields are pad\.shape, pad\.length_mm, pad\.width_mm",
             ),
         ],
     )

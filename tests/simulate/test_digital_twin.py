@@ -81,7 +81,7 @@ def captured(monkeypatch, paints, noise_rel):
         contact_bands=flat,
         no_contact_variance=np.float32(noise_rel**2) * flat,
     )
-    monkeypatch.setattr(digital_twin, "render_press", lambda *arguments: render)
+    monkeypatch.setattr(digital_twin, "render_press", lambda *arguments, **options: render)
     twin = digital_twin.capture_twin(finger(paints), 30.0, seed=3, samples_per_pixel=2)
     return [bayer_planes(image[..., 0]) - 16.0 for image in (twin.no_contact, twin.repeat_no_contact)]
 
@@ -104,13 +104,13 @@ def test_curves_that_begin_late_are_noted_in_both_records(monkeypatch, paints):
     bands = paint_bands(paints["red"], paints["green"], DESIGN.light)
     render = SimpleNamespace(
         bands=bands, label="flat", no_contact_bands=flat, contact_bands=flat, contact_variance=flat,
-        distance_in_half_widths=np.ones((96, 128)),
+        contact_maps=SimpleNamespace(contact_distance=np.ones((96, 128))), contact_label="flat",
     )  # fmt: skip
     swept = SimpleNamespace(
         bands=bands, label="flat", angles_deg=np.arange(4.0), radiance_rel=np.ones((4, 2, 2, 3)),
         probe_points_mm=np.zeros((2, 3)),
     )  # fmt: skip
-    monkeypatch.setattr(press, "render_press", lambda *arguments: render)
+    monkeypatch.setattr(press, "render_press", lambda *arguments, **options: render)
     monkeypatch.setattr(light_angle, "sweep_light_angle", lambda *arguments, progress: swept)
     for record in (
         press.simulate_press(late, "b", 1, 2, {}),

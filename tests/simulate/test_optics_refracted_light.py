@@ -2,10 +2,8 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad, quad
 
-from data_schemas.design import FingerDesign, GelPad, LightPanel
-from sim.optics.paint_bands import paint_bands
+from data_schemas.design import GelPad, LightPanel
 from sim.optics.refracted_light import fresnel_transmittance, panel_frame, refracted_irradiance, trace_crossing
-from sim.optics.wall_emission import wall_emission, wall_points_mm
 
 PAD = GelPad()
 AIR_PAD = GelPad(refractive_index=1.0)
@@ -102,37 +100,10 @@ def test_a_small_panel_gives_the_cosine_of_its_refracted_elevation():
     angles = np.arange(-20.0, 131.0, 10.0)
     small = {"position": (0.0, -10.0, -1.0), "width": 0.1, "height": 0.1}
     curve = np.array([refracted_irradiance(point, INTO_GEL_FROM_ABOVE, panel(a, **small), PAD)[0] for a in angles])
-    crossing = trace_crossing(point[0], np.array([0.0, -10.0, -1.0]), np.array([0.0, 1.0, 0.0]), 1.41).crossing_mm
+    crossing = trace_crossing(
+        point[0], np.array([0.0, -10.0, -1.0]), np.array([0.0, 1.0, 0.0]), PAD.index_at(450.0)
+    ).crossing_mm
     elevation = np.degrees(np.arctan2(10.0, crossing[2] + 1.0))
     expected = np.maximum(np.cos(np.radians(angles - elevation)), 0.0)
     # the panel is 0.1 mm at 20 mm, so its own extent matters at 1e-4
     np.testing.assert_allclose(curve / curve.max(), expected / expected.max(), atol=2e-4)
-
-
-def test_level_b_follows_the_angle_and_level_a_only_its_gain(paints):
-    def walls(angle, level):
-        design = FingerDesign(light=LightPanel(angle_deg=angle))
-        bands = paint_bands(paints["red"], paints["green"], design.light)
-        return wall_emission(design, bands, level)["red"][..., 0], design
-
-    (b30, design), (b90, _) = walls(30.0, "b"), walls(90.0, "b")
-    (a30, _), (a90, _) = walls(30.0, "a"), walls(90.0, "a")
-    (s30, _) = walls(30.0, "a_inverse_square")
-    assert np.ptp(b30 / b90) > 0.5  # the profile itself changes with the angle
-    np.testing.assert_allclose(a30 / a30.mean(), a90 / a90.mean(), rtol=1e-12)
-    assert a30.mean() == pytest.approx(b30.mean(), rel=1e-12)
-    assert s30.mean() == pytest.approx(b30.mean(), rel=1e-12)
-    distance = np.linalg.norm(wall_points_mm(design, "red") - np.array([0.0, -10.0, -1.0]), axis=-1)
-    np.testing.assert_allclose(a30 / a30[0, 0], distance / distance[0, 0], rtol=1e-12)
-    np.testing.assert_allclose(s30 / s30[0, 0], (distance[0, 0] / distance) ** 2, rtol=1e-12)
-
-
-def test_each_wall_emits_in_its_own_band_only_and_both_are_alike(paints):
-    design = FingerDesign()
-    bands = paint_bands(paints["red"], paints["green"], design.light)
-    emission = wall_emission(design, bands)
-    assert (emission["red"][..., 1:] == 0.0).all()
-    assert (emission["green"][..., [0, 2]] == 0.0).all()
-    # the panel stands in the middle: per energy conversion the walls mirror each other
-    per_unit = [emission[n][..., k] / bands.energy_conversion[n] for n, k in (("red", 0), ("green", 1))]
-    np.testing.assert_allclose(per_unit[0], per_unit[1], rtol=1e-10)

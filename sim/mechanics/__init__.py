@@ -1,0 +1,1 @@
+"""The finger pressed: parametric meshes, elements, contact and the solver."""

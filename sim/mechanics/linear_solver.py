@@ -1,0 +1,138 @@
+"""Direct solvers of the symmetric systems of equilibrium: MKL PARDISO, or SuperLU where that is not there."""
+
+import importlib
+import os
+from types import ModuleType
+from typing import Literal, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from data_schemas.errors import MissingExtraError, SimulateError
+
+FloatArray = NDArray[np.float64]
+SolverName = Literal["auto", "pardiso", "superlu"]
+
+_SYMMETRIC_INDEFINITE = -2
+
+
+class SymmetricSolver(Protocol):
+    """Factorises symmetric matrices given by their upper triangle (CSR, sorted) and solves with them."""
+
+    def factorise(self, upper: sp.csr_array, pattern: int) -> None:
+        """Factorise; with the same number of the pattern, the matrix differs from the last one in its values only."""
+        ...
+
+    def solve(self, right_side: FloatArray) -> FloatArray:
+        """Return x (n,) of the last factorised matrix for the right side (n,)."""
+        ...
+
+
+def linear_solver(name: SolverName = "auto", threads: int = 1) -> SymmetricSolver:
+    """Open a solver: PARDISO where pypardiso is installed, else SuperLU.
+
+    Raises
+    ------
+    MissingExtraError
+        When PARDISO is asked for by name and pypardiso is missing.
+    """
+    if name == "superlu":
+        return SuperLU()
+    try:
+        return Pardiso(threads)
+    except ImportError as missing:
+        if name == "auto":
+            return SuperLU()
+        raise MissingExtraError(
+            f"the solver pardiso needs pypardiso ({missing}); install it with: pip install 'finray-calib[pardiso]', or "
+            "choose superlu"
+        ) from missing
+
+
+class SuperLU:
+    """SuperLU of SciPy, an unsymmetric factorisation: anywhere, for small meshes."""
+
+    def __init__(self) -> None:
+        self._solve: sp.linalg.SuperLU | None = None
+
+    def factorise(self, upper: sp.csr_array, pattern: int) -> None:
+        """Factorise the whole matrix."""
+        whole = upper + sp.triu(upper, 1).T
+        try:
+            self._solve = sp.linalg.splu(whole.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        except RuntimeError as singular:
+            raise SimulateError(_SINGULAR) from singular
+
+    def solve(self, right_side: FloatArray) -> FloatArray:
+        """Return x (n,)."""
+        if self._solve is None:
+            raise SimulateError("nothing has been factorised yet; call factorise first")
+        return np.asarray(self._solve.solve(right_side))
+
+
+_SINGULAR = (
+    "the stiffness matrix is singular: some part can move freely. Fix it, tie it to another part, or bring it into "
+    "contact"
+)
+
+
+class Pardiso:
+    """MKL PARDISO: its symbolic phase is done once per pattern."""
+
+    def __init__(self, threads: int = 1) -> None:
+        pypardiso = _pypardiso()
+        self._solver = pypardiso.PyPardisoSolver(mtype=_SYMMETRIC_INDEFINITE)
+        self._error: type[Exception] = pypardiso.pardiso_wrapper.PyPardisoError
+        self._solver.libmkl.MKL_Set_Num_Threads(threads)
+        # own settings, METIS, pivots lifted to 1e-8, no scaling or matching (they need values in the symbolic phase),
+        # up to two steps of iterative refinement
+        for number, value in ((1, 1), (2, 3 if threads > 1 else 2), (10, 8), (11, 0), (13, 0), (8, 2), (21, 1)):
+            self._solver.set_iparm(number, value)
+        self._matrix: sp.csr_array | None = None
+        self._pattern = (-1, -1)
+
+    def _call(self, phase: int, right_side: FloatArray) -> FloatArray:
+        self._solver.set_phase(phase)
+        # the wrapper's public methods repeat the symbolic phase at each factorisation
+        try:
+            return np.asarray(self._solver._call_pardiso(self._matrix, right_side))  # noqa: SLF001
+        except self._error as failed:
+            raise SimulateError(f"{_SINGULAR} (PARDISO: {failed})") from failed
+
+    def factorise(self, upper: sp.csr_array, pattern: int) -> None:
+        """Factorise; the symbolic phase only for a new pattern."""
+        nothing = np.zeros((upper.shape[0], 1))
+        if self._matrix is None or (pattern, upper.nnz) != self._pattern:
+            self.release()
+            self._matrix, self._pattern = upper, (pattern, upper.nnz)
+            self._call(11, nothing)
+        self._matrix = upper
+        self._call(22, nothing)
+
+    def solve(self, right_side: FloatArray) -> FloatArray:
+        """Return x (n,)."""
+        if self._matrix is None:
+            raise SimulateError("nothing has been factorised yet; call factorise first")
+        return self._call(33, np.ascontiguousarray(right_side.reshape(-1, 1))).ravel()
+
+    @property
+    def factor_mb(self) -> float:
+        """Memory of the factors and their symbolic tables in MB."""
+        return float(self._solver.get_iparm(16) + self._solver.get_iparm(17)) / 1024.0
+
+    def release(self) -> None:
+        """Give the factors' memory back."""
+        if self._matrix is not None:
+            self._solver.free_memory(everything=True)
+            self._matrix = None
+
+    def __del__(self) -> None:
+        if hasattr(self, "_matrix"):
+            self.release()
+
+
+def _pypardiso() -> ModuleType:
+    """Import pypardiso with threads that sleep, rather than spin, between calls: they share the cores with Numba's."""
+    os.environ.setdefault("KMP_BLOCKTIME", "0")
+    return importlib.import_module("pypardiso")

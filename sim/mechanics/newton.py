@@ -1,0 +1,257 @@
+"""Equilibrium by Newton's method with an energy line search, and load increments with cutbacks."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.errors import SimulateError
+from sim.mechanics.assembly import Assembly, State
+from sim.mechanics.linear_solver import SymmetricSolver
+
+FloatArray = NDArray[np.float64]
+
+_SUFFICIENT = 1e-4  # share of the linear decrease of energy that a step must reach (Armijo)
+_NOISE = 1e-13  # relative rounding of a sum of energies; differences below say nothing
+_SHORTEST = 1e-4  # share of a step below which the line search gives up
+_OVERSHOOT = 4.0  # the energy may rise this many times more than foreseen while supports move
+
+
+@dataclass(frozen=True, slots=True)
+class Supports:
+    """Unknowns that are prescribed: which (n, 3), and their displacement (n, 3) in mm."""
+
+    fixed: NDArray[np.bool_]
+    displacement_mm: FloatArray
+
+    @classmethod
+    def at_rest(cls, count: int, nodes: NDArray[np.int64]) -> "Supports":
+        """Hold some of `count` nodes in place."""
+        fixed = np.zeros((count, 3), dtype=bool)
+        fixed[nodes] = True
+        return cls(fixed, np.zeros((count, 3)))
+
+
+@dataclass(frozen=True, slots=True)
+class NewtonOptions:
+    """When an equilibrium is reached or given up.
+
+    Parameters
+    ----------
+    residual_rel
+        Norm of the unbalanced forces over that of the reactions and of the terms' forces (contact, ties, loads).
+    force_floor_n
+        Least force that the residual is compared with: an unloaded body has no reactions.
+    step_floor_mm
+        A Newton step below this ends the search too: rounding allows no better.
+    longest_step_mm
+        Steps are shortened to this.
+    iterations
+        At most.
+    """
+
+    residual_rel: float = 1e-6
+    force_floor_n: float = 1e-2
+    step_floor_mm: float = 1e-10
+    longest_step_mm: float = 8.0
+    iterations: int = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Equilibrium:
+    """What Newton's method reached.
+
+    Attributes
+    ----------
+    state
+        Last state.
+    gradient_n
+        Derivative of the energy by each unknown (n, 3): at the supports, the force that they exert.
+    energy_n_mm
+        Whole energy.
+    residuals_n
+        Norm of the unbalanced forces at each iteration.
+    failure
+        Why it is no equilibrium; empty when it is one.
+    """
+
+    state: State
+    gradient_n: FloatArray
+    energy_n_mm: float
+    residuals_n: tuple[float, ...]
+    failure: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Increment:
+    """An equilibrium on the way to the full load, with the share of the load that it carries."""
+
+    fraction: float
+    equilibrium: Equilibrium
+
+
+class _Search:
+    """One search for an equilibrium."""
+
+    def __init__(self, assembly: Assembly, supports: Supports, solver: SymmetricSolver, options: NewtonOptions) -> None:
+        self.assembly, self.supports, self.solver, self.options = assembly, supports, solver, options
+        self.residuals: list[float] = []
+
+    def run(self, state: State) -> Equilibrium:
+        energy = self.assembly.energy(state)
+        gradient = np.zeros_like(state.u_mm)
+        if not math.isfinite(energy):
+            return self._result(
+                state, gradient, energy, "an element is inside out, or a term not defined, at the start"
+            )
+        project = False
+        while True:
+            gradient, of_terms = self.assembly.assemble(state, project)
+            remaining = np.where(self.supports.fixed, self.supports.displacement_mm - state.u_mm, 0.0)
+            moving = bool(remaining.any())
+            settled = self._settled(gradient, of_terms)
+            if settled and not moving:
+                return self._result(state, gradient, energy)
+            if len(self.residuals) > self.options.iterations:
+                return self._result(
+                    state, gradient, energy, f"no equilibrium after {self.options.iterations} iterations"
+                )
+            du, rise = self._newton_step(gradient, remaining)
+            if not moving and np.abs(du).max() <= self.options.step_floor_mm:
+                return self._result(state, gradient, energy)
+            found = self._line_search(state, energy, du, rise, moving) if np.isfinite(du).all() else None
+            if found is None and project:
+                return self._result(state, gradient, energy, "the line search found no lower energy")
+            project = found is None
+            if found is not None:
+                state, energy = found
+
+    def _result(self, state: State, gradient: FloatArray, energy: float, failure: str = "") -> Equilibrium:
+        return Equilibrium(state, gradient, energy, tuple(self.residuals), failure)
+
+    def _settled(self, gradient: FloatArray, of_terms: FloatArray) -> bool:
+        fixed = self.supports.fixed
+        residual = float(np.linalg.norm(gradient[~fixed]))
+        self.residuals.append(residual)
+        forces = float(np.linalg.norm(gradient[fixed])), float(np.linalg.norm(of_terms))
+        unbalanced = max(residual, self.assembly.elasticity.mode_residual_n())
+        return bool(unbalanced <= self.options.residual_rel * max(*forces, self.options.force_floor_n))
+
+    def _newton_step(self, gradient: FloatArray, remaining: FloatArray) -> tuple[FloatArray, float]:
+        """Return du (n, 3) and the linear change of the energy; for moving supports, how much it may rise."""
+        fixed, matrix = self.supports.fixed.ravel(), self.assembly.matrix
+        moving = bool(remaining.any())
+        prescribed = remaining.ravel()
+        right = -gradient.ravel()
+        if moving:
+            right -= matrix.times(prescribed)
+        right[fixed] = prescribed[fixed]
+        stiffness = matrix.values.copy() if moving else None
+        matrix.constrain(fixed)
+        self.solver.factorise(matrix.upper(), matrix.version)
+        du = self.solver.solve(right)
+        slope = float(gradient.ravel() @ du) - self.assembly.elasticity.mode_work_n_mm()
+        if stiffness is not None:
+            matrix.values[:] = stiffness
+            slope = abs(slope) + 0.5 * abs(float(du @ matrix.times(du)))
+        return du.reshape(-1, 3), slope
+
+    def _line_search(
+        self, state: State, energy: float, du: FloatArray, rise: float, moving: bool
+    ) -> tuple[State, float] | None:
+        """Return the state at an acceptable share of the step and its energy, or none."""
+        if not moving and rise > _NOISE * abs(energy):
+            return None
+        step = self.assembly.elasticity.mode_step(du)
+        share = min(1.0, self.options.longest_step_mm / max(float(np.abs(du).max()), 1e-300))
+        share *= self.assembly.max_step(state, share * du)
+        noise = _NOISE * sum(map(abs, self.assembly.elasticity.energy_of_blocks().values())) + _NOISE * abs(energy)
+        while share > _SHORTEST:
+            there = state.moved(share, du, step)
+            if share == 1.0 and moving:
+                there.u_mm[self.supports.fixed] = self.supports.displacement_mm[self.supports.fixed]
+            new = self.assembly.energy(there)
+            allowed = _OVERSHOOT * rise if moving else _SUFFICIENT * share * rise
+            if new <= energy + allowed + noise:
+                return there, new
+            # minimum of the parabola through both energies and the slope, kept between a tenth and a half
+            curve = new - energy - share * rise
+            best = -0.5 * rise * share**2 / curve if not moving and 0.0 < curve < math.inf else 0.5 * share
+            share = min(max(best, 0.1 * share), 0.5 * share)
+        return None
+
+
+def find_equilibrium(
+    assembly: Assembly,
+    start: State,
+    supports: Supports,
+    solver: SymmetricSolver,
+    options: NewtonOptions | None = None,
+) -> Equilibrium:
+    """Find the least energy near a state, with prescribed displacements.
+
+    Newton's method on displacements and incompatible modes; each step must lower the energy (Armijo). Where the exact
+    tangent gives no such step, as in buckling, the next one uses a tangent without negative curvature. Supports that
+    are not yet where they shall be move there in the first step, or in several where that turns an element inside out
+    or a term allows less.
+
+    Returns
+    -------
+    Equilibrium
+        Check its `failure`: it is empty for an equilibrium.
+    """
+    return _Search(assembly, supports, solver, options or NewtonOptions()).run(start)
+
+
+def load_increments(
+    assembly: Assembly,
+    solver: SymmetricSolver,
+    loading: Callable[[float], Supports],
+    stops: Sequence[float],
+    start: State | None = None,
+    begin: float = 0.0,
+    shortest_share: float = 1.0 / 64.0,
+    options: NewtonOptions | None = None,
+) -> Iterator[Increment]:
+    """Yield equilibria at the given shares of the load, and between them where smaller increments are needed.
+
+    Parameters
+    ----------
+    assembly, solver, options
+        See :func:`find_equilibrium`.
+    loading
+        Sets the terms (an indenter's place) for a share of the load and returns the supports at that share.
+    stops
+        Rising or falling shares at which equilibria are wanted.
+    start, begin
+        State and share to go on from; by default rest and 0.
+    shortest_share
+        Least increment, as a share of the way from one stop to the next.
+
+    Raises
+    ------
+    SimulateError
+        When an increment of the least size finds no equilibrium; all increments before have been yielded.
+    """
+    state, at = start or assembly.at_rest(), begin
+    for stop in stops:
+        way = stop - at
+        part = 1.0
+        done = 0.0
+        while done < 1.0:
+            part = min(part, 1.0 - done)
+            aim = stop if done + part >= 1.0 else stop - way * (1.0 - done - part)
+            reached = find_equilibrium(assembly, state, loading(aim), solver, options)
+            if reached.failure:
+                part /= 2.0
+                if part < shortest_share:
+                    raise SimulateError(
+                        f"no equilibrium beyond {at:.4g} of the load: {reached.failure}. The increments up to there "
+                        "are kept; try a finer mesh, smaller increments, or a smaller load"
+                    )
+                continue
+            state, at, done = reached.state, aim, done + part
+            part *= 2.0
+            yield Increment(at, reached)

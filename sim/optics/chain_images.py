@@ -1,0 +1,126 @@
+"""One image per chain of fluorescence, from which every paint, camera and white balance follows by arithmetic.
+
+The light of a chain such as "led>green>red" is proportional to each conversion on its way (LED to green emission at
+the green wall, green to red emission at the red wall) and lies in the band of its end. So an image with other
+conversions, emission shapes, camera or white balance is one matrix product away; no path is traced again.
+"""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.errors import SimulateError
+from sim.optics.paint_bands import BAND_NAMES
+
+Floats = NDArray[np.float64]
+
+LARGEST_REFLECTANCE_CHANGE = 0.01
+"""Absolute change of a paint's reflectance in a band from which on its chains must be rendered again."""
+
+# one product of all pixels is spread over threads, whose start costs up to 100 ms where cores are shared
+_BLOCK_PX = 4096
+
+
+def steps(chain: str) -> tuple[tuple[str, str], ...]:
+    """Return the conversions (band in, wall) of a chain: "led>green>red" has ("led", "green"), ("green", "red")."""
+    bands = chain.split(">")
+    if bands[0] != "led" or not set(bands) <= set(BAND_NAMES) or "led" in bands[1:]:
+        raise SimulateError(
+            f"'{chain}' is no chain of fluorescence: it starts with 'led' and goes on with 'red' and 'green', joined "
+            "by '>'"
+        )
+    return tuple(pairwise(bands))
+
+
+def conversion_gains(before: Mapping[str, Floats], after: Mapping[str, Floats]) -> dict[tuple[str, str], float]:
+    """Return by how much each conversion (band in, wall) has grown.
+
+    Parameters
+    ----------
+    before, after
+        Per wall, energy conversion from each of the bands into the wall's own, (3,).
+
+    Raises
+    ------
+    SimulateError
+        When light appears where none was rendered.
+    """
+    gains = {}
+    for wall, old in before.items():
+        for k, band in enumerate(BAND_NAMES):
+            if old[k] == 0.0 and after[wall][k] > 0.0:
+                raise SimulateError(
+                    f"the {wall} paint converts light of the {band} band now and did not when the images were "
+                    "rendered: render again"
+                )
+            gains[band, wall] = float(after[wall][k] / old[k]) if old[k] else 0.0
+    return gains
+
+
+def require_same_reflectance(before: Mapping[str, Floats], after: Mapping[str, Floats]) -> None:
+    """Refuse to reuse images after a change of the walls' reflectance: light is reflected on the way.
+
+    Raises
+    ------
+    SimulateError
+        When a reflectance in a band has changed by more than LARGEST_REFLECTANCE_CHANGE.
+    """
+    for wall, old in before.items():
+        change = np.abs(after[wall] - old)
+        if change.max() > LARGEST_REFLECTANCE_CHANGE:
+            k = int(np.argmax(change))
+            raise SimulateError(
+                f"the {wall} paint's reflectance in the {BAND_NAMES[k]} band went from {old[k]:.3f} to "
+                f"{after[wall][k]:.3f}; changes up to {LARGEST_REFLECTANCE_CHANGE:g} can be made without a new render: "
+                "render again"
+            )
+
+
+def chain_matrix(chains: Sequence[str], gains: Mapping[tuple[str, str], float] | None = None) -> Floats:
+    """Return W (3 bands, chain) with band images = W @ chain images.
+
+    Parameters
+    ----------
+    chains
+        Names of the chains.
+    gains
+        Change of each conversion (band in, wall) since the chains were rendered; 1 where it is not named.
+    """
+    matrix = np.zeros((len(BAND_NAMES), len(chains)))
+    for column, chain in enumerate(chains):
+        row = BAND_NAMES.index(chain.rsplit(">", 1)[-1])
+        matrix[row, column] = np.prod([(gains or {}).get(step, 1.0) for step in steps(chain)])
+    return matrix
+
+
+def mix(images: NDArray[np.float32], matrix: Floats) -> NDArray[np.float32]:
+    """Return matrix @ image for every pixel, in single precision.
+
+    ``mix(chain images, white_balance[:, None] * (camera_matrix @ chain_matrix(...)))`` is the camera's picture.
+
+    Parameters
+    ----------
+    images
+        (rows, columns, n).
+    matrix
+        (m, n).
+
+    Returns
+    -------
+    array
+        (rows, columns, m).
+
+    Raises
+    ------
+    SimulateError
+        When the matrix does not have one column per image.
+    """
+    if matrix.ndim != 2 or images.shape[-1:] != matrix.shape[1:]:
+        raise SimulateError(f"a matrix of shape {matrix.shape} does not fit images of shape {images.shape}")
+    flat, weights = np.ascontiguousarray(images, dtype=np.float32).reshape(-1, images.shape[-1]), matrix.T.astype("f4")
+    mixed = np.empty((len(flat), len(matrix)), dtype=np.float32)
+    for first in range(0, len(flat), _BLOCK_PX):
+        np.matmul(flat[first : first + _BLOCK_PX], weights, out=mixed[first : first + _BLOCK_PX])
+    return mixed.reshape(*images.shape[:-1], len(matrix))

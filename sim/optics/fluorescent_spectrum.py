@@ -1,0 +1,239 @@
+"""Level c in full spectra: the wavelength of each part of a path is redrawn at paint (spectral variants).
+
+A path from the eye carries four wavelengths that share its geometry. At paint each wavelength, on its own, is either
+reflected or replaced by an excitation wavelength; light met later is read at the new wavelength, while the film still
+develops with the old one, so ``specfilm`` works unchanged.
+
+Why it is done so (what went wrong with a fixed probability of 0.6 to fluoresce, one decision for all four wavelengths):
+
+- A reflection kept with probability 0.4 and roulette 0.8 multiplies the second moment of the weight by
+  rho^2 / (0.4 * 0.8) per bounce, 1.47 to 1.66 for a red paint of rho = 0.69 to 0.73 at 650-700 nm. Above one the
+  variance of the radiance is infinite: usual runs read low by several of their own standard errors, and now and then
+  one path of 200 000 carries a quarter of the sum. Here the probability of reflection is at least
+  rho, so that factor is rho^2 / p <= rho < 1 and every moment is finite.
+- One decision for four wavelengths cannot fit all of them: rho and the emission differ between them. Paint is
+  Lambertian, so nothing ties the decisions together.
+- The excitation wavelength is drawn from a density with the paint's excitation in it, by cells that are
+  never drawn where their probability is zero: weights are bounded, no end of an inverse distribution divides them.
+- The rare non-finite pixel did not come from the paint. The aluminium's n and k ended at 700 nm, where the renderer's
+  ``irregular`` spectrum falls to zero, and Fresnel's formula with n = k = 0 is 0 / 0 at exactly normal incidence (and a
+  wrong reflectance of one elsewhere). Spectra of a scene therefore hold their ends: :func:`held_spectrum`.
+  (With multiple importance sampling there is a second source, once in 2^23 draws: a direction exactly in the painted
+  surface, whose density is 0; such paths end, see :mod:`sim.optics.fluorescent_paths`.)
+
+Import this module after an ``*_ad_spectral`` variant has been set (see :mod:`sim.optics.variants`).
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.optics.fluorescent_paint import FluorescentPaint
+from sim.optics.fluorescent_paths import (
+    MAX_DEPTH,
+    ROULETTE_DEPTH,
+    PanelLight,
+    check_variant,
+    fluorescent_integrator,
+    painted_bsdfs,
+)
+
+RENDERED_NM = (360.0, 830.0)
+"""Wavelengths the renderer can draw; tables are linear in steps of 1 nm between them."""
+
+# shares of the excitation wavelengths drawn where the lights shine and where paints emit; the rest after the
+# excitation alone, which bounds every weight
+_SHARE_AT_LIGHTS, _SHARE_AT_EMISSION = 0.5, 0.2
+# light that excites is taken to be this much brighter than light that is reflected, at most: it decides noise only
+_BRIGHTER_AT_EXCITATION = 10.0
+_CELLS = int(RENDERED_NM[1] - RENDERED_NM[0])
+
+
+class SpectralCarrier:
+    """Throughput of a path's four wavelengths."""
+
+    def __init__(self, paints: Sequence[FluorescentPaint], lights_per_nm: NDArray[np.float64]) -> None:
+        tables = [_paint_tables(paint, paints, lights_per_nm) for paint in paints]
+        self.surface, self.choice, self.excitation = (
+            mi.Float(np.concatenate([t[k] for t in tables]).astype(np.float32).ravel()) for k in range(3)
+        )
+        self.lights = mi.Float(lights_per_nm.astype(np.float32))
+        self.yields = mi.Float(np.array([np.trapezoid(_on_grid(p)[1]) for p in paints], dtype=np.float32))
+
+    def start(self) -> Any:
+        """Return full throughput."""
+        return mi.Spectrum(1)
+
+    def received(self, carried: Any, light: Any) -> Any:
+        """Return the light that arrives at each wavelength of the film."""
+        return carried * light
+
+    def scattered(self, carried: Any, weight: Any) -> Any:
+        """Return the throughput after a surface."""
+        return carried * weight
+
+    def largest(self, carried: Any) -> Any:
+        """Return the largest throughput of the wavelengths."""
+        return dr.max(carried)
+
+    def panel_light(self, si: Any, radiance: Any) -> Any:
+        """Return radiance times the power per nm of the lights at the path's wavelengths."""
+        light = mi.Spectrum(0)
+        for k in range(len(light)):
+            position = dr.clip(si.wavelengths[k] - RENDERED_NM[0], 0.0, _CELLS - 1e-3)
+            cell = mi.UInt32(position)
+            low, high = (dr.gather(mi.Float, self.lights, cell + j) for j in (0, 1))
+            light[k] = radiance * dr.lerp(low, high, position - cell)
+        return light
+
+    def reradiated(self, carried: Any, si: Any, sampler: Any, paint: Any, painted: Any) -> Any:
+        """Reflect each wavelength or replace it by an excitation wavelength; return the throughput."""
+        decisions, places = sampler.next_1d(painted), sampler.next_1d(painted)
+        wavelengths, weights = mi.Spectrum(si.wavelengths), mi.Spectrum(1)
+        count = len(wavelengths)
+        for k in range(count):
+            wavelengths[k], weights[k] = self._event(
+                wavelengths[k], paint, painted, _rotated(decisions, k / count), _rotated(places, k / count)
+            )
+        si.wavelengths = dr.select(painted, wavelengths, si.wavelengths)
+        return dr.select(painted, carried * weights, carried)
+
+    def _event(self, wavelength_nm: Any, paint: Any, painted: Any, decision: Any, place: Any) -> tuple[Any, Any]:
+        """Return the next wavelength and its weight, where one decision and one place have been drawn."""
+        position = dr.clip(wavelength_nm - RENDERED_NM[0], 0.0, _CELLS - 1e-3)
+        cell = mi.UInt32(position)
+        row = dr.gather(mi.Vector4f, self.surface, paint * _CELLS + cell, painted)
+        within = position - cell
+        reflectance, emission = dr.lerp(row.x, row.y, within), dr.lerp(row.z, row.w, within)
+        fluorescence = emission * dr.gather(mi.Float, self.yields, paint, painted)
+        share = reflectance / (reflectance + _BRIGHTER_AT_EXCITATION * fluorescence)
+        # at least the reflectance itself, so that the second moment of a chain of reflections shrinks
+        p_reflect = dr.select(fluorescence > 0, dr.maximum(share, reflectance), 1.0)
+        reflects = decision < p_reflect
+
+        scaled = dr.minimum(place * _CELLS, _CELLS - 1e-3)
+        drawn = mi.UInt32(scaled)
+        rest = scaled - drawn
+        choice = dr.gather(mi.Vector2f, self.choice, paint * _CELLS + drawn, painted)
+        kept = rest < choice.x
+        rest = dr.select(kept, rest / choice.x, (rest - choice.x) / (1 - choice.x))
+        drawn = dr.select(kept, drawn, mi.UInt32(choice.y))
+        excitation = dr.gather(mi.Vector4f, self.excitation, paint * _CELLS + drawn, painted)
+        weight = emission * dr.lerp(excitation.x, excitation.y, rest) * excitation.z / (1 - p_reflect)
+        return (
+            dr.select(reflects, wavelength_nm, RENDERED_NM[0] + mi.Float(drawn) + rest),
+            dr.select(reflects, reflectance / p_reflect, weight),
+        )
+
+
+def fluorescent_spectrum(
+    scene: Any,
+    paints: Mapping[str, FluorescentPaint],
+    light_wavelength_nm: NDArray[np.float64],
+    light_power_rel: NDArray[np.float64],
+    max_depth: int = MAX_DEPTH,
+    roulette_depth: int = ROULETTE_DEPTH,
+    panels: PanelLight | None = None,
+) -> Any:
+    """Return the integrator of path-wise fluorescence in full spectra.
+
+    Parameters
+    ----------
+    scene
+        Scene of a spectral variant.
+    paints
+        By id of the painted surfaces or of their BSDF; a table replaces the reflectance of its BSDF. Empty
+        without paint.
+    light_wavelength_nm, light_power_rel
+        Where the scene's lights shine, shape (n,) each, >= 0: a hint that lowers the noise, and with `panels` their
+        power per nm.
+    max_depth, roulette_depth
+        Longest path, and from where on paths end by chance.
+    panels
+        LED panels of a finger, connected through its inner face, see :func:`fluorescent_integrator`.
+
+    Raises
+    ------
+    SimulateError
+        When the variant is not a spectral variant or when no surface has one of the ids.
+    """
+    check_variant("spectral", "full spectra")
+    grid = np.linspace(*RENDERED_NM, _CELLS + 1)
+    lights = np.interp(grid, light_wavelength_nm, light_power_rel, left=0.0, right=0.0)
+    bsdfs = painted_bsdfs(scene, list(paints))
+    tables = list(paints.values()) or [FluorescentPaint("none", grid, *np.zeros((3, grid.size)))]
+    return fluorescent_integrator(SpectralCarrier(tables, lights), bsdfs, max_depth, roulette_depth, panels)
+
+
+def held_spectrum(wavelength_nm: NDArray[np.float64], values: NDArray[np.float64]) -> dict[str, Any]:
+    """Return a curve as the renderer's spectrum, with its end values held over all rendered wavelengths.
+
+    The renderer's own spectra are zero outside their range; a metal with n = k = 0 is then not a number.
+    """
+    inner = (wavelength_nm > RENDERED_NM[0]) & (wavelength_nm < RENDERED_NM[1])
+    grid = np.concatenate([RENDERED_NM[:1], wavelength_nm[inner], RENDERED_NM[1:]])
+    held = np.interp(grid, wavelength_nm, values)
+    return {
+        "type": "irregular",
+        "wavelengths": ", ".join(f"{w:.9g}" for w in grid),
+        "values": ", ".join(f"{v:.9g}" for v in held),
+    }
+
+
+def _on_grid(paint: FluorescentPaint) -> tuple[NDArray[np.float64], ...]:
+    """Return emission, excitation and reflectance at whole nanometres."""
+    return paint.at(np.linspace(*RENDERED_NM, _CELLS + 1))
+
+
+def _paint_tables(
+    paint: FluorescentPaint, paints: Sequence[FluorescentPaint], lights_per_nm: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return per cell of 1 nm: (reflectance, emission) at both ends; (share kept, alias); (excitation, 1 / density)."""
+    emission, excitation, reflectance = _on_grid(paint)
+    others = np.sum([_on_grid(p)[0] for p in paints], axis=0)
+    density = np.zeros(_CELLS)
+    plain = 1.0 - _SHARE_AT_LIGHTS - _SHARE_AT_EMISSION
+    for share, favoured in (
+        (plain, np.ones(_CELLS + 1)),
+        (_SHARE_AT_LIGHTS, lights_per_nm),
+        (_SHARE_AT_EMISSION, others),
+    ):
+        cells = _cell_means(excitation) * _cell_means(favoured)
+        if cells.sum() > 0.0:
+            density += share * cells / cells.sum()
+    if density.sum() == 0.0:
+        density[:] = 1.0
+    density /= density.sum()
+    kept, alias = _alias_table(density)
+    inverse = np.divide(1.0, density, out=np.zeros(_CELLS), where=density > 0.0)
+    surface = np.column_stack([reflectance[:-1], reflectance[1:], emission[:-1], emission[1:]])
+    drawn = np.column_stack([excitation[:-1], excitation[1:], inverse, np.zeros(_CELLS)])
+    return surface, np.column_stack([kept, alias]), drawn
+
+
+def _cell_means(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray((values[1:] + values[:-1]) / 2.0)
+
+
+def _alias_table(probability: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return Walker's alias table (Vose 1991): cell k is kept with kept[k], else replaced by alias[k]."""
+    scaled = probability * probability.size
+    kept, alias = np.ones(probability.size), np.arange(probability.size, dtype=np.float64)
+    small, large = list(np.flatnonzero(scaled < 1.0)), list(np.flatnonzero(scaled >= 1.0))
+    while small and large:
+        low, high = small.pop(), large[-1]
+        kept[low], alias[low] = scaled[low], high
+        scaled[high] -= 1.0 - scaled[low]
+        if scaled[high] < 1.0:
+            small.append(large.pop())
+    return kept, alias
+
+
+def _rotated(sample: Any, by: float) -> Any:
+    """Return a uniform sample moved round the unit interval."""
+    moved = sample + by
+    return dr.select(moved >= 1, moved - 1, moved)

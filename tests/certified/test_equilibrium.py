@@ -1,0 +1,296 @@
+"""Newton's method, increments, ties and linear solvers on small blocks."""
+
+import math
+import sys
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from data_schemas.errors import MissingExtraError, SimulateError
+from sim.mechanics.contact_analytic import PenaltyContact
+from sim.mechanics.linear_solver import linear_solver
+from sim.mechanics.materials import LinearElastic, Ogden, neo_hooke
+from sim.mechanics.mesh import Block, FingerMesh, Tie
+from sim.mechanics.newton import NewtonOptions, Supports, find_equilibrium, load_increments
+from sim.mechanics.signed_distances import Cylinder, Pose
+from sim.mechanics.sparsity import UpperBlocks
+from sim.mechanics.ties import TiedNodes
+from tests.certified.blocks import GridBlock, assemble, press, unit_cells
+
+GEL = neo_hooke(0.1333)
+TPU = Ogden((6.279, 1.639), (1.6663, -7.136))
+both_solvers = pytest.mark.parametrize("solver", ["pardiso", "superlu"])
+
+
+def sheared_beam(length_mm=6.0):
+    """A TPU beam whose far end is displaced across, its ends held; the supports at a share of 2 mm."""
+    cells = unit_cells(6, 2, 2, size=(length_mm, 2.0, 2.0))
+    assembly = assemble(cells.mesh("incompatible_modes"), TPU)
+    ends = cells.numbers[[0, -1]].ravel()
+    fixed = Supports.at_rest(assembly.count, ends).fixed
+
+    def loading(fraction):
+        move = np.zeros((assembly.count, 3))
+        move[cells.numbers[-1].ravel(), 1] = 2.0 * fraction
+        return Supports(fixed, move)
+
+    return cells, assembly, loading
+
+
+def test_work_of_the_supports_is_the_energy():
+    cells, assembly, loading = sheared_beam()
+    end = cells.numbers[-1].ravel()
+    path = press(assembly, loading, np.linspace(0.05, 1.0, 20))
+    force = np.array([0.0] + [e.gradient_n[end, 1].sum() for e in path])
+    work = 2.0 * np.trapezoid(force, dx=0.05)
+    # trapezoids of 20 steps of a force that grows nearly linearly
+    assert path[-1].energy_n_mm == pytest.approx(work, rel=1e-3)
+    balance = path[-1].gradient_n.sum(axis=0)
+    assert np.abs(balance).max() <= 1e-6 * force[-1]
+
+
+@both_solvers
+def test_release_returns_to_rest(solver):
+    _, assembly, loading = sheared_beam()
+    path = press(assembly, loading, (0.5, 1.0, 0.5, 0.0), solver=solver)
+    assert np.abs(path[1].state.u_mm).max() >= 2.0
+    assert np.abs(path[-1].state.u_mm).max() <= 1e-6
+    assert path[2].state.u_mm == pytest.approx(path[0].state.u_mm, abs=1e-6)
+
+
+def test_release_from_contact_returns_to_rest():
+    cells = GridBlock(np.linspace(0, 4, 3), np.linspace(0, 2, 3), np.linspace(-4, 4, 9))
+    contact = PenaltyContact(cells.nodes_mm, cells.top_quads(), Cylinder(10.0), Pose((2.0, 12.0, 0.0)), 20.0)
+    assembly = assemble(cells.mesh("mean_dilatation"), GEL, [contact])
+    held = Supports.at_rest(assembly.count, cells.numbers[:, 0].ravel())
+
+    def loading(fraction):
+        contact.place(Pose((2.0, 12.01 - 0.5 * fraction, 0.0)))
+        return held
+
+    path = press(assembly, loading, (0.5, 1.0, 0.0))
+    assert path[1].energy_n_mm > 0.01
+    assert np.abs(path[-1].state.u_mm).max() <= 1e-6
+
+
+def test_newton_converges_quadratically():
+    _, assembly, loading = sheared_beam()
+    reached = find_equilibrium(assembly, assembly.at_rest(), loading(0.5), linear_solver())
+    r = np.array(reached.residuals_n)
+    assert not reached.failure
+    # each residual near the end is at most the square of the one before, up to a constant
+    assert r[-1] <= 1e-3 * r[-2] <= 1e-4 * r[-3]
+    assert len(r) <= 10
+
+
+def test_a_column_buckles():
+    # far past Euler's load, where the exact tangent has negative curvature, from a crookedness of a hundredth
+    cells = unit_cells(12, 2, 2, size=(24.0, 1.0, 1.2))
+    x = cells.nodes_mm.copy()
+    x[:, 1] += 0.01 * (1.0 - np.cos(2 * np.pi * x[:, 0] / 24.0))
+    assembly = assemble(cells.mesh("incompatible_modes", x), LinearElastic(1000.0, 0.3))
+    fixed = Supports.at_rest(assembly.count, cells.numbers[[0, -1]].ravel()).fixed
+
+    def loading(fraction):
+        move = np.zeros((assembly.count, 3))
+        move[cells.numbers[-1].ravel(), 0] = -fraction
+        return Supports(fixed, move)
+
+    path = press(assembly, loading, np.linspace(0.25, 1.0, 4))
+    sideways = path[-1].state.u_mm[cells.numbers[6].ravel(), 1].mean()
+    # a clamped cosine arch that is d shorter has an amplitude of 2 sqrt(d L) / pi, less Euler's shortening
+    # pi^2 h^2 / 3 L = 0.14 mm and a few per cent of the curve's higher order
+    assert sideways == pytest.approx(2 * math.sqrt(24.0 * (1.0 - 0.14)) / math.pi, rel=0.05)
+
+
+def test_an_increment_too_large_is_cut_back():
+    _, assembly, loading = sheared_beam()
+    options = NewtonOptions(iterations=3)
+    path = list(load_increments(assembly, linear_solver(), loading, (1.0,), options=options))
+    fractions = [i.fraction for i in path]
+    assert len(fractions) > 1
+    assert fractions[-1] == 1.0
+    whole = press(assembly, loading)[-1]
+    assert path[-1].equilibrium.state.u_mm == pytest.approx(whole.state.u_mm, abs=1e-5)
+
+
+def test_increments_before_a_failure_are_kept():
+    cells, assembly, _ = sheared_beam()
+    ends = cells.numbers[[0, -1]].ravel()
+    fixed = Supports.at_rest(assembly.count, ends).fixed
+
+    def crush(fraction):
+        move = np.zeros((assembly.count, 3))
+        move[cells.numbers[-1].ravel(), 0] = -8.0 * fraction
+        return Supports(fixed, move)
+
+    kept = []
+    with pytest.raises(SimulateError, match=r"no equilibrium beyond 0\.\d+ of the load: .+smaller load"):
+        kept.extend(load_increments(assembly, linear_solver(), crush, (0.2, 1.0), options=NewtonOptions(iterations=12)))
+    assert 0.2 <= kept[-1].fraction < 0.75
+    assert not kept[-1].equilibrium.failure
+
+
+def test_a_start_inside_out_is_refused():
+    _, assembly, loading = sheared_beam()
+    state = assembly.at_rest()
+    state.u_mm[:] = -2.0 * assembly.elasticity.mesh.nodes_mm * [1.0, 0.0, 0.0]
+    reached = find_equilibrium(assembly, state, loading(0.0), linear_solver())
+    assert "inside out, or a term not defined, at the start" in reached.failure
+
+
+class Wall:
+    """A term that allows less than the whole step, like a collision-free step limit."""
+
+    def __init__(self, limit_mm):
+        self.limit_mm, self.asked = limit_mm, 0
+
+    def energy(self, u):
+        return math.inf if u[:, 1].max() > self.limit_mm else 0.0
+
+    def gradient(self, u):
+        return np.zeros_like(u)
+
+    def hessian(self, u, project):
+        return sp.coo_array((u.size, u.size))
+
+    def max_step(self, u, du):
+        self.asked += 1
+        reach = (u + du)[:, 1].max()
+        return 1.0 if reach <= self.limit_mm else 0.5
+
+
+def test_a_term_limits_the_step_of_the_supports():
+    _, assembly, loading = sheared_beam()
+    assembly.terms = (Wall(1.2),)
+    reached = find_equilibrium(assembly, assembly.at_rest(), loading(0.5), linear_solver())
+    assert not reached.failure
+    assembly.terms = (Wall(0.7),)
+    stopped = find_equilibrium(assembly, assembly.at_rest(), loading(0.5), linear_solver())
+    assert stopped.failure
+    assert stopped.state.u_mm[:, 1].max() <= 0.7
+
+
+def tied_blocks(lower_cells, upper_cells):
+    """A block of cubic cells on another one, tied at their common face."""
+    lower, upper = unit_cells(*lower_cells), unit_cells(*upper_cells)
+    shift = len(lower.nodes_mm)
+    nodes = np.vstack([lower.nodes_mm, upper.nodes_mm + np.array([0.0, 1.0, 0.0])])
+    blocks = (
+        Block("lower", lower.hexahedra, "material", "mean_dilatation"),
+        Block("upper", upper.hexahedra + shift, "material", "mean_dilatation"),
+    )
+    tie = Tie(upper.numbers[:, 0].ravel() + shift, lower.top_quads())
+    return FingerMesh(nodes, blocks, {}, {}, (tie,)), tie
+
+
+def shear_force(mesh, terms):
+    x = mesh.nodes_mm
+    assembly = assemble(mesh, GEL, terms)
+    top = x[:, 1] == 2.0
+    fixed = np.repeat(((x[:, 1] == 0.0) | top)[:, None], 3, axis=1)
+    reached = press(assembly, lambda f: Supports(fixed, 0.4 * f * top[:, None] * [1.0, 0.0, 0.0]))[-1]
+    return reached.gradient_n[top, 0].sum(), reached.state.u_mm
+
+
+def test_tied_blocks_act_as_one():
+    one, _ = shear_force(unit_cells(3, 6, 3, size=(1.0, 2.0, 1.0)).mesh("mean_dilatation"), [])
+    mesh, tie = tied_blocks((3, 3, 3), (3, 3, 3))
+    term = TiedNodes(mesh.nodes_mm, tie, 1e4)
+    tied, u = shear_force(mesh, [term])
+    # the penalty's gap is the force of a node over k
+    assert tied == pytest.approx(one, rel=1e-4)
+    assert 0.0 < np.abs(term.gaps_mm(u)).max() <= one / 1e4
+    mesh, tie = tied_blocks((3, 3, 3), (4, 3, 4))
+    unlike, _ = shear_force(mesh, [TiedNodes(mesh.nodes_mm, tie, 1e4)])
+    # the finer upper half is a little softer; forces that no tie passes on would cost a third
+    assert unlike == pytest.approx(one, rel=0.02)
+
+
+def test_derivatives_of_a_tie():
+    mesh, tie = tied_blocks((3, 2, 3), (4, 2, 4))
+    term = TiedNodes(mesh.nodes_mm, tie, 50.0)
+    u = np.random.default_rng(0).standard_normal(mesh.nodes_mm.shape)
+    slope = term.hessian(u, False) @ u.ravel()
+    assert term.gradient(u).ravel() == pytest.approx(slope, abs=1e-11)  # quadratic energy
+    assert term.energy(u) == pytest.approx(0.5 * slope @ u.ravel(), rel=1e-12)
+    assert term.gradient(u).sum(axis=0) == pytest.approx(0.0, abs=1e-11)
+    assert term.max_step(u, u) == 1.0
+
+
+def test_a_node_off_the_faces_cannot_be_tied():
+    mesh, tie = tied_blocks((3, 2, 3), (4, 2, 4))
+    nodes = mesh.nodes_mm.copy()
+    nodes[tie.slave_nodes[3], 1] += 0.2
+    with pytest.raises(SimulateError, match=r"node \d+ at .* cannot be tied: it lies 0\.2 mm off"):
+        TiedNodes(nodes, tie, 1.0)
+
+
+def random_system(seed, extra=()):
+    """A symmetric positive definite matrix on the pattern of four nodes in a row, with some further couplings."""
+    rng = np.random.default_rng(seed)
+    cells = np.array([[0, 1, 2], [3, 2, 1]])
+    pattern = UpperBlocks(4, [cells])
+    blocks = rng.standard_normal((2, 9, 9))
+    blocks = blocks @ blocks.transpose(0, 2, 1) + np.eye(9)
+    pattern.add_cells(cells, pattern.slots(cells), blocks)
+    dense = np.zeros((12, 12))
+    for cell, block in zip(cells, blocks, strict=True):
+        at = (3 * cell[:, None] + np.arange(3)).ravel()
+        dense[np.ix_(at, at)] += block
+    return pattern, dense
+
+
+def whole(pattern):
+    upper = pattern.upper().toarray()
+    return upper + np.triu(upper, 1).T
+
+
+def test_scatter_sum_and_product():
+    pattern, dense = random_system(0)
+    assert whole(pattern) == pytest.approx(dense, abs=1e-13)
+    v = np.arange(12.0)
+    assert pattern.times(v) == pytest.approx(dense @ v, abs=1e-11)
+
+
+def test_the_pattern_grows_where_a_term_needs_it():
+    pattern, dense = random_system(1)
+    far = sp.coo_array(([2.0, 2.0, 0.5, 0.5], ([0, 11, 4, 4], [11, 0, 4, 4])), shape=(12, 12))
+    pattern.add_sparse(far)
+    assert pattern.version == 1
+    assert whole(pattern) == pytest.approx(dense + far.toarray(), abs=1e-13)
+    pattern.add_sparse(far)
+    assert pattern.version == 1
+    pattern.constrain(np.arange(12) < 3)
+    held = whole(pattern)
+    assert np.array_equal(held[:3], np.eye(12)[:3])
+    assert held[3:, 3:] == pytest.approx(dense[3:, 3:] + 2 * far.toarray()[3:, 3:], abs=1e-13)
+
+
+@both_solvers
+def test_linear_solvers_agree_with_a_dense_one(solver):
+    opened = linear_solver(solver)
+    right = np.arange(12.0)
+    for seed in range(3):
+        pattern, dense = random_system(seed)
+        opened.factorise(pattern.upper(), pattern.version)
+        assert opened.solve(right) == pytest.approx(np.linalg.solve(dense, right), rel=1e-9)
+
+
+@both_solvers
+def test_solving_needs_a_matrix(solver):
+    with pytest.raises(SimulateError, match="call factorise first"):
+        linear_solver(solver).solve(np.ones(3))
+
+
+def test_a_singular_matrix_is_named():
+    with pytest.raises(SimulateError, match="singular: some part can move freely"):
+        linear_solver("superlu").factorise(sp.csr_array(np.zeros((3, 3)) + np.diag([1.0, 1.0, 0.0])), 0)
+
+
+def test_without_pardiso_superlu_takes_over(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pypardiso", None)
+    assert type(linear_solver()).__name__ == "SuperLU"
+    with pytest.raises(MissingExtraError, match=r"needs pypardiso.*finray-calib\[pardiso\]"):
+        linear_solver("pardiso")

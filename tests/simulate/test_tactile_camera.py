@@ -1,0 +1,107 @@
+"""Raw counts of a rendered press, its capture, and the spread of its colours."""
+
+import numpy as np
+import pytest
+
+from data_schemas.design import FingerDesign, TactileCamera
+from data_schemas.errors import SimulateError
+from data_schemas.simulate import SimulatedPress
+from finray_calib.compare.comparison_record import compare_press
+from finray_calib.compare.linear_image import rgb_image
+from rigs.simulated.sensor import mosaic
+from sim.experiments.tactile_camera import colour_spread, mosaic_of_pixels, simulated_capture
+
+DESIGN = FingerDesign(camera=TactileCamera(width_px=256, height_px=192, response_at_led_uncertainty_rel=0.2))
+MATRIX = np.array([[1.0, 0.0, 0.05], [0.0, 1.0, 0.2], [0.0, 0.1, 1.0]])
+SIGMAS = 5.0
+
+
+def press(**changed):
+    row, column = np.mgrid[:96, :128].astype(np.float32)
+    bands = np.stack([0.2 + 0.001 * row, 0.3 + 0.001 * column, np.ones_like(row)], -1)
+    touched = bands * (1.0 - 0.3 * np.exp(-((row - 48) ** 2 + (column - 64) ** 2) / 800.0))[..., None].astype("f4")
+    rgb = {name: (b @ MATRIX.T).astype(np.float32) for name, b in (("no_contact", bands), ("contact", touched))}
+    values = {
+        "name": "press", "label": "rendered, level b, test", "method": "rendered", "encoding": "linear", **rgb,
+        "distance": np.hypot(row - 48, column - 64) / np.float32(20.0), "variance": np.full_like(bands, 1e-6),
+        "no_contact_bands": bands, "contact_bands": touched, "bands": ("red", "green", "led"),
+        "camera_matrix": MATRIX, "light_angle_deg": 30.0, "design": DESIGN,
+    }  # fmt: skip
+    return SimulatedPress(**{**values, **changed})
+
+
+def test_capture_is_the_press_in_counts():
+    simulated = press()
+    capture = simulated_capture(simulated, seed=3)
+    assert capture.contact.shape == (192, 256, 1)
+    assert (capture.bit_depth, capture.black_level_dn, capture.light_angle_deg) == (10, 16.0, 30.0)
+    for state in ("contact", "no_contact"):
+        dn, rgb = rgb_image(getattr(capture, state), capture), getattr(simulated, state)
+        scale = np.sum(dn * rgb, axis=(0, 1)) / np.sum(rgb.astype(float) ** 2, axis=(0, 1))
+        # one exposure for all channels; fixed pattern 0.5 % and shot noise average over 12 288 cells
+        np.testing.assert_allclose(scale / scale[1], 1.0, atol=2e-3)
+        assert np.abs(dn / scale - rgb).mean() < 0.05
+    assert 0.6 * 1023 < np.percentile(capture.no_contact, 99.0) < 0.75 * 1023
+    assert (capture.repeat_no_contact != capture.no_contact).mean() > 0.5
+    again, other = simulated_capture(simulated, seed=3), simulated_capture(simulated, seed=4)
+    np.testing.assert_array_equal(capture.contact, again.contact)
+    assert (capture.contact != other.contact).mean() > 0.5
+
+
+def test_capture_can_be_compared_with_the_press_it_came_from():
+    simulated = press()
+    report = compare_press(simulated, simulated_capture(simulated, seed=5), 1)
+    assert report.values == "linear light"
+    # the sensor's noise is all that lies between the two: the render explains nearly all that the contact changes
+    assert report.headline_skill.estimate > 0.95
+
+
+def test_what_is_no_render_has_no_capture():
+    with pytest.raises(SimulateError, match="press has no finger design"):
+        simulated_capture(press(design=None), seed=1)
+    with pytest.raises(SimulateError, match="holds encoded values, not light"):
+        simulated_capture(press(encoding="unknown"), seed=1)
+    with pytest.raises(SimulateError, match="image without contact is black"):
+        simulated_capture(press(no_contact=np.zeros((96, 128, 3), np.float32)), seed=1)
+    with pytest.raises(SimulateError, match="holds no band images"):
+        colour_spread(press(contact_bands=None, camera_matrix=None, bands=(), no_contact_bands=None), seed=1)
+
+
+def test_colours_spread_by_the_share_of_led_light():
+    simulated = press()
+    spread = colour_spread(simulated, seed=2, draws=20_000)
+    seen = np.isfinite(simulated.distance)
+    mean = simulated.contact_bands[seen].astype(float).mean(axis=0)
+    share = MATRIX[:, 2] * mean[2] / (MATRIX @ mean)
+    np.testing.assert_allclose(spread.led_share, share)
+    # relative error of a standard deviation from 20 000 draws of a slightly skewed law: about 0.6 %
+    np.testing.assert_allclose(spread.sd_rel, 0.2 * share, rtol=SIGMAS * 0.006)
+    both = 0.2 * np.hypot(share[:2], share[2])
+    np.testing.assert_allclose(spread.ratio_sd_rel, both, rtol=0.1)  # first order in 0.2
+    assert "uncertain by 20%: red, green, blue hold" in str(spread)
+
+
+def test_mosaic_of_pixels_takes_each_pixels_own_channel():
+    rng = np.random.default_rng(1)
+    cells = rng.random((3, 4, 3))
+    np.testing.assert_array_equal(mosaic_of_pixels(cells.repeat(2, 0).repeat(2, 1)), mosaic(cells))
+    fine = rng.random((6, 8, 3))
+    raw = mosaic_of_pixels(fine)
+    assert (raw[2, 4], raw[2, 5], raw[3, 4], raw[3, 5]) == (fine[2, 4, 0], fine[2, 5, 1], fine[3, 4, 1], fine[3, 5, 2])
+    with pytest.raises(SimulateError, match="even number of rows and columns, got 5 x 8"):
+        mosaic_of_pixels(fine[:5])
+
+
+def test_spectral_images_integrate_to_the_bands(paints):
+    from sim.experiments.optics_products import band_densities_per_nm, spectral_grid_nm
+    from sim.optics.paint_bands import paint_bands
+
+    bands = paint_bands(paints["red"], paints["green"], DESIGN.light)
+    grid = spectral_grid_nm(bands)
+    assert 450.0 in grid
+    assert (np.diff(grid) == 20.0).all()
+    fine = np.arange(380.0, 780.0, 0.25)
+    integral = np.trapezoid(band_densities_per_nm(bands, fine), fine, axis=0)
+    # the tables' steps of 0.5 and 5 nm resampled to 0.25 nm, and edges where a band begins at once
+    np.testing.assert_allclose(integral, 1.0, atol=5e-3)
+    assert len(grid) < 25
