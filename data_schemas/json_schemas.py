@@ -11,9 +11,12 @@ from data_schemas.compare import PhotometricErrorReport
 from data_schemas.decide import LightAngleDecision
 from data_schemas.design import FingerDesign
 from data_schemas.fit import PaintCalibration
+from data_schemas.illumination import FluorescentRendering, LightAngleIntensity, TwoLights
 from data_schemas.model import Record
 from data_schemas.paint_map import PaintMap
 from data_schemas.paper_paints import PaperPaints
+from data_schemas.plain_sensor import PlainSensor
+from data_schemas.press_mechanics import PressMechanics
 from data_schemas.radiometry import BandSignals, PixelSignals
 from data_schemas.rig import RigFile
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
@@ -29,6 +32,7 @@ WRITTEN_BY_PEOPLE: tuple[type[Record], ...] = (
     TactilePlan,
     CheckPlan,
     FingerDesign,
+    PlainSensor,
 )
 STORED: tuple[type[Record], ...] = (
     CaptureSession,
@@ -41,9 +45,13 @@ STORED: tuple[type[Record], ...] = (
     PaintCalibration,
     PaintMap,
     PaperPaints,
+    PressMechanics,
     FingerSurfaces,
     SimulatedPress,
     LightAngleSweep,
+    FluorescentRendering,
+    TwoLights,
+    LightAngleIntensity,
     PhotometricErrorReport,
     LightAngleDecision,
     AcceptanceReport,

@@ -2,15 +2,22 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from finray_calib.cli.options import require_new, say
 
-HELP = "write a finger design; see what its camera sees"
+if TYPE_CHECKING:
+    from data_schemas.design import FingerDesign
+    from sim.mechanics.printed_parts import Part
+
+HELP = "write a finger design; draw it, see what its camera sees, print its parts"
 DESCRIPTION = "Write a design file to start from, and look at a finger before anything is simulated."
 INIT_DESCRIPTION = "Write the design of a ready-made finger, with comments, to be edited."
 SHOW_DESCRIPTION = """\
 Say what part of the pad the camera sees through the mirror, how many sensor pixels fall on a millimetre, and what else
-is in the picture; with --out also as a picture."""
+is in the picture. With --out, draw the finger from the side and from the front, with the names of its parts and their
+sizes, and the camera's view below. With --stl, write what is printed: skeleton, base plate, backing (if there is one)
+and the mould of the pad."""
 
 
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -35,13 +42,14 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     init.set_defaults(run=run_init)
     show = actions.add_parser(
         "show",
-        help="the camera's view of the pad",
+        help="drawing, the camera's view of the pad, printed parts",
         description=SHOW_DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     show.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML)")
     show.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
-    show.add_argument("--out", type=Path, metavar="PNG", help="picture of the view; must be new")
+    show.add_argument("--out", type=Path, metavar="PNG", help="drawing and camera's view; must be new")
+    show.add_argument("--stl", type=Path, metavar="FOLDER", help="printed parts and mould (STL, mm); must be new files")
     show.set_defaults(run=run_show)
 
 
@@ -67,7 +75,7 @@ def run_init(arguments: argparse.Namespace) -> None:
 
 
 def run_show(arguments: argparse.Namespace) -> None:
-    """Tell what the camera sees, and draw it."""
+    """Tell what the camera sees; draw the finger, write its parts."""
     from data_schemas.design import FingerDesign
     from data_schemas.storage import read_toml, write_bytes
     from sim.experiments.camera_view import camera_view
@@ -75,10 +83,27 @@ def run_show(arguments: argparse.Namespace) -> None:
 
     design = read_toml(arguments.design, FingerDesign)
     out = None if arguments.out is None else require_new(arguments.out)
+    parts = {} if arguments.stl is None else _printed_parts(design, arguments.stl)
     view = camera_view(design, arguments.design.parent, open_renderer(choose_variant(arguments.engine)))
     say(str(view))
     if out is not None:
-        from finray_calib.reports.camera_view_figure import camera_view_png
+        from finray_calib.reports.finger_figure import finger_page_png
 
-        write_bytes(out, camera_view_png(view))
+        write_bytes(out, finger_page_png(view))
         say(f"{out}: written")
+    for path, content in parts.items():
+        write_bytes(path, content)
+        say(f"{path}: written")
+
+
+def _printed_parts(design: "FingerDesign", folder: Path) -> dict[Path, bytes]:
+    """Return the STL files of a design, all of which must be new."""
+    from sim.mechanics.printed_parts import mould_stl, part_stl
+
+    printed: list[Part] = ["skeleton", "base_plate"]
+    if design.skeleton.backing is not None:
+        printed.append("backing")
+    for name in (*printed, "mould"):
+        require_new(folder / f"{name}.stl")
+    files = {folder / f"{name}.stl": part_stl(design, name) for name in printed}
+    return {**files, folder / "mould.stl": mould_stl(design)}

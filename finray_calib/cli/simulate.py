@@ -27,7 +27,8 @@ Levels: b (default) the walls re-emit the blue light that reaches them; a the pa
 distance from the light (linear as printed, or inverse square; no angle dependence: for comparison only); c the
 reference, fluorescence traced along every path: the mean of b without its smoothing, much noisier.
 
-With --surfaces, a deformed finger (FingerSurfaces record) takes the place of the analytic press."""
+With --only mechanics, the indenter of the design is pressed in by finite elements; the fineness is that of the design's
+[mesh] table. With --surfaces, such a deformed finger (FingerSurfaces record) takes the place of the analytic press."""
 
 
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -40,7 +41,11 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         "--paint", action="append", default=[], type=_paint, metavar="COLOUR=FILE",
         help="paint calibration of a wall: --paint red=FILE --paint green=FILE",
     )  # fmt: skip
-    parser.add_argument("--only", choices=["optics"], help="optics: render and write the images too")
+    parser.add_argument(
+        "--only", choices=["mechanics", "optics"],
+        help="mechanics: press the finger by finite elements (no paints needed); optics: render and write the images",
+    )  # fmt: skip
+    parser.add_argument("--increments", type=_count, default=4, metavar="N", help="steps of the push (default 4)")
     parser.add_argument("--angles", type=_angles, metavar="FIRST:LAST:STEP", help="light angles in deg, e.g. 0:120:10")
     parser.add_argument("--surfaces", type=Path, metavar="FILE", help="the finger without and with contact, as meshes")
     parser.add_argument(
@@ -62,6 +67,13 @@ def _paint(text: str) -> tuple[str, Path]:
     if not separator or colour not in {"red", "green"} or not file:
         raise argparse.ArgumentTypeError(f"{text!r} must be red=FILE or green=FILE")
     return colour, Path(file)
+
+
+def _count(text: str) -> int:
+    """Parse a number of increments."""
+    if not text.isdecimal() or not 1 <= int(text) <= 1000:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from 1 to 1000")
+    return int(text)
 
 
 def _even(text: str) -> int:
@@ -101,7 +113,15 @@ def run(arguments: argparse.Namespace) -> None:
 
     design = read_toml(arguments.design, FingerDesign)
     kind = "press" if arguments.angles is None else "sweep"
-    out = require_new(arguments.out or Path(f"{file_name(design.name)}.{kind}.json"))
+    out = arguments.out or Path(f"{file_name(design.name)}.{kind}.json")
+    if arguments.only == "mechanics":
+        from finray_calib.cli.simulate_mechanics import simulate_mechanics_verb
+
+        origin = provenance(command_line(), input_digests([arguments.design]), None)
+        with progress_bar("simulate") as progress:
+            simulate_mechanics_verb(design, arguments.increments, out, origin, progress)
+        return
+    require_new(out)
     files = dict(arguments.paint)
     if len(files) < len(arguments.paint):
         raise SimulateError("--paint: a colour is given twice; give one file for red and one for green")

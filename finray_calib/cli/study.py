@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from finray_calib.cli.options import add_out, add_seed, command_line, input_digests, require_new, say
+from finray_calib.cli.study_illumination import add_illumination_studies
 
 if TYPE_CHECKING:
     from data_schemas.paper_paints import PaperStatement
 
-HELP = "run a ready-made study: paper-paints"
+HELP = "run a ready-made study of the paper: paints, fluorescent rendering, two lights, light angle"
 WIDTH = 110
 PAPER_PAINTS_HELP = "the paper's statements on its red and green paint beside measured stand-ins"
 PAPER_PAINTS_DESCRIPTION = """\
@@ -49,6 +50,7 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     add_out(paints, "paper-paints, a folder")
     add_seed(paints)
     paints.set_defaults(run=run_paper_paints)
+    add_illumination_studies(studies)
 
 
 def run_paper_paints(arguments: argparse.Namespace) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 
 from finray_calib.reports.style import BLUE, GREEN, HAIRLINE, INK, MUTED, ORANGE, VERMILLION, new_figure, styled
 from sim.experiments.camera_view import CameraView
@@ -27,12 +27,17 @@ def camera_view_png(view: CameraView) -> bytes:
 def draw_camera_view(view: CameraView) -> Figure:
     """Draw the camera's frame on the left and the pad on the right."""
     figure = new_figure(11.0, 4.6)
+    draw_camera_view_on(figure, view)
+    return figure
+
+
+def draw_camera_view_on(figure: Figure | SubFigure, view: CameraView) -> None:
+    """Draw the camera's frame on the left and the pad on the right of a figure or a part of one."""
     frame, pad = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
     _draw_frame(frame, view)
     shown = _draw_pad(pad, view)
     bar = figure.colorbar(shown, ax=pad, shrink=0.9)
     bar.set_label("sensor pixels per mm of the coat (geometric mean)")
-    return figure
 
 
 def _draw_frame(axes: Axes, view: CameraView) -> None:

@@ -4,15 +4,15 @@ Import this module only after a compiled variant has been set (see :mod:`sim.opt
 Python do not run in scalar variants, which use Mitsuba's own ``path`` instead.
 """
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.design import FingerDesign, LightPanel
+from data_schemas.design import FingerDesign
 from sim.optics.curved_refraction import (
     GelFace,
     curved_irradiance,
@@ -20,7 +20,7 @@ from sim.optics.curved_refraction import (
     inner_face,
     refract_through,
 )
-from sim.optics.refracted_light import panel_frame
+from sim.optics.refracted_light import PanelFrame, panel_frame
 from sim.optics.scene import MAX_DEPTH, PANEL_RADIANCE_REL, ROULETTE_DEPTH
 from sim.optics.wall_emission import FIRST_CHAINS, TEXELS_ALONG, TEXELS_UP
 from sim.surface_meshes.finger_shape import FingerShape
@@ -57,13 +57,12 @@ class BandPaths(mi.SamplingIntegrator):
         self.refractive, self.with_led = True, True
         self.chains: tuple[str, ...] = FIRST_CHAINS
 
-    def aim(self, scene: Any, design: FingerDesign, face: GelFace) -> None:
+    def aim(self, scene: Any, panels: Sequence["Panel"], face: GelFace) -> None:
         """Tell the integrator where panels, inner face and walls are."""
         self.face, self.evaluate_face = face, face.map.in_renderer(mi)
         self.index = mi.Float(face.index)
         self.gap = mi.Float(face.map.gap_mm + _LIFT_MM)
-        shares = _panel_shares(design, face)
-        self.panels = [_Panel(light, share) for light, share in zip(design.lights, shares, strict=True)]
+        self.panels = list(panels)
         by_name = {shape.id(): shape for shape in scene.shapes()}
         self.inner, self.red, self.green, self.coat = (
             mi.ShapePtr(by_name[name]) for name in ("inner", "red", "green", "coat")
@@ -120,14 +119,17 @@ class BandPaths(mi.SamplingIntegrator):
             )
         return point, (normal, exponent), weight
 
+    def foot(self, si: Any) -> tuple[Any, Any]:
+        """Return the coordinates of the inner face below points of coat and painted walls."""
+        return dr.select(si.shape == self.red, 0.0, dr.select(si.shape == self.green, 1.0, si.uv.x)), si.uv.y
+
     def connect(self, scene: Any, si: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return (visible, direction in the gel, LED radiance x solid angle) of a panel point seen through the face."""
         point, (normal, exponent), weight = self.panel_point(sample)
-        foot_u = dr.select(si.shape == self.red, 0.0, dr.select(si.shape == self.green, 1.0, si.uv.x))
         path = refract_through(
             self.evaluate_face,
             (si.p.x, si.p.y, si.p.z),
-            (foot_u, si.uv.y),
+            self.foot(si),
             (point.x, point.y, point.z),
             self.face,
             dr,
@@ -239,11 +241,22 @@ class BandPaths(mi.SamplingIntegrator):
         return dr.select(state == _STRAIGHT_OUT, 0, radiance) if self.refractive else radiance
 
 
-class _Panel:
-    """A light panel as the renderer's numbers."""
+class PanelPower(Protocol):
+    """How strongly and how narrowly a panel shines."""
 
-    def __init__(self, light: LightPanel, share: float) -> None:
-        frame = panel_frame(light)
+    @property
+    def power_rel(self) -> float:
+        """Radiance along the normal."""
+
+    @property
+    def beam_exponent(self) -> float:
+        """Exponent m of an intensity ~ cos^m."""
+
+
+class Panel:
+    """A light panel as the renderer's numbers, and with which probability it is drawn."""
+
+    def __init__(self, frame: PanelFrame, light: PanelPower, share: float) -> None:
         self.share = float(share)
         self.beamed = light.beam_exponent != 1.0
         self.centre = mi.Point3f(*frame.centre_mm.tolist())
@@ -309,6 +322,8 @@ def band_integrator(
     mi.register_integrator(_NAME, BandPaths)
     integrator: BandPaths = mi.load_dict({"type": _NAME, "max_depth": max_depth, "from_wall": from_wall})
     integrator.refractive, integrator.with_led = refractive, with_led
-    integrator.aim(scene, design, inner_face(design, shape))
+    face = inner_face(design, shape)
+    shares = zip(design.lights, _panel_shares(design, face), strict=True)
+    integrator.aim(scene, [Panel(panel_frame(light), light, share) for light, share in shares], face)
     integrator.emit(emission or {})
     return integrator

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.camera_calibration import CameraCalibration
-from data_schemas.design import FingerDesign, LightPanel
+from data_schemas.design import Coating, FingerDesign, LightPanel
 from data_schemas.errors import SimulateError
 from sim.optics.curved_refraction import film_transmittance
 from sim.optics.finger_view import Window, camera_pose
 from sim.optics.opencv_sensor import opencv_sensor
 from sim.optics.paint_bands import PaintBands
-from sim.optics.refracted_light import panel_frame
+from sim.optics.refracted_light import PanelFrame, panel_frame
 from sim.optics.variants import SCALAR_VARIANT
 from sim.surface_meshes.finger_shape import GEL_FACES, FingerShape
 from sim.surface_meshes.surface import Surface
@@ -85,23 +85,23 @@ def finger_scene(
     scene: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": MAX_DEPTH, "rr_depth": ROULETTE_DEPTH},
-        "coat": _mesh(renderer, "coat", surfaces["coat"], _coating(design, bands), smooth=True),
-        "mirror": _mesh(renderer, "mirror", surfaces["mirror"], _mirror(design), smooth=True),
-        "inner": _mesh(renderer, "inner", surfaces["inner"], glass | _film(design, renderer), smooth=True),
+        "coat": surface_mesh(renderer, "coat", surfaces["coat"], _metal(design, bands, renderer), smooth=True),
+        "mirror": surface_mesh(renderer, "mirror", surfaces["mirror"], _mirror(design), smooth=True),
+        "inner": surface_mesh(renderer, "inner", surfaces["inner"], glass | _film(design, renderer), smooth=True),
         "box": _box(design, shape, renderer),
         "sensor": dict(sensor) if sensor is not None else camera_sensor(design, renderer),
     }
     for number, light in enumerate(design.lights):
         scene[f"panel{number}"] = panel_shape(light, renderer)
     for name in ("base", "tip"):
-        scene[name] = _mesh(renderer, name, surfaces[name], glass)
+        scene[name] = surface_mesh(renderer, name, surfaces[name], glass)
     for name in ("red", "green"):
-        paint = {"type": "diffuse", "reflectance": _rgb(bands.reflectance[name])}
+        paint = {"type": "diffuse", "reflectance": rgb(bands.reflectance[name])}
         emitter = None if emission is None else wall_emitter(emission[name], renderer)
-        scene[name] = _mesh(renderer, name, surfaces[name].reversed(), paint, emitter=emitter)
-    dark = {"type": "twosided", "dark": _diffuse(design.enclosure.base_reflectance)}
+        scene[name] = surface_mesh(renderer, name, surfaces[name].reversed(), paint, emitter=emitter)
+    dark = {"type": "twosided", "dark": diffuse(design.enclosure.base_reflectance)}
     for name in surfaces.keys() - {*GEL_FACES, "mirror"}:
-        scene[name] = _mesh(renderer, name, surfaces[name], dark)
+        scene[name] = surface_mesh(renderer, name, surfaces[name], dark)
     return renderer.load_dict(scene)
 
 
@@ -145,15 +145,19 @@ def wall_texels(radiance: NDArray[np.float64], renderer: ModuleType) -> Any:
 
 def panel_shape(light: LightPanel, renderer: ModuleType) -> dict[str, Any]:
     """Return the light panel: a Lambertian rectangle that shines on the side of its normal."""
-    frame = panel_frame(light)
+    return shining_rectangle(panel_frame(light), np.array([0.0, 0.0, PANEL_RADIANCE_REL * light.power_rel]), renderer)
+
+
+def shining_rectangle(frame: PanelFrame, radiance: NDArray[np.float64], renderer: ModuleType) -> dict[str, Any]:
+    """Return a Lambertian rectangle of the given channels."""
     matrix = np.eye(4)
     matrix[:3, 0], matrix[:3, 1] = frame.half_across_mm, frame.half_along_mm
     matrix[:3, 2], matrix[:3, 3] = frame.normal, frame.centre_mm
     return {
         "type": "rectangle",
         "to_world": renderer.ScalarTransform4f(matrix),
-        "bsdf": _diffuse(PANEL_REFLECTANCE),
-        "emitter": {"type": "area", "radiance": _rgb(np.array([0.0, 0.0, PANEL_RADIANCE_REL * light.power_rel]))},
+        "bsdf": diffuse(PANEL_REFLECTANCE),
+        "emitter": {"type": "area", "radiance": rgb(radiance)},
     }
 
 
@@ -198,14 +202,14 @@ def band_film(columns_px: int, rows_px: int) -> dict[str, Any]:
     }
 
 
-def _rgb(values: NDArray[np.float64]) -> dict[str, Any]:
+def rgb(values: NDArray[np.float64]) -> dict[str, Any]:
     """Return band values as the renderer's three channels."""
     return {"type": "rgb", "value": [float(v) for v in values]}
 
 
-def _diffuse(reflectance: float) -> dict[str, Any]:
+def diffuse(reflectance: float) -> dict[str, Any]:
     """Return a grey Lambertian material."""
-    return {"type": "diffuse", "reflectance": _rgb(np.full(3, reflectance))}
+    return {"type": "diffuse", "reflectance": rgb(np.full(3, reflectance))}
 
 
 def _gel_face(design: FingerDesign) -> dict[str, Any]:
@@ -228,30 +232,43 @@ def _film(design: FingerDesign, renderer: ModuleType) -> dict[str, Any]:
         return {}
     index, straight = design.pad.index_at(design.light.peak_wavelength_nm), np.ones(1)
     transmittance = film_transmittance(straight, straight, index, film.refractive_index)[0]
-    return {"specular_transmittance": _rgb(np.full(3, transmittance))}
+    return {"specular_transmittance": rgb(np.full(3, transmittance))}
 
 
-def _coating(design: FingerDesign, bands: PaintBands) -> dict[str, Any]:
-    """Return the aluminium coating as seen from inside the gel."""
-    centroids = [band.centroid_nm for band in bands.bands]
-    # the renderer takes conductors to stand in vacuum; relative to gel, n and k are divided by its index
+def _metal(design: FingerDesign, bands: PaintBands, renderer: ModuleType) -> dict[str, Any]:
+    """Return the coating of a finger, in bands or in full spectra."""
     index = design.pad.index_at(design.light.peak_wavelength_nm)
-    eta, k = (np.interp(centroids, _ALUMINIUM[:, 0], _ALUMINIUM[:, c]) / index for c in (1, 2))
-    metal = {
-        "type": "roughconductor",
-        "distribution": "ggx",
-        "alpha": design.coating.roughness_alpha,
-        "eta": _rgb(eta),
-        "k": _rgb(k),
+    if not renderer.variant().endswith("_spectral"):
+        return coating(design.coating, np.array([band.centroid_nm for band in bands.bands]), index)
+    from sim.optics.fluorescent_spectrum import held_spectrum  # needs the variant set
+
+    # the renderer's own spectra end in zero, and a metal of n = k = 0 is not a number
+    eta, k = (held_spectrum(_ALUMINIUM[:, 0], _ALUMINIUM[:, column] / index) for column in (1, 2))
+    return _coating(design.coating, eta, k)
+
+
+def coating(coat: Coating, centroids_nm: NDArray[np.float64], index: float) -> dict[str, Any]:
+    """Return the aluminium coating as seen from inside a gel of this index, for channels at these wavelengths."""
+    # the renderer takes conductors to stand in vacuum; relative to gel, n and k are divided by its index
+    eta, k = (rgb(np.interp(centroids_nm, _ALUMINIUM[:, 0], _ALUMINIUM[:, c]) / index) for c in (1, 2))
+    return _coating(coat, eta, k)
+
+
+def _coating(coat: Coating, eta: dict[str, Any], k: dict[str, Any]) -> dict[str, Any]:
+    """Return the blend of rough metal and diffuse part."""
+    metal = {"type": "roughconductor", "distribution": "ggx", "alpha": coat.roughness_alpha, "eta": eta, "k": k}
+    blend = {
+        "type": "blendbsdf",
+        "weight": coat.diffuse_share,
+        "metal": metal,
+        "diffuse": diffuse(coat.diffuse_reflectance),
     }
-    diffuse = _diffuse(design.coating.diffuse_reflectance)
-    blend = {"type": "blendbsdf", "weight": design.coating.diffuse_share, "metal": metal, "diffuse": diffuse}
     return {"type": "twosided", "coating": blend}
 
 
 def _mirror(design: FingerDesign) -> dict[str, Any]:
     """Return the mirror's material."""
-    reflectance = _rgb(np.full(3, design.mirror.reflectance))
+    reflectance = rgb(np.full(3, design.mirror.reflectance))
     metal = {"type": "conductor", "material": "none", "specular_reflectance": reflectance}
     return {"type": "twosided", "metal": metal}
 
@@ -262,18 +279,22 @@ def _box(design: FingerDesign, shape: FingerShape, renderer: ModuleType) -> dict
     for light in design.lights:
         reach = np.hypot(light.width_mm, light.height_mm) / 2.0
         corners += [np.array([light.position_mm]) + side * reach for side in (-1.0, 1.0)]
-    points = np.concatenate(corners)
-    low, high = points.min(axis=0) - _BOX_CLEARANCE_MM, points.max(axis=0) + _BOX_CLEARANCE_MM
+    return dark_box(np.concatenate(corners), design.enclosure.cloth_reflectance, renderer)
+
+
+def dark_box(points_mm: NDArray[np.float64], reflectance: float, renderer: ModuleType) -> dict[str, Any]:
+    """Return a box around points, seen from inside."""
+    low, high = points_mm.min(axis=0) - _BOX_CLEARANCE_MM, points_mm.max(axis=0) + _BOX_CLEARANCE_MM
     transform = renderer.ScalarTransform4f().translate(((low + high) / 2.0).tolist())
     return {
         "type": "cube",
         "to_world": transform @ renderer.ScalarTransform4f().scale(((high - low) / 2.0).tolist()),
         "flip_normals": True,
-        "bsdf": _diffuse(design.enclosure.cloth_reflectance),
+        "bsdf": diffuse(reflectance),
     }
 
 
-def _mesh(
+def surface_mesh(
     renderer: ModuleType,
     name: str,
     surface: Surface,

@@ -1,0 +1,38 @@
+"""What pressing a finger takes: push, force and energy, increment by increment."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from data_schemas.arrays import ArraySpec, check_dimensions
+from data_schemas.design import FingerDesign
+from data_schemas.model import Record
+
+PerIncrement = NDArray[np.float64]
+
+
+class PressMechanics(Record):
+    """Force against push of one finger under a rigid indenter; the surfaces stand in a record of their own."""
+
+    name: str
+    label: str = Field(description="engine and mesh, for example 'finite elements, coarse mesh, 31947 unknowns'")
+    preset: Literal["coarse", "medium", "fine"]
+    depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
+        description="push of the indenter from first touch"
+    )
+    force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "N")] = Field(
+        description="force on the indenter: across the finger, along the pad's normal, along the finger"
+    )
+    energy_n_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N mm")]
+    iterations: Annotated[NDArray[np.int64], ArraySpec("<i8", ("increment",))]
+    largest_pressure_mpa: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "MPa"})]
+    unreached: str = Field(description="why the push ended early; empty when it did not")
+    design: FingerDesign
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "PressMechanics":
+        check_dimensions(self)
+        return self

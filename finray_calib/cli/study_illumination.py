@@ -1,0 +1,248 @@
+"""The paper's optical studies: ``finray study fluorescent-rendering``, ``two-lights`` and ``light-angle``."""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from finray_calib.cli.options import (
+    add_out,
+    add_seed,
+    command_line,
+    input_digests,
+    progress_bar,
+    require_new,
+    say,
+)
+
+if TYPE_CHECKING:
+    from data_schemas.illumination import FluorescentRendering, LightAngleIntensity, TwoLights
+    from sim.experiments.painted_finger import PaintedFinger
+    from sim.optics.paint_bands import PaintOptics
+
+STAND_IN = "stand-in: default hidden paint of the simulated rig, not the paper's paint"
+FLATTEST = "ellipsoidal-30-8-90"
+EPILOG = """\
+Without --design, the preset {preset}. Without --paint, the two default paints of the simulated rig stand in for
+the paper's, whose spectra nobody has published; the record says so."""
+FLUORESCENT = """\
+The paper's figure of its fluorescent light source and rendering: painted walls that shine by their distance from
+the blue light (as printed, and by the inverse square) beside walls that re-emit the light that reaches them. Press
+and rest through the camera and per band, emission along the walls, and by how much they differ. Why: see
+docs/explanation/fluorescent-rendering.md."""
+TWO = """\
+The paper's second blue light: one panel at the base against panels at base and tip (second_light of the design, else
+the panel mirrored to the tip): images, and how evenly the coat is lit."""
+ANGLE = """\
+The paper's light angle: brightness at both edges of the contact from 0 to 120 deg, with the mirror and without, the
+angle at which it is highest with 95 % limits, and what the paper's 30 deg loses."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Study:
+    """What one study needs: words, default design, default paths, and who makes and tells it."""
+
+    name: str
+    help: str
+    description: str
+    preset: str
+    samples: int
+    make: Callable[..., Any]
+    tell: Callable[[Any], None]
+
+
+def add_illumination_studies(studies: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the three studies."""
+    for study in STUDIES:
+        parser = studies.add_parser(
+            study.name,
+            help=study.help,
+            description=study.description,
+            epilog=EPILOG.format(preset=study.preset),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        parser.add_argument(
+            "--design", type=Path, metavar="TOML", help=f"finger design (default: preset {study.preset})"
+        )
+        parser.add_argument(
+            "--paint", action="append", default=[], type=_paint, metavar="COLOUR=FILE",
+            help="paint calibration of a wall: --paint red=FILE --paint green=FILE",
+        )  # fmt: skip
+        whose = "probe, angle and repeat" if study.name == "light-angle" else "pixel, an even number"
+        parser.add_argument("--samples", type=partial(_samples, even=study.name != "light-angle"), metavar="N",
+                            default=study.samples, help=f"paths per {whose} (default: {study.samples})")  # fmt: skip
+        parser.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer")
+        add_out(parser, f"{study.name}, a folder")
+        add_seed(parser)
+        parser.set_defaults(run=partial(run_study, study))
+
+
+def run_study(study: _Study, arguments: argparse.Namespace) -> None:
+    """Make a study; write its record and figure; tell its numbers."""
+    from data_schemas.provenance import provenance
+    from data_schemas.storage import write_bytes, write_record
+
+    out = require_new(arguments.out or Path(study.name))
+    finger, paints = _finger(study, arguments)
+    files = [*([] if arguments.design is None else [arguments.design]), *dict(arguments.paint).values()]
+    origin = provenance(command_line(), input_digests(files), arguments.seed)
+    with progress_bar(study.name) as progress:
+        record = study.make(finger, arguments.seed, arguments.samples, paints, progress)
+    picture = _draw(record)
+    write_record(record, out / f"{study.name}.json", origin)
+    write_bytes(out / f"{study.name}.png", picture)
+    say(f"{out}: {study.name}.json, {study.name}.png")
+    for colour, paint in paints.items():
+        say(f"{colour} paint: {paint}")
+    study.tell(record)
+
+
+def _finger(study: _Study, arguments: argparse.Namespace) -> "tuple[PaintedFinger, dict[str, str]]":
+    """Return the finger, and by colour where its paint comes from."""
+    from data_schemas.design import FingerDesign
+    from data_schemas.errors import SimulateError
+    from data_schemas.standard_curves import camera_response
+    from data_schemas.storage import read_toml
+    from sim.experiments.painted_finger import PaintedFinger
+    from sim.optics.opencv_camera import read_calibration
+    from sim.optics.variants import choose_variant, open_renderer
+    from sim.presets import preset_design
+
+    files = dict(arguments.paint)
+    if len(files) < len(arguments.paint):
+        raise SimulateError("--paint: a colour is given twice; give one file for red and one for green")
+    if len(files) == 1:
+        raise SimulateError("--paint: give both red=FILE and green=FILE, or neither for the simulated rig's paints")
+    design = preset_design(study.preset) if arguments.design is None else read_toml(arguments.design, FingerDesign)
+    folder = Path() if arguments.design is None else arguments.design.parent
+    paints, sources = _calibrated(files) if files else _stand_ins()
+    response, file = camera_response(design.camera.response, folder), design.camera.calibration
+    calibration = None if file is None else read_calibration(folder / file)
+    renderer = open_renderer(choose_variant(arguments.engine))
+    return PaintedFinger(design, paints, response, renderer, calibration), sources
+
+
+def _calibrated(files: dict[str, Path]) -> "tuple[dict[str, PaintOptics], dict[str, str]]":
+    """Return the optics of calibrated paints and their names and checksums."""
+    from data_schemas.fit import PaintCalibration
+    from data_schemas.storage import read_record, sha256_of
+    from sim.experiments.painted_finger import paint_optics
+
+    paints = {colour: read_record(file, PaintCalibration) for colour, file in files.items()}
+    sources = {colour: f"{paint.paint_name}, SHA-256 {sha256_of(files[colour])}" for colour, paint in paints.items()}
+    return {colour: paint_optics(paint) for colour, paint in paints.items()}, sources
+
+
+def _stand_ins() -> "tuple[dict[str, PaintOptics], dict[str, str]]":
+    """Return the optics of the simulated rig's two default paints."""
+    from finray_calib.demo.stages import true_paint_optics
+    from rigs.presets import DEFAULT_PAINTS, simulated_rig
+    from rigs.simulated.bench import bench_truth
+
+    truths = {colour: bench_truth(simulated_rig(colour, None, seed=1), Path()) for colour in DEFAULT_PAINTS}
+    paints = {colour: true_paint_optics(colour, truth) for colour, truth in truths.items()}
+    return paints, dict.fromkeys(paints, STAND_IN)
+
+
+def _paint(text: str) -> tuple[str, Path]:
+    """Parse COLOUR=FILE."""
+    colour, separator, file = text.partition("=")
+    if not separator or colour not in {"red", "green"} or not file:
+        raise argparse.ArgumentTypeError(f"{text!r} must be red=FILE or green=FILE")
+    return colour, Path(file)
+
+
+def _samples(text: str, even: bool) -> int:
+    """Parse a number of paths; an image is rendered as two halves, whose difference is its noise."""
+    if not text.isdecimal() or int(text) < 2 or (even and int(text) % 2):
+        kind = "an even whole number" if even else "a whole number"
+        raise argparse.ArgumentTypeError(f"{text!r} must be {kind} from 2, for example 64")
+    return int(text)
+
+
+def _make_fluorescent(finger: "PaintedFinger", *settings: Any) -> "FluorescentRendering":
+    """Make the study of the paper's emitter."""
+    from sim.experiments.fluorescent_rendering import study_fluorescent_rendering
+
+    return study_fluorescent_rendering(finger, *settings)
+
+
+def _make_two_lights(finger: "PaintedFinger", *settings: Any) -> "TwoLights":
+    """Make the study of the second panel."""
+    from sim.experiments.two_lights import study_two_lights
+
+    return study_two_lights(finger, *settings)
+
+
+def _make_light_angle(finger: "PaintedFinger", *settings: Any) -> "LightAngleIntensity":
+    """Make the study of the light angle."""
+    from sim.experiments.light_intensity import study_light_angle
+
+    return study_light_angle(finger, *settings)
+
+
+def _draw(record: Any) -> bytes:
+    """Draw the figure of a study."""
+    from data_schemas.illumination import FluorescentRendering, TwoLights
+    from finray_calib.reports.illumination_figures import fluorescent_rendering_png, light_angle_png, two_lights_png
+
+    if isinstance(record, FluorescentRendering):
+        return fluorescent_rendering_png(record)
+    return two_lights_png(record) if isinstance(record, TwoLights) else light_angle_png(record)
+
+
+def _tell_fluorescent(study: "FluorescentRendering") -> None:
+    """Say how far the paper's emitter is from the baked walls."""
+    say(f"\nAgainst baked walls, blocks of {study.block_px} px of the coat with contact, at equal mean brightness:")
+    for d in study.differences:
+        if d.state == "contact" and d.band != "led":
+            name = "as printed (proportional to distance)" if d.level == "a" else "inverse square of the distance"
+            say(f"  {name:38s} {d.band:6s} {d.shape_error_rel:6.1%} off (render noise {d.noise_rel:.1%})")
+    for k, wall in enumerate(study.walls):
+        off = ", ".join(f"{v:.0%}" for v in study.wall_error_rel[:-1, k])
+        say(f"  {wall} wall along z: {off} off; {study.second_order_wall_share[wall]:.1%} excited by other paint")
+    means = study.wall_by_angle_rel.mean(axis=2) / study.wall_radiance_rel[-1].mean(axis=1)
+    told = ", ".join(f"{angle:g} deg {mean[0]:.2f}" for angle, mean in zip(study.angles_deg, means, strict=True))
+    say(f"  red wall by light angle (the paper's rule: no change): {told}")
+
+
+def _tell_two_lights(study: "TwoLights") -> None:
+    """Say how even the light is with one panel and with two."""
+    x, y, z = study.tip_light_position_mm
+    say(f"\nPanel at the tip: ({x:g}, {y:g}, {z:g}) mm, {study.tip_light_angle_deg:g} deg. Without contact, by area:")
+    say(f"  {'':28s}{'channel':9s}sd / mean   of the middle 70 %   darkest / brightest along z")
+    for u in study.uniformity:
+        numbers = f"{u.variation_rel:9.2f}{u.middle_variation_rel:21.2f}{u.min_to_max_ratio:30.2f}"
+        say(f"  {u.lights:28s}{u.channel:9s}{numbers}")
+
+
+def _tell_light_angle(study: "LightAngleIntensity") -> None:
+    """Say where each curve is highest and what the paper's angle loses."""
+    for p, probe in enumerate(study.probes):
+        say(f"\n{probe} (z = {study.probe_points_mm[p, 2]:.1f} mm), panel {study.led_depth_mm:g} mm below the face;")
+        say(f"  direct light alone is highest at {study.elevation_deg[p]:.0f} deg")
+        for top in study.maxima:
+            if top.probe == probe:
+                say(
+                    f"  {top.mirror:15s}{top.band:6s} highest at {top.angle_deg:3.0f} deg [{top.low95_deg:.0f}, "
+                    f"{top.high95_deg:.0f}]; {study.printed_angle_deg:g} deg loses {top.loss_at_printed_rel:.1%} "
+                    f"[{top.loss_at_printed_low95_rel:.1%}, {top.loss_at_printed_high95_rel:.1%}]"
+                )
+
+
+STUDIES = (
+    _Study(
+        "fluorescent-rendering", "the paper's emitter on the painted walls beside baked walls", FLUORESCENT,
+        "flat-70x35", 32, _make_fluorescent, _tell_fluorescent,
+    ),
+    _Study(
+        "two-lights", "one panel at the base against base and tip", TWO,
+        FLATTEST, 32, _make_two_lights, _tell_two_lights,
+    ),
+    _Study(
+        "light-angle", "brightness beside the indenter over the light angle", ANGLE,
+        FLATTEST, 3000, _make_light_angle, _tell_light_angle,
+    ),
+)  # fmt: skip

@@ -1,0 +1,156 @@
+"""Picture of a pressed finger from its stored records: before, after, and the force against the push."""
+
+import io
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.patches import Circle
+from numpy.typing import NDArray
+
+from data_schemas.design import FingerDesign
+from data_schemas.press_mechanics import PressMechanics
+from data_schemas.surfaces import FingerSurfaces
+from finray_calib.reports.finger_outline import PART_COLOURS
+from finray_calib.reports.style import BLUE, HAIRLINE, INK, MUTED, SKY, VERMILLION, new_figure, styled
+from sim.surface_meshes.finger_shape import FingerShape
+from sim.surface_meshes.pressed_pad import rest_height_mm
+from sim.surface_meshes.stored_shape import restore_shapes
+from sim.surface_meshes.surface import Surface
+
+Floats = NDArray[np.float64]
+
+_DOTS_PER_INCH = 120
+# a triangle turned further from the viewer is seen edge-on
+_LEAST_FACING = 0.05
+# vertices of one line along the finger share u to rounding
+_SAME_U = 1e-6
+
+
+@styled()
+def pressed_finger_png(mechanics: PressMechanics, surfaces: FingerSurfaces) -> bytes:
+    """Return a picture of a pressed finger as PNG bytes.
+
+    Left, the finger from its green side before the press, and after it, coloured by the length of the displacement
+    (no exaggeration); a dashed line is the coat along the middle. Right, force along the pad's normal against push.
+
+    Parameters
+    ----------
+    mechanics, surfaces
+        The two records of one press.
+
+    Raises
+    ------
+    SimulateError
+        When the surfaces are broken.
+    """
+    rest, pressed = restore_shapes(surfaces)
+    depth_mm = float(mechanics.depth_mm[-1])
+    figure = new_figure(13.0, 8.8)
+    columns = figure.add_gridspec(1, 2, width_ratios=(2.0, 1.0))
+    views, curve = (figure.add_subfigure(columns[k]) for k in range(2))
+    before, after = views.subplots(2, 1, sharex=True, sharey=True)
+    _draw_before(before, rest)
+    _draw_indenter(before, mechanics.design, 0.0)
+    shown = _draw_after(after, rest, pressed)
+    _draw_indenter(after, mechanics.design, depth_mm)
+    views.colorbar(shown, ax=[before, after], shrink=0.8, label="displacement (mm)")
+    before.set_title("before: the indenter touches (dashed: the coat along the middle)")
+    after.set_title(f"after a push of {depth_mm:.2f} mm, to scale (grey: where it was)")
+    for axes in (before, after):
+        axes.set(aspect="equal", ylabel="y (mm)")
+        axes.grid(visible=False)
+        axes.autoscale_view()
+    after.set_xlabel("z along the finger, from the base of the pad (mm)")
+    _draw_curve(curve.subplots(), mechanics)
+    figure.suptitle(f"{mechanics.name}: {mechanics.label}")
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=_DOTS_PER_INCH, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _draw_before(axes: Axes, rest: FingerShape) -> None:
+    """Draw the finger at rest, coloured by part."""
+    for name in _farthest_first(rest):
+        polygons = _polygons(rest.surfaces[name], _facing(rest.surfaces[name]))
+        colour = PART_COLOURS.get(name, PART_COLOURS["gel"])
+        axes.add_collection(PolyCollection(list(polygons), facecolors=colour, edgecolors="face", linewidths=0.7))
+    _draw_lines(axes, rest)
+
+
+def _draw_after(axes: Axes, rest: FingerShape, pressed: FingerShape) -> PolyCollection:
+    """Draw the pressed finger, coloured by displacement, over the outlines of the finger at rest."""
+    polygons, moved_mm = [], []
+    for name in _farthest_first(rest):
+        before, after = rest.surfaces[name], pressed.surfaces[name]
+        facing = _facing(before)
+        axes.add_collection(LineCollection(list(_outlines(before, facing)), colors=MUTED, linewidths=0.6, alpha=0.6))
+        polygons.append(_polygons(after, facing))
+        distance = np.linalg.norm(after.vertices_mm - before.vertices_mm, axis=1)
+        moved_mm.append(distance[after.triangles[facing]].mean(axis=1))
+    values = np.concatenate(moved_mm)
+    shown = PolyCollection(
+        list(np.concatenate(polygons)), array=values, cmap="viridis", edgecolors="face", linewidths=0.7
+    )
+    shown.set_clim(0.0, float(values.max()))
+    axes.add_collection(shown)
+    _draw_lines(axes, pressed)
+    return shown
+
+
+def _draw_lines(axes: Axes, shape: FingerShape) -> None:
+    """Draw the edge of the mirror, and the coat along the middle of the pad."""
+    for name, u, colour, style in (("mirror", 1.0, SKY, "-"), ("coat", 0.5, INK, "--")):
+        surface = shape.surfaces[name]
+        away = np.abs(surface.uv[:, 0] - u)
+        line = np.flatnonzero(away < away.min() + _SAME_U)
+        line = line[np.argsort(surface.uv[line, 1])]
+        axes.plot(surface.vertices_mm[line, 2], surface.vertices_mm[line, 1], style, color=colour, lw=1.4)
+
+
+def _draw_indenter(axes: Axes, design: FingerDesign, depth_mm: float) -> None:
+    """Draw the indenter at a push from first touch."""
+    indenter = design.indenter
+    crown = float(rest_height_mm(design, 0.0, indenter.position_mm))
+    centre = indenter.position_mm, crown + indenter.radius_mm - depth_mm
+    axes.add_patch(Circle(centre, indenter.radius_mm, facecolor=HAIRLINE, edgecolor=MUTED, alpha=0.5, ls="--"))
+    axes.text(*centre, indenter.shape, ha="center", va="center", fontsize=8)
+
+
+def _draw_curve(axes: Axes, mechanics: PressMechanics) -> None:
+    """Draw the force along the pad's normal against the push, from nothing to the last increment."""
+    depth = np.concatenate([[0.0], mechanics.depth_mm])
+    force = np.concatenate([[0.0], mechanics.force_n[:, 1]])
+    axes.plot(depth, force, "-o", color=BLUE, markersize=4)
+    if mechanics.unreached:
+        wanted = mechanics.design.indenter.depth_mm
+        axes.axvline(wanted, color=VERMILLION, ls=":", label=f"the push that was wanted, {wanted:g} mm")
+        axes.legend(loc="lower right")
+    axes.set(xlabel="push of the indenter from first touch (mm)", ylabel="force along the pad's normal (N)")
+    axes.set(xlim=(0.0, None), ylim=(0.0, None), title=f"{force[-1]:.2f} N at {depth[-1]:.2f} mm")
+
+
+def _farthest_first(shape: FingerShape) -> list[str]:
+    """Return the parts by their greatest x: what is nearer to the viewer hides what is farther."""
+    return sorted(shape.surfaces, key=lambda name: float(shape.surfaces[name].vertices_mm[:, 0].max()))
+
+
+def _facing(surface: Surface) -> NDArray[np.int64]:
+    """Return the triangles that look to the viewer at x = infinity, farthest first."""
+    corners = surface.vertices_mm[surface.triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facing = np.flatnonzero(normal[:, 0] > _LEAST_FACING * np.linalg.norm(normal, axis=1))
+    return facing[np.argsort(corners[facing, :, 0].mean(axis=1), kind="stable")]
+
+
+def _polygons(surface: Surface, facing: NDArray[np.int64]) -> Floats:
+    """Return z and y of triangles, shape (m, 3, 2)."""
+    return surface.vertices_mm[surface.triangles[facing]][..., [2, 1]]
+
+
+def _outlines(surface: Surface, facing: NDArray[np.int64]) -> Floats:
+    """Return z and y of the edges that only one of these triangles has, shape (m, 2, 2)."""
+    triangles = surface.triangles[facing]
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    unique, times = np.unique(edges, axis=0, return_counts=True)
+    return np.asarray(surface.vertices_mm[unique[times == 1]][..., [2, 1]])

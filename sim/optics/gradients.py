@@ -1,0 +1,314 @@
+"""Gradients of probe radiances by the light's pose and the paints' conversion: automatic differentiation.
+
+Mitsuba's own differentiable integrators silently return zero for the pose of a light behind a smooth dielectric: they
+meet it by chance only. The refractive connection carries the pose smoothly from the panel to the probe, so here the
+path tracer of level c is differentiated through it. Light that no connection finds (through the mirror, or the ends
+of the gel) adds finite differences with common random numbers.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import LinearNDInterpolator
+
+from data_schemas.design import FingerDesign
+from data_schemas.errors import MissingExtraError, SimulateError
+from sim.optics.angle_sweep import default_probe_points_mm
+from sim.optics.paint_bands import BAND_NAMES, PaintBands, PaintOptics
+from sim.optics.render import check_paints, open_scene, stream_seed
+from sim.optics.variants import SCALAR_VARIANT
+from sim.optics.wall_emission import WALLS
+from sim.surface_meshes.finger_shape import FingerShape, pressed_shape
+
+Floats = NDArray[np.float64]
+
+Parameter = Literal[
+    "angle_deg", "position_x_mm", "position_y_mm", "position_z_mm", "red_conversion", "green_conversion"
+]
+"""Of the first light: its angle and the position of its centre; of a paint: the share of the LED's energy that it
+emits, its conversion of other bands growing in proportion."""
+
+PARAMETERS: tuple[Parameter, ...] = get_args(Parameter)
+_CONVERSIONS = ("red_conversion", "green_conversion")
+_POSITION_AXES = ("position_x_mm", "position_y_mm", "position_z_mm")
+# half steps of the differences: wide, because only paths that begin or cease to meet the panel count; curves of the
+# light's pose bend over 50 deg and 10 mm, so that the bias is below 0.3 %
+_HALF_STEP_DEG, _HALF_STEP_MM = 5.0, 1.0
+
+# probes are spots of this half size: a ray exactly along an edge between two triangles can slip through the mesh
+_SPOT_MM = 0.01
+
+_Light = Literal["all", "connected", "by chance"]
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeGradient:
+    """Band radiances at probe points and their derivatives; standard errors are over independent repeats.
+
+    ``value_rel`` (probe, 3 bands: red emission, green emission, LED) is in units of the panel's radiance;
+    ``gradient`` (parameter, probe, 3) is per degree, per mm, or per unit of conversion; ``by_differences`` of the
+    same shape is the part of it that is a finite difference. ``by_chance_rel`` (probe, 3) is the part of the value
+    that met a panel by chance.
+    """
+
+    with_respect_to: tuple[Parameter, ...]
+    probe_points_mm: Floats
+    value_rel: Floats
+    value_error_rel: Floats
+    gradient: Floats
+    gradient_error: Floats
+    by_differences: Floats
+    by_chance_rel: Floats
+    samples: int
+    seed: int
+
+
+def probe_gradient(
+    design: FingerDesign,
+    paints: Mapping[str, PaintOptics],
+    renderer: ModuleType,
+    with_respect_to: Sequence[Parameter] = ("angle_deg",),
+    probe_points_mm: Floats | None = None,
+    repeats: int = 4,
+    seed: int = 0,
+    samples: int = 10_000,
+    shape: FingerShape | None = None,
+    automatic: bool = True,
+) -> ProbeGradient:
+    """Differentiate the coated face's radiance at probe points.
+
+    The value is that of level c, towards the inner face along the pad's normal. Light through the inner face is
+    differentiated automatically, exact up to noise but for edges (the pad's outline, shadows); light that meets a panel
+    by chance adds central differences over 5 deg or 1 mm to the derivatives by the pose. Equal seeds give equal random
+    numbers in every design.
+
+    Parameters
+    ----------
+    design
+        The finger with its press.
+    paints
+        Optics of the paints "red" and "green".
+    renderer
+        From :func:`sim.optics.variants.open_renderer`, a compiled variant.
+    with_respect_to
+        Parameters; each costs about as much as three values.
+    probe_points_mm
+        Points (x, z) on the pad, shape (probe, 2); by default those of a sweep of the light angle.
+    repeats
+        Independent repeats, at least 2, which give the standard errors.
+    seed
+        Random seed, >= 0.
+    samples
+        Paths per probe, parameter and repeat.
+    shape
+        The finger, deformed in any way; by default with the analytic press of its design.
+    automatic
+        False takes differences of all light for the pose: noisier, but with the light that the pad's outline and
+        shadows cut off. Light near the base is cut so, and its derivative by position_z_mm needs this.
+
+    Raises
+    ------
+    MissingExtraError
+        In a scalar variant, which cannot differentiate.
+    SimulateError
+        When a parameter is not known, there is too little to measure, or a paint is missing or gains energy.
+    """
+    unknown = [name for name in with_respect_to if name not in PARAMETERS]
+    if unknown:
+        raise SimulateError(f"with_respect_to: '{unknown[0]}' is none of {', '.join(PARAMETERS)}")
+    if repeats < 2 or samples < 1:
+        raise SimulateError(
+            f"a gradient needs at least 2 repeats and 1 sample, got {repeats} repeats and {samples} samples"
+        )
+    if renderer.variant() == SCALAR_VARIANT:
+        raise MissingExtraError(
+            f"gradients need a compiled variant of the renderer, not {SCALAR_VARIANT}; install LLVM 17 or newer"
+        )
+    points = default_probe_points_mm(design) if probe_points_mm is None else np.asarray(probe_points_mm, np.float64)
+    finger = pressed_shape(design) if shape is None else shape
+    probes = _Probes(design, finger, check_paints(design, paints), renderer, points, samples)
+    seeds = [stream_seed(seed, repeat) for repeat in range(repeats)]
+    by_chance = np.stack([probes.trace(s, "by chance")[0] for s in seeds])
+    values = by_chance + np.stack([probes.trace(s, "connected")[0] for s in seeds])
+    stack = (len(with_respect_to), *values.shape)
+    differences, gradients = np.zeros(stack), np.zeros(stack)
+    for k, name in enumerate(with_respect_to):
+        of_pose = name not in _CONVERSIONS
+        if of_pose:
+            differences[k] = probes.differences(name, seeds, "by chance" if automatic else "all")
+        gradients[k] = differences[k]
+        if automatic or not of_pose:
+            gradients[k] += probes.derivatives(name, seeds, "connected" if of_pose else "all")
+    root = np.sqrt(repeats)
+    return ProbeGradient(
+        tuple(with_respect_to),
+        probes.points_mm,
+        values.mean(axis=0),
+        values.std(axis=0, ddof=1) / root,
+        gradients.mean(axis=1),
+        gradients.std(axis=1, ddof=1) / root,
+        differences.mean(axis=1),
+        by_chance.mean(axis=0),
+        samples,
+        seed,
+    )
+
+
+def moved(design: FingerDesign, parameter: Parameter, step: float) -> FingerDesign:
+    """Return the design with the pose of its first light changed by a step in degrees or mm."""
+    light = design.light
+    if parameter == "angle_deg":
+        changed = light.model_copy(update={"angle_deg": light.angle_deg + step})
+    else:
+        position = np.array(light.position_mm) + step * np.array([name == parameter for name in _POSITION_AXES])
+        changed = light.model_copy(update={"position_mm": tuple(position.tolist())})
+    return design.model_copy(update={"light": changed})
+
+
+class _Probes:
+    """The scene of one design, and rays that meet its probe points along the pad's normal."""
+
+    def __init__(
+        self,
+        design: FingerDesign,
+        shape: FingerShape,
+        bands: PaintBands,
+        renderer: ModuleType,
+        points_xz_mm: Floats,
+        samples: int,
+    ) -> None:
+        self.design, self.shape, self.bands, self.renderer, self.samples = design, shape, bands, renderer, samples
+        self.points_xz_mm = points_xz_mm
+        self.scene = open_scene(design, shape, bands, renderer)
+        self.points_mm = _on_face(shape, "coat", design, points_xz_mm)
+        self.feet_mm = _on_face(shape, "inner", design, points_xz_mm)
+
+    def derivatives(self, parameter: Parameter, seeds: Sequence[int], light: _Light) -> Floats:
+        """Return automatic derivatives (repeat, probe, 3)."""
+        return np.stack([self.trace(seed, light, parameter)[1] for seed in seeds])
+
+    def differences(self, parameter: Parameter, seeds: Sequence[int], light: _Light) -> Floats:
+        """Return central differences (repeat, probe, 3) by a parameter of the pose."""
+        half = _HALF_STEP_DEG if parameter == "angle_deg" else _HALF_STEP_MM
+        values = []
+        for step in (half, -half):
+            design = moved(self.design, parameter, step)
+            side = _Probes(design, self.shape, self.bands, self.renderer, self.points_xz_mm, self.samples)
+            values.append(np.stack([side.trace(seed, light)[0] for seed in seeds]))
+        return np.asarray((values[0] - values[1]) / (2.0 * half))
+
+    def trace(self, seed: int, light: _Light = "all", parameter: Parameter | None = None) -> tuple[Floats, Floats]:
+        """Return values and derivatives by one parameter (zero without), both (probe, 3 bands)."""
+        import drjit as dr
+
+        mi = self.renderer
+        change = mi.Float(0.0)
+        dr.make_opaque(change)
+        if parameter is not None:
+            dr.enable_grad(change)
+            dr.set_grad(change, 1.0)
+        # an integrator serves one differentiation only: a loop compiled before cannot be traversed again
+        integrator = self._integrator(change, parameter, light)
+        count = len(self.points_mm) * self.samples
+        onward = self.points_mm - self.feet_mm
+        middle, direction = (
+            np.repeat(v, self.samples, axis=0)
+            for v in (self.feet_mm + 0.5 * onward, onward / np.linalg.norm(onward, axis=1, keepdims=True))
+        )
+        middle += np.random.default_rng(seed).uniform(-_SPOT_MM, _SPOT_MM, middle.shape)
+        o, d = (np.ascontiguousarray(v.T, dtype=np.float32) for v in (middle, direction))
+        rays = mi.Ray3f(mi.Point3f(o), mi.Vector3f(d))
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed, count)
+        radiance = integrator.sample(self.scene, sampler, rays, None, mi.Bool(True))[0]
+        if parameter is None:
+            return self._means(radiance), np.zeros((len(self.points_mm), len(BAND_NAMES)))
+        dr.forward_to(radiance)
+        return self._means(dr.detach(radiance)), self._means(dr.grad(radiance))
+
+    def _means(self, of_rays: Any) -> Floats:
+        """Return the mean over the rays of each probe, (probe, 3)."""
+        values = of_rays.numpy().astype(np.float64).reshape(len(BAND_NAMES), len(self.points_mm), self.samples)
+        return np.asarray(values.mean(axis=2).T)
+
+    def _integrator(self, change: Any, parameter: Parameter | None, light: _Light) -> Any:
+        """Return a fresh path tracer of level c in which one parameter has moved by `change`."""
+        from sim.optics.fluorescent_paths import fluorescent_integrator, painted_bsdfs  # these need the variant set
+        from sim.optics.paths import band_integrator
+
+        panels = band_integrator(self.scene, self.design, self.shape)
+        if parameter in ("angle_deg", *_POSITION_AXES):
+            self._move(panels.panels[0], change, parameter)
+        carrier = _carrier(self.bands, self.renderer, change, parameter)
+        connection = _Connection(panels, light, self.renderer)
+        return fluorescent_integrator(carrier, painted_bsdfs(self.scene, list(WALLS)), panels=connection)
+
+    def _move(self, panel: Any, change: Any, parameter: Parameter | None) -> None:
+        """Turn or shift a panel of the integrator."""
+        import drjit as dr
+
+        mi, light = self.renderer, self.design.light
+        if parameter == "angle_deg":
+            sine, cosine = dr.sincos(math.radians(1.0) * (light.angle_deg + change))
+            panel.normal = mi.Vector3f(0.0, sine, cosine)
+            panel.along = mi.Vector3f(0.0, cosine, -sine) * (light.height_mm / 2.0)
+        else:
+            axis = mi.Vector3f(*[1.0 if name == parameter else 0.0 for name in _POSITION_AXES])
+            panel.centre = panel.centre + change * axis
+
+
+class _Connection:
+    """What the fluorescent paths ask of the panels; no object of the renderer, whose arrays a loop would carry along.
+
+    An object of the renderer becomes part of the loop's state, which can then not be differentiated.
+    """
+
+    def __init__(self, panels: Any, light: _Light, renderer: ModuleType) -> None:
+        self.face, self.inner, self.coat = panels.face, panels.inner, panels.coat
+        self.film_factor, self.connect, self.panel_met = panels.film_factor, panels.connect, panels.panel_met
+        if light == "connected":
+            self.panel_met = lambda *_: 0.0
+        elif light == "by chance":
+            self.connect = lambda *_: (renderer.Bool(False), renderer.Vector3f(0.0, 0.0, 1.0), renderer.Float(0.0))
+
+
+def _on_face(shape: FingerShape, face: str, design: FingerDesign, points_xz_mm: Floats) -> Floats:
+    """Return where points (x, z) of the undeformed pad are on a face of the finger, (n, 3)."""
+    pad, surface = design.pad, shape.surfaces[face]
+    uv = points_xz_mm / [pad.width_mm, pad.length_mm] + [0.5, 0.0]
+    found = np.asarray(LinearNDInterpolator(surface.uv, surface.vertices_mm)(uv))
+    if not np.isfinite(found).all():
+        x, z = points_xz_mm[~np.isfinite(found).all(axis=1)][0]
+        raise SimulateError(
+            f"the probe at x = {x:g} mm, z = {z:g} mm lies outside the pad (|x| < {pad.width_mm / 2.0:g} mm, 0 < z < "
+            f"{pad.length_mm:g} mm); move it onto the pad"
+        )
+    return found
+
+
+def _carrier(bands: PaintBands, renderer: ModuleType, change: Any, parameter: Parameter | None) -> Any:
+    """Return the carrier of three bands, one paint's conversion of LED light grown by `change`."""
+    import drjit as dr
+
+    from sim.optics.fluorescent_bands import BandCarrier  # needs the variant set
+
+    class Carrier(BandCarrier):
+        """Roulette decides by numbers only: a path's chance of surviving is no function of the parameter."""
+
+        def largest(self, carried: list[Any]) -> Any:
+            return dr.detach(super().largest(carried))
+
+    carrier = Carrier([bands.matrix(wall) for wall in WALLS])
+    for number, wall in enumerate(WALLS):
+        if parameter == f"{wall}_conversion":
+            row = bands.conversion[wall] / bands.conversion[wall][BAND_NAMES.index("led")]
+            for k in range(len(BAND_NAMES)):
+                direction = np.zeros(len(WALLS) * len(BAND_NAMES), dtype=np.float32)
+                direction[len(BAND_NAMES) * number + BAND_NAMES.index(wall)] = row[k]
+                carrier.rows[k] = carrier.rows[k] + change * renderer.Float(direction)
+    return carrier

@@ -1,0 +1,121 @@
+"""Drawings of a finger: the cut is that of the mesh, labels do not overlap, a press shows what its records say."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from data_schemas.design import FingerDesign, Indenter, TactileCamera
+from data_schemas.press_mechanics import PressMechanics
+from finray_calib.reports.finger_figure import finger_page_png, finger_png
+from finray_calib.reports.finger_outline import finger_outline, outer_edges, side_polygons
+from finray_calib.reports.labelled_parts import spread
+from finray_calib.reports.pressed_finger_figure import pressed_finger_png
+from sim.experiments.camera_view import camera_view
+from sim.presets import preset_design
+from sim.surface_meshes.finger_shape import pressed_shape, rest_shape
+from sim.surface_meshes.stored_shape import store_shapes
+
+SMALL = TactileCamera(width_px=160, height_px=120)
+
+
+def pixels(png):
+    return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+
+
+def polygon_area(polygons):
+    y, z = polygons[..., 0], polygons[..., 1]
+    return np.abs((y * np.roll(z, -1, axis=1) - np.roll(y, -1, axis=1) * z).sum(axis=1)).sum() / 2.0
+
+
+def test_the_cut_through_base_plate_and_backing_has_their_size():
+    finger = finger_outline(FingerDesign())
+    skeleton, (low, _) = finger.design.skeleton, finger.bounds_mm
+    base = side_polygons(finger, "base_plate", 0.01)
+    deep = finger.layout.front_outer_mm - low[1]
+    # its back end follows the curve of the back fin, which is a little oblique
+    assert polygon_area(base) == pytest.approx(deep * skeleton.base_thickness_mm, rel=0.05)
+    backing = side_polygons(finger, "backing", 0.01)
+    ends = backing[..., 0].min(), backing[..., 0].max()
+    # an offset curve, slightly inclined: as long as its ends are apart, to 5 %
+    assert polygon_area(backing) >= skeleton.backing.thickness_mm * (ends[1] - ends[0])
+    assert polygon_area(backing) == pytest.approx(skeleton.backing.thickness_mm * (ends[1] - ends[0]), rel=0.05)
+
+
+def test_ribs_stand_beside_the_cut_and_not_in_it():
+    finger = finger_outline(FingerDesign())
+    beyond, cut = (side_polygons(finger, "skeleton", x) for x in (0.95 * finger.layout.half_width_mm, 0.01))
+    z_rib = float(finger.layout.ribs[2, :, 0].mean())
+
+    def has_material(polygons, y):
+        low, high = polygons.min(axis=1), polygons.max(axis=1)
+        return ((low < (z_rib, y)) & (high > (z_rib, y))).all(axis=1).any()
+
+    assert has_material(beyond, -6.0)
+    assert not has_material(cut, -6.0)
+
+
+def test_outer_edges_are_those_of_one_polygon():
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    edges = outer_edges(np.stack([square, square + np.array([1.0, 0.0])]))
+    assert len(edges) == 6
+    assert np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).sum() == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_labels_keep_their_distance_and_move_as_little_as_possible(seed):
+    rng = np.random.default_rng(seed)
+    wanted, widths = np.sort(rng.uniform(0.0, 50.0, 6)), rng.uniform(4.0, 12.0, 6)
+    limits = (-5.0, 60.0)
+    centres = spread(wanted, widths, limits)
+    room = np.diff(centres) - (widths[1:] + widths[:-1]) / 2.0
+    assert room.min() > -1e-9
+    # truth: the same least squares with the same constraints by a general solver
+    bounds = [
+        {"type": "ineq", "fun": lambda c: np.diff(c) - (widths[1:] + widths[:-1]) / 2.0},
+        {"type": "ineq", "fun": lambda c: np.r_[c[0] - widths[0] / 2 - limits[0], limits[1] - c[-1] - widths[-1] / 2]},
+    ]
+    best = minimize(lambda c: ((c - wanted) ** 2).sum(), centres + 0.1, constraints=bounds, method="SLSQP")
+    np.testing.assert_allclose(centres, best.x, atol=1e-3)  # of 65 mm, as far as the solver goes
+
+
+@pytest.mark.parametrize("name", ["flat-70x35-two-lights", "original-60x22", "wide-50x60", "ellipsoidal-30-12-90"])
+def test_ready_made_fingers_are_drawn(name):
+    picture = pixels(finger_png(preset_design(name)))
+    assert picture.shape[1] == 1320
+    # of each part, in its own colour: gel, skeleton, base plate, mirror, light, painted walls (blue, green, red)
+    for colour in ("f6e7c1", "b8c0c8", "7d8590", "56B4E9", "0072B2", "D55E00", "009E73"):
+        bgr = np.array([int(colour[k : k + 2], 16) for k in (4, 2, 0)])
+        assert (picture == bgr).all(axis=-1).sum() > 200
+
+
+def test_a_page_holds_drawing_and_view(scalar, tmp_path):
+    design = FingerDesign(camera=SMALL)
+    view = camera_view(design, tmp_path, scalar)
+    page, drawing = pixels(finger_page_png(view)), pixels(finger_png(design))
+    assert page.shape[0] == pytest.approx(drawing.shape[0] + 4.8 * 120, abs=1)
+
+
+def press_records(depth_mm, unreached=""):
+    design = FingerDesign(indenter=Indenter(depth_mm=depth_mm))
+    surfaces = store_shapes(rest_shape(design), pressed_shape(design), "press")
+    depth = np.array([0.5, 1.0]) * (depth_mm if not unreached else 0.8 * depth_mm)
+    mechanics = PressMechanics(
+        name="press", label="analytic", preset="coarse", depth_mm=depth, force_n=np.outer(depth, [0.0, 2.0, 0.0]),
+        energy_n_mm=depth**2, iterations=np.array([3, 4]), largest_pressure_mpa=0.1, unreached=unreached, design=design,
+    )  # fmt: skip
+    return mechanics, surfaces
+
+
+def test_a_deeper_press_is_seen_and_a_push_that_ended_early_is_marked():
+    shallow, deep = (pixels(pressed_finger_png(*press_records(depth))) for depth in (0.5, 3.0))
+    assert shallow.shape == deep.shape == (1056, 1560, 3)
+    assert (shallow != deep).any(axis=-1).mean() > 0.01
+    vermillion = np.array([0x00, 0x5E, 0xD5])
+
+    def marked(picture):
+        return (picture == vermillion).all(axis=-1).sum()
+
+    early = pixels(pressed_finger_png(*press_records(3.0, "no equilibrium")))
+    assert marked(deep) == 0
+    assert marked(early) > 50

@@ -1,0 +1,80 @@
+"""A whole finger pressed by finite elements on the coarse mesh."""
+
+import numpy as np
+import pytest
+
+from data_schemas.design import FingerDesign, Indenter
+from data_schemas.errors import SimulateError
+from sim.experiments.mechanical_press import press_records
+from sim.mechanics.press import contact_distance, press_finger
+from sim.surface_meshes.intersections import check_no_intersections
+from sim.surface_meshes.stored_shape import restore_shapes
+from sim.surface_meshes.surface import check_closed
+
+DESIGN = FingerDesign(indenter=Indenter(depth_mm=1.0))
+
+
+@pytest.fixture(scope="module")
+def pressed():
+    steps = []
+    result = press_finger(DESIGN, increments=2, progress=lambda *step: steps.append(step))
+    assert steps == [(1, 2, "pressed to 0.50 mm"), (2, 2, "pressed to 1.00 mm")]
+    return result
+
+
+@pytest.fixture(scope="module")
+def records():
+    return press_records(DESIGN, press_finger(DESIGN, increments=1))
+
+
+def test_the_force_pushes_back_along_the_normal_and_grows(pressed):
+    np.testing.assert_allclose(pressed.depth_mm, [0.5, 1.0])
+    assert 0.0 < pressed.force_n[0, 1] < pressed.force_n[1, 1]
+    # the finger is its own mirror image; the equilibrium is known to 1e-6 of the force
+    assert np.abs(pressed.force_n[:, 0]).max() < 1e-4 * pressed.force_n[1, 1]
+    assert not pressed.unreached
+
+
+def test_the_work_of_the_indenter_is_the_stored_energy(pressed):
+    # F grows from 0; two trapezoids of a nearly straight curve differ from its integral by a few parts in a hundred
+    depth, force = np.r_[0.0, pressed.depth_mm], np.r_[0.0, pressed.force_n[:, 1]]
+    assert np.trapezoid(force, depth) == pytest.approx(pressed.energy_n_mm[-1], rel=0.05)
+
+
+def test_one_step_reaches_what_two_reach(pressed, records):
+    mechanics, _ = records
+    # the finger has one equilibrium at this push, and both are known to 1e-6 of the force
+    assert mechanics.force_n[-1, 1] == pytest.approx(pressed.force_n[-1, 1], rel=1e-4)
+
+
+def test_the_base_holds_still_and_the_coat_goes_down_under_the_indenter(pressed):
+    last = pressed.displacement_mm[-1]
+    np.testing.assert_array_equal(last[pressed.mesh.node_sets["fixed"]], 0.0)
+    coat = pressed.mesh.node_sets["coat"]
+    under = coat[np.abs(pressed.mesh.nodes_mm[coat, 2] - 35.0) < 1.1]
+    # all of the push, but for what the contact's penalty gives way and for the chord of an element of 2 mm
+    assert np.all(last[under, 1] == pytest.approx(-1.0, abs=0.1))
+
+
+def test_the_contact_lies_under_the_indenter(pressed):
+    coat = pressed.mesh.node_sets["coat"]
+    distance = contact_distance(pressed, coat)
+    inside = pressed.mesh.nodes_mm[coat][distance <= 1.0]
+    assert len(inside) > 0
+    # the chord of the cylinder at the whole push is more than the patch of a finger that gives way
+    assert np.abs(inside[:, 2] - 35.0).max() <= np.sqrt(2 * 10.0 * 1.0)
+
+
+def test_the_surfaces_close_and_the_gel_keeps_its_volume(records):
+    mechanics, stored = records
+    rest, shape = restore_shapes(stored)
+    check_no_intersections(shape.gel)
+    # K/mu = 20: a confined pad loses up to 1 % of its volume at this push
+    assert check_closed(shape.gel) == pytest.approx(check_closed(rest.gel), rel=0.01)
+    assert shape.label == "finite elements, push of 1 mm"
+    assert mechanics.label.startswith("finite elements, coarse mesh, ")
+
+
+def test_a_press_without_depth_is_refused():
+    with pytest.raises(SimulateError, match="a press needs a depth above 0 mm"):
+        press_finger(FingerDesign(indenter=Indenter(depth_mm=0.0)))
