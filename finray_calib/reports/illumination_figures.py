@@ -93,8 +93,8 @@ def light_angle_png(study: LightAngleIntensity) -> bytes:
         panels[1, p].set_xlabel("light angle: panel's normal from the pad plane (deg)")
     panels[0, 0].set_ylabel("blue light, relative to each curve's highest")
     panels[1, 0].set_ylabel("painted bands with mirror,\nrelative to each curve's highest")
-    for row in panels:
-        row[0].legend(loc="lower left")
+    for axes in (*panels[0], panels[1, 0]):
+        axes.legend(loc="lower left")
     figure.supxlabel(
         f"{study.design.name}; panel {study.led_depth_mm:g} mm below the inner face. Bars: 95 % limits of the maximum "
         f"(bootstrap over {study.radiance_rel.shape[2]} repeats of {study.samples} paths).",

@@ -292,5 +292,5 @@ def test_a_singular_matrix_is_named():
 def test_without_pardiso_superlu_takes_over(monkeypatch):
     monkeypatch.setitem(sys.modules, "pypardiso", None)
     assert type(linear_solver()).__name__ == "SuperLU"
-    with pytest.raises(MissingExtraError, match=r"needs pypardiso.*finray-calib\[pardiso\]"):
+    with pytest.raises(MissingExtraError, match=r"needs pypardiso.*elsewhere choose superlu"):
         linear_solver("pardiso")
