@@ -111,11 +111,6 @@ class Coating(Model):
     roughness_alpha: Annotated[float, Field(gt=0.0, le=1.0, description="GGX alpha")] = 0.25
     diffuse_share: Fraction = 0.35
     diffuse_reflectance: Fraction = 0.6
-    roughness_map: str | None = Field(
-        default=None,
-        description="grey image over the pad (columns across, rows along, base first) that multiplies roughness_alpha, "
-        "white = 1: the striations of a printed mould",
-    )
 
 
 class LightPanel(Model):

@@ -8,8 +8,12 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from data_schemas.errors import FinrayError, RecordError
+
+if TYPE_CHECKING:
+    from data_schemas.design import FingerDesign
 
 Progress = Callable[[int, int, str], None]
 LONGEST_NAME = 80
@@ -87,6 +91,12 @@ def naming(kind: type[FinrayError], *paths: Path) -> Iterator[None]:
         yield
     except kind as error:
         raise type(error)(f"{' and '.join(map(str, paths))}: {error}") from None
+
+
+def design_inputs(design: "FingerDesign", path: Path) -> list[Path]:
+    """Return the design's file and those that it names."""
+    named = [design.camera.calibration, None if design.camera.response == "assumed" else design.camera.response]
+    return [path, *(path.parent / name for name in named if name is not None)]
 
 
 def input_digests(paths: Iterable[Path]) -> dict[str, str]:

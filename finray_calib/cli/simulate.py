@@ -7,6 +7,7 @@ from finray_calib.cli.options import (
     add_out,
     add_seed,
     command_line,
+    design_inputs,
     file_name,
     input_digests,
     progress_bar,
@@ -76,6 +77,23 @@ def _count(text: str) -> int:
     return int(text)
 
 
+def _require_mechanics_only(arguments: argparse.Namespace) -> None:
+    """Refuse what only the optics reads."""
+    from data_schemas.errors import SimulateError
+
+    optical: dict[str, object] = {
+        "paint": [],
+        "angles": None,
+        "surfaces": None,
+        "level": "b",
+        "samples": None,
+        "denoise": False,
+    }
+    for name, default in optical.items():
+        if getattr(arguments, name) != default:
+            raise SimulateError(f"--{name} belongs to the optics; leave it out with --only mechanics")
+
+
 def _even(text: str) -> int:
     """Parse an even number: a press is rendered as two independent halves, whose difference is the noise."""
     if not text.isdecimal() or int(text) < 2 or int(text) % 2:
@@ -115,6 +133,7 @@ def run(arguments: argparse.Namespace) -> None:
     kind = "press" if arguments.angles is None else "sweep"
     out = arguments.out or Path(f"{file_name(design.name)}.{kind}.json")
     if arguments.only == "mechanics":
+        _require_mechanics_only(arguments)
         from finray_calib.cli.simulate_mechanics import simulate_mechanics_verb
 
         origin = provenance(command_line(), input_digests([arguments.design]), None)
@@ -127,8 +146,8 @@ def run(arguments: argparse.Namespace) -> None:
         raise SimulateError("--paint: a colour is given twice; give one file for red and one for green")
     if arguments.angles is not None and arguments.level != "b":
         raise SimulateError(
-            f"--level {arguments.level}: its walls know no light angle, so that a sweep would show nothing; leave out "
-            "--level, or --angles"
+            f"--level {arguments.level}: sweeps are made with level b (the paper's emitters of level a know no light "
+            "angle, level c is too noisy); leave out --level, or --angles"
         )
     if arguments.angles is not None and arguments.surfaces is not None:
         raise SimulateError("--surfaces: a sweep is made beside the analytic press; leave out --surfaces, or --angles")
@@ -141,7 +160,11 @@ def run(arguments: argparse.Namespace) -> None:
     meshes = [] if arguments.surfaces is None else [arguments.surfaces]
     shapes = restore_shapes(read_record(meshes[0], FingerSurfaces)) if meshes else None
     finger = paint_finger(design, calibrations, arguments.design.parent, arguments.engine)
-    origin = provenance(command_line(), input_digests([arguments.design, *files.values(), *meshes]), arguments.seed)
+    origin = provenance(
+        command_line(),
+        input_digests([*design_inputs(design, arguments.design), *files.values(), *meshes]),
+        arguments.seed,
+    )
     with progress_bar("simulate") as progress:
         if arguments.only == "optics":
             simulate_optics(

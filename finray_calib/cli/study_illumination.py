@@ -11,6 +11,7 @@ from finray_calib.cli.options import (
     add_out,
     add_seed,
     command_line,
+    design_inputs,
     input_digests,
     progress_bar,
     require_new,
@@ -86,7 +87,8 @@ def run_study(study: _Study, arguments: argparse.Namespace) -> None:
 
     out = require_new(arguments.out or Path(study.name))
     finger, paints = _finger(study, arguments)
-    files = [*([] if arguments.design is None else [arguments.design]), *dict(arguments.paint).values()]
+    designs = [] if arguments.design is None else design_inputs(finger.design, arguments.design)
+    files = [*designs, *dict(arguments.paint).values()]
     origin = provenance(command_line(), input_digests(files), arguments.seed)
     with progress_bar(study.name) as progress:
         record = study.make(finger, arguments.seed, arguments.samples, paints, progress)

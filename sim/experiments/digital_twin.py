@@ -91,7 +91,7 @@ def capture_twin(
         exposure_s=EXPOSURE_S,
         light_angle_deg=nominal_angle_deg,
         indenter=IndenterPose(
-            shape="cylinder",
+            shape=indenter.shape,
             radius_mm=indenter.radius_mm,
             depth_mm=indenter.depth_mm,
             position_mm=indenter.position_mm,

@@ -32,8 +32,9 @@ def light_at_the_tip(design: FingerDesign) -> LightPanel:
         return design.second_light
     base = design.light
     x, y, z = base.position_mm
+    angle_deg = 180.0 - base.angle_deg if base.angle_deg >= 0.0 else -180.0 - base.angle_deg
     place = (x, _TIP_DEPTH_FACTOR * y, design.pad.length_mm - z)
-    return LightPanel.model_validate({**base.model_dump(), "position_mm": place, "angle_deg": 180.0 - base.angle_deg})
+    return LightPanel.model_validate({**base.model_dump(), "position_mm": place, "angle_deg": angle_deg})
 
 
 def study_two_lights(

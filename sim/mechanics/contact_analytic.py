@@ -43,6 +43,9 @@ class PenaltyContact:
         be driven by supports or by a load.
     points_per_edge
         Gauss points along each side of a face.
+    curvature
+        False leaves eps g H out of the second derivative: at a jump of the body g is the whole step, and the term's
+        negative stiffness sends points sideways; at equilibrium g is a micrometre and the term worth nothing.
     """
 
     def __init__(
@@ -54,6 +57,7 @@ class PenaltyContact:
         stiffness_mpa_per_mm: float,
         reference_node: int | None = None,
         points_per_edge: int = 2,
+        curvature: bool = True,
     ) -> None:
         if not 0.0 < stiffness_mpa_per_mm < math.inf:
             raise SimulateError(f"a contact's stiffness must be above 0 MPa/mm, got {stiffness_mpa_per_mm:g}")
@@ -61,6 +65,7 @@ class PenaltyContact:
         self.quads = quads
         self._rest = nodes_mm
         self._eps = stiffness_mpa_per_mm
+        self._curvature = curvature
         self._reference = reference_node
         at, weights = np.polynomial.legendre.leggauss(points_per_edge)
         self._shapes, slopes = quad_shapes(np.stack(np.meshgrid(at, at), -1).reshape(-1, 2))
@@ -124,7 +129,7 @@ class PenaltyContact:
         kept = (distance < 0.0) if self._reference is None else np.ones(len(face), dtype=bool)
         scale = self._eps * self._areas.ravel()[kept] * (distance[kept] < 0.0)
         blocks = normal[kept, :, None] * normal[kept, None, :]
-        if not project:
+        if self._curvature and not project:
             blocks = blocks + distance[kept, None, None] * curvature[kept]
         nodes, weights = self.quads[face[kept]], self._shapes[number[kept]]
         if self._reference is not None:

@@ -14,7 +14,7 @@ from sim.mechanics.contact_analytic import PenaltyContact
 from sim.mechanics.elements import Elasticity
 from sim.mechanics.finger_mesh import STEPS, Preset, finger_mesh
 from sim.mechanics.linear_solver import linear_solver
-from sim.mechanics.materials import LinearElastic, Ogden, neo_hooke
+from sim.mechanics.materials import LinearElastic, Ogden, check_stability, neo_hooke
 from sim.mechanics.mesh import FingerMesh
 from sim.mechanics.newton import Increment, Supports, load_increments
 from sim.mechanics.signed_distances import Body, Cylinder, Pose, Sphere
@@ -130,12 +130,20 @@ def press_finger(
 
 
 def finger_materials(design: FingerDesign) -> dict[str, Ogden | LinearElastic]:
-    """Return the engine's materials by the names that the mesh's blocks give."""
+    """Return the engine's materials by the names that the mesh's blocks give.
+
+    Raises
+    ------
+    SimulateError
+        When a rubber's constants make it unstable.
+    """
     found: dict[str, Ogden | LinearElastic] = {}
     for name in type(design.mechanics).model_fields:
         solid = getattr(design.mechanics, name)
         if isinstance(solid, OgdenSolid):
-            found[name] = Ogden(solid.mu_mpa, solid.alpha, solid.bulk_over_shear)
+            rubber = Ogden(solid.mu_mpa, solid.alpha, solid.bulk_over_shear)
+            check_stability(rubber)
+            found[name] = rubber
         elif isinstance(solid, NeoHookeSolid):
             found[name] = neo_hooke(solid.c10_mpa, solid.bulk_over_shear)
         elif isinstance(solid, ElasticSolid):
@@ -171,7 +179,7 @@ def _contact(design: FingerDesign, mesh: FingerMesh, step_mm: float) -> PenaltyC
     radius = design.indenter.radius_mm
     body: Body = Cylinder(radius) if design.indenter.shape == "cylinder" else Sphere(radius)
     stiffness = _CONTACT_MODULI_PER_STEP * shear_mpa / step_mm
-    return PenaltyContact(mesh.nodes_mm, mesh.surfaces["coat"], body, _pose(design, 0.0), stiffness)
+    return PenaltyContact(mesh.nodes_mm, mesh.surfaces["coat"], body, _pose(design, 0.0), stiffness, curvature=False)
 
 
 def _pose(design: FingerDesign, depth_mm: float) -> Pose:

@@ -24,6 +24,8 @@ _LED_HALF_SPAN_FWHM = 3.0
 _LARGEST_SHARE_OUTSIDE = 0.20
 # a measured paint may exceed energy balance by rounding only
 _ENERGY_TOLERANCE = 1e-9
+# and its photons by what means over bands leave out
+_PHOTON_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +135,13 @@ def paint_bands(red: PaintOptics, green: PaintOptics, light: LightPanel) -> Pain
                 raise SimulateError(
                     f"paint {paint.name} returns more energy than the {source} brings: reflectance plus emitted share "
                     f"at {band.centroid_nm:.0f} nm make {out:.3f} and must not exceed 1; check the paint's calibration"
+                )
+            photons = reflectance[key][BAND_NAMES.index(name)]
+            photons += conversion[key][BAND_NAMES.index(name)] * emissions[key][0].centroid_nm / band.centroid_nm
+            if photons > 1.0 + _PHOTON_TOLERANCE:
+                raise SimulateError(
+                    f"paint {paint.name} returns {photons:.3f} photons for each one at {band.centroid_nm:.0f} nm; "
+                    "reflected and emitted photons must not exceed 1: check the paint's yield and reflectance"
                 )
     return PaintBands(bands, reflectance, conversion, cut)
 

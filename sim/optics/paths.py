@@ -33,7 +33,8 @@ _LARGEST_SURVIVAL = 0.95
 _LIFT_MM = 2e-3
 # how a path left its last surface that was not a smooth interface
 _FROM_SURFACE, _STRAIGHT_OUT, _OTHER_WAY, _FROM_EYE = 0, 1, 2, 3
-_CHANNELS_PER_WALL = 4
+# texels are fetched in packets of this many chains
+_PACKET = 4
 _SMALLEST_COSINE = 1e-4
 # panels light different parts of the pad, so none is drawn more rarely than this
 _SMALLEST_SHARE = 0.25
@@ -68,12 +69,7 @@ class BandPaths(mi.SamplingIntegrator):
             mi.ShapePtr(by_name[name]) for name in ("inner", "red", "green", "coat")
         )
         self.panel_shapes = [mi.ShapePtr(by_name[f"panel{k}"]) for k in range(len(self.panels))]
-        normal = np.ones(1)
-        film = face.film
-        self.film_index = 1.0 if film is None else film.refractive_index
-        self.film_at_normal = (
-            1.0 if film is None else float(film_transmittance(normal, normal, face.index, film.refractive_index)[0])
-        )
+        self.film_index = 1.0 if face.film is None else face.film.refractive_index
         # numbers that vary between scenes must not become constants of the compiled kernel
         dr.make_opaque(self.index, self.gap, self.inner, self.red, self.green, self.coat, self.panel_shapes)
 
@@ -82,7 +78,8 @@ class BandPaths(mi.SamplingIntegrator):
         further = tuple(chain for chain in emission if chain not in FIRST_CHAINS)
         self.chains = FIRST_CHAINS + further
         self.of_wall = {w: [c for c in self.chains if c.split(">")[-1] == w] for w in ("red", "green")}
-        texels = np.zeros((2, TEXELS_ALONG, TEXELS_UP, _CHANNELS_PER_WALL), dtype=np.float32)
+        self.packets = -(-max(len(chains) for chains in self.of_wall.values()) // _PACKET)
+        texels = np.zeros((2, TEXELS_ALONG, TEXELS_UP, self.packets * _PACKET), dtype=np.float32)
         for k, wall in enumerate(("red", "green")):
             for channel, chain in enumerate(self.of_wall[wall]):
                 texels[k, ..., channel] = emission.get(chain, 0.0)
@@ -93,17 +90,23 @@ class BandPaths(mi.SamplingIntegrator):
         """Return the names of the channels beyond the first three chains."""
         return list(self.chains[len(FIRST_CHAINS) :])
 
-    def wall_radiance(self, si: Any, is_green: Any, active: Any) -> Any:
-        """Return the emission at wall points, bilinear between texel centres, one component per chain of the wall."""
+    def wall_radiance(self, si: Any, is_green: Any, active: Any) -> list[Any]:
+        """Return the emission at wall points, bilinear between texel centres, one value per chain of the wall."""
         x = dr.clip(si.uv.x * TEXELS_UP - 0.5, 0.0, TEXELS_UP - 1.0)
         y = dr.clip(si.uv.y * TEXELS_ALONG - 0.5, 0.0, TEXELS_ALONG - 1.0)
         i, j = (dr.minimum(mi.UInt32(t), most - 2) for t, most in ((x, TEXELS_UP), (y, TEXELS_ALONG)))
         s, t = x - mi.Float(i), y - mi.Float(j)
         first = (dr.select(is_green, mi.UInt32(TEXELS_ALONG), mi.UInt32(0)) + j) * TEXELS_UP + i
-        corner = [
-            dr.gather(mi.Vector4f, self.texels, first + (b * TEXELS_UP + a), active) for b in (0, 1) for a in (0, 1)
-        ]
-        return (1 - t) * ((1 - s) * corner[0] + s * corner[1]) + t * ((1 - s) * corner[2] + s * corner[3])
+        radiance: list[Any] = []
+        for packet in range(self.packets):
+            corner = [
+                dr.gather(mi.Vector4f, self.texels, (first + (b * TEXELS_UP + a)) * self.packets + packet, active)
+                for b in (0, 1)
+                for a in (0, 1)
+            ]
+            mixed = (1 - t) * ((1 - s) * corner[0] + s * corner[1]) + t * ((1 - s) * corner[2] + s * corner[3])
+            radiance += [mixed[k] for k in range(_PACKET)]
+        return radiance
 
     def panel_point(self, sample: Any) -> tuple[Any, Any, Any]:
         """Return a point on a panel drawn by its light, (normal, beam exponent), and radiance over density in mm^2."""
@@ -158,7 +161,7 @@ class BandPaths(mi.SamplingIntegrator):
         return seen, in_gel, weight
 
     def film_factor(self, si: Any, transmitted: Any) -> Any:
-        """Return what the film changes where a path meets the inner face, beyond the scene's factor."""
+        """Return what the film changes where a path meets the inner face: the scene knows a bare one."""
         cosine = dr.minimum(dr.abs(mi.Frame3f.cos_theta(si.wi)), 1.0)
         sine2 = 1.0 - cosine * cosine
         n: Any = self.index
@@ -169,7 +172,7 @@ class BandPaths(mi.SamplingIntegrator):
         relative = film_transmittance(cos_gel, cos_air, n, self.film_index)
         bare_reflectance: Any = mi.fresnel(dr.select(from_gel, -cosine, cosine), n)[0]
         reflected = (1.0 - (1.0 - bare_reflectance) * relative) / bare_reflectance
-        return dr.select(transmitted, relative / self.film_at_normal, reflected)
+        return dr.select(transmitted, relative, reflected)
 
     @dr.syntax
     def sample(  # type: ignore[no-untyped-def]

@@ -28,6 +28,9 @@ BAKE_SAMPLES = {False: 64_000, True: 12_000}
 SURROUNDINGS_SHARE = 8
 """Pixels that see neither coat nor walls get this many times fewer paths: nothing is measured there."""
 
+# a bent finger at rest would be shorter; meshes keep their size to rounding
+_SIZE_TOLERANCE_REL = 0.02
+
 RenderLevel = Level | Literal["c"]
 """A level of :data:`sim.optics.wall_emission.Level`, or c: fluorescence traced along each path, the reference."""
 
@@ -114,11 +117,13 @@ def render_press(
         raise SimulateError(
             f"samples_per_pixel must be an even number of at least 2 (two independent halves), got {samples_per_pixel}"
         )
+    _check_scalar(design, renderer)
     start = time.monotonic()
     bands = check_paints(design, paints)
     timings: dict[str, float] = {}
     images, variances = {}, {}
     rest, pressed = shapes or (rest_shape(design), pressed_shape(design))
+    _check_size(design, rest)
     for shape in (rest, pressed):
         check_no_intersections(shape.gel)
     by_name = {"no contact": rest, "contact": pressed}
@@ -161,7 +166,7 @@ def render_press(
         timings_s=timings,
         variant=variant,
         level=level,
-        label=f"rendered, {'level c' if level == 'c' else LEVEL_NAMES[level]}, {variant}",
+        label=f"rendered, {'level c' if level == 'c' else LEVEL_NAMES[level]}, {variant}{_left_out(design, variant)}",
     )
 
 
@@ -211,6 +216,30 @@ def lit_integrator(
 
     integrator = band_integrator(scene, design, shape, light)
     return integrator, integrator.chains
+
+
+def _left_out(design: FingerDesign, variant: str) -> str:
+    """Say what Mitsuba's own integrators, which a scalar variant needs, cannot render."""
+    return ", without the film" if variant == SCALAR_VARIANT and design.pad.film is not None else ""
+
+
+def _check_size(design: FingerDesign, rest: FingerShape) -> None:
+    """Refuse surfaces of another finger: their coordinates would be read with this one's sizes."""
+    extent = np.ptp(rest.surfaces["coat"].vertices_mm, axis=0)
+    for name, size, meshed in (("width", design.pad.width_mm, extent[0]), ("length", design.pad.length_mm, extent[2])):
+        if abs(meshed - size) > _SIZE_TOLERANCE_REL * size:
+            raise SimulateError(
+                f"the surfaces belong to another finger: their pad has a {name} of {meshed:.3g} mm, the design's "
+                f"pad.{name}_mm is {size:g} mm"
+            )
+
+
+def _check_scalar(design: FingerDesign, renderer: ModuleType) -> None:
+    """Refuse what a scalar variant would render wrongly."""
+    if renderer.variant() == SCALAR_VARIANT and any(light.beam_exponent != 1.0 for light in design.lights):
+        raise SimulateError(
+            "light.beam_exponent: a scalar variant renders Lambertian panels (1) only; take 1, or install LLVM 17+"
+        )
 
 
 @dataclass(frozen=True, slots=True)

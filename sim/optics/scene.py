@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from data_schemas.camera_calibration import CameraCalibration
 from data_schemas.design import Coating, FingerDesign, LightPanel
 from data_schemas.errors import SimulateError
-from sim.optics.curved_refraction import film_transmittance
 from sim.optics.finger_view import Window, camera_pose
 from sim.optics.opencv_sensor import opencv_sensor
 from sim.optics.paint_bands import PaintBands
 from sim.optics.refracted_light import PanelFrame, panel_frame
-from sim.optics.variants import SCALAR_VARIANT
 from sim.surface_meshes.finger_shape import GEL_FACES, FingerShape
 from sim.surface_meshes.surface import Surface
 
@@ -87,7 +85,7 @@ def finger_scene(
         "integrator": {"type": "path", "max_depth": MAX_DEPTH, "rr_depth": ROULETTE_DEPTH},
         "coat": surface_mesh(renderer, "coat", surfaces["coat"], _metal(design, bands, renderer), smooth=True),
         "mirror": surface_mesh(renderer, "mirror", surfaces["mirror"], _mirror(design), smooth=True),
-        "inner": surface_mesh(renderer, "inner", surfaces["inner"], glass | _film(design, renderer), smooth=True),
+        "inner": surface_mesh(renderer, "inner", surfaces["inner"], glass, smooth=True),
         "box": _box(design, shape, renderer),
         "sensor": dict(sensor) if sensor is not None else camera_sensor(design, renderer),
     }
@@ -215,24 +213,11 @@ def diffuse(reflectance: float) -> dict[str, Any]:
 def _gel_face(design: FingerDesign) -> dict[str, Any]:
     """Return the bare face of the gel; its index is that at the LED, whose light must find its way exactly.
 
-    The painted bands see an index lower by up to 0.01, which moves what a pixel sees by less than 0.05 mm.
+    The painted bands see an index lower by up to 0.01, which moves what a pixel sees by less than 0.05 mm. A film on it
+    is the integrator's matter (:meth:`sim.optics.paths.BandPaths.film_factor`): Mitsuba's own know none.
     """
     index = design.pad.index_at(design.light.peak_wavelength_nm)
     return {"type": "dielectric", "int_ior": index, "ext_ior": 1.0}
-
-
-def _film(design: FingerDesign, renderer: ModuleType) -> dict[str, Any]:
-    """Return what the film changes at the inner face: its transmittance at normal incidence over the bare face's.
-
-    The band integrator adds what changes with the angle and sends back what does not pass. Mitsuba's own integrators
-    would lose that light, so that scalar variants render the bare face.
-    """
-    film = design.pad.film
-    if film is None or renderer.variant() == SCALAR_VARIANT:
-        return {}
-    index, straight = design.pad.index_at(design.light.peak_wavelength_nm), np.ones(1)
-    transmittance = film_transmittance(straight, straight, index, film.refractive_index)[0]
-    return {"specular_transmittance": rgb(np.full(3, transmittance))}
 
 
 def _metal(design: FingerDesign, bands: PaintBands, renderer: ModuleType) -> dict[str, Any]:

@@ -282,9 +282,14 @@ CASES = (
     ),
     Case("bands as paint", SIMULATE + " --paint green={lab}/bands.json", r"bands\.json: is a BandSignals, a PaintCal"),
     Case(
+        "mechanics with paints",
+        "simulate {lab}/finger.toml --only mechanics --level c",
+        r"--level belongs to the optics; leave it out with --only mechanics",
+    ),
+    Case(
         "sweep of the paper's emitter",
         BOTH + " --angles 0:90:10 --level a",
-        r"--level a: its walls know no light angle",
+        r"--level a: sweeps are made with level b",
     ),
     Case(
         "unknown key in a finger",

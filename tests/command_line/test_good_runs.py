@@ -80,7 +80,7 @@ def test_rendered_press_compares_with_its_own_capture(rendered: Path, lab: Path,
     }
     press = read_record(rendered / "press.json", SimulatedPress)
     assert press.paints == {"red": digest, "green": digest}
-    assert press.label == "rendered, level b, scalar_rgb"
+    assert press.label == "rendered, level b, scalar_rgb, without the film"
 
     dn_per_unit = 60_000.0 / float(max(press.contact.max(), press.no_contact.max()))
     write_record(capture_of(press, dn_per_unit), tmp_path / "capture.json", provenance("pytest"))

@@ -28,6 +28,14 @@ def test_bands_have_unit_integral_and_the_energy_conversion_is_the_gaussian_area
     assert [band.centroid_nm for band in result.bands] == pytest.approx([600.0, 530.0, 450.0], abs=0.05)
 
 
+def test_a_paint_that_makes_photons_is_refused_although_its_energy_is_less():
+    # 0.35 reflected and 0.55 of the energy at 620 nm: 0.9 of the energy, and 0.35 + 0.55 x 620 / 450 = 1.108 photons
+    area = 15.0 * np.sqrt(2.0 * np.pi)
+    bright = paint("bright", peak=0.55 / area, center=620.0, reflectance=0.35)
+    with pytest.raises(SimulateError, match=r"paint bright returns 1\.108 photons for each one at 450 nm"):
+        paint_bands(bright, paint("green", center=530.0), LIGHT)
+
+
 def test_the_led_has_its_width_and_edge():
     band = led_band(LIGHT)
     half = band.wavelength_nm[band.density_per_nm >= band.density_per_nm.max() / 2.0]
@@ -71,7 +79,7 @@ def test_a_paint_that_gains_energy_is_refused():
     area = 15.0 * np.sqrt(2.0 * np.pi)
     with pytest.raises(SimulateError, match="paint glow returns more energy than the LED brings"):
         paint_bands(paint("glow", peak=0.71 / area, reflectance=0.3), paint(), LIGHT)
-    paint_bands(paint("bright", peak=0.69 / area, reflectance=0.3), paint(), LIGHT)
+    paint_bands(paint("bright", peak=0.5 / area, reflectance=0.3), paint(), LIGHT)
 
 
 @pytest.mark.parametrize("wavelength", [W, np.arange(380.0, 470.0)])

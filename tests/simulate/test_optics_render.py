@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from data_schemas.design import FingerDesign, LightPanel, Mirror, TactileCamera
+from data_schemas.design import FingerDesign, GelPad, Indenter, LightPanel, Mirror, TactileCamera
 from data_schemas.errors import SimulateError
 from sim.optics.angle_sweep import default_probe_points_mm, sweep_light_angle
 from sim.optics.paint_bands import paint_bands
@@ -14,7 +14,7 @@ from sim.optics.refracted_light import trace_crossing
 from sim.optics.render import BAKE_SAMPLES, render_press
 from sim.optics.scene import finger_scene
 from sim.optics.variants import choose_variant, open_renderer
-from sim.surface_meshes.finger_shape import pressed_shape
+from sim.surface_meshes.finger_shape import pressed_shape, rest_shape
 from sim.surface_meshes.pressed_pad import without_press
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=96, height_px=72))
@@ -38,7 +38,7 @@ def test_scalar_fallback_renders_a_press(scalar, paints):
     steps = []
     render = render_press(DESIGN, paints, scalar, samples_per_pixel=8, progress=lambda *step: steps.append(step))
     assert render.variant == "scalar_rgb"
-    assert render.label == "rendered, level b, scalar_rgb"
+    assert render.label == "rendered, level b, scalar_rgb, without the film"
     assert steps == [(1, 2, "rendered no contact"), (2, 2, "rendered contact")]
     assert render.contact_bands.shape == (36, 48, 3)
     assert render.contact_bands.dtype == np.float32
@@ -52,7 +52,21 @@ def test_scalar_sweep_and_level_a_work(scalar, paints):
     assert sweep.radiance_rel.shape == (2, 2, 4, 3)
     assert (sweep.radiance_rel[..., :2].mean(axis=(0, 1, 2)) > 0.0).all()
     render = render_press(DESIGN, paints, scalar, level="a", samples_per_pixel=2)
-    assert render.label == "rendered, level a (paper's emitter), scalar_rgb"
+    assert render.label == "rendered, level a (paper's emitter), scalar_rgb, without the film"
+
+
+def test_what_a_scalar_renderer_leaves_out_is_refused_or_said(scalar, paints):
+    beamed = DESIGN.model_copy(update={"light": LightPanel(beam_exponent=4.0)})
+    with pytest.raises(SimulateError, match=r"light\.beam_exponent: a scalar variant renders Lambertian panels"):
+        render_press(beamed, paints, scalar, samples_per_pixel=2)
+    with pytest.raises(SimulateError, match="level c runs in compiled variants only"):
+        render_press(DESIGN, paints, scalar, level="c", samples_per_pixel=2)
+
+
+def test_surfaces_of_another_finger_are_refused(scalar, paints):
+    other = FingerDesign(pad=GelPad(length_mm=48.0, width_mm=18.0), indenter=Indenter(position_mm=24.0))
+    with pytest.raises(SimulateError, match=r"belong to another finger: their pad has a width of 18 mm"):
+        render_press(DESIGN, paints, scalar, samples_per_pixel=2, shapes=(rest_shape(other), pressed_shape(other)))
 
 
 def test_a_panel_turned_away_leaves_finite_light(scalar, paints):
