@@ -211,9 +211,9 @@ def test_capture_goes_on_when_a_frozen_camera_comes_back(camera_process: FakeCam
         engine = TactileCamera(camera, SETTINGS, False, refused.append)
         assert engine.expose(EXPOSURE_S)[1] == 1
         camera_process.process.send_signal(signal.SIGSTOP)
-        timer = threading.Timer(2.0, camera_process.process.send_signal, [signal.SIGCONT])
-        timer.start()
-        assert engine.expose(EXPOSURE_S)[1] in (2, 3)
+        timer = threading.Timer(1.2, camera_process.process.send_signal, [signal.SIGCONT])
+        timer.start()  # back within the second attempt; a camera just woken may miss one more
+        assert 2 <= engine.expose(EXPOSURE_S)[1] <= 4
         timer.join()
     assert "did not answer within" in refused[0]
 
