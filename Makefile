@@ -78,7 +78,8 @@ $(OTHERS)/installed:
 	  alpaca-simulators==1.3.2 alpyca==3.1.3 pylablib==1.4.5
 	@touch $@
 
-RIG_PACKAGES := indi-bin aravis-tools-cli libaravis-0.8-0 qemu-system-misc gcc-avr avr-libc ffmpeg ustreamer socat
+RIG_PACKAGES := indi-bin aravis-tools-cli libaravis-0.8-0 qemu-system-misc gcc-avr avr-libc ffmpeg ustreamer socat \
+                calculix-ccx
 rig-programs:
 	@missing=""; for package in $(RIG_PACKAGES); do \
 	   dpkg-query -W -f '$${db:Status-Status}' $$package 2>/dev/null | grep -qx installed || missing="$$missing $$package"; \

@@ -155,7 +155,7 @@ class CaptureSession(Record):
 class IndenterPose(Model):
     """What was pressed, where and how deep; the circle or strip it touches. Uncertainties are standard ones."""
 
-    shape: Literal["cylinder", "ball"]
+    shape: Literal["cylinder", "ball", "cuboid", "mesh"]
     radius_mm: LengthMm
     depth_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})] | None
     position_mm: PositionMm | None = Field(description="along the pad, from the base")

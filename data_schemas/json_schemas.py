@@ -10,13 +10,14 @@ from data_schemas.check import AcceptanceReport, CheckPlan
 from data_schemas.compare import PhotometricErrorReport
 from data_schemas.decide import LightAngleDecision
 from data_schemas.design import FingerDesign
+from data_schemas.finger_stiffness import FingerStiffness
 from data_schemas.fit import PaintCalibration
 from data_schemas.illumination import FluorescentRendering, LightAngleIntensity, TwoLights
 from data_schemas.model import Record
 from data_schemas.paint_map import PaintMap
 from data_schemas.paper_paints import PaperPaints
 from data_schemas.plain_sensor import PlainSensor
-from data_schemas.press_mechanics import PressMechanics
+from data_schemas.press_mechanics import PressIncrement, PressMechanics
 from data_schemas.radiometry import BandSignals, PixelSignals
 from data_schemas.rig import RigFile
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
@@ -45,6 +46,8 @@ STORED: tuple[type[Record], ...] = (
     PaintCalibration,
     PaintMap,
     PaperPaints,
+    FingerStiffness,
+    PressIncrement,
     PressMechanics,
     FingerSurfaces,
     SimulatedPress,

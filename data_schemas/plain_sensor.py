@@ -100,7 +100,7 @@ class PlainSensor(Record):
         Raises
         ------
         ValueError
-            When the indenter lies beside the pad or goes through it.
+            When the indenter lies beside the pad.
         """
         return FingerDesign(pad=self.pad, coating=self.coating, indenter=self.indenter)
 

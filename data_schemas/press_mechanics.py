@@ -1,6 +1,6 @@
 """What pressing a finger takes: push, force and energy, increment by increment."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,9 @@ class PressMechanics(Record):
     force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "N")] = Field(
         description="force on the indenter: across the finger, along the pad's normal, along the finger"
     )
-    energy_n_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N mm")]
+    energy_n_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N mm", allow_nan=True)] = Field(
+        description="missing where another program's results do not tell it"
+    )
     iterations: Annotated[NDArray[np.int64], ArraySpec("<i8", ("increment",))]
     largest_pressure_mpa: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "MPa"})]
     unreached: str = Field(description="why the push ended early; empty when it did not")
@@ -34,5 +36,32 @@ class PressMechanics(Record):
 
     @model_validator(mode="after")
     def _lengths_agree(self) -> "PressMechanics":
+        check_dimensions(self)
+        return self
+
+
+class PressIncrement(Record):
+    """The state of a finger at one increment of a press, from which the press can go on."""
+
+    written_by: ClassVar[str] = "'finray simulate --only mechanics'"
+
+    preset: Literal["coarse", "medium", "fine"]
+    depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
+        description="push from first touch, of this and all increments before"
+    )
+    force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "N")]
+    energy_n_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N mm")]
+    iterations: Annotated[NDArray[np.int64], ArraySpec("<i8", ("increment",))]
+    nodes_mm: Annotated[NDArray[np.float64], ArraySpec("<f8", ("node", "3"), "mm")] = Field(
+        description="of the mesh at rest, by which it is known again"
+    )
+    displacement_mm: Annotated[NDArray[np.float64], ArraySpec("<f8", ("node", "3"), "mm")]
+    modes_mm: Annotated[NDArray[np.float64], ArraySpec("<f8", ("hexahedron", "3", "3"), "mm")] = Field(
+        description="incompatible modes of the hexahedra that have them, in the order of the mesh's blocks"
+    )
+    design: FingerDesign
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "PressIncrement":
         check_dimensions(self)
         return self

@@ -7,14 +7,37 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from data_schemas.arrays import ArraySpec, check_dimensions
+from data_schemas.curves import SpectralCurve
 from data_schemas.design import FingerDesign
-from data_schemas.model import Record
+from data_schemas.model import Model, Record
 from data_schemas.units import AngleDeg
 
 Image = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "3"))]
 Distance = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column"), "contact half-width", allow_nan=True)]
 Bands = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "band"), "W/m2/sr, relative")]
+Chains = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "chain"), "W/m2/sr, relative")]
 Floats = NDArray[np.float64]
+OfWalls = Annotated[Floats, ArraySpec("<f8", ("wall", "3"))]
+
+
+class RenderedLight(Model):
+    """Paints, LED and camera that the colours of a render rest on; what :mod:`sim.experiments.recolour` starts from.
+
+    bands: spectral density of red emission, green emission and LED, unit integral. Rows of the tables are walls,
+    columns bands: mean reflectance, and the share of the band's energy that the wall emits in its own band.
+    """
+
+    walls: tuple[str, ...] = ("red", "green")
+    bands: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
+    reflectance: OfWalls
+    conversion: OfWalls
+    response: tuple[SpectralCurve, SpectralCurve, SpectralCurve] = Field(description="of the camera: red, green, blue")
+    white_balance: tuple[float, float, float] = Field(default=(1.0, 1.0, 1.0), description="gains, in camera_matrix")
+
+    @model_validator(mode="after")
+    def _tables_agree(self) -> "RenderedLight":
+        check_dimensions(self, {"walls": "wall"})
+        return self
 
 
 class SimulatedPress(Record):
@@ -22,7 +45,10 @@ class SimulatedPress(Record):
 
     distance is the distance from the contact's centre in units of its half-width (radius), NaN off the pad:
     the contact patch is distance <= 1. Band images and the camera matrix are stored with a render, so that a
-    new yield, white balance or camera needs no new render: RGB = camera_matrix @ bands.
+    new yield, white balance or camera needs no new render: RGB = camera_matrix @ bands. A render that kept the light
+    of each chain of fluorescence apart ("led>green>red": green emission turned into red) holds it in ``*_chains``;
+    chains below half a per cent of their band were left out. A recoloured press keeps the chains as they were rendered,
+    with ``rendered_light``; all its other images are those of ``shown_light``.
     """
 
     name: str
@@ -35,7 +61,13 @@ class SimulatedPress(Record):
     variance: Image | None = Field(description="variance of the contact image from render noise")
     no_contact_bands: Bands | None = None
     contact_bands: Bands | None = None
+    contact_bands_variance: Bands | None = None
     bands: tuple[str, ...] = ()
+    no_contact_chains: Chains | None = None
+    contact_chains: Chains | None = None
+    chains: tuple[str, ...] = ()
+    rendered_light: RenderedLight | None = None
+    shown_light: RenderedLight | None = None
     camera_matrix: Annotated[Floats, ArraySpec("<f8", ("3", "band"))] | None = None
     light_angle_deg: AngleDeg | None
     design: FingerDesign | None
@@ -44,7 +76,7 @@ class SimulatedPress(Record):
 
     @model_validator(mode="after")
     def _images_agree(self) -> "SimulatedPress":
-        check_dimensions(self, {"bands": "band"})
+        check_dimensions(self, {"bands": "band", "chains": "chain"})
         return self
 
 

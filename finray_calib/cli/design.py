@@ -4,20 +4,36 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli.options import require_new, say
+from finray_calib.cli.options import file_name, naming, open_engine, require_new, say
 
 if TYPE_CHECKING:
     from data_schemas.design import FingerDesign
-    from sim.mechanics.printed_parts import Part
+    from sim.experiments.camera_view import CameraView
 
 HELP = "write a finger design; draw it, see what its camera sees, print its parts"
 DESCRIPTION = "Write a design file to start from, and look at a finger before anything is simulated."
 INIT_DESCRIPTION = "Write the design of a ready-made finger, with comments, to be edited."
 SHOW_DESCRIPTION = """\
 Say what part of the pad the camera sees through the mirror, how many sensor pixels fall on a millimetre, and what else
-is in the picture. With --out, draw the finger from the side and from the front, with the names of its parts and their
-sizes, and the camera's view below. With --stl, write what is printed: skeleton, base plate, backing (if there is one)
-and the mould of the pad."""
+is in the picture. With --out FILE.png, draw the finger from the side and from the front, with the names of its parts
+and their sizes, and the camera's view below. With --out FILE.html, write one page with that drawing, the finger to be
+turned round in a browser, and all its numbers with where they come from. With --stl, write what 'finray design export'
+writes as STL."""
+EXPORT_DESCRIPTION = """\
+Write what a finger is printed from, in mm and in the finger's axes (x across, y along the pad's outward normal, z along
+the finger), so that the parts fit together:
+
+  skeleton     fins, ribs and tip, one closed body
+  base_plate   a print of its own, because it is stiffer; --one-piece joins it to the skeleton (skeleton_and_base)
+  backing      plate on the back fin, where the design has one
+  mould        tray in which the pad is cast, coat down, open where the inner face will be; its rim carries the
+               film's flange. Upright walls, no allowance for shrinkage
+
+STL is for slicers. STEP (AP214) is for CAD programs: planes, and the exact cylinder or ellipsoid on the bottom of the
+mould; curved fins are strips of 1 mm, 0.3 um from their curve."""
+
+
+_DRAWINGS = (".png", ".html")
 
 
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -48,9 +64,28 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     )
     show.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML)")
     show.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
-    show.add_argument("--out", type=Path, metavar="PNG", help="drawing and camera's view; must be new")
+    show.add_argument(
+        "--out", type=Path, metavar="FILE", help="drawing (.png) or interactive page (.html); must be new"
+    )
     show.add_argument("--stl", type=Path, metavar="FOLDER", help="printed parts and mould (STL, mm); must be new files")
     show.set_defaults(run=run_show)
+    export = actions.add_parser(
+        "export",
+        help="files to print skeleton, base plate, backing and the pad's mould (STL, STEP)",
+        description=EXPORT_DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    export.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML)")
+    export.add_argument("--out", type=Path, metavar="FOLDER", help="default: NAME.print; must be new")
+    export.add_argument("--format", choices=["stl", "step", "both"], default="both", help="default: both")
+    export.add_argument("--one-piece", action="store_true", help="skeleton and base plate as one body")
+    export.add_argument(
+        "--lining-mm",
+        type=float,
+        metavar="MM",
+        help="sheet laid on the mould's bottom for a smooth pad (default: 0.1, the paper's Mylar; 0 if ellipsoidal)",
+    )
+    export.set_defaults(run=run_export)
 
 
 def run_list(arguments: argparse.Namespace) -> None:
@@ -79,31 +114,64 @@ def run_show(arguments: argparse.Namespace) -> None:
     from data_schemas.design import FingerDesign
     from data_schemas.storage import read_toml, write_bytes
     from sim.experiments.camera_view import camera_view
-    from sim.optics.variants import choose_variant, open_renderer
 
     design = read_toml(arguments.design, FingerDesign)
-    out = None if arguments.out is None else require_new(arguments.out)
-    parts = {} if arguments.stl is None else _printed_parts(design, arguments.stl)
-    view = camera_view(design, arguments.design.parent, open_renderer(choose_variant(arguments.engine)))
+    out = None if arguments.out is None else _drawing_path(arguments.out)
+    parts = {} if arguments.stl is None else _stl_files(design, arguments.stl)
+    view = camera_view(design, arguments.design.parent, open_engine(arguments.engine))
     say(str(view))
     if out is not None:
-        from finray_calib.reports.finger_figure import finger_page_png
-
-        write_bytes(out, finger_page_png(view))
+        write_bytes(out, _drawing(view, arguments.design.parent, out.suffix.lower()))
         say(f"{out}: written")
     for path, content in parts.items():
         write_bytes(path, content)
         say(f"{path}: written")
 
 
-def _printed_parts(design: "FingerDesign", folder: Path) -> dict[Path, bytes]:
-    """Return the STL files of a design, all of which must be new."""
-    from sim.mechanics.printed_parts import mould_stl, part_stl
+def _drawing_path(path: Path) -> Path:
+    """Return where the drawing goes, a new file whose ending says what it is."""
+    from data_schemas.errors import RecordError
 
-    printed: list[Part] = ["skeleton", "base_plate"]
-    if design.skeleton.backing is not None:
-        printed.append("backing")
-    for name in (*printed, "mould"):
-        require_new(folder / f"{name}.stl")
-    files = {folder / f"{name}.stl": part_stl(design, name) for name in printed}
-    return {**files, folder / "mould.stl": mould_stl(design)}
+    if path.suffix.lower() not in _DRAWINGS:
+        raise RecordError(f"{path}: a drawing's name must end in {' or '.join(_DRAWINGS)}; choose another --out")
+    return require_new(path)
+
+
+def _drawing(view: "CameraView", folder: Path, suffix: str) -> bytes:
+    """Return the drawing as a picture or as a page."""
+    from finray_calib.reports.finger_figure import finger_page_png
+
+    picture = finger_page_png(view)
+    if suffix == ".png":
+        return picture
+    from finray_calib.reports.finger_page import finger_page
+
+    return finger_page(view.design, picture, str(view), folder).encode()
+
+
+def _stl_files(design: "FingerDesign", folder: Path) -> dict[Path, bytes]:
+    """Return the STL files of a design, all of which must be new."""
+    from finray_calib.exchange.printable_parts import printable_parts
+
+    parts = printable_parts(design, ("stl",))
+    return {require_new(folder / f"{part.name}.stl"): part.files["stl"] for part in parts}
+
+
+def run_export(arguments: argparse.Namespace) -> None:
+    """Write the printed parts and the mould."""
+    from data_schemas.design import FingerDesign
+    from data_schemas.errors import SimulateError
+    from data_schemas.storage import read_toml, write_bytes
+    from finray_calib.exchange.printable_parts import PrintFormat, printable_parts
+
+    design = read_toml(arguments.design, FingerDesign)
+    folder = require_new(arguments.out or Path(f"{file_name(design.name)}.print"))
+    formats: tuple[PrintFormat, ...] = ("stl", "step") if arguments.format == "both" else (arguments.format,)
+    with naming(SimulateError, arguments.design):
+        parts = printable_parts(design, formats, arguments.one_piece, arguments.lining_mm)
+    for part in parts:
+        x, y, z = part.size_mm
+        for suffix, content in part.files.items():
+            write_bytes(folder / f"{part.name}.{suffix}", content)
+        names = " and ".join(f"{part.name}.{suffix}" for suffix in part.files)
+        say(f"{folder}: {names}: {x:.1f} x {y:.1f} x {z:.1f} mm (x, y, z)" + (f"; {part.note}" if part.note else ""))

@@ -1,13 +1,17 @@
-"""``finray export``: a calibrated paint in the formats of other programs."""
+"""``finray export``: a calibrated paint, or the press of a finger, in the formats of other programs."""
 
 import argparse
 from pathlib import Path
 
+from finray_calib.cli import export_deck
 from finray_calib.cli.options import add_out, add_seed, command_line, file_name, input_digests, require_new, say
 
-HELP = "write a fitted paint for other programs (CSV, netCDF, Mitsuba, bispectral EXR ...)"
+HELP = "write a fitted paint or a finger's press for other programs (CSV, netCDF, Mitsuba, Abaqus, CalculiX ...)"
+USAGE = """finray export [-h] PAINT --format FORMAT [options]
+       finray export [-h] deck DESIGN --dialect {abaqus,calculix} [--preset NAME] [--increments N] [--out FILE.inp]"""
 DESCRIPTION = """\
-Write a paint fitted by 'finray fit' in the format of another program.
+Write a paint fitted by 'finray fit' in the format of another program, or the press of a finger design (TOML) as an
+input deck of a finite-element program.
 
   csv              emission with 68 % and 95 % limits
   json             emission, absorption, reflectance and parameters with limits
@@ -17,7 +21,10 @@ Write a paint fitted by 'finray fit' in the format of another program.
   rgb-reradiation  light x camera R, G, B: what returns by reflectance and by fluorescence, with uncertainty (JSON)
   exr              mean reradiation matrix as bispectral OpenEXR (Fichet 2021)
 
-Formats that hold no uncertainty say so in their header."""
+Formats that hold no uncertainty say so in their header.
+
+Decks (mm, N, MPa) hold mesh, materials, contact and push, and say in their header what is assumed. What CalculiX makes
+of one, 'finray simulate DESIGN --only mechanics --engine calculix' reads back."""
 # Named here as well because the parser is built before anything heavy is imported; a test compares the two lists.
 SUFFIXES = {
     "csv": ".csv",
@@ -33,10 +40,13 @@ SUFFIXES = {
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
     parser = verbs.add_parser(
-        "export", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+        "export", help=HELP, usage=USAGE, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("paint", type=Path, metavar="PAINT", help="record written by 'finray fit'")
-    parser.add_argument("--format", choices=list(SUFFIXES), required=True, help="see above")
+    parser.add_argument(
+        "paint", type=Path, nargs="+", metavar="PAINT", help="record written by 'finray fit'; or 'deck' and a design"
+    )
+    parser.add_argument("--format", choices=list(SUFFIXES), help="of a paint, see above")
+    export_deck.add_options(parser)
     parser.add_argument(
         "--led",
         type=Path,
@@ -51,7 +61,7 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         metavar="CSV",
         help="camera of rgb-reradiation (wavelength_nm,red_percent,green_percent,blue_percent; default: assumed)",
     )
-    add_out(parser, "PAINT with the suffix of the format")
+    add_out(parser, "PAINT with the suffix of the format, or DESIGN.inp")
     add_seed(parser)
     parser.set_defaults(run=run)
 
@@ -68,12 +78,16 @@ def run(arguments: argparse.Namespace) -> None:
     from finray_calib.exchange.led_camera_matrix import assumed_led
     from finray_calib.exchange.paint_formats import PAINT_FORMATS, ExportOptions
 
+    if arguments.paint[0] == Path("deck"):
+        export_deck.run(arguments)
+        return
+    file = _one_paint(arguments)
     curves = [*(arguments.led or []), *([arguments.camera_response] if arguments.camera_response else [])]
     if curves and arguments.format != "rgb-reradiation":
         raise RecordError(
             f"--led and --camera-response belong to --format rgb-reradiation; leave them out for {arguments.format}"
         )
-    paint = read_record(arguments.paint, PaintCalibration)
+    paint = read_record(file, PaintCalibration)
     out = require_new(arguments.out or Path(file_name(paint.paint_name) + SUFFIXES[arguments.format]))
     options = ExportOptions(
         lights=tuple(read_light(path) for path in arguments.led or ()) or (assumed_led(),),
@@ -82,6 +96,22 @@ def run(arguments: argparse.Namespace) -> None:
         ),
         seed=arguments.seed,
     )
-    origin = provenance(command_line(), input_digests([arguments.paint, *curves]), arguments.seed)
+    origin = provenance(command_line(), input_digests([file, *curves]), arguments.seed)
     write_bytes(out, PAINT_FORMATS[arguments.format](paint, origin, options))
     say(f"{out}: paint '{paint.paint_name}' as {arguments.format}")
+
+
+def _one_paint(arguments: argparse.Namespace) -> Path:
+    """Return the paint, after a check that nothing of a deck is asked for."""
+    from data_schemas.errors import RecordError
+
+    export_deck.refuse_options(arguments)
+    if arguments.format is None:
+        raise RecordError(
+            f"--format is missing; give one of {', '.join(SUFFIXES)}. For the deck of a finger: finray export deck "
+            "DESIGN --dialect calculix"
+        )
+    if len(arguments.paint) > 1:
+        raise RecordError(f"{len(arguments.paint)} files are given; export writes one paint at a time")
+    paint: Path = arguments.paint[0]
+    return paint

@@ -1,6 +1,7 @@
 """The command ``finray``: six verbs, one per stage, and what stands beside them."""
 
 import argparse
+import gc
 import sys
 from collections.abc import Sequence
 
@@ -16,6 +17,7 @@ from finray_calib.cli import (
     fit,
     import_captures,
     radiometry,
+    recolour,
     rig,
     simulate,
     study,
@@ -23,7 +25,23 @@ from finray_calib.cli import (
 
 USER_MISTAKE = 2
 INTERRUPTED = 130
-VERBS = (capture, radiometry, fit, simulate, compare, decide, import_captures, export, rig, check, design, study, demo)
+OBJECTS_PER_COLLECTION = 100_000  # loading packages makes few cycles: looking for them took a tenth of a short verb
+VERBS = (
+    capture,
+    radiometry,
+    fit,
+    simulate,
+    recolour,
+    compare,
+    decide,
+    import_captures,
+    export,
+    rig,
+    check,
+    design,
+    study,
+    demo,
+)
 DESCRIPTION = """\
 Calibrate fluorescent-paint tactile fingers: from a painted sample to a decision on the light angle.
 
@@ -49,6 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     0, 1 for a rig that is not accepted, 2 for a user's mistake, 130 when interrupted.
     """
+    gc.set_threshold(OBJECTS_PER_COLLECTION)
     parser = build_parser()
     parsed = parser.parse_args(arguments)
     if parsed.version:

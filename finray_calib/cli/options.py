@@ -10,10 +10,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data_schemas.errors import FinrayError, RecordError
+from data_schemas.errors import FinrayError, RecordError, SimulateError
 
 if TYPE_CHECKING:
+    from types import ModuleType
+
     from data_schemas.design import FingerDesign
+    from sim.optics.variants import Preference
 
 Progress = Callable[[int, int, str], None]
 LONGEST_NAME = 80
@@ -38,6 +41,42 @@ def _whole_number(text: str) -> int:
     if not 0 <= seed < 2**63:
         raise argparse.ArgumentTypeError(f"{seed} is out of range; give 0 or more")
     return seed
+
+
+def add_paint(parser: argparse.ArgumentParser, what: str = "paint calibration of a wall") -> None:
+    """Add ``--paint``, given once for each wall; read it with :func:`paint_files`."""
+    parser.add_argument(
+        "--paint", action="append", default=[], type=_paint_file, metavar="COLOUR=FILE",
+        help=f"{what}: --paint red=FILE --paint green=FILE",
+    )  # fmt: skip
+
+
+def _paint_file(text: str) -> tuple[str, Path]:
+    """Parse COLOUR=FILE."""
+    colour, separator, file = text.partition("=")
+    if not separator or colour not in {"red", "green"} or not file:
+        raise argparse.ArgumentTypeError(f"{text!r} must be red=FILE or green=FILE")
+    return colour, Path(file)
+
+
+def paint_files(arguments: argparse.Namespace, without: str = "") -> dict[str, Path]:
+    """Return colour -> file of ``--paint``: both colours, or none where `without` says what stands in then."""
+    files = dict(arguments.paint)
+    if len(files) < len(arguments.paint):
+        raise SimulateError("--paint: a colour is given twice; give one file for red and one for green")
+    if len(files) == 1 and without:
+        raise SimulateError(f"--paint: give both red=FILE and green=FILE, or neither for {without}")
+    return files
+
+
+def open_engine(preference: "Preference") -> "ModuleType":
+    """Open the renderer, and tell when another one than usual was taken because something is missing."""
+    from sim.optics.variants import choose_variant, open_renderer
+
+    choice = choose_variant(preference)
+    if choice.fell_back:
+        warn(f"{choice.variant} renders: {choice.note}")
+    return open_renderer(choice)
 
 
 def command_line() -> str:

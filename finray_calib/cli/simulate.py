@@ -5,11 +5,14 @@ from pathlib import Path
 
 from finray_calib.cli.options import (
     add_out,
+    add_paint,
     add_seed,
     command_line,
     design_inputs,
     file_name,
     input_digests,
+    open_engine,
+    paint_files,
     progress_bar,
     require_new,
     say,
@@ -17,6 +20,7 @@ from finray_calib.cli.options import (
 
 HELP = "render a press of a painted finger, or sweep the light angle"
 SMALLEST_STEP_DEG = 0.5
+DEFAULT_INCREMENTS = 4
 DESCRIPTION = """\
 Render the contact and no-contact image of a finger with calibrated paints. With --angles, sweep the angle of
 the blue light instead and write the brightness beside the indenter at each angle, for 'finray decide'.
@@ -38,21 +42,33 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         "simulate", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML)")
-    parser.add_argument(
-        "--paint", action="append", default=[], type=_paint, metavar="COLOUR=FILE",
-        help="paint calibration of a wall: --paint red=FILE --paint green=FILE",
-    )  # fmt: skip
+    add_paint(parser)
     parser.add_argument(
         "--only", choices=["mechanics", "optics"],
         help="mechanics: press the finger by finite elements (no paints needed); optics: render and write the images",
     )  # fmt: skip
-    parser.add_argument("--increments", type=_count, default=4, metavar="N", help="steps of the push (default 4)")
+    parser.add_argument(
+        "--increments", type=_count, metavar="N",
+        help=f"with --only mechanics: steps of the push (default {DEFAULT_INCREMENTS})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--resume", type=Path, metavar="INCREMENT",
+        help="with --only mechanics: go on from a stored increment, or the last one in a folder NAME.increments",
+    )  # fmt: skip
+    parser.add_argument(
+        "--contact", choices=["auto", "penalty", "barrier"], default="auto",
+        help="with --only mechanics: penalty (fast, no friction), barrier (friction, any indenter, contact of ribs) or "
+        "auto (default: penalty where it can)",
+    )  # fmt: skip
     parser.add_argument("--angles", type=_angles, metavar="FIRST:LAST:STEP", help="light angles in deg, e.g. 0:120:10")
     parser.add_argument("--surfaces", type=Path, metavar="FILE", help="the finger without and with contact, as meshes")
     parser.add_argument(
         "--level", choices=["a", "a_inverse_square", "b", "c"], default="b", help="how the walls emit (default: b)"
     )
-    parser.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
+    parser.add_argument(
+        "--engine", choices=["auto", "llvm", "scalar", "calculix"], default="auto",
+        help="renderer: auto (default), llvm or scalar; with --only mechanics: auto (in process) or calculix",
+    )  # fmt: skip
     parser.add_argument("--samples", type=_even, metavar="N", help="paths per pixel (default 128) or per probe (4000)")
     parser.add_argument(
         "--denoise", action="store_true", help="with --only optics: also denoised pictures, for the eye only"
@@ -60,14 +76,6 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     add_out(parser, "DESIGN.press.json or DESIGN.sweep.json")
     add_seed(parser)
     parser.set_defaults(run=run)
-
-
-def _paint(text: str) -> tuple[str, Path]:
-    """Parse COLOUR=FILE."""
-    colour, separator, file = text.partition("=")
-    if not separator or colour not in {"red", "green"} or not file:
-        raise argparse.ArgumentTypeError(f"{text!r} must be red=FILE or green=FILE")
-    return colour, Path(file)
 
 
 def _count(text: str) -> int:
@@ -92,6 +100,12 @@ def _require_mechanics_only(arguments: argparse.Namespace) -> None:
     for name, default in optical.items():
         if getattr(arguments, name) != default:
             raise SimulateError(f"--{name} belongs to the optics; leave it out with --only mechanics")
+    if arguments.engine not in {"auto", "calculix"}:
+        raise SimulateError(f"--engine {arguments.engine} renders; give calculix with --only mechanics, or none")
+    if arguments.engine == "calculix" and arguments.contact != "auto":
+        raise SimulateError("--contact: CalculiX has a contact of its own; leave out --contact, or --engine calculix")
+    if arguments.engine == "calculix" and arguments.resume is not None:
+        raise SimulateError("--resume: CalculiX presses from first touch; leave out --resume, or --engine calculix")
 
 
 def _even(text: str) -> int:
@@ -125,7 +139,7 @@ def run(arguments: argparse.Namespace) -> None:
     from data_schemas.surfaces import FingerSurfaces
     from finray_calib.cli.simulate_optics import DEFAULT_SAMPLES, simulate_optics
     from sim.experiments.light_angle import light_angle_sweep
-    from sim.experiments.painted_finger import paint_finger
+    from sim.experiments.painted_finger import paint_finger, paint_optics
     from sim.experiments.press import simulate_press
     from sim.surface_meshes.stored_shape import restore_shapes
 
@@ -134,16 +148,26 @@ def run(arguments: argparse.Namespace) -> None:
     out = arguments.out or Path(f"{file_name(design.name)}.{kind}.json")
     if arguments.only == "mechanics":
         _require_mechanics_only(arguments)
-        from finray_calib.cli.simulate_mechanics import simulate_mechanics_verb
+        from finray_calib.cli.simulate_mechanics import last_increment, simulate_mechanics_verb
 
-        origin = provenance(command_line(), input_digests([arguments.design]), None)
+        resume = None if arguments.resume is None else last_increment(arguments.resume)
+        origin = provenance(command_line(), input_digests([arguments.design, *([resume] if resume else [])]), None)
         with progress_bar("simulate") as progress:
-            simulate_mechanics_verb(design, arguments.increments, out, origin, progress)
+            simulate_mechanics_verb(
+                design, arguments.increments or DEFAULT_INCREMENTS, resume, out, origin, progress, arguments.engine,
+                arguments.contact, arguments.design.parent,
+            )  # fmt: skip
         return
+    if arguments.engine == "calculix":
+        raise SimulateError("--engine calculix presses, it does not render; add --only mechanics, or leave it out")
+    if arguments.contact != "auto":
+        raise SimulateError("--contact is that of the finite elements; add --only mechanics or leave it out")
+    if arguments.resume is not None:
+        raise SimulateError("--resume goes on with a press of finite elements; add --only mechanics or leave it out")
     require_new(out)
-    files = dict(arguments.paint)
-    if len(files) < len(arguments.paint):
-        raise SimulateError("--paint: a colour is given twice; give one file for red and one for green")
+    if arguments.increments is not None:
+        raise SimulateError("--increments are steps of finite elements; add --only mechanics or leave it out")
+    files = paint_files(arguments)
     if arguments.angles is not None and arguments.level != "b":
         raise SimulateError(
             f"--level {arguments.level}: sweeps are made with level b (the paper's emitters of level a know no light "
@@ -159,7 +183,8 @@ def run(arguments: argparse.Namespace) -> None:
     digests = {colour: sha256_of(path) for colour, path in files.items()}
     meshes = [] if arguments.surfaces is None else [arguments.surfaces]
     shapes = restore_shapes(read_record(meshes[0], FingerSurfaces)) if meshes else None
-    finger = paint_finger(design, calibrations, arguments.design.parent, arguments.engine)
+    paints = {colour: paint_optics(calibration) for colour, calibration in calibrations.items()}
+    finger = paint_finger(design, paints, arguments.design.parent, open_engine(arguments.engine))
     origin = provenance(
         command_line(),
         input_digests([*design_inputs(design, arguments.design), *files.values(), *meshes]),

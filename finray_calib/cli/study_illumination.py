@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from finray_calib.cli.options import (
     add_out,
+    add_paint,
     add_seed,
     command_line,
     design_inputs,
     input_digests,
+    open_engine,
+    paint_files,
     progress_bar,
     require_new,
     say,
@@ -37,7 +40,7 @@ TWO = """\
 The paper's second blue light: one panel at the base against panels at base and tip (second_light of the design, else
 the panel mirrored to the tip): images, and how evenly the coat is lit."""
 ANGLE = """\
-The paper's light angle: brightness at both edges of the contact from 0 to 120 deg, with the mirror and without, the
+The paper's light angle: brightness at both edges of the contact from -30 to 120 deg, with the mirror and without, the
 angle at which it is highest with 95 % limits, and what the paper's 30 deg loses."""
 
 
@@ -67,10 +70,7 @@ def add_illumination_studies(studies: "argparse._SubParsersAction[argparse.Argum
         parser.add_argument(
             "--design", type=Path, metavar="TOML", help=f"finger design (default: preset {study.preset})"
         )
-        parser.add_argument(
-            "--paint", action="append", default=[], type=_paint, metavar="COLOUR=FILE",
-            help="paint calibration of a wall: --paint red=FILE --paint green=FILE",
-        )  # fmt: skip
+        add_paint(parser)
         whose = "probe, angle and repeat" if study.name == "light-angle" else "pixel, an even number"
         parser.add_argument("--samples", type=partial(_samples, even=study.name != "light-angle"), metavar="N",
                             default=study.samples, help=f"paths per {whose} (default: {study.samples})")  # fmt: skip
@@ -104,26 +104,15 @@ def run_study(study: _Study, arguments: argparse.Namespace) -> None:
 def _finger(study: _Study, arguments: argparse.Namespace) -> "tuple[PaintedFinger, dict[str, str]]":
     """Return the finger, and by colour where its paint comes from."""
     from data_schemas.design import FingerDesign
-    from data_schemas.errors import SimulateError
-    from data_schemas.standard_curves import camera_response
     from data_schemas.storage import read_toml
-    from sim.experiments.painted_finger import PaintedFinger
-    from sim.optics.opencv_camera import read_calibration
-    from sim.optics.variants import choose_variant, open_renderer
+    from sim.experiments.painted_finger import paint_finger
     from sim.presets import preset_design
 
-    files = dict(arguments.paint)
-    if len(files) < len(arguments.paint):
-        raise SimulateError("--paint: a colour is given twice; give one file for red and one for green")
-    if len(files) == 1:
-        raise SimulateError("--paint: give both red=FILE and green=FILE, or neither for the simulated rig's paints")
+    files = paint_files(arguments, without="the simulated rig's paints")
     design = preset_design(study.preset) if arguments.design is None else read_toml(arguments.design, FingerDesign)
     folder = Path() if arguments.design is None else arguments.design.parent
     paints, sources = _calibrated(files) if files else _stand_ins()
-    response, file = camera_response(design.camera.response, folder), design.camera.calibration
-    calibration = None if file is None else read_calibration(folder / file)
-    renderer = open_renderer(choose_variant(arguments.engine))
-    return PaintedFinger(design, paints, response, renderer, calibration), sources
+    return paint_finger(design, paints, folder, open_engine(arguments.engine)), sources
 
 
 def _calibrated(files: dict[str, Path]) -> "tuple[dict[str, PaintOptics], dict[str, str]]":
@@ -146,14 +135,6 @@ def _stand_ins() -> "tuple[dict[str, PaintOptics], dict[str, str]]":
     truths = {colour: bench_truth(simulated_rig(colour, None, seed=1), Path()) for colour in DEFAULT_PAINTS}
     paints = {colour: true_paint_optics(colour, truth) for colour, truth in truths.items()}
     return paints, dict.fromkeys(paints, STAND_IN)
-
-
-def _paint(text: str) -> tuple[str, Path]:
-    """Parse COLOUR=FILE."""
-    colour, separator, file = text.partition("=")
-    if not separator or colour not in {"red", "green"} or not file:
-        raise argparse.ArgumentTypeError(f"{text!r} must be red=FILE or green=FILE")
-    return colour, Path(file)
 
 
 def _samples(text: str, even: bool) -> int:

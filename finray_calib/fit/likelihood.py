@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 _HESSIAN_STEP = 1e-3  # in prior standard deviations: truncation 1e-6, rounding 1e-9 of the curvature
 _CLIMB_STEPS = 60
-_ROWS_WORTH_A_THREAD = 500  # some milliseconds, against a tenth of one to start a thread
+_ROWS_WORTH_A_THREAD = 2500  # some 20 ms; for less, a busy second core costs more than an idle one gains
 _LENGTHS_APART = 4.0  # bands further apart than four correlation lengths share no discrepancy (e^-8)
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from finray_calib.fit.calibration_warnings import absorption_warnings, fit_warni
 from finray_calib.fit.chain_check import check_by_chain
 from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY, Discrepancy
 from finray_calib.fit.emission import FEWEST_DRAWS, EmissionPosterior, FitSettings, fit_emission
-from finray_calib.fit.family_choice import DEFAULT_FAMILY, choose_family, score_families
+from finray_calib.fit.family_choice import DEFAULT_FAMILY, FamilyScore, choose_family, score_families
 from finray_calib.fit.leave_one_band_out import BandPrediction, leave_one_band_out
 from finray_calib.fit.other_lights import excitation_yields, refuse_unfit_lights
 from finray_calib.fit.prior import EmissionPrior
@@ -108,6 +108,55 @@ def calibrate_paint(
     refuse_unfit_lights(bands, other_lights)
     rng = np.random.default_rng(seed)
     data = band_data(bands)
+    fitted = _choose(data, options, rng)
+    posterior = fitted.posterior
+    independent = options.check_by_emcee and posterior.sampling.chain is None
+    check = check_by_chain(posterior, options.settings.chain, rng) if independent else None
+    at_laser, curve = (
+        records.estimate(posterior.reflectance_at_laser),
+        records.curve_bands(posterior.curve_draws.curves),
+    )
+    reflected = reflectance(bands, curve.mean, at_laser) if colour_match is None else colour_match.at_filters
+    drawn = posterior.curve_draws.curves[:CURVE_DRAWS]
+    yields = [_yields(b, fitted.chosen, options, rng) for b in other_lights]
+    reradiation = _reradiation(bands, drawn, reflected, yields, rng)
+    mean_reflected, sd_reflected = _reflected_curve(bands, reflected), _reflected_curve(bands, reflected, "sd")
+    diffuse = reradiation_matrix(drawn, WAVELENGTH_NM, reradiation, mean_reflected, bands.paint_name, sd_reflected)
+    residuals, measured_sd = records.residuals(bands, posterior), np.sqrt(np.diag(data.covariance)).reshape(-1, 3)
+    return PaintCalibration(
+        **_family_fields(fitted, options),
+        **_posterior_fields(posterior, curve, bands, rng),
+        reflectance=reflected,
+        reflectance_method=METHOD if colour_match is None else colour_match.statement,
+        colour_match=colour_match,
+        reradiation=reradiation,
+        **_measurement_fields(bands, data, posterior),
+        measured_sd=measured_sd,
+        bands=residuals,
+        diagnostics=records.diagnostics(posterior, check),
+        warnings=(
+            *signal_warnings(bands, measured_sd),
+            *fit_warnings(posterior, residuals, check, options.check_by_emcee),
+            *absorption_warnings(reradiation),
+            *diffuse.warnings,
+        ),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Fitted:
+    """All families, the one that is reported, and why."""
+
+    posteriors: dict[str, EmissionPosterior]
+    paper: EmissionPosterior
+    scores: dict[str, FamilyScore]
+    chosen: str
+    why: str
+    posterior: EmissionPosterior
+
+
+def _choose(data: BandData, options: FitOptions, rng: np.random.Generator) -> _Fitted:
+    """Fit all families and return them with the one to report: the asked one, or the best by the rule."""
     posteriors, left_out, paper = _fit_families(data, options, rng)
     scores = score_families(posteriors, left_out)
     chosen, why = choose_family(scores)
@@ -117,67 +166,63 @@ def calibrate_paint(
     posterior = posteriors[chosen]
     if chosen != DEFAULT_FAMILY:
         posterior = _fit(data, chosen, options.discrepancy, options, rng)
-    independent = options.check_by_emcee and posterior.sampling.chain is None
-    check = check_by_chain(posterior, options.settings.chain, rng) if independent else None
-    curve = records.curve_bands(posterior.curve_draws.curves)
-    at_laser = records.estimate(posterior.reflectance_at_laser)
-    reflected = reflectance(bands, curve.mean, at_laser) if colour_match is None else colour_match.at_filters
-    drawn = posterior.curve_draws.curves[:CURVE_DRAWS]
-    reradiation = _reradiation(bands, drawn, reflected, [_yields(b, chosen, options, rng) for b in other_lights], rng)
-    mean_reflected, sd_reflected = _reflected_curve(bands, reflected), _reflected_curve(bands, reflected, "sd")
-    diffuse = reradiation_matrix(drawn, WAVELENGTH_NM, reradiation, mean_reflected, bands.paint_name, sd_reflected)
-    residuals, measured_sd = records.residuals(bands, posterior), np.sqrt(np.diag(data.covariance)).reshape(-1, 3)
-    others = {**posteriors, f"{PAPER_FAMILY} alone": paper}
+    return _Fitted(posteriors, paper, scores, chosen, why, posterior)
+
+
+def _family_fields(fitted: _Fitted, options: FitOptions) -> dict[str, Any]:
+    """Return the fields of the record that tell of the families."""
+    others = {**fitted.posteriors, f"{PAPER_FAMILY} alone": fitted.paper}
     shown = [records.curve_bands(p.curve_draws.curves) for p in others.values()]
+    return {
+        "family": fitted.chosen,
+        "family_title": fitted.posterior.family.title,
+        "family_choice": fitted.why,
+        "discrepancy": records.discrepancy(options.discrepancy),
+        "paper": records.paper_parameters(fitted.paper),
+        "families": records.families(others, fitted.scores),
+        "family_emission_per_nm": np.array([s.mean for s in shown]),
+        "family_low95_per_nm": np.array([s.low95 for s in shown]),
+        "family_high95_per_nm": np.array([s.high95 for s in shown]),
+    }
+
+
+def _posterior_fields(
+    posterior: EmissionPosterior, curve: records.CurveBands, bands: BandSignals, rng: np.random.Generator
+) -> dict[str, Any]:
+    """Return the fields of the record that tell of the reported family's parameters and curve."""
     prior = posterior.log_posterior.prior
-    return PaintCalibration(
-        paint_name=bands.paint_name,
-        family=chosen,
-        family_title=posterior.family.title,
-        family_choice=why,
-        discrepancy=records.discrepancy(options.discrepancy),
-        parameters=records.parameters(posterior),
-        paper=records.paper_parameters(paper),
-        prior=dict(zip(prior.names, prior.words, strict=True)),
-        prior_sensitivity=records.prior_sensitivity(posterior),
-        sampled=prior.names,
-        map_estimate=dict(zip(prior.names, map(float, posterior.maxima.theta[0]), strict=True)),
-        draws=posterior.draws,
-        prior_draws=prior.draw(PRIOR_DRAWS, rng),
-        wavelength_nm=WAVELENGTH_NM,
-        emission_per_nm=curve.mean,
-        emission_low95_per_nm=curve.low95,
-        emission_high95_per_nm=curve.high95,
-        emission_low68_per_nm=curve.low68,
-        emission_high68_per_nm=curve.high68,
-        emission_draws_per_nm=drawn,
-        energy_yield=records.estimate(posterior.quantities.energy_yield),
-        band_integrals=records.band_integrals(bands, posterior),
-        families=records.families(others, scores),
-        family_emission_per_nm=np.array([s.mean for s in shown]),
-        family_low95_per_nm=np.array([s.low95 for s in shown]),
-        family_high95_per_nm=np.array([s.high95 for s in shown]),
-        reflectance=reflected,
-        reflectance_method=METHOD if colour_match is None else colour_match.statement,
-        colour_match=colour_match,
-        reradiation=reradiation,
-        optics=bands.optics,
-        usable=data.usable,
-        measured=bands.fluorescence,
-        measured_sd=measured_sd,
-        predicted=posterior.bands.predicted_mean,
-        predicted_sd=posterior.bands.predicted_sd,
-        bands=residuals,
-        chi_square=posterior.bands.total_chi2,
-        usable_values=data.kept.size,
-        diagnostics=records.diagnostics(posterior, check),
-        warnings=(
-            *signal_warnings(bands, measured_sd),
-            *fit_warnings(posterior, residuals, check, options.check_by_emcee),
-            *absorption_warnings(reradiation),
-            *diffuse.warnings,
-        ),
-    )
+    return {
+        "parameters": records.parameters(posterior),
+        "prior": dict(zip(prior.names, prior.words, strict=True)),
+        "prior_sensitivity": records.prior_sensitivity(posterior),
+        "sampled": prior.names,
+        "map_estimate": dict(zip(prior.names, map(float, posterior.maxima.theta[0]), strict=True)),
+        "draws": posterior.draws,
+        "prior_draws": prior.draw(PRIOR_DRAWS, rng),
+        "wavelength_nm": WAVELENGTH_NM,
+        "emission_per_nm": curve.mean,
+        "emission_low95_per_nm": curve.low95,
+        "emission_high95_per_nm": curve.high95,
+        "emission_low68_per_nm": curve.low68,
+        "emission_high68_per_nm": curve.high68,
+        "emission_draws_per_nm": posterior.curve_draws.curves[:CURVE_DRAWS],
+        "energy_yield": records.estimate(posterior.quantities.energy_yield),
+        "band_integrals": records.band_integrals(bands, posterior),
+    }
+
+
+def _measurement_fields(bands: BandSignals, data: BandData, posterior: EmissionPosterior) -> dict[str, Any]:
+    """Return the fields of the record that set what was measured beside what is predicted."""
+    return {
+        "paint_name": bands.paint_name,
+        "optics": bands.optics,
+        "usable": data.usable,
+        "measured": bands.fluorescence,
+        "predicted": posterior.bands.predicted_mean,
+        "predicted_sd": posterior.bands.predicted_sd,
+        "chi_square": posterior.bands.total_chi2,
+        "usable_values": data.kept.size,
+    }
 
 
 def band_data(bands: BandSignals) -> BandData:

@@ -52,7 +52,7 @@ def draw_front(axes: Axes, finger: FingerOutline) -> None:
 def _front_touch(axes: Axes, design: FingerDesign, half_mm: float) -> None:
     """Mark where the indenter first touches: a line under a cylinder, a point under a ball."""
     at = design.indenter.position_mm
-    x = [-half_mm, half_mm] if design.indenter.shape == "cylinder" else [0.0]
+    x = [-half_mm, half_mm] if design.indenter.shape == "cylinder" else [design.indenter.across_mm]
     axes.plot([at] * len(x), x, color=MUTED, ls="--", marker="x" if len(x) == 1 else "", lw=1.2)
 
 

@@ -3,15 +3,16 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.patches import Circle
+from matplotlib.patches import Polygon
 
 from data_schemas.design import FingerDesign
 from finray_calib.reports.finger_outline import PART_COLOURS, FingerOutline, outer_edges, side_polygons
 from finray_calib.reports.labelled_parts import PartLabel, dimension, label_row
 from finray_calib.reports.style import BLUE, HAIRLINE, INK, MUTED, ORANGE, SKY, VERMILLION
+from sim.mechanics.indenters import side_outline_mm
 from sim.mechanics.skeleton import back_curve_mm
 from sim.optics.finger_view import camera_pose
-from sim.optics.refracted_light import panel_frame
+from sim.optics.panel_frame import panel_frame
 from sim.surface_meshes.pressed_pad import rest_height_mm
 
 _BEHIND_THE_CUT = "#e4e7eb"
@@ -95,14 +96,24 @@ def _draw_indenter(axes: Axes, design: FingerDesign, crown_mm: float) -> None:
     """Draw the indenter where it first touches, and its push."""
     indenter = design.indenter
     at, radius = indenter.position_mm, indenter.radius_mm
-    body = Circle((at, crown_mm + radius), radius, facecolor=HAIRLINE, edgecolor=MUTED, alpha=0.6, ls="--")
-    axes.add_patch(body)
+    outline = side_outline_mm(design)
+    if outline is not None:
+        axes.add_patch(Polygon(outline, facecolor=HAIRLINE, edgecolor=MUTED, alpha=0.6, ls="--"))
+        radius = float(np.ptp(outline[:, 1])) / 2.0
     axes.annotate(
         "",
         (at, crown_mm + radius / 3.0),
         (at, crown_mm + radius),
         arrowprops={"arrowstyle": "-|>", "color": VERMILLION},
     )
+
+
+def _indenter_size(design: FingerDesign) -> str:
+    """Return the indenter's shape and size in words."""
+    indenter = design.indenter
+    if indenter.size_mm is not None:
+        return f"{indenter.shape}, {' x '.join(f'{size:g}' for size in indenter.size_mm)}"
+    return f"{indenter.shape} {indenter.file}" if indenter.file else f"{indenter.shape}, radius {indenter.radius_mm:g}"
 
 
 def _side_labels(axes: Axes, finger: FingerOutline) -> None:
@@ -117,7 +128,7 @@ def _side_labels(axes: Axes, finger: FingerOutline) -> None:
         ),
         PartLabel("coating (what is touched)", (0.78 * length, float(rest_height_mm(design, 0.0, 0.78 * length)))),
         PartLabel(
-            f"{indenter.shape}, radius {indenter.radius_mm:g},\npushed in by {indenter.depth_mm:g}",
+            f"{_indenter_size(design)},\npushed in by {indenter.depth_mm:g}",
             (indenter.position_mm, finger.crown_mm + min(1.4 * indenter.radius_mm, 20.0)),
         ),
         PartLabel("tip", (layout.tip_line[0] + skeleton.tip_length_mm / 2.0, fin)),

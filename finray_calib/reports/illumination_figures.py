@@ -97,7 +97,7 @@ def light_angle_png(study: LightAngleIntensity) -> bytes:
         axes.legend(loc="lower left")
     figure.supxlabel(
         f"{study.design.name}; panel {study.led_depth_mm:g} mm below the inner face. Bars: 95 % limits of the maximum "
-        f"(bootstrap over {study.radiance_rel.shape[2]} repeats of {study.samples} paths).",
+        f"(jackknife over {study.radiance_rel.shape[2]} repeats of {study.samples} paths).",
         x=0.01, ha="left", fontsize=9,
     )  # fmt: skip
     return _png(figure)

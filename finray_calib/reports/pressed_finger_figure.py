@@ -5,7 +5,7 @@ import io
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.patches import Circle
+from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
@@ -13,8 +13,8 @@ from data_schemas.press_mechanics import PressMechanics
 from data_schemas.surfaces import FingerSurfaces
 from finray_calib.reports.finger_outline import PART_COLOURS
 from finray_calib.reports.style import BLUE, HAIRLINE, INK, MUTED, SKY, VERMILLION, new_figure, styled
+from sim.mechanics.indenters import side_outline_mm
 from sim.surface_meshes.finger_shape import FingerShape
-from sim.surface_meshes.pressed_pad import rest_height_mm
 from sim.surface_meshes.stored_shape import restore_shapes
 from sim.surface_meshes.surface import Surface
 
@@ -110,11 +110,10 @@ def _draw_lines(axes: Axes, shape: FingerShape) -> None:
 
 def _draw_indenter(axes: Axes, design: FingerDesign, depth_mm: float) -> None:
     """Draw the indenter at a push from first touch."""
-    indenter = design.indenter
-    crown = float(rest_height_mm(design, 0.0, indenter.position_mm))
-    centre = indenter.position_mm, crown + indenter.radius_mm - depth_mm
-    axes.add_patch(Circle(centre, indenter.radius_mm, facecolor=HAIRLINE, edgecolor=MUTED, alpha=0.5, ls="--"))
-    axes.text(*centre, indenter.shape, ha="center", va="center", fontsize=8)
+    outline = side_outline_mm(design, depth_mm)
+    if outline is not None:
+        axes.add_patch(Polygon(outline, facecolor=HAIRLINE, edgecolor=MUTED, alpha=0.5, ls="--"))
+        axes.text(*outline.mean(axis=0), design.indenter.shape, ha="center", va="center", fontsize=8)
 
 
 def _draw_curve(axes: Axes, mechanics: PressMechanics) -> None:

@@ -127,36 +127,18 @@ def emission_weights(
         When the white signal of a band and channel is zero, the excitation band does not exist or passes no
         laser light, or the channel weights do not sum to 1.
     """
-    wavelength = _curve("wavelength_nm", wavelength_nm, 1, None)
-    if wavelength.size < 2 or (np.diff(wavelength) <= 0).any():
-        raise CurveError("wavelength_nm: must be two or more increasing wavelengths in nm")
-    filters, camera = (
-        _curve(n, v, 2, wavelength.size) for n, v in (("transmission", transmission), ("response", response))
-    )
-    light, white, line = (
-        _curve(n, v, 1, wavelength.size)
-        for n, v in (("lamp", lamp), ("white_reflectance", white_reflectance), ("laser", laser))
+    wavelength, filters, camera, light, white, line = _checked_curves(
+        wavelength_nm, transmission, response, lamp, white_reflectance, laser
     )
     share = _channel_shares(channel_weights, len(camera))
-    if not 0 <= excitation_band < len(filters):
-        raise FitError(f"excitation_band: {excitation_band} does not exist, there are bands 0 to {len(filters) - 1}")
     quadrature = _trapezoid(wavelength)
     line = _unit_area("laser", line, quadrature)
     passed = filters[:, None, :] * camera[None, :, :] * quadrature
-    white_signal = passed @ (white * light)
-    if (white_signal <= 0).any():
-        band, channel = np.argwhere(white_signal <= 0)[0]
-        raise FitError(
-            f"white signal of band {band}, channel {channel} is zero: lamp, white reference, filter and camera "
-            "curves have no common wavelength; check their ranges in nm"
-        )
-    laser_white = passed[excitation_band] @ (white * line)
-    visible = float(share @ (laser_white / white_signal[excitation_band]))
-    if visible <= 0:
-        raise FitError(f"excitation band {excitation_band} passes no laser light: check filter and laser curves")
+    white_signal = _lit_white(passed @ (white * light))
+    visible = _visible_laser(passed @ (white * line), white_signal, excitation_band, share)
     scale = 1.0 / (white_signal * visible)
     laser_nm = float(wavelength @ (line * quadrature))
-    emitted = passed * (wavelength >= laser_nm)
+    above = wavelength >= laser_nm
     bands = np.repeat(np.arange(len(filters)), len(camera))
     floor = np.broadcast_to(np.asarray(leak, dtype=np.float64), len(filters)).copy()
     leaked = floor[:, None, None] * camera * quadrature
@@ -164,15 +146,59 @@ def emission_weights(
     leaked_laser[excitation_band] = 0.0  # the laser passes this filter; what leaks beside it is lamp and emission
     return EmissionWeights(
         wavelength_nm=wavelength,
-        emission=(emitted * scale[..., None]).reshape(bands.size, -1),
+        emission=(passed * above * scale[..., None]).reshape(bands.size, -1),
         reflected_laser=((passed @ line) * scale).ravel(),
-        leaked_emission=(leaked * (wavelength >= laser_nm) * scale[..., None]).reshape(bands.size, -1),
+        leaked_emission=(leaked * above * scale[..., None]).reshape(bands.size, -1),
         leaked_laser=(leaked_laser * scale).ravel(),
         leaked_white=((leaked @ (white * light)) / white_signal).ravel(),
         is_excitation=bands == excitation_band,
         band_index=bands,
         laser_nm=laser_nm,
     )
+
+
+def _checked_curves(
+    wavelength_nm: ArrayLike,
+    transmission: ArrayLike,
+    response: ArrayLike,
+    lamp: ArrayLike,
+    white_reflectance: ArrayLike,
+    laser: ArrayLike,
+) -> tuple[FloatArray, ...]:
+    """Return the curves as arrays on one increasing grid."""
+    wavelength = _curve("wavelength_nm", wavelength_nm, 1, None)
+    if wavelength.size < 2 or (np.diff(wavelength) <= 0).any():
+        raise CurveError("wavelength_nm: must be two or more increasing wavelengths in nm")
+    tables = (("transmission", transmission), ("response", response))
+    curves = (("lamp", lamp), ("white_reflectance", white_reflectance), ("laser", laser))
+    return (
+        wavelength,
+        *(_curve(name, values, 2, wavelength.size) for name, values in tables),
+        *(_curve(name, values, 1, wavelength.size) for name, values in curves),
+    )
+
+
+def _lit_white(white_signal: FloatArray) -> FloatArray:
+    """Return the signal of white per band and channel, refusing one without light."""
+    if (white_signal <= 0).any():
+        band, channel = np.argwhere(white_signal <= 0)[0]
+        raise FitError(
+            f"white signal of band {band}, channel {channel} is zero: lamp, white reference, filter and camera "
+            "curves have no common wavelength; check their ranges in nm"
+        )
+    return white_signal
+
+
+def _visible_laser(laser_white: FloatArray, white_signal: FloatArray, excitation_band: int, share: FloatArray) -> float:
+    """Return V, the laser on white as the excitation filter's band sees it."""
+    if not 0 <= excitation_band < len(white_signal):
+        raise FitError(
+            f"excitation_band: {excitation_band} does not exist, there are bands 0 to {len(white_signal) - 1}"
+        )
+    visible = float(share @ (laser_white[excitation_band] / white_signal[excitation_band]))
+    if visible <= 0:
+        raise FitError(f"excitation band {excitation_band} passes no laser light: check filter and laser curves")
+    return visible
 
 
 def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:

@@ -16,7 +16,6 @@ from data_schemas.fit import PaintCalibration
 from data_schemas.standard_curves import camera_response
 from sim.optics.opencv_camera import read_calibration
 from sim.optics.paint_bands import BAND_NAMES, PaintBands, PaintOptics, camera_matrix
-from sim.optics.variants import Preference, choose_variant, open_renderer
 
 Floats = NDArray[np.float64]
 CameraResponse = tuple[SpectralCurve, SpectralCurve, SpectralCurve]
@@ -58,30 +57,40 @@ class PaintedFinger:
             )
 
     def coverage_notes(self, bands: PaintBands) -> tuple[str, ...]:
-        """Say for which bands a response curve ends too early and its end value is held.
-
-        Raises
-        ------
-        CurveError
-            A response curve misses more than 20 % of a band.
-        """
-        notes = (
-            require_coverage(curve, band.wavelength_nm, band.density_per_nm, f"the {name} band")
-            for curve in self.response
-            for name, band in zip(BAND_NAMES, bands.bands, strict=True)
-        )
-        return tuple(f"camera response: {note}" for note in notes if note is not None)
+        """Return :func:`coverage_notes` of this finger's camera."""
+        return coverage_notes(self.response, bands)
 
     def camera_matrix(self, bands: PaintBands) -> Floats:
-        """Return the (3, 3) matrix from bands to camera RGB; :meth:`coverage_notes` says what it rests on.
+        """Return :func:`response_matrix` of this finger's camera."""
+        return response_matrix(self.response, bands)
 
-        Raises
-        ------
-        CurveError
-            A response curve misses more than 20 % of a band.
-        """
-        self.coverage_notes(bands)
-        return camera_matrix(np.array([curve(RESPONSE_NM) for curve in self.response]), RESPONSE_NM, bands)
+
+def coverage_notes(response: CameraResponse, bands: PaintBands) -> tuple[str, ...]:
+    """Say for which bands a response curve ends too early and its end value is held.
+
+    Raises
+    ------
+    CurveError
+        A response curve misses more than 20 % of a band.
+    """
+    notes = (
+        require_coverage(curve, band.wavelength_nm, band.density_per_nm, f"the {name} band")
+        for curve in response
+        for name, band in zip(BAND_NAMES, bands.bands, strict=True)
+    )
+    return tuple(f"camera response: {note}" for note in notes if note is not None)
+
+
+def response_matrix(response: CameraResponse, bands: PaintBands) -> Floats:
+    """Return the (3, 3) matrix from bands to camera RGB; :func:`coverage_notes` says what it rests on.
+
+    Raises
+    ------
+    CurveError
+        A response curve misses more than 20 % of a band.
+    """
+    coverage_notes(response, bands)
+    return camera_matrix(np.array([curve(RESPONSE_NM) for curve in response]), RESPONSE_NM, bands)
 
 
 def paint_optics(calibration: PaintCalibration) -> PaintOptics:
@@ -104,23 +113,22 @@ def paint_optics(calibration: PaintCalibration) -> PaintOptics:
 
 
 def paint_finger(
-    design: FingerDesign, calibrations: Mapping[str, PaintCalibration], folder: Path, engine: Preference = "auto"
+    design: FingerDesign, paints: Mapping[str, PaintOptics], folder: Path, renderer: ModuleType
 ) -> PaintedFinger:
-    """Join a design with its calibrated paints and open the renderer.
+    """Join a design with its paints, and read the files of its camera.
 
     Parameters
     ----------
     design
         The finger.
-    calibrations
-        Calibration of the "red" and of the "green" paint.
+    paints
+        Optics of the "red" and of the "green" paint, see :func:`paint_optics`.
     folder
         Where relative paths in the design start.
-    engine
-        Which renderer to open.
+    renderer
+        From :func:`sim.optics.variants.open_renderer`.
     """
     response = camera_response(design.camera.response, folder)
-    paints = {colour: paint_optics(calibration) for colour, calibration in calibrations.items()}
     file = design.camera.calibration
     calibration = None if file is None else read_calibration(folder / file)
-    return PaintedFinger(design, paints, response, open_renderer(choose_variant(engine)), calibration)
+    return PaintedFinger(design, paints, response, renderer, calibration)

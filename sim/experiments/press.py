@@ -5,13 +5,15 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.simulate import SimulatedPress
-from sim.experiments.painted_finger import PaintedFinger
-from sim.optics.paint_bands import BAND_NAMES
+from data_schemas.curves import SpectralCurve
+from data_schemas.simulate import RenderedLight, SimulatedPress
+from sim.experiments.painted_finger import COLOURS, CameraResponse, PaintedFinger, coverage_notes
+from sim.optics.paint_bands import BAND_NAMES, PaintBands
 from sim.optics.render import PressRender, Progress, RenderLevel, render_press
 from sim.surface_meshes.finger_shape import FingerShape
 
 Floats = NDArray[np.float64]
+SHAPE_NOTE = "shape of the finger: "
 
 
 def simulate_press(
@@ -67,12 +69,17 @@ def press_record(finger: PaintedFinger, render: PressRender, paint_sha256: Mappi
         variance=camera_rgb(render.contact_variance, matrix**2),
         no_contact_bands=render.no_contact_bands,
         contact_bands=render.contact_bands,
+        contact_bands_variance=render.contact_variance,
         bands=BAND_NAMES,
+        no_contact_chains=render.no_contact_chains if render.chains_apart else None,
+        contact_chains=render.contact_chains if render.chains_apart else None,
+        chains=render.chains if render.chains_apart else (),
+        rendered_light=light_record(render.bands, finger.response),
         camera_matrix=matrix,
         light_angle_deg=finger.design.light.angle_deg,
         design=finger.design,
         paints=dict(paint_sha256),
-        notes=_notes(finger, render),
+        notes=(*colour_notes(finger.response, render.bands), f"{SHAPE_NOTE}{render.contact_label}"),
     )
 
 
@@ -82,16 +89,29 @@ def camera_rgb(bands: NDArray[np.float32], matrix: Floats) -> NDArray[np.float32
     return rgb.astype(np.float32)
 
 
-def _notes(finger: PaintedFinger, render: PressRender) -> tuple[str, ...]:
-    """Say what the numbers rest on."""
-    notes = [
-        f"camera response: {finger.response[0].source}",
-        *finger.coverage_notes(render.bands),
-        f"shape of the finger: {render.contact_label}",
-    ]
-    notes += [
+def light_record(
+    bands: PaintBands, response: CameraResponse, white_balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
+) -> RenderedLight:
+    """Return what the colours of a render rest on, as it is stored."""
+    red, green, led = (
+        SpectralCurve(name=f"{name} band", wavelength_nm=b.wavelength_nm, values=b.density_per_nm, source="rendered")
+        for name, b in zip(BAND_NAMES, bands.bands, strict=True)
+    )
+    return RenderedLight(
+        walls=COLOURS,
+        bands=(red, green, led),
+        reflectance=np.array([bands.reflectance[wall] for wall in COLOURS]),
+        conversion=np.array([bands.conversion[wall] for wall in COLOURS]),
+        response=response,
+        white_balance=white_balance,
+    )
+
+
+def colour_notes(response: CameraResponse, bands: PaintBands) -> tuple[str, ...]:
+    """Say what the colours of a press rest on."""
+    cut = [
         f"{colour} paint: {share:.1%} of the fitted emission lay below the LED's upper edge and was cut"
-        for colour, share in render.bands.cut_share.items()
+        for colour, share in bands.cut_share.items()
         if share > 0.001
     ]
-    return tuple(notes)
+    return (f"camera response: {response[0].source}", *coverage_notes(response, bands), *cut)

@@ -10,16 +10,23 @@ from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
 from data_schemas.simulate import SimulatedPress
 from rigs.simulated.sensor import Sensor, mosaic
-from sim.experiments.digital_twin import (
-    BRIGHT_PERCENTILE,
-    BRIGHT_SHARE,
-    EXPOSURE_S,
-    repeat_render,
-    tactile_sensor,
-)
+from sim.experiments.press import camera_rgb
 
 Floats = NDArray[np.float64]
+Image = NDArray[np.float32]
+EXPOSURE_S = 0.05
+# The brightest half per cent of the no-contact image comes to this share of full scale, as an operator would set it.
+BRIGHT_PERCENTILE, BRIGHT_SHARE = 99.5, 0.7
 _EXPOSURE_BLOCK_PX = 4
+
+
+@dataclass(frozen=True, slots=True)
+class BandImages:
+    """Band images (rows, columns, 3) of a render, and the variance of the one without contact."""
+
+    contact: Image
+    no_contact: Image
+    no_contact_variance: Image
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,26 +101,6 @@ def colour_spread(press: SimulatedPress, seed: int, draws: int = 400) -> ColourS
     )
 
 
-def mosaic_of_pixels(rgb: Floats) -> Floats:
-    """Return what an RGGB sensor sees of an image that has one RGB value for each of its pixels, (2h, 2w, 3).
-
-    Each pixel keeps the channel of its own filter: the truth that :func:`rigs.simulated.sensor.mosaic` approximates
-    by one value per cell of 2 x 2 pixels.
-
-    Raises
-    ------
-    SimulateError
-        When the image has an odd side.
-    """
-    if rgb.shape[0] % 2 or rgb.shape[1] % 2:
-        raise SimulateError(
-            f"a Bayer sensor has an even number of rows and columns, got {rgb.shape[0]} x {rgb.shape[1]}"
-        )
-    raw = np.array(rgb[..., 1], dtype=np.float64)
-    raw[0::2, 0::2], raw[1::2, 1::2] = rgb[0::2, 0::2, 0], rgb[1::2, 1::2, 2]
-    return raw
-
-
 def electrons_per_s(no_contact: NDArray[np.floating], sensor: Sensor, exposure_s: float) -> float:
     """Return electrons per second and unit of radiance: the exposure is set by the brightest half per cent.
 
@@ -129,19 +116,21 @@ def electrons_per_s(no_contact: NDArray[np.floating], sensor: Sensor, exposure_s
     return float(BRIGHT_SHARE * sensor.full_scale_dn * sensor.gain_e_per_dn / exposure_s / bright)
 
 
-def simulated_capture(press: SimulatedPress, seed: int, exposure_s: float = EXPOSURE_S) -> TactileCapture:
+def simulated_capture(
+    press: SimulatedPress, seed: int, no_contact_bands_variance: Image | None = None
+) -> TactileCapture:
     """Return a rendered press as its camera would deliver it: raw Bayer counts with black level and noise.
 
-    The repeat of the image without contact has its own noise of sensor and render.
+    The repeat of the image without contact has its own noise of the sensor, and of the render where that is known.
 
     Parameters
     ----------
     press
         Rendered press in the camera's linear RGB, one value per Bayer cell.
     seed
-        Of shot noise, read noise and the sensor's fixed pattern.
-    exposure_s
-        Exposure time; the light is scaled so that the image without contact is well exposed.
+        Of shot noise, read noise, the sensor's fixed pattern and the repeated render.
+    no_contact_bands_variance
+        Variance of the bands without contact from render noise (the press itself knows that of its contact only).
 
     Raises
     ------
@@ -151,26 +140,77 @@ def simulated_capture(press: SimulatedPress, seed: int, exposure_s: float = EXPO
     design = _design(press)
     if press.encoding != "linear":
         raise SimulateError(f"{press.name} holds encoded values, not light: only a rendered press can be captured")
-    sensor, rng = tactile_sensor(design, seed), np.random.default_rng([seed, 1])
-    scale = electrons_per_s(press.no_contact, sensor, exposure_s)
-    variance = np.zeros_like(press.contact) if press.variance is None else press.variance
-    repeat = repeat_render(press.no_contact, variance, rng)
+    contact, no_contact, matrix = press.contact_bands, press.no_contact_bands, press.camera_matrix
+    if contact is None or no_contact is None or matrix is None:
+        raise SimulateError(f"{press.name} holds no band images: only a rendered press can be captured")
+    none = np.zeros_like(no_contact)
+    return camera_capture(
+        BandImages(contact, no_contact, none if no_contact_bands_variance is None else no_contact_bands_variance),
+        matrix,
+        design,
+        seed,
+        light_angle_deg=press.light_angle_deg,
+        name=f"{press.name}, simulated capture",
+        source=f"simulated: {press.label}",
+    )
 
-    def expose(rgb: NDArray[np.float32]) -> NDArray[np.uint16]:
-        return sensor.expose(mosaic(np.maximum(rgb, 0.0) * scale), exposure_s, rng)[..., None]
+
+def camera_capture(
+    bands: BandImages,
+    camera_matrix: Floats,
+    design: FingerDesign,
+    seed: int,
+    *,
+    light_angle_deg: float,
+    name: str,
+    source: str,
+    led_drift_rel: float = 0.0,
+) -> TactileCapture:
+    """Expose contact, no contact and a repeat of no contact of a render.
+
+    Parameters
+    ----------
+    bands
+        The render.
+    camera_matrix
+        From bands to the camera's linear RGB, (3, 3).
+    design
+        Camera and indenter.
+    seed
+        Of everything that is random.
+    light_angle_deg, name, source
+        As the capture records them.
+    led_drift_rel
+        Standard deviation of the LED's level between the image without contact and its repeat.
+
+    Raises
+    ------
+    SimulateError
+        When the image without contact is black.
+    """
+    sensor, rng = tactile_sensor(design, seed), np.random.default_rng([seed, 1])
+    repeated = repeat_render(bands.no_contact, bands.no_contact_variance, rng)
+    no_contact, contact, repeat = (
+        camera_rgb(image, camera_matrix).astype(np.float64) for image in (bands.no_contact, bands.contact, repeated)
+    )
+    scale = electrons_per_s(no_contact, sensor, EXPOSURE_S)
+    drift = 1.0 + led_drift_rel * rng.standard_normal()
+
+    def expose(rgb: Floats) -> NDArray[np.uint16]:
+        return sensor.expose(mosaic(rgb * scale), EXPOSURE_S, rng)[..., None]
 
     indenter = design.indenter
     return TactileCapture(
-        name=f"{press.name}, simulated capture",
-        contact=expose(press.contact),
-        no_contact=expose(press.no_contact),
-        repeat_no_contact=expose(repeat),
+        name=name,
+        contact=expose(contact),
+        no_contact=expose(no_contact),
+        repeat_no_contact=expose(drift * repeat),
         layout="Bayer RGGB",
         encoding="linear",
         bit_depth=design.camera.bit_depth,
         black_level_dn=sensor.black_level_dn,
-        exposure_s=exposure_s,
-        light_angle_deg=press.light_angle_deg,
+        exposure_s=EXPOSURE_S,
+        light_angle_deg=light_angle_deg,
         indenter=IndenterPose(
             shape=indenter.shape,
             radius_mm=indenter.radius_mm,
@@ -179,7 +219,53 @@ def simulated_capture(press: SimulatedPress, seed: int, exposure_s: float = EXPO
         ),
         contact_circle=None,
         mm_per_px=None,
-        source=f"simulated: {press.label}",
+        source=source,
+    )
+
+
+def repeat_render(bands: Image, variance: Image, rng: np.random.Generator) -> Image:
+    r"""Return band images as a second, independent render would give them, without the cost of one.
+
+    .. math:: b' = b \pm \sqrt{2 v} \text{ with equal chance where } 2 v \le b^2, \text{ else }
+              b' = b + 2 v / b \text{ with chance } b^2 / (b^2 + 2 v), \text{ or } 0
+
+    Both have the mean b and the variance 2 v, and light is never negative: cut off at zero instead, dark pixels would
+    be too bright on average, and the floor between two images with them.
+    Pixels are independent of each other here; the share of the variance that a whole bake has in common
+    (:class:`sim.optics.render.PressRender`) is therefore too small in means over an area.
+
+    Parameters
+    ----------
+    bands, variance
+        Mean of two independent halves of a render and its variance, shape (rows, columns, bands).
+    rng
+        Generator of the chances.
+    """
+    # Two independent renders of variance v differ by 2 v, and the first one stands as it is. Exposing it twice would
+    # hide the render's noise from the difference of both images, which is the floor that a comparison is judged by.
+    mean, spread2 = bands.astype(np.float64), 2.0 * variance.astype(np.float64)
+    even = spread2 <= mean**2
+    chance_up = np.where(even, 0.5, mean**2 / np.where(even, 1.0, mean**2 + spread2))
+    up = rng.random(bands.shape) < chance_up
+    step = np.sqrt(spread2)
+    # a dark pixel has no noise of its own: both halves were dark
+    above = np.where(even, mean + step, mean + spread2 / np.where(mean > 0.0, mean, np.inf))
+    below = np.where(even, mean - step, 0.0)
+    return np.where(up, above, below).astype(np.float32)
+
+
+def tactile_sensor(design: FingerDesign, seed: int) -> Sensor:
+    """Return the sensor of the tactile camera; noise figures are those of a small Raspberry Pi sensor, assumed."""
+    return Sensor(
+        bit_depth=design.camera.bit_depth,
+        black_level_dn=16.0,
+        gain_e_per_dn=5.0,
+        read_noise_e=4.0,
+        dark_current_e_per_s=5.0,
+        full_well_e=5.0 * 2**design.camera.bit_depth,
+        prnu_rel=0.005,
+        dsnu_e=1.0,
+        seed=seed,
     )
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ FloatArray = NDArray[np.float64]
 _SUFFICIENT = 1e-4  # share of the linear decrease of energy that a step must reach (Armijo)
 _NOISE = 1e-13  # relative rounding of a sum of energies; differences below say nothing
 _SHORTEST = 1e-4  # share of a step below which the line search gives up
+_MOST_ROUNDS = 12  # renewals of lagged forces; each takes the change down to about the coefficient of friction
 _OVERSHOOT = 4.0  # the energy may rise this many times more than foreseen while supports move
 
 
@@ -72,9 +73,11 @@ class Equilibrium:
     energy_n_mm
         Whole energy.
     residuals_n
-        Norm of the unbalanced forces at each iteration.
+        Norm of the unbalanced forces at the start and after each iteration.
     failure
         Why it is no equilibrium; empty when it is one.
+    iterations
+        Newton steps that were solved for.
     """
 
     state: State
@@ -82,6 +85,7 @@ class Equilibrium:
     energy_n_mm: float
     residuals_n: tuple[float, ...]
     failure: str = ""
+    iterations: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,12 +96,17 @@ class Increment:
     equilibrium: Equilibrium
 
 
+Predictor = Callable[[State, float, float], State | None]
+"""From the last equilibrium, its share of the load and the share aimed at: where to start the search, or nothing."""
+
+
 class _Search:
     """One search for an equilibrium."""
 
     def __init__(self, assembly: Assembly, supports: Supports, solver: SymmetricSolver, options: NewtonOptions) -> None:
         self.assembly, self.supports, self.solver, self.options = assembly, supports, solver, options
         self.residuals: list[float] = []
+        self.solved = 0
 
     def run(self, state: State) -> Equilibrium:
         energy = self.assembly.energy(state)
@@ -114,28 +123,32 @@ class _Search:
             settled = self._settled(gradient, of_terms)
             if settled and not moving:
                 return self._result(state, gradient, energy)
-            if len(self.residuals) > self.options.iterations:
-                return self._result(
-                    state, gradient, energy, f"no equilibrium after {self.options.iterations} iterations"
-                )
-            du, rise = self._newton_step(gradient, remaining)
-            if not moving and np.abs(du).max() <= self.options.step_floor_mm:
-                return self._result(state, gradient, energy)
-            found = self._line_search(state, energy, du, rise, moving) if np.isfinite(du).all() else None
+            if self.solved >= self.options.iterations:
+                return self._result(state, gradient, energy, f"no equilibrium after {self.solved} iterations")
+            found, why = None, "the line search found no lower energy"
+            try:
+                du, rise = self._newton_step(gradient, remaining)
+            except SimulateError as failed:
+                why = str(failed)
+            else:
+                if not moving and np.abs(du).max() <= self.options.step_floor_mm:
+                    return self._result(state, gradient, energy)
+                if np.isfinite(du).all():
+                    found = self._line_search(state, energy, du, rise, moving)
             if found is None and project:
-                return self._result(state, gradient, energy, "the line search found no lower energy")
+                return self._result(state, gradient, energy, why)
             project = found is None
             if found is not None:
                 state, energy = found
 
     def _result(self, state: State, gradient: FloatArray, energy: float, failure: str = "") -> Equilibrium:
-        return Equilibrium(state, gradient, energy, tuple(self.residuals), failure)
+        return Equilibrium(state, gradient, energy, tuple(self.residuals), failure, self.solved)
 
     def _settled(self, gradient: FloatArray, of_terms: FloatArray) -> bool:
         fixed = self.supports.fixed
-        residual = float(np.linalg.norm(gradient[~fixed]))
+        residual = _norm(gradient[~fixed])
         self.residuals.append(residual)
-        forces = float(np.linalg.norm(gradient[fixed])), float(np.linalg.norm(of_terms))
+        forces = _norm(gradient[fixed]), _norm(of_terms)
         unbalanced = max(residual, self.assembly.elasticity.mode_residual_n())
         return bool(unbalanced <= self.options.residual_rel * max(*forces, self.options.force_floor_n))
 
@@ -150,12 +163,13 @@ class _Search:
         right[fixed] = prescribed[fixed]
         stiffness = matrix.values.copy() if moving else None
         matrix.constrain(fixed)
+        self.solved += 1
         self.solver.factorise(matrix.upper(), matrix.version)
         du = self.solver.solve(right)
-        slope = float(gradient.ravel() @ du) - self.assembly.elasticity.mode_work_n_mm()
+        slope = _dot(gradient.ravel(), du) - self.assembly.elasticity.mode_work_n_mm()
         if stiffness is not None:
             matrix.values[:] = stiffness
-            slope = abs(slope) + 0.5 * abs(float(du @ matrix.times(du)))
+            slope = abs(slope) + 0.5 * abs(_dot(du, matrix.times(du)))
         return du.reshape(-1, 3), slope
 
     def _line_search(
@@ -183,6 +197,16 @@ class _Search:
         return None
 
 
+def _dot(a: FloatArray, b: FloatArray) -> float:
+    """Return a . b without BLAS, which would wake a thread of its own for long vectors and let it spin."""
+    return float(np.einsum("i,i->", a, b))
+
+
+def _norm(vector: FloatArray) -> float:
+    """Return the length of an array of any shape."""
+    return math.sqrt(_dot(vector.ravel(), vector.ravel()))
+
+
 def find_equilibrium(
     assembly: Assembly,
     start: State,
@@ -205,6 +229,54 @@ def find_equilibrium(
     return _Search(assembly, supports, solver, options or NewtonOptions()).run(start)
 
 
+class Extrapolation:
+    """A predictor: the straight line through the last two equilibria."""
+
+    def __init__(self) -> None:
+        self._known: list[tuple[float, State]] = []
+
+    def __call__(self, state: State, at: float, aim: float) -> State | None:
+        """Return the state expected at the share `aim` of the load after the equilibrium `state` at the share `at`."""
+        if not self._known or self._known[-1][0] != at:
+            self._known = [*self._known[-1:], (at, state)]
+        if len(self._known) < 2:
+            return None
+        (before, old), (_, new) = self._known
+        further = (aim - at) / (at - before)
+        return State(
+            new.u_mm + further * (new.u_mm - old.u_mm),
+            tuple(n + further * (n - o) for n, o in zip(new.modes, old.modes, strict=True)),
+        )
+
+
+def _allowed(assembly: Assembly, state: State, guess: State | None, supports: Supports) -> State | None:
+    """Return a guess with the supports in their place, if no term forbids the way there and its energy is finite."""
+    if guess is None:
+        return None
+    u = np.where(supports.fixed, supports.displacement_mm, guess.u_mm)
+    there = State(u, guess.modes)
+    if assembly.max_step(state, u - state.u_mm) < 1.0 or not math.isfinite(assembly.energy(there)):
+        return None
+    return there
+
+
+def _settled(
+    reached: Equilibrium,
+    settle: Callable[[State], bool],
+    assembly: Assembly,
+    supports: Supports,
+    solver: SymmetricSolver,
+    options: NewtonOptions | None,
+) -> Equilibrium:
+    """Return the equilibrium at which nothing that terms have lagged changes any more."""
+    for _ in range(_MOST_ROUNDS):
+        if reached.failure or settle(reached.state):
+            return reached
+        further = find_equilibrium(assembly, reached.state, supports, solver, options)
+        reached = replace(further, iterations=reached.iterations + further.iterations)
+    return replace(reached, failure=f"friction has not settled in {_MOST_ROUNDS} rounds")
+
+
 def load_increments(
     assembly: Assembly,
     solver: SymmetricSolver,
@@ -214,6 +286,8 @@ def load_increments(
     begin: float = 0.0,
     shortest_share: float = 1.0 / 64.0,
     options: NewtonOptions | None = None,
+    predict: Predictor | None = None,
+    settle: Callable[[State], bool] | None = None,
 ) -> Iterator[Increment]:
     """Yield equilibria at the given shares of the load, and between them where smaller increments are needed.
 
@@ -229,6 +303,12 @@ def load_increments(
         State and share to go on from; by default rest and 0.
     shortest_share
         Least increment, as a share of the way from one stop to the next.
+    predict
+        Where to start the search at a share of the load; by default the last two equilibria are extrapolated. Where
+        that start is not allowed or leads nowhere, the search starts from the last equilibrium.
+    settle
+        Renews at an equilibrium what terms have lagged (friction) and tells whether it still is one; else the search
+        goes on from there.
 
     Raises
     ------
@@ -236,6 +316,7 @@ def load_increments(
         When an increment of the least size finds no equilibrium; all increments before have been yielded.
     """
     state, at = start or assembly.at_rest(), begin
+    predicted = predict or Extrapolation()
     for stop in stops:
         way = stop - at
         part = 1.0
@@ -243,7 +324,13 @@ def load_increments(
         while done < 1.0:
             part = min(part, 1.0 - done)
             aim = stop if done + part >= 1.0 else stop - way * (1.0 - done - part)
-            reached = find_equilibrium(assembly, state, loading(aim), solver, options)
+            supports = loading(aim)
+            guess = _allowed(assembly, state, predicted(state, at, aim), supports)
+            reached = find_equilibrium(assembly, state if guess is None else guess, supports, solver, options)
+            if reached.failure and guess is not None:
+                reached = find_equilibrium(assembly, state, supports, solver, options)
+            if settle is not None:
+                reached = _settled(reached, settle, assembly, supports, solver, options)
             if reached.failure:
                 part /= 2.0
                 if part < shortest_share:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,25 +10,24 @@ from numpy.typing import NDArray
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
 from data_schemas.mechanical_design import ElasticSolid, NeoHookeSolid, OgdenSolid
-from sim.mechanics.assembly import Assembly
-from sim.mechanics.contact_analytic import PenaltyContact
-from sim.mechanics.elements import Elasticity
+from sim.mechanics.assembly import Assembly, State
+from sim.mechanics.elements import Elasticity, Modes
 from sim.mechanics.finger_mesh import STEPS, Preset, finger_mesh
 from sim.mechanics.linear_solver import linear_solver
 from sim.mechanics.materials import LinearElastic, Ogden, check_stability, neo_hooke
 from sim.mechanics.mesh import FingerMesh
 from sim.mechanics.newton import Increment, Supports, load_increments
-from sim.mechanics.signed_distances import Body, Cylinder, Pose, Sphere
+from sim.mechanics.press_contact import ContactChoice, PressContact, press_contact
 from sim.mechanics.ties import TiedNodes
-from sim.surface_meshes.pressed_pad import rest_height_mm
+from sim.mechanics.warm_start import CoarserPath
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 
-# contact sinks in by pressure / stiffness: at a tenth of the gel's modulus by a thousandth of an element
-_CONTACT_MODULI_PER_STEP = 100.0
 # a patch that reaches over this share of the pad is a strip across it
 _WHOLE_WIDTH = 0.95
+# two shares of a push that differ by rounding
+_SAME_SHARE = 1e-9
 # per node, against the fin's E times element size: the tie opens by a hundredth of the fin's own strain
 _TIE_MODULI_TIMES_STEP = 100.0
 
@@ -47,14 +47,18 @@ class PressedFinger:
     energy_n_mm
         Strain energy with that of contact and ties, (k,).
     displacement_mm
-        Of the nodes, (k, n, 3).
+        Of the nodes, (k, n, 3); of the last increments only, (l, n, 3), where a stored press was gone on with.
     iterations
         Newton iterations of each increment, (k,).
+    modes_mm
+        Incompatible modes of each block at the last increment, (m, 3, 3) or (m, 0, 3).
     pressure_mpa, touch_mm
         Of the last increment: contact pressure at the q sampling points of the coat's f faces (f, q), and where these
         lie in the undeformed pad (f, q, 3).
     unreached
         Why the push ended early; empty when it did not.
+    contact
+        In words: how the indenter and the parts touch.
     """
 
     mesh: FingerMesh
@@ -63,9 +67,11 @@ class PressedFinger:
     energy_n_mm: FloatArray
     displacement_mm: FloatArray
     iterations: NDArray[np.int64]
+    modes_mm: Modes
     pressure_mpa: FloatArray
     touch_mm: FloatArray
     unreached: str
+    contact: str
 
 
 def press_finger(
@@ -74,11 +80,16 @@ def press_finger(
     increments: int = 4,
     threads: int = 1,
     progress: Progress | None = None,
+    start: PressedFinger | None = None,
+    resume: PressedFinger | None = None,
+    store: Callable[[PressedFinger], None] | None = None,
+    contact: ContactChoice = "auto",
+    folder: Path = Path(),
 ) -> PressedFinger:
-    """Press the design's indenter in by its depth, without friction, from first touch on the middle line.
+    """Press the design's indenter in by its depth along the pad's normal, from first touch.
 
-    Contact by penalty on exact signed distances. A push of 5 mm and more buckles ribs, which takes more increments;
-    ribs may then pass through each other, which is not checked here.
+    Contact by a penalty on exact distances, frictionless, where ribs do not see each other; or by a barrier with the
+    design's friction and contact of all parts. A push of 5 mm and more buckles ribs, which takes more increments.
 
     Parameters
     ----------
@@ -92,41 +103,84 @@ def press_finger(
         Of elements and factorisation.
     progress
         Called after each increment.
+    start
+        The same press on a coarser mesh, whose displacements, interpolated, are where each increment's search starts.
+    resume
+        The same press on the same mesh to a lower depth, to go on from.
+    store
+        Called after each increment with the press so far, for example to keep it for `resume`.
+    contact
+        "auto": the penalty where it can, the barrier for friction and meshes of the user.
+    folder
+        Where the design stands: the STL of an indenter is relative to it.
 
     Raises
     ------
     SimulateError
-        When there is no push, or not even the first increment finds an equilibrium.
+        When there is no push, not even the first increment finds an equilibrium, or `start` or `resume` is a press of
+        another finger or mesh.
     """
     if design.indenter.depth_mm <= 0.0:
         raise SimulateError(f"indenter.depth_mm = {design.indenter.depth_mm:g} mm: a press needs a depth above 0 mm")
-    mesh = finger_mesh(design, preset)
-    contact = _contact(design, mesh, STEPS[preset or design.mesh.preset].pad_mm)
+    steps, depth = STEPS[preset or design.mesh.preset], design.indenter.depth_mm
+    touch = press_contact(design, finger_mesh(design, preset), steps.pad_mm, contact, threads, folder)
+    mesh = touch.mesh
     elasticity = Elasticity(mesh, finger_materials(design), threads)
-    assembly = Assembly(elasticity, [contact, *_ties(design, mesh, STEPS[preset or design.mesh.preset].skeleton_mm)])
-    supports = Supports.at_rest(len(mesh.nodes_mm), mesh.node_sets["fixed"])
+    assembly = Assembly(elasticity, [*touch.terms, *finger_ties(design, mesh, steps.skeleton_mm)])
 
     def loading(fraction: float) -> Supports:
-        contact.place(_pose(design, fraction * design.indenter.depth_mm))
-        return supports
+        return touch.push(fraction * depth)
 
-    stops = [(k + 1) / increments for k in range(increments)]
+    begin, rest = (0.0, None) if resume is None else resumed(resume, mesh, depth)
+    if rest is not None:
+        touch.accept(rest)
+    stops = [(k + 1) / increments for k in range(increments) if (k + 1) / increments > begin + _SAME_SHARE]
+    predict = (
+        None if start is None else CoarserPath(start.mesh, mesh, list(start.depth_mm / depth), start.displacement_mm)
+    )
+    solver = linear_solver(threads=threads)
     reached: list[Increment] = []
     forces: list[FloatArray] = []
     unreached = ""
     try:
-        for step in load_increments(assembly, linear_solver(threads=threads), loading, stops):
+        for step in load_increments(
+            assembly, solver, loading, stops, rest, begin, predict=predict, settle=touch.settle
+        ):
             reached.append(step)
-            forces.append(contact.force_n(step.equilibrium.state.u_mm))
+            forces.append(touch.force_n(step.equilibrium.state.u_mm))
+            if store is not None:
+                store(_result(design, mesh, touch, reached, np.array(forces), "", resume))
             if progress is not None:
-                depth = step.fraction * design.indenter.depth_mm
-                progress(sum(step.fraction >= s for s in stops), increments, f"pressed to {depth:.2f} mm")
+                done = sum(step.fraction >= s for s in stops)
+                progress(done, len(stops), f"pressed to {step.fraction * depth:.2f} mm")
     except SimulateError as stuck:
         if not reached:
             raise
         unreached = str(stuck)
-        contact.place(_pose(design, reached[-1].fraction * design.indenter.depth_mm))
-    return _result(design, mesh, contact, reached, np.array(forces), unreached)
+        touch.push(reached[-1].fraction * depth)
+    return _result(design, mesh, touch, reached, np.array(forces), unreached, resume)
+
+
+def resumed(press: PressedFinger, mesh: FingerMesh, depth_mm: float) -> tuple[float, State]:
+    """Return the share of a push that a stored press has done, and its state.
+
+    Raises
+    ------
+    SimulateError
+        When it stands on another mesh, or has been as deep already.
+    """
+    if not np.array_equal(press.mesh.nodes_mm, mesh.nodes_mm):
+        raise SimulateError(
+            f"the press to go on from has a mesh of {len(press.mesh.nodes_mm)} nodes that is not that of this design "
+            f"({len(mesh.nodes_mm)} nodes); resume with the same design and mesh, or press from the start"
+        )
+    done = float(press.depth_mm[-1])
+    if done >= (1.0 - _SAME_SHARE) * depth_mm:
+        raise SimulateError(
+            f"the press to go on from is at {done:g} mm already and indenter.depth_mm is {depth_mm:g} mm; "
+            "ask for more, or resume from an earlier increment"
+        )
+    return done / depth_mm, State(press.displacement_mm[-1], press.modes_mm)
 
 
 def finger_materials(design: FingerDesign) -> dict[str, Ogden | LinearElastic]:
@@ -173,23 +227,7 @@ def contact_distance(pressed: PressedFinger, nodes: NDArray[np.int64]) -> FloatA
     return np.asarray(np.sqrt(squares))
 
 
-def _contact(design: FingerDesign, mesh: FingerMesh, step_mm: float) -> PenaltyContact:
-    """Return the contact of the coat with the indenter at first touch."""
-    shear_mpa = 2.0 * design.mechanics.gel.c10_mpa
-    radius = design.indenter.radius_mm
-    body: Body = Cylinder(radius) if design.indenter.shape == "cylinder" else Sphere(radius)
-    stiffness = _CONTACT_MODULI_PER_STEP * shear_mpa / step_mm
-    return PenaltyContact(mesh.nodes_mm, mesh.surfaces["coat"], body, _pose(design, 0.0), stiffness, curvature=False)
-
-
-def _pose(design: FingerDesign, depth_mm: float) -> Pose:
-    """Return the indenter's place at a depth below the crown of the undeformed pad."""
-    at = design.indenter.position_mm
-    crown = float(rest_height_mm(design, 0.0, at))
-    return Pose((0.0, crown + design.indenter.radius_mm - depth_mm, at))
-
-
-def _ties(design: FingerDesign, mesh: FingerMesh, step_mm: float) -> list[TiedNodes]:
+def finger_ties(design: FingerDesign, mesh: FingerMesh, step_mm: float) -> list[TiedNodes]:
     """Return the ties of the mesh."""
     fin = finger_materials(design)["skeleton"]
     stiffness = _TIE_MODULI_TIMES_STEP * fin.youngs_modulus_mpa * step_mm
@@ -199,21 +237,27 @@ def _ties(design: FingerDesign, mesh: FingerMesh, step_mm: float) -> list[TiedNo
 def _result(
     design: FingerDesign,
     mesh: FingerMesh,
-    contact: PenaltyContact,
+    touch: PressContact,
     reached: Sequence[Increment],
     forces: FloatArray,
     unreached: str,
+    before: PressedFinger | None,
 ) -> PressedFinger:
-    """Collect the increments."""
+    """Collect the increments, after those of a press that was gone on with."""
     last = reached[-1].equilibrium.state.u_mm
+    depths = np.array([step.fraction for step in reached]) * design.indenter.depth_mm
+    energies = np.array([step.equilibrium.energy_n_mm for step in reached])
+    iterations = np.array([step.equilibrium.iterations for step in reached])
     return PressedFinger(
         mesh=mesh,
-        depth_mm=np.array([step.fraction for step in reached]) * design.indenter.depth_mm,
-        force_n=forces,
-        energy_n_mm=np.array([step.equilibrium.energy_n_mm for step in reached]),
+        depth_mm=depths if before is None else np.concatenate([before.depth_mm, depths]),
+        force_n=forces if before is None else np.concatenate([before.force_n, forces]),
+        energy_n_mm=energies if before is None else np.concatenate([before.energy_n_mm, energies]),
         displacement_mm=np.array([step.equilibrium.state.u_mm for step in reached]),
-        iterations=np.array([len(step.equilibrium.residuals_n) for step in reached]),
-        pressure_mpa=contact.pressures_mpa(last),
-        touch_mm=contact.points_mm(np.zeros_like(last)),
+        iterations=iterations if before is None else np.concatenate([before.iterations, iterations]),
+        modes_mm=reached[-1].equilibrium.state.modes,
+        pressure_mpa=touch.pressures_mpa(last),
+        touch_mm=touch.touch_mm(),
         unreached=unreached,
+        contact=touch.note,
     )

@@ -17,8 +17,11 @@ from sim.optics.render import BAKE_SAMPLES, Progress, check_paints, lit_integrat
 from sim.optics.scene import band_film
 from sim.optics.variants import SCALAR_VARIANT
 from sim.optics.wall_baking import bake_walls
+from sim.optics.wall_exchange import WallExchange, direct_lights
 from sim.surface_meshes.finger_shape import pressed_shape
 from sim.surface_meshes.pressed_pad import contact_half_width_mm, pressed_height_mm
+
+Floats = NDArray[np.float64]
 
 # each repeat bakes its own walls, so that the repeats show the bake's noise; together they sample it well
 _BAKE_SHARE = 0.2
@@ -57,8 +60,10 @@ def sweep_light_angle(
 ) -> AngleSweep:
     """Measure the coated face's radiance at probe points for each light angle.
 
-    The radiance is that towards the inner face along the pad's normal, seen from inside the gel. The walls are baked
-    anew for each angle and repeat (level b; level a knows no angle and cannot drive the decision).
+    The radiance is that towards the inner face along the pad's normal, seen from inside the gel, at level b (level a
+    knows no angle and cannot drive the decision). In compiled variants one set of paths serves all angles
+    (:mod:`sim.optics.angle_paths`); light that the panel itself reflects (5 %), and what it keeps from the walls, is
+    left out. A scalar variant bakes and traces each angle by itself.
 
     Parameters
     ----------
@@ -75,11 +80,11 @@ def sweep_light_angle(
     seed
         Random seed, >= 0.
     samples
-        Paths per probe, angle and repeat.
+        Paths per probe and repeat, shared by all angles (in a scalar variant, per angle).
     probe_points_mm
         Points (x, z) on the pad, shape (probe, 2); by default :func:`default_probe_points_mm`.
     progress
-        Called after each angle.
+        Called after each repeat (in a scalar variant, after each angle).
 
     Raises
     ------
@@ -96,12 +101,15 @@ def sweep_light_angle(
     points = _on_coat(design, default_probe_points_mm(design) if probe_points_mm is None else probe_points_mm)
     bands = check_paints(design, paints)
     radiance = np.empty((angles.size, repeats, len(points), 3))
-    for i, angle in enumerate(angles):
-        finger = _at_angle(design, float(angle))
-        radiance[i] = _measure_repeats(finger, bands, renderer, points, samples, repeats, seed)
-        if progress is not None:
-            progress(i + 1, angles.size, f"light angle {angle:g} deg")
+    designs = [_at_angle(design, float(angle)) for angle in angles]
     variant = renderer.variant()
+    if variant == SCALAR_VARIANT:
+        for i, finger in enumerate(designs):
+            radiance[i] = _measure_by_meters(finger, bands, renderer, points, samples, repeats, seed)
+            if progress is not None:
+                progress(i + 1, angles.size, f"light angle {angles[i]:g} deg")
+    else:
+        radiance = _measure_together(designs, bands, renderer, points, samples, repeats, seed, progress)
     duration_s = time.monotonic() - start
     label = f"rendered probes, level b, {variant}"
     return AngleSweep(angles, radiance, points, bands, samples, seed, duration_s, variant, label)
@@ -143,41 +151,59 @@ def _heights_mm(design: FingerDesign, points_xz_mm: NDArray[np.float64]) -> NDAr
     return np.array([pressed_height_mm(design, point[:1], point[1:])[0, 0] for point in points_xz_mm])
 
 
-def _measure_repeats(
+def _measure_by_meters(
     design: FingerDesign,
     bands: PaintBands,
     renderer: ModuleType,
-    points_mm: NDArray[np.float64],
+    points_mm: Floats,
     samples: int,
     repeats: int,
     seed: int,
-) -> NDArray[np.float64]:
-    """Return the band radiance (repeat, probe, 3) at the points for one light angle."""
+) -> Floats:
+    """Return the band radiance (repeat, probe, 3) for one light angle in a scalar variant."""
     shape = pressed_shape(design)
     scene = open_scene(design, shape, bands, renderer, sensor=_meter(renderer, points_mm[0]))
-    scalar = renderer.variant() == SCALAR_VARIANT
-    bake_samples = max(1, round(BAKE_SAMPLES[scalar] * _BAKE_SHARE))
+    bake_samples = max(1, round(BAKE_SAMPLES[True] * _BAKE_SHARE))
     values = []
     for repeat, light in enumerate(bake_walls(scene, design, shape, bands, renderer, "b", seed, bake_samples, repeats)):
         integrator, chains = lit_integrator(scene, design, shape, renderer, light)
-        read = _read_meters if scalar else _read_together
-        of_chains = read(scene, integrator, renderer, points_mm, samples, stream_seed(seed, repeat))
+        of_chains = _read_meters(scene, integrator, renderer, points_mm, samples, stream_seed(seed, repeat))
         values.append(of_chains @ chain_matrix(chains).T)
     return np.stack(values)
 
 
-def _read_together(
-    scene: Any, integrator: Any, renderer: ModuleType, points_mm: NDArray[np.float64], samples: int, seed: int
-) -> NDArray[np.float64]:
-    """Return the radiance (probe, chain), all probes' rays traced as one wavefront of the compiled integrator."""
-    count = len(points_mm) * samples
-    origins = np.repeat(_ray_origins_mm(points_mm), samples, axis=0).T.astype(np.float32)
-    rays = renderer.Ray3f(renderer.Point3f(np.ascontiguousarray(origins)), renderer.Vector3f(0.0, 1.0, 0.0))
-    sampler = renderer.load_dict({"type": "independent"})
-    sampler.seed(seed, count)
-    radiance, _, further = integrator.sample(scene, sampler, rays, None, renderer.Bool(True))
-    channels = np.stack([*radiance.numpy(), *(np.array(channel) for channel in further)]).astype(np.float64)
-    return np.asarray(channels.reshape(-1, len(points_mm), samples).mean(axis=2).T)
+def _measure_together(
+    designs: Sequence[FingerDesign],
+    bands: PaintBands,
+    renderer: ModuleType,
+    points_mm: Floats,
+    samples: int,
+    repeats: int,
+    seed: int,
+    progress: Progress | None,
+) -> Floats:
+    """Return the band radiance (angle, repeat, probe, 3) of all angles, whose paths are the same."""
+    from sim.optics.angle_paths import AnglePaths  # needs the variant set
+
+    design, shape = designs[0], pressed_shape(designs[0])
+    scene = open_scene(design, shape, bands, renderer, sensor=_meter(renderer, points_mm[0]))
+    tracer = AnglePaths(scene, design, shape, [d.light for d in designs])
+    direct = direct_lights(design, shape, [d.light for d in designs])
+    bake_samples = max(round(BAKE_SAMPLES[False] * _BAKE_SHARE), min(8 * samples, 2 * BAKE_SAMPLES[False]))
+    origins = np.repeat(_ray_origins_mm(points_mm), samples, axis=0)
+    up = np.broadcast_to(np.array([0.0, 1.0, 0.0]), origins.shape)
+    radiance = np.empty((len(designs), repeats, len(points_mm), 3))
+    for repeat in range(repeats):
+        rng = np.random.default_rng(stream_seed(seed, 2 * repeat))
+        walls = WallExchange.traced(tracer, shape, bake_samples, rng)
+        seen = tracer.trace(origins, up, samples, stream_seed(seed, 2 * repeat + 1), from_wall=False)
+        for k in range(len(designs)):
+            emitted = walls.emitted(k, direct[k], bands)
+            radiance[k, repeat, :, :2] = np.einsum("pwij,wij->pw", seen.by_wall, emitted)
+        radiance[:, repeat, :, 2] = seen.led.T
+        if progress is not None:
+            progress(repeat + 1, repeats, f"paths of all angles, repeat {repeat + 1}")
+    return radiance
 
 
 def _read_meters(

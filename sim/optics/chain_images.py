@@ -12,12 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import SimulateError
-from sim.optics.paint_bands import BAND_NAMES
+from sim.optics.paint_bands import BAND_NAMES, SpectralBand
 
 Floats = NDArray[np.float64]
 
 LARGEST_REFLECTANCE_CHANGE = 0.01
 """Absolute change of a paint's reflectance in a band from which on its chains must be rendered again."""
+
+LARGEST_CENTROID_SHIFT_NM = 10.0
+"""Shift of a band from which on its images must be rendered again: the coating changes by 0.4 % per reflection."""
+
+LARGEST_REEMISSION_GAIN = 3.0
+"""Growth of what paint makes of paint's light up to which a chain left out at 0.5 % of its band stays below 1.5 %."""
 
 # one product of all pixels is spread over threads, whose start costs up to 100 ms where cores are shared
 _BLOCK_PX = 4096
@@ -75,6 +81,39 @@ def require_same_reflectance(before: Mapping[str, Floats], after: Mapping[str, F
                 f"the {wall} paint's reflectance in the {BAND_NAMES[k]} band went from {old[k]:.3f} to "
                 f"{after[wall][k]:.3f}; changes up to {LARGEST_REFLECTANCE_CHANGE:g} can be made without a new render: "
                 "render again"
+            )
+
+
+def require_near_bands(before: Sequence[SpectralBand], after: Sequence[SpectralBand]) -> None:
+    """Refuse to reuse images after a band has moved: the coating's reflectance is that at the band's centroid.
+
+    Raises
+    ------
+    SimulateError
+        When a centroid has moved by more than LARGEST_CENTROID_SHIFT_NM.
+    """
+    for name, old, new in zip(BAND_NAMES, before, after, strict=True):
+        if abs(new.centroid_nm - old.centroid_nm) > LARGEST_CENTROID_SHIFT_NM:
+            raise SimulateError(
+                f"the {name} band's centroid went from {old.centroid_nm:.1f} to {new.centroid_nm:.1f} nm; shifts up to "
+                f"{LARGEST_CENTROID_SHIFT_NM:g} nm can be made without a new render: render again"
+            )
+
+
+def require_small_reemission(gains: Mapping[tuple[str, str], float]) -> None:
+    """Refuse gains that would raise chains which were left out as too weak.
+
+    Raises
+    ------
+    SimulateError
+        When the conversion of a paint's light has grown by more than LARGEST_REEMISSION_GAIN.
+    """
+    for (band, wall), gain in gains.items():
+        if band != "led" and gain > LARGEST_REEMISSION_GAIN:
+            raise SimulateError(
+                f"the {wall} paint converts {gain:.1f} times as much {band} light as when the images were rendered; up "
+                f"to {LARGEST_REEMISSION_GAIN:g} times can be made without a new render, because weak chains of "
+                "fluorescence were left out: render again"
             )
 
 

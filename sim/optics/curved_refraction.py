@@ -9,14 +9,14 @@ gives the solid angle in the gel per panel area. One piece of arithmetic serves 
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import Film, FingerDesign, LightPanel
+from sim.optics.panel_frame import panel_frame, panel_quadrature
 from sim.optics.position_map import Evaluate, FacePoint, PositionMap, Vector
-from sim.optics.refracted_light import PanelFrame, panel_frame
 from sim.surface_meshes.finger_shape import FingerShape
 
 START_STEPS = 4
@@ -32,15 +32,35 @@ _LONGEST_STEP = 0.25
 _SHORTEST_MM = 1e-6
 
 
+# light that crosses the face nearer to its outline than this counts as that of the rim
+_RIM_MM = 2.0
+
+
 @dataclass(frozen=True, slots=True)
 class GelFace:
-    """The inner face as light meets it: its map, its size at rest, the gel's index at the LED and the film on it."""
+    """The inner face as light meets it: its map, its size at rest, the gel's index at the LED and the film on it.
+
+    ``part`` says which light counts: all of it, that of the middle, which fades out smoothly before the outline, or the
+    rest, that of the rim. Both together are all.
+    """
 
     map: PositionMap
     width_mm: float
     length_mm: float
     index: float
     film: Film | None = None
+    part: Literal["all", "middle", "rim"] = "all"
+
+    def share(self, u: Any, v: Any, arithmetic: Any) -> Any:
+        """Return which share of the light that crosses the face at (u, v) counts; twice differentiable."""
+        if self.part == "all":
+            return 1.0
+        across, along = arithmetic.minimum(u, 1.0 - u), arithmetic.minimum(v, 1.0 - v)
+        middle = 1.0
+        for from_edge, size_mm in ((across, self.width_mm), (along, self.length_mm)):
+            x = arithmetic.clip(from_edge * (size_mm / _RIM_MM), 0.0, 1.0)
+            middle = middle * (x * x * x * (10.0 - x * (15.0 - 6.0 * x)))
+        return middle if self.part == "middle" else 1.0 - middle
 
 
 def inner_face(design: FingerDesign, shape: FingerShape) -> GelFace:
@@ -119,7 +139,8 @@ def refract_through(
     for _ in range(steps):
         step_u, step_v = _newton_step(evaluate(u, v), point, panel_point, n, arithmetic)
         u, v = arithmetic.clip(u + step_u, 0.0, 1.0), arithmetic.clip(v + step_v, 0.0, 1.0)
-    return _path(evaluate(u, v), (u, v), point, panel_point, n, face.film, arithmetic)
+    path = _path(evaluate(u, v), (u, v), point, panel_point, n, face.film, arithmetic)
+    return path._replace(weight=path.weight * face.share(u, v, arithmetic))
 
 
 def fresnel_transmittance(cos_gel: Any, cos_air: Any, index: Any) -> Any:
@@ -182,14 +203,6 @@ def curved_irradiance(
     cos_surface = np.einsum("nk,nk->n", np.stack(path.to_crossing, axis=-1), np.repeat(normals, count, axis=0))
     kernel = path.weight * cos_panel**light.beam_exponent * np.maximum(cos_surface, 0.0)
     return np.asarray(kernel.reshape(len(points_mm), count) @ areas_mm2)
-
-
-def panel_quadrature(frame: PanelFrame, across: int, along: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return Gauss-Legendre points (m, 3) on a panel and their areas (m,)."""
-    u, weight_u = np.polynomial.legendre.leggauss(across)
-    v, weight_v = np.polynomial.legendre.leggauss(along)
-    points = frame.centre_mm + u[:, None, None] * frame.half_across_mm + v[None, :, None] * frame.half_along_mm
-    return points.reshape(-1, 3), np.outer(weight_u, weight_v).ravel() * frame.area_mm2 / 4.0
 
 
 def _start(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
-from sim.optics.refracted_light import panel_frame
+from sim.optics.panel_frame import panel_frame
 from sim.surface_meshes.back_mirror import MirrorShape, layout_scale, mirror_shape
 from sim.surface_meshes.pressed_pad import pressed_height_mm
 

@@ -1,4 +1,4 @@
-"""Tables of a fluorescent paint for the path tracers that change wavelength on the way, and their closed forms."""
+"""Tables of a fluorescent paint for the path tracers that change wavelength on the way."""
 
 from dataclasses import dataclass
 
@@ -92,32 +92,3 @@ def fluorescent_paint(paint: PaintOptics, light: LightPanel) -> FluorescentPaint
         np.interp(led.wavelength_nm, wavelength, absorbed) * led.density_per_nm, led.wavelength_nm
     )
     return FluorescentPaint(paint.name, wavelength, emission, excitation, np.interp(wavelength, own, paint.reflectance))
-
-
-def furnace_radiance_per_nm(
-    paint: FluorescentPaint, wavelength_nm: NDArray[np.float64], source_per_nm: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the radiance in a closed cavity of paint that also glows evenly: L = (S + em A) / (1 - rho).
-
-    A = integral of ex L = integral(ex S / (1 - rho)) / (1 - integral(ex em / (1 - rho))), which solves
-    L = S + rho L + em integral(ex L) for any shape of the cavity.
-
-    Parameters
-    ----------
-    paint
-        Paint of all walls; its reflectance stays below one.
-    wavelength_nm
-        Fine increasing wavelengths, shape (n,), that cover the paint.
-    source_per_nm
-        Emitted radiance S of the walls at these wavelengths.
-
-    Returns
-    -------
-    array
-        Shape (n,), in the unit of the source.
-    """
-    emission, excitation, reflectance = paint.at(wavelength_nm)
-    left = 1.0 - reflectance
-    gain = np.trapezoid(excitation * emission / left, wavelength_nm)
-    absorbed = np.trapezoid(excitation * source_per_nm / left, wavelength_nm) / (1.0 - gain)
-    return np.asarray((source_per_nm + emission * absorbed) / left)

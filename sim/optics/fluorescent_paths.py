@@ -13,9 +13,8 @@ import drjit as dr
 import mitsuba as mi
 
 from data_schemas.errors import MissingExtraError, SimulateError
+from sim.optics.scene import MAX_DEPTH, ROULETTE_DEPTH
 
-MAX_DEPTH = 30
-ROULETTE_DEPTH = 6
 _LARGEST_SURVIVAL = 0.95
 # how a path left its last surface that was not a smooth interface, in the numbers of sim.optics.paths
 _FROM_SURFACE, _STRAIGHT_OUT, _OTHER_WAY, _FROM_EYE = 0, 1, 2, 3
@@ -158,10 +157,7 @@ def _trace(  # type: ignore[no-untyped-def]
         si = scene.ray_intersect(ray, active)
         valid |= active & si.is_valid() & (depth == 0)
         front = mi.Frame3f.cos_theta(si.wi) > 0
-        if dr.hint(panels is None, mode="scalar"):
-            light = _light_by_chance(scene, si, (before, before_pdf, before_smooth), active)
-        else:
-            light = carrier.panel_light(si, dr.select(front & si.is_valid(), panels.panel_met(si, state), 0))
+        light = _light_met(carrier, panels, scene, si, (before, before_pdf, before_smooth), state, active)
         radiance += dr.select(active, carrier.received(carried, light), 0)
         active &= si.is_valid() & (depth + 1 < max_depth)
 
@@ -169,19 +165,8 @@ def _trace(  # type: ignore[no-untyped-def]
         number, painted = _paint_number(bsdf, paints)
         painted &= active
         carried = carrier.reradiated(carried, si, sampler, number, painted)
-        if dr.hint(panels is None, mode="scalar"):
-            aimed = active & (painted | mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth))
-            sample, light = scene.sample_emitter_direction(si, sampler.next_2d(aimed), True, aimed)
-            aimed &= sample.pdf > 0
-            direction = si.to_local(sample.d)
-            value, pdf = _scattering(bsdf, si, direction, painted, aimed)
-            light *= dr.select(sample.delta, 1.0, sample.pdf / (sample.pdf + pdf))
-        else:
-            aimed = (painted & front) | (active & ~front & (si.shape == panels.coat))
-            aimed, direction, power = panels.connect(scene, si, sampler.next_2d(aimed), aimed)
-            value, pdf = _scattering(bsdf, si, si.to_local(direction), painted, aimed)
-            light = carrier.panel_light(si, power)
-        radiance += dr.select(aimed, carrier.received(carried, value * light), 0)
+        aimed, light = _light_aimed_at(carrier, panels, scene, si, sampler, bsdf, painted, active)
+        radiance += dr.select(aimed, carrier.received(carried, light), 0)
 
         spot = sampler.next_2d(active)
         drawn, weight = bsdf.sample(context, si, sampler.next_1d(active), spot, active)
@@ -192,14 +177,8 @@ def _trace(  # type: ignore[no-untyped-def]
         before_smooth = ~painted & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
         before, before_pdf = mi.Interaction3f(si), dr.select(painted, cosine.z * dr.inv_pi, drawn.pdf)
         if dr.hint(panels is not None, mode="scalar"):
-            through = before_smooth & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.DeltaTransmission)
-            on_face = si.shape == panels.inner
-            if dr.hint(panels.face.film is not None, mode="scalar"):
-                weight *= dr.select(on_face & before_smooth, panels.film_factor(si, through), 1)
-            straight = through & on_face & ~front & (state == _FROM_SURFACE)
-            after = dr.select(straight, mi.UInt32(_STRAIGHT_OUT), mi.UInt32(_OTHER_WAY))
-            after = dr.select(state == _FROM_EYE, mi.UInt32(_FROM_EYE), after)
-            state = dr.select(before_smooth, after, mi.UInt32(_FROM_SURFACE))
+            state, film = _way_on(panels, si, drawn, before_smooth, state)
+            weight *= film
         carried = carrier.scattered(carried, weight)
         eta *= dr.select(painted, 1.0, drawn.eta)
         ray = si.spawn_ray(si.to_world(direction))
@@ -212,6 +191,60 @@ def _trace(  # type: ignore[no-untyped-def]
         active &= sampler.next_1d(active) < survival
         carried = carrier.scattered(carried, dr.rcp(survival))
     return radiance, valid, []
+
+
+def _light_met(
+    carrier: Carrier,
+    panels: PanelLight | None,
+    scene: Any,
+    si: Any,
+    before: tuple[Any, Any, Any],
+    state: Any,
+    active: Any,
+) -> Any:
+    """Return the light of a source that a path has met."""
+    if panels is None:
+        return _light_by_chance(scene, si, before, active)
+    front = (mi.Frame3f.cos_theta(si.wi) > 0) & si.is_valid()
+    return carrier.panel_light(si, dr.select(front, panels.panel_met(si, state), 0))
+
+
+def _light_aimed_at(
+    carrier: Carrier,
+    panels: PanelLight | None,
+    scene: Any,
+    si: Any,
+    sampler: Any,
+    bsdf: Any,
+    painted: Any,
+    active: Any,
+) -> tuple[Any, Any]:
+    """Return (aimed at all, light scattered towards the eye) of a point on a source drawn from a surface point."""
+    if panels is None:
+        aimed = active & (painted | mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth))
+        sample, light = scene.sample_emitter_direction(si, sampler.next_2d(aimed), True, aimed)
+        aimed &= sample.pdf > 0
+        value, pdf = _scattering(bsdf, si, si.to_local(sample.d), painted, aimed)
+        return aimed, value * (light * dr.select(sample.delta, 1.0, sample.pdf / (sample.pdf + pdf)))
+    front = mi.Frame3f.cos_theta(si.wi) > 0
+    aimed = (painted & front) | (active & ~front & (si.shape == panels.coat))
+    aimed, direction, power = panels.connect(scene, si, sampler.next_2d(aimed), aimed)
+    value, _ = _scattering(bsdf, si, si.to_local(direction), painted, aimed)
+    return aimed, value * carrier.panel_light(si, power)
+
+
+def _way_on(panels: PanelLight, si: Any, drawn: Any, smooth: Any, state: Any) -> tuple[Any, Any]:
+    """Return how a path leaves its last rough surface from here on, and what a film on the face changes."""
+    front = mi.Frame3f.cos_theta(si.wi) > 0
+    through = smooth & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.DeltaTransmission)
+    on_face = si.shape == panels.inner
+    film: Any = mi.Float(1)
+    if panels.face.film is not None:
+        film = dr.select(on_face & smooth, panels.film_factor(si, through), 1)
+    straight = through & on_face & ~front & (state == _FROM_SURFACE)
+    after = dr.select(straight, mi.UInt32(_STRAIGHT_OUT), mi.UInt32(_OTHER_WAY))
+    after = dr.select(state == _FROM_EYE, mi.UInt32(_FROM_EYE), after)
+    return dr.select(smooth, after, mi.UInt32(_FROM_SURFACE)), film
 
 
 def _light_by_chance(scene: Any, si: Any, before: tuple[Any, Any, Any], active: Any) -> Any:

@@ -2,13 +2,14 @@
 
 Mitsuba's own differentiable integrators silently return zero for the pose of a light behind a smooth dielectric: they
 meet it by chance only. The refractive connection carries the pose smoothly from the panel to the probe, so here the
-path tracer of level c is differentiated through it. Light that no connection finds (through the mirror, or the ends
-of the gel) adds finite differences with common random numbers.
+path tracer of level c is differentiated through it. Two parts of the light are no smooth function of the pose along a
+path: what no connection finds (through the mirror, or the ends of the gel), and what crosses the inner face at its
+rim, whose outline cuts it off. They add finite differences with common random numbers.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any, Literal, get_args
 
@@ -43,7 +44,13 @@ _HALF_STEP_DEG, _HALF_STEP_MM = 5.0, 1.0
 # probes are spots of this half size: a ray exactly along an edge between two triangles can slip through the mesh
 _SPOT_MM = 0.01
 
-_Light = Literal["all", "connected", "by chance"]
+_Light = Literal["all", "smooth", "rest"]
+# which light each path meets by connection (crossing which part of the inner face), and whether by chance too
+_PARTS: dict[_Light, tuple[Literal["all", "middle", "rim"], bool]] = {
+    "all": ("all", True),
+    "smooth": ("middle", False),
+    "rest": ("rim", True),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +59,8 @@ class ProbeGradient:
 
     ``value_rel`` (probe, 3 bands: red emission, green emission, LED) is in units of the panel's radiance;
     ``gradient`` (parameter, probe, 3) is per degree, per mm, or per unit of conversion; ``by_differences`` of the
-    same shape is the part of it that is a finite difference. ``by_chance_rel`` (probe, 3) is the part of the value
-    that met a panel by chance.
+    same shape is the part of it that is a finite difference. ``rest_rel`` (probe, 3) is the part of the value that
+    this part belongs to: what met a panel by chance, or crossed the rim of the inner face.
     """
 
     with_respect_to: tuple[Parameter, ...]
@@ -63,7 +70,7 @@ class ProbeGradient:
     gradient: Floats
     gradient_error: Floats
     by_differences: Floats
-    by_chance_rel: Floats
+    rest_rel: Floats
     samples: int
     seed: int
 
@@ -82,10 +89,10 @@ def probe_gradient(
 ) -> ProbeGradient:
     """Differentiate the coated face's radiance at probe points.
 
-    The value is that of level c, towards the inner face along the pad's normal. Light through the inner face is
-    differentiated automatically, exact up to noise but for edges (the pad's outline, shadows); light that meets a panel
-    by chance adds central differences over 5 deg or 1 mm to the derivatives by the pose. Equal seeds give equal random
-    numbers in every design.
+    The value is that of level c, towards the inner face along the pad's normal. Light through the middle of the inner
+    face is differentiated automatically, exact up to noise but for shadows; what crosses its rim, 2 mm wide, or meets a
+    panel by chance adds central differences over 5 deg or 1 mm to the derivatives by the pose. Equal seeds give equal
+    random numbers in every design.
 
     Parameters
     ----------
@@ -108,8 +115,7 @@ def probe_gradient(
     shape
         The finger, deformed in any way; by default with the analytic press of its design.
     automatic
-        False takes differences of all light for the pose: noisier, but with the light that the pad's outline and
-        shadows cut off. Light near the base is cut so, and its derivative by position_z_mm needs this.
+        False takes differences of all light for the pose: noisier, but with the light that shadows cut off.
 
     Raises
     ------
@@ -118,6 +124,34 @@ def probe_gradient(
     SimulateError
         When a parameter is not known, there is too little to measure, or a paint is missing or gains energy.
     """
+    _check(renderer, with_respect_to, repeats, samples)
+    points = default_probe_points_mm(design) if probe_points_mm is None else np.asarray(probe_points_mm, np.float64)
+    finger = pressed_shape(design) if shape is None else shape
+    probes = _Probes(design, finger, check_paints(design, paints), renderer, points, samples)
+    seeds = [stream_seed(seed, repeat) for repeat in range(repeats)]
+    rest = np.stack([probes.trace(s, "rest")[0] for s in seeds])
+    values = rest + np.stack([probes.trace(s, "smooth")[0] for s in seeds])
+    parts = [probes.gradient(name, seeds, automatic) for name in with_respect_to]
+    differences, smooth = (np.array([p[k] for p in parts]).reshape(-1, *values.shape) for k in (0, 1))
+    (value, value_error), (gradient, gradient_error) = (
+        (of.mean(axis=-3), of.std(axis=-3, ddof=1) / np.sqrt(repeats)) for of in (values, differences + smooth)
+    )
+    return ProbeGradient(
+        with_respect_to=tuple(with_respect_to),
+        probe_points_mm=probes.points_mm,
+        value_rel=value,
+        value_error_rel=value_error,
+        gradient=gradient,
+        gradient_error=gradient_error,
+        by_differences=differences.mean(axis=1),
+        rest_rel=rest.mean(axis=0),
+        samples=samples,
+        seed=seed,
+    )
+
+
+def _check(renderer: ModuleType, with_respect_to: Sequence[Parameter], repeats: int, samples: int) -> None:
+    """Refuse what cannot be differentiated."""
     unknown = [name for name in with_respect_to if name not in PARAMETERS]
     if unknown:
         raise SimulateError(f"with_respect_to: '{unknown[0]}' is none of {', '.join(PARAMETERS)}")
@@ -129,34 +163,6 @@ def probe_gradient(
         raise MissingExtraError(
             f"gradients need a compiled variant of the renderer, not {SCALAR_VARIANT}; install LLVM 17 or newer"
         )
-    points = default_probe_points_mm(design) if probe_points_mm is None else np.asarray(probe_points_mm, np.float64)
-    finger = pressed_shape(design) if shape is None else shape
-    probes = _Probes(design, finger, check_paints(design, paints), renderer, points, samples)
-    seeds = [stream_seed(seed, repeat) for repeat in range(repeats)]
-    by_chance = np.stack([probes.trace(s, "by chance")[0] for s in seeds])
-    values = by_chance + np.stack([probes.trace(s, "connected")[0] for s in seeds])
-    stack = (len(with_respect_to), *values.shape)
-    differences, gradients = np.zeros(stack), np.zeros(stack)
-    for k, name in enumerate(with_respect_to):
-        of_pose = name not in _CONVERSIONS
-        if of_pose:
-            differences[k] = probes.differences(name, seeds, "by chance" if automatic else "all")
-        gradients[k] = differences[k]
-        if automatic or not of_pose:
-            gradients[k] += probes.derivatives(name, seeds, "connected" if of_pose else "all")
-    root = np.sqrt(repeats)
-    return ProbeGradient(
-        tuple(with_respect_to),
-        probes.points_mm,
-        values.mean(axis=0),
-        values.std(axis=0, ddof=1) / root,
-        gradients.mean(axis=1),
-        gradients.std(axis=1, ddof=1) / root,
-        differences.mean(axis=1),
-        by_chance.mean(axis=0),
-        samples,
-        seed,
-    )
 
 
 def moved(design: FingerDesign, parameter: Parameter, step: float) -> FingerDesign:
@@ -187,6 +193,15 @@ class _Probes:
         self.scene = open_scene(design, shape, bands, renderer)
         self.points_mm = _on_face(shape, "coat", design, points_xz_mm)
         self.feet_mm = _on_face(shape, "inner", design, points_xz_mm)
+
+    def gradient(self, parameter: Parameter, seeds: Sequence[int], automatic: bool) -> tuple[Floats, Floats]:
+        """Return what differences and what automatic differentiation find, (repeat, probe, 3) each."""
+        none = np.zeros((len(seeds), len(self.points_mm), len(BAND_NAMES)))
+        if parameter in _CONVERSIONS:
+            return none, self.derivatives(parameter, seeds, "all")
+        if not automatic:
+            return self.differences(parameter, seeds, "all"), none
+        return self.differences(parameter, seeds, "rest"), self.derivatives(parameter, seeds, "smooth")
 
     def derivatives(self, parameter: Parameter, seeds: Sequence[int], light: _Light) -> Floats:
         """Return automatic derivatives (repeat, probe, 3)."""
@@ -242,10 +257,12 @@ class _Probes:
         from sim.optics.paths import band_integrator
 
         panels = band_integrator(self.scene, self.design, self.shape)
+        part, by_chance = _PARTS[light]
+        panels.face = replace(panels.face, part=part)
         if parameter in ("angle_deg", *_POSITION_AXES):
             self._move(panels.panels[0], change, parameter)
         carrier = _carrier(self.bands, self.renderer, change, parameter)
-        connection = _Connection(panels, light, self.renderer)
+        connection = _Connection(panels, by_chance)
         return fluorescent_integrator(carrier, painted_bsdfs(self.scene, list(WALLS)), panels=connection)
 
     def _move(self, panel: Any, change: Any, parameter: Parameter | None) -> None:
@@ -268,13 +285,11 @@ class _Connection:
     An object of the renderer becomes part of the loop's state, which can then not be differentiated.
     """
 
-    def __init__(self, panels: Any, light: _Light, renderer: ModuleType) -> None:
+    def __init__(self, panels: Any, by_chance: bool) -> None:
         self.face, self.inner, self.coat = panels.face, panels.inner, panels.coat
         self.film_factor, self.connect, self.panel_met = panels.film_factor, panels.connect, panels.panel_met
-        if light == "connected":
+        if not by_chance:
             self.panel_met = lambda *_: 0.0
-        elif light == "by chance":
-            self.connect = lambda *_: (renderer.Bool(False), renderer.Vector3f(0.0, 0.0, 1.0), renderer.Float(0.0))
 
 
 def _on_face(shape: FingerShape, face: str, design: FingerDesign, points_xz_mm: Floats) -> Floats:

@@ -20,7 +20,7 @@ from sim.optics.curved_refraction import (
     inner_face,
     refract_through,
 )
-from sim.optics.refracted_light import PanelFrame, panel_frame
+from sim.optics.panel_frame import PanelFrame, panel_frame
 from sim.optics.scene import MAX_DEPTH, PANEL_RADIANCE_REL, ROULETTE_DEPTH
 from sim.optics.wall_emission import FIRST_CHAINS, TEXELS_ALONG, TEXELS_UP
 from sim.surface_meshes.finger_shape import FingerShape

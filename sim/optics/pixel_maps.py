@@ -17,7 +17,7 @@ from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
 from sim.optics.finger_view import camera_pose, pixel_directions
 from sim.optics.opencv_camera import ray_table, require_same_shape
-from sim.optics.refracted_light import panel_frame
+from sim.optics.panel_frame import panel_frame
 from sim.optics.variants import SCALAR_VARIANT
 from sim.surface_meshes.finger_shape import FingerShape
 from sim.surface_meshes.surface import Surface

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from data_schemas.errors import SimulateError
 from data_schemas.plain_sensor import CHANNELS, ColouredLight, PlainSensor
 from sim.optics.curved_refraction import GelFace
+from sim.optics.panel_frame import PanelFrame
 from sim.optics.position_map import PositionMap
-from sim.optics.refracted_light import PanelFrame
 from sim.optics.render import stream_seed
 from sim.optics.scene import (
     MAX_DEPTH,

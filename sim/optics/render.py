@@ -68,6 +68,11 @@ class PressRender:
     level: RenderLevel
     label: str
 
+    @property
+    def chains_apart(self) -> bool:
+        """Whether ``*_chains`` hold each chain; else all chains of a band stand together under its first."""
+        return self.level != "c" and self.variant != SCALAR_VARIANT
+
 
 def render_press(
     design: FingerDesign,
@@ -113,52 +118,36 @@ def render_press(
         When a paint is missing, a paint gains energy, samples_per_pixel is odd, the gel intersects itself, the camera
         does not see the coat, or level c meets a scalar variant.
     """
-    if samples_per_pixel < 2 or samples_per_pixel % 2:
-        raise SimulateError(
-            f"samples_per_pixel must be an even number of at least 2 (two independent halves), got {samples_per_pixel}"
-        )
+    _check_samples(samples_per_pixel)
     _check_scalar(design, renderer)
     start = time.monotonic()
     bands = check_paints(design, paints)
-    timings: dict[str, float] = {}
-    images, variances = {}, {}
     rest, pressed = shapes or (rest_shape(design), pressed_shape(design))
     _check_size(design, rest)
     for shape in (rest, pressed):
         check_no_intersections(shape.gel)
-    by_name = {"no contact": rest, "contact": pressed}
-    maps = {name: pixel_maps(design, shape, rest, renderer, calibration) for name, shape in by_name.items()}
-    timings["pixel maps"] = time.monotonic() - start
-    window = Window.around(*(seen.coat_mm(design) for seen in maps.values()))
-    camera = _Camera(design, calibration, window)
-    for step, (name, shape) in enumerate(by_name.items()):
-        begun = time.monotonic()
-        halves = []
-        for half in (0, 1):
-            image, bake_s = _render_half(
-                camera, shape, bands, renderer, level, stream_seed(seed, half), samples_per_pixel // 2
-            )
-            halves.append(image)
-            timings[f"bake {name}"] = timings.get(f"bake {name}", 0.0) + bake_s
-        images[name] = _mean_of_chains(*halves)
-        one, other = (_bands_of(half) for half in halves)
-        variances[name] = np.float32(0.25) * (one - other) ** 2
-        timings[f"render {name}"] = time.monotonic() - begun - timings[f"bake {name}"]
+    maps = [pixel_maps(design, shape, rest, renderer, calibration) for shape in (rest, pressed)]
+    timings = {"pixel maps": time.monotonic() - start}
+    camera = _Camera(design, calibration, Window.around(*(seen.coat_mm(design) for seen in maps)))
+    states = []
+    for step, (name, shape) in enumerate((("no contact", rest), ("contact", pressed)), start=1):
+        states.append(_render_state(camera, shape, bands, renderer, level, seed, samples_per_pixel))
+        timings |= {f"bake {name}": states[-1].bake_s, f"render {name}": states[-1].render_s}
         if progress is not None:
-            progress(step + 1, len(by_name), f"rendered {name}")
+            progress(step, 2, f"rendered {name}")
     timings["total"] = time.monotonic() - start
+    chains = tuple(dict.fromkeys(chain for state in states for chain in state.chains))
     variant = renderer.variant()
-    chains = tuple(dict.fromkeys([*images["no contact"], *images["contact"]]))
     return PressRender(
-        no_contact_bands=_bands_of(images["no contact"]),
-        contact_bands=_bands_of(images["contact"]),
+        no_contact_bands=_bands_of(states[0].chains),
+        contact_bands=_bands_of(states[1].chains),
         chains=chains,
-        no_contact_chains=_stacked(images["no contact"], chains),
-        contact_chains=_stacked(images["contact"], chains),
-        no_contact_variance=variances["no contact"],
-        contact_variance=variances["contact"],
-        no_contact_maps=maps["no contact"],
-        contact_maps=maps["contact"],
+        no_contact_chains=_stacked(states[0].chains, chains),
+        contact_chains=_stacked(states[1].chains, chains),
+        no_contact_variance=states[0].variance,
+        contact_variance=states[1].variance,
+        no_contact_maps=maps[0],
+        contact_maps=maps[1],
         contact_label=pressed.label,
         bands=bands,
         samples_per_pixel=samples_per_pixel,
@@ -234,6 +223,14 @@ def _check_size(design: FingerDesign, rest: FingerShape) -> None:
             )
 
 
+def _check_samples(samples_per_pixel: int) -> None:
+    """Refuse numbers of samples that cannot be halved."""
+    if samples_per_pixel < 2 or samples_per_pixel % 2:
+        raise SimulateError(
+            f"samples_per_pixel must be an even number of at least 2 (two independent halves), got {samples_per_pixel}"
+        )
+
+
 def _check_scalar(design: FingerDesign, renderer: ModuleType) -> None:
     """Refuse what a scalar variant would render wrongly."""
     if renderer.variant() == SCALAR_VARIANT and any(light.beam_exponent != 1.0 for light in design.lights):
@@ -249,6 +246,36 @@ class _Camera:
     design: FingerDesign
     calibration: CameraCalibration | None
     window: Window
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    """The finger without or with contact: an image per chain, the variance of its bands, seconds of both halves."""
+
+    chains: Mapping[str, NDArray[np.float32]]
+    variance: NDArray[np.float32]
+    bake_s: float
+    render_s: float
+
+
+def _render_state(
+    camera: _Camera,
+    shape: FingerShape,
+    bands: PaintBands,
+    renderer: ModuleType,
+    level: RenderLevel,
+    seed: int,
+    samples_per_pixel: int,
+) -> _State:
+    """Render two independent halves, whose difference tells the noise."""
+    begun = time.monotonic()
+    (one, bake_s), (other, more_s) = (
+        _render_half(camera, shape, bands, renderer, level, stream_seed(seed, half), samples_per_pixel // 2)
+        for half in (0, 1)
+    )
+    variance = np.float32(0.25) * (_bands_of(one) - _bands_of(other)) ** 2
+    bake_s += more_s
+    return _State(_mean_of_chains(one, other), variance, bake_s, time.monotonic() - begun - bake_s)
 
 
 def _render_half(

@@ -17,7 +17,7 @@ from data_schemas.errors import SimulateError
 from sim.optics.finger_view import Window, camera_pose
 from sim.optics.opencv_sensor import opencv_sensor
 from sim.optics.paint_bands import PaintBands
-from sim.optics.refracted_light import PanelFrame, panel_frame
+from sim.optics.panel_frame import PanelFrame, panel_frame
 from sim.surface_meshes.finger_shape import GEL_FACES, FingerShape
 from sim.surface_meshes.surface import Surface
 

@@ -50,11 +50,12 @@ Preference = Literal["auto", "llvm", "scalar", "cuda"]
 
 @dataclass(frozen=True, slots=True)
 class RendererChoice:
-    """The variant to render with, the LLVM library behind it, and a plain note for the user."""
+    """The variant to render with, the LLVM library behind it, a note for the user, and whether it is second choice."""
 
     variant: str
     llvm_library: str | None
     note: str
+    fell_back: bool = False
 
 
 def choose_variant(
@@ -103,7 +104,7 @@ def choose_variant(
     tried = "; ".join(failures) if failures else f"no LLVM library of version >= {MINIMUM_LLVM_MAJOR} was found"
     if prefer == "llvm":
         raise MissingExtraError(f"the renderer was asked for with LLVM, but {tried}; {INSTALL_NOTE}")
-    return RendererChoice(scalar, None, f"{tried}; {INSTALL_NOTE}")
+    return RendererChoice(scalar, None, f"{tried}; {INSTALL_NOTE}", fell_back=True)
 
 
 def find_llvm_libraries() -> list[str]:

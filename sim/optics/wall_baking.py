@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
+from sim.optics.even_points import even_points
 from sim.optics.paint_bands import BAND_NAMES, PaintBands
 from sim.optics.scene import wall_texels
 from sim.optics.variants import SCALAR_VARIANT
@@ -36,7 +37,7 @@ SMALLEST_CHAIN_SHARE = 0.005
 """Chains that add less to the emission of their band are left out, and so is everything they would excite."""
 
 _LED = 2
-_POINTS_ALONG, _POINTS_UP = 28, 4
+POINTS_ALONG, POINTS_UP = 28, 4
 # the irradiance varies over centimetres: polynomials smooth the sampling noise without bias of its own scale
 _DEGREE_ALONG, _DEGREE_UP = 7, 1
 _LIFT_MM = 2e-3
@@ -140,7 +141,7 @@ def indirect_irradiance(
     radiance = _trace_from_walls(scene, shape, integrator, renderer, seed, samples, repeats)[..., _LED]
     means = np.pi * radiance
     if scalar:  # the stock tracer meets the panel directly too
-        at = grid_uv(_POINTS_ALONG, _POINTS_UP)
+        at = grid_uv(POINTS_ALONG, POINTS_UP)
         means -= np.stack([direct_irradiance(design, shape, wall, at).ravel() for wall in WALLS])
     return [{wall: _smooth(mean[k]) for k, wall in enumerate(WALLS)} for mean in means]
 
@@ -218,15 +219,23 @@ def _trace_from_walls(
 ) -> NDArray[np.float64]:
     """Return the mean radiance over cosine-distributed directions, (repeat, wall, point, channel)."""
     rng = np.random.default_rng(seed)
-    points = _POINTS_ALONG * _POINTS_UP
+    points = POINTS_ALONG * POINTS_UP
     per_point = max(1, round(samples / points))
-    uv = grid_uv(_POINTS_ALONG, _POINTS_UP).reshape(-1, 2)
-    walls = [wall_map(shape, wall) for wall in WALLS]
-    rays = [_wall_rays(w.positions_mm(uv), -w.normals(uv), per_point, rng) for _ in range(repeats) for w in walls]
-    origins, directions = (np.concatenate([ray[k] for ray in rays]) for k in (0, 1))
+    origins, directions = rays_from_walls(shape, per_point, rng, repeats)
     trace = _trace_one_by_one if renderer.variant() == SCALAR_VARIANT else _trace_together
     radiance = trace(scene, integrator, renderer, origins, directions, int(rng.integers(2**32)))
     return np.asarray(radiance.reshape(repeats, len(WALLS), points, per_point, -1).mean(axis=3))
+
+
+def rays_from_walls(
+    shape: FingerShape, per_point: int, rng: np.random.Generator, repeats: int = 1
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return origins and cosine-distributed directions into the gel, (repeat * wall * point * per_point, 3)."""
+    uv = grid_uv(POINTS_ALONG, POINTS_UP).reshape(-1, 2)
+    walls = [(where.positions_mm(uv), -where.normals(uv)) for where in (wall_map(shape, wall) for wall in WALLS)]
+    rays = [_wall_rays(points, inward, per_point, rng) for _ in range(repeats) for points, inward in walls]
+    origins, directions = (np.concatenate([ray[k] for ray in rays]) for k in (0, 1))
+    return origins, directions
 
 
 def _wall_rays(
@@ -238,7 +247,8 @@ def _wall_rays(
     # walls are nearly upright, so their normals are never near the pad's length
     across = np.cross(normal, [0.0, 0.0, 1.0])
     across /= np.linalg.norm(across, axis=-1, keepdims=True)
-    height, turn = rng.random(len(origins)), 2.0 * np.pi * rng.random(len(origins))
+    # most of the light that reaches a wall at random has met smooth faces only, so that its direction decides
+    height, turn = even_points(len(origins), 2, rng).T * np.array([[1.0], [2.0 * np.pi]])
     flat = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * np.cross(normal, across)
     return origins, np.sqrt(height)[:, None] * normal + np.sqrt(1.0 - height)[:, None] * flat
 
@@ -278,12 +288,12 @@ def _trace_one_by_one(
 
 def _smooth(irradiance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Fit polynomials to values at the traced points and return them at the texel centres, not below zero."""
-    coefficients = np.linalg.lstsq(_basis(_POINTS_ALONG, _POINTS_UP), irradiance)[0]
-    fitted = _basis(TEXELS_ALONG, TEXELS_UP) @ coefficients
+    coefficients = np.linalg.lstsq(polynomial_basis(POINTS_ALONG, POINTS_UP), irradiance)[0]
+    fitted = polynomial_basis(TEXELS_ALONG, TEXELS_UP) @ coefficients
     return np.asarray(np.maximum(fitted, 0.0).reshape(TEXELS_ALONG, TEXELS_UP))
 
 
-def _basis(along: int, up: int) -> NDArray[np.float64]:
+def polynomial_basis(along: int, up: int) -> NDArray[np.float64]:
     """Return Legendre products at the centres of a grid, shape (along * up, coefficients)."""
     v, u = ((np.arange(count) + 0.5) / count for count in (along, up))
     legendre = np.polynomial.legendre.legvander

@@ -4,13 +4,13 @@ A chain names the way of the energy: "led>red" is LED light turned into red emis
 "led>green>red" green emission of the green wall turned into red emission at the red wall.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.design import FingerDesign
+from data_schemas.design import FingerDesign, LightPanel
 from sim.optics.curved_refraction import curved_irradiance, inner_face
 from sim.optics.paint_bands import BAND_NAMES, PaintBands
 from sim.optics.position_map import PositionMap
@@ -104,13 +104,20 @@ def direct_irradiance(
     uv
         Texture coordinates (u up the wall, v along), shape (..., 2).
     """
+    return sum(direct_irradiances(design, shape, wall, uv, design.lights), np.zeros(uv.shape[:-1]))
+
+
+def direct_irradiances(
+    design: FingerDesign, shape: FingerShape, wall: str, uv: NDArray[np.float64], lights: Sequence[LightPanel]
+) -> list[NDArray[np.float64]]:
+    """Return the same for each of several panels alone, which need not be those of the design."""
     where, face = wall_map(shape, wall), inner_face(design, shape)
     points, inward = where.positions_mm(uv).reshape(-1, 3), -where.normals(uv).reshape(-1, 3)
     foot = np.stack([np.full(uv.shape[:-1], _FOOT_ACROSS[wall]), uv[..., 1]], axis=-1).reshape(-1, 2)
-    total = np.zeros(len(points))
-    for light in design.lights:
-        total += light.power_rel * curved_irradiance(points, inward, foot, light, face, _PANEL_QUADRATURE)
-    return total.reshape(uv.shape[:-1])
+    return [
+        light.power_rel * curved_irradiance(points, inward, foot, light, face, _PANEL_QUADRATURE).reshape(uv.shape[:-1])
+        for light in lights
+    ]
 
 
 def wall_map(shape: FingerShape, wall: str) -> PositionMap:

@@ -14,12 +14,45 @@ from data_schemas.errors import SimulateError
 BLEND_MM = 0.15
 """Radius of the rounded transition between the indenter and the free face."""
 
+_ANALYTIC_SHAPES = ("cylinder", "ball")
+_BY_ELEMENTS = "Press by finite elements: finray simulate DESIGN --only mechanics, and render with --surfaces"
 _QUADRATURE_POINTS = 4001
 _QUADRATURE_COLUMNS = 401
 # a whole bulge beside a press in a pad of 70 mm has a mean near 0.2
 _SMALLEST_BULGE_MEAN = 0.01
 # a line whose overlap with the indenter is thinner than this is left alone
 _SMALLEST_OVERLAP_MM = 1e-6
+
+
+def check_analytic_press(design: FingerDesign) -> None:
+    """Check that the analytic press can shape this press: a cylinder or a ball on the middle line, inside the pad.
+
+    Raises
+    ------
+    SimulateError
+        When it cannot; the message names the field and the finite elements that can.
+    """
+    pad, indenter = design.pad, design.indenter
+    if indenter.depth_mm == 0.0:
+        return
+    if indenter.depth_mm >= pad.thickness_mm:
+        raise SimulateError(
+            f"indenter.depth_mm = {indenter.depth_mm} mm goes through the pad; it must be below pad.thickness_mm = "
+            f"{pad.thickness_mm} mm for the analytic press. {_BY_ELEMENTS}"
+        )
+    if indenter.shape not in _ANALYTIC_SHAPES:
+        raise SimulateError(
+            f'indenter.shape = "{indenter.shape}": the analytic press knows {" and ".join(_ANALYTIC_SHAPES)} only. '
+            f"{_BY_ELEMENTS}"
+        )
+    turned = indenter.shape == "cylinder" and any(indenter.rotation_deg)
+    if indenter.across_mm != 0.0 or turned:
+        field = (
+            f"rotation_deg = {list(indenter.rotation_deg)} deg" if turned else f"across_mm = {indenter.across_mm:g} mm"
+        )
+        raise SimulateError(
+            f"indenter.{field}: the analytic press is for an indenter on the middle line, not turned. {_BY_ELEMENTS}"
+        )
 
 
 def without_press(design: FingerDesign) -> FingerDesign:
@@ -78,8 +111,10 @@ def pressed_height_mm(
     Raises
     ------
     SimulateError
-        When the contact leaves no free face beside it for the displaced volume.
+        When the press is not one that :func:`check_analytic_press` allows, or its contact leaves no free face beside
+        it for the displaced volume.
     """
+    check_analytic_press(design)
     pad, indenter = design.pad, design.indenter
     rest = rest_height_mm(design, x_mm[:, None], z_mm[None, :])
     if indenter.depth_mm == 0.0:

@@ -29,6 +29,7 @@ DIMENSIONLESS_WORDS = frozenset(
         "exponent",
         "factor",
         "fraction",
+        "friction",
         "hat",
         "index",
         "kappa",

@@ -287,6 +287,11 @@ CASES = (
         r"--level belongs to the optics; leave it out with --only mechanics",
     ),
     Case(
+        "increments without mechanics",
+        BOTH + " --increments 3",
+        r"--increments are steps of finite elements; add --only mechanics",
+    ),
+    Case(
         "sweep of the paper's emitter",
         BOTH + " --angles 0:90:10 --level a",
         r"--level a: sweeps are made with level b",
@@ -306,7 +311,7 @@ CASES = (
     Case(
         "indenter through the pad",
         BAD_FINGER,
-        r"finger\.toml: indenter\.depth_mm = 6\.5 mm goes through the pad; it must be below .* 6\.0 mm",
+        r"indenter\.depth_mm = 6\.5 mm goes through the pad; it must be below .* 6\.0 mm",
         edited("finger.toml", "[camera]", "[indenter]\ndepth_mm = 6.5\n[camera]"),
     ),
     # compare and decide

@@ -301,7 +301,7 @@ class TestFilesPeopleWrite:
     @pytest.mark.parametrize(
         ("text", "message"),
         [
-            ("[indenter]\ndepth_mm = 6.5\n", "goes through the pad"),
+            ("[indenter]\nacross_mm = 20.0\n", "must lie on the pad"),
             ("[indenter]\nposition_mm = 90.0\n", "must lie on the pad"),
             ("[camera]\nwidth_px = 641\n", "must be even"),
             ("[mirror]\nreflectance = 88.0\n", r"mirror.reflectance' \(in 1\)"),

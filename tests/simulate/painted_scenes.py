@@ -88,3 +88,16 @@ def traced(scene, integrator, ray, numbers):
 def estimate(values):
     """Return mean and standard error of samples (channels, n)."""
     return values.mean(axis=1), values.std(axis=1, ddof=1) / np.sqrt(values.shape[1])
+
+
+def furnace_radiance_per_nm(paint, wavelength_nm, source_per_nm):
+    """Return the radiance in a closed cavity of paint that also glows evenly: L = (S + em A) / (1 - rho).
+
+    A = integral of ex L = integral(ex S / (1 - rho)) / (1 - integral(ex em / (1 - rho))), which solves
+    L = S + rho L + em integral(ex L) for any shape of the cavity.
+    """
+    emission, excitation, reflectance = paint.at(wavelength_nm)
+    left = 1.0 - reflectance
+    gain = np.trapezoid(excitation * emission / left, wavelength_nm)
+    absorbed = np.trapezoid(excitation * source_per_nm / left, wavelength_nm) / (1.0 - gain)
+    return np.asarray((source_per_nm + emission * absorbed) / left)

@@ -10,7 +10,7 @@ from data_schemas.design import Coating, FingerDesign, LightPanel, TactileCamera
 from data_schemas.errors import CurveError
 from data_schemas.standard_curves import assumed_camera_response
 from rigs.simulated.sensor import bayer_planes
-from sim.experiments import digital_twin, light_angle, press
+from sim.experiments import digital_twin, light_angle, press, tactile_camera
 from sim.experiments.painted_finger import PaintedFinger
 from sim.optics.paint_bands import paint_bands
 
@@ -54,7 +54,7 @@ def test_repeat_differs_like_a_second_render():
     # as a render estimates it: a quarter of the squared difference of two halves, each of variance 2 x 0.04
     halves = rng.normal(0.0, np.sqrt(2 * 0.04), (2, *bands.shape))
     variance = (0.25 * (halves[0] - halves[1]) ** 2).astype(np.float32)
-    difference = digital_twin.repeat_render(bands, variance, rng).astype(float) - bands
+    difference = tactile_camera.repeat_render(bands, variance, rng).astype(float) - bands
     count = difference.size
     # the square of a difference is 0.08 chi-square(1), whose standard deviation is sqrt(2) times its mean
     assert np.mean(difference**2) == pytest.approx(2 * 0.04, rel=SIGMAS * np.sqrt(2 / count))
@@ -64,22 +64,34 @@ def test_repeat_differs_like_a_second_render():
         assert abs(np.mean(here * other)) < SIGMAS * 2 * 0.04 / np.sqrt(other.size)
 
 
-def test_repeat_is_never_negative():
-    repeat = digital_twin.repeat_render(
-        np.zeros((4, 4, 3), np.float32), np.ones((4, 4, 3), np.float32), np.random.default_rng(1)
-    )
-    assert repeat.dtype == np.float32
-    assert set(np.unique(repeat)) == {np.float32(0.0), np.float32(np.sqrt(2.0))}
+def test_repeat_of_dark_pixels_keeps_mean_and_variance_and_is_never_negative():
+    """Salt and pepper: one half of the render found light and the other none, which is the darkest noise can be."""
+    rng = np.random.default_rng(1)
+    for half, other in ((2.0, 0.0), (2.0, 0.1), (2.0, 0.4)):
+        mean, variance = (half + other) / 2.0, 0.25 * (half - other) ** 2
+        bands = np.full((200, 300, 3), mean, np.float32)
+        repeat = tactile_camera.repeat_render(bands, np.full_like(bands, variance), rng)
+        assert repeat.dtype == np.float32
+        assert repeat.min() >= 0.0
+        difference = repeat.astype(float) - mean
+        # 180 000 draws; cut off at zero, the first mean would be 0.2 of a unit too high, 70 standard errors
+        assert abs(difference.mean()) < SIGMAS * np.sqrt(2.0 * variance / difference.size)
+        fourth = np.mean((difference**2 - 2.0 * variance) ** 2)
+        assert abs(np.mean(difference**2) - 2.0 * variance) <= SIGMAS * np.sqrt(fourth / difference.size) + 1e-5
+    black = np.zeros((4, 4, 3), np.float32)
+    np.testing.assert_array_equal(tactile_camera.repeat_render(black, black, rng), black)
 
 
-def captured(monkeypatch, paints, noise_rel):
-    """Capture a twin whose render is flat and claims a noise of `noise_rel` in every band."""
-    flat = np.ones((96, 128, 3), np.float32)
+FLAT = np.ones((96, 128, 3), np.float32)
+
+
+def captured(monkeypatch, paints, variance, image=FLAT):
+    """Capture a twin whose render has this image and variance in every band."""
     render = SimpleNamespace(
         bands=paint_bands(paints["red"], paints["green"], DESIGN.light),
-        no_contact_bands=flat,
-        contact_bands=flat,
-        no_contact_variance=np.float32(noise_rel**2) * flat,
+        no_contact_bands=image,
+        contact_bands=image,
+        no_contact_variance=np.float32(variance) * FLAT,
     )
     monkeypatch.setattr(digital_twin, "render_press", lambda *arguments, **options: render)
     twin = digital_twin.capture_twin(finger(paints), 30.0, seed=3, samples_per_pixel=2)
@@ -89,12 +101,23 @@ def captured(monkeypatch, paints, noise_rel):
 def test_floor_of_the_twin_holds_the_noise_of_its_render(monkeypatch, paints):
     spread = {}
     for noise_rel in (0.0, 0.05):
-        first, repeat = captured(monkeypatch, paints, noise_rel)
+        first, repeat = captured(monkeypatch, paints, noise_rel**2)
         spread[noise_rel] = np.var(repeat / repeat.mean((0, 1)) - first / first.mean((0, 1)), axis=(0, 1))
     matrix = finger(paints).camera_matrix(paint_bands(paints["red"], paints["green"], DESIGN.light))
     share = (matrix**2).sum(axis=1) / matrix.sum(axis=1) ** 2
     # 12 288 cells: the standard error of a variance is 1.3 %, on top of the sensor's own noise that is taken off
     np.testing.assert_allclose(spread[0.05] - spread[0.0], 2 * 0.05**2 * share, rtol=0.1)
+
+
+def test_floor_of_a_dark_twin_is_not_brighter_than_its_image(monkeypatch, paints):
+    """Beside a bright stripe, which sets the exposure, the halves of the render disagree by all that they hold."""
+    image, variance = 0.1 * FLAT, 0.01 * FLAT
+    image[:8], variance[:8] = 1.0, 0.0
+    first, repeat = (counts[8:] for counts in captured(monkeypatch, paints, variance, image))
+    difference = repeat.mean((0, 1)) / first.mean((0, 1)) - 1.0
+    # the LED's drift, and a relative noise of 1.4 per cell, whose mean cut off at zero would be 0.2 too high
+    error = np.hypot(digital_twin.LED_DRIFT_REL, np.sqrt(2.0 / repeat[..., 0].size))
+    assert (np.abs(difference) < 3.0 * error).all()
 
 
 def test_curves_that_begin_late_are_noted_in_both_records(monkeypatch, paints):
@@ -104,7 +127,7 @@ def test_curves_that_begin_late_are_noted_in_both_records(monkeypatch, paints):
     bands = paint_bands(paints["red"], paints["green"], DESIGN.light)
     render = SimpleNamespace(
         bands=bands, label="flat", no_contact_bands=flat, contact_bands=flat, contact_variance=flat,
-        contact_maps=SimpleNamespace(contact_distance=np.ones((96, 128))), contact_label="flat",
+        contact_maps=SimpleNamespace(contact_distance=np.ones((96, 128))), contact_label="flat", chains_apart=False,
     )  # fmt: skip
     swept = SimpleNamespace(
         bands=bands, label="flat", angles_deg=np.arange(4.0), radiance_rel=np.ones((4, 2, 2, 3)),

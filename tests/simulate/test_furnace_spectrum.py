@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from sim.optics.fluorescent_paint import furnace_radiance_per_nm
 from sim.optics.variants import choose_variant, open_renderer
 
 pytestmark = pytest.mark.renderer
@@ -40,7 +39,7 @@ def test_every_wavelength_equals_the_closed_form(spectral, name):
     from tests.simulate import painted_scenes as ps
 
     source = np.interp(FINE_NM, ps.WAVELENGTH_NM, ps.LED_PER_NM)
-    exact_per_nm = furnace_radiance_per_nm(ps.fluorescent_paint(name), FINE_NM, source)
+    exact_per_nm = ps.furnace_radiance_per_nm(ps.fluorescent_paint(name), FINE_NM, source)
     for low, high in WINDOWS_NM:
         wavelengths = np.linspace(low, high, 4)
         samples = furnace(name, wavelengths)

@@ -11,8 +11,8 @@ from sim.optics.curved_refraction import (
     inner_face,
     refract_through,
 )
-from sim.optics.refracted_light import refracted_irradiance, trace_crossing
 from sim.surface_meshes.finger_shape import bent, rest_shape
+from tests.simulate.flat_refraction import refracted_irradiance, trace_crossing
 
 DESIGN = FingerDesign(pad=GelPad(film=None))
 PAD = DESIGN.pad

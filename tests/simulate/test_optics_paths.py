@@ -1,5 +1,7 @@
 """The band path tracer: connection on and off have equal means on a bent finger; chains are channels and linear."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from data_schemas.design import FingerDesign, LightPanel, TactileCamera
 from sim.optics.curved_refraction import inner_face
 from sim.optics.paint_bands import paint_bands
 from sim.optics.scene import finger_scene
-from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP
+from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP, direct_irradiance, texel_uv
 from sim.surface_meshes.finger_shape import bent, pressed_shape
 
 CAMERA = TactileCamera(width_px=96, height_px=72)
@@ -82,6 +84,49 @@ def test_channels_are_the_chains_in_order_and_linear_in_the_emission(llvm, paint
     assert dark.shape == (36, 48, 3)
     assert dark[..., :2].max() == 0.0
     np.testing.assert_allclose(dark[..., 2], image[..., 2], rtol=FLOAT32)
+
+
+@pytest.mark.renderer
+def test_more_chains_at_one_wall_than_a_packet_of_texels_holds(llvm, paints):
+    """Texels are fetched four chains at a time: nine chains end at the red wall here, and one at the green."""
+    from sim.optics.paths import band_integrator
+
+    scene, shape = build(llvm, paints)
+    along = np.linspace(1.0, 2.0, TEXELS_ALONG)[:, None] * np.ones(TEXELS_UP)
+    further = [f"led>{'>'.join(way)}>red" for way in (["green"], ["red"], *product(("red", "green"), repeat=2))]
+    further += ["led>red>red>red>red", "led>green>green>green>red"]
+    shares = dict(zip(further, 0.5 ** np.arange(1, 9), strict=True))
+    light = {"led>red": along, "led>green": along, **{chain: share * along for chain, share in shares.items()}}
+    integrator = band_integrator(scene, DESIGN, shape, light)
+    image = np.array(llvm.render(scene, integrator=integrator, spp=4, seed=1))
+    assert integrator.chains[3:] == tuple(further)
+    assert image.shape == (36, 48, 11)
+    assert image[..., 0].mean() > 0.0
+    for k, share in enumerate(shares.values()):
+        np.testing.assert_allclose(image[..., 3 + k], share * image[..., 0], rtol=FLOAT32)
+    few = band_integrator(scene, DESIGN, shape, {"led>red": along, "led>green": along})
+    np.testing.assert_allclose(
+        image[..., :3], np.array(llvm.render(scene, integrator=few, spp=4, seed=1)), rtol=FLOAT32
+    )
+
+
+def test_one_panel_plus_one_panel_lights_the_painted_walls_like_two():
+    """The direct light of the walls is calculated, so that it adds up exactly, film, beam and bending included."""
+    found = []
+    for first, second in ((1.0, 3.0), (1.0, 0.0), (0.0, 3.0)):
+        design = DESIGN.model_copy(
+            update={
+                "light": DESIGN.light.model_copy(update={"power_rel": first}),
+                "second_light": DESIGN.second_light.model_copy(update={"power_rel": second}),
+            }
+        )
+        shape = bent(pressed_shape(design), BENDING_RADIUS_MM)
+        found.append({wall: direct_irradiance(design, shape, wall, texel_uv()) for wall in ("red", "green")})
+    both, one, other = found
+    for wall in both:
+        np.testing.assert_allclose(both[wall], one[wall] + other[wall], rtol=1e-12)
+        assert (one[wall] > 0.0).any()
+        assert (other[wall] > 0.0).any()
 
 
 @pytest.mark.renderer

@@ -10,12 +10,12 @@ from data_schemas.design import FingerDesign, GelPad, Indenter, LightPanel, Mirr
 from data_schemas.errors import SimulateError
 from sim.optics.angle_sweep import default_probe_points_mm, sweep_light_angle
 from sim.optics.paint_bands import paint_bands
-from sim.optics.refracted_light import trace_crossing
 from sim.optics.render import BAKE_SAMPLES, render_press
 from sim.optics.scene import finger_scene
 from sim.optics.variants import choose_variant, open_renderer
 from sim.surface_meshes.finger_shape import pressed_shape, rest_shape
 from sim.surface_meshes.pressed_pad import without_press
+from tests.simulate.flat_refraction import trace_crossing
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=96, height_px=72))
 STANDARD_ERRORS = 3.0

@@ -7,10 +7,10 @@ from data_schemas.design import Coating, Enclosure, FingerDesign, GelPad, LightP
 from sim.optics import scene as scene_module
 from sim.optics.finger_view import camera_pose, coat_positions, pixel_directions
 from sim.optics.paint_bands import paint_bands
-from sim.optics.refracted_light import refracted_irradiance
 from sim.optics.scene import band_film, camera_sensor, finger_scene, panel_shape
 from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP, texel_uv, wall_map
 from sim.surface_meshes.finger_shape import pressed_shape
+from tests.simulate.flat_refraction import refracted_irradiance
 
 SMALL_CAMERA = TactileCamera(width_px=64, height_px=48)
 # a false alarm of a right program: 0.3 % per comparison; seeds are fixed, so a pass stays a pass

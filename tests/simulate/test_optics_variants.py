@@ -4,6 +4,7 @@ import sys
 import pytest
 
 from data_schemas.errors import MissingExtraError
+from finray_calib.cli.options import open_engine
 from sim.optics import variants
 
 
@@ -24,6 +25,16 @@ def test_without_llvm_falls_back_and_says_how_to_install_it():
     choice = variants.choose_variant("auto", libraries=[])
     assert choice.variant == "scalar_rgb"
     assert "apt-get install libllvm19" in choice.note
+
+
+def test_the_user_is_told_of_a_second_choice_and_of_no_other(monkeypatch, capsys):
+    monkeypatch.setattr(variants, "find_llvm_libraries", lambda: [])
+    assert open_engine("auto").variant() == "scalar_rgb"
+    told = capsys.readouterr().err
+    assert told.startswith("scalar_rgb renders: no LLVM library of version >= 17 was found; install LLVM 17 or newer")
+    assert told.count("\n") == 1
+    open_engine("scalar")
+    assert capsys.readouterr().err == ""
 
 
 def test_the_proof_refuses_a_bogus_library(tmp_path):

@@ -6,7 +6,7 @@ from scipy.integrate import dblquad
 
 from data_schemas.design import FingerDesign, GelPad, LightPanel
 from sim.optics.paint_bands import paint_bands
-from sim.optics.refracted_light import panel_frame, refracted_irradiance
+from sim.optics.panel_frame import panel_frame
 from sim.optics.wall_emission import (
     WALLS,
     direct_irradiance,
@@ -18,6 +18,7 @@ from sim.optics.wall_emission import (
     wall_map,
 )
 from sim.surface_meshes.finger_shape import bent, pressed_shape, rest_shape
+from tests.simulate.flat_refraction import refracted_irradiance
 
 
 def first_order(design, shape, bands):

@@ -121,7 +121,8 @@ def test_refusals(scalar):
         PlainSensor(lights=(red, red))
     with pytest.raises(ValidationError, match=r"it must be more than 1\.53 mm"):
         ColouredLight(channel="red", depth_mm=1.0)
-    with pytest.raises(ValidationError, match="goes through the pad"):
-        PlainSensor(indenter=BALL.model_copy(update={"depth_mm": 5.0}))
+    deep = PlainSensor(indenter=BALL.model_copy(update={"depth_mm": 5.0}))
+    with pytest.raises(SimulateError, match="goes through the pad"):
+        plain_sensor_scene(deep, scalar)
     with pytest.raises(ValidationError, match="must lie on the pad"):
         PlainSensor(indenter=BALL.model_copy(update={"position_mm": 21.0}))

@@ -8,8 +8,8 @@ from data_schemas.errors import SimulateError
 from data_schemas.simulate import SimulatedPress
 from finray_calib.compare.comparison_record import compare_press
 from finray_calib.compare.linear_image import rgb_image
-from rigs.simulated.sensor import mosaic
-from sim.experiments.tactile_camera import colour_spread, mosaic_of_pixels, simulated_capture
+from rigs.simulated.sensor import bayer_planes
+from sim.experiments.tactile_camera import colour_spread, simulated_capture
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=256, height_px=192, response_at_led_uncertainty_rel=0.2))
 MATRIX = np.array([[1.0, 0.0, 0.05], [0.0, 1.0, 0.2], [0.0, 0.1, 1.0]])
@@ -62,9 +62,12 @@ def test_what_is_no_render_has_no_capture():
     with pytest.raises(SimulateError, match="holds encoded values, not light"):
         simulated_capture(press(encoding="unknown"), seed=1)
     with pytest.raises(SimulateError, match="image without contact is black"):
-        simulated_capture(press(no_contact=np.zeros((96, 128, 3), np.float32)), seed=1)
-    with pytest.raises(SimulateError, match="holds no band images"):
-        colour_spread(press(contact_bands=None, camera_matrix=None, bands=(), no_contact_bands=None), seed=1)
+        simulated_capture(press(no_contact_bands=np.zeros((96, 128, 3), np.float32)), seed=1)
+    bare = press(contact_bands=None, camera_matrix=None, bands=(), no_contact_bands=None)
+    with pytest.raises(SimulateError, match="no band images: only a rendered press can be captured"):
+        simulated_capture(bare, seed=1)
+    with pytest.raises(SimulateError, match="holds no band images: only a rendered press tells"):
+        colour_spread(bare, seed=1)
 
 
 def test_colours_spread_by_the_share_of_led_light():
@@ -81,15 +84,19 @@ def test_colours_spread_by_the_share_of_led_light():
     assert "uncertain by 20%: red, green, blue hold" in str(spread)
 
 
-def test_mosaic_of_pixels_takes_each_pixels_own_channel():
-    rng = np.random.default_rng(1)
-    cells = rng.random((3, 4, 3))
-    np.testing.assert_array_equal(mosaic_of_pixels(cells.repeat(2, 0).repeat(2, 1)), mosaic(cells))
-    fine = rng.random((6, 8, 3))
-    raw = mosaic_of_pixels(fine)
-    assert (raw[2, 4], raw[2, 5], raw[3, 4], raw[3, 5]) == (fine[2, 4, 0], fine[2, 5, 1], fine[3, 4, 1], fine[3, 5, 2])
-    with pytest.raises(SimulateError, match="even number of rows and columns, got 5 x 8"):
-        mosaic_of_pixels(fine[:5])
+def test_repeat_has_the_render_noise_of_the_image_without_contact():
+    """That of the contact, which the press stores, is another: here it is 25 times smaller."""
+    simulated = press(no_contact_bands=np.ones((96, 128, 3), np.float32))
+    spread = {}
+    for noise_rel in (0.0, 0.05):
+        variance = np.full((96, 128, 3), noise_rel**2, np.float32)
+        capture = simulated_capture(simulated, 3, variance)
+        images = (capture.no_contact, capture.repeat_no_contact)
+        first, repeat = (bayer_planes(image[..., 0]) - 16.0 for image in images)
+        spread[noise_rel] = np.var((repeat - first) / first.mean((0, 1)), axis=(0, 1))
+    share = (MATRIX**2).sum(axis=1) / MATRIX.sum(axis=1) ** 2
+    # 12 288 cells: the standard error of a variance is 1.3 %, on top of the sensor's own noise that is taken off
+    np.testing.assert_allclose(spread[0.05] - spread[0.0], 2 * 0.05**2 * share, rtol=0.1)
 
 
 def test_spectral_images_integrate_to_the_bands(paints):

@@ -1,7 +1,7 @@
-"""Direct light of the LED panel inside the gel: refraction through the flat inner face, exact and without noise.
+"""Oracle of the tests: light of a panel through the flat inner face, in closed form and independent of the package.
 
-A point at height h1 in the gel sees a panel point at depth h2 in air through the one crossing of the inner face
-that obeys Snell's law; no rays are thrown.
+A point at height h1 in the gel sees a panel point at depth h2 in air through the one crossing of the plane y = 0 that
+obeys Snell's law; no rays are thrown.
 """
 
 from dataclasses import dataclass
@@ -10,24 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import GelPad, LightPanel
+from sim.optics.panel_frame import PanelFrame, panel_frame
 
 _NEWTON_STEPS = 8
 _SMALLEST_LATERAL_MM = 1e-6
-
-
-@dataclass(frozen=True, slots=True)
-class PanelFrame:
-    """The panel as a rectangle: centre, half edges and unit normal, in mm of the pad's axes."""
-
-    centre_mm: NDArray[np.float64]
-    half_across_mm: NDArray[np.float64]
-    half_along_mm: NDArray[np.float64]
-    normal: NDArray[np.float64]
-
-    @property
-    def area_mm2(self) -> float:
-        """Area of the panel."""
-        return float(4.0 * np.linalg.norm(self.half_across_mm) * np.linalg.norm(self.half_along_mm))
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,19 +28,6 @@ class Crossing:
     crossing_mm: NDArray[np.float64]
     solid_angle_per_mm2: NDArray[np.float64]
     transmittance: NDArray[np.float64]
-
-
-def panel_frame(light: LightPanel) -> PanelFrame:
-    """Return the rectangle of a light panel: normal (0, sin a, cos a) for the light angle a from the pad plane."""
-    angle = np.radians(light.angle_deg)
-    normal = np.array([0.0, np.sin(angle), np.cos(angle)])
-    across = np.array([1.0, 0.0, 0.0])
-    return PanelFrame(
-        np.array(light.position_mm, dtype=np.float64),
-        across * light.width_mm / 2.0,
-        np.cross(normal, across) * light.height_mm / 2.0,
-        normal,
-    )
 
 
 def trace_crossing(

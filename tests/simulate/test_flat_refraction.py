@@ -1,9 +1,12 @@
+"""The flat oracle itself against closed forms: view factors, Snell, Fresnel, diffuse transmittance."""
+
 import numpy as np
 import pytest
 from scipy.integrate import dblquad, quad
 
 from data_schemas.design import GelPad, LightPanel
-from sim.optics.refracted_light import fresnel_transmittance, panel_frame, refracted_irradiance, trace_crossing
+from sim.optics.panel_frame import panel_frame
+from tests.simulate.flat_refraction import fresnel_transmittance, refracted_irradiance, trace_crossing
 
 PAD = GelPad()
 AIR_PAD = GelPad(refractive_index=1.0)

@@ -1,0 +1,88 @@
+"""One whole picture of a deformed finger, all bands, against Mitsuba's own ``path`` in three colours.
+
+    python benchmarks/whole_image_time.py [--width 1280] [--samples 64] [--rounds 3]
+
+Both render the same scene with the same sensor, samples per pixel, longest path and roulette: ours holds every chain
+of fluorescence apart and connects surfaces with the LED through the gel's face; ``path`` sees the painted walls as
+textured emitters of the same light. The bake of the walls is told apart, and added. Both are timed by turns in one
+process, after one sample each that compiles. The finger is pressed and its gel bent. Bars: 1.5 x the time of ``path``,
+less than 2 GB. A camera of 1280 x 960 photosites gives a picture of 640 x 480.
+"""
+
+import argparse
+import resource
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from benchmarks.fluorescence_levels import finger, paints
+from sim.optics.paint_bands import paint_bands
+from sim.optics.variants import choose_variant, open_renderer
+from sim.surface_meshes.finger_shape import bent, pressed_shape
+
+TIME_BAR = 1.5
+MEMORY_BAR_GB = 2.0
+BENDING_RADIUS_MM = 150.0
+
+
+def timed(render: Callable[[int, int], Any], samples: int, seed: int) -> tuple[float, float]:
+    """Return seconds of the clock and of the processor of one picture."""
+    clock, processor = time.monotonic(), time.process_time()
+    np.array(render(samples, seed))
+    return time.monotonic() - clock, time.process_time() - processor
+
+
+def peak_memory_gb() -> float:
+    """Return the largest memory of this process so far; Linux counts it in kB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+
+
+def main() -> None:
+    """Print the comparison."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--width", type=int, default=1280, help="photosites; the picture has half as many columns")
+    parser.add_argument("--samples", type=int, default=64)
+    parser.add_argument("--rounds", type=int, default=3)
+    args = parser.parse_args()
+    mi = open_renderer(choose_variant("llvm"))
+    from sim.optics.render import BAKE_SAMPLES, lit_integrator
+    from sim.optics.scene import finger_scene
+    from sim.optics.wall_baking import bake_walls, light_walls
+    from sim.optics.wall_emission import unbaked_walls
+
+    design = finger(args.width)
+    shape, bands = bent(pressed_shape(design), BENDING_RADIUS_MM), paint_bands(*paints().values(), design.light)
+    scene = finger_scene(design, shape, bands, mi, unbaked_walls())
+    begun = time.monotonic(), time.process_time()
+    light = bake_walls(scene, design, shape, bands, mi, "b", 3, BAKE_SAMPLES[False])[0]
+    baked = time.monotonic() - begun[0], time.process_time() - begun[1]
+    light_walls(scene, light, mi)
+    ours, chains = lit_integrator(scene, design, shape, mi, light)
+    renders: dict[str, Callable[[int, int], Any]] = {
+        "ours": lambda spp, seed: mi.render(scene, integrator=ours, spp=spp, seed=seed),
+        "path": lambda spp, seed: mi.render(scene, integrator=scene.integrator(), spp=spp, seed=seed),
+    }
+    for render in renders.values():
+        timed(render, 1, 0)
+    took = np.array([[timed(render, args.samples, seed) for render in renders.values()] for seed in range(args.rounds)])
+    (own, own_cpu), (stock, stock_cpu) = np.median(took, axis=0)
+    print(
+        f"{args.width // 2} columns, {args.samples} samples, gel bent to {BENDING_RADIUS_MM:g} mm, {len(chains)} chains"
+    )
+    print(f"bake {baked[0]:.1f} s ({baked[1]:.1f} s of the processor)")
+    print(f"ours {own:.1f} s ({own_cpu:.1f}), path {stock:.1f} s ({stock_cpu:.1f}), medians of {args.rounds}")
+    for name, ratio in (("picture", own_cpu / stock_cpu), ("picture and bake", (own_cpu + baked[1]) / stock_cpu)):
+        print(f"{name}: {ratio:.2f} x the processor's time of path, {_verdict(ratio, TIME_BAR)}")
+    print(f"clock: {own / stock:.2f} x; by rounds {', '.join(f'{r:.2f}' for r in took[:, 0, 0] / took[:, 1, 0])}")
+    print(f"memory {peak_memory_gb():.2f} GB, {_verdict(peak_memory_gb(), MEMORY_BAR_GB)}")
+
+
+def _verdict(value: float, bar: float) -> str:
+    """Say whether a value is within a bar."""
+    return f"{'within' if value <= bar else 'BEYOND'} the bar of {bar:g}"
+
+
+if __name__ == "__main__":
+    main()

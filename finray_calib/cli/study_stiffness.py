@@ -1,0 +1,105 @@
+"""``finray study finger-stiffness``: bending and twist of fingers, with assumed dimensions changed."""
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from finray_calib.cli.options import add_out, command_line, input_digests, progress_bar, require_new, say
+
+if TYPE_CHECKING:
+    from data_schemas.design import FingerDesign
+    from data_schemas.finger_stiffness import FingerStiffness
+
+NAME = "finger-stiffness"
+HELP = "stiffness of fingers in bending and twist, with assumed dimensions changed"
+DESCRIPTION = """\
+Load fingers without an indenter: a force at the tip (away from the pad, and across), a force under the middle of the
+pad, a twist of the tip. Then change each dimension of the skeleton that the design's origin does not list, one at a
+time, up and down, and say whether the order of the fingers stays. Writes a record and a table (CSV)."""
+EPILOG = """\
+examples:
+  finray study finger-stiffness flat-70x35 flat-70x35-soft --out stiffness
+  finray study finger-stiffness mine.toml --vary 0"""
+_PERCENT = 100.0
+
+
+def add_stiffness_study(studies: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the study."""
+    parser = studies.add_parser(
+        NAME, help=HELP, description=DESCRIPTION, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("designs", nargs="+", metavar="DESIGN", help="finger design (TOML), or the name of a preset")
+    parser.add_argument(
+        "--vary", type=_percent, default=20.0, metavar="PERCENT",
+        help="change of the assumed dimensions, 0 to 50 (default 20); 0 leaves them",
+    )  # fmt: skip
+    add_out(parser, f"{NAME}, a folder")
+    parser.set_defaults(run=run_stiffness_study)
+
+
+def _percent(text: str) -> float:
+    """Parse a change in per cent."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= 50.0:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a number from 0 to 50 (per cent)")
+    return value
+
+
+def run_stiffness_study(arguments: argparse.Namespace) -> None:
+    """Load the fingers, write record and table, and tell the order."""
+    from data_schemas.provenance import provenance
+    from data_schemas.storage import write_bytes, write_record
+    from sim.experiments.finger_stiffness import study_finger_stiffness
+
+    out = require_new(arguments.out or Path(NAME))
+    designs = [_design(given) for given in arguments.designs]
+    files = [Path(given) for given in arguments.designs if given.endswith(".toml")]
+    origin = provenance(command_line(), input_digests(files), None)
+    threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+    with progress_bar(NAME) as progress:
+        study = study_finger_stiffness(designs, arguments.vary / _PERCENT, threads, progress)
+    write_record(study, out / f"{NAME}.json", origin)
+    write_bytes(out / f"{NAME}.csv", _table(study).encode())
+    say(f"{out}: {NAME}.json, {NAME}.csv")
+    for row in study.rows:
+        if not row.changed:
+            say(
+                f"  {row.design}: bending {row.bending_n_per_mm:.3f} N/mm, sideways {row.sideways_n_per_mm:.2f} N/mm, "
+                f"under the pad {row.pad_n_per_mm:.3f} N/mm, twist {row.twist_n_mm_per_deg:.2f} N mm/deg"
+            )
+    for order in study.orders:
+        holds = "holds" if order.smallest_ratio > 1.0 else f"does not hold ({order.at})"
+        say(
+            f"  {order.measure}: {order.stiffer} / {order.softer} = {order.ratio:.3f}; an assumed dimension changed in "
+            f"both: at least {order.smallest_ratio:.3f}, the order {holds}; changed independently: "
+            f"{order.independent_ratio:.3f}"
+        )
+    for row in study.rows:
+        if row.failure:
+            say(f"  {row.design}, {row.changed} {_PERCENT * row.change_rel:+.0f} %: {row.failure}")
+
+
+def _design(given: str) -> "FingerDesign":
+    """Return a design by file or preset."""
+    from data_schemas.design import FingerDesign
+    from data_schemas.storage import read_toml
+    from sim.presets import preset_design
+
+    return read_toml(Path(given), FingerDesign) if given.endswith(".toml") else preset_design(given)
+
+
+def _table(study: "FingerStiffness") -> str:
+    """Return the rows as CSV."""
+    import csv
+    import io
+
+    text = io.StringIO()
+    fields = list(type(study.rows[0]).model_fields)
+    writer = csv.DictWriter(text, fields, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(row.model_dump() for row in study.rows)
+    return text.getvalue()

@@ -1,0 +1,140 @@
+"""Stiffness of fingers in bending and twist, with the dimensions that are assumed changed one at a time."""
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, get_args
+
+import numpy as np
+
+from data_schemas.design import FingerDesign
+from data_schemas.errors import SimulateError
+from data_schemas.finger_stiffness import FingerStiffness, Measure, StiffnessOrder, StiffnessRow
+from sim.mechanics.loads import LoadedFinger
+
+Progress = Callable[[int, int, str], None]
+
+# small against what buckles ribs, large against the equilibrium's tolerance of 1e-6
+TIP_FORCE_N, PAD_FORCE_N, TWIST_DEG = 0.5, 2.0, 5.0
+_FEWEST_RIBS = 1
+
+
+def study_finger_stiffness(
+    designs: Sequence[FingerDesign], share: float = 0.2, threads: int = 1, progress: Progress | None = None
+) -> FingerStiffness:
+    """Load each finger at tip and pad, twist it, and do so again with each assumed dimension changed up and down.
+
+    Changed are the numbers of ``skeleton`` that a design's ``origin`` does not list, one at a time; a change that
+    leaves no room for a part is stored with the reason.
+
+    Parameters
+    ----------
+    designs
+        Fingers with different names; loads of each on the mesh of its design.
+    share
+        Change of a dimension over its value; 0 for the designs alone.
+    threads
+        Of elements and factorisation.
+    progress
+        Called after each finger.
+
+    Raises
+    ------
+    SimulateError
+        When two designs share a name, the share is not from 0 to 0.5, or a design as it is has no equilibrium.
+    """
+    names = [design.name for design in designs]
+    if len(set(names)) < len(names):
+        raise SimulateError(f"the designs are named {', '.join(names)}: give each a name of its own")
+    if not 0.0 <= share <= 0.5:
+        raise SimulateError(f"assumed dimensions cannot be varied by {share:g} of their value: give 0 to 0.5")
+    variants = [(design, *variant) for design in designs for variant in _variants(design, share)]
+    rows = []
+    for done, (design, field, change_rel, variant) in enumerate(variants):
+        rows.append(_row(design, field, change_rel, variant, threads))
+        if progress is not None:
+            progress(done + 1, len(variants), f"{design.name} {field}".strip())
+    return FingerStiffness(
+        label=f"finite elements, {len(rows)} fingers of {len(designs)} designs; ribs do not see each other",
+        designs=tuple(designs),
+        tip_force_n=TIP_FORCE_N,
+        pad_force_n=PAD_FORCE_N,
+        twist_deg=TWIST_DEG,
+        share=share,
+        rows=tuple(rows),
+        orders=tuple(_orders(names, rows)),
+        notes=("dimensions of the skeleton are assumed unless the design's origin says otherwise; unvalidated",),
+    )
+
+
+def _variants(design: FingerDesign, share: float) -> Iterator[tuple[str, float, FingerDesign]]:
+    """Yield the design itself, then changed ones with the field and its change."""
+    yield "", 0.0, design
+    skeleton = design.skeleton.model_dump()
+    fields = {f"skeleton.{name}": value for name, value in skeleton.items() if not isinstance(value, dict)}
+    fields |= {f"skeleton.backing.{name}": value for name, value in (skeleton["backing"] or {}).items()}
+    for field, value in fields.items():
+        if field in design.origin or not value or not share:
+            continue
+        for factor in (1.0 - share, 1.0 + share):
+            changed = factor * value
+            if isinstance(value, int):
+                # whole numbers change by one at least
+                changed = max(_FEWEST_RIBS, value + int(math.copysign(max(1, round(share * value)), factor - 1.0)))
+            yield field, changed / value - 1.0, _changed(design, field, changed)
+
+
+def _changed(design: FingerDesign, field: str, value: float) -> FingerDesign:
+    """Return a design with one field changed."""
+    whole: dict[str, Any] = design.model_dump()
+    place = whole
+    *path, last = field.split(".")
+    for name in path:
+        place = place[name]
+    place[last] = value
+    return FingerDesign.model_validate(whole)
+
+
+def _row(design: FingerDesign, field: str, change_rel: float, variant: FingerDesign, threads: int) -> StiffnessRow:
+    """Load one finger; a changed one may fail."""
+    try:
+        finger = LoadedFinger(variant, threads=threads)
+        return StiffnessRow(
+            design=design.name,
+            changed=field,
+            change_rel=change_rel,
+            bending_n_per_mm=finger.push("tip", (0.0, -TIP_FORCE_N, 0.0)).stiffness_n_per_mm,
+            sideways_n_per_mm=finger.push("tip", (TIP_FORCE_N, 0.0, 0.0)).stiffness_n_per_mm,
+            pad_n_per_mm=finger.push("pad", (0.0, -PAD_FORCE_N, 0.0)).stiffness_n_per_mm,
+            twist_n_mm_per_deg=finger.twist(TWIST_DEG).stiffness_n_mm_per_deg,
+        )
+    except SimulateError as failed:
+        if not field:
+            raise
+        return StiffnessRow(design=design.name, changed=field, change_rel=change_rel, failure=str(failed))
+
+
+def _orders(names: Sequence[str], rows: Sequence[StiffnessRow]) -> Iterator[StiffnessOrder]:
+    """Yield for each pair of designs and each measure whether the stiffer one stays so."""
+    of_design = {name: [row for row in rows if row.design == name and not row.failure] for name in names}
+    for pair, measure in itertools.product(itertools.combinations(names, 2), get_args(Measure)):
+        soft, stiff = sorted(pair, key=lambda name: float(getattr(of_design[name][0], measure)))
+        softs, stiffs = (_by_change(of_design[name], measure) for name in (soft, stiff))
+        ratios = {change: stiffs[change] / softs[change] for change in stiffs if change in softs}
+        at = min(ratios, key=lambda change: ratios[change])
+        yield StiffnessOrder(
+            measure=measure,
+            stiffer=stiff,
+            softer=soft,
+            ratio=ratios[""],
+            smallest_ratio=ratios[at],
+            at=at,
+            independent_ratio=min(stiffs.values()) / max(softs.values()),
+            note="" if len(ratios) == len(stiffs) == len(softs) else "changes that only one of them has are left out",
+        )
+
+
+def _by_change(own: Sequence[StiffnessRow], measure: Measure) -> dict[str, float]:
+    """Return the measure by what was changed and in which direction; as designed under the empty name."""
+    sides = {0.0: "", -1.0: " less", 1.0: " more"}
+    return {row.changed + sides[float(np.sign(row.change_rel))]: float(getattr(row, measure)) for row in own}

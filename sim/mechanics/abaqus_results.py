@@ -1,0 +1,111 @@
+"""What Abaqus writes into a results file (.fil) in ASCII: displacements and reaction forces of nodes."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.errors import ImportFormatError
+from sim.mechanics.calculix_results import NodalField
+
+FIELDS: Final = {101: "U", 104: "RF"}
+"""Record keys of the nodal quantities that are read."""
+
+_INCREMENT_STARTS: Final = 2000
+_STEP_TIME: Final = 1  # attribute of that record
+_COLUMNS: Final = 80
+_REAL: Final = 22  # columns of a number after its D
+_TEXT: Final = 8  # columns of a text after its A
+_COMPONENTS: Final = 3  # the reference node of a rigid body has rotations too
+
+
+def read_fil(path: Path) -> list[NodalField]:
+    """Read displacements "U" in mm and reaction forces "RF" in N at the nodes, increment by increment.
+
+    In the ASCII format the file is one run of characters, 80 in a line. A record begins with an asterisk; its items
+    are its length and its key, then the attributes: integers as I, the number of digits in two columns, and the
+    digits; numbers as D and 22 columns; texts as A and 8 columns. The times are those of the step.
+
+    Never tried on a whole file of Abaqus, none was at hand: record keys and attributes are those of the documentation,
+    the ASCII coding is that of the first line of a file of Abaqus 6.23.
+
+    Parameters
+    ----------
+    path
+        File that *FILE FORMAT, ASCII and *NODE FILE have made; not the binary default.
+
+    Raises
+    ------
+    ImportFormatError
+        When the file is binary, or is not made of such records, or holds none of these quantities.
+
+    Source: Abaqus Output Reference, "Results file": records for any request, and once per increment.
+    """
+    content = path.read_bytes()
+    if not content.startswith(b"*I"):
+        raise ImportFormatError(
+            f"{path}: not an Abaqus results file in ASCII, which begins with *I; ask for one by *FILE FORMAT, ASCII in "
+            "the step, as in the decks of finray export deck, or convert it with abaqus ascfil"
+        )
+    lines = content.decode("ascii", "replace").splitlines()
+    # blanks at the end of a line may have been trimmed, and may be part of a number
+    text = "".join(line.ljust(_COLUMNS) for line in lines)
+    found: list[NodalField] = []
+    rows: dict[str, tuple[list[int], list[list[float]]]] = {}
+    time = 0.0
+    for record in text.split("*")[1:]:
+        key = _key(record)
+        if key == _INCREMENT_STARTS:
+            found += _collected(rows, time)
+            rows = {}
+            time = float(_attributes(path, record)[_STEP_TIME])
+        elif key in FIELDS:
+            number, *values = _attributes(path, record)
+            nodes, components = rows.setdefault(FIELDS[key], ([], []))
+            nodes.append(int(number))
+            components.append([float(v) for v in (*values, 0.0, 0.0)][:_COMPONENTS])
+    found += _collected(rows, time)
+    if not found:
+        raise ImportFormatError(f"{path}: no displacements in it; *NODE FILE with U and RF writes them")
+    return found
+
+
+def _collected(rows: dict[str, tuple[list[int], list[list[float]]]], time: float) -> Iterator[NodalField]:
+    """Yield the quantities of one increment."""
+    for name, (nodes, values) in rows.items():
+        numbers: NDArray[np.int64] = np.array(nodes, dtype=np.int64)
+        yield NodalField(time, name, numbers, np.array(values, dtype=np.float64))
+
+
+def _key(record: str) -> int:
+    """Return the key of a record, its second item; -1 for what is none, such as a heading with an asterisk."""
+    try:
+        start = 3 + int(record[1:3])
+        return int(record[start + 3 : start + 3 + int(record[start + 1 : start + 3])])
+    except ValueError:
+        return -1
+
+
+def _attributes(path: Path, record: str) -> list[float | str]:
+    """Return the items of a record after its length and key."""
+    items: list[float | str] = []
+    at = 0
+    try:
+        while at < len(record) and not record[at].isspace():
+            kind = record[at]
+            width = int(record[at + 1 : at + 3]) + 2 if kind == "I" else _REAL if kind in "DE" else _TEXT
+            word = record[at + 1 : at + 1 + width]
+            if len(word) < width or kind not in "IDEA":
+                raise ValueError(f"an item {kind}{word.strip()}")
+            items.append(int(word[2:]) if kind == "I" else word if kind == "A" else float(word.replace("D", "E")))
+            at += 1 + width
+    except ValueError as error:
+        raise ImportFormatError(f"{path}: the record *{record[:40].strip()}... is damaged: {error}") from None
+    if len(items) != items[0]:
+        raise ImportFormatError(
+            f"{path}: the record *{record[:40].strip()}... has {len(items)} items in place of {items[0]}; the file is "
+            "damaged, or its lines are not of 80 columns"
+        )
+    return items[2:]

@@ -1,0 +1,208 @@
+"""Rigid bodies as closed triangle meshes: facets of exact bodies, and the STL files of a user (mm)."""
+
+import math
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.errors import SimulateError
+from sim.mechanics.signed_distances import Body, Cylinder, RoundedBox
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_HEADER_BYTES = 80
+_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_SAME_SHARE = 1e-6  # corners closer than this share of the body's size are one
+_LEAST_MM, _MOST_MM = 0.5, 300.0
+_SEGMENT_MM = 5.0  # of long facets: their boxes stay small when the body is turned
+
+
+@dataclass(frozen=True, slots=True)
+class TriangleMesh:
+    """Vertices (m, 3) in mm and triangles (k, 3), outward."""
+
+    vertices_mm: FloatArray
+    triangles: IntArray
+
+
+def rotation_matrix(x_deg: float, y_deg: float, z_deg: float) -> FloatArray:
+    """Return the matrix (3, 3) that turns about x, then y, then z, all of them axes in space."""
+    turned = np.eye(3)
+    for axis, angle_deg in enumerate((x_deg, y_deg, z_deg)):
+        c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        step = np.eye(3)
+        step[i, i], step[i, j], step[j, i], step[j, j] = c, -s, s, c
+        turned = step @ turned
+    return turned
+
+
+def body_mesh(body: Body, chord_mm: float, half_length_mm: float) -> TriangleMesh:
+    """Return a body's facets, whose middles lie at most `chord_mm` inside its round faces.
+
+    A cylinder without ends is cut to `half_length_mm` on both sides.
+    """
+    if isinstance(body, RoundedBox):
+        half, edge = np.array(body.half_sizes_mm), body.edge_radius_mm
+    else:
+        radius = float(getattr(body, "radius_mm"))  # noqa: B009
+        half, edge = np.full(3, radius), radius
+    if isinstance(body, Cylinder):
+        return _tube(body.radius_mm, half_length_mm, chord_mm)
+    return _rounded_box(half, edge, chord_mm)
+
+
+def _parts(radius_mm: float, angle: float, chord_mm: float) -> int:
+    """Return into how many facets an arc must be divided: chord = R (1 - cos(step / 2))."""
+    return max(2, math.ceil(angle / (2.0 * math.acos(1.0 - min(chord_mm / radius_mm, 0.5)))))
+
+
+def _tube(radius_mm: float, half_length_mm: float, chord_mm: float) -> TriangleMesh:
+    """Return a closed tube about x."""
+    around = _parts(radius_mm, 2.0 * math.pi, chord_mm)
+    along = max(1, math.ceil(2.0 * half_length_mm / _SEGMENT_MM))
+    angle = 2.0 * np.pi * np.arange(around) / around
+    ring = radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
+    x = np.linspace(-half_length_mm, half_length_mm, along + 1)
+    side = np.concatenate([np.column_stack([np.full(around, at), ring]) for at in x])
+    ends = np.array([[x[0], 0.0, 0.0], [x[-1], 0.0, 0.0]])
+    i = np.arange(around)
+    n = (i + 1) % around
+    first, last, middle = 0, along * around, len(side)
+    triangles = [np.column_stack([np.full(around, middle), n + first, i + first])]
+    for k in range(along):
+        low, high = k * around, (k + 1) * around
+        triangles += [np.column_stack([i + low, n + low, n + high]), np.column_stack([i + low, n + high, i + high])]
+    triangles.append(np.column_stack([np.full(around, middle + 1), i + last, n + last]))
+    return TriangleMesh(np.concatenate([side, ends]), np.concatenate(triangles))
+
+
+def _rounded_box(half_mm: FloatArray, edge_mm: float, chord_mm: float) -> TriangleMesh:
+    """Return a box whose faces are grids that are bent over its edges: the points of a cube, moved onto the body."""
+    # a point of a bent grid lies up to sqrt(2) steps from its neighbours across a corner: half the chord each way
+    parts = _parts(edge_mm, np.pi / 2.0, chord_mm / 2.0)
+    rounded = edge_mm * np.tan(np.linspace(0.0, np.pi / 4.0, math.ceil(parts / 2) + 1))
+    steps = []
+    for inner in half_mm - edge_mm:
+        flat = np.linspace(-inner, inner, math.ceil(2.0 * inner / _SEGMENT_MM) + 1) if inner > 0.0 else np.zeros(1)
+        steps.append(np.concatenate([-inner - rounded[:0:-1], flat, inner + rounded[1:]]))
+    vertices, triangles, count = [], [], 0
+    for axis in range(3):
+        a, b = (axis + 1) % 3, (axis + 2) % 3
+        grid_a, grid_b = np.meshgrid(steps[a], steps[b], indexing="ij")
+        numbers = np.arange(grid_a.size).reshape(grid_a.shape)
+        q = [numbers[:-1, :-1], numbers[1:, :-1], numbers[1:, 1:], numbers[:-1, 1:]]
+        p, r, s, t = (c.ravel() for c in q)
+        for side in (1.0, -1.0):
+            points = np.empty((grid_a.size, 3))
+            points[:, a], points[:, b], points[:, axis] = grid_a.ravel(), grid_b.ravel(), side * half_mm[axis]
+            order = (p, r, s, t) if side > 0.0 else (p, t, s, r)
+            w, x, y, z = (o + count for o in order)
+            triangles += [np.column_stack([w, x, y]), np.column_stack([w, y, z])]
+            vertices.append(points)
+            count += len(points)
+    cube = np.concatenate(vertices)
+    core = np.clip(cube, edge_mm - half_mm, half_mm - edge_mm)
+    off = cube - core
+    bent = core + edge_mm * off / np.linalg.norm(off, axis=1, keepdims=True)
+    return _welded(bent, np.concatenate(triangles))
+
+
+def _welded(vertices: FloatArray, triangles: IntArray) -> TriangleMesh:
+    """Return a mesh whose equal corners are one vertex, without triangles that vanish by it."""
+    size = float(np.ptp(vertices, axis=0).max()) or 1.0
+    _, first, number = np.unique(
+        np.round(vertices / (_SAME_SHARE * size)), axis=0, return_index=True, return_inverse=True
+    )
+    merged = number.reshape(-1)[triangles]
+    a, b, c = merged.T
+    return TriangleMesh(vertices[first], merged[(a != b) & (b != c) & (c != a)])
+
+
+def read_body(path: Path) -> TriangleMesh:
+    """Return the closed body of an STL file (binary or text), in mm, with outward triangles.
+
+    Raises
+    ------
+    SimulateError
+        When it cannot be read, is open, twisted or of no volume, or of a size that cannot be mm.
+    """
+    vertices, triangles = _stl(path)
+    if not len(triangles):
+        raise SimulateError(f"{path}: has no triangles; an indenter must be a closed body")
+    mesh = _welded(vertices, triangles)
+    check_closed_body(mesh, str(path))
+    corners = mesh.vertices_mm[mesh.triangles]
+    volume = float(np.einsum("ki,ki->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6.0
+    if volume < 0.0:
+        return TriangleMesh(mesh.vertices_mm, mesh.triangles[:, ::-1])
+    return mesh
+
+
+def check_closed_body(mesh: TriangleMesh, name: str) -> None:
+    """Check that each edge belongs to two triangles that run it in opposite directions, and that the size can be mm.
+
+    Raises
+    ------
+    SimulateError
+        When not; the message counts the edges.
+    """
+    directed = np.concatenate([mesh.triangles[:, list(pair)] for pair in ((0, 1), (1, 2), (2, 0))])
+    keys = np.sort(directed, axis=1) @ np.array([len(mesh.vertices_mm), 1])
+    _, place, times = np.unique(keys, return_inverse=True, return_counts=True)
+    if (times != 2).any():
+        raise SimulateError(
+            f"{name}: is open: {int((times == 1).sum())} edges belong to one triangle only and "
+            f"{int((times > 2).sum())} to more than two; close it in a modelling program and export it again"
+        )
+    runs = np.bincount(place, np.where(directed[:, 0] < directed[:, 1], 1, -1))
+    if runs.any():
+        raise SimulateError(
+            f"{name}: {int((runs != 0).sum())} edges are run twice in one direction: some triangles are turned inside "
+            "out; let a modelling program orient them outward and export it again"
+        )
+    size = float(np.ptp(mesh.vertices_mm, axis=0).max())
+    if not _LEAST_MM <= size <= _MOST_MM:
+        meant = "metres" if size < _LEAST_MM else "micrometres"
+        raise SimulateError(
+            f"{name}: the body measures {size:g}, which as mm is outside {_LEAST_MM:g} to {_MOST_MM:g} mm; it looks "
+            f"like a file in {meant}: export it in mm"
+        )
+
+
+def _stl(path: Path) -> tuple[FloatArray, IntArray]:
+    """Return the corners of an STL file's triangles, three vertices each."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SimulateError(
+            f"{path}: the indenter's file cannot be read ({error.strerror}); check indenter.file"
+        ) from error
+    count = struct.unpack_from("<I", data, _HEADER_BYTES)[0] if len(data) >= _HEADER_BYTES + 4 else -1
+    if len(data) == _HEADER_BYTES + 4 + count * _RECORD.itemsize:
+        corners = np.frombuffer(data, _RECORD, count, _HEADER_BYTES + 4)["corners"].astype(np.float64)
+    else:
+        corners = _text_stl(data, path)
+    vertices = corners.reshape(-1, 3)
+    if not np.isfinite(vertices).all():
+        raise SimulateError(f"{path}: holds corners that are no numbers; export it again")
+    return vertices, np.arange(len(vertices)).reshape(-1, 3)
+
+
+def _text_stl(data: bytes, path: Path) -> FloatArray:
+    """Return the corners (3 k, 3) of a text STL."""
+    words = data.decode("ascii", "replace").split()
+    try:
+        if words[0] != "solid":
+            raise ValueError
+        at = [k for k, word in enumerate(words) if word == "vertex"]
+        corners = np.array([[float(number) for number in words[k + 1 : k + 4]] for k in at])
+        return corners.reshape(-1, 9)
+    except (ValueError, IndexError) as error:
+        raise SimulateError(
+            f"{path}: is neither a binary nor a text STL file; export the indenter as STL, in mm"
+        ) from error

@@ -1,0 +1,183 @@
+"""The rigid indenter of a design: exact distances for the penalty, triangles for the barrier, first touch."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from data_schemas.design import FingerDesign
+from data_schemas.errors import SimulateError
+from sim.mechanics.body_meshes import TriangleMesh, body_mesh, read_body, rotation_matrix
+from sim.mechanics.signed_distances import Body, Cylinder, Pose, RoundedBox, Sphere
+from sim.surface_meshes.pressed_pad import rest_height_mm
+
+FloatArray = NDArray[np.float64]
+
+CHORD_MM = 0.004
+"""By how much the facets of round bodies lie inside them at most."""
+
+_GRID_MM = 0.5
+_FINEST_MM = 1e-5  # the least distance is known to this squared over twice a radius
+_TOUCH_MM = 1e-8
+_MOST_STEPS = 200
+_LEAST_SLOPE = 0.05
+_START_ABOVE = 2.0  # a body without ends may be wider than the pad is long: it starts this many times that above
+
+
+@dataclass(frozen=True, slots=True)
+class RigidIndenter:
+    """A rigid body above the finger.
+
+    Attributes
+    ----------
+    body
+        Its signed distance in its own axes; none for a mesh of the user.
+    surface
+        Its triangles in its own axes.
+    touching
+        Its pose where it first touches the undeformed coat.
+    """
+
+    body: Body | None
+    surface: TriangleMesh
+    touching: Pose
+
+    def pose(self, depth_mm: float) -> Pose:
+        """Return the pose at a push from first touch."""
+        x, y, z = self.touching.position_mm
+        return Pose((x, y - depth_mm, z), self.touching.rotation)
+
+    def vertices_mm(self, lift_mm: float = 0.0) -> FloatArray:
+        """Return the vertices (m, 3) in space, so much above first touch."""
+        raised = self.surface.vertices_mm @ self.touching.rotation.T + np.array(self.touching.position_mm)
+        return np.asarray(raised + np.array([0.0, lift_mm, 0.0]))
+
+
+def rigid_indenter(design: FingerDesign, folder: Path = Path()) -> RigidIndenter:
+    """Return the indenter of a design where it first touches the undeformed coat, on its way along the pad's normal.
+
+    Parameters
+    ----------
+    design
+        Finger and indenter.
+    folder
+        Where the design stands: the STL of a mesh is relative to it.
+
+    Raises
+    ------
+    SimulateError
+        When an STL is not a closed body, or the indenter does not meet the coat.
+    """
+    wanted = design.indenter
+    rotation = rotation_matrix(*wanted.rotation_deg)
+    if wanted.shape == "mesh":
+        surface = read_body(folder / str(wanted.file))
+        return RigidIndenter(None, surface, _touch_of_mesh(design, surface, rotation))
+    body = _body(design)
+    half_length = design.pad.length_mm + design.pad.width_mm
+    return RigidIndenter(body, body_mesh(body, CHORD_MM, half_length), _touch_of_body(design, body, rotation))
+
+
+def side_outline_mm(design: FingerDesign, depth_mm: float = 0.0) -> FloatArray | None:
+    """Return the outline (m, 2), z and y, of the indenter seen along x, at a push from first touch.
+
+    A cylinder is drawn as wide as the pad. None for a mesh of the user, which a drawing of the design does not read.
+    """
+    if design.indenter.shape == "mesh":
+        return None
+    indenter = rigid_indenter(design)
+    shown = body_mesh(_body(design), CHORD_MM, design.pad.width_mm / 2.0)
+    pose = indenter.pose(depth_mm)
+    points = (shown.vertices_mm @ pose.rotation.T + np.array(pose.position_mm))[:, [2, 1]]
+    return np.asarray(points[ConvexHull(points).vertices])
+
+
+def _body(design: FingerDesign) -> Body:
+    """Return the body of a cylinder, ball or cuboid."""
+    wanted = design.indenter
+    if wanted.shape == "cylinder":
+        return Cylinder(wanted.radius_mm)
+    if wanted.size_mm is None:
+        return Sphere(wanted.radius_mm)
+    x, y, z = wanted.size_mm
+    return RoundedBox((x / 2.0, y / 2.0, z / 2.0), wanted.edge_radius_mm)
+
+
+def _coat_grid(design: FingerDesign) -> FloatArray:
+    """Return points (m, 2), x and z, all over the coat with its edges."""
+    pad = design.pad
+    x = np.linspace(-pad.width_mm / 2.0, pad.width_mm / 2.0, int(pad.width_mm / _GRID_MM) + 2)
+    z = np.linspace(0.0, pad.length_mm, int(pad.length_mm / _GRID_MM) + 2)
+    return np.stack(np.meshgrid(x, z, indexing="ij"), -1).reshape(-1, 2)
+
+
+def _at(design: FingerDesign, places: FloatArray) -> FloatArray:
+    """Return points of the undeformed coat (m, 3) at x and z (m, 2)."""
+    return np.column_stack([places[:, 0], rest_height_mm(design, places[:, 0], places[:, 1]), places[:, 1]])
+
+
+def _touch_of_body(design: FingerDesign, body: Body, rotation: FloatArray) -> Pose:
+    """Return the pose of first touch: steps down by the least distance, which never go too far."""
+    wanted, pad = design.indenter, design.pad
+    grid = _coat_grid(design)
+    reach = wanted.radius_mm if wanted.size_mm is None else float(np.linalg.norm(wanted.size_mm))
+    y = start = pad.thickness_mm + reach + _START_ABOVE * (pad.length_mm + pad.width_mm)
+    for _ in range(_MOST_STEPS):
+        pose = Pose((wanted.across_mm, y, wanted.position_mm), rotation)
+        least, downward = _nearest(design, body, pose, grid)
+        if abs(least) < _TOUCH_MM:
+            return pose
+        # Newton's step, where the distance is that of the place which touches; further off the step that is safe
+        y -= least / downward if least < _GRID_MM and downward > _LEAST_SLOPE else least
+        if not -reach - pad.thickness_mm < y <= start:
+            break
+    raise SimulateError(_misses(design))
+
+
+def _nearest(design: FingerDesign, body: Body, pose: Pose, grid: FloatArray) -> tuple[float, float]:
+    """Return the coat's least distance from a body, by ever finer grids, and by how much it falls as that goes down."""
+    half, length = design.pad.width_mm / 2.0, design.pad.length_mm
+    places, step = grid, _GRID_MM
+    around = np.stack(np.meshgrid(*2 * [np.linspace(-1.0, 1.0, 9)]), -1).reshape(-1, 2)
+    while True:
+        distance, normal, _ = pose.distances(body, _at(design, places))
+        nearest = int(np.argmin(distance))
+        if step < _FINEST_MM or distance[nearest] > _GRID_MM * 2.0:
+            return float(distance[nearest]), -float(normal[nearest, 1])
+        places = np.clip(places[nearest] + step * around, [-half, 0.0], [half, length])
+        step /= 3.0
+
+
+def _touch_of_mesh(design: FingerDesign, surface: TriangleMesh, rotation: FloatArray) -> Pose:
+    """Return the pose of first touch: the least height of the triangles over the coat."""
+    wanted, pad = design.indenter, design.pad
+    place = np.array([wanted.across_mm, 0.0, wanted.position_mm])
+    corners = (surface.vertices_mm @ rotation.T + place)[surface.triangles]
+    shares = _shares(corners)
+    points = np.einsum("sa,kai->ksi", shares, corners).reshape(-1, 3)
+    over = (np.abs(points[:, 0]) <= pad.width_mm / 2.0) & (points[:, 2] >= 0.0) & (points[:, 2] <= pad.length_mm)
+    if not over.any():
+        raise SimulateError(_misses(design))
+    heights = np.full(len(points), np.inf)
+    heights[over] = points[over, 1] - rest_height_mm(design, points[over, 0], points[over, 2])
+    return Pose((wanted.across_mm, -float(heights.min()), wanted.position_mm), rotation)
+
+
+def _shares(corners: FloatArray) -> FloatArray:
+    """Return weights (s, 3) of points all over a triangle, its corners among them, as close as the grid's step."""
+    longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
+    count = int(np.clip(np.ceil(longest / _GRID_MM), 1, 24))
+    i, j = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing="ij")
+    inside = i + j <= count
+    return np.column_stack([i[inside], j[inside], (count - i - j)[inside]]) / count
+
+
+def _misses(design: FingerDesign) -> str:
+    wanted = design.indenter
+    return (
+        f"the indenter ({wanted.shape}, across_mm = {wanted.across_mm:g} mm, position_mm = {wanted.position_mm:g} mm, "
+        f"rotation_deg = {list(wanted.rotation_deg)} deg) does not come to touch the pad on its way along the pad's "
+        "normal; a cylinder has no ends and may not stand upright, and a mesh must reach over the pad from its origin"
+    )

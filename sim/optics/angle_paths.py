@@ -1,0 +1,279 @@
+"""Paths that serve all angles of a light at once: only where they meet the panel depends on its angle.
+
+A path through the finger is traced once, in a scene whose panels are moved far away. Each of its segments in air, and
+each connection of a surface point through the inner face, is then tested against the panel in every pose, by
+arithmetic. What painted walls emit is not needed either: a path notes where it meets them, which makes the light of the
+walls a matrix product.
+Import this module only after a compiled variant has been set (see :mod:`sim.optics.variants`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas.design import FingerDesign, LightPanel
+from sim.optics.curved_refraction import refract_through
+from sim.optics.even_points import even_points
+from sim.optics.panel_frame import PanelFrame, panel_frame
+from sim.optics.paths import BandPaths, band_integrator
+from sim.optics.scene import MAX_DEPTH, PANEL_RADIANCE_REL, ROULETTE_DEPTH
+from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP
+from sim.surface_meshes.finger_shape import FingerShape
+
+Floats = NDArray[np.float64]
+
+_NEWTON_STEPS = 3
+_LARGEST_SURVIVAL = 0.95
+_LIFT_MM = 2e-3
+# how a path left its last surface that was not a smooth interface; from the start in a wall, and straight out from it
+_FROM_SURFACE, _STRAIGHT_OUT, _OTHER_WAY, _FROM_EYE, _FROM_START, _DIRECT = range(6)
+_FAR_MM = 1e6
+# as many paths at once as fit into some hundred MB
+_MOST_PATHS = 400_000
+
+
+class _Rectangle:
+    """A rectangle as the renderer's numbers."""
+
+    def __init__(self, frame: PanelFrame) -> None:
+        self.centre, self.normal = mi.Point3f(*frame.centre_mm.tolist()), mi.Vector3f(*frame.normal.tolist())
+        across, along = frame.half_across_mm, frame.half_along_mm
+        self.across, self.along = mi.Vector3f(*across.tolist()), mi.Vector3f(*along.tolist())
+        # products with these are -1..1 inside
+        self.u = mi.Vector3f(*(across / (across @ across)).tolist())
+        self.v = mi.Vector3f(*(along / (along @ along)).tolist())
+        # numbers that vary between scenes must not become constants of the compiled kernel
+        dr.make_opaque(self.centre, self.normal, self.across, self.along, self.u, self.v)
+        self.area_mm2 = frame.area_mm2
+
+    def meet(self, ray: Any) -> tuple[Any, Any, Any]:
+        """Return (meets it, distance in mm, cosine on the side of the normal) of rays."""
+        cosine = -dr.dot(ray.d, self.normal)
+        from_centre = ray.o - self.centre
+        distance = dr.dot(from_centre, self.normal) / dr.select(cosine == 0.0, 1.0, cosine)
+        spot = from_centre + distance * ray.d
+        inside = (dr.abs(dr.dot(spot, self.u)) <= 1.0) & (dr.abs(dr.dot(spot, self.v)) <= 1.0)
+        return inside & (cosine != 0.0) & (distance > 0.0), distance, cosine
+
+
+class _Panel:
+    """One light in all its poses, and the rectangle that surface points aim at: it covers all poses."""
+
+    def __init__(self, lights: Sequence[LightPanel], length_mm: float) -> None:
+        self.poses = [_Rectangle(panel_frame(light)) for light in lights]
+        self.radiance = mi.Float(PANEL_RADIANCE_REL * lights[0].power_rel)
+        self.exponent = mi.Float(lights[0].beam_exponent - 1.0)
+        self.beamed = lights[0].beam_exponent != 1.0
+        dr.make_opaque(self.radiance, self.exponent)
+        self.aim = _Rectangle(_covering(lights[0], length_mm))
+
+    def sent(self, cosine: Any) -> Any:
+        """Return the radiance at a cosine from the panel's normal, none behind it."""
+        beam: Any = dr.power(dr.maximum(cosine, 0.0), self.exponent) if self.beamed else 1.0
+        return dr.select(cosine > 0.0, self.radiance * beam, 0.0)
+
+
+def _covering(light: LightPanel, length_mm: float) -> PanelFrame:
+    """Return a rectangle that looks at the inner face and hides the panel in all poses from nearly all of it.
+
+    What it does not hide is left to chance, so its size changes the noise alone.
+    """
+    centre = np.array(light.position_mm, dtype=np.float64)
+    ends = [np.array([0.0, 0.0, z]) - centre * [0.0, 1.0, 1.0] for z in (0.0, length_mm)]
+    ends = [end / np.linalg.norm(end) for end in ends]
+    middle = (ends[0] + ends[1]) / np.linalg.norm(ends[0] + ends[1])
+    across = np.array([1.0, 0.0, 0.0])
+    half = light.height_mm / 2.0
+    half_along = half / max(float(middle @ ends[0]), 0.5)
+    return PanelFrame(centre, across * (light.width_mm / 2.0 + half), np.cross(middle, across) * half_along, middle)
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """Means over the paths of each group.
+
+    Attributes
+    ----------
+    led
+        LED radiance, (group, angle), in units of the panel's.
+    by_wall
+        Radiance per radiance that a texel of a wall emits, (group, wall, TEXELS_ALONG, TEXELS_UP); red wall first.
+    """
+
+    led: Floats
+    by_wall: Floats
+
+
+class AnglePaths:
+    """Tracer of a finger for several angles of its first light; further lights stay as they are."""
+
+    def __init__(self, scene: Any, design: FingerDesign, shape: FingerShape, lights: Sequence[LightPanel]) -> None:
+        self.scene, self.count = scene, len(lights)
+        self.paths: BandPaths = band_integrator(scene, design, shape)
+        length_mm = design.pad.length_mm
+        self.panels = [_Panel(lights, length_mm), *(_Panel([light], length_mm) for light in design.lights[1:])]
+        parameters = mi.traverse(scene)
+        for number in range(len(design.lights)):
+            parameters[f"panel{number}.to_world"] = mi.Transform4f().translate([0.0, -_FAR_MM, 0.0])
+        parameters.update()
+
+    def trace(self, origins_mm: Floats, directions: Floats, per_group: int, seed: int, from_wall: bool) -> Received:
+        """Trace rays of equally large groups, which follow each other.
+
+        Parameters
+        ----------
+        origins_mm, directions
+            Start and unit direction in the gel, (group * per_group, 3).
+        per_group
+            Rays per group.
+        seed
+            Random seed, 32 bit.
+        from_wall
+            Rays start on a wall: direct light of the panels through the inner face is left out.
+        """
+        groups = len(origins_mm) // per_group
+        led = dr.zeros(mi.Float, groups * self.count)
+        by_wall = dr.zeros(mi.Float, groups * 2 * TEXELS_ALONG * TEXELS_UP)
+        rng = np.random.default_rng(seed)
+        # the first bounce decides whether a path meets the panel by the mirror, which is most of the noise
+        spread = np.concatenate([even_points(per_group, 3, rng) for _ in range(groups)])
+        seeds = rng.integers(2**32, size=-(-len(origins_mm) // _MOST_PATHS))
+        for number, chunk_seed in enumerate(seeds.tolist()):
+            chunk = slice(number * _MOST_PATHS, (number + 1) * _MOST_PATHS)
+            o, d = (np.ascontiguousarray(v[chunk].T, dtype=np.float32) for v in (origins_mm, directions))
+            sampler = mi.load_dict({"type": "independent"})
+            sampler.seed(chunk_seed, o.shape[1])
+            first = mi.Point3f(np.ascontiguousarray(spread[chunk].T, dtype=np.float32))
+            group = (dr.arange(mi.UInt32, o.shape[1]) + number * _MOST_PATHS) // per_group
+            found = _follow(  # type: ignore[no-untyped-call]
+                self, sampler, mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), first, by_wall, group, from_wall
+            )
+            for k, radiance in enumerate(found):
+                dr.scatter_add(led, radiance, group * self.count + k)
+            dr.eval(led, by_wall)
+        return Received(
+            np.array(led, dtype=np.float64).reshape(groups, self.count) / per_group,
+            np.array(by_wall, dtype=np.float64).reshape(groups, 2, TEXELS_ALONG, TEXELS_UP) / per_group,
+        )
+
+    def met(self, ray: Any, before_mm: Any) -> list[list[tuple[Any, Any]]]:
+        """Return (meets it first, radiance sent) per angle and panel for rays that end after a distance."""
+        meets = [[pose.meet(ray) for pose in panel.poses] for panel in self.panels]
+        found = []
+        for k in range(self.count):
+            here = [poses[min(k, len(poses) - 1)] for poses in meets]
+            reach = [dr.select(inside & (at < before_mm), at, dr.inf) for inside, at, _ in here]
+            first = reach[0]
+            for other in reach[1:]:
+                first = dr.minimum(first, other)
+            found.append(
+                [
+                    ((at == first) & (at < dr.inf), panel.sent(cosine))
+                    for panel, at, (_, _, cosine) in zip(self.panels, reach, here, strict=True)
+                ]
+            )
+        return found
+
+    def connect(self, panel: "_Panel", si: Any, sample: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+        """Return (reached, direction in the gel, solid angle, ray in air, its length) towards a panel in all poses."""
+        paths, aim = self.paths, panel.aim
+        point = aim.centre + (2.0 * sample.x - 1.0) * aim.across + (2.0 * sample.y - 1.0) * aim.along
+        path = refract_through(
+            paths.evaluate_face, (si.p.x, si.p.y, si.p.z), paths.foot(si), (point.x, point.y, point.z), paths.face, dr,
+            _NEWTON_STEPS, paths.index,
+        )  # fmt: skip
+        in_gel, in_air = mi.Vector3f(*path.to_crossing), mi.Vector3f(*path.to_panel)
+        weight = path.weight * dr.maximum(-dr.dot(aim.normal, in_air), 0.0) * aim.area_mm2
+        reached = active & (weight > 0.0)
+        before, after = paths.gap / path.cos_gel, paths.gap / dr.maximum(path.cos_air, 0.02)
+        inside = mi.Ray3f(
+            si.p + in_gel * _LIFT_MM, in_gel, path.length_in_gel - _LIFT_MM - before, si.time, si.wavelengths
+        )
+        reached &= ~self.scene.ray_test(inside, reached & (inside.maxt > 0.0))
+        outside = mi.Ray3f(mi.Point3f(*path.crossing) + in_air * after, in_air)
+        hit = self.scene.ray_intersect_preliminary(outside, coherent=False, active=reached)
+        return reached, in_gel, weight, outside, dr.select(hit.is_valid(), hit.t, dr.inf)
+
+
+def _note_wall(by_wall: Any, si: Any, group: Any, is_green: Any, carried: Any, active: Any) -> None:
+    """Add what a path carries to the texels around a wall point, as :meth:`BandPaths.wall_radiance` reads them."""
+    x = dr.clip(si.uv.x * TEXELS_UP - 0.5, 0.0, TEXELS_UP - 1.0)
+    y = dr.clip(si.uv.y * TEXELS_ALONG - 0.5, 0.0, TEXELS_ALONG - 1.0)
+    i, j = (dr.minimum(mi.UInt32(t), most - 2) for t, most in ((x, TEXELS_UP), (y, TEXELS_ALONG)))
+    s, t = x - mi.Float(i), y - mi.Float(j)
+    first = ((group * 2 + dr.select(is_green, mi.UInt32(1), mi.UInt32(0))) * TEXELS_ALONG + j) * TEXELS_UP + i
+    for b, along in ((0, 1.0 - t), (1, t)):
+        for a, up in ((0, 1.0 - s), (1, s)):
+            dr.scatter_add(by_wall, carried * along * up, first + (b * TEXELS_UP + a), active)
+
+
+@dr.syntax
+def _follow(  # type: ignore[no-untyped-def]
+    tracer, sampler, ray, first, by_wall, group, from_wall
+):
+    """Follow paths; return the LED radiance of every angle and add to the walls' texels."""
+    paths, scene = tracer.paths, tracer.scene
+    context = mi.BSDFContext()
+    ray = mi.Ray3f(ray)
+    throughput: Any = mi.Color3f(1)
+    led = [mi.Float(0) for _ in range(tracer.count)]
+    free = [mi.Bool(True) for _ in range(tracer.count)]
+    depth, eta, active = mi.UInt32(0), mi.Float(1), mi.Bool(True)
+    state = mi.UInt32(_FROM_START if from_wall else _FROM_EYE)
+    while dr.hint(active, max_iterations=MAX_DEPTH):
+        si = scene.ray_intersect(ray, active)
+        aimed_at = [(state == _DIRECT) | ((state == _STRAIGHT_OUT) & panel.aim.meet(ray)[0]) for panel in tracer.panels]
+        met = tracer.met(ray, si.t)
+        for k in range(tracer.count):
+            for (here, sent), counted in zip(met[k], aimed_at, strict=True):
+                led[k] += dr.select(active & free[k] & here & ~counted, throughput.z * sent, 0)
+            for here, _ in met[k]:
+                free[k] &= ~here
+        active &= si.is_valid()
+        front = mi.Frame3f.cos_theta(si.wi) > 0
+        is_red, is_green = si.shape == paths.red, si.shape == paths.green
+        on_wall = active & front & (is_red | is_green)
+        _note_wall(by_wall, si, group, is_green, dr.select(is_green, throughput.y, throughput.x), on_wall)
+        active &= (depth + 1) < MAX_DEPTH
+        bsdf = si.bsdf(ray)
+        can_connect = active & (on_wall | (~front & (si.shape == paths.coat)))
+        for panel in tracer.panels:
+            reached, direction, weight, outside, length = tracer.connect(
+                panel, si, sampler.next_2d(can_connect), can_connect
+            )
+            value = throughput.z * bsdf.eval(context, si, si.to_local(direction), reached).z * weight
+            seen = tracer.met(outside, length)
+            number = tracer.panels.index(panel)
+            for k in range(tracer.count):
+                here, sent = seen[k][number]
+                led[k] += dr.select(reached & free[k] & here, value * sent, 0)
+        lobe, spot = sampler.next_1d(active), sampler.next_2d(active)
+        lobe = dr.select(depth == 0, first.z, lobe)
+        spot = dr.select(depth == 0, mi.Point2f(first.x, first.y), spot)
+        chosen, chosen_weight = bsdf.sample(context, si, lobe, spot, active)
+        smooth = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
+        transmitted = smooth & mi.has_flag(chosen.sampled_type, mi.BSDFFlags.DeltaTransmission)
+        throughput *= chosen_weight
+        on_inner = si.shape == paths.inner
+        if dr.hint(paths.face.film is not None, mode="scalar"):
+            throughput *= dr.select(on_inner & smooth, paths.film_factor(si, transmitted), 1)
+        eta *= dr.select(smooth, chosen.eta, 1.0)
+        out = transmitted & on_inner & ~front
+        after = dr.select(out & (state == _FROM_SURFACE), mi.UInt32(_STRAIGHT_OUT), mi.UInt32(_OTHER_WAY))
+        after = dr.select(out & (state == _FROM_START), mi.UInt32(_DIRECT), after)
+        after = dr.select(state == _FROM_EYE, mi.UInt32(_FROM_EYE), after)
+        state = dr.select(smooth, after, mi.UInt32(_FROM_SURFACE))
+        ray = si.spawn_ray(si.to_world(chosen.wo))
+        depth += 1
+        largest = dr.max(throughput)
+        active &= largest > 0
+        survival = dr.minimum(largest * eta * eta, _LARGEST_SURVIVAL)
+        survival = dr.select(depth >= ROULETTE_DEPTH, survival, 1.0)
+        active &= sampler.next_1d(active) < survival
+        throughput /= survival
+    return led

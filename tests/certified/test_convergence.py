@@ -1,0 +1,61 @@
+"""A small finger, pressed: balance of forces, release, and what its mesh does to the force."""
+
+import numpy as np
+import pytest
+
+from sim.mechanics.assembly import Assembly
+from sim.mechanics.elements import Elasticity
+from sim.mechanics.finger_mesh import MeshSteps, finger_mesh
+from sim.mechanics.linear_solver import linear_solver
+from sim.mechanics.newton import load_increments
+from sim.mechanics.press import finger_materials, finger_ties
+from sim.mechanics.press_contact import press_contact
+from sim.presets import preset_design
+
+SMALL = preset_design("baby-48x18")
+ROUGH = MeshSteps(3.0, 2.0, 4.0, 1)
+DEPTH_MM = 0.5
+
+
+def pressed(steps, stops=(1.0,)):
+    """The contact and the equilibria of a push of half a millimetre."""
+    touch = press_contact(SMALL, finger_mesh(SMALL, steps=steps), steps.pad_mm, "penalty")
+    assembly = Assembly(
+        Elasticity(touch.mesh, finger_materials(SMALL)),
+        [*touch.terms, *finger_ties(SMALL, touch.mesh, steps.skeleton_mm)],
+    )
+    path = load_increments(assembly, linear_solver(), lambda share: touch.push(share * DEPTH_MM), stops)
+    forces, equilibria = [], []
+    for step in path:
+        forces.append(touch.force_n(step.equilibrium.state.u_mm))
+        equilibria.append(step.equilibrium)
+    return touch.mesh, np.array(forces), equilibria
+
+
+@pytest.fixture(scope="module")
+def press_and_release():
+    return pressed(ROUGH, (1.0, 0.0))
+
+
+def test_the_base_holds_what_the_indenter_pushes(press_and_release):
+    mesh, forces, equilibria = press_and_release
+    base = equilibria[0].gradient_n[mesh.node_sets["fixed"]].sum(axis=0)
+    assert forces[0, 1] > 0.1
+    # the bar is 0.5 %; the equilibrium is known to 1e-6 of all reactions, which are larger than their sum
+    assert np.linalg.norm(base - forces[0]) <= 1e-4 * forces[0, 1]
+
+
+def test_a_released_finger_returns(press_and_release):
+    _, forces, equilibria = press_and_release
+    assert np.abs(equilibria[0].state.u_mm).max() > 0.1
+    assert np.abs(equilibria[-1].state.u_mm).max() <= 1e-6
+    assert np.abs(forces[-1]).max() <= 1e-6
+
+
+def test_pad_and_skeleton_each_soften_when_refined(press_and_release):
+    start = press_and_release[1][0, 1]
+    pad = pressed(MeshSteps(2.0, 1.34, 4.0, 1))[1][0, 1]
+    skeleton = pressed(MeshSteps(3.0, 2.0, 2.5, 2))[1][0, 1]
+    # measured -3.2 % and -8.0 %: conforming elements are stiffer the fewer they are, and one layer through a rib most
+    assert -0.05 <= pad / start - 1.0 <= 0.0
+    assert -0.12 <= skeleton / start - 1.0 <= -0.02

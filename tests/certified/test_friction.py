@@ -1,0 +1,101 @@
+"""Coulomb friction of the barrier contact: derivatives at fixed lag, and the slip limit of a sliding block."""
+
+import numpy as np
+import pytest
+
+from sim.mechanics.contact_ipc import Barrier, BarrierContact, Obstacle
+from sim.mechanics.linear_solver import linear_solver
+from sim.mechanics.materials import neo_hooke
+from sim.mechanics.newton import Supports, load_increments
+from sim.mechanics.press_contact import Drive
+from sim.surface_meshes.hexahedra import boundary_quads, split_quads
+from tests.certified.blocks import assemble, unit_cells
+
+RATIO = 0.3
+GEL = neo_hooke(0.1333, 20.0)
+REACH_MM = 0.02
+
+
+def plate(height_mm, reference):
+    """A rigid triangle far wider than the block, its face down."""
+    corners = np.array([[-40.0, height_mm, -40.0], [80.0, height_mm, -40.0], [0.0, height_mm, 80.0]])
+    return Obstacle(corners, np.array([[0, 1, 2]]), reference)
+
+
+def block_under_a_plate(ratio, project=True):
+    block = unit_cells(3, 2, 3, size=(6.0, 3.0, 6.0))
+    reference = len(block.nodes_mm)
+    nodes = np.vstack([block.nodes_mm, [0.0, 3.0, 0.0]])
+    surface = split_quads(boundary_quads(block.hexahedra).quads, block.nodes_mm)
+    barrier = Barrier(REACH_MM, 0.27, ratio)
+    contact = BarrierContact(nodes, surface, plate(3.0 + REACH_MM, reference), barrier, project=project)
+    return block, nodes, contact
+
+
+def differentiated(function, at, direction, step=1e-7):
+    """Derivative along a direction by four points; the step is small beside the stick's 1e-3 mm."""
+    f = [function(at + k * step * direction) for k in (-2, -1, 1, 2)]
+    return (8.0 * (f[2] - f[1]) - (f[3] - f[0])) / (12.0 * step)
+
+
+def test_derivatives_of_friction_at_fixed_lag():
+    block, nodes, contact = block_under_a_plate(RATIO, project=False)
+    rng = np.random.default_rng(0)
+    u = 1e-3 * rng.standard_normal(nodes.shape)
+    u[-1, 1] = -0.01
+    contact.accept(u)
+    contact.restart()
+    # slips within the smooth range, and far beyond it
+    for slip_mm in (4e-4, 0.03):
+        there = u.copy()
+        there[-1, 0] += slip_mm
+        there[: len(block.nodes_mm)] += 1e-5 * rng.standard_normal(block.nodes_mm.shape)
+        direction = rng.standard_normal(u.shape)
+        exact = contact.hessian(there, False).tocsr() @ direction.ravel()
+        change = differentiated(contact.gradient, there, direction).ravel()
+        assert np.linalg.norm(change - exact) < 1e-7 * np.linalg.norm(exact)
+        slope = differentiated(contact.energy, there, direction)
+        assert slope == pytest.approx(float((contact.gradient(there) * direction).sum()), rel=1e-7)
+
+
+def slide(ratio):
+    """Press a plate 0.1 mm into a block, drag it 1 mm along x; forces on the plate at each step."""
+    block, nodes, contact = block_under_a_plate(ratio)
+    mesh = block.mesh("mean_dilatation", nodes)
+    drive = Drive(len(nodes) - 1, 1)
+    assembly = assemble(mesh, GEL, [contact, drive])
+    supports = Supports.at_rest(len(nodes), block.numbers[:, 0].ravel())
+    supports.fixed[-1] = (True, False, True)
+
+    def settle(state):
+        there = drive.settle(state.u_mm)
+        return contact.settle(state.u_mm) and there
+
+    def loading(share):
+        contact.restart()
+        drive.target_mm = -0.1 * min(share, 1.0)
+        displacement = np.zeros_like(nodes)
+        displacement[-1, 0] = max(share - 1.0, 0.0)
+        return Supports(supports.fixed, displacement)
+
+    stops = [1.0, 1.05, 1.2, 1.4, 1.7, 2.0]
+    path = load_increments(assembly, linear_solver(), loading, stops, settle=settle)
+    forces = {round(i.fraction, 6): contact.force_n(i.equilibrium.state.u_mm) for i in path}
+    return np.array([forces[stop] for stop in stops])
+
+
+def test_a_sliding_block_reaches_the_slip_limit_and_no_more():
+    forces = slide(RATIO)
+    tangential, normal = -forces[:, 0], forces[:, 1]
+    assert (normal > 1.0).all()
+    # it sticks at first, and drags the block along
+    assert 0.0 < tangential[1] < 0.9 * RATIO * normal[1]
+    # Coulomb: sliding everywhere, force is mu N in its direction
+    np.testing.assert_allclose(tangential[-2:], RATIO * normal[-2:], rtol=0.005)
+    # lagged to 1e-3 of the normal force, as is stated
+    assert (tangential <= 1.005 * RATIO * normal).all()
+
+
+def test_without_friction_a_plate_drags_nothing():
+    forces = slide(0.0)
+    assert np.abs(forces[:, [0, 2]]).max() < 1e-6 * forces[:, 1].min()

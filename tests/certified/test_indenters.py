@@ -1,0 +1,216 @@
+"""Indenters of a design: facets, poses, exact first touch, files of the user, and what the analytic press refuses."""
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from scipy.spatial.transform import Rotation
+
+from data_schemas.design import FingerDesign, GelPad, Indenter
+from data_schemas.errors import SimulateError
+from sim.mechanics.body_meshes import TriangleMesh, body_mesh, check_closed_body, read_body, rotation_matrix
+from sim.mechanics.indenters import rigid_indenter, side_outline_mm
+from sim.mechanics.near_pairs import edge_edge_mm, point_triangle_mm
+from sim.mechanics.press_contact import press_contact
+from sim.mechanics.signed_distances import Cylinder, RoundedBox, Sphere
+from sim.surface_meshes.pressed_pad import pressed_height_mm, rest_height_mm, without_press
+from sim.surface_meshes.stl import stl_bytes
+
+CUBE = TriangleMesh(
+    np.array([[x, y, z] for x in (-3.0, 3.0) for y in (0.0, 4.0) for z in (-2.0, 2.0)]),
+    np.array(
+        [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
+         [1, 5, 7], [1, 7, 3]]
+    ),
+)  # fmt: skip
+DOME = GelPad(shape="ellipsoidal", semi_axes_mm=(50.0, 20.0, 90.0))
+
+
+def volume_mm3(mesh):
+    corners = mesh.vertices_mm[mesh.triangles]
+    return np.einsum("ki,ki->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+
+
+@pytest.mark.parametrize(
+    ("body", "volume"),
+    [
+        (Sphere(4.0), 4.0 / 3.0 * np.pi * 64.0),
+        (Cylinder(5.0), np.pi * 25.0 * 20.0),
+        # Steiner: core + faces r + edges pi r^2 / 4 each + ball
+        (
+            RoundedBox((4.0, 3.0, 5.0), 1.0),
+            6 * 4 * 8 + 2 * (6 * 4 + 4 * 8 + 6 * 8) + np.pi * (6 + 4 + 8) + 4 / 3 * np.pi,
+        ),
+    ],
+    ids=["sphere", "cylinder", "cuboid"],
+)
+def test_facets_close_and_lie_a_chord_inside(body, volume):
+    chord_mm = 0.004
+    mesh = body_mesh(body, chord_mm, 10.0)
+    check_closed_body(mesh, "body")
+    # what is missing lies in a shell of at most the chord
+    assert 0.0 < volume - volume_mm3(mesh) < volume * 3.0 * chord_mm / 3.0
+    corners = mesh.vertices_mm[mesh.triangles]
+    on_side = np.abs(corners[:, :, 0]).max(axis=1) < 9.99 if isinstance(body, Cylinder) else slice(None)
+    depth = body.distances(corners[on_side].mean(axis=1))[0]
+    assert -chord_mm <= depth.min()
+    assert depth.max() <= 1e-12
+
+
+def test_rotation_about_x_then_y_then_z():
+    angles = (20.0, -35.0, 50.0)
+    np.testing.assert_allclose(rotation_matrix(*angles), Rotation.from_euler("xyz", angles, degrees=True).as_matrix())
+
+
+@pytest.mark.parametrize("pad", [GelPad(), DOME], ids=["flat", "dome"])
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        {"shape": "ball", "radius_mm": 8.0, "position_mm": 12.0, "across_mm": 6.0},
+        {"shape": "cylinder", "rotation_deg": (0.0, 35.0, 4.0), "across_mm": -3.0},
+        {"shape": "cuboid", "size_mm": (16.0, 10.0, 12.0), "rotation_deg": (10.0, 20.0, 5.0), "position_mm": 60.0},
+    ],
+    ids=["ball", "cylinder", "cuboid"],
+)
+def test_first_touch_is_exact(pad, wanted):
+    design = FingerDesign(pad=pad, indenter=Indenter(**wanted))
+    indenter = rigid_indenter(design)
+    x, z = np.linspace(-17.5, 17.5, 701), np.linspace(0.0, 70.0, 1401)
+    xx, zz = np.meshgrid(x, z, indexing="ij")
+    coat = np.column_stack([xx.ravel(), rest_height_mm(design, xx, zz).ravel(), zz.ravel()])
+    distance = indenter.touching.distances(indenter.body, coat)[0]
+    # the nearest of these points lies within 0.035 mm of the one that touches: h^2 / 2R
+    assert -1e-8 < distance.min() < 2e-4
+
+
+def test_a_ball_on_a_slope_touches_before_its_lowest_point_does():
+    design = FingerDesign(pad=DOME, indenter=Indenter(shape="ball", position_mm=10.0))
+    y = rigid_indenter(design).touching.position_mm[1]
+    assert y > float(rest_height_mm(design, 0.0, 10.0)) + 10.0 + 0.015
+
+
+def test_an_upright_cylinder_never_touches():
+    design = FingerDesign(indenter=Indenter(rotation_deg=(0.0, 0.0, 90.0)))
+    with pytest.raises(SimulateError, match="may not stand upright"):
+        rigid_indenter(design)
+
+
+def test_a_closed_file_is_an_indenter(tmp_path):
+    turned = CUBE.triangles[:, ::-1]
+    (tmp_path / "cube.stl").write_bytes(stl_bytes(turned, CUBE.vertices_mm, "cube"))
+    design = FingerDesign(indenter=Indenter(shape="mesh", file="cube.stl", across_mm=2.0, rotation_deg=(0, 0, 0)))
+    indenter = rigid_indenter(design, tmp_path)
+    assert indenter.body is None
+    # inward triangles are turned round; the cube stands on the pad
+    assert volume_mm3(indenter.surface) == pytest.approx(96.0)
+    assert indenter.vertices_mm()[:, 1].min() == pytest.approx(6.0)
+    assert indenter.vertices_mm()[:, 0].max() == pytest.approx(5.0)
+    with pytest.raises(SimulateError, match=r'--contact penalty cannot serve indenter\.shape = "mesh"'):
+        press_contact(design, None, 2.0, "penalty", folder=tmp_path)
+    assert side_outline_mm(design) is None
+
+
+def test_a_text_file_is_read_too(tmp_path):
+    lines = ["solid cube"]
+    for triangle in CUBE.vertices_mm[CUBE.triangles]:
+        lines += ["facet normal 0 0 0", "outer loop", *(f"vertex {x} {y} {z}" for x, y, z in triangle)]
+        lines += ["endloop", "endfacet"]
+    (tmp_path / "cube.stl").write_text("\n".join([*lines, "endsolid cube"]))
+    assert volume_mm3(read_body(tmp_path / "cube.stl")) == pytest.approx(96.0)
+
+
+@pytest.mark.parametrize(
+    ("triangles", "scale", "message"),
+    [
+        (CUBE.triangles[1:], 1.0, "is open: 3 edges belong to one triangle only"),
+        (np.vstack([CUBE.triangles[1:], CUBE.triangles[:1, ::-1]]), 1.0, "3 edges are run twice in one direction"),
+        (CUBE.triangles, 1e-3, "it looks like a file in metres"),
+        (CUBE.triangles, 1e3, "it looks like a file in micrometres"),
+        (CUBE.triangles[:0], 1.0, "has no triangles"),
+        (CUBE.triangles, np.nan, "corners that are no numbers"),
+    ],
+    ids=["open", "twisted", "metres", "micrometres", "empty", "not a number"],
+)
+def test_unusable_files_are_refused(tmp_path, triangles, scale, message):
+    (tmp_path / "body.stl").write_bytes(stl_bytes(triangles, scale * CUBE.vertices_mm, "body"))
+    with pytest.raises(SimulateError, match=message):
+        read_body(tmp_path / "body.stl")
+
+
+def test_files_that_are_no_stl_or_missing_are_refused(tmp_path):
+    (tmp_path / "body.stl").write_text("not a mesh")
+    with pytest.raises(SimulateError, match="neither a binary nor a text STL"):
+        read_body(tmp_path / "body.stl")
+    with pytest.raises(SimulateError, match="cannot be read"):
+        read_body(tmp_path / "absent.stl")
+
+
+def test_a_file_beside_the_pad_is_refused(tmp_path):
+    away = CUBE.vertices_mm + np.array([60.0, 0.0, 0.0])
+    (tmp_path / "cube.stl").write_bytes(stl_bytes(CUBE.triangles, away, "cube"))
+    design = FingerDesign(indenter=Indenter(shape="mesh", file="cube.stl"))
+    with pytest.raises(SimulateError, match="does not come to touch the pad"):
+        rigid_indenter(design, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "message"),
+    [
+        ({"shape": "cuboid"}, "size_mm is missing"),
+        ({"shape": "mesh"}, "file is missing"),
+        ({"shape": "ball", "file": "a.stl"}, "file is given for a ball"),
+        ({"shape": "cuboid", "size_mm": (9.0, 1.0, 9.0)}, "edge_radius_mm = 1 mm must be at most half"),
+        ({"friction": -0.1}, "greater than or equal to 0"),
+    ],
+)
+def test_incomplete_indenters_are_refused(wanted, message):
+    with pytest.raises(ValidationError, match=message):
+        Indenter(**wanted)
+
+
+def test_an_indenter_beside_the_pad_is_refused():
+    with pytest.raises(ValidationError, match=r"across_mm = 18 mm must lie on the pad"):
+        FingerDesign(indenter=Indenter(across_mm=18.0))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "message"),
+    [
+        ({"depth_mm": 6.5}, "indenter.depth_mm = 6.5 mm goes through the pad"),
+        ({"shape": "cuboid", "size_mm": (9.0, 9.0, 9.0)}, 'shape = "cuboid": the analytic press knows'),
+        ({"shape": "ball", "across_mm": 2.0}, "across_mm = 2 mm: the analytic press is for an indenter on the middle"),
+        ({"rotation_deg": (0.0, 10.0, 0.0)}, r"rotation_deg = \[0.0, 10.0, 0.0\] deg: the analytic press"),
+    ],
+)
+def test_the_analytic_press_refuses_what_it_cannot_shape(wanted, message):
+    design = FingerDesign(indenter=Indenter(**wanted))
+    x, z = np.zeros(1), np.linspace(0.0, 70.0, 5)
+    with pytest.raises(SimulateError, match=message + r".*simulate DESIGN --only mechanics"):
+        pressed_height_mm(design, x, z)
+    # at rest there is nothing to refuse
+    np.testing.assert_array_equal(pressed_height_mm(without_press(design), x, z), 6.0)
+
+
+def test_the_outline_of_a_cuboid_is_its_own():
+    design = FingerDesign(indenter=Indenter(shape="cuboid", size_mm=(16.0, 10.0, 12.0)))
+    outline = side_outline_mm(design, 1.0)
+    np.testing.assert_allclose(outline.min(axis=0), [29.0, 5.0])
+    np.testing.assert_allclose(outline.max(axis=0), [41.0, 15.0])
+
+
+def test_distances_of_vertices_and_edges():
+    rng = np.random.default_rng(0)
+    corners = rng.standard_normal((60, 4, 3))
+    share = np.linspace(0.0, 1.0, 201)
+    a, b, c, d = np.moveaxis(corners, 1, 0)
+    one = a[:, None] + share[:, None] * (b - a)[:, None]
+    two = c[:, None] + share[:, None] * (d - c)[:, None]
+    sampled = np.linalg.norm(one[:, :, None] - two[:, None], axis=-1).min(axis=(1, 2))
+    # half a step of the samples at an edge of up to 5 mm
+    np.testing.assert_allclose(edge_edge_mm(corners), sampled, atol=0.03)
+    assert (edge_edge_mm(corners) <= sampled + 1e-12).all()
+    s, t = (m.ravel() for m in np.meshgrid(share[::2], share[::2]))
+    inside = s + t <= 1.0
+    plane = b[:, None] + s[inside, None] * (c - b)[:, None] + t[inside, None] * (d - b)[:, None]
+    sampled = np.linalg.norm(plane - a[:, None], axis=-1).min(axis=1)
+    np.testing.assert_allclose(point_triangle_mm(corners), sampled, atol=0.06)
+    assert (point_triangle_mm(corners) <= sampled + 1e-12).all()

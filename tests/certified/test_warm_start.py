@@ -1,0 +1,156 @@
+"""Starts that save iterations, failures that are cut back, and a press that goes on from a stored increment."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from data_schemas.errors import SimulateError
+from data_schemas.press_mechanics import PressIncrement, PressMechanics
+from data_schemas.storage import read_record
+from sim.experiments.mechanical_press import increment_record, stored_press
+from sim.mechanics.finger_mesh import MeshSteps, finger_mesh
+from sim.mechanics.linear_solver import linear_solver
+from sim.mechanics.materials import neo_hooke
+from sim.mechanics.newton import Supports, load_increments
+from sim.mechanics.press import press_finger
+from sim.mechanics.warm_start import Interpolation
+from sim.presets import preset_design
+from tests.certified.blocks import assemble, unit_cells
+from tests.command_line.running import finray, succeed
+
+SMALL = preset_design("baby-48x18")
+PLAN = 'name = "small"\n[pad]\nlength_mm = 48.0\nwidth_mm = 18.0\nfilm = {}\n[indenter]\nposition_mm = 24.0\n'
+LONGEST_S = 120.0
+
+
+def to_depth(depth_mm):
+    return SMALL.model_copy(update={"indenter": SMALL.indenter.model_copy(update={"depth_mm": depth_mm})})
+
+
+@pytest.fixture(scope="module")
+def halfway():
+    return press_finger(to_depth(1.0), "coarse", 2)
+
+
+class Faulty:
+    """A solver whose first factorisations fail."""
+
+    def __init__(self, failures):
+        self._solver, self.left, self.asked = linear_solver(), failures, 0
+
+    def factorise(self, upper, pattern):
+        self.asked += 1
+        if self.left:
+            self.left -= 1
+            raise SimulateError("the stiffness matrix is singular")
+        self._solver.factorise(upper, pattern)
+
+    def solve(self, right_side):
+        return self._solver.solve(right_side)
+
+
+def sheared_block():
+    cells = unit_cells(2, 2, 2)
+    assembly = assemble(cells.mesh("mean_dilatation"), neo_hooke(0.1333))
+    top = cells.numbers[:, -1].ravel()
+    fixed = Supports.at_rest(assembly.count, np.concatenate([cells.numbers[:, 0].ravel(), top])).fixed
+
+    def loading(fraction):
+        move = np.zeros((assembly.count, 3))
+        move[top, 0] = 0.3 * fraction
+        return Supports(fixed, move)
+
+    return assembly, loading
+
+
+def test_a_failed_factorisation_is_cut_back():
+    # the first fails with the exact tangent, the second with the projected one: the increment is halved
+    assembly, loading = sheared_block()
+    path = list(load_increments(assembly, Faulty(2), loading, (1.0,)))
+    assert [step.fraction for step in path] == [0.5, 1.0]
+    assembly, loading = sheared_block()
+    # one failure: the projected tangent leads on, with no cutback
+    assert [step.fraction for step in load_increments(assembly, Faulty(1), loading, (1.0,))] == [1.0]
+    with pytest.raises(SimulateError, match=r"no equilibrium beyond 0 of the load: the stiffness matrix is singular"):
+        list(load_increments(assembly, Faulty(10**6), loading, (1.0,)))
+
+
+def test_iterations_are_solved_systems():
+    assembly, loading = sheared_block()
+    solver = Faulty(0)
+    path = list(load_increments(assembly, solver, loading, (0.5, 1.0)))
+    assert sum(step.equilibrium.iterations for step in path) == solver.asked
+    for step in path:
+        assert step.equilibrium.iterations == len(step.equilibrium.residuals_n) - 1
+
+
+def test_displacements_move_to_another_mesh():
+    coarse, other = finger_mesh(SMALL, "coarse"), finger_mesh(SMALL, steps=MeshSteps(2.6, 1.4, 1.9, 2))
+    slope = np.array([[0.1, 0.2, 0.0], [0.0, 0.3, 0.1], [0.2, 0.0, -0.1]])
+    moved = Interpolation(coarse, other)(coarse.nodes_mm @ slope)
+    # trilinear hexahedra hold a linear field exactly
+    assert moved == pytest.approx(other.nodes_mm @ slope, abs=1e-11)
+    with pytest.raises(SimulateError, match=r"mesh of the same finger; the point .* lies outside the other mesh"):
+        Interpolation(coarse, finger_mesh(preset_design("flat-70x35"), "coarse"))
+    with pytest.raises(SimulateError, match=r"mesh of the same finger; backing is a part of one"):
+        Interpolation(coarse, finger_mesh(preset_design("original-60x22"), "coarse"))
+
+
+def test_a_start_saves_iterations(halfway):
+    started = press_finger(to_depth(1.0), "coarse", 2, start=halfway)
+    # its own path, but for the incompatible modes: the first increment has little left to do
+    assert started.iterations[0] <= halfway.iterations[0] - 3
+    assert started.force_n == pytest.approx(halfway.force_n, abs=1e-5 * halfway.force_n[-1, 1])
+
+
+def test_a_stored_increment_must_fit(halfway):
+    record = increment_record(to_depth(1.0), halfway, "coarse")
+    assert stored_press(record, to_depth(3.0)).displacement_mm[-1] == pytest.approx(halfway.displacement_mm[-1])
+    softer = to_depth(1.0).model_copy(update={"name": "another"})
+    with pytest.raises(SimulateError, match=r"of another design: it differs in name; only indenter\.depth_mm may"):
+        stored_press(record, softer)
+    moved = record.model_copy(update={"nodes_mm": record.nodes_mm + 0.1})
+    with pytest.raises(SimulateError, match="of another mesh of this design"):
+        stored_press(moved, to_depth(3.0))
+    with pytest.raises(SimulateError, match=r"at 1 mm already and indenter\.depth_mm is 0\.7 mm"):
+        press_finger(to_depth(0.7), "coarse", 2, resume=halfway)
+    with pytest.raises(SimulateError, match="resume with the same design and mesh"):
+        press_finger(preset_design("original-60x22"), "coarse", 2, resume=halfway)
+
+
+def test_a_killed_press_goes_on(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "d.toml").write_text(PLAN + "depth_mm = 1.5\n")
+    press = "simulate d.toml --only mechanics --increments 3"
+    command = [sys.executable, "-m", "finray_calib.cli.main", *press.split(), "--out", "cut.json"]
+    killed = subprocess.Popen(command, env=os.environ)
+    deadline = time.monotonic() + LONGEST_S
+    while not (tmp_path / "cut.increments" / "001.json").exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    killed.send_signal(signal.SIGKILL)
+    assert killed.wait() == -signal.SIGKILL
+    assert not (tmp_path / "cut.mechanics.json").exists()
+    assert read_record(tmp_path / "cut.increments" / "001.json", PressIncrement).depth_mm == pytest.approx([0.5])
+
+    refused = finray(f"{press} --out cut.json")
+    assert refused.status == 2
+    assert "cut.increments: exists already and is not overwritten" in refused.err
+    succeed(f"{press} --out cut.json --resume cut.increments")
+    succeed(f"{press} --out whole.json")
+    cut, whole = (read_record(tmp_path / f"{name}.mechanics.json", PressMechanics) for name in ("cut", "whole"))
+    assert cut.depth_mm == pytest.approx(whole.depth_mm, rel=1e-12)
+    # both are equilibria to 1e-6 of their forces
+    assert cut.force_n == pytest.approx(whole.force_n, abs=1e-5 * whole.force_n[-1, 1])
+
+    (tmp_path / "empty").mkdir()
+    nothing = finray(f"{press} --out other.json --resume empty")
+    assert nothing.status == 2
+    assert "holds no increment of a press" in nothing.err
+    optical = finray("simulate d.toml --resume cut.increments")
+    assert optical.status == 2
+    assert "--resume goes on with a press of finite elements" in optical.err

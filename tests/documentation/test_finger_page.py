@@ -1,0 +1,188 @@
+"""The page of a finger's design: all parts and numbers with where they come from, self-contained, and safe."""
+
+import base64
+import json
+import re
+import subprocess
+
+import numpy as np
+import pytest
+from html_page import Page
+
+from data_schemas.design import FingerDesign
+from finray_calib.reports.finger_page import finger_page
+from finray_calib.reports.finger_scene import ScenePart, finger_scene, scene_values, sharp_edges
+from sim.mechanics.body_meshes import body_mesh
+from sim.mechanics.signed_distances import Sphere
+from sim.presets import preset_design
+from tests.capture.drivers.programs import require
+from tests.command_line.running import finray, succeed
+
+HOSTILE = "</script><script>alert(1)</script> & \"quoted\" 'name'"
+PICTURE = b"\x89PNG stands in"
+VIEW = "the camera sees 96% of the coat\n  along the pad 3.3 to 7.0 px/mm"
+
+
+@pytest.fixture(scope="module")
+def html() -> str:
+    return finger_page(FingerDesign(name=HOSTILE), PICTURE, VIEW)
+
+
+def scene_of(html: str) -> dict:
+    block = re.search(r'id="scene">(.*?)</script>', html, re.DOTALL)
+    assert block is not None
+    return json.loads(block[1])
+
+
+def test_every_part_is_named_shown_and_switched(html):
+    page = Page(html)
+    assert page.open == []
+    names = [part["name"] for part in scene_of(html)["parts"]]
+    assert names == [
+        "coating", "red wall", "green wall", "gel", "film", "skeleton", "base plate", "backing", "mirror",
+        "light panel", "camera", "indenter",
+    ]  # fmt: skip
+    boxes = [attributes for attributes in page.all("input") if attributes["type"] == "checkbox"]
+    assert [box["data-part"] for box in boxes] == [str(i) for i in range(len(names))]
+    assert ["checked" in box for box in boxes] == [name != "indenter" for name in names]
+    for name in names:
+        assert page.prose.count(name) >= 2
+    # the shape of the whole finger, as the drawing gives it
+    assert "90.8 mm long, 44.0 mm wide, 31.4 mm deep" in page.prose.replace("\u00a0", " ")
+
+
+def test_every_number_says_where_it_comes_from(html):
+    design, page = FingerDesign(), Page(html)
+    rows = re.findall(r'<tr><th scope="row">([a-z_]+\.[a-z_.0-9]+)</th><td>(.*?)</td><td>(.*?)</td></tr>', html)
+    found = {field: (value.replace("\u00a0", " "), origin) for field, value, origin in rows}
+    assert found["pad.length_mm"] == ("70 mm", "paper")
+    assert found["skeleton.rib_thickness_mm"] == ("1.2 mm", "assumed")
+    assert found["camera.field_of_view_deg"] == ("120 deg", "paper")
+    assert found["mechanics.skeleton.alpha"] == ("1.6663, -7.136", "paper")
+    assert found["pad.semi_axes_mm"] == ("\N{EN DASH}", "not given")
+    for field, origin in design.origin.items():
+        assert found[field][1] == origin
+    assumed = sum(origin == "assumed" for _, origin in found.values())
+    assert f"Of the {len(found)} fields below {assumed} are assumptions" in page.prose
+    assert "paper: length, width; assumed: thickness" in page.prose
+
+
+def test_hostile_names_stay_text_and_nothing_comes_from_outside(html):
+    assert HOSTILE not in html
+    assert "alert(1)</script>" not in html
+    assert HOSTILE in Page(html).prose
+    page = Page(html)
+    assert [script.get("type") for script in page.all("script")] == ["application/json", None]
+    assert not re.search(r"https?:|//[a-z]+\.|@import|url\(", html)
+    assert page.all("link") == []
+    assert all(image["src"].startswith("data:image/png;base64,") for image in page.all("img"))
+
+
+def test_without_three_dimensions_or_scripts_the_drawing_serves(html):
+    page = Page(html)
+    (viewer,) = [attributes for attributes in page.all("div") if attributes.get("id") == "viewer"]
+    assert "hidden" in viewer
+    (words,) = [attributes for attributes in page.all("p") if attributes.get("id") == "no-viewer"]
+    assert "hidden" not in words
+    (image,) = page.all("img")
+    assert base64.b64decode(str(image["src"]).partition(",")[2]) == PICTURE
+    assert f"Drawing of the finger {HOSTILE} to scale" in str(image["alt"])
+    assert "the camera sees 96% of the coat" in page.prose
+
+
+def test_it_can_be_used_by_keyboard_and_by_readers(html):
+    page = Page(html)
+    (canvas,) = page.all("canvas")
+    assert canvas["tabindex"] == "0"
+    assert canvas["aria-label"] == "The finger in three dimensions"
+    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    named = [a[key] for _, a in page.tags for key in ("aria-labelledby", "aria-describedby") if key in a]
+    assert set(named) <= set(ids)
+    assert len(page.all("caption")) == len(page.all("table")) == 2
+    assert page.all("html")[0]["lang"] == "en"
+
+
+def test_equal_designs_give_equal_pages_and_two_panels_are_two_parts(html):
+    assert finger_page(FingerDesign(name=HOSTILE), PICTURE, VIEW) == html
+    two = finger_page(preset_design("flat-70x35-two-lights"), PICTURE, VIEW)
+    assert "light panel 1" in two
+    assert "20 x 4 mm, 150 deg from the pad plane" in two.replace("\u00a0", " ")
+    bare = Page(finger_page(preset_design("original-60x22"), PICTURE, VIEW)).prose
+    assert "plate on the back fin" not in bare
+
+
+def test_vertices_are_those_of_the_finger_within_half_a_step():
+    parts = finger_scene(preset_design("ellipsoidal-30-8-90"))
+    values = scene_values(parts)
+    shown = np.concatenate([part.vertices_mm for part in parts if part.is_shown])
+    centre = (shown.min(axis=0) + shown.max(axis=0)) / 2.0
+    half_step = values["reach_mm"] / 32767 / 2.0
+    for part, stored in zip(parts, values["parts"], strict=True):
+        steps = np.frombuffer(base64.b64decode(stored["vertices"]), "<i2").reshape(-1, 3)
+        read = centre + steps / 32767 * values["reach_mm"]
+        # the reach itself is rounded to 0.1 um
+        assert np.abs(read - part.vertices_mm).max() < half_step + 1e-4
+        triangles = np.frombuffer(base64.b64decode(stored["triangles"]), "<u2").reshape(-1, 3)
+        np.testing.assert_array_equal(triangles, part.triangles)
+        assert part.colour.lower() == "#" + "".join(f"{round(255 * share):02x}" for share in stored["colour"])
+    assert [part.name for part in parts][4] == "bond"
+
+
+def test_parts_of_many_vertices_are_numbered_by_32_bits():
+    count = 2**16 + 2
+    line = np.column_stack([np.arange(count), np.zeros(count), np.zeros(count)])
+    part = ScenePart("long", "#000000", True, line, np.array([[0, 1, count - 1]]))
+    (stored,) = scene_values((part,))["parts"]
+    assert stored["wide"]
+    assert np.frombuffer(base64.b64decode(stored["triangles"]), "<u4").tolist() == [0, 1, count - 1]
+
+
+def test_sharp_edges_are_those_that_a_draughtsman_draws():
+    corners = np.array([(x, y, z) for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))], dtype=np.float64)
+    quads = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
+    triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    edges = sharp_edges(corners, triangles)
+    assert len(edges) == 12
+    assert np.allclose(np.linalg.norm(corners[edges[:, 0]] - corners[edges[:, 1]], axis=1), 1.0)
+    ball = body_mesh(Sphere(10.0), 0.05, 0.0)
+    assert len(sharp_edges(ball.vertices_mm, ball.triangles)) == 0
+    # an open sheet is bounded by its own edges
+    assert len(sharp_edges(corners, triangles[:2])) == 4
+
+
+@pytest.mark.parametrize(
+    ("indenter", "across_mm"),
+    [({"shape": "ball", "radius_mm": 5.0}, 10.0), ({"shape": "cuboid", "size_mm": (8.0, 6.0, 12.0)}, 8.0)],
+)
+def test_the_indenter_touches_the_pad(indenter, across_mm):
+    design = FingerDesign.model_validate({"indenter": indenter})
+    part = finger_scene(design)[-1]
+    assert part.vertices_mm[:, 1].min() == pytest.approx(design.pad.thickness_mm, abs=0.05)
+    assert np.ptp(part.vertices_mm[:, 0]) == pytest.approx(across_mm, abs=0.1)
+
+
+def test_the_verb_writes_page_or_picture_by_its_name(tmp_path):
+    design = tmp_path / "finger.toml"
+    design.write_text('name = "small finger"\n[camera]\nwidth_px = 128\nheight_px = 96\n')
+    succeed(f"design show {design} --engine scalar --out {tmp_path}/finger.html")
+    page = Page((tmp_path / "finger.html").read_text(encoding="utf-8"))
+    assert "small finger: the camera sees 9" in page.prose
+    (image,) = page.all("img")
+    assert base64.b64decode(str(image["src"]).partition(",")[2]).startswith(b"\x89PNG")
+    outcome = finray(f"design show {design} --engine scalar --out {tmp_path}/finger.pdf")
+    assert outcome.status == 2
+    assert "finger.pdf: a drawing's name must end in .png or .html" in outcome.err
+
+
+@pytest.mark.rigs
+@pytest.mark.parametrize("options", [["--use-angle=swiftshader", "--enable-unsafe-swiftshader"], ["--disable-3d-apis"]])
+def test_a_browser_shows_the_viewer_where_it_can(html, tmp_path, options):
+    browser = require("chromium", "chromium")
+    (tmp_path / "finger.html").write_text(html, encoding="utf-8")
+    command = [browser, "--headless=new", "--no-sandbox", f"--user-data-dir={tmp_path}/profile", *options]
+    command += ["--virtual-time-budget=3000", "--dump-dom", f"file://{tmp_path}/finger.html"]
+    dom = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
+    assert re.findall(r'<(div|p) id="(?:viewer|no-viewer)"[^>]* hidden', dom) == (
+        ["div"] if "--disable-3d-apis" in options else ["p"]
+    )

@@ -1,0 +1,72 @@
+"""Paths for all light angles at once against a scene with the panel in place, one angle after the other."""
+
+import numpy as np
+import pytest
+
+from data_schemas.design import FingerDesign, LightPanel, TactileCamera
+from sim.optics.angle_sweep import sweep_light_angle
+from sim.optics.even_points import even_points
+from sim.optics.paint_bands import paint_bands
+from sim.optics.render import lit_integrator, open_scene
+from sim.optics.wall_baking import bake_walls
+from sim.optics.wall_emission import last_band
+from sim.surface_meshes.finger_shape import pressed_shape
+
+CAMERA = TactileCamera(width_px=64, height_px=48)
+TIP = LightPanel(position_mm=(0.0, -10.0, 71.0), angle_deg=150.0)
+STANDARD_ERRORS = 4.0
+REPEATS, SAMPLES = 6, 2000
+ANGLE_DEG = 50.0
+XZ_MM = np.array([[-5.0, 29.0], [5.0, 41.0]])
+
+
+def one_by_one(design, paints, renderer, points_mm):
+    """Return (repeat, probe, band) with the panel as a surface of the scene, as pictures are rendered."""
+    shape, bands = pressed_shape(design), paint_bands(paints["red"], paints["green"], design.light)
+    scene, values = open_scene(design, shape, bands, renderer), []
+    for repeat, light in enumerate(bake_walls(scene, design, shape, bands, renderer, "b", 7, 10_000, REPEATS)):
+        integrator, chains = lit_integrator(scene, design, shape, renderer, light)
+        origins = np.repeat(points_mm * [1.0, 0.5, 1.0], SAMPLES, axis=0).T.astype(np.float32)
+        sampler = renderer.load_dict({"type": "independent"})
+        sampler.seed(repeat, origins.shape[1])
+        rays = renderer.Ray3f(renderer.Point3f(np.ascontiguousarray(origins)), renderer.Vector3f(0.0, 1.0, 0.0))
+        radiance, _, further = integrator.sample(scene, sampler, rays, None, renderer.Bool(True))
+        channels = np.stack([*radiance.numpy(), *(np.array(channel) for channel in further)]).astype(float)
+        means = channels.reshape(len(chains), -1, SAMPLES).mean(axis=2)
+        of_band = [[k for k, c in enumerate(chains) if last_band(c) == band] for band in ("red", "green", "led")]
+        values.append(np.stack([means[k].sum(axis=0) for k in of_band], axis=-1))
+    return np.array(values)
+
+
+@pytest.mark.renderer
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"light": LightPanel(position_mm=(0.0, -8.0, 10.0), beam_exponent=4.0)},
+        {"second_light": TIP},
+    ],
+    ids=["narrow beam farther in", "two lights"],
+)
+def test_all_angles_at_once_see_what_each_angle_sees(llvm, paints, change):
+    design = FingerDesign(camera=CAMERA, **change)
+    sweep = sweep_light_angle(design, paints, llvm, [0.0, ANGLE_DEG], REPEATS, 3, 2 * SAMPLES, XZ_MM)
+    turned = design.light.model_copy(update={"angle_deg": ANGLE_DEG})
+    there = one_by_one(design.model_copy(update={"light": turned}), paints, llvm, sweep.probe_points_mm)
+    # the mean over the probes, band by band: the bake's noise is common to them
+    here, there = sweep.radiance_rel[1].mean(axis=1), there.mean(axis=1)
+    error = np.hypot(*(v.std(axis=0, ddof=1) / np.sqrt(REPEATS) for v in (here, there)))
+    assert (error < 0.15 * there.mean(axis=0)).all()
+    assert (np.abs(here.mean(axis=0) - there.mean(axis=0)) < STANDARD_ERRORS * error).all()
+
+
+def test_even_points_are_uniform_and_even():
+    rng = np.random.default_rng(2)
+    points = even_points(1000, 3, rng)
+    assert points.shape == (1000, 3)
+    assert ((points >= 0.0) & (points < 1.0)).all()
+    # a tenth of each axis holds a tenth of the points to a few, where random numbers would scatter by ten
+    for axis in points.T:
+        assert np.abs(np.histogram(axis, 10, (0.0, 1.0))[0] - 100).max() <= 4
+    # another shift gives independent means
+    means = [even_points(50, 2, rng)[:, 0].mean() for _ in range(400)]
+    assert abs(np.mean(means) - 0.5) < 4.0 * np.std(means) / 20.0

@@ -1,0 +1,192 @@
+"""A recoloured press against a new render with the same random numbers, and what needs a new render."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data_schemas.design import FingerDesign, TactileCamera
+from data_schemas.errors import SimulateError
+from data_schemas.provenance import provenance
+from data_schemas.simulate import SimulatedPress
+from data_schemas.standard_curves import assumed_camera_response
+from data_schemas.storage import read_record, write_record
+from finray_calib.cli import main
+from sim.experiments import painted_finger
+from sim.experiments.painted_finger import PaintedFinger
+from sim.experiments.press import light_record, simulate_press
+from sim.experiments.recolour import recoloured
+from sim.optics.paint_bands import PaintOptics, camera_matrix, paint_bands
+from sim.optics.render import BAKE_SAMPLES
+
+DESIGN = FingerDesign(camera=TactileCamera(width_px=96, height_px=72))
+NO_SHA: dict[str, str] = {}
+# sums of float32 samples in another order
+FLOAT32 = 2e-4
+CHAINS = ("led>red", "led>green", "led", "led>green>red")
+
+
+@pytest.fixture
+def exciting(paints) -> dict[str, PaintOptics]:
+    """Paints of which green emission excites the red one."""
+    w = paints["red"].wavelength_nm
+    absorption = {name: np.exp(-0.5 * ((w - at) / 45.0) ** 2) for name, at in (("red", 500.0), ("green", 450.0))}
+    return {name: replace(paint, absorption_rel=absorption[name]) for name, paint in paints.items()}
+
+
+def other(paints, yield_rel=1.15, narrower=False, shift_nm=0.0, lighter=0.0):
+    """Return the paints with another yield, emission shape, absorption or reflectance of the red one."""
+    red = paints["red"]
+    w = red.wavelength_nm
+    emission = yield_rel * np.interp(w - shift_nm, w, red.emission_per_nm)
+    if narrower:
+        emission *= np.exp(-0.5 * ((w - 612.0) / 60.0) ** 2)
+    return {
+        **paints,
+        "red": replace(red, emission_per_nm=emission, reflectance=np.minimum(red.reflectance + lighter, 1.0)),
+    }
+
+
+def press(paints, renderer=None, **changed):
+    """Return a press of random chain images."""
+    rng = np.random.default_rng(3)
+    chains = [rng.random((36, 48, 4)).astype(np.float32) for _ in range(2)]
+    bands = [np.stack([c[..., 0] + c[..., 3], c[..., 1], c[..., 2]], axis=-1) for c in chains]
+    response, light = assumed_camera_response(), paint_bands(paints["red"], paints["green"], DESIGN.light)
+    curves = np.array([curve(painted_finger.RESPONSE_NM) for curve in response])
+    matrix = camera_matrix(curves, painted_finger.RESPONSE_NM, light)
+    values = {
+        "name": "press", "label": "rendered, level b, test", "method": "rendered", "encoding": "linear",
+        "no_contact": bands[0] @ matrix.T, "contact": bands[1] @ matrix.T, "distance": np.ones((36, 48)),
+        "variance": None, "no_contact_bands": bands[0], "contact_bands": bands[1],
+        "contact_bands_variance": np.full((36, 48, 3), 1e-4), "bands": ("red", "green", "led"),
+        "no_contact_chains": chains[0], "contact_chains": chains[1], "chains": CHAINS,
+        "rendered_light": light_record(light, response), "camera_matrix": matrix, "light_angle_deg": 30.0,
+        "design": DESIGN, "paints": {"red": "a" * 64, "green": "b" * 64}, "notes": ("shape of the finger: flat",),
+    }  # fmt: skip
+    return SimulatedPress(**{**values, **changed})
+
+
+@pytest.mark.renderer
+def test_recoloured_is_a_new_render_with_the_same_seed(llvm, exciting, monkeypatch):
+    monkeypatch.setitem(BAKE_SAMPLES, False, 10_000)
+    # another yield changes all chains through red paint; half the absorption width those excited by green light
+    changed = other(exciting, narrower=True)
+    changed["red"] = replace(changed["red"], absorption_rel=changed["red"].absorption_rel ** 1.5)
+    new, old = (
+        simulate_press(PaintedFinger(DESIGN, p, assumed_camera_response(), llvm), "b", 4, 4, NO_SHA)
+        for p in (changed, exciting)
+    )
+    assert "led>green>red" in old.chains
+    made = recoloured(old, changed)
+    for name in ("no_contact", "contact", "contact_bands"):
+        there, here = getattr(new, name), getattr(made, name)
+        # the mean reflectance of the red paint over the narrower band has changed, by this much of all light at most
+        np.testing.assert_allclose(here.mean(axis=(0, 1)), there.mean(axis=(0, 1)), rtol=4e-3)
+        # a few paths end by chance elsewhere
+        assert np.mean(np.abs(here - there) > 4e-3 * there + 1e-9) < 0.03
+    assert made.contact_bands[..., 0].mean() != pytest.approx(old.contact_bands[..., 0].mean(), rel=0.02)
+    np.testing.assert_allclose(made.camera_matrix, new.camera_matrix, rtol=1e-12)
+    # a seventh of the red light comes by green, whose chain has grown otherwise than the first
+    assert made.variance[..., 0].mean() == pytest.approx(new.variance[..., 0].mean(), rel=0.2)
+
+
+@pytest.mark.renderer
+def test_a_yield_alone_is_exact(llvm, paints, monkeypatch):
+    monkeypatch.setitem(BAKE_SAMPLES, False, 10_000)
+    # no paint excites paint, so no chain stands at the edge of being left out
+    brighter = other(paints, yield_rel=1.3)
+    new, old = (
+        simulate_press(PaintedFinger(DESIGN, p, assumed_camera_response(), llvm), "b", 4, 2, NO_SHA)
+        for p in (brighter, paints)
+    )
+    made = recoloured(old, brighter)
+    for name in ("no_contact", "contact", "variance"):
+        np.testing.assert_allclose(getattr(made, name), getattr(new, name), rtol=FLOAT32, atol=1e-9)
+
+
+def test_camera_and_white_balance_are_a_matrix(exciting):
+    rendered, response = press(exciting), assumed_camera_response()
+    dimmer = tuple(curve.model_copy(update={"values": 0.5 * curve.values}) for curve in response)
+    made = recoloured(rendered, response=dimmer, white_balance=(2.0, 1.0, 4.0))
+    np.testing.assert_allclose(made.contact, rendered.contact * np.array([1.0, 0.5, 2.0]), rtol=1e-5)
+    np.testing.assert_allclose(made.camera_matrix[2], 2.0 * rendered.camera_matrix[2])
+    grey = recoloured(made, white_balance="pad")
+    np.testing.assert_allclose(grey.no_contact.mean(axis=(0, 1)) / grey.no_contact[..., 1].mean(), 1.0, rtol=1e-5)
+    # from a recoloured press back to the first
+    back = recoloured(grey, response=response, white_balance=(1.0, 1.0, 1.0))
+    np.testing.assert_allclose(back.contact, rendered.contact, rtol=1e-5)
+    assert back.label == "rendered, level b, test, recoloured"
+    assert back.notes == ("camera response: assumed", "shape of the finger: flat")
+
+
+def test_other_paints_start_from_the_render_and_can_be_changed_back(exciting):
+    rendered, brighter = press(exciting), other(exciting, yield_rel=1.3)
+    made = recoloured(rendered, brighter, paint_sha256={"red": "c" * 64, "green": "b" * 64})
+    np.testing.assert_allclose(made.contact_bands, rendered.contact_bands * np.array([1.3, 1, 1]), rtol=1e-6)
+    assert made.contact_chains is rendered.contact_chains
+    expected = np.einsum("cb,ijb->ijc", made.camera_matrix**2, rendered.contact_bands_variance * [1.69, 1.0, 1.0])
+    np.testing.assert_allclose(made.variance, expected, rtol=1e-5)
+    assert made.paints["red"] == "c" * 64
+    # a later camera shows the paints that the press shows
+    blue = recoloured(made, white_balance=(1.0, 1.0, 2.0))
+    np.testing.assert_allclose(blue.contact, made.contact * np.array([1.0, 1.0, 2.0]), rtol=1e-5)
+    np.testing.assert_allclose(
+        recoloured(blue, exciting, white_balance=(1.0, 1.0, 1.0)).contact, rendered.contact, rtol=1e-5
+    )
+
+
+def test_what_needs_a_new_render_is_refused(exciting):
+    rendered = press(exciting)
+    with pytest.raises(SimulateError, match=r"the red paint's reflectance in the green band went from .* render again"):
+        recoloured(rendered, other(exciting, lighter=0.03))
+    flat = {name: replace(p, reflectance=np.full(p.reflectance.size, 0.1)) for name, p in exciting.items()}
+    with pytest.raises(SimulateError, match=r"the red band's centroid went from 610\.\d to 625\.\d nm; .* 10 nm"):
+        recoloured(press(flat), other(flat, shift_nm=15.0))
+    wide = {**flat, "red": replace(flat["red"], absorption_rel=flat["red"].absorption_rel ** 0.3)}
+    with pytest.raises(SimulateError, match=r"the red paint converts \d\.\d times as much red light .* 3 times"):
+        recoloured(press(flat), wide)
+    together = press(exciting, no_contact_chains=None, contact_chains=None, chains=())
+    with pytest.raises(SimulateError, match="does not hold each chain of fluorescence apart"):
+        recoloured(together, other(exciting))
+    assert recoloured(together, white_balance=(1.0, 1.0, 2.0)).chains == ()
+    with pytest.raises(SimulateError, match="does not hold the light that it was rendered with"):
+        recoloured(press(exciting, rendered_light=None), white_balance=(1.0, 1.0, 2.0))
+    for wrong in ((1.0, 0.0, 1.0), (1.0, float("nan"), 1.0)):
+        with pytest.raises(SimulateError, match="needs three positive gains"):
+            recoloured(rendered, white_balance=wrong)
+    dark = press(exciting, no_contact_chains=np.zeros((36, 48, 4)))
+    with pytest.raises(SimulateError, match="the pad without contact is black or not seen"):
+        recoloured(dark, white_balance="pad")
+
+
+def finray(capsys, *arguments):
+    """Run the command line; return its status and what it said."""
+    status = main.main([str(argument) for argument in arguments])
+    return status, "".join(capsys.readouterr())
+
+
+def test_the_verb_writes_a_new_record_and_tells_mistakes(exciting, tmp_path, capsys):
+    file = write_record(press(exciting), tmp_path / "a.json", provenance("pytest"))
+    status, told = finray(capsys, "recolour", file, "--white-balance", "pad", "--out", tmp_path / "grey.json")
+    assert status == 0, told
+    assert "rendered, level b, test, recoloured" in told
+    grey = read_record(tmp_path / "grey.json", SimulatedPress)
+    assert np.ptp(grey.no_contact.mean(axis=(0, 1))) < 1e-5 * grey.no_contact.mean()
+    camera = tmp_path / "camera.csv"
+    camera.write_text("wavelength_nm,red_percent,green_percent,blue_percent\n380,10,20,30\n780,10,20,30\n")
+    status, told = finray(capsys, "recolour", file, "--camera", camera, "--white-balance", "2:1:1")
+    assert status == 0, told
+    assert (tmp_path / "a-recoloured.json").exists()
+    for options, message in (
+        ([], "nothing is to change"),
+        (["--paint", "red=r.json"], "give both red=FILE and green=FILE"),
+        (["--white-balance", "2:1:1"], "a-recoloured.json: exists already"),
+    ):
+        status, told = finray(capsys, "recolour", file, *options)
+        assert status == 2
+        assert message in told
+    for wrong in ("2:1", "0:1:1", "nan:1:1"):
+        with pytest.raises(SystemExit):
+            finray(capsys, "recolour", file, "--white-balance", wrong)
+        assert "'" + wrong + "'" in capsys.readouterr().err
