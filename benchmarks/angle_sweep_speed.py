@@ -96,13 +96,14 @@ def samples_for_blocks(design: FingerDesign, noise: float, columns: list[int], p
     """Return the samples per pixel that bring the mean of 8 x 8 pixels around the probes to the asked noise."""
     import mitsuba as mi
 
-    from sim.optics.angle_sweep import default_probe_points_mm
+    from sim.optics.probes import default_probe_points_mm
     from sim.optics.render import render_press
+    from sim.surface_meshes.finger_shape import pressed_shape
 
     render = render_press(design, paints(), mi, seed=0, samples_per_pixel=pilot)
     position = render.contact_maps.coat_mm(design)
     squares = []
-    for x, z in default_probe_points_mm(design):
+    for x, z in default_probe_points_mm(design, pressed_shape(design)):
         distance = np.nan_to_num(np.hypot(position[..., 0] - z, position[..., 1] - x), nan=np.inf)
         row, column = np.unravel_index(np.argmin(distance), distance.shape)
         block = np.s_[row - BLOCK_PX // 2 : row + BLOCK_PX // 2, column - BLOCK_PX // 2 : column + BLOCK_PX // 2]

@@ -121,7 +121,7 @@ class TwoLights(_Study):
 
 
 class BrightestAngle(Model):
-    """Where a curve over the light angle has its maximum; 95 % limits over independent repeats (jackknife, Student's t)."""
+    """Where a curve over the light angle has its maximum; 95 % limits over repeats (jackknife, Student's t)."""
 
     mirror: str
     probe: str

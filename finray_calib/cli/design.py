@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from finray_calib.cli.options import file_name, naming, open_engine, require_new, say
 
 if TYPE_CHECKING:
-    from data_schemas.design import FingerDesign
     from sim.experiments.camera_view import CameraView
 
 HELP = "write a finger design; draw it, see what its camera sees, print its parts"
@@ -17,8 +16,7 @@ SHOW_DESCRIPTION = """\
 Say what part of the pad the camera sees through the mirror, how many sensor pixels fall on a millimetre, and what else
 is in the picture. With --out FILE.png, draw the finger from the side and from the front, with the names of its parts
 and their sizes, and the camera's view below. With --out FILE.html, write one page with that drawing, the finger to be
-turned round in a browser, and all its numbers with where they come from. With --stl, write what 'finray design export'
-writes as STL."""
+turned round in a browser, and all its numbers with where they come from."""
 EXPORT_DESCRIPTION = """\
 Write what a finger is printed from, in mm and in the finger's axes (x across, y along the pad's outward normal, z along
 the finger), so that the parts fit together:
@@ -58,7 +56,7 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     init.set_defaults(run=run_init)
     show = actions.add_parser(
         "show",
-        help="drawing, the camera's view of the pad, printed parts",
+        help="drawing, the camera's view of the pad",
         description=SHOW_DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -67,7 +65,6 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     show.add_argument(
         "--out", type=Path, metavar="FILE", help="drawing (.png) or interactive page (.html); must be new"
     )
-    show.add_argument("--stl", type=Path, metavar="FOLDER", help="printed parts and mould (STL, mm); must be new files")
     show.set_defaults(run=run_show)
     export = actions.add_parser(
         "export",
@@ -110,22 +107,18 @@ def run_init(arguments: argparse.Namespace) -> None:
 
 
 def run_show(arguments: argparse.Namespace) -> None:
-    """Tell what the camera sees; draw the finger, write its parts."""
+    """Tell what the camera sees, and draw the finger."""
     from data_schemas.design import FingerDesign
     from data_schemas.storage import read_toml, write_bytes
     from sim.experiments.camera_view import camera_view
 
     design = read_toml(arguments.design, FingerDesign)
     out = None if arguments.out is None else _drawing_path(arguments.out)
-    parts = {} if arguments.stl is None else _stl_files(design, arguments.stl)
     view = camera_view(design, arguments.design.parent, open_engine(arguments.engine))
     say(str(view))
     if out is not None:
         write_bytes(out, _drawing(view, arguments.design.parent, out.suffix.lower()))
         say(f"{out}: written")
-    for path, content in parts.items():
-        write_bytes(path, content)
-        say(f"{path}: written")
 
 
 def _drawing_path(path: Path) -> Path:
@@ -147,14 +140,6 @@ def _drawing(view: "CameraView", folder: Path, suffix: str) -> bytes:
     from finray_calib.reports.finger_page import finger_page
 
     return finger_page(view.design, picture, str(view), folder).encode()
-
-
-def _stl_files(design: "FingerDesign", folder: Path) -> dict[Path, bytes]:
-    """Return the STL files of a design, all of which must be new."""
-    from finray_calib.exchange.printable_parts import printable_parts
-
-    parts = printable_parts(design, ("stl",))
-    return {require_new(folder / f"{part.name}.stl"): part.files["stl"] for part in parts}
 
 
 def run_export(arguments: argparse.Namespace) -> None:

@@ -113,7 +113,7 @@ def _draw_indenter(axes: Axes, design: FingerDesign, depth_mm: float) -> None:
     outline = side_outline_mm(design, depth_mm)
     if outline is not None:
         axes.add_patch(Polygon(outline, facecolor=HAIRLINE, edgecolor=MUTED, alpha=0.5, ls="--"))
-        axes.text(*outline.mean(axis=0), design.indenter.shape, ha="center", va="center", fontsize=8)
+        axes.text(*map(float, outline.mean(axis=0)), design.indenter.shape, ha="center", va="center", fontsize=8)
 
 
 def _draw_curve(axes: Axes, mechanics: PressMechanics) -> None:

@@ -5,6 +5,7 @@ from data_schemas.design import FingerDesign
 from sim.experiments.painted_finger import PaintedFinger
 from sim.experiments.tactile_camera import BandImages, camera_capture
 from sim.optics.render import Progress, render_press
+from sim.surface_meshes.finger_shape import FingerShape
 
 # Two no-contact images of a real sensor differ by 0.8 to 2.6 % of full scale; blue LEDs drift by a fraction of it.
 LED_DRIFT_REL = 0.005
@@ -32,6 +33,7 @@ def capture_twin(
     seed: int,
     samples_per_pixel: int,
     progress: Progress | None = None,
+    shapes: tuple[FingerShape, FingerShape] | None = None,
 ) -> TactileCapture:
     """Render a finger and pass it through the sensor: contact, no contact, and a repeat of no contact.
 
@@ -43,6 +45,8 @@ def capture_twin(
         Light angle that the person at the rig believes in; it is what the capture records.
     seed, samples_per_pixel
         Seed of render and sensor noise, paths per pixel.
+    shapes
+        The finger without and with contact; by default the design's indenter is pressed in analytically.
     """
     render = render_press(
         finger.design,
@@ -52,7 +56,8 @@ def capture_twin(
         seed,
         samples_per_pixel,
         progress,
-        calibration=finger.calibration,
+        shapes,
+        finger.calibration,
     )
     return camera_capture(
         BandImages(render.contact_bands, render.no_contact_bands, render.no_contact_variance),

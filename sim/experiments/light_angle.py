@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 from data_schemas.fit import PaintCalibration
 from data_schemas.simulate import LightAngleSweep
 from sim.experiments.painted_finger import PaintedFinger
+from sim.experiments.press import SHAPE_NOTE
 from sim.optics.angle_sweep import sweep_light_angle
 from sim.optics.paint_bands import BAND_NAMES, PaintBands, PaintOptics, paint_bands
 from sim.optics.render import Progress
+from sim.surface_meshes.finger_shape import FingerShape
 
 Floats = NDArray[np.float64]
 OBJECTIVE = (
@@ -29,6 +31,7 @@ def light_angle_sweep(
     seed: int,
     paint_sha256: Mapping[str, str],
     progress: Progress | None = None,
+    shape: FingerShape | None = None,
 ) -> LightAngleSweep:
     """Measure the objective at every angle, with one draw of both paints and one noise seed per repeat.
 
@@ -36,9 +39,10 @@ def light_angle_sweep(
     mean yield) are those of the repeat's posterior draw, the same at every angle, so that a common scale cannot
     change the ranking. The value is the mean of the three channels, each relative to its mean over the sweep: the
     blue channel, tens of times brighter in raw counts, would otherwise be the only one that counts.
+    `shape` is the finger with contact, by default that of the analytic press.
     """
     sweep = sweep_light_angle(
-        finger.design, finger.paints, finger.renderer, angles_deg, repeats, seed, samples, progress=progress
+        finger.design, finger.paints, finger.renderer, angles_deg, repeats, seed, samples, None, progress, shape
     )
     rng = np.random.default_rng(seed)
     to_camera = np.array([_camera_of_draw(finger, calibrations, sweep.bands, rng) for _ in range(repeats)])
@@ -55,7 +59,11 @@ def light_angle_sweep(
         probe_points_mm=sweep.probe_points_mm,
         design=finger.design,
         paints=dict(paint_sha256),
-        notes=(f"camera response: {finger.response[0].source}", *finger.coverage_notes(sweep.bands)),
+        notes=(
+            f"{SHAPE_NOTE}{'analytic press' if shape is None else shape.label}",
+            f"camera response: {finger.response[0].source}",
+            *finger.coverage_notes(sweep.bands),
+        ),
     )
 
 

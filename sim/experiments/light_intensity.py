@@ -125,7 +125,7 @@ def elevation_deg(design: FingerDesign, points_mm: Floats) -> Floats:
     centre = tuple(np.full(x.shape, v) for v in panel_frame(design.light).centre_mm)
     foot = x / pad.width_mm + 0.5, z / pad.length_mm
     path = refract_through(face.map.evaluate, (x, y, z), foot, (centre[0], centre[1], centre[2]), face)
-    return np.degrees(np.arctan2(-path.to_panel[1], -path.to_panel[2]))
+    return np.asarray(np.degrees(np.arctan2(-path.to_panel[1], -path.to_panel[2])))
 
 
 def brightest_deg(angles_deg: Floats, values: Floats) -> float:

@@ -161,7 +161,7 @@ def camera_capture(
     design: FingerDesign,
     seed: int,
     *,
-    light_angle_deg: float,
+    light_angle_deg: float | None,
     name: str,
     source: str,
     led_drift_rel: float = 0.0,

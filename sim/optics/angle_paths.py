@@ -2,11 +2,13 @@
 
 A path through the finger is traced once, in a scene whose panels are moved far away. Each of its segments in air, and
 each connection of a surface point through the inner face, is then tested against the panel in every pose, by
-arithmetic. What painted walls emit is not needed either: a path notes where it meets them, which makes the light of the
-walls a matrix product.
+arithmetic; a path ends for the poses that it has met. What painted walls emit is not needed either: a path notes where
+it meets them, which makes the light of the walls a matrix product. Only what the panel itself reflects (5 % of what
+falls onto it) is left out.
 Import this module only after a compiled variant has been set (see :mod:`sim.optics.variants`).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -102,7 +104,8 @@ class Received:
     led
         LED radiance, (group, angle), in units of the panel's.
     by_wall
-        Radiance per radiance that a texel of a wall emits, (group, wall, TEXELS_ALONG, TEXELS_UP); red wall first.
+        Radiance per radiance that a texel of a wall emits, (group, angle, wall, TEXELS_ALONG, TEXELS_UP); red wall
+        first.
     """
 
     led: Floats
@@ -138,7 +141,9 @@ class AnglePaths:
         """
         groups = len(origins_mm) // per_group
         led = dr.zeros(mi.Float, groups * self.count)
-        by_wall = dr.zeros(mi.Float, groups * 2 * TEXELS_ALONG * TEXELS_UP)
+        texels = (2, TEXELS_ALONG, TEXELS_UP)
+        by_wall = dr.zeros(mi.Float, groups * math.prod(texels))
+        kept_away = dr.zeros(mi.Float, groups * self.count * math.prod(texels))
         rng = np.random.default_rng(seed)
         # the first bounce decides whether a path meets the panel by the mirror, which is most of the noise
         spread = np.concatenate([even_points(per_group, 3, rng) for _ in range(groups)])
@@ -151,14 +156,15 @@ class AnglePaths:
             first = mi.Point3f(np.ascontiguousarray(spread[chunk].T, dtype=np.float32))
             group = (dr.arange(mi.UInt32, o.shape[1]) + number * _MOST_PATHS) // per_group
             found = _follow(  # type: ignore[no-untyped-call]
-                self, sampler, mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), first, by_wall, group, from_wall
+                self, sampler, mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), first, by_wall, kept_away, group, from_wall
             )
             for k, radiance in enumerate(found):
                 dr.scatter_add(led, radiance, group * self.count + k)
-            dr.eval(led, by_wall)
+            dr.eval(led, by_wall, kept_away)
+        free = np.array(by_wall, dtype=np.float64).reshape(groups, 1, *texels)
+        lost = np.array(kept_away, dtype=np.float64).reshape(groups, self.count, *texels)
         return Received(
-            np.array(led, dtype=np.float64).reshape(groups, self.count) / per_group,
-            np.array(by_wall, dtype=np.float64).reshape(groups, 2, TEXELS_ALONG, TEXELS_UP) / per_group,
+            np.array(led, dtype=np.float64).reshape(groups, self.count) / per_group, (free - lost) / per_group
         )
 
     def met(self, ray: Any, before_mm: Any) -> list[list[tuple[Any, Any]]]:
@@ -202,21 +208,29 @@ class AnglePaths:
 
 def _note_wall(by_wall: Any, si: Any, group: Any, is_green: Any, carried: Any, active: Any) -> None:
     """Add what a path carries to the texels around a wall point, as :meth:`BandPaths.wall_radiance` reads them."""
+    for weight, texel in _texels_around(si, group, is_green):
+        dr.scatter_add(by_wall, carried * weight, texel, active)
+
+
+def _texels_around(si: Any, group: Any, is_green: Any) -> list[tuple[Any, Any]]:
+    """Return weight and index of the four texels around a wall point."""
     x = dr.clip(si.uv.x * TEXELS_UP - 0.5, 0.0, TEXELS_UP - 1.0)
     y = dr.clip(si.uv.y * TEXELS_ALONG - 0.5, 0.0, TEXELS_ALONG - 1.0)
     i, j = (dr.minimum(mi.UInt32(t), most - 2) for t, most in ((x, TEXELS_UP), (y, TEXELS_ALONG)))
     s, t = x - mi.Float(i), y - mi.Float(j)
     first = ((group * 2 + dr.select(is_green, mi.UInt32(1), mi.UInt32(0))) * TEXELS_ALONG + j) * TEXELS_UP + i
-    for b, along in ((0, 1.0 - t), (1, t)):
-        for a, up in ((0, 1.0 - s), (1, s)):
-            dr.scatter_add(by_wall, carried * along * up, first + (b * TEXELS_UP + a), active)
+    return [
+        (along * up, first + (b * TEXELS_UP + a))
+        for b, along in ((0, 1.0 - t), (1, t))
+        for a, up in ((0, 1.0 - s), (1, s))
+    ]
 
 
 @dr.syntax
 def _follow(  # type: ignore[no-untyped-def]
-    tracer, sampler, ray, first, by_wall, group, from_wall
+    tracer, sampler, ray, first, by_wall, kept_away, group, from_wall
 ):
-    """Follow paths; return the LED radiance of every angle and add to the walls' texels."""
+    """Follow paths; return the LED radiance of every angle and add to the walls' texels, and what a panel keeps away."""
     paths, scene = tracer.paths, tracer.scene
     context = mi.BSDFContext()
     ray = mi.Ray3f(ray)
@@ -238,7 +252,10 @@ def _follow(  # type: ignore[no-untyped-def]
         front = mi.Frame3f.cos_theta(si.wi) > 0
         is_red, is_green = si.shape == paths.red, si.shape == paths.green
         on_wall = active & front & (is_red | is_green)
-        _note_wall(by_wall, si, group, is_green, dr.select(is_green, throughput.y, throughput.x), on_wall)
+        carried = dr.select(is_green, throughput.y, throughput.x)
+        _note_wall(by_wall, si, group, is_green, carried, on_wall)
+        for k in range(tracer.count):
+            _note_wall(kept_away, si, group * tracer.count + k, is_green, carried, on_wall & ~free[k])
         active &= (depth + 1) < MAX_DEPTH
         bsdf = si.bsdf(ray)
         can_connect = active & (on_wall | (~front & (si.shape == paths.coat)))

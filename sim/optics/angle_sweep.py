@@ -13,13 +13,13 @@ from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
 from sim.optics.chain_images import chain_matrix
 from sim.optics.paint_bands import PaintBands, PaintOptics
+from sim.optics.probes import Probes, default_probe_points_mm, probes_on
 from sim.optics.render import BAKE_SAMPLES, Progress, check_paints, lit_integrator, open_scene, stream_seed
 from sim.optics.scene import band_film
 from sim.optics.variants import SCALAR_VARIANT
 from sim.optics.wall_baking import bake_walls
 from sim.optics.wall_exchange import WallExchange, direct_lights
-from sim.surface_meshes.finger_shape import pressed_shape
-from sim.surface_meshes.pressed_pad import contact_half_width_mm, pressed_height_mm
+from sim.surface_meshes.finger_shape import FingerShape, pressed_shape
 
 Floats = NDArray[np.float64]
 
@@ -57,10 +57,12 @@ def sweep_light_angle(
     samples: int = 4000,
     probe_points_mm: NDArray[np.float64] | None = None,
     progress: Progress | None = None,
+    shape: FingerShape | None = None,
 ) -> AngleSweep:
     """Measure the coated face's radiance at probe points for each light angle.
 
-    The radiance is that towards the inner face along the pad's normal, seen from inside the gel, at level b (level a
+    The radiance is that towards the inner face, from the same place of the undeformed pad (along the pad's normal where
+    it is not deformed), seen from inside the gel, at level b (level a
     knows no angle and cannot drive the decision). In compiled variants one set of paths serves all angles
     (:mod:`sim.optics.angle_paths`); light that the panel itself reflects (5 %), and what it keeps from the walls, is
     left out. A scalar variant bakes and traces each angle by itself.
@@ -82,9 +84,12 @@ def sweep_light_angle(
     samples
         Paths per probe and repeat, shared by all angles (in a scalar variant, per angle).
     probe_points_mm
-        Points (x, z) on the pad, shape (probe, 2); by default :func:`default_probe_points_mm`.
+        Points (x, z) on the undeformed pad, shape (probe, 2); by default
+        :func:`sim.optics.probes.default_probe_points_mm`.
     progress
         Called after each repeat (in a scalar variant, after each angle).
+    shape
+        The finger with contact; by default the design's indenter is pressed in analytically.
 
     Raises
     ------
@@ -98,30 +103,24 @@ def sweep_light_angle(
             f"a sweep needs a list of angles in deg, at least one repeat and at least one sample; got angles "
             f"of shape {angles.shape}, {repeats} repeats and {samples} samples"
         )
-    points = _on_coat(design, default_probe_points_mm(design) if probe_points_mm is None else probe_points_mm)
+    shape = shape or pressed_shape(design)
+    probes = probes_on(
+        design, shape, default_probe_points_mm(design, shape) if probe_points_mm is None else probe_points_mm
+    )
     bands = check_paints(design, paints)
-    radiance = np.empty((angles.size, repeats, len(points), 3))
+    radiance = np.empty((angles.size, repeats, len(probes.points_mm), 3))
     designs = [_at_angle(design, float(angle)) for angle in angles]
     variant = renderer.variant()
     if variant == SCALAR_VARIANT:
         for i, finger in enumerate(designs):
-            radiance[i] = _measure_by_meters(finger, bands, renderer, points, samples, repeats, seed)
+            radiance[i] = _measure_by_meters(finger, shape, bands, renderer, probes, samples, repeats, seed)
             if progress is not None:
                 progress(i + 1, angles.size, f"light angle {angles[i]:g} deg")
     else:
-        radiance = _measure_together(designs, bands, renderer, points, samples, repeats, seed, progress)
+        radiance = _measure_together(designs, shape, bands, renderer, probes, samples, repeats, seed, progress)
     duration_s = time.monotonic() - start
     label = f"rendered probes, level b, {variant}"
-    return AngleSweep(angles, radiance, points, bands, samples, seed, duration_s, variant, label)
-
-
-def default_probe_points_mm(design: FingerDesign) -> NDArray[np.float64]:
-    """Return four points (x, z): on both edges of the contact, a sixth of the width left and right of the middle."""
-    pad, half_width = design.pad, float(contact_half_width_mm(design))
-    z = np.clip(
-        design.indenter.position_mm + np.array([-half_width, half_width]), 0.05 * pad.length_mm, 0.95 * pad.length_mm
-    )
-    return np.array([[x, z_edge] for z_edge in z for x in (-pad.width_mm / 6.0, pad.width_mm / 6.0)])
+    return AngleSweep(angles, radiance, probes.points_mm, bands, samples, seed, duration_s, variant, label)
 
 
 def _at_angle(design: FingerDesign, angle_deg: float) -> FingerDesign:
@@ -130,53 +129,33 @@ def _at_angle(design: FingerDesign, angle_deg: float) -> FingerDesign:
     return design.model_copy(update={"light": light})
 
 
-def _on_coat(design: FingerDesign, points_xz_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return probe points (x, y, z) on the coated face."""
-    points = np.asarray(points_xz_mm, dtype=np.float64)
-    pad = design.pad
-    if points.ndim != 2 or points.shape[1] != 2:
-        raise SimulateError(f"probe_points_mm must hold (x, z) per probe, shape (probe, 2), got {points.shape}")
-    outside = (np.abs(points[:, 0]) >= pad.width_mm / 2.0) | (points[:, 1] <= 0.0) | (points[:, 1] >= pad.length_mm)
-    if outside.any():
-        x, z = points[outside][0]
-        raise SimulateError(
-            f"the probe at x = {x:g} mm, z = {z:g} mm lies outside the pad (|x| < {pad.width_mm / 2.0:g} mm, 0 < z < "
-            f"{pad.length_mm:g} mm); move it onto the pad"
-        )
-    return np.column_stack([points[:, 0], _heights_mm(design, points), points[:, 1]])
-
-
-def _heights_mm(design: FingerDesign, points_xz_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the height of the coated face at each point."""
-    return np.array([pressed_height_mm(design, point[:1], point[1:])[0, 0] for point in points_xz_mm])
-
-
 def _measure_by_meters(
     design: FingerDesign,
+    shape: FingerShape,
     bands: PaintBands,
     renderer: ModuleType,
-    points_mm: Floats,
+    probes: Probes,
     samples: int,
     repeats: int,
     seed: int,
 ) -> Floats:
     """Return the band radiance (repeat, probe, 3) for one light angle in a scalar variant."""
-    shape = pressed_shape(design)
-    scene = open_scene(design, shape, bands, renderer, sensor=_meter(renderer, points_mm[0]))
+    scene = open_scene(design, shape, bands, renderer, sensor=_meter(renderer, probes, 0))
     bake_samples = max(1, round(BAKE_SAMPLES[True] * _BAKE_SHARE))
     values = []
     for repeat, light in enumerate(bake_walls(scene, design, shape, bands, renderer, "b", seed, bake_samples, repeats)):
         integrator, chains = lit_integrator(scene, design, shape, renderer, light)
-        of_chains = _read_meters(scene, integrator, renderer, points_mm, samples, stream_seed(seed, repeat))
+        of_chains = _read_meters(scene, integrator, renderer, probes, samples, stream_seed(seed, repeat))
         values.append(of_chains @ chain_matrix(chains).T)
     return np.stack(values)
 
 
 def _measure_together(
     designs: Sequence[FingerDesign],
+    shape: FingerShape,
     bands: PaintBands,
     renderer: ModuleType,
-    points_mm: Floats,
+    probes: Probes,
     samples: int,
     repeats: int,
     seed: int,
@@ -185,54 +164,46 @@ def _measure_together(
     """Return the band radiance (angle, repeat, probe, 3) of all angles, whose paths are the same."""
     from sim.optics.angle_paths import AnglePaths  # needs the variant set
 
-    design, shape = designs[0], pressed_shape(designs[0])
-    scene = open_scene(design, shape, bands, renderer, sensor=_meter(renderer, points_mm[0]))
+    design = designs[0]
+    scene = open_scene(design, shape, bands, renderer, sensor=_meter(renderer, probes, 0))
     tracer = AnglePaths(scene, design, shape, [d.light for d in designs])
     direct = direct_lights(design, shape, [d.light for d in designs])
     bake_samples = max(round(BAKE_SAMPLES[False] * _BAKE_SHARE), min(8 * samples, 2 * BAKE_SAMPLES[False]))
-    origins = np.repeat(_ray_origins_mm(points_mm), samples, axis=0)
-    up = np.broadcast_to(np.array([0.0, 1.0, 0.0]), origins.shape)
-    radiance = np.empty((len(designs), repeats, len(points_mm), 3))
+    origins, directions = (np.repeat(v, samples, axis=0) for v in (probes.origins_mm, probes.directions))
+    radiance = np.empty((len(designs), repeats, len(probes.points_mm), 3))
     for repeat in range(repeats):
         rng = np.random.default_rng(stream_seed(seed, 2 * repeat))
         walls = WallExchange.traced(tracer, shape, bake_samples, rng)
-        seen = tracer.trace(origins, up, samples, stream_seed(seed, 2 * repeat + 1), from_wall=False)
+        seen = tracer.trace(origins, directions, samples, stream_seed(seed, 2 * repeat + 1), from_wall=False)
         for k in range(len(designs)):
             emitted = walls.emitted(k, direct[k], bands)
-            radiance[k, repeat, :, :2] = np.einsum("pwij,wij->pw", seen.by_wall, emitted)
+            radiance[k, repeat, :, :2] = np.einsum("pwij,wij->pw", seen.by_wall[:, k], emitted)
         radiance[:, repeat, :, 2] = seen.led.T
         if progress is not None:
             progress(repeat + 1, repeats, f"paths of all angles, repeat {repeat + 1}")
     return radiance
 
 
-def _read_meters(
-    scene: Any, integrator: Any, renderer: ModuleType, points_mm: NDArray[np.float64], samples: int, seed: int
-) -> NDArray[np.float64]:
+def _read_meters(scene: Any, integrator: Any, renderer: ModuleType, probes: Probes, samples: int, seed: int) -> Floats:
     """Return the radiance (probe, band) of one-pixel radiance meters, by Mitsuba's own path tracer."""
     images = [
         renderer.render(
             scene,
-            sensor=renderer.load_dict(_meter(renderer, point)),
+            sensor=renderer.load_dict(_meter(renderer, probes, k)),
             integrator=integrator,
             spp=samples,
             seed=stream_seed(seed, k),
         )
-        for k, point in enumerate(points_mm)
+        for k in range(len(probes.points_mm))
     ]
     return np.array([np.array(image, dtype=np.float64).reshape(3) for image in images])
 
 
-def _ray_origins_mm(points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return points in the gel, halfway between inner and coated face."""
-    return np.asarray(points_mm * np.array([1.0, 0.5, 1.0]))
-
-
-def _meter(renderer: ModuleType, point_mm: NDArray[np.float64]) -> dict[str, Any]:
-    """Return a one-pixel radiance meter that looks at a point of the coated face along the normal."""
-    origin = _ray_origins_mm(point_mm)
+def _meter(renderer: ModuleType, probes: Probes, number: int) -> dict[str, Any]:
+    """Return a one-pixel radiance meter that looks at a probe."""
+    origin, direction = probes.origins_mm[number], probes.directions[number]
     transform = renderer.ScalarTransform4f().look_at(
-        origin=origin.tolist(), target=(origin + np.array([0.0, 1.0, 0.0])).tolist(), up=[1.0, 0.0, 0.0]
+        origin=origin.tolist(), target=(origin + direction).tolist(), up=[1.0, 0.0, 0.0]
     )
     sampler = {"type": "independent", "sample_count": 16}
     return {"type": "radiancemeter", "to_world": transform, "film": band_film(1, 1), "sampler": sampler}

@@ -15,12 +15,11 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import LinearNDInterpolator
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import MissingExtraError, SimulateError
-from sim.optics.angle_sweep import default_probe_points_mm
 from sim.optics.paint_bands import BAND_NAMES, PaintBands, PaintOptics
+from sim.optics.probes import default_probe_points_mm, probes_on
 from sim.optics.render import check_paints, open_scene, stream_seed
 from sim.optics.variants import SCALAR_VARIANT
 from sim.optics.wall_emission import WALLS
@@ -125,8 +124,8 @@ def probe_gradient(
         When a parameter is not known, there is too little to measure, or a paint is missing or gains energy.
     """
     _check(renderer, with_respect_to, repeats, samples)
-    points = default_probe_points_mm(design) if probe_points_mm is None else np.asarray(probe_points_mm, np.float64)
     finger = pressed_shape(design) if shape is None else shape
+    points = default_probe_points_mm(design, finger) if probe_points_mm is None else np.asarray(probe_points_mm, float)
     probes = _Probes(design, finger, check_paints(design, paints), renderer, points, samples)
     seeds = [stream_seed(seed, repeat) for repeat in range(repeats)]
     rest = np.stack([probes.trace(s, "rest")[0] for s in seeds])
@@ -191,8 +190,8 @@ class _Probes:
         self.design, self.shape, self.bands, self.renderer, self.samples = design, shape, bands, renderer, samples
         self.points_xz_mm = points_xz_mm
         self.scene = open_scene(design, shape, bands, renderer)
-        self.points_mm = _on_face(shape, "coat", design, points_xz_mm)
-        self.feet_mm = _on_face(shape, "inner", design, points_xz_mm)
+        self.probes = probes_on(design, shape, points_xz_mm)
+        self.points_mm = self.probes.points_mm
 
     def gradient(self, parameter: Parameter, seeds: Sequence[int], automatic: bool) -> tuple[Floats, Floats]:
         """Return what differences and what automatic differentiation find, (repeat, probe, 3) each."""
@@ -230,10 +229,8 @@ class _Probes:
         # an integrator serves one differentiation only: a loop compiled before cannot be traversed again
         integrator = self._integrator(change, parameter, light)
         count = len(self.points_mm) * self.samples
-        onward = self.points_mm - self.feet_mm
         middle, direction = (
-            np.repeat(v, self.samples, axis=0)
-            for v in (self.feet_mm + 0.5 * onward, onward / np.linalg.norm(onward, axis=1, keepdims=True))
+            np.repeat(v, self.samples, axis=0) for v in (self.probes.origins_mm, self.probes.directions)
         )
         middle += np.random.default_rng(seed).uniform(-_SPOT_MM, _SPOT_MM, middle.shape)
         o, d = (np.ascontiguousarray(v.T, dtype=np.float32) for v in (middle, direction))
@@ -290,20 +287,6 @@ class _Connection:
         self.film_factor, self.connect, self.panel_met = panels.film_factor, panels.connect, panels.panel_met
         if not by_chance:
             self.panel_met = lambda *_: 0.0
-
-
-def _on_face(shape: FingerShape, face: str, design: FingerDesign, points_xz_mm: Floats) -> Floats:
-    """Return where points (x, z) of the undeformed pad are on a face of the finger, (n, 3)."""
-    pad, surface = design.pad, shape.surfaces[face]
-    uv = points_xz_mm / [pad.width_mm, pad.length_mm] + [0.5, 0.0]
-    found = np.asarray(LinearNDInterpolator(surface.uv, surface.vertices_mm)(uv))
-    if not np.isfinite(found).all():
-        x, z = points_xz_mm[~np.isfinite(found).all(axis=1)][0]
-        raise SimulateError(
-            f"the probe at x = {x:g} mm, z = {z:g} mm lies outside the pad (|x| < {pad.width_mm / 2.0:g} mm, 0 < z < "
-            f"{pad.length_mm:g} mm); move it onto the pad"
-        )
-    return found
 
 
 def _carrier(bands: PaintBands, renderer: ModuleType, change: Any, parameter: Parameter | None) -> Any:

@@ -20,7 +20,7 @@ _HIGHEST_ORDER = 6
 
 
 class WallsMet(Protocol):
-    """Mean over the rays of each group: LED radiance (group, light), and per texel of a wall (group, wall, ...)."""
+    """Mean over the rays of each group: LED radiance (group, light), per texel of a wall (group, light, wall, ...)."""
 
     @property
     def led(self) -> Floats:
@@ -47,7 +47,8 @@ class WallExchange:
     led
         Irradiance by the LED but for its direct light, (wall, coefficient, light), in units of the panel's radiance.
     exchange
-        Irradiance per radiance that a texel emits, (wall, coefficient, emitting wall, TEXELS_ALONG, TEXELS_UP).
+        Irradiance per radiance that a texel emits, (wall, coefficient, light, emitting wall, TEXELS_ALONG, TEXELS_UP):
+        the panel of the light keeps some of it away.
     """
 
     led: Floats
@@ -64,7 +65,7 @@ class WallExchange:
         led = np.einsum("cp,wpl->wcl", fit, met.led.reshape(len(WALLS), points, -1))
         by_wall = met.by_wall.reshape(len(WALLS), points, -1)
         exchange = np.einsum("cp,wpt->wct", fit, by_wall, optimize=True)
-        return cls(led, exchange.reshape(len(WALLS), len(fit), len(WALLS), TEXELS_ALONG, TEXELS_UP))
+        return cls(led, exchange.reshape(len(WALLS), len(fit), -1, len(WALLS), TEXELS_ALONG, TEXELS_UP))
 
     def emitted(self, light: int, direct: Floats, bands: PaintBands) -> Floats:
         """Return the radiance of the walls in their own bands, all orders of fluorescence together.
@@ -91,7 +92,7 @@ class WallExchange:
         total = latest
         of_band = conversion[:, [BAND_NAMES.index(wall) for wall in WALLS]]
         for _ in range(2, _HIGHEST_ORDER + 1):
-            received = np.einsum("wcvij,vij->vwc", self.exchange, latest, optimize=True)
+            received = np.einsum("wcvij,vij->vwc", self.exchange[:, :, light], latest, optimize=True)
             latest = np.einsum("wv,vwij->wij", of_band, _over_texels(received))
             total = total + latest
         return total

@@ -31,24 +31,6 @@ def test_view_is_told_and_drawn(design, tmp_path):
     assert "view.png: exists already" in again.err
 
 
-def test_printed_parts_are_written_once(design, tmp_path):
-    told = succeed(f"design show {design} --engine scalar --stl {tmp_path}/printed")
-    names = ["backing.stl", "base_plate.stl", "mould.stl", "skeleton.stl"]
-    assert sorted(file.name for file in (tmp_path / "printed").iterdir()) == names
-    assert all(f"{name}: written" in told for name in names)
-    for file in (tmp_path / "printed").iterdir():
-        content = file.read_bytes()
-        # binary STL: 80 bytes of text, the number of triangles, 50 bytes of each
-        assert len(content) == 84 + 50 * int.from_bytes(content[80:84], "little")
-    again = finray(f"design show {design} --engine scalar --stl {tmp_path}/printed")
-    assert again.status == 2
-    assert "skeleton.stl: exists already" in again.err
-    without = tmp_path / "without.toml"
-    without.write_text(design.read_text() + "[skeleton]\nrib_count = 4\n")
-    succeed(f"design show {without} --engine scalar --stl {tmp_path}/more")
-    assert not (tmp_path / "more" / "backing.stl").exists()
-
-
 def test_parts_that_do_not_fit_are_told_where_they_are_drawn(design, tmp_path):
     design.write_text(design.read_text() + "[skeleton]\nrib_count = 40\nrib_thickness_mm = 1.8\n")
     succeed(f"design show {design} --engine scalar")

@@ -134,7 +134,7 @@ def test_curves_that_begin_late_are_noted_in_both_records(monkeypatch, paints):
         probe_points_mm=np.zeros((2, 3)),
     )  # fmt: skip
     monkeypatch.setattr(press, "render_press", lambda *arguments, **options: render)
-    monkeypatch.setattr(light_angle, "sweep_light_angle", lambda *arguments, progress: swept)
+    monkeypatch.setattr(light_angle, "sweep_light_angle", lambda *_, **__: swept)
     for record in (
         press.simulate_press(late, "b", 1, 2, {}),
         light_angle.light_angle_sweep(late, {}, [0.0, 1.0, 2.0, 3.0], 2, 2, 1, {}),

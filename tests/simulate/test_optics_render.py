@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from data_schemas.design import FingerDesign, GelPad, Indenter, LightPanel, Mirror, TactileCamera
 from data_schemas.errors import SimulateError
-from sim.optics.angle_sweep import default_probe_points_mm, sweep_light_angle
+from sim.optics.angle_sweep import sweep_light_angle
 from sim.optics.paint_bands import paint_bands
 from sim.optics.render import BAKE_SAMPLES, render_press
 from sim.optics.scene import finger_scene
@@ -108,13 +108,6 @@ def test_what_cannot_be_swept_is_refused(scalar, paints):
         sweep_light_angle(DESIGN, paints, scalar, [30.0], probe_points_mm=np.zeros((4, 3)))
     with pytest.raises(ValidationError, match="less than or equal to 180"):
         sweep_light_angle(DESIGN, paints, scalar, [400.0])
-
-
-def test_default_probes_flank_the_contact_and_stay_on_the_pad():
-    points = default_probe_points_mm(DESIGN)
-    np.testing.assert_allclose(np.abs(points[:, 1] - 35.0), np.sqrt(27.75))
-    edge = FingerDesign(indenter=DESIGN.indenter.model_copy(update={"position_mm": 69.0}))
-    assert default_probe_points_mm(edge)[:, 1].max() < 70.0
 
 
 @pytest.mark.renderer

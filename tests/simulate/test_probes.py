@@ -1,0 +1,53 @@
+"""Where probes lie: on any deformed finger, at the same places of the undeformed pad."""
+
+import numpy as np
+import pytest
+
+from data_schemas.design import FingerDesign, GelPad, Indenter
+from data_schemas.errors import SimulateError
+from sim.optics.probes import default_probe_points_mm, probes_on
+from sim.surface_meshes.finger_shape import bent, pressed_shape, rest_shape
+from sim.surface_meshes.pressed_pad import pressed_height_mm
+
+DESIGN = FingerDesign()
+XZ_MM = np.array([[-11.0, 20.0], [3.0, 35.0], [11.0, 61.0]])
+
+
+def test_on_the_analytic_press_they_lie_on_the_coat_and_look_along_the_normal():
+    probes = probes_on(DESIGN, pressed_shape(DESIGN), XZ_MM)
+    height = [pressed_height_mm(DESIGN, p[:1], p[1:])[0, 0] for p in XZ_MM]
+    # chords of 0.1 mm on an indenter of 10 mm: 0.1^2 / 8 / 10 mm
+    np.testing.assert_allclose(probes.points_mm, np.column_stack([XZ_MM[:, 0], height, XZ_MM[:, 1]]), atol=1.3e-4)
+    np.testing.assert_allclose(probes.origins_mm, probes.points_mm * [1.0, 0.5, 1.0], atol=1e-12)
+    np.testing.assert_allclose(probes.directions, [[0.0, 1.0, 0.0]] * 3, atol=1e-12)
+
+
+def test_they_follow_a_bent_finger():
+    radius_mm = 200.0
+    probes = probes_on(DESIGN, bent(rest_shape(DESIGN), radius_mm), XZ_MM)
+    turn = XZ_MM[:, 1] / radius_mm
+    arm = radius_mm + DESIGN.pad.thickness_mm
+    expected = np.column_stack([XZ_MM[:, 0], arm * np.cos(turn) - radius_mm, -arm * np.sin(-turn)])
+    np.testing.assert_allclose(probes.points_mm, expected, atol=1e-4)  # chords of 0.1 mm
+    across = np.zeros(3)
+    np.testing.assert_allclose(probes.directions, np.column_stack([across, np.cos(turn), np.sin(turn)]), atol=1e-3)
+
+
+@pytest.mark.parametrize("pad", [GelPad(), GelPad(shape="cylindrical", radius_mm=40.0)])
+def test_default_probes_flank_the_contact_and_stay_on_the_pad(pad):
+    design = DESIGN.model_copy(update={"pad": pad})
+    points = default_probe_points_mm(design, pressed_shape(design))
+    spacing_mm = 70.0 / 4000
+    np.testing.assert_allclose(np.abs(points[:, 1] - 35.0), np.sqrt(27.75), atol=spacing_mm)
+    edge = FingerDesign(indenter=Indenter(position_mm=69.0))
+    assert default_probe_points_mm(edge, pressed_shape(edge))[:, 1].max() == pytest.approx(66.5)
+    rest = default_probe_points_mm(DESIGN, rest_shape(DESIGN))
+    np.testing.assert_allclose(rest[:, 1], 35.0)
+
+
+@pytest.mark.parametrize(
+    ("points", "said"), [(np.array([[18.0, 35.0]]), "lies outside the pad"), (np.zeros((4, 3)), "shape")]
+)
+def test_points_beside_the_pad_are_refused(points, said):
+    with pytest.raises(SimulateError, match=said):
+        probes_on(DESIGN, rest_shape(DESIGN), points)
