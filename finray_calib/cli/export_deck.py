@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Write the deck and report."""
     from data_schemas.design import FingerDesign
     from data_schemas.storage import read_toml, write_bytes
-    from sim.mechanics.deck_push import finger_deck
+    from sim.mechanics.other_engines.deck_push import finger_deck
 
     path = _one_design(arguments)
     design = read_toml(path, FingerDesign)

@@ -32,8 +32,8 @@ def run(arguments: argparse.Namespace) -> None:
     from data_schemas.provenance import provenance
     from data_schemas.storage import read_toml, write_record
     from sim.experiments.mechanical_press import press_records
-    from sim.mechanics.abaqus_press import pressed_by_abaqus
-    from sim.mechanics.abaqus_results import read_fil
+    from sim.mechanics.other_engines.abaqus_press import pressed_by_abaqus
+    from sim.mechanics.other_engines.abaqus_results import read_fil
 
     design = read_toml(arguments.design, FingerDesign)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.surfaces.json"))

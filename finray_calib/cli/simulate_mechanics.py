@@ -118,7 +118,7 @@ def _pressed_by_calculix(
     design: "FingerDesign", increments: int, progress: Progress
 ) -> "tuple[PressedFinger, _Engine]":
     """Press with CalculiX; return also its name and what must be said about it."""
-    from sim.mechanics.calculix import calculix_notes, calculix_version, press_finger_calculix
+    from sim.mechanics.other_engines.calculix import calculix_notes, calculix_version, press_finger_calculix
 
     engine = f"CalculiX {calculix_version()}"
     pressed = press_finger_calculix(design, None, increments, _threads(), progress)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from data_schemas.errors import SimulateError
-from sim.mechanics.invariant_law import fit_invariant_law
 from sim.mechanics.materials import Ogden
+from sim.mechanics.other_engines.invariant_law import fit_invariant_law
 
 TPU = Ogden((6.279, 1.639), (1.6663, -7.136))
 

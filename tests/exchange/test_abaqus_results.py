@@ -10,10 +10,10 @@ from data_schemas.press_mechanics import PressMechanics
 from data_schemas.storage import read_record
 from data_schemas.surfaces import FingerSurfaces
 from sim.design_toml import design_toml
-from sim.mechanics.abaqus_press import pressed_by_abaqus
-from sim.mechanics.abaqus_results import read_fil
-from sim.mechanics.deck_push import finger_push
 from sim.mechanics.finger_mesh import finger_mesh
+from sim.mechanics.other_engines.abaqus_press import pressed_by_abaqus
+from sim.mechanics.other_engines.abaqus_results import read_fil
+from sim.mechanics.other_engines.deck_push import finger_push
 from sim.surface_meshes.stored_shape import restore_shapes
 from tests.command_line.running import succeed
 

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import ImportFormatError
-from sim.mechanics.calculix_results import NodalField
 from sim.mechanics.contact_analytic import PenaltyContact
-from sim.mechanics.deck_push import finger_push
 from sim.mechanics.finger_mesh import Preset, finger_mesh
 from sim.mechanics.indenters import rigid_indenter
+from sim.mechanics.other_engines.calculix_results import NodalField
+from sim.mechanics.other_engines.deck_push import finger_push
 from sim.mechanics.press import PressedFinger
 from sim.mechanics.signed_distances import Body
 
@@ -24,7 +24,7 @@ _SAME_TIME = 1e-6
 def pressed_by_abaqus(
     design: FingerDesign, fields: Sequence[NodalField], preset: Preset | None = None
 ) -> PressedFinger:
-    """Return the press of a deck of :func:`sim.mechanics.deck_push.finger_deck` from what Abaqus wrote about it.
+    """Return the press of a deck of :func:`~sim.mechanics.other_engines.deck_push.finger_deck` from Abaqus' results.
 
     The push is that of the indenter's reference node. Pressures are those of the deck's linear penalty at the depth by
     which faces of the coat lie inside the exact indenter; the file holds no energies and no iterations (NaN and 0).
@@ -34,7 +34,7 @@ def pressed_by_abaqus(
     design, preset
         As they went into the deck.
     fields
-        Of :func:`sim.mechanics.abaqus_results.read_fil`.
+        Of :func:`sim.mechanics.other_engines.abaqus_results.read_fil`.
 
     Raises
     ------

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import MissingExtraError, SimulateError
-from sim.mechanics.calculix_results import read_convergence, read_frd, read_totals
 from sim.mechanics.contact_analytic import QUAD_CORNERS, quad_shapes
-from sim.mechanics.deck_materials import deck_materials
-from sim.mechanics.deck_push import finger_deck
 from sim.mechanics.finger_mesh import Preset, finger_mesh
 from sim.mechanics.mesh import FingerMesh
+from sim.mechanics.other_engines.calculix_results import read_convergence, read_frd, read_totals
+from sim.mechanics.other_engines.deck_materials import deck_materials
+from sim.mechanics.other_engines.deck_push import finger_deck
 from sim.mechanics.press import PressedFinger, finger_materials
 
 FloatArray = NDArray[np.float64]
@@ -153,7 +153,7 @@ def press_mesh_calculix(
     tell: Callable[[float], None] | None = None,
     time_limit_s: float = 3600.0,
 ) -> PressedFinger:
-    """Run CalculiX on the deck of a mesh, as of :func:`sim.mechanics.deck.deck_lines`, and collect what came out.
+    """Run CalculiX on a mesh's deck, as of :func:`~sim.mechanics.other_engines.deck.deck_lines`; collect its results.
 
     Parameters
     ----------

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from data_schemas.errors import SimulateError
-from sim.mechanics.invariant_law import InvariantLaw, fit_invariant_law
 from sim.mechanics.materials import LinearElastic, Material, Ogden
+from sim.mechanics.other_engines.invariant_law import InvariantLaw, fit_invariant_law
 
 Dialect = Literal["abaqus", "calculix"]
 

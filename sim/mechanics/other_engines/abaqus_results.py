@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import ImportFormatError
-from sim.mechanics.calculix_results import NodalField
+from sim.mechanics.other_engines.calculix_results import NodalField
 
 FIELDS: Final = {101: "U", 104: "RF"}
 """Record keys of the nodal quantities that are read."""

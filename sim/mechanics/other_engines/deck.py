@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import SimulateError
-from sim.mechanics.deck_indenter import IndenterSurface
-from sim.mechanics.deck_materials import Dialect, deck_materials
 from sim.mechanics.materials import Material
 from sim.mechanics.mesh import Block, FingerMesh
+from sim.mechanics.other_engines.deck_indenter import IndenterSurface
+from sim.mechanics.other_engines.deck_materials import Dialect, deck_materials
 from sim.surface_meshes.hexahedra import FACES
 
 FloatArray = NDArray[np.float64]

@@ -8,12 +8,12 @@ import numpy as np
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
-from sim.mechanics.deck import Push, deck_lines
-from sim.mechanics.deck_indenter import indenter_surface
-from sim.mechanics.deck_materials import Dialect
 from sim.mechanics.finger_mesh import STEPS, Preset, finger_mesh
 from sim.mechanics.indenters import rigid_indenter
 from sim.mechanics.mesh import FingerMesh
+from sim.mechanics.other_engines.deck import Push, deck_lines
+from sim.mechanics.other_engines.deck_indenter import indenter_surface
+from sim.mechanics.other_engines.deck_materials import Dialect
 from sim.mechanics.press import finger_materials
 
 CONTACT_MODULI_PER_STEP: Final = 100.0
