@@ -62,8 +62,15 @@ def simulate_mechanics_verb(
     contact: "ContactChoice" = "auto",
     folder: Path = Path(),
 ) -> None:
-    """Press the design's indenter in, store forces, surfaces, mesh and picture, and tell the curve."""
+    """Press the design's indenter in, store forces, surfaces, mesh and picture, and tell the curve.
+
+    Raises
+    ------
+    SimulateError
+        When the push ended early, after what was reached has been stored.
+    """
     files = mechanics_paths(out, resume)
+    from data_schemas.errors import SimulateError
     from data_schemas.storage import write_bytes, write_record
     from finray_calib.exchange.vtu import vtu_bytes
     from finray_calib.reports.pressed_finger_figure import pressed_finger_png
@@ -83,11 +90,14 @@ def simulate_mechanics_verb(
     say(f"{files['mechanics']}: {mechanics.label}")
     for depth, force in zip(mechanics.depth_mm, mechanics.force_n, strict=True):
         say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
-    if mechanics.unreached:
-        say(f"  the push ended early: {mechanics.unreached}")
     say(f"{files['surfaces']}: for 'finray simulate DESIGN --only optics --surfaces {files['surfaces'].name}'")
     say(f"{files['mesh']}: the pressed mesh, for ParaView")
     say(f"{files['picture']}: the finger before and after, and its force")
+    if mechanics.unreached:
+        raise SimulateError(
+            f"the push ended early, at {mechanics.depth_mm[-1]:.4g} of {design.indenter.depth_mm:g} mm: "
+            f"{mechanics.unreached}. What was reached is stored and can be rendered"
+        )
 
 
 def _pressed(

@@ -6,12 +6,14 @@ import pytest
 from data_schemas.design import FingerDesign, Indenter
 from data_schemas.errors import SimulateError
 from sim.mechanics.body_meshes import body_mesh
+from sim.mechanics.colliding_surfaces import Obstacle
 from sim.mechanics.contact_analytic import PenaltyContact
-from sim.mechanics.contact_ipc import Barrier, BarrierContact, Obstacle
+from sim.mechanics.contact_ipc import Barrier, BarrierContact
+from sim.mechanics.drive import Drive
 from sim.mechanics.materials import neo_hooke
 from sim.mechanics.newton import Supports
 from sim.mechanics.press import press_finger
-from sim.mechanics.press_contact import Drive, chosen_contact
+from sim.mechanics.press_contact import chosen_contact
 from sim.mechanics.signed_distances import Cylinder, Pose
 from sim.presets import preset_design
 from sim.surface_meshes.hexahedra import boundary_quads, split_quads

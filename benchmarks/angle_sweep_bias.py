@@ -1,0 +1,141 @@
+"""The sweep, whose paths serve all angles and whose panel reflects nothing, against the panel in the scene.
+
+    python benchmarks/angle_sweep_bias.py [--angles 30 90] [--paths 500000 500000 3000000 3000000] [--repeats 8]
+
+Per angle, probe and band: ratio of the sweep's radiance to that of the integrator of pictures, whose scene holds the
+panel with its 5 % reflectance, and the ratio's standard error over independent repeats, each with its own bakes. Then
+two parts of the bias with common random numbers, where the noise falls out: what the reflectance adds to the LED
+band, and which share of the walls' light the panel keeps away (the sweep takes it off). Bar: each error below 1 %,
+bias below 1 % plus 3 errors.
+"""
+
+import argparse
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.fluorescence_levels import finger, paints
+from data_schemas.design import FingerDesign
+from sim.optics.paint_bands import BAND_NAMES, paint_bands
+from sim.optics.probes import Probes, default_probe_points_mm, probes_on
+from sim.optics.scene import PANEL_REFLECTANCE
+from sim.optics.variants import choose_variant, open_renderer
+from sim.optics.wall_exchange import WallExchange, direct_lights
+from sim.surface_meshes.finger_shape import FingerShape, pressed_shape
+
+Floats = NDArray[np.float64]
+
+BAR = 0.01
+BAKE_PATHS = 160_000
+CHUNK = 400_000
+LED = BAND_NAMES.index("led")
+
+
+def at_angle(design: FingerDesign, angle_deg: float) -> FingerDesign:
+    """Return the design with another light angle."""
+    return design.model_copy(update={"light": design.light.model_copy(update={"angle_deg": angle_deg})})
+
+
+def swept(
+    designs: Sequence[FingerDesign], shape: FingerShape, probes: Probes, paths: Sequence[int], repeats: int
+) -> tuple[Floats, Floats]:
+    """Return the radiance (angle, repeat, probe, band) of the sweep, and the share of wall light kept away (angle)."""
+    import mitsuba as mi
+
+    from sim.optics.angle_paths import AnglePaths
+    from sim.optics.render import open_scene
+
+    design, lights = designs[0], [design.light for design in designs]
+    bands = paint_bands(*paints().values(), design.light)
+    tracer = AnglePaths(open_scene(design, shape, bands, mi), design, shape, lights)
+    direct = direct_lights(design, shape, lights)
+    radiance, kept = np.empty((len(designs), repeats, len(paths), 3)), []
+    for repeat in range(repeats):
+        walls = WallExchange.traced(tracer, shape, BAKE_PATHS, np.random.default_rng((1, repeat)))
+        emitted = np.array([walls.emitted(k, direct[k], bands) for k in range(len(designs))])
+        for p, count in enumerate(paths):
+            n = count // repeats
+            rays = [np.broadcast_to(v[p], (n, 3)) for v in (probes.origins_mm, probes.directions)]
+            seen = tracer.trace(*rays, n, 1000 * p + repeat, from_wall=False)
+            radiance[:, repeat, p, :LED] = np.einsum("kwij,kwij->kw", seen.by_wall[0], emitted)
+            radiance[:, repeat, p, LED] = seen.led[0]
+            light = np.einsum("kwij,kwij->k", seen.by_wall[0], emitted)
+            kept.append(1.0 - light / np.einsum("wij,kwij->k", seen.by_wall[0].max(axis=0), emitted))
+    return radiance, np.mean(kept, axis=0)
+
+
+def in_scene(
+    design: FingerDesign, shape: FingerShape, probes: Probes, paths: Sequence[int], repeats: int
+) -> tuple[Floats, Floats]:
+    """Return (repeat, probe, band) with the panel in the scene, and what its reflectance adds to the LED band."""
+    import mitsuba as mi
+
+    from sim.optics.render import lit_integrator, open_scene
+    from sim.optics.wall_baking import bake_walls
+
+    bands = paint_bands(*paints().values(), design.light)
+    scene, radiance, added = open_scene(design, shape, bands, mi), [], []
+    parameters = mi.traverse(scene)
+    for repeat, light in enumerate(bake_walls(scene, design, shape, bands, mi, "b", 7, BAKE_PATHS, repeats)):
+        integrator, chains = lit_integrator(scene, design, shape, mi, light)
+        n = [count // repeats for count in paths]
+        radiance.append([meter(integrator, scene, chains, probes, p, n[p], 50 + repeat) for p in range(len(paths))])
+        few = min(n)
+        of_scenes = []
+        for reflectance in (0.0, PANEL_REFLECTANCE):
+            parameters["panel0.bsdf.reflectance.value"] = mi.Color3f(reflectance)
+            parameters.update()
+            of_scenes.append([meter(integrator, scene, chains, probes, p, few, 90 + repeat)[LED] for p in range(len(n))])
+        added.append(np.array(of_scenes[1]) / np.array(of_scenes[0]) - 1.0)
+    return np.array(radiance), np.mean(added, axis=0)
+
+
+def meter(integrator: Any, scene: Any, chains: Sequence[str], probes: Probes, p: int, count: int, seed: int) -> Floats:
+    """Return the bands that a probe sees."""
+    import mitsuba as mi
+
+    from sim.optics.chain_images import chain_matrix
+
+    total = np.zeros(len(chains))
+    for first in range(0, count, CHUNK):
+        n = min(CHUNK, count - first)
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed * 10_000_019 + p * 1009 + first // CHUNK, n)
+        origin, direction = (v[p].tolist() for v in (probes.origins_mm, probes.directions))
+        ray = mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*direction))
+        radiance, _, further = integrator.sample(scene, sampler, ray, None, mi.Bool(True))
+        channels = [*radiance.numpy(), *(np.array(channel) for channel in further)]
+        total += [channel.sum(dtype=float) for channel in channels]
+    return np.asarray(chain_matrix(chains) @ total / count)
+
+
+def main() -> None:
+    """Print ratios, errors and parts of the bias."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--angles", type=float, nargs="+", default=[30.0, 90.0])
+    parser.add_argument("--paths", type=int, nargs=4, default=[500_000, 500_000, 3_000_000, 3_000_000])
+    parser.add_argument("--repeats", type=int, default=8)
+    args = parser.parse_args()
+    open_renderer(choose_variant("llvm"))
+    designs = [at_angle(finger(640), angle) for angle in args.angles]
+    shape = pressed_shape(designs[0])
+    probes = probes_on(designs[0], shape, default_probe_points_mm(designs[0], shape))
+    here, kept = swept(designs, shape, probes, args.paths, args.repeats)
+    for k, design in enumerate(designs):
+        there, added = in_scene(design, shape, probes, args.paths, args.repeats)
+        ratio = here[k].mean(axis=0) / there.mean(axis=0)
+        error = np.hypot(*(v.std(axis=0, ddof=1) / np.sqrt(args.repeats) / v.mean(axis=0) for v in (here[k], there)))
+        print(f"{args.angles[k]:g} deg: the panel keeps {100 * kept[k]:.3f} % of the walls' light away")
+        for p, (x, _, z) in enumerate(probes.points_mm):
+            values = ", ".join(
+                f"{b} {r:.4f} +- {e:.4f}" for b, r, e in zip(BAND_NAMES, ratio[p], error[p], strict=True)
+            )
+            print(f"  x {x:5.1f} z {z:5.1f} mm: {values}; its reflectance adds {100 * added[p]:.3f} % of LED")
+        verdict = "within" if (np.abs(ratio - 1.0) < BAR + 3.0 * error).all() else "BEYOND"
+        print(f"  bias {verdict} {BAR:g} and 3 errors; largest error {error.max():.4f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
