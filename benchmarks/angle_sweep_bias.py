@@ -1,12 +1,12 @@
 """The sweep, whose paths serve all angles and whose panel reflects nothing, against the panel in the scene.
 
-    python benchmarks/angle_sweep_bias.py [--angles 30 90] [--paths 500000 500000 3000000 3000000] [--repeats 8]
+    python benchmarks/angle_sweep_bias.py [--angles 30 90] [--waves 1 1 6 6] [--paths 62500] [--repeats 8]
 
-Per angle, probe and band: ratio of the sweep's radiance to that of the integrator of pictures, whose scene holds the
-panel with its 5 % reflectance, and the ratio's standard error over independent repeats, each with its own bakes. Then
-two parts of the bias with common random numbers, where the noise falls out: what the reflectance adds to the LED
-band, and which share of the walls' light the panel keeps away (the sweep takes it off). Bar: each error below 1 %,
-bias below 1 % plus 3 errors.
+Each probe has its own number of waves of paths per repeat. Per angle, probe and band: ratio of the sweep's radiance to
+that of the integrator of pictures, whose scene holds the panel with its 5 % reflectance, and the ratio's standard error
+over independent repeats, each with its own bakes. Then two parts of the bias with common random numbers, where the
+noise falls out: what the reflectance adds to the LED band, and which share of the walls' light the panel keeps away
+(the sweep takes it off). Bar: each error below 1 %, bias below 1 % plus 3 errors.
 """
 
 import argparse
@@ -29,7 +29,6 @@ Floats = NDArray[np.float64]
 
 BAR = 0.01
 BAKE_PATHS = 160_000
-CHUNK = 400_000
 LED = BAND_NAMES.index("led")
 
 
@@ -56,9 +55,8 @@ def swept(
         walls = WallExchange.traced(tracer, shape, BAKE_PATHS, np.random.default_rng((1, repeat)))
         emitted = np.array([walls.emitted(k, direct[k], bands) for k in range(len(designs))])
         for p, count in enumerate(paths):
-            n = count // repeats
-            rays = [np.broadcast_to(v[p], (n, 3)) for v in (probes.origins_mm, probes.directions)]
-            seen = tracer.trace(*rays, n, 1000 * p + repeat, from_wall=False)
+            rays = [np.broadcast_to(v[p], (count, 3)) for v in (probes.origins_mm, probes.directions)]
+            seen = tracer.trace(*rays, count, 1000 * p + repeat, from_wall=False)
             radiance[:, repeat, p, :LED] = np.einsum("kwij,kwij->kw", seen.by_wall[0], emitted)
             radiance[:, repeat, p, LED] = seen.led[0]
             light = np.einsum("kwij,kwij->k", seen.by_wall[0], emitted)
@@ -67,7 +65,7 @@ def swept(
 
 
 def in_scene(
-    design: FingerDesign, shape: FingerShape, probes: Probes, paths: Sequence[int], repeats: int
+    design: FingerDesign, shape: FingerShape, probes: Probes, wave: int, waves: Sequence[int], repeats: int
 ) -> tuple[Floats, Floats]:
     """Return (repeat, probe, band) with the panel in the scene, and what its reflectance adds to the LED band."""
     import mitsuba as mi
@@ -80,51 +78,55 @@ def in_scene(
     parameters = mi.traverse(scene)
     for repeat, light in enumerate(bake_walls(scene, design, shape, bands, mi, "b", 7, BAKE_PATHS, repeats)):
         integrator, chains = lit_integrator(scene, design, shape, mi, light)
-        n = [count // repeats for count in paths]
-        radiance.append([meter(integrator, scene, chains, probes, p, n[p], 50 + repeat) for p in range(len(paths))])
-        few = min(n)
+        radiance.append(
+            [
+                np.mean([meter(integrator, scene, chains, probes, p, wave, (repeat, k)) for k in range(count)], axis=0)
+                for p, count in enumerate(waves)
+            ]
+        )
         of_scenes = []
         for reflectance in (0.0, PANEL_REFLECTANCE):
             parameters["panel0.bsdf.reflectance.value"] = mi.Color3f(reflectance)
             parameters.update()
-            of_scenes.append([meter(integrator, scene, chains, probes, p, few, 90 + repeat)[LED] for p in range(len(n))])
+            of_scenes.append(
+                [meter(integrator, scene, chains, probes, p, wave, (repeat,))[LED] for p in range(len(waves))]
+            )
         added.append(np.array(of_scenes[1]) / np.array(of_scenes[0]) - 1.0)
     return np.array(radiance), np.mean(added, axis=0)
 
 
-def meter(integrator: Any, scene: Any, chains: Sequence[str], probes: Probes, p: int, count: int, seed: int) -> Floats:
-    """Return the bands that a probe sees."""
+def meter(
+    integrator: Any, scene: Any, chains: Sequence[str], probes: Probes, p: int, paths: int, seed: tuple[int, ...]
+) -> Floats:
+    """Return the bands that a probe sees; an integrator wants the same number of paths each time."""
     import mitsuba as mi
 
     from sim.optics.chain_images import chain_matrix
 
-    total = np.zeros(len(chains))
-    for first in range(0, count, CHUNK):
-        n = min(CHUNK, count - first)
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed * 10_000_019 + p * 1009 + first // CHUNK, n)
-        origin, direction = (v[p].tolist() for v in (probes.origins_mm, probes.directions))
-        ray = mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*direction))
-        radiance, _, further = integrator.sample(scene, sampler, ray, None, mi.Bool(True))
-        channels = [*radiance.numpy(), *(np.array(channel) for channel in further)]
-        total += [channel.sum(dtype=float) for channel in channels]
-    return np.asarray(chain_matrix(chains) @ total / count)
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(int(np.random.SeedSequence((p, *seed)).generate_state(1)[0]), paths)
+    o, d = (np.repeat(v[p : p + 1].T.astype(np.float32), paths, axis=1) for v in (probes.origins_mm, probes.directions))
+    rays = mi.Ray3f(mi.Point3f(o), mi.Vector3f(d))
+    radiance, _, further = integrator.sample(scene, sampler, rays, None, mi.Bool(True))
+    channels = [*radiance.numpy(), *(np.array(channel) for channel in further)]
+    return np.asarray(chain_matrix(chains) @ [channel.mean(dtype=float) for channel in channels])
 
 
 def main() -> None:
     """Print ratios, errors and parts of the bias."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--angles", type=float, nargs="+", default=[30.0, 90.0])
-    parser.add_argument("--paths", type=int, nargs=4, default=[500_000, 500_000, 3_000_000, 3_000_000])
+    parser.add_argument("--waves", type=int, nargs=4, default=[1, 1, 6, 6])
+    parser.add_argument("--paths", type=int, default=62_500)
     parser.add_argument("--repeats", type=int, default=8)
     args = parser.parse_args()
     open_renderer(choose_variant("llvm"))
     designs = [at_angle(finger(640), angle) for angle in args.angles]
     shape = pressed_shape(designs[0])
     probes = probes_on(designs[0], shape, default_probe_points_mm(designs[0], shape))
-    here, kept = swept(designs, shape, probes, args.paths, args.repeats)
+    here, kept = swept(designs, shape, probes, [args.paths * n for n in args.waves], args.repeats)
     for k, design in enumerate(designs):
-        there, added = in_scene(design, shape, probes, args.paths, args.repeats)
+        there, added = in_scene(design, shape, probes, args.paths, args.waves, args.repeats)
         ratio = here[k].mean(axis=0) / there.mean(axis=0)
         error = np.hypot(*(v.std(axis=0, ddof=1) / np.sqrt(args.repeats) / v.mean(axis=0) for v in (here[k], there)))
         print(f"{args.angles[k]:g} deg: the panel keeps {100 * kept[k]:.3f} % of the walls' light away")

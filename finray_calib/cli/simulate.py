@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from finray_calib.cli.options import (
     add_out,
@@ -17,6 +18,9 @@ from finray_calib.cli.options import (
     require_new,
     say,
 )
+
+if TYPE_CHECKING:
+    from data_schemas.design import FingerDesign
 
 HELP = "render a press of a painted finger, or sweep the light angle"
 SMALLEST_STEP_DEG = 0.5
@@ -108,6 +112,12 @@ def _require_mechanics_only(arguments: argparse.Namespace) -> None:
         raise SimulateError("--resume: CalculiX presses from first touch; leave out --resume, or --engine calculix")
 
 
+def _indenter_file(design: "FingerDesign", folder: Path) -> list[Path]:
+    """Return the STL of an indenter; one that is missing is told of by who reads it."""
+    path = folder / (design.indenter.file or "")
+    return [path] if path.is_file() else []
+
+
 def _even(text: str) -> int:
     """Parse an even number: a press is rendered as two independent halves, whose difference is the noise."""
     if not text.isdecimal() or int(text) < 2 or int(text) % 2:
@@ -151,7 +161,8 @@ def run(arguments: argparse.Namespace) -> None:
         from finray_calib.cli.simulate_mechanics import last_increment, simulate_mechanics_verb
 
         resume = None if arguments.resume is None else last_increment(arguments.resume)
-        origin = provenance(command_line(), input_digests([arguments.design, *([resume] if resume else [])]), None)
+        read = [arguments.design, *([resume] if resume else []), *_indenter_file(design, arguments.design.parent)]
+        origin = provenance(command_line(), input_digests(read), None)
         with progress_bar("simulate") as progress:
             simulate_mechanics_verb(
                 design, arguments.increments or DEFAULT_INCREMENTS, resume, out, origin, progress, arguments.engine,

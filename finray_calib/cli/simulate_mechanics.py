@@ -86,7 +86,7 @@ def simulate_mechanics_verb(
     write_record(mechanics, files["mechanics"], origin)
     write_record(surfaces, files["surfaces"], origin)
     write_bytes(files["mesh"], vtu_bytes(pressed.mesh, pressed.displacement_mm[-1]))
-    write_bytes(files["picture"], pressed_finger_png(mechanics, surfaces))
+    write_bytes(files["picture"], pressed_finger_png(mechanics, surfaces, folder))
     say(f"{files['mechanics']}: {mechanics.label}")
     for depth, force in zip(mechanics.depth_mm, mechanics.force_n, strict=True):
         say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")

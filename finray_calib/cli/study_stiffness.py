@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 from finray_calib.cli.options import add_out, command_line, input_digests, progress_bar, require_new, say
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from data_schemas.design import FingerDesign
-    from data_schemas.finger_stiffness import FingerStiffness
+    from data_schemas.finger_stiffness import FingerStiffness, StiffnessOrder
 
 NAME = "finger-stiffness"
 HELP = "stiffness of fingers in bending and twist, with assumed dimensions changed"
@@ -22,6 +24,7 @@ examples:
   finray study finger-stiffness flat-70x35 flat-70x35-soft --out stiffness
   finray study finger-stiffness mine.toml --vary 0"""
 _PERCENT = 100.0
+_RIB_FIELDS = ("skeleton.rib_count", "skeleton.rib_width_mm", "skeleton.rib_thickness_mm")
 
 
 def add_stiffness_study(studies: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -72,15 +75,37 @@ def run_stiffness_study(arguments: argparse.Namespace) -> None:
                 f"under the pad {row.pad_n_per_mm:.3f} N/mm, twist {row.twist_n_mm_per_deg:.2f} N mm/deg"
             )
     for order in study.orders:
-        holds = "holds" if order.smallest_ratio > 1.0 else f"does not hold ({order.at})"
-        say(
-            f"  {order.measure}: {order.stiffer} / {order.softer} = {order.ratio:.3f}; an assumed dimension changed in "
-            f"both: at least {order.smallest_ratio:.3f}, the order {holds}; changed independently: "
-            f"{order.independent_ratio:.3f}"
-        )
+        say(f"  {order.measure}: {order.stiffer} / {order.softer} = {order.ratio:.3f}{_over_assumptions(study, order)}")
+    for line in _ribs(study):
+        say(f"  {line}")
     for row in study.rows:
         if row.failure:
             say(f"  {row.design}, {row.changed} {_PERCENT * row.change_rel:+.0f} %: {row.failure}")
+
+
+def _over_assumptions(study: "FingerStiffness", order: "StiffnessOrder") -> str:
+    """Say whether an order holds over the changes; nothing where nothing was changed."""
+    if not any(row.changed and not row.failure for row in study.rows):
+        return "; no dimension was changed"
+    holds = "holds" if order.smallest_ratio > 1.0 else f"does not hold ({order.at})"
+    return (
+        f"; an assumed dimension changed in both: at least {order.smallest_ratio:.3f}, the order {holds}; changed "
+        f"independently: {order.independent_ratio:.3f}"
+    )
+
+
+def _ribs(study: "FingerStiffness") -> "Iterator[str]":
+    """Yield what more, wider and thicker ribs do to each finger: measures over those of the finger as designed."""
+    for row in study.rows:
+        if row.changed not in _RIB_FIELDS or row.failure:
+            continue
+        designed = next(r for r in study.rows if r.design == row.design and not r.changed)
+        ratios = (
+            f"{measure.split('_')[0]} {getattr(row, measure) / getattr(designed, measure):.3f}"
+            for measure in ("bending_n_per_mm", "sideways_n_per_mm", "pad_n_per_mm", "twist_n_mm_per_deg")
+        )
+        field = row.changed.removeprefix("skeleton.")
+        yield f"{row.design}, {field} {_PERCENT * row.change_rel:+.0f} %: times {', '.join(ratios)}"
 
 
 def _design(given: str) -> "FingerDesign":

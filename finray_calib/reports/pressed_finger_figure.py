@@ -1,6 +1,7 @@
 """Picture of a pressed finger from its stored records: before, after, and the force against the push."""
 
 import io
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -28,7 +29,7 @@ _SAME_U = 1e-6
 
 
 @styled()
-def pressed_finger_png(mechanics: PressMechanics, surfaces: FingerSurfaces) -> bytes:
+def pressed_finger_png(mechanics: PressMechanics, surfaces: FingerSurfaces, folder: Path | None = None) -> bytes:
     """Return a picture of a pressed finger as PNG bytes.
 
     Left, the finger from its green side before the press, and after it, coloured by the length of the displacement
@@ -38,6 +39,8 @@ def pressed_finger_png(mechanics: PressMechanics, surfaces: FingerSurfaces) -> b
     ----------
     mechanics, surfaces
         The two records of one press.
+    folder
+        Where the design stands; an indenter of the user, an STL relative to it, is drawn only with it.
 
     Raises
     ------
@@ -51,9 +54,9 @@ def pressed_finger_png(mechanics: PressMechanics, surfaces: FingerSurfaces) -> b
     views, curve = (figure.add_subfigure(columns[k]) for k in range(2))
     before, after = views.subplots(2, 1, sharex=True, sharey=True)
     _draw_before(before, rest)
-    _draw_indenter(before, mechanics.design, 0.0)
+    _draw_indenter(before, mechanics.design, 0.0, folder)
     shown = _draw_after(after, rest, pressed)
-    _draw_indenter(after, mechanics.design, depth_mm)
+    _draw_indenter(after, mechanics.design, depth_mm, folder)
     views.colorbar(shown, ax=[before, after], shrink=0.8, label="displacement (mm)")
     before.set_title("before: the indenter touches (dashed: the coat along the middle)")
     after.set_title(f"after a push of {depth_mm:.2f} mm, to scale (grey: where it was)")
@@ -108,12 +111,13 @@ def _draw_lines(axes: Axes, shape: FingerShape) -> None:
         axes.plot(surface.vertices_mm[line, 2], surface.vertices_mm[line, 1], style, color=colour, lw=1.4)
 
 
-def _draw_indenter(axes: Axes, design: FingerDesign, depth_mm: float) -> None:
+def _draw_indenter(axes: Axes, design: FingerDesign, depth_mm: float, folder: Path | None) -> None:
     """Draw the indenter at a push from first touch."""
-    outline = side_outline_mm(design, depth_mm)
+    outline = side_outline_mm(design, depth_mm, folder)
     if outline is not None:
         axes.add_patch(Polygon(outline, facecolor=HAIRLINE, edgecolor=MUTED, alpha=0.5, ls="--"))
-        axes.text(*map(float, outline.mean(axis=0)), design.indenter.shape, ha="center", va="center", fontsize=8)
+        z, y = outline.mean(axis=0)
+        axes.text(float(z), float(y), design.indenter.shape, ha="center", va="center", fontsize=8)
 
 
 def _draw_curve(axes: Axes, mechanics: PressMechanics) -> None:

@@ -9,6 +9,7 @@ from scipy.spatial import ConvexHull
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.mechanical_design import check_magnitude
 from sim.mechanics.body_meshes import TriangleMesh, body_mesh, read_body, rotation_matrix
 from sim.mechanics.signed_distances import Body, Cylinder, Pose, RoundedBox, Sphere
 from sim.surface_meshes.pressed_pad import rest_height_mm
@@ -18,6 +19,9 @@ FloatArray = NDArray[np.float64]
 CHORD_MM = 0.004
 """By how much the facets of round bodies lie inside them at most."""
 
+_RADII_MM = (0.25, 1000.0)
+_SIZES_MM = (0.5, 300.0)
+_EDGE_RADII_MM = (0.01, 150.0)
 _GRID_MM = 0.5
 _FINEST_MM = 1e-5  # the least distance is known to this squared over twice a radius
 _TOUCH_MM = 1e-8
@@ -68,30 +72,45 @@ def rigid_indenter(design: FingerDesign, folder: Path = Path()) -> RigidIndenter
     Raises
     ------
     SimulateError
-        When an STL is not a closed body, or the indenter does not meet the coat.
+        When an STL is not a closed body, a size cannot be mm, or the indenter does not meet the coat.
     """
     wanted = design.indenter
     rotation = rotation_matrix(*wanted.rotation_deg)
     if wanted.shape == "mesh":
         surface = read_body(folder / str(wanted.file))
         return RigidIndenter(None, surface, _touch_of_mesh(design, surface, rotation))
+    _check_sizes(design)
     body = _body(design)
     half_length = design.pad.length_mm + design.pad.width_mm
     return RigidIndenter(body, body_mesh(body, CHORD_MM, half_length), _touch_of_body(design, body, rotation))
 
 
-def side_outline_mm(design: FingerDesign, depth_mm: float = 0.0) -> FloatArray | None:
+def side_outline_mm(design: FingerDesign, depth_mm: float = 0.0, folder: Path | None = None) -> FloatArray | None:
     """Return the outline (m, 2), z and y, of the indenter seen along x, at a push from first touch.
 
-    A cylinder is drawn as wide as the pad. None for a mesh of the user, which a drawing of the design does not read.
+    A cylinder is drawn as wide as the pad, a mesh of the user by its hull: none of it without the design's folder.
     """
-    if design.indenter.shape == "mesh":
+    if design.indenter.shape == "mesh" and folder is None:
         return None
-    indenter = rigid_indenter(design)
-    shown = body_mesh(_body(design), CHORD_MM, design.pad.width_mm / 2.0)
+    indenter = rigid_indenter(design, folder or Path())
+    shown = indenter.surface if indenter.body is None else body_mesh(indenter.body, CHORD_MM, design.pad.width_mm / 2.0)
     pose = indenter.pose(depth_mm)
     points = (shown.vertices_mm @ pose.rotation.T + np.array(pose.position_mm))[:, [2, 1]]
     return np.asarray(points[ConvexHull(points).vertices])
+
+
+def _check_sizes(design: FingerDesign) -> None:
+    """Check that the body's sizes can be mm."""
+    wanted = design.indenter
+    sizes = [("radius_mm", wanted.radius_mm, _RADII_MM)]
+    if wanted.size_mm is not None:
+        sizes = [("size_mm", size, _SIZES_MM) for size in wanted.size_mm]
+        sizes.append(("edge_radius_mm", wanted.edge_radius_mm, _EDGE_RADII_MM))
+    for name, value, bounds in sizes:
+        try:
+            check_magnitude(value, *bounds, "mm")
+        except ValueError as error:
+            raise SimulateError(f"indenter.{name}: {error}") from error
 
 
 def _body(design: FingerDesign) -> Body:

@@ -3,6 +3,7 @@
 import importlib
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Literal, Protocol
@@ -19,6 +20,7 @@ SolverName = Literal["auto", "pardiso", "superlu"]
 _SYMMETRIC_POSITIVE, _SYMMETRIC_INDEFINITE = 2, -2
 # a tangent that has negative curvature once has it in the iterations after too
 _INDEFINITE_AFTER_FAILURE = 6
+_BLOCKS = -80  # PARDISO's own value: rows whose patterns agree by 80 % become blocks
 
 
 class SymmetricSolver(Protocol):
@@ -52,6 +54,57 @@ def linear_solver(name: SolverName = "auto", threads: int = 1) -> SymmetricSolve
             f"the solver pardiso needs pypardiso ({missing}); it is installed with finray-calib on x86-64 "
             "Linux and Windows; elsewhere choose superlu"
         ) from missing
+
+
+def refined(
+    times: Callable[[FloatArray], FloatArray],
+    solver: SymmetricSolver,
+    right_side: FloatArray,
+    residual_rel: float,
+    iterations: int,
+) -> FloatArray | None:
+    """Solve with a matrix near the last factorised one, by conjugate gradients that the old factors precondition.
+
+    Parameters
+    ----------
+    times
+        The matrix times a vector (n,).
+    solver
+        Holds the factors.
+    right_side
+        Shape (n,).
+    residual_rel
+        Norm of the residual over that of the right side.
+    iterations
+        At most.
+
+    Returns
+    -------
+    FloatArray or None
+        x (n,), or nothing where the matrices are too far apart or the new one is not positive definite.
+    """
+    x, residual = np.zeros_like(right_side), right_side.copy()
+    enough = residual_rel**2 * _product(right_side, right_side)
+    direction = preconditioned = solver.solve(residual)
+    slope = _product(residual, preconditioned)
+    for _ in range(iterations):
+        image = times(direction)
+        curve = _product(direction, image)
+        if not (curve > 0.0 and slope > 0.0):
+            return None
+        x += slope / curve * direction
+        residual -= slope / curve * image
+        if _product(residual, residual) <= enough:
+            return x
+        preconditioned = solver.solve(residual)
+        before, slope = slope, _product(residual, preconditioned)
+        direction = preconditioned + slope / before * direction
+    return None
+
+
+def _product(a: FloatArray, b: FloatArray) -> float:
+    """Return a . b without BLAS, which would wake a thread of its own for long vectors and let it spin."""
+    return float(np.einsum("i,i->", a, b))
 
 
 class SuperLU:
@@ -93,9 +146,10 @@ class Pardiso:
         self._error: type[Exception] = pypardiso.pardiso_wrapper.PyPardisoError
         self._solver = pypardiso.PyPardisoSolver(mtype=_SYMMETRIC_POSITIVE)
         self._solver.libmkl.MKL_Set_Num_Threads(threads)
-        # own settings, METIS, pivots lifted to 1e-8, no scaling or matching (they need values in the symbolic phase),
-        # up to two steps of iterative refinement
-        for number, value in ((1, 1), (2, 3 if threads > 1 else 2), (10, 8), (11, 0), (13, 0), (8, 2), (21, 1)):
+        # own settings, METIS (its parallel form orders no better), pivots lifted to 1e-8, no scaling or matching (they
+        # need values in the symbolic phase), up to two steps of iterative refinement, and blocks: the three unknowns
+        # of a node have one pattern, which saves a fifth of the time and a quarter of the memory
+        for number, value in ((1, 1), (2, 2), (10, 8), (11, 0), (13, 0), (8, 2), (21, 1), (37, _BLOCKS)):
             self._solver.set_iparm(number, value)
         self._matrix: sp.csr_array | None = None
         self._pattern = (-1, -1)
@@ -150,7 +204,8 @@ class Pardiso:
             self._matrix = None
 
     def __del__(self) -> None:
-        if hasattr(self, "_matrix"):
+        # at the interpreter's end modules that the wrapper needs are gone, and the memory goes anyway
+        if hasattr(self, "_matrix") and not sys.is_finalizing():
             self.release()
 
 

@@ -27,6 +27,7 @@ _SMALLEST_GAP_MM = 0.5
 _SMALLEST_DEPTH_MM = 1.0
 _PAD_SIZES_MM = (5.0, 300.0)
 _PAD_THICKNESS_MM = (0.5, 50.0)
+_FILM_THICKNESS_MM = (0.01, 2.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,13 +117,17 @@ def skeleton_layout(design: FingerDesign) -> SkeletonLayout:
 
 def _check_pad(design: FingerDesign) -> None:
     """Check that the pad's sizes can be mm."""
-    for name, bounds in (
-        ("length_mm", _PAD_SIZES_MM),
-        ("width_mm", _PAD_SIZES_MM),
-        ("thickness_mm", _PAD_THICKNESS_MM),
-    ):
+    pad = design.pad
+    sizes = [
+        ("length_mm", pad.length_mm, _PAD_SIZES_MM),
+        ("width_mm", pad.width_mm, _PAD_SIZES_MM),
+        ("thickness_mm", pad.thickness_mm, _PAD_THICKNESS_MM),
+    ]
+    if pad.film is not None:
+        sizes.append(("film.thickness_mm", pad.film.thickness_mm, _FILM_THICKNESS_MM))
+    for name, value, bounds in sizes:
         try:
-            check_magnitude(getattr(design.pad, name), *bounds, "mm")
+            check_magnitude(value, *bounds, "mm")
         except ValueError as error:
             raise SimulateError(f"pad.{name}: {error}") from error
 

@@ -230,7 +230,7 @@ def _texels_around(si: Any, group: Any, is_green: Any) -> list[tuple[Any, Any]]:
 def _follow(  # type: ignore[no-untyped-def]
     tracer, sampler, ray, first, by_wall, kept_away, group, from_wall
 ):
-    """Follow paths; return the LED radiance of every angle and add to the walls' texels, and what a panel keeps away."""
+    """Follow paths; return the LED radiance of every angle and add what meets the walls, and what panels keep away."""
     paths, scene = tracer.paths, tracer.scene
     context = mi.BSDFContext()
     ray = mi.Ray3f(ray)

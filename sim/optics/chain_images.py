@@ -25,8 +25,8 @@ LARGEST_CENTROID_SHIFT_NM = 10.0
 LARGEST_REEMISSION_GAIN = 3.0
 """Growth of what paint makes of paint's light up to which a chain left out at 0.5 % of its band stays below 1.5 %."""
 
-# one product of all pixels is spread over threads, whose start costs up to 100 ms where cores are shared
-_BLOCK_PX = 4096
+# a product of more multiplications is spread over threads, whose start costs up to 100 ms where cores are shared
+_MULTIPLICATIONS_PER_PRODUCT = 200_000
 
 
 def steps(chain: str) -> tuple[tuple[str, str], ...]:
@@ -135,7 +135,7 @@ def chain_matrix(chains: Sequence[str], gains: Mapping[tuple[str, str], float] |
 
 
 def mix(images: NDArray[np.float32], matrix: Floats) -> NDArray[np.float32]:
-    """Return matrix @ image for every pixel, in single precision.
+    """Return matrix @ image for every pixel, in single precision; images must be finite.
 
     ``mix(chain images, white_balance[:, None] * (camera_matrix @ chain_matrix(...)))`` is the camera's picture.
 
@@ -158,8 +158,15 @@ def mix(images: NDArray[np.float32], matrix: Floats) -> NDArray[np.float32]:
     """
     if matrix.ndim != 2 or images.shape[-1:] != matrix.shape[1:]:
         raise SimulateError(f"a matrix of shape {matrix.shape} does not fit images of shape {images.shape}")
-    flat, weights = np.ascontiguousarray(images, dtype=np.float32).reshape(-1, images.shape[-1]), matrix.T.astype("f4")
-    mixed = np.empty((len(flat), len(matrix)), dtype=np.float32)
-    for first in range(0, len(flat), _BLOCK_PX):
-        np.matmul(flat[first : first + _BLOCK_PX], weights, out=mixed[first : first + _BLOCK_PX])
-    return mixed.reshape(*images.shape[:-1], len(matrix))
+    m, n = matrix.shape
+    flat, weights = np.ascontiguousarray(images, dtype=np.float32).reshape(-1, n), matrix.T.astype(np.float32)
+    mixed = np.empty((len(flat), m), dtype=np.float32)
+    # rows of two pixels: the product of such narrow matrices is three times faster when they are twice as wide
+    even = len(flat) // 2 * 2
+    of_two = np.kron(np.eye(2, dtype=np.float32), weights)
+    pairs, mixed_pairs = flat[:even].reshape(-1, 2 * n), mixed[:even].reshape(-1, 2 * m)
+    step = max(1, _MULTIPLICATIONS_PER_PRODUCT // of_two.size)
+    for first in range(0, len(pairs), step):
+        np.matmul(pairs[first : first + step], of_two, out=mixed_pairs[first : first + step])
+    mixed[even:] = flat[even:] @ weights
+    return mixed.reshape(*images.shape[:-1], m)

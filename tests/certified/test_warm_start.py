@@ -17,7 +17,7 @@ from sim.mechanics.finger_mesh import MeshSteps, finger_mesh
 from sim.mechanics.linear_solver import linear_solver
 from sim.mechanics.materials import neo_hooke
 from sim.mechanics.newton import Supports, load_increments
-from sim.mechanics.press import press_finger
+from sim.mechanics.press import _on_coarse, press_finger
 from sim.mechanics.warm_start import Interpolation
 from sim.presets import preset_design
 from tests.certified.blocks import assemble, unit_cells
@@ -80,11 +80,12 @@ def test_a_failed_factorisation_is_cut_back():
         list(load_increments(assembly, Faulty(10**6), loading, (1.0,)))
 
 
-def test_iterations_are_solved_systems():
+def test_iterations_are_solved_systems_that_end_with_old_factors():
     assembly, loading = sheared_block()
     solver = Faulty(0)
     path = list(load_increments(assembly, solver, loading, (0.5, 1.0)))
-    assert sum(step.equilibrium.iterations for step in path) == solver.asked
+    # the last steps of a search, where the tangent stands still, factorise nothing
+    assert len(path) <= solver.asked < sum(step.equilibrium.iterations for step in path)
     for step in path:
         assert step.equilibrium.iterations == len(step.equilibrium.residuals_n) - 1
 
@@ -106,6 +107,16 @@ def test_a_start_saves_iterations(halfway):
     # its own path, but for the incompatible modes: the first increment has little left to do
     assert started.iterations[0] <= halfway.iterations[0] - 3
     assert started.force_n == pytest.approx(halfway.force_n, abs=1e-5 * halfway.force_n[-1, 1])
+
+
+def test_a_finer_press_starts_from_the_coarse_mesh(halfway):
+    start = _on_coarse(to_depth(1.0), "medium", 2, 1, "auto")
+    assert start.depth_mm == pytest.approx(halfway.depth_mm)
+    assert start.force_n == pytest.approx(halfway.force_n, abs=1e-5)
+    assert _on_coarse(to_depth(1.0), "coarse", 2, 1, "auto") is None
+    assert _on_coarse(to_depth(1.0), "medium", 2, 1, "barrier") is None
+    # a coarse press that fails costs the finer one its start, no more
+    assert _on_coarse(to_depth(0.0), "medium", 2, 1, "auto") is None
 
 
 def test_a_stored_increment_must_fit(halfway):

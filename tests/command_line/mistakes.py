@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from data_schemas.storage import read_frame, write_frame
+from sim.surface_meshes.stl import stl_bytes
 from tests.command_line.running import edit, load
 
 CAMERA = "wavelength_nm,red_percent,green_percent,blue_percent\n"
@@ -79,6 +80,28 @@ def without_array_file(lab: Path, tmp: Path) -> None:
     shutil.copy(lab / "capture.json", tmp / "capture.json")
 
 
+CUBE = np.array([[x, y, z] for x in (0.0, 5.0) for y in (0.0, 5.0) for z in (0.0, 5.0)])
+FACETS = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
+     [1, 5, 7], [1, 7, 3]]
+)  # fmt: skip
+
+
+def with_indenter(vertices_mm: np.ndarray, triangles: np.ndarray) -> Prepare:
+    """Write a finger into {tmp} whose indenter is this STL."""
+
+    def prepare(lab: Path, tmp: Path) -> None:
+        (tmp / "body.stl").write_bytes(stl_bytes(triangles, vertices_mm, "body"))
+        design('[indenter]\nshape = "mesh"\nfile = "body.stl"')(lab, tmp)
+
+    return prepare
+
+
+def design(tables: str) -> Prepare:
+    """Write a finger with these tables into {tmp}."""
+    return file("finger.toml", f'name = "bad finger"\n{tables}\n')
+
+
 def file(name: str, text: str) -> Prepare:
     """Write a text file into {tmp}."""
     return lambda _, tmp: (tmp / name).write_text(text)
@@ -87,6 +110,7 @@ def file(name: str, text: str) -> Prepare:
 CAPTURE = "capture {lab}/plan.toml --rig {lab}/rig.toml"
 BAD_PLAN = "capture {tmp}/plan.toml --rig {lab}/rig.toml"
 BAD_RIG = "capture {lab}/plan.toml --rig {tmp}/rig.toml"
+MECHANICS = "simulate {tmp}/finger.toml --only mechanics"
 SIMULATE = "simulate {lab}/finger.toml --paint red={paints}/red/paint.json --engine scalar"
 BOTH = SIMULATE + " --paint green={paints}/green/paint.json"
 BAD_FINGER = BOTH.replace("{lab}", "{tmp}")
@@ -290,6 +314,85 @@ CASES = (
         "increments without mechanics",
         BOTH + " --increments 3",
         r"--increments are steps of finite elements; add --only mechanics",
+    ),
+    Case(
+        "indenter that starts inside the finger",
+        MECHANICS,
+        r"the indenter starts inside the finger: .* check indenter\.file, position_mm, across_mm and rotation_deg",
+        # a second body far below, in the base plate
+        with_indenter(np.vstack([CUBE, CUBE - [0.0, 14.0, 43.0]]), np.vstack([FACETS, FACETS + 8])),
+    ),
+    Case(
+        "open STL",
+        MECHANICS,
+        r"body\.stl: is open: 3 edges belong to one triangle only .* close it in a modelling",
+        with_indenter(CUBE, FACETS[1:]),
+    ),
+    Case(
+        "STL in metres",
+        MECHANICS,
+        r"body\.stl: .* looks like a file in metres: export it in mm",
+        with_indenter(1e-3 * CUBE, FACETS),
+    ),
+    Case(
+        "no STL",
+        MECHANICS,
+        r"no\.stl: the indenter's file cannot be read \(No such file .*check indenter\.file",
+        design('[indenter]\nshape = "mesh"\nfile = "no.stl"'),
+    ),
+    Case(
+        "friction with the penalty",
+        MECHANICS + " --contact penalty",
+        r"--contact penalty cannot serve indenter\.friction = 0\.3: use --contact barrier, or auto",
+        design("[indenter]\nfriction = 0.3"),
+    ),
+    Case(
+        "contact of CalculiX",
+        MECHANICS + " --contact barrier --engine calculix",
+        r"--contact: CalculiX has a contact of its own; leave out --contact, or --engine calculix",
+        design(""),
+    ),
+    Case(
+        "unstable rubber",
+        MECHANICS,
+        r"mechanics\.skeleton: .*alpha = \(1\.6663, -7\.136\) is unstable \(Drucker\) under uniaxial load at a stretch",
+        design("[mechanics.skeleton]\nmu_mpa = [6.279, -1.639]"),
+    ),
+    Case(
+        "gel in kPa",
+        MECHANICS,
+        r"finger\.toml: 'mechanics\.gel\.c10_mpa' \(in MPa\): .* looks like a number in kPa: write 0\.1333",
+        design("[mechanics.gel]\nc10_mpa = 133.3"),
+    ),
+    Case(
+        "pad in metres",
+        MECHANICS,
+        r"pad\.thickness_mm: 0\.006 mm is outside .* looks like a number in metres: write 6",
+        design("[pad]\nthickness_mm = 0.006\n[indenter]\ndepth_mm = 0.001"),
+    ),
+    Case(
+        "film in metres",
+        MECHANICS,
+        r"pad\.film\.thickness_mm: 0\.0001 mm is outside .* looks like a number in metres: write 0\.1",
+        design("[pad.film]\nthickness_mm = 0.0001"),
+    ),
+    Case(
+        "indenter in metres",
+        MECHANICS,
+        r"indenter\.radius_mm: 0\.01 mm is outside .* looks like a number in metres: write 10",
+        design("[indenter]\nradius_mm = 0.01"),
+    ),
+    Case(
+        "pad wider than the fin",
+        MECHANICS,
+        r"finger\.toml: skeleton\.width_mm = 30 mm: the pad \(pad\.width_mm = 35 mm\) and a rib .* wider than the fin",
+        design("[skeleton]\nwidth_mm = 30.0"),
+    ),
+    Case(
+        "ribs that overlap",
+        MECHANICS,
+        r"ribs? .* overlap or nearly touch .* change skeleton\.rib_count = 40, rib_spacing_mm",
+        design("[skeleton]\nrib_count = 40\nrib_thickness_mm = 2.0"),
     ),
     Case(
         "sweep of the paper's emitter",

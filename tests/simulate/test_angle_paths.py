@@ -9,7 +9,7 @@ from sim.optics.even_points import even_points
 from sim.optics.paint_bands import paint_bands
 from sim.optics.render import lit_integrator, open_scene
 from sim.optics.wall_baking import bake_walls
-from sim.optics.wall_emission import last_band
+from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP, last_band
 from sim.surface_meshes.finger_shape import pressed_shape
 
 CAMERA = TactileCamera(width_px=64, height_px=48)
@@ -57,6 +57,40 @@ def test_all_angles_at_once_see_what_each_angle_sees(llvm, paints, change):
     error = np.hypot(*(v.std(axis=0, ddof=1) / np.sqrt(REPEATS) for v in (here, there)))
     assert (error < 0.15 * there.mean(axis=0)).all()
     assert (np.abs(here.mean(axis=0) - there.mean(axis=0)) < STANDARD_ERRORS * error).all()
+
+
+@pytest.mark.renderer
+def test_the_panel_keeps_light_of_the_walls_away_in_each_of_its_poses(llvm, paints):
+    from sim.optics.angle_paths import AnglePaths
+    from sim.optics.paths import band_integrator
+
+    # before the middle of the pad: flat over it at 90 deg, on edge at 0 deg
+    light = LightPanel(position_mm=(0.0, -14.0, 35.0), width_mm=30.0, height_mm=20.0, angle_deg=90.0)
+    flat, paths = FingerDesign(camera=CAMERA, light=light), 200_000
+    on_edge = flat.model_copy(update={"light": light.model_copy(update={"angle_deg": 0.0})})
+    away = light.model_copy(update={"position_mm": (0.0, -200.0, 35.0)})
+    shape, bands = pressed_shape(flat), paint_bands(paints["red"], paints["green"], light)
+    origins, directions = (np.tile(v, (paths, 1)) for v in ([[0.0, 0.5, 35.0]], [[0.0, 1.0, 0.0]]))
+    tracer = AnglePaths(open_scene(flat, shape, bands, llvm), flat, shape, [flat.light, on_edge.light, away])
+    seen = tracer.trace(origins, directions, paths, 1, from_wall=False)
+    there = []
+    for design in (flat, on_edge):
+        scene = open_scene(design, shape, bands, llvm)
+        parameters = llvm.traverse(scene)
+        parameters["panel0.bsdf.reflectance.value"] = llvm.Color3f(0.0)
+        parameters.update()
+        bright = {f"led>{wall}": np.ones((TEXELS_ALONG, TEXELS_UP)) for wall in ("red", "green")}
+        sampler = llvm.load_dict({"type": "independent"})
+        sampler.seed(2, paths)
+        rays = llvm.Ray3f(*(k(np.ascontiguousarray(v.T, dtype=np.float32)) for k, v in (
+            (llvm.Point3f, origins), (llvm.Vector3f, directions))))  # fmt: skip
+        integrator = band_integrator(scene, design, shape, bright)
+        there.append(integrator.sample(scene, sampler, rays, None, llvm.Bool(True))[0].numpy()[:2].sum(axis=0))
+    here, means = seen.by_wall[0].sum(axis=(1, 2, 3)), np.mean(there, axis=1)
+    error = np.hypot(1.0, 1.0) * np.std(there, axis=1) / np.sqrt(paths)
+    assert (np.abs(here[:2] - means) < STANDARD_ERRORS * error).all()
+    # on edge, 7 % are kept away: far more than the noise could hide
+    assert here[2] - here[1] > 2.0 * STANDARD_ERRORS * error[1]
 
 
 def test_even_points_are_uniform_and_even():

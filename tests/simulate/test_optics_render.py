@@ -144,7 +144,7 @@ def test_compiled_and_scalar_renderers_agree(llvm_choice, paints):
 
 @pytest.mark.renderer
 def test_a_press_changes_the_light_near_the_contact_and_hardly_elsewhere(llvm, paints):
-    render = render_press(DESIGN, paints, llvm, samples_per_pixel=256)
+    render = render_press(DESIGN, paints, llvm, samples_per_pixel=512)
     pixels = pad_pixels(render)
     change = render.contact_bands - render.no_contact_bands
     variance = render.contact_variance + render.no_contact_variance
