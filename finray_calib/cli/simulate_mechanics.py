@@ -113,7 +113,8 @@ def _pressed(
     """Press, or go on pressing, and store each increment."""
     from data_schemas.press_mechanics import PressIncrement
     from data_schemas.storage import read_record, write_record
-    from sim.experiments.mechanical_press import increment_record, press_by_presets, stored_press
+    from sim.experiments.mechanical_press import increment_record, stored_press
+    from sim.mechanics.press import press_finger
 
     before = None if resume is None else stored_press(read_record(resume, PressIncrement), design)
     threads = _threads()
@@ -121,7 +122,7 @@ def _pressed(
     def store(pressed: "PressedFinger") -> None:
         write_record(increment_record(design, pressed), folder / f"{len(pressed.depth_mm):03d}.json", origin)
 
-    return press_by_presets(design, increments, threads, progress, before, store, contact, design_folder)
+    return press_finger(design, None, increments, threads, progress, None, before, store, contact, design_folder)
 
 
 def _pressed_by_calculix(

@@ -1,8 +1,6 @@
 """A finger pressed by finite elements: the record of the press, and the surfaces that the optics renders."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -11,35 +9,9 @@ from data_schemas.errors import SimulateError
 from data_schemas.press_mechanics import PressIncrement, PressMechanics
 from data_schemas.surfaces import FingerSurfaces
 from sim.mechanics.finger_mesh import Preset, finger_mesh
-from sim.mechanics.press import PressedFinger, Progress, contact_distance, press_finger
-from sim.mechanics.press_contact import ContactChoice
+from sim.mechanics.press import PressedFinger, contact_distance
 from sim.surface_meshes.from_mesh import coat_nodes, shape_from_mesh
 from sim.surface_meshes.stored_shape import store_shapes
-
-
-def press_by_presets(
-    design: FingerDesign,
-    increments: int = 4,
-    threads: int = 1,
-    progress: Progress | None = None,
-    resume: PressedFinger | None = None,
-    store: Callable[[PressedFinger], None] | None = None,
-    contact: ContactChoice = "auto",
-    folder: Path = Path(),
-) -> PressedFinger:
-    """Press a finger on the mesh of its design; a finer mesh than the coarse one starts from the press on that.
-
-    The medium mesh then takes 4 or 5 iterations for each millimetre.
-
-    Parameters
-    ----------
-    design, increments, threads, progress, resume, store, contact, folder
-        See :func:`sim.mechanics.press.press_finger`.
-    """
-    start = None
-    if design.mesh.preset != "coarse":
-        start = press_finger(design, "coarse", increments, threads, progress, contact=contact, folder=folder)
-    return press_finger(design, None, increments, threads, progress, start, resume, store, contact, folder)
 
 
 def press_records(

@@ -17,7 +17,7 @@ from sim.mechanics.finger_mesh import MeshSteps, finger_mesh
 from sim.mechanics.linear_solver import linear_solver
 from sim.mechanics.materials import neo_hooke
 from sim.mechanics.newton import Supports, load_increments
-from sim.mechanics.press import _on_coarse, press_finger
+from sim.mechanics.press import _first_on_coarse, press_finger
 from sim.mechanics.warm_start import Interpolation
 from sim.presets import preset_design
 from tests.certified.blocks import assemble, unit_cells
@@ -109,14 +109,14 @@ def test_a_start_saves_iterations(halfway):
     assert started.force_n == pytest.approx(halfway.force_n, abs=1e-5 * halfway.force_n[-1, 1])
 
 
-def test_a_finer_press_starts_from_the_coarse_mesh(halfway):
-    start = _on_coarse(to_depth(1.0), "medium", 2, 1, "auto")
-    assert start.depth_mm == pytest.approx(halfway.depth_mm)
-    assert start.force_n == pytest.approx(halfway.force_n, abs=1e-5)
-    assert _on_coarse(to_depth(1.0), "coarse", 2, 1, "auto") is None
-    assert _on_coarse(to_depth(1.0), "medium", 2, 1, "barrier") is None
+def test_a_finer_press_starts_from_the_first_increment_on_the_coarse_mesh(halfway):
+    start = _first_on_coarse(to_depth(1.0), "medium", 2, 1, "auto")
+    assert start.depth_mm == pytest.approx([0.5])
+    assert start.force_n[0] == pytest.approx(halfway.force_n[0], abs=1e-5)
+    assert _first_on_coarse(to_depth(1.0), "coarse", 2, 1, "auto") is None
+    assert _first_on_coarse(to_depth(1.0), "medium", 2, 1, "barrier") is None
     # a coarse press that fails costs the finer one its start, no more
-    assert _on_coarse(to_depth(0.0), "medium", 2, 1, "auto") is None
+    assert _first_on_coarse(to_depth(0.0), "medium", 2, 1, "auto") is None
 
 
 def test_a_stored_increment_must_fit(halfway):
