@@ -26,7 +26,7 @@ class _Study(Record):
     label: str = Field(description="how the images came about")
     design: FingerDesign
     paints: dict[str, str] = Field(description="colour -> where the paint's optics come from")
-    samples: int = Field(description="paths per pixel, or per probe, angle and repeat")
+    samples: int = Field(description="paths per pixel, or per probe and repeat")
     notes: tuple[str, ...] = ()
 
 

@@ -26,7 +26,8 @@ class PressMechanics(Record):
         description="force on the indenter: across the finger, along the pad's normal, along the finger"
     )
     energy_n_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N mm", allow_nan=True)] = Field(
-        description="missing where another program's results do not tell it"
+        description="strain energy, with that of contact and ties; with the barrier also of its drive and of the last "
+        "increment's friction; missing where another program's results do not tell it"
     )
     iterations: Annotated[NDArray[np.int64], ArraySpec("<i8", ("increment",))]
     largest_pressure_mpa: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "MPa"})]

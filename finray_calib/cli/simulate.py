@@ -184,8 +184,6 @@ def run(arguments: argparse.Namespace) -> None:
             f"--level {arguments.level}: sweeps are made with level b (the paper's emitters of level a know no light "
             "angle, level c is too noisy); leave out --level, or --angles"
         )
-    if arguments.angles is not None and arguments.surfaces is not None:
-        raise SimulateError("--surfaces: a sweep is made beside the analytic press; leave out --surfaces, or --angles")
     if arguments.denoise and arguments.only != "optics":
         raise SimulateError("--denoise makes pictures, which --only optics writes; add --only optics or leave it out")
     if arguments.only == "optics" and arguments.angles is not None:
@@ -214,7 +212,8 @@ def run(arguments: argparse.Namespace) -> None:
             say(f"{out}: {press.label}")
         else:
             sweep = light_angle_sweep(
-                finger, calibrations, arguments.angles, 6, arguments.samples or 4000, arguments.seed, digests, progress
-            )
+                finger, calibrations, arguments.angles, 6, arguments.samples or 4000, arguments.seed, digests, progress,
+                shapes and shapes[1],
+            )  # fmt: skip
             write_record(sweep, out, origin)
             say(f"{out}: {len(sweep.angles_deg)} angles, {sweep.label}")

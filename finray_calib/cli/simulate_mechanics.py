@@ -33,10 +33,19 @@ def mechanics_paths(out: Path, resume: Path | None = None) -> dict[str, Path]:
         "picture": ".mechanics.png",
     }
     files = {what: require_new(out.with_name(stem + ending)) for what, ending in endings.items()}
+    from data_schemas.errors import RecordError
+
     increments = out.with_name(stem + ".increments")
     if resume is None or resume.parent.absolute() != increments.absolute():
         require_new(increments)
+    elif any(_number(stored) > _number(resume) for stored in increments.glob("*.json")):
+        raise RecordError(f"{resume}: later increments stand beside it; give another --out to leave them as they are")
     return {**files, "increments": increments}
+
+
+def _number(increment: Path) -> int:
+    """Return the number of a stored increment."""
+    return int(increment.stem) if increment.stem.isdecimal() else 0
 
 
 def last_increment(resume: Path) -> Path:
@@ -45,7 +54,7 @@ def last_increment(resume: Path) -> Path:
 
     if not resume.is_dir():
         return resume
-    stored = sorted(resume.glob("*.json"))
+    stored = sorted(resume.glob("*.json"), key=_number)
     if not stored:
         raise RecordError(f"{resume}: holds no increment of a press; give a folder or file that --only mechanics wrote")
     return stored[-1]

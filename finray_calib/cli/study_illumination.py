@@ -71,7 +71,7 @@ def add_illumination_studies(studies: "argparse._SubParsersAction[argparse.Argum
             "--design", type=Path, metavar="TOML", help=f"finger design (default: preset {study.preset})"
         )
         add_paint(parser)
-        whose = "probe, angle and repeat" if study.name == "light-angle" else "pixel, an even number"
+        whose = "probe and repeat" if study.name == "light-angle" else "pixel, an even number"
         parser.add_argument("--samples", type=partial(_samples, even=study.name != "light-angle"), metavar="N",
                             default=study.samples, help=f"paths per {whose} (default: {study.samples})")  # fmt: skip
         parser.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer")
@@ -99,6 +99,8 @@ def run_study(study: _Study, arguments: argparse.Namespace) -> None:
     for colour, paint in paints.items():
         say(f"{colour} paint: {paint}")
     study.tell(record)
+    for note in record.notes:
+        say(f"note: {note}")
 
 
 def _finger(study: _Study, arguments: argparse.Namespace) -> "tuple[PaintedFinger, dict[str, str]]":

@@ -90,6 +90,12 @@ def _require_comparable(press: SimulatedPress, capture: TactileCapture, shape: t
             f"{press.name} has {press.contact.shape[1]} x {press.contact.shape[0]} px, {capture.name} has {shape[1]} x "
             f"{shape[0]} px: simulate with the camera of the capture (design: camera.width_px, camera.height_px)"
         )
+    balanced = press.shown_light is not None and press.shown_light.white_balance != (1.0, 1.0, 1.0)
+    if balanced and capture.encoding == "linear":
+        raise CompareError(
+            f"{press.name} was given a white balance, {capture.name} holds the camera's own channels: recolour the "
+            "press without --white-balance (or with 1:1:1)"
+        )
     if press.encoding != capture.encoding:
         raise CompareError(
             f"{press.name} holds {press.encoding} values, {capture.name} {capture.encoding} ones: linear light cannot "

@@ -114,7 +114,7 @@ def _what(design: FingerDesign, layout: SkeletonLayout, name: str) -> tuple[str,
         ),
         "indenter": (
             f"{indenter.shape}, pushed in by {indenter.depth_mm:g} mm (shown where it first touches)",
-            ("indenter.size_mm",) if indenter.shape == "cuboid" else ("indenter.radius_mm",),
+            ({"cuboid": "indenter.size_mm", "mesh": "indenter.file"}.get(indenter.shape, "indenter.radius_mm"),),
         ),
     }
     if name in known:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, get_args
 
 import numpy as np
+from pydantic import ValidationError
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
@@ -50,8 +51,8 @@ def study_finger_stiffness(
         raise SimulateError(f"assumed dimensions cannot be varied by {share:g} of their value: give 0 to 0.5")
     variants = [(design, *variant) for design in designs for variant in _variants(design, share)]
     rows = []
-    for done, (design, field, change_rel, variant) in enumerate(variants):
-        rows.append(_row(design, field, change_rel, variant, threads))
+    for done, (design, field, change_rel, value) in enumerate(variants):
+        rows.append(_row(design, field, change_rel, value, threads))
         if progress is not None:
             progress(done + 1, len(variants), f"{design.name} {field}".strip())
     return FingerStiffness(
@@ -67,9 +68,9 @@ def study_finger_stiffness(
     )
 
 
-def _variants(design: FingerDesign, share: float) -> Iterator[tuple[str, float, FingerDesign]]:
-    """Yield the design itself, then changed ones with the field and its change."""
-    yield "", 0.0, design
+def _variants(design: FingerDesign, share: float) -> Iterator[tuple[str, float, float]]:
+    """Yield field, relative change and value: first of the design as it is, without a field."""
+    yield "", 0.0, 0.0
     skeleton = design.skeleton.model_dump()
     fields = {f"skeleton.{name}": value for name, value in skeleton.items() if not isinstance(value, dict)}
     fields |= {f"skeleton.backing.{name}": value for name, value in (skeleton["backing"] or {}).items()}
@@ -81,24 +82,33 @@ def _variants(design: FingerDesign, share: float) -> Iterator[tuple[str, float, 
             if isinstance(value, int):
                 # whole numbers change by one at least
                 changed = max(_FEWEST_RIBS, value + int(math.copysign(max(1, round(share * value)), factor - 1.0)))
-            yield field, changed / value - 1.0, _changed(design, field, changed)
+            yield field, changed / value - 1.0, changed
 
 
 def _changed(design: FingerDesign, field: str, value: float) -> FingerDesign:
-    """Return a design with one field changed."""
+    """Return a design with one field changed.
+
+    Raises
+    ------
+    SimulateError
+        When the design refuses the value.
+    """
     whole: dict[str, Any] = design.model_dump()
     place = whole
     *path, last = field.split(".")
     for name in path:
         place = place[name]
     place[last] = value
-    return FingerDesign.model_validate(whole)
+    try:
+        return FingerDesign.model_validate(whole)
+    except ValidationError as refused:
+        raise SimulateError(refused.errors()[0]["msg"]) from refused
 
 
-def _row(design: FingerDesign, field: str, change_rel: float, variant: FingerDesign, threads: int) -> StiffnessRow:
+def _row(design: FingerDesign, field: str, change_rel: float, value: float, threads: int) -> StiffnessRow:
     """Load one finger; a changed one may fail."""
     try:
-        finger = LoadedFinger(variant, threads=threads)
+        finger = LoadedFinger(_changed(design, field, value) if field else design, threads=threads)
         return StiffnessRow(
             design=design.name,
             changed=field,

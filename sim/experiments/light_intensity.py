@@ -52,11 +52,11 @@ def study_light_angle(
     finger
         Design, paints, camera response and renderer; its own light angle is replaced.
     seed, samples
-        Random seed and paths per probe, angle and repeat.
+        Random seed and paths per probe and repeat, shared by all angles.
     paints
         Colour -> where the paint's optics come from.
     progress
-        Called after each angle.
+        Called after each repeat.
     repeats
         Independent repeats; within one, all angles share their random numbers. Limits are Student's, of repeats - 1
         degrees of freedom.
@@ -71,14 +71,12 @@ def study_light_angle(
     design = finger.design
     points = edge_points_mm(design)
     bare = design.model_copy(update={"mirror": design.mirror.model_copy(update={"reflectance": 0.0})})
-    total, sweeps = len(MIRRORS) * len(ANGLES_DEG), []
+    sweeps = []
     for number, one in enumerate((design, bare)):
 
-        def told(
-            done: int, _: int, what: str, first: int = number * len(ANGLES_DEG), case: str = MIRRORS[number]
-        ) -> None:
+        def told(done: int, of: int, what: str, before: int = number, case: str = MIRRORS[number]) -> None:
             if progress is not None:
-                progress(first + done, total, f"{case}, {what}")
+                progress(before * of + done, len(MIRRORS) * of, f"{case}, {what}")
 
         sweeps.append(
             sweep_light_angle(one, finger.paints, finger.renderer, ANGLES_DEG, repeats, seed, samples, points, told)

@@ -14,6 +14,7 @@ from sim.surface_meshes.finger_shape import FingerShape
 
 Floats = NDArray[np.float64]
 SHAPE_NOTE = "shape of the finger: "
+CAMERA_NOTE = "camera response: "
 
 
 def simulate_press(
@@ -114,4 +115,4 @@ def colour_notes(response: CameraResponse, bands: PaintBands) -> tuple[str, ...]
         for colour, share in bands.cut_share.items()
         if share > 0.001
     ]
-    return (f"camera response: {response[0].source}", *coverage_notes(response, bands), *cut)
+    return (f"{CAMERA_NOTE}{response[0].source}", *coverage_notes(response, bands), *cut)

@@ -10,7 +10,7 @@ from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
 from data_schemas.simulate import RenderedLight, SimulatedPress
 from sim.experiments.painted_finger import CameraResponse, response_matrix
-from sim.experiments.press import SHAPE_NOTE, colour_notes, light_record
+from sim.experiments.press import CAMERA_NOTE, SHAPE_NOTE, colour_notes, light_record
 from sim.optics.chain_images import (
     chain_matrix,
     conversion_gains,
@@ -29,6 +29,7 @@ WhiteBalance = Gains | Literal["pad"]
 """Gains of red, green and blue; or "pad": those that make the mean of the untouched pad grey, green kept."""
 
 _RECOLOURED = ", recoloured"
+WHITE_BALANCE_NOTE = "white balance (red:green:blue): "
 
 
 def recoloured(
@@ -76,14 +77,16 @@ def recoloured(
     camera = shown.response if response is None else response
     to_rgb = response_matrix(camera, bands)
     gains = _gains(shown.white_balance if white_balance is None else white_balance, press, to_rgb @ growth)
-    shape = [note for note in press.notes if note.startswith(SHAPE_NOTE)]
+    notes = press.notes if paints is None else tuple(n for n in press.notes if n.startswith(SHAPE_NOTE))
+    kept = [note for note in notes if not note.startswith((CAMERA_NOTE, WHITE_BALANCE_NOTE))]
+    balance = [] if gains == (1.0, 1.0, 1.0) else [WHITE_BALANCE_NOTE + ":".join(f"{g:.4g}" for g in gains)]
     return press.model_copy(
         update={
             **_images(press, growth, np.array(gains)[:, None] * to_rgb),
             "label": press.label.removesuffix(_RECOLOURED) + _RECOLOURED,
             "shown_light": light_record(bands, camera, gains),
             "paints": press.paints if paint_sha256 is None else dict(paint_sha256),
-            "notes": (*colour_notes(camera, bands), *shape),
+            "notes": (*dict.fromkeys([*colour_notes(camera, bands), *kept]), *balance),
         }
     )
 
@@ -123,7 +126,7 @@ def _require_chains(press: SimulatedPress, before: PaintBands, after: PaintBands
         )
     require_same_reflectance(before.reflectance, after.reflectance)
     require_near_bands(before.bands, after.bands)
-    require_small_reemission(conversion_gains(before.conversion, after.conversion))
+    require_small_reemission(press.chains, conversion_gains(before.conversion, after.conversion))
 
 
 def _growth(press: SimulatedPress, before: PaintBands, after: PaintBands) -> Floats:

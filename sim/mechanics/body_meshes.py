@@ -17,6 +17,7 @@ IntArray = NDArray[np.int64]
 _HEADER_BYTES = 80
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _SAME_SHARE = 1e-6  # corners closer than this share of the body's size are one
+_LEAST_VOLUME = 1e-9  # of the cube of its size; what rounding leaves of two sides that lie on each other
 _LEAST_MM, _MOST_MM = 0.5, 300.0
 _SEGMENT_MM = 5.0  # of long facets: their boxes stay small when the body is turned
 
@@ -138,6 +139,8 @@ def read_body(path: Path) -> TriangleMesh:
     check_closed_body(mesh, str(path))
     corners = mesh.vertices_mm[mesh.triangles]
     volume = float(np.einsum("ki,ki->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6.0
+    if abs(volume) < _LEAST_VOLUME * float(np.ptp(mesh.vertices_mm, axis=0).max()) ** 3:
+        raise SimulateError(f"{path}: encloses no volume; an indenter must be a closed body")
     if volume < 0.0:
         return TriangleMesh(mesh.vertices_mm, mesh.triangles[:, ::-1])
     return mesh

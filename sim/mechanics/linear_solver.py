@@ -192,11 +192,6 @@ class Pardiso:
             raise SimulateError("nothing has been factorised yet; call factorise first")
         return self._call(33, np.ascontiguousarray(right_side.reshape(-1, 1))).ravel()
 
-    @property
-    def factor_mb(self) -> float:
-        """Memory of the factors and their symbolic tables in MB."""
-        return float(self._solver.get_iparm(16) + self._solver.get_iparm(17)) / 1024.0
-
     def release(self) -> None:
         """Give the factors' memory back."""
         if self._matrix is not None:

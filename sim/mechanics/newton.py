@@ -293,7 +293,7 @@ def _settled(
             return reached
         further = find_equilibrium(assembly, reached.state, supports, solver, options)
         reached = replace(further, iterations=reached.iterations + further.iterations)
-    return replace(reached, failure=f"friction has not settled in {_MOST_ROUNDS} rounds")
+    return replace(reached, failure=f"friction and push have not settled in {_MOST_ROUNDS} rounds")
 
 
 def load_increments(

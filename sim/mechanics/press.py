@@ -45,7 +45,8 @@ class PressedFinger:
     force_n
         Force on the indenter, (k, 3).
     energy_n_mm
-        Strain energy with that of contact and ties, (k,).
+        Strain energy with that of contact and ties, (k,); with the barrier also of its drive and of the last
+        increment's friction.
     displacement_mm
         Of the nodes, (k, n, 3); of the last increments only, (l, n, 3), where a stored press was gone on with.
     iterations
@@ -137,10 +138,9 @@ def press_finger(
         touch.accept(rest)
     stops = [(k + 1) / increments for k in range(increments) if (k + 1) / increments > begin + _SAME_SHARE]
     if start is None and resume is None:
-        start = _first_on_coarse(design, preset, increments, threads, contact)
-    predict = (
-        None if start is None else CoarserPath(start.mesh, mesh, list(start.depth_mm / depth), start.displacement_mm)
-    )
+        predict = _path_from_coarse(_first_on_coarse(design, preset, increments, threads, contact), mesh, depth)
+    else:
+        predict = None if start is None else _path_of(start, mesh, depth)
     solver = linear_solver(threads=threads)
     reached: list[Increment] = []
     forces: list[FloatArray] = []
@@ -180,6 +180,19 @@ def _first_on_coarse(
         return None
 
 
+def _path_from_coarse(coarse: PressedFinger | None, mesh: FingerMesh, depth_mm: float) -> CoarserPath | None:
+    """Return where a coarse press leads a finer mesh; none where the meshes are too far apart: it is help, not need."""
+    try:
+        return None if coarse is None else _path_of(coarse, mesh, depth_mm)
+    except SimulateError:
+        return None
+
+
+def _path_of(press: PressedFinger, mesh: FingerMesh, depth_mm: float) -> CoarserPath:
+    """Return the displacements of a coarser press on a mesh, by the share of the push."""
+    return CoarserPath(press.mesh, mesh, list(press.depth_mm / depth_mm), press.displacement_mm)
+
+
 def resumed(press: PressedFinger, mesh: FingerMesh, depth_mm: float) -> tuple[float, State]:
     """Return the share of a push that a stored press has done, and its state.
 
@@ -190,8 +203,8 @@ def resumed(press: PressedFinger, mesh: FingerMesh, depth_mm: float) -> tuple[fl
     """
     if not np.array_equal(press.mesh.nodes_mm, mesh.nodes_mm):
         raise SimulateError(
-            f"the press to go on from has a mesh of {len(press.mesh.nodes_mm)} nodes that is not that of this design "
-            f"({len(mesh.nodes_mm)} nodes); resume with the same design and mesh, or press from the start"
+            f"the press to go on from has a mesh of {len(press.mesh.nodes_mm)} nodes that is not that of this press "
+            f"({len(mesh.nodes_mm)} nodes); resume with the same design, mesh and --contact, or press from the start"
         )
     done = float(press.depth_mm[-1])
     if done >= (1.0 - _SAME_SHARE) * depth_mm:

@@ -53,6 +53,11 @@ class _Rectangle:
         dr.make_opaque(self.centre, self.normal, self.across, self.along, self.u, self.v)
         self.area_mm2 = frame.area_mm2
 
+    def faces(self, ray: Any) -> Any:
+        """Return whether rays meet its front."""
+        inside, _, cosine = self.meet(ray)
+        return inside & (cosine > 0.0)
+
     def meet(self, ray: Any) -> tuple[Any, Any, Any]:
         """Return (meets it, distance in mm, cosine on the side of the normal) of rays."""
         cosine = -dr.dot(ray.d, self.normal)
@@ -241,7 +246,7 @@ def _follow(  # type: ignore[no-untyped-def]
     state = mi.UInt32(_FROM_START if from_wall else _FROM_EYE)
     while dr.hint(active, max_iterations=MAX_DEPTH):
         si = scene.ray_intersect(ray, active)
-        aimed_at = [(state == _DIRECT) | ((state == _STRAIGHT_OUT) & panel.aim.meet(ray)[0]) for panel in tracer.panels]
+        aimed_at = [(state == _DIRECT) | ((state == _STRAIGHT_OUT) & panel.aim.faces(ray)) for panel in tracer.panels]
         met = tracer.met(ray, si.t)
         for k in range(tracer.count):
             for (here, sent), counted in zip(met[k], aimed_at, strict=True):

@@ -1,7 +1,7 @@
 """Sweep the light angle and measure the radiance of the coated face at probe points instead of rendering pictures."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -15,7 +15,7 @@ from sim.optics.chain_images import chain_matrix
 from sim.optics.paint_bands import PaintBands, PaintOptics
 from sim.optics.probes import Probes, default_probe_points_mm, probes_on
 from sim.optics.render import BAKE_SAMPLES, Progress, check_paints, lit_integrator, open_scene, stream_seed
-from sim.optics.scene import band_film
+from sim.optics.scene import band_film, check_outside_the_gel
 from sim.optics.variants import SCALAR_VARIANT
 from sim.optics.wall_baking import bake_walls
 from sim.optics.wall_exchange import WallExchange, direct_lights
@@ -25,6 +25,8 @@ Floats = NDArray[np.float64]
 
 # each repeat bakes its own walls, so that the repeats show the bake's noise; together they sample it well
 _BAKE_SHARE = 0.2
+# poses are loops of one compiled kernel and share its memory
+_POSES_AT_ONCE = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +164,39 @@ def _measure_together(
     progress: Progress | None,
 ) -> Floats:
     """Return the band radiance (angle, repeat, probe, 3) of all angles, whose paths are the same."""
+    for design in designs:
+        check_outside_the_gel(design.light, shape)
+    batches = [
+        _measure_batch(designs[k : k + _POSES_AT_ONCE], shape, bands, renderer, probes, samples, repeats, seed, told)
+        for k, told in _batches(len(designs), repeats, progress)
+    ]
+    return np.concatenate(batches)
+
+
+def _batches(count: int, repeats: int, progress: Progress | None) -> Iterator[tuple[int, Callable[[int], None]]]:
+    """Yield the first angle of each batch and what is to be called after each of its repeats."""
+    firsts = range(0, count, _POSES_AT_ONCE)
+    for number, first in enumerate(firsts):
+
+        def told(done: int, before: int = number * repeats) -> None:
+            if progress is not None:
+                progress(before + done, len(firsts) * repeats, f"paths of all angles, repeat {done}")
+
+        yield first, told
+
+
+def _measure_batch(
+    designs: Sequence[FingerDesign],
+    shape: FingerShape,
+    bands: PaintBands,
+    renderer: ModuleType,
+    probes: Probes,
+    samples: int,
+    repeats: int,
+    seed: int,
+    told: Callable[[int], None],
+) -> Floats:
+    """Return the band radiance (angle, repeat, probe, 3) of some angles; paths do not depend on the batch."""
     from sim.optics.angle_paths import AnglePaths  # needs the variant set
 
     design = designs[0]
@@ -180,8 +215,7 @@ def _measure_together(
             emitted = walls.emitted(k, direct[k], bands)
             radiance[k, repeat, :, :2] = np.einsum("pwij,wij->pw", seen.by_wall[:, k], emitted)
         radiance[:, repeat, :, 2] = seen.led.T
-        if progress is not None:
-            progress(repeat + 1, repeats, f"paths of all angles, repeat {repeat + 1}")
+        told(repeat + 1)
     return radiance
 
 

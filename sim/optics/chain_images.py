@@ -23,7 +23,10 @@ LARGEST_CENTROID_SHIFT_NM = 10.0
 """Shift of a band from which on its images must be rendered again: the coating changes by 0.4 % per reflection."""
 
 LARGEST_REEMISSION_GAIN = 3.0
-"""Growth of what paint makes of paint's light up to which a chain left out at 0.5 % of its band stays below 1.5 %."""
+"""Growth of a chain, relative to the first of its band, up to which one left out at 0.5 % stays below 1.5 %."""
+
+NEGLIGIBLE_CONVERSION = 1e-3
+"""Of a paint's conversion of LED light: less, before and after, is no light that was left out."""
 
 # a product of more multiplications is spread over threads, whose start costs up to 100 ms where cores are shared
 _MULTIPLICATIONS_PER_PRODUCT = 200_000
@@ -56,6 +59,11 @@ def conversion_gains(before: Mapping[str, Floats], after: Mapping[str, Floats]) 
     gains = {}
     for wall, old in before.items():
         for k, band in enumerate(BAND_NAMES):
+            led = BAND_NAMES.index("led")
+            largest = NEGLIGIBLE_CONVERSION * max(old[led], after[wall][led])
+            if max(old[k], after[wall][k]) <= largest:
+                gains[band, wall] = 1.0 if old[k] else 0.0
+                continue
             if old[k] == 0.0 and after[wall][k] > 0.0:
                 raise SimulateError(
                     f"the {wall} paint converts light of the {band} band now and did not when the images were "
@@ -100,20 +108,34 @@ def require_near_bands(before: Sequence[SpectralBand], after: Sequence[SpectralB
             )
 
 
-def require_small_reemission(gains: Mapping[tuple[str, str], float]) -> None:
+def require_small_reemission(chains: Sequence[str], gains: Mapping[tuple[str, str], float]) -> None:
     """Refuse gains that would raise chains which were left out as too weak.
+
+    A chain grows relative to the first of its band by the product of its gains over that chain's gain. Chains of one
+    step more than those that were rendered are judged: weaker ones stay weaker.
+
+    Parameters
+    ----------
+    chains
+        Names of the chains that were rendered.
+    gains
+        Change of each conversion (band in, wall).
 
     Raises
     ------
     SimulateError
-        When the conversion of a paint's light has grown by more than LARGEST_REEMISSION_GAIN.
+        When a chain that was left out has grown by more than LARGEST_REEMISSION_GAIN.
     """
-    for (band, wall), gain in gains.items():
-        if band != "led" and gain > LARGEST_REEMISSION_GAIN:
+    walls = [name for name in BAND_NAMES if name != "led"]
+    left_out = {f"{chain}>{wall}" for chain in chains if chain != "led" for wall in walls} - set(chains)
+    for chain in sorted(left_out):
+        first = gains.get(("led", chain.rsplit(">", 1)[-1]), 1.0)
+        product = float(np.prod([gains.get(step, 1.0) for step in steps(chain)]))
+        if product > LARGEST_REEMISSION_GAIN * first:
+            growth = f"{product / first:.1f} times" if first > 0.0 else "beyond all bounds"
             raise SimulateError(
-                f"the {wall} paint converts {gain:.1f} times as much {band} light as when the images were rendered; up "
-                f"to {LARGEST_REEMISSION_GAIN:g} times can be made without a new render, because weak chains of "
-                "fluorescence were left out: render again"
+                f"the light of chain {chain}, too weak to be rendered, would grow {growth} beside that of its band; "
+                f"up to {LARGEST_REEMISSION_GAIN:g} times can be made without a new render: render again"
             )
 
 

@@ -130,7 +130,7 @@ def test_a_stored_increment_must_fit(halfway):
         stored_press(moved, to_depth(3.0))
     with pytest.raises(SimulateError, match=r"at 1 mm already and indenter\.depth_mm is 0\.7 mm"):
         press_finger(to_depth(0.7), "coarse", 2, resume=halfway)
-    with pytest.raises(SimulateError, match="resume with the same design and mesh"):
+    with pytest.raises(SimulateError, match="resume with the same design, mesh and --contact"):
         press_finger(preset_design("original-60x22"), "coarse", 2, resume=halfway)
 
 

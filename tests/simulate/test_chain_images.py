@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from data_schemas.errors import SimulateError
-from sim.optics.chain_images import chain_matrix, conversion_gains, mix, require_same_reflectance, steps
+from sim.optics.chain_images import (
+    chain_matrix,
+    conversion_gains,
+    mix,
+    require_same_reflectance,
+    require_small_reemission,
+    steps,
+)
 
 CHAINS = ("led>red", "led>green", "led", "led>green>red")
 BEFORE = {"red": np.array([0.0, 0.2, 0.3]), "green": np.array([0.0, 0.01, 0.25])}
@@ -40,6 +47,23 @@ def test_light_that_was_not_rendered_cannot_be_added():
     with pytest.raises(SimulateError, match="the red paint converts light of the red band now"):
         conversion_gains(BEFORE, after)
     assert conversion_gains(after, BEFORE)["red", "red"] == 0.0
+
+
+def test_light_too_weak_to_matter_changes_nothing():
+    weak = {**BEFORE, "red": BEFORE["red"] * [0.0, 1.0, 1.0] + [1e-9, 0.0, 0.0]}
+    weaker = {**BEFORE, "red": BEFORE["red"] * [0.0, 1.0, 1.0] + [1e-12, 0.0, 0.0]}
+    assert conversion_gains(weaker, weak)["red", "red"] == 1.0
+
+
+def test_chains_that_were_left_out_must_stay_weak():
+    gains = {("led", "red"): 1.0, ("led", "green"): 1.0, ("green", "red"): 2.9, ("green", "green"): 1.0}
+    require_small_reemission(CHAINS, gains)
+    # led>green>red has grown 2.9 times; with less red by the LED, its share grows ten times
+    with pytest.raises(SimulateError, match=r"chain led>green>red, .* would grow 9\.7 times"):
+        require_small_reemission(["led", "led>red", "led>green"], gains | {("led", "red"): 0.3})
+    require_small_reemission(CHAINS, gains | {("led", "red"): 0.3, ("led", "green"): 0.3})
+    with pytest.raises(SimulateError, match="would grow beyond all bounds"):
+        require_small_reemission(["led", "led>red", "led>green"], gains | {("led", "red"): 0.0})
 
 
 def test_a_changed_reflectance_needs_a_render():

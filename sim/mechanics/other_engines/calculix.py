@@ -108,7 +108,7 @@ def run_calculix(
         finally:
             _end(process)
     if late:
-        return f"CalculiX was ended after {time_limit_s:g} s; give it more time, a coarser mesh or a smaller push"
+        return f"CalculiX was ended after {time_limit_s:g} s; take a coarser mesh or a smaller push"
     return _complaint(log.read_text(encoding="ascii", errors="replace"), process.returncode)
 
 
@@ -244,10 +244,12 @@ def _pressed(depth_mm: float, mesh: FingerMesh, folder: Path, unreached: str) ->
     moved = [f for f in fields if f.name == "DISP"]
     pressed = [f for f in fields if f.name == "CONTACT"]
     totals = read_totals(folder / f"{_JOB}.dat")
-    force = totals["force", "INDENTER"]
+    force = totals.get(("force", "INDENTER"), np.zeros((0, 4)))
     energies = [rows for (what, _), rows in totals.items() if what == "internal energy"]
     convergence = read_convergence(folder / f"{_JOB}.sta")
     count = min(len(moved), len(pressed), len(force), len(convergence.times), *map(len, energies))
+    if not count:
+        raise SimulateError("CalculiX has not written a whole increment; press with the engine in process")
     nodes = len(mesh.nodes_mm)
     displacement = np.stack([_at_nodes(f.nodes, f.values, nodes) for f in moved[:count]])
     # at the Gauss points, as the engine in process has them

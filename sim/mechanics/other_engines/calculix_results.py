@@ -18,7 +18,7 @@ _KEY = 3  # columns of the key of a line
 _NUMBER = 10  # columns of a node's number
 _VALUE = 12  # columns of a value
 _ITERATIONS: Final = 3  # column of the .sta file
-_TIME: Final = 4  # column of the step time in the .sta file
+_STEP_TIME: Final = 5  # column of the .sta file; the total time stands before it
 _STA_COLUMNS = 7
 _FIELD = re.compile(rb"^ -4  (\S+) +(\d+) +\d+", re.MULTILINE)
 _FRAME = re.compile(rb"^ +100CL\s*\S+ *([-+.\dEe]+)", re.MULTILINE)
@@ -137,5 +137,5 @@ def read_convergence(path: Path) -> Convergence:
     # an attempt that did not converge has a U behind its number
     done = [r for r in rows if len(r) == _STA_COLUMNS and all(cell.isdigit() for cell in r[:4])]
     return Convergence(
-        np.array([int(r[_ITERATIONS]) for r in done], dtype=np.int64), np.array([float(r[_TIME + 1]) for r in done])
+        np.array([int(r[_ITERATIONS]) for r in done], dtype=np.int64), np.array([float(r[_STEP_TIME]) for r in done])
     )

@@ -87,7 +87,7 @@ def deck_lines(
         )
     used = {block.material for block in mesh.blocks}
     found = deck_materials({name: m for name, m in materials.items() if name in used}, dialect)
-    yield from (f"** {line}" for line in (*heading, *found.notes))
+    yield from (f"** {_one_line(text)}" for text in (*heading, *found.notes))
     yield "*HEADING"
     yield f"finger under a rigid indenter, push of {push.depth_mm:g} mm; mm, N, MPa"
     yield from _nodes(mesh.nodes_mm, 1, "FINGER")
@@ -98,6 +98,11 @@ def deck_lines(
     yield from _sections(mesh, dialect)
     yield from _contact(push, dialect)
     yield from _step(push, mesh, dialect)
+
+
+def _one_line(text: str) -> str:
+    """Return a comment as both programs read it: one line of ASCII."""
+    return " ".join(text.split()).encode("ascii", "replace").decode("ascii")
 
 
 def _nodes(places_mm: FloatArray, first: int, name: str) -> Iterator[str]:

@@ -1,5 +1,6 @@
 """The indenter of a deck: the part of its surface that can touch, as quadrilaterals."""
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -41,6 +42,11 @@ class IndenterSurface:
     quads: IntArray
     inward: FloatArray
     chord_error_mm: float
+
+
+def deepest_ball_mm(radius_mm: float) -> float:
+    """Return how deep a ball can be pushed before the gel reaches the rim of its facets."""
+    return radius_mm * (1.0 - math.cos(math.radians(_BALL_REACH_DEG)))
 
 
 def indenter_surface(body: Body, pose: Pose, across_mm: float) -> IndenterSurface:

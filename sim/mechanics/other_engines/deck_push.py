@@ -12,14 +12,13 @@ from sim.mechanics.finger_mesh import STEPS, Preset, finger_mesh
 from sim.mechanics.indenters import rigid_indenter
 from sim.mechanics.mesh import FingerMesh
 from sim.mechanics.other_engines.deck import Push, deck_lines
-from sim.mechanics.other_engines.deck_indenter import indenter_surface
+from sim.mechanics.other_engines.deck_indenter import deepest_ball_mm, indenter_surface
 from sim.mechanics.other_engines.deck_materials import Dialect
 from sim.mechanics.press import finger_materials
 
 CONTACT_MODULI_PER_STEP: Final = 100.0
 """Contact stiffness in shear moduli of the gel per element: the same as that of the engine in process."""
 
-_ACROSS: Final = 1.25  # an endless cylinder is cut off this many diagonals of the pad long
 _STEEPEST_DEG: Final = 30.0  # the facets of a turned indenter look this far round its side
 
 
@@ -47,9 +46,16 @@ def finger_push(design: FingerDesign, preset: Preset, increments: int) -> Push:
             f"deg; a deck holds its underside and takes at most {_STEEPEST_DEG:g} deg. Swap its sizes to turn it by 90 "
             "deg, or press with the engine in process"
         )
-    diagonal_mm = (design.pad.width_mm**2 + design.pad.length_mm**2) ** 0.5
+    if design.indenter.shape == "ball" and depth_mm > deepest_ball_mm(design.indenter.radius_mm):
+        raise SimulateError(
+            f"indenter.depth_mm = {depth_mm:g} mm: a deck holds the underside of a ball and takes at most "
+            f"{deepest_ball_mm(design.indenter.radius_mm):.3g} mm with indenter.radius_mm = "
+            f"{design.indenter.radius_mm:g} mm; press with the engine in process"
+        )
+    # an endless cylinder is cut off beyond the pad, wherever it lies and whichever way it is turned
+    length_mm = 2.0 * (design.pad.width_mm + design.pad.length_mm)
     return Push(
-        indenter=indenter_surface(indenter.body, indenter.touching, _ACROSS * diagonal_mm),
+        indenter=indenter_surface(indenter.body, indenter.touching, length_mm),
         depth_mm=depth_mm,
         increments=increments,
         stiffness_mpa_per_mm=CONTACT_MODULI_PER_STEP * 2.0 * design.mechanics.gel.c10_mpa / STEPS[preset].pad_mm,
