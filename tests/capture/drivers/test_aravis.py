@@ -212,10 +212,11 @@ def test_capture_goes_on_when_a_frozen_camera_comes_back(camera_process: FakeCam
         assert engine.expose(EXPOSURE_S)[1] == 1
         camera_process.process.send_signal(signal.SIGSTOP)
         timer = threading.Timer(1.2, camera_process.process.send_signal, [signal.SIGCONT])
-        timer.start()  # back within the second attempt; a camera just woken may miss one more
+        timer.start()  # back within the first or second attempt; a camera just woken may miss one more
         assert 2 <= engine.expose(EXPOSURE_S)[1] <= 4
         timer.join()
-    assert "did not answer within" in refused[0]
+    # what the first attempt says depends on whether the camera is back when it is asked again
+    assert "did not answer within" in refused[0] or "though the camera answers" in refused[0]
 
 
 @pytest.mark.rigs
