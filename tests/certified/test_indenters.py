@@ -126,9 +126,10 @@ def test_a_text_file_is_read_too(tmp_path):
         (CUBE.triangles, 1e-3, "it looks like a file in metres"),
         (CUBE.triangles, 1e3, "it looks like a file in micrometres"),
         (CUBE.triangles[:0], 1.0, "has no triangles"),
+        (np.vstack([CUBE.triangles[:1], CUBE.triangles[:1, ::-1]]), 1.0, "encloses no volume"),
         (CUBE.triangles, np.nan, "corners that are no numbers"),
     ],
-    ids=["open", "twisted", "metres", "micrometres", "empty", "not a number"],
+    ids=["open", "twisted", "metres", "micrometres", "empty", "flat", "not a number"],
 )
 def test_unusable_files_are_refused(tmp_path, triangles, scale, message):
     (tmp_path / "body.stl").write_bytes(stl_bytes(triangles, scale * CUBE.vertices_mm, "body"))

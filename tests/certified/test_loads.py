@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data_schemas.errors import SimulateError
-from sim.experiments.finger_stiffness import study_finger_stiffness
+from sim.experiments.finger_stiffness import _row, study_finger_stiffness
 from sim.mechanics.force_control import contact_forces_n, frictionless_torque_n_mm, press_to_force, slip_torque_n_mm
 from sim.mechanics.linear_solver import linear_solver
 from sim.mechanics.loads import DeadForce, LoadedFinger
@@ -136,3 +136,10 @@ def test_the_order_of_two_fingers_and_its_table(monkeypatch):
         study_finger_stiffness([stiff, stiff])
     with pytest.raises(SimulateError, match=r"give 0 to 0\.5"):
         study_finger_stiffness([stiff], 0.6)
+
+
+def test_a_dimension_that_the_design_refuses_is_a_row_with_the_reason():
+    design = preset_design("flat-70x35")
+    row = _row(design, "skeleton.rib_thickness_mm", -2.0, -1.2, threads=1)
+    assert row.bending_n_per_mm is None
+    assert "-1.2 mm is outside 0.2 to 20 mm" in row.failure

@@ -7,9 +7,11 @@ from typing import Any
 
 import pytest
 
+from data_schemas.errors import RecordError
 from data_schemas.press_mechanics import PressIncrement, PressMechanics
 from data_schemas.storage import read_record
 from data_schemas.surfaces import FingerSurfaces
+from finray_calib.cli.simulate_mechanics import last_increment, mechanics_paths
 from sim.mechanics.newton import Increment, NewtonOptions, load_increments
 from sim.surface_meshes.intersections import check_no_intersections
 from sim.surface_meshes.stored_shape import restore_shapes
@@ -72,3 +74,14 @@ def test_a_push_that_ends_early_is_kept_and_gone_on_with(tmp_path: Path, monkeyp
     assert whole.force_n[1, 1] > 1.5 * whole.force_n[0, 1]
     last = read_record(tmp_path / "whole.increments" / "002.json", PressIncrement)
     assert last.depth_mm[-1] == pytest.approx(0.6)
+
+
+def test_an_earlier_increment_is_not_resumed_over_later_ones(tmp_path):
+    folder = tmp_path / "d.increments"
+    folder.mkdir()
+    for number in (1, 2, 1000):
+        (folder / f"{number:03d}.json").write_text("{}")
+    assert last_increment(folder).name == "1000.json"
+    with pytest.raises(RecordError, match="later increments stand beside it"):
+        mechanics_paths(tmp_path / "d.press.json", folder / "002.json")
+    assert mechanics_paths(tmp_path / "d.press.json", folder / "1000.json")["increments"] == folder

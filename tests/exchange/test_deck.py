@@ -169,6 +169,22 @@ def with_indenter(**changes):
     return DESIGN.model_copy(update={"indenter": Indenter(**changes)})
 
 
+@pytest.mark.parametrize("turn_deg", [0.0, 90.0])
+@pytest.mark.parametrize("position_mm", [5.0, 65.0])
+def test_an_endless_cylinder_crosses_the_whole_pad(turn_deg, position_mm):
+    push = finger_push(with_indenter(rotation_deg=(0.0, turn_deg, 0.0), position_mm=position_mm), "coarse", 1)
+    nodes, pad = push.indenter.nodes_mm, DESIGN.pad
+    axis, low, high = (2, 0.0, pad.length_mm) if turn_deg else (0, -pad.width_mm / 2.0, pad.width_mm / 2.0)
+    assert nodes[:, axis].min() < low
+    assert nodes[:, axis].max() > high
+
+
+def test_any_name_makes_comments_of_one_line_of_ascii(mesh):
+    push = finger_push(DESIGN, "coarse", 1)
+    lines = list(deck_lines(mesh, finger_materials(DESIGN), push, "calculix", ["gr\u00f6\u00dfer\n*STEP"]))
+    assert lines[0] == "** gr??er *STEP"
+
+
 @pytest.mark.parametrize(
     ("design", "match"),
     [
@@ -177,6 +193,7 @@ def with_indenter(**changes):
             with_indenter(shape="cuboid", size_mm=(20.0, 10.0, 15.0), rotation_deg=(40.0, 0.0, 0.0)),
             "tilts the indenter by 40 deg",
         ),
+        (with_indenter(shape="ball", radius_mm=3.0, depth_mm=2.0), r"takes at most 1\.5 mm"),
         (with_indenter(shape="mesh", file="x.stl"), "a deck holds a cylinder, a ball or a cuboid"),
     ],
 )

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from data_schemas.design import FingerDesign, LightPanel, TactileCamera
+from data_schemas.errors import SimulateError
 from sim.optics.angle_sweep import sweep_light_angle
 from sim.optics.even_points import even_points
 from sim.optics.paint_bands import paint_bands
@@ -117,3 +118,11 @@ def test_a_sweep_follows_a_bent_finger(llvm, paints):
     ratio = (sweep.radiance_rel.mean((1, 2)) / flat.radiance_rel.mean((1, 2)))[:, :2]
     assert (ratio != 1.0).all()
     assert (np.abs(ratio - 1.06) < 0.2).all()
+
+
+@pytest.mark.renderer
+def test_a_panel_that_reaches_into_the_gel_at_a_later_angle_is_refused(llvm, paints):
+    # 4 mm high at y = -1.9: half its height times cos(angle) is 1.0 mm at 60 deg and 2 mm at 0 deg
+    design = FingerDesign(camera=CAMERA, light=LightPanel(position_mm=(0.0, -1.9, -6.0), height_mm=4.0))
+    with pytest.raises(SimulateError, match="gel"):
+        sweep_light_angle(design, paints, llvm, [60.0, 0.0], 1, 1, 10, XZ_MM)

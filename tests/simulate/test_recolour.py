@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 
 from data_schemas.design import FingerDesign, TactileCamera
-from data_schemas.errors import SimulateError
+from data_schemas.errors import CompareError, SimulateError
 from data_schemas.provenance import provenance
 from data_schemas.simulate import SimulatedPress
 from data_schemas.standard_curves import assumed_camera_response
 from data_schemas.storage import read_record, write_record
 from finray_calib.cli import main
+from finray_calib.compare.prepared_images import prepare_images
 from sim.experiments import painted_finger
 from sim.experiments.painted_finger import PaintedFinger
 from sim.experiments.press import light_record, simulate_press
 from sim.experiments.recolour import recoloured
+from sim.experiments.tactile_camera import simulated_capture
 from sim.optics.paint_bands import PaintOptics, camera_matrix, paint_bands
 from sim.optics.render import BAKE_SAMPLES
 
@@ -118,6 +120,16 @@ def test_camera_and_white_balance_are_a_matrix(exciting):
     np.testing.assert_allclose(back.contact, rendered.contact, rtol=1e-5)
     assert back.label == "rendered, level b, test, recoloured"
     assert back.notes == ("camera response: assumed", "shape of the finger: flat")
+
+
+def test_a_balanced_press_is_not_compared_with_raw_channels(exciting):
+    rendered = press(exciting)
+    capture = simulated_capture(rendered, seed=1)
+    balanced = recoloured(rendered, white_balance=(2.0, 1.0, 1.5))
+    assert balanced.notes[-1] == "white balance (red:green:blue): 2:1:1.5"
+    prepare_images(rendered, capture)
+    with pytest.raises(CompareError, match="was given a white balance"):
+        prepare_images(balanced, capture)
 
 
 def test_other_paints_start_from_the_render_and_can_be_changed_back(exciting):
