@@ -19,7 +19,7 @@ from rigs.lights.alpaca import AlpacaPanel, Calibrator, Relay, open_switch
 from rigs.lights.server_light import ServerLight
 from rigs.transports.alpaca_client import AlpacaAddress, AlpacaClient, alpaca_address
 from tests.capture.drivers.alpaca_server import AlpacaServer, scripted
-from tests.capture.drivers.programs import free_port
+from tests.capture.drivers.programs import free_port, wait_until
 from tests.capture.drivers.rig_excerpts import wheel_settings
 
 OPERATOR = TerminalOperator()
@@ -331,11 +331,14 @@ def test_lights_that_are_none_are_refused(server: AlpacaServer) -> None:
 @pytest.mark.rigs
 def test_a_frozen_server_is_late_and_a_killed_one_lost_until_it_is_back(server: AlpacaServer) -> None:
     with open_switch(f"{server.url}/switch/0/0", "laser", OPERATOR) as light:
+        light.switch(True, 5.0)
         with server.frozen():
             with pytest.raises(TimedOutError, match="did not answer in time"):
                 light.state(0.2)
             with pytest.raises(UnsafeError, match="off is not confirmed"):
                 light.switch(False, 0.2)
+        # The server had the unconfirmed request all the same; until it has done it, nothing else can be asked for.
+        wait_until(lambda: not light.state(5.0), "the late switching off", 10.0)
         light.switch(True, 5.0)
         server.kill()
         try:
