@@ -75,11 +75,11 @@ $(VENV)/installed-bench: $(VENV)/installed-dev
 $(OTHERS)/installed:
 	$(PYTHON) -m venv $(OTHERS)
 	$(OTHERS)/bin/python -m pip install --quiet --disable-pip-version-check \
-	  alpaca-simulators==1.3.2 alpyca==3.1.3 pylablib==1.4.5 gmsh==4.15.2
+	  alpaca-simulators==1.3.2 alpyca==3.1.3 pylablib==1.4.5 gmsh==4.15.2 'taxim[jax-cpu]==1.4.1'
 	@touch $@
 
 RIG_PACKAGES := indi-bin aravis-tools-cli libaravis-0.8-0 qemu-system-misc gcc-avr avr-libc ffmpeg ustreamer socat \
-                calculix-ccx chromium
+                calculix-ccx chromium poppler-utils
 rig-programs:
 	@missing=""; for package in $(RIG_PACKAGES); do \
 	   dpkg-query -W -f '$${db:Status-Status}' $$package 2>/dev/null | grep -qx installed || missing="$$missing $$package"; \

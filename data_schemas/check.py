@@ -158,6 +158,9 @@ class CheckResult(Model):
     low: float | None = Field(description="lowest allowed value; None where there is none")
     high: float | None = Field(description="highest allowed value; None where there is none")
     limit: str = Field(description="what is allowed, in words")
+    p_conform: Fraction | None = Field(
+        default=None, description="probability that the quantity keeps its limits (JCGM 106); None without a number"
+    )
     verdict: Verdict
     evidence: str
 

@@ -18,6 +18,72 @@ class Interval(Model):
     high95: float
 
 
+class InputUncertainty(Model):
+    """One line of the uncertainty budget: what this input alone does, all others at their best values.
+
+    Attributes
+    ----------
+    evaluation
+        "A": from repeated observations (posterior draws, repeated images, halves of a render); "B": from other
+        knowledge (a stated uncertainty of the camera, of the pose).
+    skill_u, objective_u_rel
+        Standard uncertainty of the headline skill and of the objective's relative error.
+    """
+
+    input: str
+    evaluation: Literal["A", "B"]
+    source: str
+    skill_u: float
+    objective_u_rel: float | None
+
+
+class MonteCarlo(Model):
+    """How the intervals were propagated (JCGM 101): draws, and to how many digits they are stable."""
+
+    draws: int
+    significant_digits: Annotated[int, Field(ge=0, le=2, description="of the headline's standard uncertainty")]
+    not_included: tuple[str, ...] = Field(description="what the intervals do not know, in plain words")
+
+
+class ValidationCell(Model):
+    """Mean level of one part of the region in one channel, simulated against captured (ASME V&V 20).
+
+    All numbers are relative to the captured level. The simulation is within its validation uncertainty where
+    ``abs(error_rel) <= 2 u_validation_rel``; else the model is wrong by about ``error_rel``. The area metric is the
+    area between the distribution of the simulation (its uncertain inputs) and that of the capture; its two signed parts
+    add up to it.
+    """
+
+    row: Annotated[int, Field(ge=0, le=2)]
+    column: Annotated[int, Field(ge=0, le=2)]
+    channel: Literal["red", "green", "blue"]
+    pixels: int
+    error_rel: float
+    u_numerical_rel: float
+    u_input_rel: float
+    u_data_rel: float
+    u_validation_rel: float
+    within: bool
+    area_too_bright_rel: float
+    area_too_dark_rel: float
+
+
+class ObjectiveError(Model):
+    """Simulated against captured value of the sweep's own objective, per channel, as draws.
+
+    log_ratio_draws: ln(k simulated / captured) of the brightness beside the indenter in red, green, blue, with the
+    exposure factor k of the no-contact images. log_exposure_draws: ln of k per second of exposure and mA of the LED;
+    subtracted from log_ratio it leaves the absolute ratio, of which only differences between captures of one rig mean
+    something. None where exposure or current is not known. Reports on the same paints and camera share their draws, so
+    that the covariance of two reports is that of their draws.
+    """
+
+    error_rel: Interval
+    log_ratio_draws: Annotated[NDArray[np.float64], ArraySpec("<f8", ("draw", "3"))]
+    log_exposure_draws: Annotated[NDArray[np.float64], ArraySpec("<f8", ("draw",))] | None
+    source: str = Field(description="checksums of the paints and name of the camera whose draws are shared")
+
+
 class ErrorRow(Model):
     """One row of the table: a candidate image against the captured contact image in one region."""
 
@@ -26,7 +92,17 @@ class ErrorRow(Model):
     skill_per_channel: tuple[float | None, float | None, float | None] = Field(
         description="None where contact does not change the channel"
     )
-    relative_rms: tuple[float, float, float] | None = Field(description="None where values are not linear light")
+    relative_rms: tuple[Interval, Interval, Interval] | None = Field(
+        description="per channel; None where values are not linear light"
+    )
+    difference_gradient_rms_per_px: Interval | None = Field(
+        default=None, description="of the gradient of (image - its no-contact image), relative to the pad's level"
+    )
+    chromaticity_rms: Interval | None = Field(default=None, description="of R and G over R + G + B; None in noise")
+    ms_ssim: float | None = Field(default=None, description="multi-scale SSIM of the frame; None in small images")
+    ciede2000_mean: float | None = Field(default=None, description="as displayed, mean over the region")
+    ciede2000_p95: float | None = Field(default=None, description="as displayed, 95th percentile over the region")
+    flip_mean: float | None = Field(default=None, description="as displayed, mean over the region; needs extra 'flip'")
     psnr_db: float | None = Field(description="None for identical images")
     ssim: float | None = Field(
         description="mean of the SSIM map over the region; for comparison with papers; None without a complete window"
@@ -41,6 +117,30 @@ class RegionError(Model):
     pixels: int
     clipped_fraction: float
     rows: tuple[ErrorRow, ...]
+
+
+class SensingRow(Model):
+    """One candidate as the sensor itself would see it: normals and depth from its colours against the captured ones."""
+
+    candidate: Literal["do nothing", "simulation", "floor"]
+    normal_angle_mean_deg: Interval
+    normal_angle_p95_deg: Interval
+    depth_rms_mm: Interval
+
+
+class SensingError(Model):
+    """Error in sensing space over the headline region: one map from colour to normals, applied to both sides.
+
+    ``held_out_explained_rel`` is what the map explains of the squared slopes of presses that did not teach it, median
+    and range over random halves. The ``outside_share`` are pixels whose change of colour no calibration press showed.
+    """
+
+    normal_map: str
+    presses: int
+    held_out_explained_rel: Interval
+    outside_share_simulated: float
+    outside_share_captured: float
+    rows: tuple[SensingRow, ...]
 
 
 class PhotometricErrorReport(Record):
@@ -63,11 +163,15 @@ class PhotometricErrorReport(Record):
     exposure_factor: float | None = Field(description="one factor for all channels; None when not fitted")
     exposure_factor_sd: float | None
     channel_weights: tuple[float, float, float]
-    objective_error_rel: Annotated[float, Field(ge=-1e3, le=1e3)] | None = Field(
-        description="simulated minus captured brightness beside the indenter, relative, after the exposure factor"
-    )
-    objective_error_sd_rel: Annotated[float, Field(ge=0.0, le=1e3)] | None
+    objective_error: ObjectiveError | None = Field(description="None where values are not linear light")
     light_angle_deg: float | None
+    light_angle_uncertainty_deg: float | None = None
+    interval_covers: str = Field(description="what the intervals cover, in plain words")
+    monte_carlo: MonteCarlo | None = Field(default=None, description="None where no input has a known uncertainty")
+    budget: tuple[InputUncertainty, ...] = ()
+    validation: tuple[ValidationCell, ...] = ()
+    sensing: SensingError | None = Field(default=None, description="None where no normal map was given")
+    findings: tuple[str, ...] = Field(default=(), description="of the checks of registration, channels and exposure")
     error_map: Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column"), allow_nan=True)]
     withheld: tuple[str, ...] = Field(default=(), description="figures that are not given, and why")
     notes: tuple[str, ...] = ()

@@ -26,22 +26,68 @@ class AngleStatement(Model):
     )
 
 
+class DecidingCapture(Model):
+    """One physical capture: how far the simulated objective is from the captured one at its angle.
+
+    value and sd: the captured objective on the scale of the decision's curve, to be drawn as a point beside it.
+    """
+
+    captured: str
+    light_angle_deg: AngleDeg
+    light_angle_uncertainty_deg: Annotated[float, Field(ge=0.0, le=90.0)]
+    error_rel: float = Field(description="simulated over captured objective, minus one; without the common scale")
+    error_u_rel: float = Field(description="its standard uncertainty, with that of the angle")
+    value: float
+    sd: float
+
+
+class AngleProposal(Model):
+    """The angle at which one more observation is expected to help most (knowledge gradient)."""
+
+    angle_deg: AngleDeg
+    gain_rel: float = Field(description="expected rise of the best expected objective, relative to it")
+    noise_rel: float = Field(description="assumed standard uncertainty of the observation, relative")
+
+
+class OtherObjective(Model):
+    """What the decided angle loses under another objective of the sweep."""
+
+    name: str
+    best_deg: AngleDeg = Field(description="where this objective has its optimum")
+    loss_rel: float = Field(description="at the decided angle, against that optimum: mean")
+    loss_90_rel: tuple[float, float] = Field(description="its 5 % and 95 % quantiles")
+    disagrees: bool | None = Field(description="with 95 % probability beyond the tolerance; None: not to be told")
+    statement: str
+
+
 class LightAngleDecision(Record):
-    """The angle to mount the light at, the probability and the risk, with and without the sim-to-real error."""
+    """The angle to mount the light at, the probability and the risk, with captures and without.
+
+    Without captures (`validated` is False) every pair of fields holds the same: that of the simulation alone.
+    """
 
     objective: str
     angle_deg: AngleDeg
+    angle_simulation_only_deg: AngleDeg
     verdict: Verdict
     sentence: str
     tolerance_rel: Fraction
     validated: bool = Field(description="False: not validated against a capture")
-    discrepancy_rel: float | None
+    discrepancy_rel: float | None = Field(
+        description="sim-to-real error of the objective at an angle without capture, one standard deviation: median"
+    )
+    discrepancy_95_rel: tuple[float, float] | None = Field(default=None, description="its central 95 % interval")
+    captures: tuple[DecidingCapture, ...] = ()
     statement: AngleStatement = Field(description="with the sim-to-real error where there is one")
     statement_simulation_only: AngleStatement
     grid_deg: Annotated[Floats, ArraySpec("<f8", ("angle",), "deg")]
-    mean: Curve
+    mean: Curve = Field(description="of the real finger, as simulation and captures tell together")
     low95: Curve
     high95: Curve
+    mean_simulation_only: Curve
     low95_simulation_only: Curve
     high95_simulation_only: Curve
+    next_render: AngleProposal | None = Field(default=None, description="None where no render would change anything")
+    next_capture: AngleProposal | None = Field(default=None, description="None where no capture would change anything")
+    other_objectives: tuple[OtherObjective, ...] = ()
     notes: tuple[str, ...] = ()

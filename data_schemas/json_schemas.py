@@ -8,6 +8,7 @@ from data_schemas.camera import CameraCharacterisation, CameraPlan, CameraSessio
 from data_schemas.capture import CaptureSession, PaintPlan, TactileCapture
 from data_schemas.check import AcceptanceReport, CheckPlan
 from data_schemas.compare import PhotometricErrorReport
+from data_schemas.comparison_batch import ComparisonBatch
 from data_schemas.decide import LightAngleDecision
 from data_schemas.design import FingerDesign
 from data_schemas.finger_stiffness import FingerStiffness
@@ -20,6 +21,7 @@ from data_schemas.plain_sensor import PlainSensor
 from data_schemas.press_mechanics import PressIncrement, PressMechanics
 from data_schemas.radiometry import BandSignals, PixelSignals
 from data_schemas.rig import RigFile
+from data_schemas.sensing import NormalMapRecord
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
 from data_schemas.surfaces import FingerSurfaces
 from data_schemas.tactile import TactilePlan, TactileRig, TactileSession
@@ -55,7 +57,9 @@ STORED: tuple[type[Record], ...] = (
     FluorescentRendering,
     TwoLights,
     LightAngleIntensity,
+    NormalMapRecord,
     PhotometricErrorReport,
+    ComparisonBatch,
     LightAngleDecision,
     AcceptanceReport,
 )

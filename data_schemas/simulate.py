@@ -10,13 +10,17 @@ from data_schemas.arrays import ArraySpec, check_dimensions
 from data_schemas.curves import SpectralCurve
 from data_schemas.design import FingerDesign
 from data_schemas.model import Model, Record
-from data_schemas.units import AngleDeg
+from data_schemas.units import AngleDeg, Fraction
 
 Image = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "3"))]
 Distance = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column"), "contact half-width", allow_nan=True)]
 Bands = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "band"), "W/m2/sr, relative")]
 Chains = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "chain"), "W/m2/sr, relative")]
 Floats = NDArray[np.float64]
+Layers = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "layer"), "W/m2/sr, relative")]
+PoseLayers = Annotated[
+    NDArray[np.float32], ArraySpec("<f4", ("pose", "row", "column", "layer"), "W/m2/sr/mm, relative")
+]
 OfWalls = Annotated[Floats, ArraySpec("<f8", ("wall", "3"))]
 
 
@@ -37,6 +41,40 @@ class RenderedLight(Model):
     @model_validator(mode="after")
     def _tables_agree(self) -> "RenderedLight":
         check_dimensions(self, {"walls": "wall"})
+        return self
+
+
+class KnownInputs(Model):
+    """What a render's colours and shape depend on and how sure that is; from it follow uncertainties of a comparison.
+
+    Layers are the chains of a press, or its bands where chains do not stand apart. Draw d of an input multiplies the
+    entry (camera channel, layer) of the matrix from layers to RGB by its factor; factors of different inputs multiply.
+    One key is one source of draws: two presses with the same key share its draws, number by number.
+    """
+
+    names: tuple[str, ...] = Field(description="such as 'red paint', 'green paint', 'camera response'")
+    keys: tuple[str, ...] = Field(description="of each input: what its draws rest on, for example a checksum")
+    evaluations: tuple[Literal["A", "B"], ...]
+    sources: tuple[str, ...] = Field(description="where the uncertainty comes from, in plain words")
+    factors: Annotated[NDArray[np.float32], ArraySpec("<f4", ("input", "draw", "3", "layer"))]
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "KnownInputs":
+        check_dimensions(self, {"names": "input", "keys": "input", "evaluations": "input", "sources": "input"})
+        return self
+
+
+class PoseResponse(Model):
+    """How the contact image changes with the indenter's pose: derivatives of its layers by central differences."""
+
+    names: tuple[Literal["depth_mm", "position_mm"], ...]
+    steps_mm: tuple[float, ...] = Field(description="the difference was taken over twice this")
+    derivative: PoseLayers
+    half_difference: PoseLayers = Field(description="half the difference of the derivatives of both halves")
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "PoseResponse":
+        check_dimensions(self, {"names": "pose", "steps_mm": "pose"})
         return self
 
 
@@ -66,6 +104,15 @@ class SimulatedPress(Record):
     no_contact_chains: Chains | None = None
     contact_chains: Chains | None = None
     chains: tuple[str, ...] = ()
+    no_contact_half_difference: Layers | None = Field(
+        default=None, description="half the difference of the two independent halves that the layers are the mean of"
+    )
+    contact_half_difference: Layers | None = None
+    layer_matrix: Annotated[Floats, ArraySpec("<f8", ("3", "layer"))] | None = Field(
+        default=None, description="from layers (chains, or bands without them) to the RGB of the images"
+    )
+    known_inputs: KnownInputs | None = None
+    pose_response: PoseResponse | None = None
     rendered_light: RenderedLight | None = None
     shown_light: RenderedLight | None = None
     camera_matrix: Annotated[Floats, ArraySpec("<f8", ("3", "band"))] | None = None
@@ -77,6 +124,51 @@ class SimulatedPress(Record):
     @model_validator(mode="after")
     def _images_agree(self) -> "SimulatedPress":
         check_dimensions(self, {"bands": "band", "chains": "chain"})
+        return self
+
+
+class AngleObjective(Model):
+    """A further objective over the light angle; as many repeats as it was measured with."""
+
+    name: str
+    meaning: str
+    unit: str
+    larger_is_better: bool
+    values: Annotated[Floats, ArraySpec("<f8", ("angle", "repeat"))]
+
+    @model_validator(mode="after")
+    def _positive(self) -> "AngleObjective":
+        if not (self.values > 0.0).all():
+            raise ValueError(f"{self.name}: values must be positive, the least is {self.values.min():g} {self.unit}")
+        return self
+
+    @property
+    def utility(self) -> Floats:
+        """What is largest at the best angle: the values, or their inverse where smaller is better."""
+        return self.values if self.larger_is_better else np.asarray(1.0 / self.values)
+
+
+class AngleConstraints(Model):
+    """What an angle must meet besides being good: no clipped pixels, and room for the panel."""
+
+    clipped_share: Annotated[Floats, ArraySpec("<f8", ("angle",), "1")] = Field(
+        description="of the pixels of the pressed coat with a channel at full scale, at that angle's exposure"
+    )
+    clipped_limit_share: Fraction
+    exposure_rel: Annotated[Floats, ArraySpec("<f8", ("angle",), "1")] = Field(
+        description="exposure time, relative to the shortest of the sweep, that brings the coat to its level"
+    )
+    in_the_way: tuple[str, ...] = Field(description="per angle, what the panel passes through; empty: it fits")
+
+    @property
+    def allowed(self) -> NDArray[np.bool_]:
+        """Which angles meet all constraints, (angle,)."""
+        fits = np.array([not name for name in self.in_the_way], dtype=np.bool_)
+        return np.asarray(fits & (self.clipped_share < self.clipped_limit_share))
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "AngleConstraints":
+        check_dimensions(self, {"in_the_way": "angle"})
         return self
 
 
@@ -92,14 +184,26 @@ class LightAngleSweep(Record):
     label: str
     angles_deg: Annotated[Floats, ArraySpec("<f8", ("angle",), "deg")]
     values: Annotated[Floats, ArraySpec("<f8", ("angle", "repeat"))]
+    channels: Annotated[Floats, ArraySpec("<f8", ("angle", "repeat", "3"))] | None = Field(
+        default=None,
+        description="red, green and blue of the objective, whose mean is values; None in sweeps of older versions",
+    )
     basis: Annotated[Floats, ArraySpec("<f8", ("angle", "repeat", "probe", "band"))]
     bands: tuple[str, ...]
     probe_points_mm: Annotated[Floats, ArraySpec("<f8", ("probe", "3"), "mm")]
+    other_objectives: tuple[AngleObjective, ...] = ()
+    constraints: AngleConstraints | None = None
     design: FingerDesign
     paints: dict[str, str]
     notes: tuple[str, ...] = ()
 
     @model_validator(mode="after")
     def _lengths_agree(self) -> "LightAngleSweep":
-        check_dimensions(self, {"bands": "band"})
+        lists = {} if self.constraints is None else {"constraints.clipped_share": "angle"}
+        check_dimensions(self, {"bands": "band", **lists})
+        for objective in self.other_objectives:
+            if len(objective.values) != len(self.angles_deg):
+                raise ValueError(
+                    f"{objective.name} has {len(objective.values)} angles, the sweep has {len(self.angles_deg)}"
+                )
         return self

@@ -1,4 +1,4 @@
-r"""The decision rule: simple acceptance of JCGM 106:2012 with a guard band on both sides of every limit.
+r"""The decision rule of a check: guard bands on both sides of every limit (:mod:`finray_calib.acceptance.conformity`).
 
 A value y with standard uncertainty u passes an upper limit T when
 
@@ -8,13 +8,23 @@ and fails it when ``y - k u > T``; between the two it is undecided. With a norma
 limit passes, and fails, in 5 % of all checks each; one beyond it passes more rarely.
 """
 
+import math
 from typing import Final
 
 from data_schemas.check import CheckResult, Section, Verdict
+from finray_calib.acceptance.conformity import (
+    COVERAGE_FACTOR,
+    ISO_14253_1_FACTOR,
+    ToleranceInterval,
+    Zone,
+    conformance_probability,
+    zone,
+)
 
-GUARD_FACTOR: Final = 1.645
+GUARD_FACTOR: Final = ISO_14253_1_FACTOR * COVERAGE_FACTOR
 """Of the standard uncertainty: 95 % of a normal distribution lie on one side."""
 _WORST_FIRST: Final[tuple[Verdict, ...]] = ("FAIL", "ERROR", "UNDECIDED", "PASS")
+_VERDICTS: Final[dict[Zone, Verdict]] = {"accept": "PASS", "not decided": "UNDECIDED", "reject": "FAIL"}
 
 
 def verdict_of(value: float, sd: float, low: float | None, high: float | None) -> Verdict:
@@ -27,12 +37,9 @@ def verdict_of(value: float, sd: float, low: float | None, high: float | None) -
     low, high
         Lowest and highest allowed value; None where there is none.
     """
-    guard = GUARD_FACTOR * sd
-    if (low is not None and value + guard < low) or (high is not None and value - guard > high):
-        return "FAIL"
-    if (low is None or value - guard >= low) and (high is None or value + guard <= high):
+    if low is None and high is None:
         return "PASS"
-    return "UNDECIDED"
+    return _VERDICTS[zone(value, sd, ToleranceInterval(low, high))]
 
 
 def overall(results: tuple[CheckResult, ...]) -> Verdict:
@@ -64,9 +71,17 @@ def measured(
         low=low,
         high=high,
         limit=limit_text(low, high, unit),
+        p_conform=_p_conform(value, sd, low, high),
         verdict=verdict_of(value, sd, low, high),
         evidence=evidence,
     )
+
+
+def _p_conform(value: float, sd: float, low: float | None, high: float | None) -> float | None:
+    """Return the probability that the quantity keeps its limits; None where its uncertainty is unbounded."""
+    if low is None and high is None:
+        return 1.0
+    return conformance_probability(value, sd, ToleranceInterval(low, high)) if math.isfinite(sd) else None
 
 
 def unmeasured(section: Section, name: str, what: str, verdict: Verdict, evidence: str, limit: str = "") -> CheckResult:

@@ -3,13 +3,24 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli.options import add_out, add_seed, command_line, input_digests, naming, require_new, say
+from finray_calib.cli.options import (
+    add_out,
+    add_seed,
+    command_line,
+    input_digests,
+    naming,
+    new_page_beside,
+    require_new,
+    say,
+)
 
 HELP = "decide on the light angle from a sweep"
 DESCRIPTION = """\
 Decide on the angle of the blue light from a sweep: the angle, the probability that it is within 5 degrees of
-the best, the expected loss with its 95 % bound, and the range of angles that are as good. A photometric error
-report from a real capture widens the decision; without one it says that it is not validated."""
+the best, the expected loss with its 95 % bound, and the range of angles that are as good. Photometric error
+reports, one for each physical capture, correct the simulated curve near their angles and say how sure it is
+elsewhere; the decision is shown with and without them, and without any it says that it is not validated. The
+next render and the next capture that would help most are named."""
 
 
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -20,7 +31,7 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     parser.add_argument("sweep", type=Path, metavar="SWEEP", help="record written by 'finray simulate --angles'")
     parser.add_argument(
         "--photometric-error", type=Path, action="append", default=[], metavar="REPORT", dest="reports",
-        help="record written by 'finray compare'; may be given several times",
+        help="record written by 'finray compare', once for each capture; best at several light angles",
     )  # fmt: skip
     add_out(parser, "light-angle-decision.json")
     add_seed(parser)
@@ -35,8 +46,10 @@ def run(arguments: argparse.Namespace) -> None:
     from data_schemas.simulate import LightAngleSweep
     from data_schemas.storage import read_record, write_record
     from finray_calib.decide.decision_record import decide
+    from finray_calib.reports.decision_page import write_decision_page
 
     out = require_new(arguments.out or Path("light-angle-decision.json"))
+    page = new_page_beside(out)
     paths = [arguments.sweep, *arguments.reports]
     sweep = read_record(arguments.sweep, LightAngleSweep)
     reports = [read_record(path, PhotometricErrorReport) for path in arguments.reports]
@@ -44,5 +57,7 @@ def run(arguments: argparse.Namespace) -> None:
         decision = decide(sweep, reports, arguments.seed)
     inputs = input_digests(paths)
     write_record(decision, out, provenance(command_line(), inputs, arguments.seed))
+    write_decision_page(decision, sweep, page, command_line(), inputs)
     say(f"{out}: {decision.verdict.upper()}")
     say(f"  {decision.sentence}")
+    say(f"{page}: written, for whoever mounts the light")

@@ -3,12 +3,14 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli import export_deck
+from finray_calib.cli import export_capture_request, export_deck, export_taxim
 from finray_calib.cli.options import add_out, add_seed, command_line, file_name, input_digests, require_new, say
 
-HELP = "write a fitted paint or a finger's press for other programs (CSV, netCDF, Mitsuba, Abaqus, CalculiX ...)"
+HELP = "write a paint, a press or a sensor for other programs (CSV, netCDF, Mitsuba, CalculiX, Taxim), or a request"
 USAGE = """finray export [-h] PAINT --format FORMAT [options]
-       finray export [-h] deck DESIGN --dialect {abaqus,calculix} [--preset NAME] [--increments N] [--out FILE.inp]"""
+       finray export [-h] deck DESIGN --dialect {abaqus,calculix} [--preset NAME] [--increments N] [--out FILE.inp]
+       finray export [-h] taxim SENSOR [--paint COLOUR=FILE] [--presses N] [--ball-diameter-mm D] [--samples N]
+       finray export [-h] capture-request DESIGN [--out FILE.md]"""
 DESCRIPTION = """\
 Write a paint fitted by 'finray fit' in the format of another program, or the press of a finger design (TOML) as an
 input deck of a finite-element program.
@@ -24,7 +26,11 @@ input deck of a finite-element program.
 Formats that hold no uncertainty say so in their header.
 
 Decks (mm, N, MPa) hold mesh, materials, contact and push, and say in their header what is assumed. What CalculiX makes
-of one, 'finray simulate DESIGN --only mechanics --engine calculix' reads back."""
+of one, 'finray simulate DESIGN --only mechanics --engine calculix' reads back.
+
+Taxim: ball presses all over a classic sensor (TOML), or with --paint a finger, are rendered, and the folder written
+from which Taxim's programs render. It holds slope and place only: what it explains of unseen presses is told.
+A capture request tells a lab which captures of a finger to take: a page, and plans for 'finray capture'."""
 # Named here as well because the parser is built before anything heavy is imported; a test compares the two lists.
 SUFFIXES = {
     "csv": ".csv",
@@ -36,6 +42,9 @@ SUFFIXES = {
     "exr": ".exr",
 }
 
+# What else than a paint is exported, by its first word; all of it shares the paint's parser.
+OTHERS = {"deck": export_deck.run, "taxim": export_taxim.run, "capture-request": export_capture_request.run}
+
 
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
@@ -43,10 +52,15 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         "export", help=HELP, usage=USAGE, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "paint", type=Path, nargs="+", metavar="PAINT", help="record written by 'finray fit'; or 'deck' and a design"
+        "paint",
+        type=Path,
+        nargs="+",
+        metavar="PAINT",
+        help="record written by 'finray fit'; or 'deck', 'taxim' or 'capture-request' and a design",
     )
     parser.add_argument("--format", choices=list(SUFFIXES), help="of a paint, see above")
     export_deck.add_options(parser)
+    export_taxim.add_options(parser)
     parser.add_argument(
         "--led",
         type=Path,
@@ -61,7 +75,7 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         metavar="CSV",
         help="camera of rgb-reradiation (wavelength_nm,red_percent,green_percent,blue_percent; default: assumed)",
     )
-    add_out(parser, "PAINT with the suffix of the format, or DESIGN.inp")
+    add_out(parser, "PAINT with the suffix of the format, DESIGN.inp, SENSOR.taxim or DESIGN.request.md")
     add_seed(parser)
     parser.set_defaults(run=run)
 
@@ -78,8 +92,9 @@ def run(arguments: argparse.Namespace) -> None:
     from finray_calib.exchange.led_camera_matrix import assumed_led
     from finray_calib.exchange.paint_formats import PAINT_FORMATS, ExportOptions
 
-    if arguments.paint[0] == Path("deck"):
-        export_deck.run(arguments)
+    other = OTHERS.get(str(arguments.paint[0]))
+    if other is not None:
+        other(arguments)
         return
     file = _one_paint(arguments)
     curves = [*(arguments.led or []), *([arguments.camera_response] if arguments.camera_response else [])]
@@ -106,6 +121,7 @@ def _one_paint(arguments: argparse.Namespace) -> Path:
     from data_schemas.errors import RecordError
 
     export_deck.refuse_options(arguments)
+    export_taxim.refuse_options(arguments)
     if arguments.format is None:
         raise RecordError(
             f"--format is missing; give one of {', '.join(SUFFIXES)}. For the deck of a finger: finray export deck "

@@ -4,14 +4,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli import import_abaqus, import_bands
+from finray_calib.cli import import_abaqus, import_ball_presses, import_bands
 from finray_calib.cli.options import add_out, command_line, require_new, say
 
 if TYPE_CHECKING:
     from data_schemas.capture import TactileCapture
     from data_schemas.simulate import SimulatedPress
 
-HELP = "import what other labs and programs captured or computed (9DTact, Raspberry Pi, band images, Abaqus)"
+HELP = "import what other labs and programs captured or computed (9DTact, Taxim, gs_sdk, Raspberry Pi, Abaqus)"
 NINE_DTACT = """\
 Import a sensor folder of 9DTact as a tactile capture. With --predict-from, also write a simple prediction of
 the press: the darkening-to-depth table of the other sensor applied to this one, labelled "table, not
@@ -39,6 +39,7 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     pi.add_argument("--flatten-shading", action="store_true", help="flatten the lens shading by the tuning (raw)")
     pi.add_argument("--bayer-order", choices=["RGGB", "BGGR", "GRBG", "GBRG"], help="of 16-bit TIFFs")
     pi.add_argument("--bit-depth", type=int, choices=[8, 10, 12, 14, 16], help="of 16-bit TIFFs")
+    import_ball_presses.add_parser(formats)
     import_bands.add_parser(formats)
     import_abaqus.add_parser(formats)
 

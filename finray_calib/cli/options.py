@@ -43,10 +43,12 @@ def _whole_number(text: str) -> int:
     return seed
 
 
-def add_paint(parser: argparse.ArgumentParser, what: str = "paint calibration of a wall") -> None:
+def add_paint(
+    parser: argparse._ActionsContainer, what: str = "paint calibration of a wall", dest: str = "paint"
+) -> None:
     """Add ``--paint``, given once for each wall; read it with :func:`paint_files`."""
     parser.add_argument(
-        "--paint", action="append", default=[], type=_paint_file, metavar="COLOUR=FILE",
+        "--paint", dest=dest, action="append", default=[], type=_paint_file, metavar="COLOUR=FILE",
         help=f"{what}: --paint red=FILE --paint green=FILE",
     )  # fmt: skip
 
@@ -59,10 +61,11 @@ def _paint_file(text: str) -> tuple[str, Path]:
     return colour, Path(file)
 
 
-def paint_files(arguments: argparse.Namespace, without: str = "") -> dict[str, Path]:
+def paint_files(arguments: argparse.Namespace, without: str = "", dest: str = "paint") -> dict[str, Path]:
     """Return colour -> file of ``--paint``: both colours, or none where `without` says what stands in then."""
-    files = dict(arguments.paint)
-    if len(files) < len(arguments.paint):
+    given: list[tuple[str, Path]] = getattr(arguments, dest)
+    files = dict(given)
+    if len(files) < len(given):
         raise SimulateError("--paint: a colour is given twice; give one file for red and one for green")
     if len(files) == 1 and without:
         raise SimulateError(f"--paint: give both red=FILE and green=FILE, or neither for {without}")
@@ -108,6 +111,13 @@ def require_new(path: Path) -> Path:
     if path.exists():
         raise RecordError(f"{path}: exists already and is not overwritten; choose another --out or move it away")
     return require_place(path)
+
+
+def new_page_beside(record: Path) -> Path:
+    """Return the name of the page beside a record, FILE.html for FILE.json, if nothing is there yet."""
+    if record.suffix == ".html":
+        raise RecordError(f"{record}: is to be a record; choose an --out that ends in .json, the page goes beside it")
+    return require_new(record.with_suffix(".html"))
 
 
 def require_place(path: Path) -> Path:

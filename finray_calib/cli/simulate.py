@@ -65,6 +65,11 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         "auto (default: penalty where it can)",
     )  # fmt: skip
     parser.add_argument("--angles", type=_angles, metavar="FIRST:LAST:STEP", help="light angles in deg, e.g. 0:120:10")
+    parser.add_argument(
+        "--objectives", choices=["intensity", "all"], default="intensity",
+        help="with --angles: only the brightness beside the indenter (default), or also how well surface normals are "
+        "told (Fisher information, held-out error), evenness, clipping and room for the panel (about a minute more)",
+    )  # fmt: skip
     parser.add_argument("--surfaces", type=Path, metavar="FILE", help="the finger without and with contact, as meshes")
     parser.add_argument(
         "--level", choices=["a", "a_inverse_square", "b", "c"], default="b", help="how the walls emit (default: b)"
@@ -77,6 +82,11 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     parser.add_argument(
         "--denoise", action="store_true", help="with --only optics: also denoised pictures, for the eye only"
     )
+    parser.add_argument(
+        "--pose-response", action="store_true",
+        help="also render how the contact image changes with the indenter's depth and position, so that 'finray "
+        "compare' can carry the pose's uncertainty (three times the time)",
+    )  # fmt: skip
     add_out(parser, "DESIGN.press.json or DESIGN.sweep.json")
     add_seed(parser)
     parser.set_defaults(run=run)
@@ -96,10 +106,12 @@ def _require_mechanics_only(arguments: argparse.Namespace) -> None:
     optical: dict[str, object] = {
         "paint": [],
         "angles": None,
+        "objectives": "intensity",
         "surfaces": None,
         "level": "b",
         "samples": None,
         "denoise": False,
+        "pose_response": False,
     }
     for name, default in optical.items():
         if getattr(arguments, name) != default:
@@ -184,10 +196,16 @@ def run(arguments: argparse.Namespace) -> None:
             f"--level {arguments.level}: sweeps are made with level b (the paper's emitters of level a know no light "
             "angle, level c is too noisy); leave out --level, or --angles"
         )
+    if arguments.objectives != "intensity" and arguments.angles is None:
+        raise SimulateError("--objectives are those of a sweep; add --angles FIRST:LAST:STEP, or leave it out")
     if arguments.denoise and arguments.only != "optics":
         raise SimulateError("--denoise makes pictures, which --only optics writes; add --only optics or leave it out")
     if arguments.only == "optics" and arguments.angles is not None:
         raise SimulateError("--angles writes no images; leave out --only optics, or --angles")
+    if arguments.pose_response and (arguments.angles is not None or arguments.surfaces is not None):
+        raise SimulateError(
+            "--pose-response belongs to one press by the analytic contact; leave it out, or --angles and --surfaces"
+        )
     calibrations = {colour: read_record(path, PaintCalibration) for colour, path in files.items()}
     digests = {colour: sha256_of(path) for colour, path in files.items()}
     meshes = [] if arguments.surfaces is None else [arguments.surfaces]
@@ -203,17 +221,20 @@ def run(arguments: argparse.Namespace) -> None:
         if arguments.only == "optics":
             simulate_optics(
                 finger, arguments.level, arguments.seed, arguments.samples, digests, out, origin, progress,
-                arguments.denoise, shapes,
+                arguments.denoise, shapes, calibrations, arguments.pose_response,
             )  # fmt: skip
         elif arguments.angles is None:
             samples = arguments.samples or DEFAULT_SAMPLES
-            press = simulate_press(finger, arguments.level, arguments.seed, samples, digests, progress, shapes)
+            press = simulate_press(
+                finger, arguments.level, arguments.seed, samples, digests, progress, shapes, calibrations,
+                arguments.pose_response,
+            )  # fmt: skip
             write_record(press, out, origin)
             say(f"{out}: {press.label}")
         else:
             sweep = light_angle_sweep(
                 finger, calibrations, arguments.angles, 6, arguments.samples or 4000, arguments.seed, digests, progress,
-                shapes and shapes[1],
+                shapes and shapes[1], arguments.objectives == "all", shapes and shapes[0],
             )  # fmt: skip
             write_record(sweep, out, origin)
             say(f"{out}: {len(sweep.angles_deg)} angles, {sweep.label}")

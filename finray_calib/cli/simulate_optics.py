@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from data_schemas.fit import PaintCalibration
     from data_schemas.provenance import Provenance
     from data_schemas.simulate import SimulatedPress
     from sim.experiments.painted_finger import PaintedFinger
@@ -36,12 +37,15 @@ def simulate_optics(
     progress: Progress,
     denoise: bool,
     shapes: "tuple[FingerShape, FingerShape] | None",
+    calibrations: "Mapping[str, PaintCalibration]",
+    with_pose_response: bool,
 ) -> None:
     """Render a press and write its record, its capture and the folder of its images."""
     from data_schemas.storage import write_record
     from finray_calib.exchange.render_files import require_exr, write_optics_folder
     from finray_calib.reports.denoised import require_denoiser
     from sim.experiments.optics_products import optics_products
+    from sim.experiments.pose_response import pose_response
     from sim.experiments.press import press_record
     from sim.optics.render import render_press
 
@@ -53,7 +57,10 @@ def simulate_optics(
     render = render_press(
         finger.design, finger.paints, finger.renderer, level, seed, samples, progress, shapes, finger.calibration
     )
-    press = press_record(finger, render, paint_sha256)
+    pose = None
+    if with_pose_response:
+        pose = pose_response(finger, level, seed, samples, None, render.chains, progress=progress)
+    press = press_record(finger, render, paint_sha256, calibrations, pose)
     products = optics_products(render, press, seed)
     press = press.model_copy(update={"notes": (*press.notes, str(products.colours))})
     write_optics_folder(folder, products, _views(press, samples, denoise), origin)

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 from finray_calib.cli.options import add_out, add_seed, command_line, input_digests, require_new, say
 from finray_calib.cli.study_illumination import add_illumination_studies
+from finray_calib.cli.study_normal_map import add_normal_map_study
 from finray_calib.cli.study_stiffness import add_stiffness_study
 
 if TYPE_CHECKING:
     from data_schemas.paper_paints import PaperStatement
 
-HELP = "run a ready-made study of the paper: paints, fluorescent rendering, two lights, light angle, stiffness"
+HELP = "run a ready-made study of the paper: paints, fluorescent rendering, two lights, light angle, stiffness, normals"
 WIDTH = 110
 PAPER_PAINTS_HELP = "the paper's statements on its red and green paint beside measured stand-ins"
 PAPER_PAINTS_DESCRIPTION = """\
@@ -53,6 +54,7 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     paints.set_defaults(run=run_paper_paints)
     add_illumination_studies(studies)
     add_stiffness_study(studies)
+    add_normal_map_study(studies)
 
 
 def run_paper_paints(arguments: argparse.Namespace) -> None:

@@ -1,37 +1,34 @@
-"""Average images over square blocks, so that the noise of a path-traced render does not pass for its error."""
+"""Average images over square blocks: fewer, quieter numbers where single pixels hold more noise than signal."""
+
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-# Render noise of a block beside the contact's own level; the changes that a press makes are some ten times larger.
-LARGEST_NOISE_REL = 0.03
-LARGEST_BLOCK_PX = 8
+Image = TypeVar("Image", NDArray[np.float64], NDArray[np.float32])
+# blocks this much smaller than the contact's half-width still follow its shape
+_BLOCKS_PER_HALF_WIDTH = 4.0
 
 
-def block_side_px(level: Floats, variance: Floats | None, where: NDArray[np.bool_]) -> int:
-    """Return the smallest block (1, 2, 4 or 8 px) over which the render's noise falls below 3 % of its level.
+def largest_block_px(distance: Floats) -> int:
+    """Return the largest block (1, 2, 4 ... px) that still resolves the contact: a quarter of its half-width.
 
     Parameters
     ----------
-    level
-        (H, W, 3) render.
-    variance
-        (H, W, 3) variance of each pixel from render noise, independent between pixels; 1 px when None.
-    where
-        (H, W) pixels that are compared.
+    distance
+        (H, W) distance from the contact's centre in half-widths, NaN off the pad.
     """
-    if variance is None or not where.any():
+    slopes = [np.diff(distance, axis=axis)[: distance.shape[0] - 1, : distance.shape[1] - 1] for axis in (0, 1)]
+    steepness = np.hypot(*slopes)[distance[:-1, :-1] <= 2.0]
+    steepness = steepness[np.isfinite(steepness)]
+    if not steepness.size or not np.median(steepness) > 0.0:
         return 1
-    per_channel = np.sqrt(variance[where].mean(axis=0)) / level[where].mean(axis=0)
-    noise_rel = float(per_channel.max())
-    side = 1
-    while side < LARGEST_BLOCK_PX and noise_rel / side > LARGEST_NOISE_REL:
-        side *= 2
-    return side
+    half_width_px = 1.0 / float(np.median(steepness))
+    return int(2 ** max(0.0, np.floor(np.log2(half_width_px / _BLOCKS_PER_HALF_WIDTH))))
 
 
-def block_mean(image: Floats, side_px: int) -> Floats:
+def block_mean(image: Image, side_px: int) -> Image:
     """Return the mean over blocks of `side_px` pixels; incomplete blocks at the far edges are cut off.
 
     A block with a NaN pixel is NaN.

@@ -3,20 +3,43 @@
 For displayed images only. A photometric error belongs in linear light, see `relative_rms` and `skill`.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import CompareError
+from finray_calib.compare.colour_kernels import (
+    difference_of_terms,
+    hue_difference_and_mean,
+    lab_of_ratios,
+    stretched_red_green,
+    white_ratios,
+)
+from finray_calib.compare.regions import usable_pixels
+
+Floats = NDArray[np.float64]
 
 #: IEC 61966-2-1, rounded as in the standard.
 _SRGB_TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
 #: D65 of the 2 degree observer from its chromaticity (0.3127, 0.3290).
 _WHITE_XYZ = np.array([0.3127 / 0.3290, 1.0, (1 - 0.3127 - 0.3290) / 0.3290])
-#: Rows worked at once: some thirty temporaries of this height stay in the processor's cache.
-_BAND_ROWS = 16
+_TO_RATIO = _SRGB_TO_XYZ / _WHITE_XYZ[:, None]
+#: Pixels worked at once, one plane for each quantity: some twenty of them stay in the processor's cache.
+_CHUNK_PX = 8192
 
 
-def srgb_to_lab(srgb: NDArray[np.float64]) -> NDArray[np.float64]:
+@dataclass(frozen=True, slots=True)
+class ColourDifference:
+    """Hold the CIEDE2000 difference over a region: mean and 95th percentile of its `pixels`."""
+
+    mean: float
+    p95: float
+    pixels: int
+
+
+def srgb_to_lab(srgb: Floats) -> Floats:
     """Convert sRGB to CIE L*a*b* under D65 for the 2 degree observer.
 
     The sRGB curve is inverted, the linear light goes through the matrix of IEC 61966-2-1 to XYZ, then
@@ -42,20 +65,16 @@ def srgb_to_lab(srgb: NDArray[np.float64]) -> NDArray[np.float64]:
     ----------
     IEC 61966-2-1:1999; CIE 15:2018.
     """
-    encoded = np.asarray(srgb, dtype=np.float64)
-    if encoded.shape[-1:] != (3,) or not ((encoded >= 0) & (encoded <= 1)).all():
-        raise CompareError(
-            f"sRGB values must be 0..1 in three channels on the last axis, got shape {encoded.shape}. Divide 8-bit "
-            "values by 255."
-        )
-    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-    ratio = linear @ (_SRGB_TO_XYZ / _WHITE_XYZ[:, None]).T
-    f = np.where(ratio > 216 / 24389, np.cbrt(ratio), ratio * (24389 / 27 / 116) + 16 / 116)
-    x, y, z = f[..., 0], f[..., 1], f[..., 2]
-    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
+    encoded = _checked_srgb(srgb)
+    lab = np.empty(encoded.shape)
+    flat, result = encoded.reshape(-1, 3), lab.reshape(-1, 3)
+    for start in range(0, len(flat), _CHUNK_PX):
+        chunk = slice(start, start + _CHUNK_PX)
+        result[chunk] = np.transpose(_lab_planes(_planes(flat[chunk])))
+    return lab
 
 
-def ciede2000(first_lab: NDArray[np.float64], second_lab: NDArray[np.float64]) -> NDArray[np.float64]:
+def ciede2000(first_lab: Floats, second_lab: Floats) -> Floats:
     """Return the CIEDE2000 colour difference, parametric factors all 1.
 
     dE = sqrt((dL'/S_L)^2 + (dC'/S_C)^2 + (dH'/S_H)^2 + R_T (dC'/S_C)(dH'/S_H)). Meant for small differences;
@@ -64,7 +83,7 @@ def ciede2000(first_lab: NDArray[np.float64], second_lab: NDArray[np.float64]) -
     Parameters
     ----------
     first_lab, second_lab : ndarray, shape (..., 3)
-        CIE L*, a*, b*.
+        CIE L*, a*, b*; two shapes that broadcast.
 
     Returns
     -------
@@ -74,32 +93,13 @@ def ciede2000(first_lab: NDArray[np.float64], second_lab: NDArray[np.float64]) -
     ----------
     G. Sharma, W. Wu, E. N. Dalal, Color Research and Application 30 (2005) 21.
     """
-    l1, a1, b1 = np.moveaxis(np.asarray(first_lab, dtype=np.float64), -1, 0)
-    l2, a2, b2 = np.moveaxis(np.asarray(second_lab, dtype=np.float64), -1, 0)
-    stretch = 1.5 - 0.5 * _chroma_ratio((np.hypot(a1, b1) + np.hypot(a2, b2)) / 2)
-    c1, h1 = _chroma_and_hue(a1 * stretch, b1)
-    c2, h2 = _chroma_and_hue(a2 * stretch, b2)
-    hue_difference, hue_mean = _hue_difference_and_mean(h1, h2, grey=c1 * c2 == 0)
-    chroma_mean = (c1 + c2) / 2
-    lightness_term = ((l1 + l2) / 2 - 50) ** 2
-    t = (
-        1
-        - 0.17 * np.cos(hue_mean - np.deg2rad(30))
-        + 0.24 * np.cos(2 * hue_mean)
-        + 0.32 * np.cos(3 * hue_mean + np.deg2rad(6))
-        - 0.20 * np.cos(4 * hue_mean - np.deg2rad(63))
+    first, second = np.broadcast_arrays(
+        np.asarray(first_lab, dtype=np.float64), np.asarray(second_lab, dtype=np.float64)
     )
-    lightness = (l2 - l1) / (1 + 0.015 * lightness_term / np.sqrt(20 + lightness_term))
-    chroma = (c2 - c1) / (1 + 0.045 * chroma_mean)
-    hue = 2 * np.sqrt(c1 * c2) * np.sin(hue_difference / 2) / (1 + 0.015 * chroma_mean * t)
-    rotation_deg = 30 * np.exp(-(((np.rad2deg(hue_mean) - 275) / 25) ** 2))
-    rotation = -2 * _chroma_ratio(chroma_mean) * np.sin(np.deg2rad(2 * rotation_deg))
-    square = lightness**2 + chroma**2 + hue**2 + rotation * chroma * hue
-    # The form is positive definite but can round below zero for equal colours.
-    return np.asarray(np.sqrt(np.maximum(square, 0)))
+    return _in_chunks(_difference, first.reshape(-1, 3), second.reshape(-1, 3)).reshape(first.shape[:-1])
 
 
-def colour_difference_map(first_srgb: NDArray[np.float64], second_srgb: NDArray[np.float64]) -> NDArray[np.float64]:
+def colour_difference_map(first_srgb: Floats, second_srgb: Floats) -> Floats:
     """Return the CIEDE2000 difference of two displayed images, pixel by pixel.
 
     Parameters
@@ -120,31 +120,81 @@ def colour_difference_map(first_srgb: NDArray[np.float64], second_srgb: NDArray[
         raise CompareError(
             f"Displayed images must have one shape, got {first_srgb.shape} and {second_srgb.shape}. Crop them first."
         )
-    difference = np.empty(first_srgb.shape[:2])
-    for start in range(0, len(difference), _BAND_ROWS):
-        rows = slice(start, start + _BAND_ROWS)
-        difference[rows] = ciede2000(srgb_to_lab(first_srgb[rows]), srgb_to_lab(second_srgb[rows]))
-    return difference
+    first, second = _checked_srgb(first_srgb), _checked_srgb(second_srgb)
+    return _in_chunks(_srgb_difference, first.reshape(-1, 3), second.reshape(-1, 3)).reshape(first.shape[:-1])
 
 
-def _chroma_ratio(chroma: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return sqrt(C^7 / (C^7 + 25^7))."""
-    seventh = chroma**7
-    return np.asarray(np.sqrt(seventh / (seventh + 25.0**7)))
+def colour_difference_within(first_srgb: Floats, second_srgb: Floats, mask: NDArray[np.bool_]) -> ColourDifference:
+    """Return mean and 95th percentile of the CIEDE2000 difference of two displayed images over a region.
+
+    Parameters
+    ----------
+    first_srgb, second_srgb : ndarray, shape (H, W, 3)
+        Encoded sRGB, 0..1, see `displayed_image`; pixels that are not finite in both are left out.
+    mask : ndarray of bool, shape (H, W)
+
+    Returns
+    -------
+    ColourDifference
+
+    Raises
+    ------
+    CompareError
+        If shapes differ, no pixel is usable, or values lie outside 0..1.
+    """
+    used = usable_pixels(mask, first_srgb, second_srgb)
+    first, second = _checked_srgb(first_srgb[used]), _checked_srgb(second_srgb[used])
+    difference = _in_chunks(_srgb_difference, first, second)
+    return ColourDifference(float(difference.mean()), float(np.quantile(difference, 0.95)), difference.size)
 
 
-def _chroma_and_hue(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return chroma and the hue angle in 0..2 pi."""
-    hue = np.arctan2(b, a)
-    return np.hypot(a, b), np.where(hue < 0, hue + 2 * np.pi, hue)
+def _checked_srgb(srgb: Floats) -> Floats:
+    """Return sRGB values as floats, or say what they must be."""
+    encoded = np.asarray(srgb, dtype=np.float64)
+    if encoded.shape[-1:] != (3,) or not ((encoded >= 0) & (encoded <= 1)).all():
+        raise CompareError(
+            f"sRGB values must be 0..1 in three channels on the last axis, got shape {encoded.shape}. Divide 8-bit "
+            "values by 255."
+        )
+    return encoded
 
 
-def _hue_difference_and_mean(
-    h1: NDArray[np.float64], h2: NDArray[np.float64], grey: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return difference and mean of two hue angles on the circle; a grey has no hue, so the sum stands in."""
-    difference, total = h2 - h1, h1 + h2
-    wraps = np.abs(difference) > np.pi
-    mean = np.where(wraps, np.where(total < 2 * np.pi, total + 2 * np.pi, total - 2 * np.pi), total) / 2
-    wrapped = np.where(wraps, difference - np.copysign(2 * np.pi, difference), difference)
-    return wrapped, np.where(grey, total, mean)
+def _in_chunks(difference: Callable[[Floats, Floats], Floats], first: Floats, second: Floats) -> Floats:
+    """Apply a difference of planes (3, pixels) to two lists of pixels, shape (P, 3)."""
+    result = np.empty(len(first))
+    for start in range(0, len(first), _CHUNK_PX):
+        chunk = slice(start, start + _CHUNK_PX)
+        result[chunk] = difference(_planes(first[chunk]), _planes(second[chunk]))
+    return result
+
+
+def _planes(pixels: Floats) -> Floats:
+    """Return a copy of a list of pixels as planes (3, pixels)."""
+    return np.array(pixels.T, order="C")
+
+
+def _lab_planes(srgb: Floats) -> Floats:
+    """Return L*, a*, b* of sRGB planes."""
+    ratios = np.empty_like(srgb)
+    white_ratios(srgb, ((srgb + 0.055) / 1.055) ** 2.4, _TO_RATIO, ratios)
+    lab_of_ratios(ratios, np.cbrt(ratios))
+    return ratios
+
+
+def _srgb_difference(first: Floats, second: Floats) -> Floats:
+    """Return the CIEDE2000 difference of sRGB planes."""
+    return _difference(_lab_planes(first), _lab_planes(second))
+
+
+def _difference(first: Floats, second: Floats) -> Floats:
+    """Return the CIEDE2000 difference of L*, a*, b* planes, which are used up."""
+    chroma = np.empty((2, first.shape[1]))
+    stretched_red_green(first, second, chroma)
+    hues = np.stack([np.arctan2(lab[2], lab[1]) for lab in (first, second)])
+    hue_difference_and_mean(hues, chroma)
+    half_difference, mean = hues
+    from_blue = (np.rad2deg(mean) - 275) / 25
+    turn = np.sin(np.pi / 3 * np.exp(-from_blue * from_blue))
+    result = np.empty(first.shape[1])
+    difference_of_terms(first, second, chroma, np.sin(half_difference), np.cos(mean), np.sin(mean), turn, result)
+    return result

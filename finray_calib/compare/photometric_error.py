@@ -1,6 +1,5 @@
-"""The table of a sim-to-real comparison: do nothing, the simulation, and the floor of the capture itself."""
+"""How far a simulated press is from a capture: metrics of the noise-free images with what their inputs leave open."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -8,249 +7,221 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import CompareError
-from finray_calib.compare.interval import Interval, relative_rms_interval, skill_interval
-from finray_calib.compare.regions import Region, clipped_pixels, usable_pixels
-from finray_calib.compare.skill import ExposureFactor, checked_weights, exposure_factor, skill_score
-from finray_calib.compare.structural_similarity import StructuralSimilarity, structural_similarity
+from finray_calib.compare.conditioning import condition_on_levels
+from finray_calib.compare.exposure import ExposureFit, exposure_fit
+from finray_calib.compare.input_draws import Drawn, Inputs
+from finray_calib.compare.part_levels import PartLevels, part_levels
+from finray_calib.compare.region_draws import CANDIDATES, RegionDraws, propagated_draws, resampled_draws
+from finray_calib.compare.region_sums import Captured, RegionSums, gradient_sums, image_sums
+from finray_calib.compare.regions import Region, usable_pixels
+from finray_calib.compare.render_layers import RenderLayers
+from finray_calib.compare.skill import channel_weights
+from finray_calib.compare.stopping_rule import Propagated, propagate
+
+Floats = NDArray[np.float64]
+RESAMPLED_DRAWS = 2000
+ALONE_DRAWS = 4000
+"""Draws of one line of the budget; its standard uncertainty is then known to 1 %."""
+
+# a contact signal below this many standard deviations of its noise is none
+_LEAST_SIGNAL = 3.0
+_HEADLINE = "headline"
 
 
 @dataclass(frozen=True, slots=True)
-class PhotometricRow:
-    """Hold the metrics of one candidate image over one region.
+class Comparison:
+    """Hold everything that one comparison is formed from.
 
     Attributes
     ----------
-    skill : Interval
-        Skill score with its interval, see `skill_score`.
-    per_channel_skill : ndarray, shape (C,)
-        Skill of each channel alone; NaN where contact does not change the channel.
-    relative_rms : tuple of Interval or None
-        One for each channel; None for encoded values, whose mean has no meaning.
-    ssim_full_frame, ssim_in_region : float
-        Structural similarity, mean over the frame and over the region.
-    psnr_db : float
-        Peak signal-to-noise ratio over the region, dB; infinite for an identical image.
+    layers : RenderLayers
+    captured : Captured
+    inputs : Inputs or None
+        None where nothing is known about the inputs: intervals then come from parts of the region.
+    regions : tuple of Region
+    used : tuple of ndarray of bool, shape (H, W)
+        Usable pixels of each region.
+    sums, gradients : tuple of RegionSums
+        Of each region; gradients may be missing.
+    channel_weights : ndarray, shape (3,)
+        Of the headline region, in 1 / unit^2; common to all regions.
+    exposure : ExposureFit or None
+        None where no factor is fitted.
+    levels : PartLevels
+        Of parts of the headline region.
     """
 
-    skill: Interval
-    per_channel_skill: NDArray[np.float64]
-    relative_rms: tuple[Interval, ...] | None
-    ssim_full_frame: float
-    ssim_in_region: float
-    psnr_db: float
+    layers: RenderLayers
+    captured: Captured
+    inputs: Inputs | None
+    regions: tuple[Region, ...]
+    used: tuple[NDArray[np.bool_], ...]
+    sums: tuple[RegionSums, ...]
+    gradients: tuple[RegionSums | None, ...]
+    channel_weights: Floats
+    exposure: ExposureFit | None
+    levels: PartLevels
+
+    def level_ratios(self, drawn: Drawn) -> Floats:
+        """Return ln(simulated / captured) of the parts' levels, (draws, images, channels, parts)."""
+        return self.levels.log_ratio(drawn, self.exposure)
+
+    def conditioned(self, drawn: Drawn, rng: np.random.Generator) -> Drawn:
+        """Return draws narrowed by what the captured levels say."""
+        return condition_on_levels(drawn, self.level_ratios, self.levels.noise_variance, rng)
+
+    def exposure_of(self, matrix: Floats) -> Floats:
+        """Return the exposure factors (draws,) of matrices (draws, 3, L)."""
+        return np.ones(len(matrix)) if self.exposure is None else self.exposure(matrix)
+
+    @property
+    def headline_noise(self) -> float:
+        """Standard deviation of the headline's skill from noise alone."""
+        sums = self.sums[-1]
+        signal = float(sums.signal(np.ones(1))[0] @ self.channel_weights)
+        return float(np.sqrt(sums.noise.error @ self.channel_weights**2) / signal)
+
+    @property
+    def best_exposure(self) -> float:
+        """The factor at the best values."""
+        return float(self.exposure_of(self.layers.matrix[None])[0])
 
 
 @dataclass(frozen=True, slots=True)
-class RegionError:
-    """Hold the three rows of one region and what entered them.
+class RegionResult:
+    """Hold the draws of one region and of its gradients."""
 
-    Attributes
-    ----------
-    region : Region
-    do_nothing : PhotometricRow
-        The no-contact image in place of the simulation; its skill is 0.
-    simulation : PhotometricRow
-    floor : PhotometricRow or None
-        A perfect simulation of the contact, seen on the repeat of the no-contact image: the ceiling of the
-        skill. None without a repeat.
-    channel_weights : ndarray, shape (C,)
-        In 1 / unit^2.
-    pixels_used : int
-    clipped_fraction_rel : float
-        Pixels of the region left out because a capture is at full scale, relative to all its pixels.
-    """
-
-    region: Region
-    do_nothing: PhotometricRow
-    simulation: PhotometricRow
-    floor: PhotometricRow | None
-    channel_weights: NDArray[np.float64]
-    pixels_used: int
-    clipped_fraction_rel: float
+    images: RegionDraws
+    gradients: RegionDraws | None
 
 
-@dataclass(frozen=True, slots=True)
-class PhotometricError:
-    """Hold the comparison of one simulated press with one capture.
-
-    Attributes
-    ----------
-    regions : tuple of RegionError
-        In the order asked for.
-    exposure : ExposureFactor or None
-        The factor fitted over the union of the regions and applied to the simulation; None if it was not fitted
-        (k = 1).
-    linear : bool
-        False for encoded values with unknown encoding.
-    """
-
-    regions: tuple[RegionError, ...]
-    exposure: ExposureFactor | None
-    linear: bool
-
-
-def photometric_error(
-    simulated: NDArray[np.float64],
-    captured: NDArray[np.float64],
-    no_contact: NDArray[np.float64],
-    repeat_no_contact: NDArray[np.float64] | None,
+def prepare_comparison(
+    layers: RenderLayers,
+    captured: Captured,
     regions: Sequence[Region],
-    data_range_dn: float,
-    linear: bool,
-    rng: np.random.Generator,
-    fit_exposure: bool = True,
-    weights: NDArray[np.float64] | None = None,
-    simulated_no_contact: NDArray[np.float64] | None = None,
-) -> PhotometricError:
-    """Compare a simulated press with its capture, beside doing nothing and beside the capture's own floor.
+    inputs: Inputs | None,
+    fit_exposure: bool,
+    relative_weights: bool,
+) -> Comparison:
+    """Form all sums over the regions; the last region is the headline's.
 
-    For each region three candidates S stand against the capture D: the no-contact image B (k = 1), the
-    simulation (k fitted once over the union of the regions, or 1), and D + (B' - B) with the repeat B' of the
-    no-contact image (k = 1), whose skill 1 - sum w (B' - B)^2 / sum w (B - D)^2 is the ceiling. A pixel where a
-    capture is clipped, or any image is not finite, is left out of every row. Valid for registered images in
-    one unit; on encoded values the exposure factor is only a gain on code values.
-
-    Give `simulated_no_contact` wherever there is one: k is then fitted to the no-contact capture. Fitted to the
-    press itself, k can stand in for missing physics: a depth-table prediction of a real ball press that leaves
-    out the bright halo gains 0.18 of skill over the disc of twice the contact radius from a factor of 1.04.
+    A pixel that is not finite in any image is left out of every row.
 
     Parameters
     ----------
-    simulated, captured, no_contact : ndarray, shape (H, W, C)
-        Registered images, black level removed, in one unit.
-    repeat_no_contact : ndarray, shape (H, W, C), or None
-        A second no-contact image, taken at another moment.
-    regions : sequence of Region
-    data_range_dn : float
-        Full scale in the images' unit (255 for 8 bit).
-    linear : bool
-        Whether values are proportional to light.
-    rng : numpy.random.Generator
-        For the bootstrap intervals.
-    fit_exposure : bool
-        Whether the simulation may be scaled by one factor common to all channels.
-    weights : ndarray, shape (C,), optional
-        Channel weights; default `channel_weights` of each region, ones for the plain pooled score.
-    simulated_no_contact : ndarray, shape (H, W, C), optional
-        Render without contact at the exposure of `simulated`; used for the exposure factor only.
-
-    Returns
-    -------
-    PhotometricError
+    layers, captured, inputs
+        Both sides, and what is uncertain.
+    regions
+        At least one; the last one holds the others.
+    fit_exposure
+        Whether the render may be scaled by one factor common to all channels.
+    relative_weights
+        Whether errors count relative to each channel's own level, else plainly.
 
     Raises
     ------
     CompareError
-        If shapes differ, no region is given, or a region cannot be scored (see `skill_score`).
+        If no region is given, shapes differ, or contact changes nothing in a region.
     """
     if not regions:
-        raise CompareError("No region to compare. Give at least the contact region and one that holds its halo.")
-    simulation, capture, background = (np.asarray(i, dtype=np.float64) for i in (simulated, captured, no_contact))
-    repeat = None if repeat_no_contact is None else np.asarray(repeat_no_contact, dtype=np.float64)
-    scene = _scene(simulation, capture, background, repeat, data_range_dn, linear)
-    exposure = _fitted_exposure(simulation, simulated_no_contact, scene, regions, weights) if fit_exposure else None
-    images = {"do_nothing": background, "simulation": simulation * (exposure.k if exposure else 1.0)}
-    if repeat is not None:
-        images["floor"] = capture + (repeat - background)
-    candidates = {name: _candidate(image, scene) for name, image in images.items()}
-    results = tuple(_region_error(region, candidates, scene, weights, rng) for region in regions)
-    return PhotometricError(results, exposure, linear)
-
-
-@dataclass(frozen=True, slots=True)
-class _Scene:
-    """Hold what all candidates are judged against; NaN in the capture carries the common choice of pixels."""
-
-    captured: NDArray[np.float64]
-    no_contact: NDArray[np.float64]
-    clipped: NDArray[np.bool_]
-    data_range_dn: float
-    linear: bool
-
-
-@dataclass(frozen=True, slots=True)
-class _Candidate:
-    """Hold one candidate image with its similarity map, which is formed once for all regions."""
-
-    image: NDArray[np.float64]
-    similarity: StructuralSimilarity
-
-
-def _scene(
-    simulation: NDArray[np.float64],
-    captured: NDArray[np.float64],
-    no_contact: NDArray[np.float64],
-    repeat: NDArray[np.float64] | None,
-    data_range_dn: float,
-    linear: bool,
-) -> _Scene:
-    """Return the scene with every pixel taken out that one of the images cannot answer for."""
-    measured = [captured, no_contact] if repeat is None else [captured, no_contact, repeat]
-    finite = usable_pixels(np.ones(captured.shape[:2], dtype=np.bool_), simulation, *measured)
-    clipped = clipped_pixels(data_range_dn, *measured)
-    usable = (finite & ~clipped)[..., None]
-    return _Scene(np.where(usable, captured, np.nan), no_contact, clipped, data_range_dn, linear)
-
-
-def _fitted_exposure(
-    simulation: NDArray[np.float64],
-    simulated_no_contact: NDArray[np.float64] | None,
-    scene: _Scene,
-    regions: Sequence[Region],
-    weights: NDArray[np.float64] | None,
-) -> ExposureFactor:
-    """Fit one exposure factor over the union of the regions: a press has one exposure, not one for each region."""
-    union = np.zeros(scene.clipped.shape, dtype=np.bool_)
-    for region in regions:
-        union |= usable_pixels(region.mask, scene.captured)
-    weight = checked_weights(weights, scene.no_contact, union)
-    if simulated_no_contact is None:
-        return exposure_factor(simulation, scene.captured, union, weight)
-    return exposure_factor(simulated_no_contact, scene.no_contact, union, weight)
-
-
-def _candidate(image: NDArray[np.float64], scene: _Scene) -> _Candidate:
-    """Return a candidate with its similarity to the capture."""
-    return _Candidate(image, structural_similarity(image, scene.captured, scene.data_range_dn))
-
-
-def _region_error(
-    region: Region,
-    candidates: dict[str, _Candidate],
-    scene: _Scene,
-    weights: NDArray[np.float64] | None,
-    rng: np.random.Generator,
-) -> RegionError:
-    """Return the rows of one region, all over the same pixels with the same weights."""
-    used = usable_pixels(region.mask, scene.captured)
-    weight = checked_weights(weights, scene.no_contact, used)
-    rows = {name: _row(candidate, scene, used, weight, rng) for name, candidate in candidates.items()}
-    return RegionError(
-        region=region,
-        do_nothing=rows["do_nothing"],
-        simulation=rows["simulation"],
-        floor=rows.get("floor"),
-        channel_weights=weight,
-        pixels_used=int(used.sum()),
-        clipped_fraction_rel=float(scene.clipped[region.mask].mean()),
+        raise CompareError("no region to compare: give at least the contact region and one that holds its halo")
+    images = [captured.contact, captured.no_contact, *([] if captured.repeat is None else [captured.repeat])]
+    used = tuple(
+        usable_pixels(region.mask, layers.contact[..., :1].astype(np.float64), *(i[..., :1] for i in images))
+        for region in regions
     )
+    weights = channel_weights(captured.no_contact, used[-1]) if relative_weights else np.ones(3)
+    exposure = exposure_fit(layers, captured.no_contact, used[-1]) if fit_exposure else None
+    k = 1.0 if exposure is None else float(exposure(layers.matrix[None])[0])
+    poses = () if inputs is None else inputs.pose_names
+    sums = tuple(image_sums(layers, captured, where, k, poses) for where in used)
+    for region, of_region in zip(regions, sums, strict=True):
+        _require_contact(region, of_region, weights)
+    gradients = tuple(gradient_sums(layers, captured, where, k, poses) for where in used)
+    levels = part_levels(layers, captured, used[-1], poses)
+    return Comparison(layers, captured, inputs, tuple(regions), used, sums, gradients, weights, exposure, levels)
 
 
-def _row(
-    candidate: _Candidate,
-    scene: _Scene,
-    used: NDArray[np.bool_],
-    weight: NDArray[np.float64],
-    rng: np.random.Generator,
-) -> PhotometricRow:
-    """Return the metrics of one candidate over the usable pixels of one region."""
-    image, captured = candidate.image, scene.captured
-    mean_square = float(((image[used] - captured[used]) ** 2).mean())
-    return PhotometricRow(
-        skill=skill_interval(image, captured, scene.no_contact, used, rng, weight),
-        per_channel_skill=skill_score(image, captured, scene.no_contact, used, weight).per_channel_skill,
-        relative_rms=relative_rms_interval(image, captured, used, rng) if scene.linear else None,
-        ssim_full_frame=candidate.similarity.mean,
-        ssim_in_region=candidate.similarity.mean_within(used),
-        psnr_db=10 * math.log10(scene.data_range_dn**2 / mean_square) if mean_square > 0 else math.inf,
-    )
+def _require_contact(region: Region, sums: RegionSums, weights: Floats) -> None:
+    """Refuse a region where contact changes no more than noise does."""
+    signal = float(sums.signal(np.ones(1))[0] @ weights)
+    noise = float(np.sqrt(sums.noise.signal @ weights**2))
+    if not signal > _LEAST_SIGNAL * noise:
+        raise CompareError(
+            f"contact changes nothing in the region '{region.name}' beyond the camera's noise; there is nothing to "
+            "explain: check that the contact image is one, that the region lies on the contact, or press deeper"
+        )
+
+
+def propagated(
+    comparison: Comparison, inputs: Inputs, rng: np.random.Generator
+) -> tuple[list[RegionResult], Propagated]:
+    """Propagate all inputs until the headline skill is stable.
+
+    Returns
+    -------
+    list of RegionResult
+        One for each region.
+    Propagated
+        The draws behind them, with "exposure" among them, and whether the stopping rule was met.
+    """
+
+    def block(draws: int) -> dict[str, Floats]:
+        drawn = comparison.conditioned(inputs.draw(draws, rng), rng)
+        exposure = comparison.exposure_of(drawn.matrix)
+        found = {"exposure": exposure}
+        for i, result in enumerate(_results(comparison, drawn, exposure, rng)):
+            for part, of_part in (("images", result.images), ("gradients", result.gradients)):
+                if of_part is not None:
+                    found |= {f"{i} {part} {name}": values for name, values in of_part.error.items()}
+                    found[f"{i} {part} level"] = of_part.level
+            found[_HEADLINE] = result.images.skill("simulation", comparison.channel_weights)
+        return found
+
+    all_draws = propagate(block, _HEADLINE)
+    return [_gathered(comparison, all_draws, i) for i in range(len(comparison.regions))], all_draws
+
+
+def resampled(comparison: Comparison, rng: np.random.Generator) -> list[RegionResult]:
+    """Return the regions' draws from parts of themselves, for images of which no input has a known uncertainty."""
+    return [
+        RegionResult(
+            resampled_draws(sums, RESAMPLED_DRAWS, rng),
+            None if gradients is None else resampled_draws(gradients, RESAMPLED_DRAWS, rng),
+        )
+        for sums, gradients in zip(comparison.sums, comparison.gradients, strict=True)
+    ]
+
+
+def best(comparison: Comparison) -> list[RegionResult]:
+    """Return the regions at the best values of all inputs, as a single draw."""
+    inputs = comparison.inputs or Inputs(comparison.layers, {}, None, None)
+    drawn = inputs.best()
+    return _results(comparison, drawn, comparison.exposure_of(drawn.matrix), None)
+
+
+def _results(
+    comparison: Comparison, drawn: Drawn, exposure: Floats, rng: np.random.Generator | None
+) -> list[RegionResult]:
+    """Return the draws of all regions; noise of the pixels varies where there is a generator."""
+    return [
+        RegionResult(
+            propagated_draws(sums, drawn, exposure, rng),
+            None if gradients is None else propagated_draws(gradients, drawn, exposure, rng),
+        )
+        for sums, gradients in zip(comparison.sums, comparison.gradients, strict=True)
+    ]
+
+
+def _gathered(comparison: Comparison, all_draws: Propagated, i: int) -> RegionResult:
+    """Return the draws of region `i` from all blocks."""
+    found: dict[str, RegionDraws] = {}
+    for part, sums in (("images", comparison.sums[i]), ("gradients", comparison.gradients[i])):
+        if sums is not None:
+            errors = {
+                name: all_draws.draws[f"{i} {part} {name}"]
+                for name in CANDIDATES
+                if f"{i} {part} {name}" in all_draws.draws
+            }
+            found[part] = RegionDraws(errors, all_draws.draws[f"{i} {part} level"], sums.pixels)
+    return RegionResult(found["images"], found.get("gradients"))

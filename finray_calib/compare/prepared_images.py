@@ -8,43 +8,51 @@ from numpy.typing import NDArray
 from data_schemas.capture import TactileCapture
 from data_schemas.errors import CompareError
 from data_schemas.simulate import SimulatedPress
-from finray_calib.compare.blocks import block_mean, block_side_px
+from finray_calib.compare.blocks import block_mean
+from finray_calib.compare.capture_noise import NO_NOISE, capture_noise
 from finray_calib.compare.linear_image import rgb_image
-from finray_calib.compare.structural_similarity import WINDOW_PX
-from finray_calib.compare.tiles import MINIMUM_TILES
+from finray_calib.compare.region_sums import Captured
+from finray_calib.compare.render_layers import RenderLayers, render_layers
 
 Floats = NDArray[np.float64]
+# angles are set by hand: this near, they are meant to be one
+_SAME_ANGLE_DEG = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class PreparedImages:
-    """Images in DN above black level, averaged over blocks of the capture's pixels.
+    """Both sides of a comparison; captured values are DN above black level.
 
     Attributes
     ----------
-    simulated, simulated_no_contact
-        (H, W, 3) render, brought to the level of the capture in linear light.
-    contact, no_contact, repeat
-        (H, W, 3) capture; the repeat may be missing.
+    layers
+        The render.
+    captured
+        Contact, no contact and repeat, NaN where any of them is clipped, and the noise of the camera; none is taken
+        out of encoded values, nor where there is no repeat to tell it from.
     clipped
-        (H, W) whether a sample of the block is at full scale in a captured image.
+        (H, W) whether a captured image is at full scale.
     distance
         (H, W) distance from the contact's centre in half-widths, NaN off the pad.
-    scale
-        DN per unit of the render's radiance that was applied.
     block_px
-        Side of the blocks.
+        Side of the blocks of pixels that the images are means of.
     """
 
-    simulated: Floats
-    simulated_no_contact: Floats
-    contact: Floats
-    no_contact: Floats
-    repeat: Floats | None
+    layers: RenderLayers
+    captured: Captured
     clipped: NDArray[np.bool_]
     distance: Floats
-    scale: float
-    block_px: int
+    block_px: int = 1
+
+    def blocked(self, side_px: int) -> "PreparedImages":
+        """Return the means over blocks of pixels."""
+        return PreparedImages(
+            layers=self.layers.blocked(side_px),
+            captured=self.captured.blocked(side_px),
+            clipped=block_mean(self.clipped.astype(np.float64), side_px) > 0.0,
+            distance=block_mean(self.distance, side_px),
+            block_px=side_px,
+        )
 
 
 def prepare_images(press: SimulatedPress, capture: TactileCapture) -> PreparedImages:
@@ -53,38 +61,33 @@ def prepare_images(press: SimulatedPress, capture: TactileCapture) -> PreparedIm
     Raises
     ------
     CompareError
-        The images differ in size, linear light would be compared with encoded values, or the render is black.
+        The images differ in size, linear light would be compared with encoded values, or the render is not finite.
     """
     contact, no_contact = rgb_image(capture.contact, capture), rgb_image(capture.no_contact, capture)
     repeat = None if capture.repeat_no_contact is None else rgb_image(capture.repeat_no_contact, capture)
     _require_comparable(press, capture, contact.shape)
-    distance = press.distance.astype(np.float64)
-    scale = _common_scale(press, no_contact) if capture.encoding == "linear" else 1.0
-    variance = None if press.variance is None else press.variance.astype(np.float64)
-    side = block_side_px(press.contact.astype(np.float64), variance, np.isfinite(distance))
-    _require_blocks(press.name, block_mean(distance, side), side)
-
-    captured = [contact, no_contact] if repeat is None else [contact, no_contact, repeat]
-    clipped = np.logical_or.reduce([np.isnan(image).any(axis=-1) for image in captured])
-
-    def binned(image: NDArray[np.floating]) -> Floats:
-        return block_mean(image.astype(np.float64), side)
-
+    images = [contact, no_contact] if repeat is None else [contact, no_contact, repeat]
+    clipped = np.logical_or.reduce([np.isnan(image).any(axis=-1) for image in images])
+    noise = NO_NOISE
+    if repeat is not None and capture.encoding == "linear":
+        noise = capture_noise(no_contact, repeat)
+    for image in images:
+        image[clipped] = np.nan
     return PreparedImages(
-        simulated=scale * binned(press.contact),
-        simulated_no_contact=scale * binned(press.no_contact),
-        contact=binned(contact),
-        no_contact=binned(no_contact),
-        repeat=None if repeat is None else binned(repeat),
-        clipped=block_mean(clipped.astype(np.float64), side) > 0,
-        distance=binned(distance),
-        scale=scale,
-        block_px=side,
+        render_layers(press), Captured(contact, no_contact, repeat, noise), clipped, press.distance.astype(np.float64)
     )
 
 
 def _require_comparable(press: SimulatedPress, capture: TactileCapture, shape: tuple[int, ...]) -> None:
-    """Refuse images of different size or encoding, with what to do."""
+    """Refuse images of different size, encoding or light, with what to do."""
+    angles = (press.light_angle_deg, capture.light_angle_deg)
+    if angles[0] is not None and angles[1] is not None:
+        allowed_deg = max(_SAME_ANGLE_DEG, 3.0 * (capture.light_angle_uncertainty_deg or 0.0))
+        if abs(angles[0] - angles[1]) > allowed_deg:
+            raise CompareError(
+                f"{press.name} is lit at {angles[0]:g} deg, {capture.name} at {angles[1]:g} deg; up to {allowed_deg:.2g} "
+                "deg apart are one light: simulate with the capture's light.angle_deg"
+            )
     if press.contact.shape != shape:
         raise CompareError(
             f"{press.name} has {press.contact.shape[1]} x {press.contact.shape[0]} px, {capture.name} has {shape[1]} x "
@@ -101,25 +104,3 @@ def _require_comparable(press: SimulatedPress, capture: TactileCapture, shape: t
             f"{press.name} holds {press.encoding} values, {capture.name} {capture.encoding} ones: linear light cannot "
             "be compared with an image whose encoding is unknown; capture raw frames, or compare a table prediction"
         )
-
-
-def _require_blocks(name: str, distance: Floats, side: int) -> None:
-    """Refuse a render whose noise needs blocks so large that too few are left."""
-    on_contact = int((distance <= 1.0).sum())
-    if side > 1 and (min(distance.shape) < WINDOW_PX or on_contact < MINIMUM_TILES):
-        raise CompareError(
-            f"{name} is so noisy that it must be averaged over blocks of {side} x {side} px, which leaves "
-            f"{distance.shape[1]} x {distance.shape[0]} blocks and {on_contact} of them on the contact; at least "
-            f"{WINDOW_PX} x {WINDOW_PX} and {MINIMUM_TILES} are needed: simulate with more "
-            "--samples or a camera with more pixels"
-        )
-
-
-def _common_scale(press: SimulatedPress, no_contact: Floats) -> float:
-    """Return DN per unit of radiance that brings a render to the level of the capture (refined by the factor)."""
-    simulated = press.no_contact.astype(np.float64)
-    usable = np.isfinite(press.distance) & np.isfinite(no_contact).all(axis=-1)
-    total = simulated[usable].sum()
-    if not usable.any() or total <= 0:
-        raise CompareError(f"{press.name}: the no-contact image is black where the capture sees the pad")
-    return float(no_contact[usable].sum() / total)

@@ -164,7 +164,8 @@ def usable_pixels(mask: NDArray[np.bool_], *images: NDArray[np.float64]) -> NDAr
         )
     usable = mask.copy()
     for image in images:
-        usable &= np.isfinite(image).all(axis=2)
+        # the sum over channels is finite where all of them are, and much faster than all(axis=2)
+        usable &= np.isfinite(sum(np.moveaxis(image, 2, 0)))
     if not usable.any():
         raise CompareError(
             f"None of the {int(mask.sum())} pixels of the region is usable: all are clipped or not finite. "

@@ -1,5 +1,6 @@
 """Structural similarity with the settings of its paper, with a mask, and safe against missing pixels."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -7,12 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import CompareError
+from finray_calib.compare.similarity_kernels import (
+    channel_mean_of_product,
+    second_moments,
+    similarity_factors,
+)
 
+Floats = NDArray[np.float64]
 WINDOW_PX = 11
 _BORDER_PX = WINDOW_PX // 2
 _SIGMA_PX = 1.5
 _K1, _K2 = 0.01, 0.03
-#: Rows worked at once: five filtered bands of this height stay in the processor's cache.
+#: Rows worked at once, in buffers that are allocated once: fresh memory for each band costs more than its arithmetic.
 _BAND_ROWS = 64
 
 
@@ -89,14 +96,13 @@ def structural_similarity(
         )
     if not data_range_dn > 0:
         raise CompareError(f"The data range must be positive, got {data_range_dn}; give full scale, as 255 for 8 bit.")
-    missing = np.asarray(~np.isfinite(x + y).all(axis=2))
+    missing = ~np.isfinite(_channel_sum(x + y))
     if missing.any():
         x, y = (np.where(missing[..., None], 0.0, image) for image in (x, y))
     ssim_map = np.full(x.shape[:2], np.nan)
-    for start in range(_BORDER_PX, x.shape[0] - _BORDER_PX, _BAND_ROWS):
-        stop = min(start + _BAND_ROWS, x.shape[0] - _BORDER_PX)
-        rows = slice(start - _BORDER_PX, stop + _BORDER_PX)
-        ssim_map[start:stop, _BORDER_PX:-_BORDER_PX] = _ssim_band(x[rows], y[rows], data_range_dn)
+    inside = slice(_BORDER_PX, -_BORDER_PX)
+    for rows, luminance, structure in similarity_bands(x, y, data_range_dn):
+        channel_mean_of_product(luminance, structure, ssim_map[rows, inside])
     if missing.any():
         window = np.ones((WINDOW_PX, WINDOW_PX), dtype=np.uint8)
         ssim_map[cv2.dilate(missing.astype(np.uint8), window) > 0] = np.nan
@@ -104,23 +110,52 @@ def structural_similarity(
     return StructuralSimilarity(ssim_map, _mean_within(ssim_map, everywhere if mask is None else mask))
 
 
-def _ssim_band(x: NDArray[np.float64], y: NDArray[np.float64], data_range_dn: float) -> NDArray[np.float64]:
-    """Return the channel mean of the similarity for the rows and columns that have a full window."""
+def similarity_bands(x: Floats, y: Floats, data_range_dn: float) -> Iterator[tuple[slice, Floats, Floats]]:
+    """Yield the two factors of the similarity, band by band over the rows that have a full window.
+
+    luminance = (2 mu_x mu_y + C1) / (mu_x^2 + mu_y^2 + C1), structure = (2 cov_xy + C2) / (var_x + var_y + C2).
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (H, W, C)
+        Finite.
+    data_range_dn : float
+
+    Yields
+    ------
+    rows : slice
+        Of the whole image.
+    luminance, structure : ndarray, shape (rows, W - 10, C)
+        Buffers, valid until the next band.
+    """
     c1, c2 = (_K1 * data_range_dn) ** 2, (_K2 * data_range_dn) ** 2
-    mean_x, mean_y = _windowed_mean(x), _windowed_mean(y)
-    product, squares = mean_x * mean_y, mean_x * mean_x + mean_y * mean_y
-    variances = _windowed_mean(x * x + y * y) - squares
-    covariance = _windowed_mean(x * y) - product
-    similarity = (2 * product + c1) * (2 * covariance + c2) / ((squares + c1) * (variances + c2))
-    return np.asarray(similarity.mean(axis=2))
+    height, width, channels = x.shape
+    columns = slice(_BORDER_PX, -_BORDER_PX)
+    x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
+    buffers = np.empty((6, _BAND_ROWS + 2 * _BORDER_PX, width, channels))
+    for start in range(_BORDER_PX, height - _BORDER_PX, _BAND_ROWS):
+        stop = min(start + _BAND_ROWS, height - _BORDER_PX)
+        band = slice(start - _BORDER_PX, stop + _BORDER_PX)
+        mean_x, mean_y, squares, product, *sources = buffers[:, : stop - start + 2 * _BORDER_PX]
+        second_moments(_rows(x[band]), _rows(y[band]), *map(_rows, sources))
+        for source, mean in ((x[band], mean_x), (y[band], mean_y), (sources[0], squares), (sources[1], product)):
+            cv2.GaussianBlur(source, (WINDOW_PX, WINDOW_PX), _SIGMA_PX, dst=mean)
+        similarity_factors(_rows(mean_x), _rows(mean_y), _rows(squares), _rows(product), c1, c2)
+        # the rows and columns without a full window are wrong, and left out
+        yield slice(start, stop), mean_x[_BORDER_PX:-_BORDER_PX, columns], product[_BORDER_PX:-_BORDER_PX, columns]
 
 
-def _windowed_mean(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the Gaussian-weighted mean of the complete windows."""
-    blurred = np.asarray(cv2.GaussianBlur(image, (WINDOW_PX, WINDOW_PX), _SIGMA_PX), dtype=np.float64)
-    # OpenCV drops the axis of a single channel.
-    blurred = blurred.reshape(image.shape)
-    return blurred[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX]
+def _rows(image: Floats) -> Floats:
+    """Return an image as (rows, columns x channels)."""
+    return image.reshape(len(image), -1)
+
+
+def _channel_sum(image: Floats) -> Floats:
+    """Return the sum over channels; numpy's own over three neighbours in memory takes as long as a filter."""
+    total = image[..., 0].copy()
+    for channel in range(1, image.shape[2]):
+        total += image[..., channel]
+    return total
 
 
 def _mean_within(ssim_map: NDArray[np.float64], mask: NDArray[np.bool_]) -> float:

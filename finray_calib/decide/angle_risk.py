@@ -6,8 +6,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from finray_calib.decide.gaussian_process import PRIOR_LENGTH_DEG, CurvePosterior, Matern52
-
+Floats = NDArray[np.float64]
 Verdict = Literal["decided", "tie", "undecided", "model-limited"]
 
 #: Two angles closer than this count as the same choice.
@@ -40,7 +39,7 @@ class AngleRisk:
 
 
 def angle_risk(
-    curves: NDArray[np.float64], grid_deg: NDArray[np.float64], best: int, tolerance_rel: float
+    curves: Floats, grid_deg: Floats, best: int, tolerance_rel: float, allowed: NDArray[np.bool_] | None = None
 ) -> AngleRisk:
     """Return the risk of choosing one grid angle.
 
@@ -55,47 +54,29 @@ def angle_risk(
         Index of the chosen angle.
     tolerance_rel : float
         Relative loss that does not matter.
+    allowed : ndarray of bool, shape (G,), optional
+        Angles that may be chosen at all; the optimum and the equivalent angles are among them.
 
     Returns
     -------
     AngleRisk
     """
-    loss = 1 - curves / curves.max(axis=1, keepdims=True)
-    regret = loss[:, best]
-    distance_deg = np.abs(grid_deg[curves.argmax(axis=1)] - grid_deg[best])
-    equivalent = (loss <= tolerance_rel).mean(axis=0) >= CONFIDENCE
+    open_ = np.ones(grid_deg.size, dtype=np.bool_) if allowed is None else allowed
+    choices = curves[:, open_]
+    optimum_deg = grid_deg[open_][choices.argmax(axis=1)]
+    highest = choices.max(axis=1)
+    regret = 1 - curves[:, best] / highest
+    equivalent = (curves >= (1 - tolerance_rel) * highest[:, None]).mean(axis=0) >= CONFIDENCE
     return AngleRisk(
         # The grid step need not be a binary fraction, so the limit gets a rounding margin.
-        p_within_5deg=float((distance_deg <= NEARBY_DEG + 1e-9).mean()),
+        p_within_5deg=float((np.abs(optimum_deg - grid_deg[best]) <= NEARBY_DEG + 1e-9).mean()),
         expected_regret_rel=float(regret.mean()),
         regret_95_rel=float(np.quantile(regret, CONFIDENCE)),
-        equivalent_deg=_intervals(grid_deg, equivalent),
+        equivalent_deg=_intervals(grid_deg, equivalent & open_),
     )
 
 
-def discrepancy_covariance(posterior: CurvePosterior, discrepancy_rel: float) -> NDArray[np.float64]:
-    """Return the covariance that a relative sim-to-real error adds to the curve.
-
-    C = diag(m) P k P diag(m) with the curve's mean m, a Matern-5/2 k of that amplitude and length 35 deg, and
-    P removing the mean over the grid: a scale common to all angles cannot change the ranking.
-
-    Parameters
-    ----------
-    posterior : CurvePosterior
-    discrepancy_rel : float
-        Relative error of the objective, one standard deviation.
-
-    Returns
-    -------
-    ndarray, shape (G, G)
-    """
-    covariance = Matern52(PRIOR_LENGTH_DEG, discrepancy_rel).covariance(posterior.grid_deg, posterior.grid_deg)
-    covariance = covariance - covariance.mean(axis=0)
-    covariance = covariance - covariance.mean(axis=1, keepdims=True)
-    return np.asarray(covariance * np.outer(posterior.mean, posterior.mean))
-
-
-def verdict_of(simulation_only: AngleRisk, with_discrepancy: AngleRisk | None, tolerance_rel: float) -> Verdict:
+def verdict_of(simulation_only: AngleRisk, with_captures: AngleRisk | None, tolerance_rel: float) -> Verdict:
     """Return the first verdict that applies.
 
     "undecided": regret from render noise alone exceeds the tolerance. "model-limited": regret with the
@@ -104,7 +85,7 @@ def verdict_of(simulation_only: AngleRisk, with_discrepancy: AngleRisk | None, t
     Parameters
     ----------
     simulation_only : AngleRisk
-    with_discrepancy : AngleRisk or None
+    with_captures : AngleRisk or None
         None where no sim-to-real error is known; the rule then looks at the simulation alone.
     tolerance_rel : float
 
@@ -112,7 +93,7 @@ def verdict_of(simulation_only: AngleRisk, with_discrepancy: AngleRisk | None, t
     -------
     str
     """
-    final = with_discrepancy or simulation_only
+    final = with_captures or simulation_only
     if simulation_only.regret_95_rel > tolerance_rel:
         return "undecided"
     if final.regret_95_rel > tolerance_rel:
@@ -121,7 +102,7 @@ def verdict_of(simulation_only: AngleRisk, with_discrepancy: AngleRisk | None, t
     return "tie" if widest_deg > WIDE_SET_DEG else "decided"
 
 
-def _intervals(grid_deg: NDArray[np.float64], member: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
+def _intervals(grid_deg: Floats, member: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
     """Return first and last angle of each run of True."""
     edges = np.diff(np.concatenate([[0], member.astype(np.int8), [0]]))
     starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1

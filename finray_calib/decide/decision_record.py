@@ -6,75 +6,110 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.compare import PhotometricErrorReport
-from data_schemas.decide import AngleStatement, LightAngleDecision
-from data_schemas.errors import DecideError
+from data_schemas.decide import AngleProposal, AngleStatement, DecidingCapture, LightAngleDecision, OtherObjective
 from data_schemas.simulate import LightAngleSweep
 from finray_calib.decide.angle_risk import AngleRisk
+from finray_calib.decide.capture_errors import CaptureErrors, capture_errors
+from finray_calib.decide.decision_sentence import decision_sentence
 from finray_calib.decide.light_angle import AngleDecision, decide_angle
+from finray_calib.decide.other_objectives import OtherOptimum, other_optima
+from finray_calib.decide.proposals import Proposal, propose_capture, propose_render
 
 Floats = NDArray[np.float64]
 TOLERANCE_REL = 0.02
+#: Half-width of a central 95 % interval of a normal distribution, in standard deviations.
 _BAND_QUANTILE = 1.959964
 
 
 def decide(sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport], seed: int) -> LightAngleDecision:
-    """Decide on the light angle; the reports' error of the sweep's own objective widens the decision.
+    """Decide on the light angle; reports on captures correct the simulated curve and widen the decision.
 
     Parameters
     ----------
     sweep
-        Objective over angle and repeat.
+        Objective over angle and repeat; where it holds constraints, only angles that meet them are chosen.
     reports
-        Comparisons with captures; their brightness errors beside the indenter are combined as a root mean
-        square (each with its uncertainty). Without any, the decision is not validated against a capture.
+        Comparisons with captures, one for each; they carry the error of the sweep's own objective with covariance.
+        Without any, the decision is not validated against a capture.
     seed
         Seed of the posterior draws.
 
     Raises
     ------
     DecideError
-        The sweep allows no decision, or a report carries no error of the objective.
+        The sweep allows no decision, a report carries no error of the objective or no angle, or two reports are on
+        one capture.
     """
-    discrepancy_rel = _discrepancy_rel(reports)
-    decision = decide_angle(
-        sweep.angles_deg, sweep.values, sweep.objective, np.random.default_rng(seed), TOLERANCE_REL, discrepancy_rel
-    )
-    half_width = (decision.high - decision.low) / 2
-    widened = np.hypot(half_width, _BAND_QUANTILE * (discrepancy_rel or 0.0) * decision.mean)
-    simulation_only = _statement(decision.simulation_only)
+    captures, left_out = capture_errors(sweep, reports)
+    rng = np.random.default_rng(seed)
+    allowed = None if sweep.constraints is None else sweep.constraints.allowed
+    decision = decide_angle(sweep.angles_deg, sweep.values, rng, TOLERANCE_REL, captures, allowed)
+    others = other_optima(sweep, decision.best_deg, TOLERANCE_REL, rng)
+    next_render, next_capture = propose_render(decision), propose_capture(decision, captures)
+    discrepancy_rel, discrepancy_95_rel = None, None
+    if captures.names:
+        low_rel, discrepancy_rel, high_rel = decision.discrepancy.amplitude_quantiles_rel
+        discrepancy_95_rel = (low_rel, high_rel)
+    scale = float(sweep.values.mean())
+    curve = decision.simulated.posterior
+    half, half_alone = _BAND_QUANTILE * decision.sd_rel, _BAND_QUANTILE * curve.standard_deviation
     return LightAngleDecision(
         objective=sweep.objective,
         angle_deg=decision.best_deg,
+        angle_simulation_only_deg=decision.best_simulation_only_deg,
         verdict=decision.verdict,
-        sentence=decision.sentence,
+        sentence=decision_sentence(decision, captures.angles_deg, TOLERANCE_REL, next_render, next_capture, others),
         tolerance_rel=TOLERANCE_REL,
-        validated=decision.validated,
+        validated=decision.with_captures is not None,
         discrepancy_rel=discrepancy_rel,
-        statement=simulation_only if decision.with_discrepancy is None else _statement(decision.with_discrepancy),
-        statement_simulation_only=simulation_only,
-        grid_deg=decision.grid_deg,
-        mean=decision.mean,
-        low95=decision.mean - widened,
-        high95=decision.mean + widened,
-        low95_simulation_only=decision.low,
-        high95_simulation_only=decision.high,
-        notes=_notes(sweep, decision),
+        discrepancy_95_rel=discrepancy_95_rel,
+        captures=_captures(decision, captures, scale),
+        statement=_statement(decision.risk),
+        statement_simulation_only=_statement(decision.simulation_only),
+        grid_deg=curve.grid_deg,
+        mean=scale * decision.mean_rel,
+        low95=scale * (decision.mean_rel - half),
+        high95=scale * (decision.mean_rel + half),
+        mean_simulation_only=scale * curve.mean,
+        low95_simulation_only=scale * (curve.mean - half_alone),
+        high95_simulation_only=scale * (curve.mean + half_alone),
+        next_render=_proposal(next_render),
+        next_capture=_proposal(next_capture),
+        other_objectives=tuple(_other(other) for other in others),
+        notes=(*left_out, *_notes(sweep, decision, captures)),
     )
 
 
-def _discrepancy_rel(reports: Sequence[PhotometricErrorReport]) -> float | None:
-    """Return the relative sim-to-real error of the objective (one standard deviation), or None without reports."""
-    if not reports:
-        return None
-    squares = []
-    for report in reports:
-        if report.objective_error_rel is None or report.objective_error_sd_rel is None:
-            raise DecideError(
-                f"the report on {report.captured} carries no brightness error, because its values are "
-                f"'{report.values}': give a report on a capture in linear light (raw frames)"
-            )
-        squares.append(report.objective_error_rel**2 + report.objective_error_sd_rel**2)
-    return float(np.sqrt(np.mean(squares)))
+def _captures(decision: AngleDecision, captures: CaptureErrors, scale: float) -> tuple[DecidingCapture, ...]:
+    """Return each capture with its error, less the common scale, and its place beside the curve.
+
+    The scale is that which the curve leaves open: the mean of t over the grid, or, for absolute ratios, the mean
+    residual of the captures of one rig.
+    """
+    if not captures.names:
+        return ()
+    grid_deg, discrepancy = decision.simulated.posterior.grid_deg, decision.discrepancy
+    expected = np.interp(captures.angles_deg, grid_deg, discrepancy.shape_mean)
+    offset = np.full(len(captures.names), discrepancy.mean.mean())
+    if captures.scale_of is not None:
+        for number in np.unique(captures.scale_of):
+            members = captures.scale_of == number
+            offset[members] = (captures.log_error - expected)[members].mean()
+    log_error = captures.log_error - offset
+    sd = np.sqrt(np.diag(discrepancy.noise))
+    value = scale * np.interp(captures.angles_deg, grid_deg, decision.simulated.posterior.mean) * np.exp(-log_error)
+    return tuple(
+        DecidingCapture(
+            captured=name,
+            light_angle_deg=float(captures.angles_deg[n]),
+            light_angle_uncertainty_deg=float(captures.angle_sd_deg[n]),
+            error_rel=float(np.expm1(log_error[n])),
+            error_u_rel=float(sd[n]),
+            value=float(value[n]),
+            sd=float(value[n] * sd[n]),
+        )
+        for n, name in enumerate(captures.names)
+    )
 
 
 def _statement(risk: AngleRisk) -> AngleStatement:
@@ -87,20 +122,55 @@ def _statement(risk: AngleRisk) -> AngleStatement:
     )
 
 
-def _notes(sweep: LightAngleSweep, decision: AngleDecision) -> tuple[str, ...]:
+def _proposal(proposal: Proposal | None) -> AngleProposal | None:
+    """Return the record of a proposal."""
+    if proposal is None:
+        return None
+    return AngleProposal(angle_deg=proposal.angle_deg, gain_rel=proposal.gain_rel, noise_rel=proposal.noise_rel)
+
+
+def _other(other: OtherOptimum) -> OtherObjective:
+    """Return the record of another objective's optimum."""
+    return OtherObjective(
+        name=other.name,
+        best_deg=other.best_deg,
+        loss_rel=other.loss_rel,
+        loss_90_rel=(other.loss_low_rel, other.loss_high_rel),
+        disagrees=other.disagrees,
+        statement=str(other),
+    )
+
+
+def _notes(sweep: LightAngleSweep, decision: AngleDecision, captures: CaptureErrors) -> tuple[str, ...]:
     """Say what the decision rests on."""
     light = sweep.design.light
     notes = [
         *sweep.notes,
         f"the panel sits at x, y, z = {', '.join(f'{p:g}' for p in light.position_mm)} mm and the mirror reflects "
         f"{sweep.design.mirror.reflectance:.0%}: the best angle depends on both and on the probe points",
-        f"scatter of one value about the curve: {decision.noise_rel:.1%}, of render noise and paint draws together; "
-        "both are averaged over the repeats",
+        f"scatter of one value about the curve: {decision.simulated.noise_rel:.1%}, of render noise and paint draws "
+        "together; both are averaged over the repeats",
     ]
-    if decision.validated:
-        notes.append(
-            "how the sim-to-real error depends on the angle is unknown: it enters as a random curve of that size with "
-            "a correlation length of 35 deg; the size of one report's error stands in for its standard deviation, and "
-            "is taken in the image beside the indenter, not at the sweep's probe points"
+    if not decision.choices.all():
+        notes.append("angles at which pixels clip or the panel does not fit were left out of the choice")
+    if captures.names:
+        compared = (
+            "relative to the no-contact image of each capture, so an error that contact and no-contact image share is "
+            "not seen"
+            if captures.scale_of is None
+            else "by exposure and LED current, up to one unknown scale for each rig"
         )
+        notes.append(
+            f"captures are compared {compared}; how the sim-to-real error depends on the angle elsewhere is a random "
+            "curve with a correlation length of 35 deg, whose size (prior: 10 %, 95 % between 2.5 % and 39 %) the "
+            "captures tell; they see the image beside the indenter, the sweep its probe points"
+        )
+        notes += _unseen_channels(sweep)
     return tuple(notes)
+
+
+def _unseen_channels(sweep: LightAngleSweep) -> list[str]:
+    """Say when the sweep does not know the shares of its channels."""
+    if sweep.channels is not None:
+        return []
+    return ["the sweep was written by an older version without its channels: red, green and blue count alike"]

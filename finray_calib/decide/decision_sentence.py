@@ -1,6 +1,14 @@
 """The light-angle decision as one sentence that an engineer can act on."""
 
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
 from finray_calib.decide.angle_risk import CONFIDENCE, NEARBY_DEG, AngleRisk, Verdict
+from finray_calib.decide.light_angle import AngleDecision
+from finray_calib.decide.other_objectives import OtherOptimum
+from finray_calib.decide.proposals import Proposal
 
 _CONSEQUENCE: dict[Verdict, str] = {
     "tie": "a tie, any of these angles will do",
@@ -10,54 +18,75 @@ _CONSEQUENCE: dict[Verdict, str] = {
 
 
 def decision_sentence(
-    best_deg: float,
-    risk: AngleRisk,
-    verdict: Verdict,
-    at_range_end: bool,
+    decision: AngleDecision,
+    captures_deg: NDArray[np.float64],
     tolerance_rel: float,
-    discrepancy_rel: float | None,
+    next_render: Proposal | None = None,
+    next_capture: Proposal | None = None,
+    others: Sequence[OtherOptimum] = (),
 ) -> str:
-    """Return a decision in plain English with its numbers.
+    """Return a decision in plain English with its numbers, with captures and without, and what to do next.
 
     Parameters
     ----------
-    best_deg : float
-        Chosen angle.
-    risk : AngleRisk
-        The risk that the verdict rests on.
-    verdict : str
-    at_range_end : bool
-        Whether the chosen angle is the first or last of the sweep.
+    decision : AngleDecision
+    captures_deg : ndarray, shape (N,)
+        Angles of the captures in it; none: not validated.
     tolerance_rel : float
         Relative loss that does not matter.
-    discrepancy_rel : float or None
-        Relative sim-to-real error included in the risk; None if there was no capture to compare with.
+    next_render, next_capture : Proposal, optional
+        Said where the verdict asks for it.
+    others : sequence of OtherOptimum
+        Other objectives; those that disagree are named.
 
     Returns
     -------
     str
     """
-    parts = [
+    parts = [*_claim(decision.best_deg, decision.risk, tolerance_rel)]
+    if decision.at_range_end:
+        parts.append("the best angle is at the end of the sweep, so the optimum may lie outside it: widen the sweep")
+    elif decision.verdict in _CONSEQUENCE:
+        parts.append(_CONSEQUENCE[decision.verdict])
+    parts += _captures(decision, captures_deg)
+    if next_render is not None and decision.verdict == "undecided":
+        parts.append(f"next: render {next_render.angle_deg:.0f} deg")
+    if next_capture is not None and (decision.verdict == "model-limited" or not len(captures_deg)):
+        parts.append(f"next: capture at {next_capture.angle_deg:.0f} deg")
+    parts += [
+        f"{other.name} would choose {other.best_deg:.0f} deg and loses {_percent(other.loss_rel)} here"
+        for other in others
+        if other.disagrees
+    ]
+    return "; ".join(parts) + "."
+
+
+def _claim(best_deg: float, risk: AngleRisk, tolerance_rel: float) -> tuple[str, ...]:
+    """Return angle, probability, loss and equivalent angles."""
+    intervals = " and ".join(f"{low:.0f}-{high:.0f} deg" for low, high in risk.equivalent_deg)
+    return (
         f"{best_deg:.0f} deg: true optimum within {NEARBY_DEG:.0f} deg with probability {risk.p_within_5deg:.2f}",
         f"expected loss {_percent(risk.expected_regret_rel)}, at most {_percent(risk.regret_95_rel)} with "
         f"{_percent(CONFIDENCE)} probability",
-    ]
-    intervals = " and ".join(f"{low:.0f}-{high:.0f} deg" for low, high in risk.equivalent_deg)
-    if intervals:
-        parts.append(f"{intervals} are equivalent within {_percent(tolerance_rel)}")
-    else:
-        parts.append(
-            f"no angle is within {_percent(tolerance_rel)} of the best with {_percent(CONFIDENCE)} probability"
-        )
-    if at_range_end:
-        parts.append("the best angle is at the end of the sweep, so the optimum may lie outside it: widen the sweep")
-    elif verdict in _CONSEQUENCE:
-        parts.append(_CONSEQUENCE[verdict])
-    if discrepancy_rel is None:
-        parts.append("not validated against a capture")
-    else:
-        parts.append(f"a sim-to-real error of {_percent(discrepancy_rel)} is included")
-    return "; ".join(parts) + "."
+        f"{intervals} are equivalent within {_percent(tolerance_rel)}"
+        if intervals
+        else f"no angle is within {_percent(tolerance_rel)} of the best with {_percent(CONFIDENCE)} probability",
+    )
+
+
+def _captures(decision: AngleDecision, captures_deg: NDArray[np.float64]) -> tuple[str, ...]:
+    """Return what captures changed, or that there are none."""
+    if not len(captures_deg):
+        return ("not validated against a capture",)
+    angles = [f"{angle:.0f}" for angle in sorted(set(captures_deg.tolist()))]
+    listed = " and ".join([*([", ".join(angles[:-1])] if len(angles) > 1 else []), angles[-1]])
+    _, amplitude_rel, _ = decision.discrepancy.amplitude_quantiles_rel
+    number = "a capture" if len(captures_deg) == 1 else f"{len(captures_deg)} captures"
+    return (
+        f"{number} at {listed} deg included, with a sim-to-real error of {_percent(amplitude_rel)}",
+        f"by simulation alone {decision.best_simulation_only_deg:.0f} deg, at most "
+        f"{_percent(decision.simulation_only.regret_95_rel)}",
+    )
 
 
 def _percent(fraction: float) -> str:

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
 
 #: Prior of the length scale: lognormal, median 35 deg, sigma 0.6. Lambertian and mirror responses vary over
 #: tens of degrees; 95 % of the prior lies between 11 and 113 deg.
@@ -16,6 +15,12 @@ PRIOR_AMPLITUDE_REL = 0.5
 PRIOR_AMPLITUDE_LOG_SD = 1.0
 #: Added to the diagonal, relative to the squared amplitude, so that noise-free data factorise.
 _JITTER = 1e-9
+#: Noise below a millionth of the curve's mean counts as that: rounding, not information.
+_LEAST_NOISE_REL = 1e-6
+#: A smooth covariance has few eigenvalues of weight; those below this share of the largest are left out of draws.
+_LEAST_EIGENVALUE = 1e-10
+_LENGTHS_DEG = np.geomspace(6.0, 200.0, 56)
+_AMPLITUDES_REL = np.geomspace(0.005, 20.0, 96)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +42,8 @@ class Matern52:
 
     def covariance(self, first_deg: NDArray[np.float64], second_deg: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the covariance of two sets of angles (N,), (M,) as an (N, M) array."""
-        q = np.sqrt(5) * np.abs(first_deg[:, None] - second_deg[None, :]) / self.length_deg
-        return np.asarray(self.amplitude_rel**2 * (1 + q + q * q / 3) * np.exp(-q))
+        distance_deg = np.abs(first_deg[:, None] - second_deg[None, :])
+        return self.amplitude_rel**2 * _correlation(distance_deg / self.length_deg)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +63,12 @@ class CurvePosterior:
 def fit_kernel(
     angles_deg: NDArray[np.float64], values_rel: NDArray[np.float64], noise_variance: NDArray[np.float64]
 ) -> Matern52:
-    """Find the length scale and amplitude of greatest penalised marginal likelihood.
+    """Find the length scale and amplitude of greatest posterior density.
 
-    The likelihood is that of the generalised-least-squares residuals of a constant mean; the penalties are the
-    lognormal priors above. Valid for values scaled to a mean of 1.
+    The likelihood has the constant mean integrated out under a flat prior; the priors are the lognormal ones above,
+    as densities of the logarithms. With values whitened by their noise, K = a^2 Q diag(e) Q' + 1 for every amplitude
+    a, so that one eigendecomposition serves all amplitudes of a length. The best node of a grid so fine that the
+    maximum beside it is less than 0.02 nats higher. Valid for values scaled to a mean of 1.
 
     Parameters
     ----------
@@ -76,21 +83,31 @@ def fit_kernel(
     ----------
     C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning (2006), sections 2.7 and 5.4.
     """
-    ones = np.ones_like(values_rel)
-    center = np.log([PRIOR_LENGTH_DEG, PRIOR_AMPLITUDE_REL])
-    width = np.array([PRIOR_LENGTH_LOG_SD, PRIOR_AMPLITUDE_LOG_SD])
+    whitening = 1 / np.sqrt(np.maximum(noise_variance, _LEAST_NOISE_REL**2))
+    correlation = _correlation(np.abs(angles_deg[:, None] - angles_deg) / _LENGTHS_DEG[:, None, None])
+    eigenvalues, vectors = np.linalg.eigh(correlation * np.outer(whitening, whitening))
+    values = np.einsum("a,laq->lq", whitening * values_rel, vectors)[:, None]
+    ones = np.einsum("a,laq->lq", whitening, vectors)[:, None]
+    precision = 1 / (1 + np.maximum(eigenvalues, 0)[:, None] * _AMPLITUDES_REL[None, :, None] ** 2)
+    information = (precision * ones**2).sum(axis=2)
+    constant = (precision * ones * values).sum(axis=2) / information
+    misfit = (precision * (values - constant[..., None] * ones) ** 2).sum(axis=2)
+    loss = (misfit - np.log(precision).sum(axis=2) + np.log(information)) / 2
+    loss += _log_prior_loss(_LENGTHS_DEG, PRIOR_LENGTH_DEG, PRIOR_LENGTH_LOG_SD)[:, None]
+    loss += _log_prior_loss(_AMPLITUDES_REL, PRIOR_AMPLITUDE_REL, PRIOR_AMPLITUDE_LOG_SD)
+    length, amplitude = np.unravel_index(loss.argmin(), loss.shape)
+    return Matern52(float(_LENGTHS_DEG[length]), float(_AMPLITUDES_REL[amplitude]))
 
-    def penalised_loss(log_parameters: NDArray[np.float64]) -> float:
-        factor = _factorised(_kernel(log_parameters), angles_deg, noise_variance)
-        weights = cho_solve(factor, ones)
-        residual = values_rel - (weights @ values_rel) / weights.sum()
-        log_determinant = 2 * np.log(np.diag(factor[0])).sum()
-        penalty = (((log_parameters - center) / width) ** 2).sum()
-        return float(residual @ cho_solve(factor, residual) + log_determinant + penalty) / 2
 
-    # A hundredth of a log unit is far finer than the data determine length and amplitude.
-    found = minimize(penalised_loss, center, method="Nelder-Mead", options={"xatol": 0.01, "fatol": 0.01})
-    return _kernel(np.asarray(found.x))
+def _correlation(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the Matern-5/2 correlation at distances in units of the length scale."""
+    q = np.sqrt(5) * distance
+    return np.asarray((1 + q + q * q / 3) * np.exp(-q))
+
+
+def _log_prior_loss(values: NDArray[np.float64], median: float, log_sd: float) -> NDArray[np.float64]:
+    """Return minus the logarithm of a lognormal density of the logarithm, without its constant."""
+    return np.asarray((np.log(values / median) / log_sd) ** 2 / 2)
 
 
 def condition(
@@ -136,15 +153,9 @@ def condition(
 def draw_normal(covariance: NDArray[np.float64], draws: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """Return zero-mean normal draws of shape (draws, G) with a covariance (G, G) that may be singular."""
     eigenvalues, vectors = np.linalg.eigh(covariance)
-    # Rounding leaves eigenvalues of a smooth covariance slightly below zero.
-    scale = np.sqrt(np.maximum(eigenvalues, 0))
-    return np.asarray((rng.standard_normal((draws, len(scale))) * scale) @ vectors.T)
-
-
-def _kernel(log_parameters: NDArray[np.float64]) -> Matern52:
-    """Return the kernel with these logarithms of length and amplitude."""
-    length_deg, amplitude_rel = np.exp(log_parameters)
-    return Matern52(float(length_deg), float(amplitude_rel))
+    kept = eigenvalues > _LEAST_EIGENVALUE * eigenvalues.max(initial=0.0)
+    scale = np.sqrt(eigenvalues[kept])
+    return np.asarray((rng.standard_normal((draws, scale.size)) * scale) @ vectors[:, kept].T)
 
 
 def _factorised(

@@ -6,20 +6,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import DecideError
-from finray_calib.decide.angle_risk import (
-    AngleRisk,
-    Verdict,
-    angle_risk,
-    discrepancy_covariance,
-    verdict_of,
-)
-from finray_calib.decide.decision_sentence import decision_sentence
+from finray_calib.decide.angle_risk import AngleRisk, Verdict, angle_risk, verdict_of
+from finray_calib.decide.capture_errors import NO_CAPTURES, CaptureErrors
+from finray_calib.decide.discrepancy import Discrepancy, discrepancy_posterior
 from finray_calib.decide.gaussian_process import CurvePosterior, Matern52, condition, draw_normal, fit_kernel
+
+Floats = NDArray[np.float64]
 
 _LEAST_ANGLES = 4
 _LEAST_REPEATS = 2
-#: Half-width of a central 95 % interval of a normal distribution, in standard deviations.
-_BAND_QUANTILE = 1.959964
+#: Where the expected curve is below this share of its maximum, its logarithm is not followed further down.
+_LEAST_SHARE = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedCurve:
+    """Hold the simulated objective over the angle, relative to its mean over the sweep.
+
+    Attributes
+    ----------
+    noise_rel : float
+        Standard deviation of one value about the curve, after the common scale of each repeat is removed.
+    repeats : int
+    kernel : Matern52
+        Length scale and relative amplitude of the curve.
+    posterior : CurvePosterior
+        On a grid of 1 deg.
+    """
+
+    noise_rel: float
+    repeats: int
+    kernel: Matern52
+    posterior: CurvePosterior
+
+    @property
+    def log_slope_per_deg(self) -> Floats:
+        """Derivative of the logarithm of the expected curve, shape (G,)."""
+        mean = self.posterior.mean
+        return np.asarray(np.gradient(np.log(np.maximum(mean, _LEAST_SHARE * mean.max())), self.posterior.grid_deg))
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,75 +52,65 @@ class AngleDecision:
 
     Attributes
     ----------
-    objective_name : str
-    best_deg : float
-        Angle of greatest posterior mean.
+    best_deg, best_simulation_only_deg : float
+        Angle of the greatest expected real curve, and of the greatest expected simulated one.
     at_range_end : bool
-        Whether that is the first or last angle of the sweep, so that the optimum may lie outside.
+        Whether the former is the first or last angle of the sweep, so that the optimum may lie outside.
     verdict : str
         "decided", "tie", "undecided" or "model-limited", see `verdict_of`.
-    validated : bool
-        Whether a sim-to-real error entered.
     simulation_only : AngleRisk
-        Risk if the simulation were exact: only the noise of the renders.
-    with_discrepancy : AngleRisk or None
-        Risk with the sim-to-real error; None if not validated.
-    tolerance_rel : float
-        Relative loss that does not matter.
-    discrepancy_rel : float or None
-        Relative sim-to-real error of the objective, one standard deviation.
-    noise_rel : float
-        Standard deviation of one value about the curve, relative to the mean, after the common scale of each
-        repeat is removed.
-    kernel : Matern52
-        Length scale and relative amplitude of the fitted curve.
-    grid_deg, mean, low, high : ndarray, shape (G,)
-        Curve with its pointwise 95 % band in the unit of the values, without sim-to-real error.
-    sentence : str
-        The decision in plain English with its numbers.
+        Risk of `best_simulation_only_deg` if the simulation were exact: only the noise of the renders.
+    with_captures : AngleRisk or None
+        Risk of `best_deg` with the sim-to-real error; None without captures.
+    simulated : SimulatedCurve
+    discrepancy : Discrepancy
+        Sim-to-real error of the curve; its prior without captures.
+    choices : ndarray of bool, shape (G,)
+        Angles of the grid that may be chosen.
+    mean_rel, sd_rel : ndarray, shape (G,)
+        Expected real curve on the grid of the simulated one, relative to that one's mean over the sweep, and its
+        standard deviation.
     """
 
-    objective_name: str
     best_deg: float
+    best_simulation_only_deg: float
     at_range_end: bool
     verdict: Verdict
-    validated: bool
     simulation_only: AngleRisk
-    with_discrepancy: AngleRisk | None
-    tolerance_rel: float
-    discrepancy_rel: float | None
-    noise_rel: float
-    kernel: Matern52
-    grid_deg: NDArray[np.float64]
-    mean: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-    sentence: str
+    with_captures: AngleRisk | None
+    simulated: SimulatedCurve
+    discrepancy: Discrepancy
+    choices: NDArray[np.bool_]
+    mean_rel: Floats
+    sd_rel: Floats
+
+    @property
+    def risk(self) -> AngleRisk:
+        """The risk that the verdict rests on."""
+        return self.with_captures or self.simulation_only
 
 
 def decide_angle(
-    angles_deg: NDArray[np.float64],
-    values: NDArray[np.float64],
-    objective_name: str,
+    angles_deg: Floats,
+    values: Floats,
     rng: np.random.Generator,
     tolerance_rel: float = 0.02,
-    discrepancy_rel: float | None = None,
+    captures: CaptureErrors = NO_CAPTURES,
+    allowed: NDArray[np.bool_] | None = None,
     draws: int = 4000,
 ) -> AngleDecision:
     """Decide on the angle that maximises an objective.
 
-    Each repeat is divided by its own mean over the angles, which removes the scale that all its values share.
-    The remaining scatter is pooled, a Gaussian process (Matern-5/2) is fitted to the means, and its joint
-    draws on a grid of 1 deg give the probability that the optimum is near and the relative regret
-    (max f - f(best)) / max f. A sim-to-real error adds to each draw the curve times a Gaussian process of that
-    amplitude (Matern-5/2, length 35 deg) from which the mean over the grid is removed, because a common scale
-    cannot change the ranking.
-
-    See `verdict_of` for the rules of the verdict.
+    Each repeat is divided by its own mean over the angles, which removes the scale that all its values share. The
+    remaining scatter is pooled, a Gaussian process (Matern-5/2) is fitted to the means, and its joint draws f on a
+    grid of 1 deg give the probability that the optimum is near and the relative regret (max f - f(best)) / max f.
+    With captures the curve that is decided on is f exp(-t), t the sim-to-real error less its mean over the grid (see
+    `discrepancy_posterior`); its expected value is that of f times exp(-E t): the spread of t is left out, because
+    E exp(-t) would favour angles for being far from any capture. See `verdict_of` for the rules of the verdict.
 
     Valid for a smooth objective sampled finely enough to see its peak (10 deg for the light angle), and for
     repeats whose mean is wanted: renders with different seeds, or draws of the paint posterior shared by all
-    angles. An error of shape that all repeats share does not average out and belongs in `discrepancy_rel`.
+    angles. An error of shape that all repeats share does not average out: captures show it.
 
     Parameters
     ----------
@@ -104,12 +118,13 @@ def decide_angle(
         At least 4, increasing.
     values : ndarray, shape (A, R)
         Positive objective; column r uses the same nuisance draw r at every angle. At least 2 columns.
-    objective_name : str
     rng : numpy.random.Generator
     tolerance_rel : float
         Relative loss that does not matter.
-    discrepancy_rel : float, optional
-        Relative sim-to-real error of the objective, one standard deviation, from a comparison with captures.
+    captures : CaptureErrors
+        Simulated against captured objective.
+    allowed : ndarray of bool, shape (A,), optional
+        Angles that meet the constraints; between two angles both must.
     draws : int
         Joint curve draws.
 
@@ -120,35 +135,43 @@ def decide_angle(
     Raises
     ------
     DecideError
-        If the sweep has too few angles or repeats, unsorted angles, values that are not positive numbers, or a
-        tolerance or sim-to-real error is out of range.
+        If the sweep has too few angles or repeats, unsorted angles, values that are not positive numbers, no
+        allowed angle, or the tolerance is out of range.
     """
     angles, table = np.asarray(angles_deg, dtype=np.float64), np.asarray(values, dtype=np.float64)
-    _check(angles, table, tolerance_rel, discrepancy_rel)
-    fit = _fitted_curve(angles, table)
-    posterior, best = fit.posterior, fit.best
-    curves = posterior.mean + draw_normal(posterior.covariance, draws, rng)
-    simulation_only = angle_risk(curves, posterior.grid_deg, best, tolerance_rel)
-    with_discrepancy = None
-    if discrepancy_rel is not None:
-        curves = curves + draw_normal(discrepancy_covariance(posterior, discrepancy_rel), draws, rng)
-        with_discrepancy = angle_risk(curves, posterior.grid_deg, best, tolerance_rel)
-    return _decision(
-        objective_name, float(table.mean()), fit, simulation_only, with_discrepancy, tolerance_rel, discrepancy_rel
+    _check(angles, table, tolerance_rel)
+    simulated = _simulated_curve(angles, table)
+    curve = simulated.posterior
+    slope = np.interp(captures.angles_deg, curve.grid_deg, simulated.log_slope_per_deg)
+    discrepancy = discrepancy_posterior(captures, slope, curve.grid_deg)
+    choices = _choices(angles, allowed, curve.grid_deg)
+    curves = curve.mean + draw_normal(curve.covariance, draws, rng)
+    alone = _best(curve.mean, choices)
+    simulation_only = angle_risk(curves, curve.grid_deg, alone, tolerance_rel, choices)
+    best, with_captures, mean, sd = alone, None, curve.mean, curve.standard_deviation
+    if captures.names:
+        mean, sd = _real_curve(curve, discrepancy)
+        best = _best(mean, choices)
+        curves *= np.exp(-discrepancy.shape_draws(draws, rng))
+        with_captures = angle_risk(curves, curve.grid_deg, best, tolerance_rel, choices)
+    at_range_end = best in (0, len(curve.grid_deg) - 1)
+    return AngleDecision(
+        best_deg=float(curve.grid_deg[best]),
+        best_simulation_only_deg=float(curve.grid_deg[alone]),
+        at_range_end=at_range_end,
+        # an optimum at the end of the sweep may lie outside it: no risk inside the range says anything
+        verdict="undecided" if at_range_end else verdict_of(simulation_only, with_captures, tolerance_rel),
+        simulation_only=simulation_only,
+        with_captures=with_captures,
+        simulated=simulated,
+        discrepancy=discrepancy,
+        choices=choices,
+        mean_rel=mean,
+        sd_rel=sd,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _FittedCurve:
-    """Hold the fitted curve, relative to its mean, and the index of its best angle."""
-
-    noise_rel: float
-    kernel: Matern52
-    posterior: CurvePosterior
-    best: int
-
-
-def _fitted_curve(angles_deg: NDArray[np.float64], values: NDArray[np.float64]) -> _FittedCurve:
+def _simulated_curve(angles_deg: Floats, values: Floats) -> SimulatedCurve:
     """Return the curve relative to its mean, on a grid of 1 deg."""
     relative = values / values.mean(axis=0)
     means = relative.mean(axis=1)
@@ -160,52 +183,40 @@ def _fitted_curve(angles_deg: NDArray[np.float64], values: NDArray[np.float64]) 
     kernel = fit_kernel(angles_deg, means, variances)
     steps = int(np.ceil(angles_deg[-1] - angles_deg[0]))
     grid = np.linspace(angles_deg[0], angles_deg[-1], steps + 1)
-    posterior = condition(kernel, angles_deg, means, variances, grid)
-    return _FittedCurve(float(np.sqrt(noise_variance)), kernel, posterior, int(posterior.mean.argmax()))
-
-
-def _decision(
-    objective_name: str,
-    scale: float,
-    fit: _FittedCurve,
-    simulation_only: AngleRisk,
-    with_discrepancy: AngleRisk | None,
-    tolerance_rel: float,
-    discrepancy_rel: float | None,
-) -> AngleDecision:
-    """Return the decision with its verdict and sentence, and the curve in the unit of the values."""
-    grid_deg, mean = fit.posterior.grid_deg, fit.posterior.mean
-    half_band = _BAND_QUANTILE * fit.posterior.standard_deviation
-    best_deg = float(grid_deg[fit.best])
-    at_range_end = fit.best in (0, len(grid_deg) - 1)
-    # an optimum at the end of the sweep may lie outside it: no risk inside the range says anything
-    verdict: Verdict = "undecided" if at_range_end else verdict_of(simulation_only, with_discrepancy, tolerance_rel)
-    risk = with_discrepancy or simulation_only
-    return AngleDecision(
-        objective_name=objective_name,
-        best_deg=best_deg,
-        at_range_end=at_range_end,
-        verdict=verdict,
-        validated=with_discrepancy is not None,
-        simulation_only=simulation_only,
-        with_discrepancy=with_discrepancy,
-        tolerance_rel=tolerance_rel,
-        discrepancy_rel=discrepancy_rel,
-        noise_rel=fit.noise_rel,
-        kernel=fit.kernel,
-        grid_deg=grid_deg,
-        mean=scale * mean,
-        low=scale * (mean - half_band),
-        high=scale * (mean + half_band),
-        sentence=decision_sentence(best_deg, risk, verdict, at_range_end, tolerance_rel, discrepancy_rel),
+    return SimulatedCurve(
+        float(np.sqrt(noise_variance)), repeats, kernel, condition(kernel, angles_deg, means, variances, grid)
     )
+
+
+def _choices(angles_deg: Floats, allowed: NDArray[np.bool_] | None, grid_deg: Floats) -> NDArray[np.bool_]:
+    """Return which angles of the grid may be chosen: between two angles of the sweep both must be allowed."""
+    if allowed is None:
+        return np.ones(grid_deg.size, dtype=np.bool_)
+    if not allowed.any():
+        raise DecideError(
+            "No angle of the sweep meets the constraints (clipping, room for the panel). Move the panel, or allow a "
+            "shorter exposure, and simulate the sweep again."
+        )
+    share = np.interp(grid_deg, angles_deg, allowed.astype(np.float64))
+    return np.asarray(share > 1 - 1e-9)
+
+
+def _best(mean: Floats, choices: NDArray[np.bool_]) -> int:
+    """Return the index of the greatest mean among the choices."""
+    return int(np.where(choices, mean, -np.inf).argmax())
+
+
+def _real_curve(curve: CurvePosterior, discrepancy: Discrepancy) -> tuple[Floats, Floats]:
+    """Return expected value and standard deviation (G,) of the simulated curve times exp(-t), t of zero mean."""
+    ratio = np.exp(-discrepancy.shape_mean)
+    sd = np.hypot(curve.standard_deviation, curve.mean * discrepancy.shape_sd)
+    return curve.mean * ratio, np.asarray(sd * ratio)
 
 
 def _check(
     angles_deg: NDArray[np.float64],
     values: NDArray[np.float64],
     tolerance_rel: float,
-    discrepancy_rel: float | None,
 ) -> None:
     """Refuse a sweep that does not allow a decision."""
     if angles_deg.ndim != 1 or len(angles_deg) < _LEAST_ANGLES:
@@ -231,8 +242,3 @@ def _check(
         )
     if not 0 < tolerance_rel < 1:
         raise DecideError(f"The tolerance must be a relative loss between 0 and 1, got {tolerance_rel}; 0.02 is 2 %.")
-    if discrepancy_rel is not None and not 0 <= discrepancy_rel < 1:
-        raise DecideError(
-            f"The sim-to-real error must be relative and between 0 and 1, got {discrepancy_rel}. An error as large as "
-            "the objective supports no decision; improve the simulation first."
-        )

@@ -146,7 +146,9 @@ class Demo:
         """Render the press with the fitted paints; level "a" is the paper's emitter, for comparison."""
         finger = self._finger(self.design(), {c: paint_optics(p) for c, p in self.calibrations().items()})
         samples = self.settings.effort.samples_per_pixel // (1 if level == "b" else 2)
-        press = simulate_press(finger, level, self.settings.seed, samples, self._digests(), progress)
+        press = simulate_press(
+            finger, level, self.settings.seed, samples, self._digests(), progress, calibrations=self.calibrations()
+        )
         return self._store(press, PRESS[level], [f"{c}/paint.json" for c in COLOURS])
 
     def sweep(self, progress: Progress) -> LightAngleSweep:

@@ -1,9 +1,11 @@
 """Figures of a comparison: the error map and the score of every region. Each returns SVG text."""
 
 import numpy as np
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from data_schemas.compare import PhotometricErrorReport
+from finray_calib.reports.comparison_images import coarser
 from finray_calib.reports.demo_results import row_of
 from finray_calib.reports.style import CANDIDATES, INK, MUTED, new_figure, styled, svg_text
 
@@ -26,7 +28,7 @@ def error_map_figure(
     window
         Rows and columns of that grid to show; all when None.
     """
-    error = np.abs(report.error_map)
+    error = coarser(np.abs(report.error_map).astype(np.float64))
     height, width = outline.shape
     rows, columns = window or (slice(0, height), slice(0, width))
     view = (min(rows.stop, height) - rows.start) / (min(columns.stop, width) - columns.start)
@@ -35,15 +37,21 @@ def error_map_figure(
     top = float(np.nanpercentile(error, SHOWN_PERCENTILE))
     extent = (0.0, float(width), float(height), 0.0)
     drawn = axes.imshow(error, cmap="cividis", vmin=0.0, vmax=top if top > 0 else 1.0, extent=extent)
-    if outline.any() and not outline.all():
-        centers = np.arange(width) + 0.5, np.arange(height) + 0.5
-        axes.contour(*centers, outline.astype(float), levels=[0.5], colors="white", linewidths=2.6)
-        axes.contour(*centers, outline.astype(float), levels=[0.5], colors=INK, linewidths=1.2, linestyles="--")
+    draw_outline(axes, outline, "--")
     axes.set(xlim=(columns.start, min(columns.stop, width)), ylim=(min(rows.stop, height), rows.start))
     axes.set_axis_off()
     bar = figure.colorbar(drawn, ax=axes, shrink=0.9, extend="max")
     bar.set_label("error / untouched level (1)")
     return svg_text(figure)
+
+
+def draw_outline(axes: Axes, mask: NDArray[np.bool_], line: str) -> None:
+    """Draw the border of a region, in its own pixels, as a dark line on a white one that is seen on any ground."""
+    if not mask.any() or mask.all():
+        return
+    centers = np.arange(mask.shape[1]) + 0.5, np.arange(mask.shape[0]) + 0.5
+    axes.contour(*centers, mask.astype(float), levels=[0.5], colors="white", linewidths=2.6)
+    axes.contour(*centers, mask.astype(float), levels=[0.5], colors=INK, linewidths=1.2, linestyles=line)
 
 
 @styled()

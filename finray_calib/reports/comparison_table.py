@@ -59,7 +59,7 @@ def _cells(row: ErrorRow) -> list[str]:
     """Return the cells of one candidate."""
     skill = skill_text(row.skill.estimate, row.skill.low95, row.skill.high95)
     channels = " ".join("-" if value is None else fixed(value, 2) for value in row.skill_per_channel)
-    spread = "withheld" if row.relative_rms is None else " ".join(fixed(value, 3) for value in row.relative_rms)
+    spread = "withheld" if row.relative_rms is None else " ".join(fixed(rms.estimate, 3) for rms in row.relative_rms)
     return [
         row.candidate,
         skill,

@@ -69,5 +69,5 @@ def _decide(results: DemoResults) -> Content:
         "probability of each angle.",
         picture_rows=((picture,),),
         remarks=(trust.validation_statement(decision),),
-        tables=(decision_table(results),),
+        tables=(decision_table(decision),),
     )

@@ -63,6 +63,12 @@ def percent(fraction: float) -> str:
     return f"{text.removesuffix('.0')} %"
 
 
+def signed_percent(fraction: float) -> str:
+    """Return a fraction as per cent with its sign; what rounds to nothing is 0 %."""
+    text = percent(fraction) if abs(fraction) >= 0.0005 else "0 %"
+    return f"+{text}" if fraction >= 0.0005 else text
+
+
 def probability(value: float) -> str:
     """Return a probability with two decimals; never 0 or 1, which no finite number of draws can show."""
     if value > 0.99:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_schemas.compare import ErrorRow, PhotometricErrorReport, RegionError
+from data_schemas.decide import LightAngleDecision
 from data_schemas.provenance import Provenance
 from finray_calib.reports.demo_results import COLOURS, DemoResults, row_of
 from finray_calib.reports.fitted_paint import FittedPaint
@@ -130,7 +131,7 @@ def _clipped(fraction: float) -> str:
 
 def _error_cells(row: ErrorRow) -> tuple[str, ...]:
     """Return the cells of one candidate."""
-    spread = "withheld" if row.relative_rms is None else ", ".join(percent(value) for value in row.relative_rms)
+    spread = "withheld" if row.relative_rms is None else ", ".join(percent(rms.estimate) for rms in row.relative_rms)
     return (
         row.candidate,
         skill_text(row.skill.estimate, row.skill.low95, row.skill.high95),
@@ -141,18 +142,22 @@ def _error_cells(row: ErrorRow) -> tuple[str, ...]:
     )
 
 
-def decision_table(results: DemoResults) -> ReportTable:
-    """List what is claimed with the sim-to-real error, beside what the renders alone would claim."""
-    decision = results.decision
-    both = (decision.statement, decision.statement_simulation_only)
+def decision_table(decision: LightAngleDecision) -> ReportTable:
+    """List what is claimed with captures, beside what the renders alone would claim; the latter only without any."""
+    claims = {"renders alone": decision.statement_simulation_only}
+    angle = f"Light at {decision.angle_deg:.0f} deg"
+    if decision.validated:
+        claims = {"with captures": decision.statement, **claims}
+    else:
+        angle += ", not validated against a capture"
+    shown = claims.values()
     rows: list[tuple[str, ...]] = [
-        ("true optimum within 5 deg, probability", *(probability(s.p_within_5deg) for s in both)),
-        ("expected loss", *(percent(s.expected_regret) for s in both)),
-        ("loss not exceeded with 95 % probability", *(percent(s.regret_95) for s in both)),
-        (f"angles equivalent within {percent(decision.tolerance_rel)}", *(equivalent_text(s) for s in both)),
+        ("true optimum within 5 deg, probability", *(probability(s.p_within_5deg) for s in shown)),
+        ("expected loss", *(percent(s.expected_regret) for s in shown)),
+        ("loss not exceeded with 95 % probability", *(percent(s.regret_95) for s in shown)),
+        (f"angles equivalent within {percent(decision.tolerance_rel)}", *(equivalent_text(s) for s in shown)),
     ]
-    first = "with sim-to-real error" if decision.validated else "not validated"
-    return one_group(f"Light at {decision.angle_deg:.0f} deg", ("claim", first, "renders alone"), rows, is_words=True)
+    return one_group(angle, ("claim", *claims), rows, is_words=True)
 
 
 def provenance_table(origin: Provenance) -> ReportTable:

@@ -9,12 +9,16 @@ from finray_calib.reports.style import svg_data_uri
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """An image inside the page; the alternative text carries its conclusion, the caption says what to see."""
+    """An image inside the page; the alternative text carries its conclusion, the caption says what to see.
+
+    A row whose first picture is small holds three of them on a wide screen.
+    """
 
     source: str
     alternative: str
     caption: str
     is_raster: bool = False
+    is_small: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,9 +53,9 @@ class Section:
 
 def raster(rgb8: ByteImage, alternative: str, caption: str) -> Picture:
     """Return an (H, W, 3) sRGB image as a picture."""
-    return Picture(png_data_uri(rgb8), alternative, caption, is_raster=True)
+    return Picture(png_data_uri(rgb8), alternative, caption, is_raster=True, is_small=True)
 
 
-def drawing(svg: str, alternative: str, caption: str) -> Picture:
+def drawing(svg: str, alternative: str, caption: str, is_small: bool = False) -> Picture:
     """Return SVG text as a picture."""
-    return Picture(svg_data_uri(svg), alternative, caption)
+    return Picture(svg_data_uri(svg), alternative, caption, is_small=is_small)

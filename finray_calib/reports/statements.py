@@ -50,12 +50,12 @@ def simulation_sentence(report: PhotometricErrorReport) -> str:
     elif skill.low95 <= 0:
         meaning = f"The simulated touch cannot be told from leaving the image unchanged: skill {score}"
     else:
-        meaning = (
-            f"The simulated touch explains {percent(skill.estimate)} of the squared change in the image: skill {score}"
-        )
+        # with the noise taken out an estimate may lie above 1
+        share = "all" if skill.estimate >= 1 else percent(skill.estimate)
+        meaning = f"The simulated touch explains {share} of the squared change in the image: skill {score}"
     bound = "no repeat was captured, so the best possible score is unknown"
     if floor is not None:
-        ceiling = _ceiling(floor.skill.estimate)
+        ceiling = ceiling_text(floor.skill.estimate)
         bound = f"a perfect simulation would score {ceiling}, limited by how well the capture itself repeats"
     return f"{meaning} over the region \u201c{report.headline_region}\u201d. Doing nothing scores 0; {bound}."
 
@@ -73,7 +73,7 @@ def level_a_sentence(report: PhotometricErrorReport, report_level_a: Photometric
     )
 
 
-def _ceiling(skill: float) -> str:
+def ceiling_text(skill: float) -> str:
     """Return the floor row's skill; what rounds to a perfect 1 is said to be above 0.999."""
     return "above 0.999" if skill > 0.999 else fixed(skill, 3)
 

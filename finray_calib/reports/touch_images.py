@@ -40,7 +40,7 @@ def touch_pair(
     RecordError
         When a channel has no light on the pad.
     """
-    before, after = (_bands(press, np.asarray(image, dtype=np.float64)) for image in (no_contact, contact))
+    before, after = (shown_bands(press, np.asarray(image, dtype=np.float64)) for image in (no_contact, contact))
     pad = np.isfinite(press.distance)
     white, linear = display_white(before[pad]), press.encoding == "linear"
     shown, touched = (to_display(image, white, linear) for image in (before, after))
@@ -58,7 +58,7 @@ def pad_window(press: SimulatedPress) -> tuple[slice, slice]:
     )
 
 
-def _bands(press: SimulatedPress, image: NDArray[np.float64]) -> NDArray[np.float64]:
+def shown_bands(press: SimulatedPress, image: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the light of each source in the order it is shown, or the image itself."""
     if press.camera_matrix is None or not is_unmixed(press):
         return image

@@ -33,7 +33,7 @@ def simulate_section(results: DemoResults) -> Content:
     return Content(
         lead=f"The finger, untouched and pressed{angle}: {press.label}. Then the light was swept: {sweep.label}.",
         picture_rows=(pictures,),
-        remarks=(_display_remark(press),),
+        remarks=(display_remark(press),),
     )
 
 
@@ -48,7 +48,7 @@ def _scored(results: DemoResults) -> NDArray[np.bool_]:
     return results.press.distance <= headline(results.report).factor
 
 
-def _display_remark(press: SimulatedPress) -> str:
+def display_remark(press: SimulatedPress) -> str:
     """Say what was done to the images for the screen."""
     cut = "Images are cut to the pad"
     if is_unmixed(press):
@@ -68,11 +68,11 @@ def compare_section(results: DemoResults) -> Content:
     """Show capture, render, error map and scores."""
     report, capture = results.report, results.capture
     lead = (
-        f"The render was compared with the capture \u201c{capture.name}\u201d {_grid_phrase(report)}, "
+        f"The render was compared with the capture \u201c{capture.name}\u201d {grid_phrase(report)}, "
         f"{_exposure_phrase(results)}. Beside it stand two candidates that need no simulation: leaving the image "
         "unchanged (do nothing), and repeating the capture (floor)."
     )
-    remarks = [_display_remark(results.press), f"Values: {report.values}. SSIM settings: {report.ssim_settings}."]
+    remarks = [display_remark(results.press), f"Values: {report.values}. SSIM settings: {report.ssim_settings}."]
     if results.report_level_a is not None:
         remarks.insert(0, statements.level_a_sentence(report, results.report_level_a))
     return Content(
@@ -123,7 +123,7 @@ def _drawings(results: DemoResults) -> tuple[Picture, ...]:
     )
 
 
-def _grid_phrase(report: PhotometricErrorReport) -> str:
+def grid_phrase(report: PhotometricErrorReport) -> str:
     """Say over which pixels or blocks images were compared."""
     if report.block_px == 1:
         return "pixel by pixel"

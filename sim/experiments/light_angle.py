@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.fit import PaintCalibration
-from data_schemas.simulate import LightAngleSweep
+from data_schemas.simulate import AngleConstraints, AngleObjective, LightAngleSweep
+from sim.experiments.light_angle_objectives import REPEATS, angle_objectives, require_compiled
 from sim.experiments.painted_finger import PaintedFinger
 from sim.experiments.press import SHAPE_NOTE
 from sim.optics.angle_sweep import sweep_light_angle
@@ -32,6 +33,8 @@ def light_angle_sweep(
     paint_sha256: Mapping[str, str],
     progress: Progress | None = None,
     shape: FingerShape | None = None,
+    further_objectives: bool = False,
+    rest: FingerShape | None = None,
 ) -> LightAngleSweep:
     """Measure the objective at every angle, with one draw of both paints and one noise seed per repeat.
 
@@ -40,7 +43,12 @@ def light_angle_sweep(
     change the ranking. The value is the mean of the three channels, each relative to its mean over the sweep: the
     blue channel, tens of times brighter in raw counts, would otherwise be the only one that counts.
     `shape` is the finger with contact, by default that of the analytic press.
+
+    With `further_objectives`, those of :mod:`sim.experiments.light_angle_objectives` are measured too, with the first
+    draws of the paints, on the finger without contact, `rest` (by default that of the design).
     """
+    if further_objectives:
+        require_compiled(finger)
     sweep = sweep_light_angle(
         finger.design, finger.paints, finger.renderer, angles_deg, repeats, seed, samples, None, progress, shape
     )
@@ -48,15 +56,26 @@ def light_angle_sweep(
     to_camera = np.array([_camera_of_draw(finger, calibrations, sweep.bands, rng) for _ in range(repeats)])
     basis = sweep.radiance_rel
     rgb = np.einsum("rcb,arpb->arc", to_camera, basis) / basis.shape[2]
+    channels = rgb / rgb.mean(axis=(0, 1))
+    others: tuple[AngleObjective, ...] = ()
+    constraints: AngleConstraints | None = None
+    if further_objectives:
+        shapes = None if rest is None or shape is None else (rest, shape)
+        others, constraints = angle_objectives(
+            finger, to_camera[:REPEATS], sweep.angles_deg, seed, progress=progress, shapes=shapes
+        )
     return LightAngleSweep(
         name=f"{finger.design.name}, light angle",
         objective=OBJECTIVE,
         label=sweep.label,
         angles_deg=sweep.angles_deg,
-        values=(rgb / rgb.mean(axis=(0, 1))).mean(axis=2),
+        values=channels.mean(axis=2),
+        channels=channels,
         basis=basis,
         bands=BAND_NAMES,
         probe_points_mm=sweep.probe_points_mm,
+        other_objectives=others,
+        constraints=constraints,
         design=finger.design,
         paints=dict(paint_sha256),
         notes=(

@@ -6,8 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.curves import SpectralCurve
-from data_schemas.simulate import RenderedLight, SimulatedPress
+from data_schemas.errors import SimulateError
+from data_schemas.fit import PaintCalibration
+from data_schemas.simulate import PoseResponse, RenderedLight, SimulatedPress
+from sim.experiments.known_inputs import known_inputs
 from sim.experiments.painted_finger import COLOURS, CameraResponse, PaintedFinger, coverage_notes
+from sim.experiments.pose_response import pose_response
+from sim.optics.chain_images import chain_matrix
 from sim.optics.paint_bands import BAND_NAMES, PaintBands
 from sim.optics.render import PressRender, Progress, RenderLevel, render_press
 from sim.surface_meshes.finger_shape import FingerShape
@@ -25,6 +30,9 @@ def simulate_press(
     paint_sha256: Mapping[str, str],
     progress: Progress | None = None,
     shapes: tuple[FingerShape, FingerShape] | None = None,
+    calibrations: Mapping[str, PaintCalibration] | None = None,
+    with_pose_response: bool = False,
+    contact_samples_per_pixel: int | None = None,
 ) -> SimulatedPress:
     """Render the contact and no-contact image of a finger in its camera's linear RGB.
 
@@ -41,7 +49,22 @@ def simulate_press(
         Colour -> SHA-256 of the paint calibration the optics came from.
     shapes
         The finger without and with contact; by default the design's indenter is pressed in analytically.
+    calibrations
+        Fits that the paints came from: with them the press holds draws of what its colours rest on.
+    contact_samples_per_pixel
+        Paths per pixel around the contact, see :func:`sim.optics.render.render_press`.
+    with_pose_response
+        Also render how the contact image changes with the indenter's depth and position (analytic press only).
+
+    Raises
+    ------
+    SimulateError
+        A response to the pose is asked for of given shapes.
     """
+    if with_pose_response and shapes is not None:
+        raise SimulateError(
+            "the response to the pose is rendered for the analytic press only; leave it out, or leave the surfaces out"
+        )
     render = render_press(
         finger.design,
         finger.paints,
@@ -52,12 +75,24 @@ def simulate_press(
         progress,
         shapes,
         finger.calibration,
+        contact_samples_per_pixel,
     )
-    return press_record(finger, render, paint_sha256)
+    pose = None
+    if with_pose_response:
+        pose = pose_response(
+            finger, level, seed, samples_per_pixel, contact_samples_per_pixel, render.chains, progress=progress
+        )
+    return press_record(finger, render, paint_sha256, calibrations or {}, pose)
 
 
-def press_record(finger: PaintedFinger, render: PressRender, paint_sha256: Mapping[str, str]) -> SimulatedPress:
-    """Return the record of a render of `finger`; colours and checksums of its paints as in :func:`simulate_press`."""
+def press_record(
+    finger: PaintedFinger,
+    render: PressRender,
+    paint_sha256: Mapping[str, str],
+    calibrations: Mapping[str, PaintCalibration],
+    pose: PoseResponse | None = None,
+) -> SimulatedPress:
+    """Return the record of a render of `finger`; its paints and their fits as in :func:`simulate_press`."""
     matrix = finger.camera_matrix(render.bands)
     return SimulatedPress(
         name=f"{finger.design.name}, press of {finger.design.indenter.depth_mm:g} mm",
@@ -75,6 +110,11 @@ def press_record(finger: PaintedFinger, render: PressRender, paint_sha256: Mappi
         no_contact_chains=render.no_contact_chains if render.chains_apart else None,
         contact_chains=render.contact_chains if render.chains_apart else None,
         chains=render.chains if render.chains_apart else (),
+        no_contact_half_difference=render.no_contact_half_difference,
+        contact_half_difference=render.contact_half_difference,
+        layer_matrix=matrix @ chain_matrix(render.chains),
+        known_inputs=known_inputs(finger, calibrations, paint_sha256, render.chains),
+        pose_response=pose,
         rendered_light=light_record(render.bands, finger.response),
         camera_matrix=matrix,
         light_angle_deg=finger.design.light.angle_deg,

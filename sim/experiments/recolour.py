@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
-from data_schemas.simulate import RenderedLight, SimulatedPress
+from data_schemas.simulate import KnownInputs, RenderedLight, SimulatedPress
 from sim.experiments.painted_finger import CameraResponse, response_matrix
 from sim.experiments.press import CAMERA_NOTE, SHAPE_NOTE, colour_notes, light_record
 from sim.optics.chain_images import (
@@ -84,11 +84,27 @@ def recoloured(
         update={
             **_images(press, growth, np.array(gains)[:, None] * to_rgb),
             "label": press.label.removesuffix(_RECOLOURED) + _RECOLOURED,
+            "layer_matrix": np.array(gains)[:, None] * to_rgb @ growth,
+            "known_inputs": _still_known(press.known_inputs, paints is not None, response is not None),
             "shown_light": light_record(bands, camera, gains),
             "paints": press.paints if paint_sha256 is None else dict(paint_sha256),
             "notes": (*dict.fromkeys([*colour_notes(camera, bands), *kept]), *balance),
         }
     )
+
+
+def _still_known(known: KnownInputs | None, other_paints: bool, other_camera: bool) -> KnownInputs | None:
+    """Return the inputs whose draws still hold; those of a changed paint or camera belong to the old one."""
+    if known is None:
+        return None
+    changed = other_paints * ("red paint", "green paint") + other_camera * ("camera response",)
+    kept = [i for i, name in enumerate(known.names) if name not in changed]
+    if not kept:
+        return None
+    fields = {
+        field: tuple(getattr(known, field)[i] for i in kept) for field in ("names", "keys", "evaluations", "sources")
+    }
+    return known.model_copy(update={**fields, "factors": known.factors[kept]})
 
 
 def stored_bands(rendered: RenderedLight) -> PaintBands:

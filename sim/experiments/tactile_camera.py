@@ -165,6 +165,7 @@ def camera_capture(
     name: str,
     source: str,
     led_drift_rel: float = 0.0,
+    pose_uncertainty_mm: tuple[float, float] | None = None,
 ) -> TactileCapture:
     """Expose contact, no contact and a repeat of no contact of a render.
 
@@ -181,7 +182,9 @@ def camera_capture(
     light_angle_deg, name, source
         As the capture records them.
     led_drift_rel
-        Standard deviation of the LED's level between the image without contact and its repeat.
+        Standard deviation of the LED's level from image to image.
+    pose_uncertainty_mm
+        Standard uncertainty of depth and position that the capture states.
 
     Raises
     ------
@@ -194,17 +197,17 @@ def camera_capture(
         camera_rgb(image, camera_matrix).astype(np.float64) for image in (bands.no_contact, bands.contact, repeated)
     )
     scale = electrons_per_s(no_contact, sensor, EXPOSURE_S)
-    drift = 1.0 + led_drift_rel * rng.standard_normal()
 
     def expose(rgb: Floats) -> NDArray[np.uint16]:
-        return sensor.expose(mosaic(rgb * scale), EXPOSURE_S, rng)[..., None]
+        drift = 1.0 + led_drift_rel * rng.standard_normal()
+        return sensor.expose(mosaic(drift * rgb * scale), EXPOSURE_S, rng)[..., None]
 
     indenter = design.indenter
     return TactileCapture(
         name=name,
         contact=expose(contact),
         no_contact=expose(no_contact),
-        repeat_no_contact=expose(drift * repeat),
+        repeat_no_contact=expose(repeat),
         layout="Bayer RGGB",
         encoding="linear",
         bit_depth=design.camera.bit_depth,
@@ -216,6 +219,8 @@ def camera_capture(
             radius_mm=indenter.radius_mm,
             depth_mm=indenter.depth_mm,
             position_mm=indenter.position_mm,
+            depth_uncertainty_mm=None if pose_uncertainty_mm is None else pose_uncertainty_mm[0],
+            position_uncertainty_mm=None if pose_uncertainty_mm is None else pose_uncertainty_mm[1],
         ),
         contact_circle=None,
         mm_per_px=None,

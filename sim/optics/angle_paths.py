@@ -25,6 +25,7 @@ from sim.optics.panel_frame import PanelFrame, panel_frame
 from sim.optics.paths import BandPaths, band_integrator
 from sim.optics.scene import MAX_DEPTH, PANEL_RADIANCE_REL, ROULETTE_DEPTH
 from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP
+from sim.optics.wall_tallies import WallGlow, WallTexels
 from sim.surface_meshes.finger_shape import FingerShape
 
 Floats = NDArray[np.float64]
@@ -160,8 +161,10 @@ class AnglePaths:
             sampler.seed(chunk_seed, o.shape[1])
             first = mi.Point3f(np.ascontiguousarray(spread[chunk].T, dtype=np.float32))
             group = (dr.arange(mi.UInt32, o.shape[1]) + number * _MOST_PATHS) // per_group
+            walls = WallTexels(by_wall, kept_away, group, self.count)
+            state = _FROM_START if from_wall else _FROM_EYE
             found = _follow(  # type: ignore[no-untyped-call]
-                self, sampler, mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), first, by_wall, kept_away, group, from_wall
+                self, sampler, mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), first, walls, state
             )
             for k, radiance in enumerate(found):
                 dr.scatter_add(led, radiance, group * self.count + k)
@@ -171,6 +174,64 @@ class AnglePaths:
         return Received(
             np.array(led, dtype=np.float64).reshape(groups, self.count) / per_group, (free - lost) / per_group
         )
+
+    def arriving(
+        self, origins_mm: Floats, directions: NDArray[np.floating], emitted: Floats, seed: int
+    ) -> NDArray[np.float32]:
+        """Return the band radiance (ray, angle, 3) that arrives along rays from points of the coat, but for direct LED.
+
+        Parameters
+        ----------
+        origins_mm, directions
+            Start at the coat and unit direction into the gel, (ray, 3).
+        emitted
+            Radiance of the walls for each angle, (angle, wall, TEXELS_ALONG, TEXELS_UP).
+        seed
+            Random seed, 32 bit.
+        """
+        light = np.empty((len(origins_mm), self.count, 3), dtype=np.float32)
+        rng = np.random.default_rng(seed)
+        for start in range(0, len(origins_mm), _MOST_PATHS):
+            chunk = slice(start, start + _MOST_PATHS)
+            o, d = (np.ascontiguousarray(v[chunk].T, dtype=np.float32) for v in (origins_mm, directions))
+            sampler = mi.load_dict({"type": "independent"})
+            sampler.seed(int(rng.integers(2**32)), o.shape[1])
+            walls = WallGlow(emitted, o.shape[1])
+            ray, first = mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), mi.Point3f(0.0)
+            led = _follow(self, sampler, ray, first, walls, _FROM_SURFACE)  # type: ignore[no-untyped-call]
+            dr.eval(led, walls.radiance)
+            light[chunk, :, :2] = np.array(walls.radiance).reshape(-1, self.count, 2)
+            light[chunk, :, 2] = np.stack([np.array(radiance) for radiance in led], axis=1)
+        return light
+
+    def straight(
+        self, origins_mm: Floats, looking: Floats, per_group: int, seed: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return directions (ray, 3) and LED radiance times solid angle (ray, angle) straight from the panels.
+
+        Parameters
+        ----------
+        origins_mm, looking
+            Starts in the gel and unit directions towards the points of the coat that are lit, (group * per_group, 3).
+        per_group
+            Rays per group, each to an evenly spread point of what panels may cover.
+        seed
+            Random seed, 32 bit.
+        """
+        o, d = (np.ascontiguousarray(v.T, dtype=np.float32) for v in (origins_mm, looking))
+        si = self.scene.ray_intersect(mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)))
+        rng = np.random.default_rng(seed)
+        directions, light = [], []
+        for number, panel in enumerate(self.panels):
+            spots = np.tile(even_points(per_group, 2, rng), (o.shape[1] // per_group, 1))
+            spot = mi.Point2f(np.ascontiguousarray(spots.T, dtype=np.float32))
+            reached, direction, weight, outside, length = self.connect(panel, si, spot, si.is_valid())
+            seen = self.met(outside, length)
+            sent = [dr.select(reached & here, weight * power, 0) for here, power in (pair[number] for pair in seen)]
+            dr.eval(direction, sent)
+            directions.append(direction.numpy().T)
+            light.append(np.stack([np.array(value) for value in sent], axis=1))
+        return np.concatenate(directions), np.concatenate(light)
 
     def met(self, ray: Any, before_mm: Any) -> list[list[tuple[Any, Any]]]:
         """Return (meets it first, radiance sent) per angle and panel for rays that end after a distance."""
@@ -211,31 +272,11 @@ class AnglePaths:
         return reached, in_gel, weight, outside, dr.select(hit.is_valid(), hit.t, dr.inf)
 
 
-def _note_wall(by_wall: Any, si: Any, group: Any, is_green: Any, carried: Any, active: Any) -> None:
-    """Add what a path carries to the texels around a wall point, as :meth:`BandPaths.wall_radiance` reads them."""
-    for weight, texel in _texels_around(si, group, is_green):
-        dr.scatter_add(by_wall, carried * weight, texel, active)
-
-
-def _texels_around(si: Any, group: Any, is_green: Any) -> list[tuple[Any, Any]]:
-    """Return weight and index of the four texels around a wall point."""
-    x = dr.clip(si.uv.x * TEXELS_UP - 0.5, 0.0, TEXELS_UP - 1.0)
-    y = dr.clip(si.uv.y * TEXELS_ALONG - 0.5, 0.0, TEXELS_ALONG - 1.0)
-    i, j = (dr.minimum(mi.UInt32(t), most - 2) for t, most in ((x, TEXELS_UP), (y, TEXELS_ALONG)))
-    s, t = x - mi.Float(i), y - mi.Float(j)
-    first = ((group * 2 + dr.select(is_green, mi.UInt32(1), mi.UInt32(0))) * TEXELS_ALONG + j) * TEXELS_UP + i
-    return [
-        (along * up, first + (b * TEXELS_UP + a))
-        for b, along in ((0, 1.0 - t), (1, t))
-        for a, up in ((0, 1.0 - s), (1, s))
-    ]
-
-
 @dr.syntax
 def _follow(  # type: ignore[no-untyped-def]
-    tracer, sampler, ray, first, by_wall, kept_away, group, from_wall
+    tracer, sampler, ray, first, walls, start
 ):
-    """Follow paths; return the LED radiance of every angle and add what meets the walls, and what panels keep away."""
+    """Follow paths; return the LED radiance of every angle and tell the walls what has met them."""
     paths, scene = tracer.paths, tracer.scene
     context = mi.BSDFContext()
     ray = mi.Ray3f(ray)
@@ -243,7 +284,7 @@ def _follow(  # type: ignore[no-untyped-def]
     led = [mi.Float(0) for _ in range(tracer.count)]
     free = [mi.Bool(True) for _ in range(tracer.count)]
     depth, eta, active = mi.UInt32(0), mi.Float(1), mi.Bool(True)
-    state = mi.UInt32(_FROM_START if from_wall else _FROM_EYE)
+    state = mi.UInt32(start)
     while dr.hint(active, max_iterations=MAX_DEPTH):
         si = scene.ray_intersect(ray, active)
         aimed_at = [(state == _DIRECT) | ((state == _STRAIGHT_OUT) & panel.aim.faces(ray)) for panel in tracer.panels]
@@ -257,10 +298,7 @@ def _follow(  # type: ignore[no-untyped-def]
         front = mi.Frame3f.cos_theta(si.wi) > 0
         is_red, is_green = si.shape == paths.red, si.shape == paths.green
         on_wall = active & front & (is_red | is_green)
-        carried = dr.select(is_green, throughput.y, throughput.x)
-        _note_wall(by_wall, si, group, is_green, carried, on_wall)
-        for k in range(tracer.count):
-            _note_wall(kept_away, si, group * tracer.count + k, is_green, carried, on_wall & ~free[k])
+        walls.met(si, is_green, throughput, free, on_wall)
         active &= (depth + 1) < MAX_DEPTH
         bsdf = si.bsdf(ray)
         can_connect = active & (on_wall | (~front & (si.shape == paths.coat)))
@@ -275,8 +313,9 @@ def _follow(  # type: ignore[no-untyped-def]
                 here, sent = seen[k][number]
                 led[k] += dr.select(reached & free[k] & here, value * sent, 0)
         lobe, spot = sampler.next_1d(active), sampler.next_2d(active)
-        lobe = dr.select(depth == 0, first.z, lobe)
-        spot = dr.select(depth == 0, mi.Point2f(first.x, first.y), spot)
+        if dr.hint(start != _FROM_SURFACE, mode="scalar"):
+            lobe = dr.select(depth == 0, first.z, lobe)
+            spot = dr.select(depth == 0, mi.Point2f(first.x, first.y), spot)
         chosen, chosen_weight = bsdf.sample(context, si, lobe, spot, active)
         smooth = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
         transmitted = smooth & mi.has_flag(chosen.sampled_type, mi.BSDFFlags.DeltaTransmission)

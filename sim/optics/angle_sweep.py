@@ -1,7 +1,7 @@
 """Sweep the light angle and measure the radiance of the coated face at probe points instead of rendering pictures."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -11,22 +11,16 @@ from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from sim.optics.angle_batches import BAKE_SHARE, at_angle, measure_together
 from sim.optics.chain_images import chain_matrix
 from sim.optics.paint_bands import PaintBands, PaintOptics
-from sim.optics.probes import Probes, default_probe_points_mm, probes_on
+from sim.optics.probes import Probes, default_probe_points_mm, probes_on, radiance_meter
 from sim.optics.render import BAKE_SAMPLES, Progress, check_paints, lit_integrator, open_scene, stream_seed
-from sim.optics.scene import band_film, check_outside_the_gel
 from sim.optics.variants import SCALAR_VARIANT
 from sim.optics.wall_baking import bake_walls
-from sim.optics.wall_exchange import WallExchange, direct_lights
 from sim.surface_meshes.finger_shape import FingerShape, pressed_shape
 
 Floats = NDArray[np.float64]
-
-# each repeat bakes its own walls, so that the repeats show the bake's noise; together they sample it well
-_BAKE_SHARE = 0.2
-# poses are loops of one compiled kernel and share its memory
-_POSES_AT_ONCE = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +105,7 @@ def sweep_light_angle(
     )
     bands = check_paints(design, paints)
     radiance = np.empty((angles.size, repeats, len(probes.points_mm), 3))
-    designs = [_at_angle(design, float(angle)) for angle in angles]
+    designs = [at_angle(design, float(angle)) for angle in angles]
     variant = renderer.variant()
     if variant == SCALAR_VARIANT:
         for i, finger in enumerate(designs):
@@ -119,16 +113,11 @@ def sweep_light_angle(
             if progress is not None:
                 progress(i + 1, angles.size, f"light angle {angles[i]:g} deg")
     else:
-        radiance = _measure_together(designs, shape, bands, renderer, probes, samples, repeats, seed, progress)
+        of_facets = measure_together(designs, shape, bands, renderer, probes, None, samples, repeats, seed, progress)
+        radiance = of_facets[:, :, 0]
     duration_s = time.monotonic() - start
     label = f"rendered probes, level b, {variant}"
     return AngleSweep(angles, radiance, probes.points_mm, bands, samples, seed, duration_s, variant, label)
-
-
-def _at_angle(design: FingerDesign, angle_deg: float) -> FingerDesign:
-    """Return the design with another light angle, checked by the record's own bounds."""
-    light = type(design.light).model_validate({**design.light.model_dump(), "angle_deg": angle_deg})
-    return design.model_copy(update={"light": light})
 
 
 def _measure_by_meters(
@@ -142,8 +131,8 @@ def _measure_by_meters(
     seed: int,
 ) -> Floats:
     """Return the band radiance (repeat, probe, 3) for one light angle in a scalar variant."""
-    scene = open_scene(design, shape, bands, renderer, sensor=_meter(renderer, probes, 0))
-    bake_samples = max(1, round(BAKE_SAMPLES[True] * _BAKE_SHARE))
+    scene = open_scene(design, shape, bands, renderer, sensor=radiance_meter(renderer, probes, 0))
+    bake_samples = max(1, round(BAKE_SAMPLES[True] * BAKE_SHARE))
     values = []
     for repeat, light in enumerate(bake_walls(scene, design, shape, bands, renderer, "b", seed, bake_samples, repeats)):
         integrator, chains = lit_integrator(scene, design, shape, renderer, light)
@@ -152,79 +141,12 @@ def _measure_by_meters(
     return np.stack(values)
 
 
-def _measure_together(
-    designs: Sequence[FingerDesign],
-    shape: FingerShape,
-    bands: PaintBands,
-    renderer: ModuleType,
-    probes: Probes,
-    samples: int,
-    repeats: int,
-    seed: int,
-    progress: Progress | None,
-) -> Floats:
-    """Return the band radiance (angle, repeat, probe, 3) of all angles, whose paths are the same."""
-    for design in designs:
-        check_outside_the_gel(design.light, shape)
-    batches = [
-        _measure_batch(designs[k : k + _POSES_AT_ONCE], shape, bands, renderer, probes, samples, repeats, seed, told)
-        for k, told in _batches(len(designs), repeats, progress)
-    ]
-    return np.concatenate(batches)
-
-
-def _batches(count: int, repeats: int, progress: Progress | None) -> Iterator[tuple[int, Callable[[int], None]]]:
-    """Yield the first angle of each batch and what is to be called after each of its repeats."""
-    firsts = range(0, count, _POSES_AT_ONCE)
-    for number, first in enumerate(firsts):
-
-        def told(done: int, before: int = number * repeats) -> None:
-            if progress is not None:
-                progress(before + done, len(firsts) * repeats, f"paths of all angles, repeat {done}")
-
-        yield first, told
-
-
-def _measure_batch(
-    designs: Sequence[FingerDesign],
-    shape: FingerShape,
-    bands: PaintBands,
-    renderer: ModuleType,
-    probes: Probes,
-    samples: int,
-    repeats: int,
-    seed: int,
-    told: Callable[[int], None],
-) -> Floats:
-    """Return the band radiance (angle, repeat, probe, 3) of some angles; paths do not depend on the batch."""
-    from sim.optics.angle_paths import AnglePaths  # needs the variant set
-
-    design = designs[0]
-    scene = open_scene(design, shape, bands, renderer, sensor=_meter(renderer, probes, 0))
-    tracer = AnglePaths(scene, design, shape, [d.light for d in designs])
-    direct = direct_lights(design, shape, [d.light for d in designs])
-    # a path from a probe and one from a wall are about as noisy, and there are more probes than walls
-    bake_samples = max(round(BAKE_SAMPLES[False] * _BAKE_SHARE), min(8 * samples, 2 * BAKE_SAMPLES[False]), samples)
-    origins, directions = (np.repeat(v, samples, axis=0) for v in (probes.origins_mm, probes.directions))
-    radiance = np.empty((len(designs), repeats, len(probes.points_mm), 3))
-    for repeat in range(repeats):
-        rng = np.random.default_rng(stream_seed(seed, 2 * repeat))
-        walls = WallExchange.traced(tracer, shape, bake_samples, rng)
-        seen = tracer.trace(origins, directions, samples, stream_seed(seed, 2 * repeat + 1), from_wall=False)
-        for k in range(len(designs)):
-            emitted = walls.emitted(k, direct[k], bands)
-            radiance[k, repeat, :, :2] = np.einsum("pwij,wij->pw", seen.by_wall[:, k], emitted)
-        radiance[:, repeat, :, 2] = seen.led.T
-        told(repeat + 1)
-    return radiance
-
-
 def _read_meters(scene: Any, integrator: Any, renderer: ModuleType, probes: Probes, samples: int, seed: int) -> Floats:
     """Return the radiance (probe, band) of one-pixel radiance meters, by Mitsuba's own path tracer."""
     images = [
         renderer.render(
             scene,
-            sensor=renderer.load_dict(_meter(renderer, probes, k)),
+            sensor=renderer.load_dict(radiance_meter(renderer, probes, k)),
             integrator=integrator,
             spp=samples,
             seed=stream_seed(seed, k),
@@ -232,13 +154,3 @@ def _read_meters(scene: Any, integrator: Any, renderer: ModuleType, probes: Prob
         for k in range(len(probes.points_mm))
     ]
     return np.array([np.array(image, dtype=np.float64).reshape(3) for image in images])
-
-
-def _meter(renderer: ModuleType, probes: Probes, number: int) -> dict[str, Any]:
-    """Return a one-pixel radiance meter that looks at a probe."""
-    origin, direction = probes.origins_mm[number], probes.directions[number]
-    transform = renderer.ScalarTransform4f().look_at(
-        origin=origin.tolist(), target=(origin + direction).tolist(), up=[1.0, 0.0, 0.0]
-    )
-    sampler = {"type": "independent", "sample_count": 16}
-    return {"type": "radiancemeter", "to_world": transform, "film": band_film(1, 1), "sampler": sampler}

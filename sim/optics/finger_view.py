@@ -39,7 +39,7 @@ class CameraPose:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Rectangle of pixels that see the pad."""
+    """Rectangle of pixels that see the pad, or a part of it."""
 
     first_row: int
     last_row: int

@@ -55,6 +55,8 @@ class PixelMaps:
         How far it has moved towards the camera, against the ray's last leg.
     contact_distance
         Distance from the centre of the contact in units of its half-width; the contact is where it is <= 1.
+    last_leg
+        Unit direction in which the ray of the pixel meets the point seen.
     """
 
     parts: tuple[str, ...]
@@ -65,6 +67,7 @@ class PixelMaps:
     depth_mm: Floats
     depth_along_ray_mm: Floats
     contact_distance: Floats
+    last_leg: Floats
 
     def sees(self, name: str) -> NDArray[np.bool_]:
         """Return which pixels see a part."""
@@ -157,6 +160,7 @@ def pixel_maps(
         depth_mm=spread(inward, on_coat),
         depth_along_ray_mm=spread(along_ray, on_coat),
         contact_distance=spread(distance, on_coat),
+        last_leg=spread(last_leg[met], met),
     )
 
 

@@ -159,10 +159,11 @@ class PositionMap:
         origin, du, dv = (tuple(renderer.Float(float(c)) for c in vector) for vector in self._frame)
         # numbers that vary between scenes must not become constants of the compiled kernel
         dr.make_opaque(origin, du, dv)
-        none = (renderer.Float(0.0),) * 3
 
         def evaluate(u: Any, v: Any) -> FacePoint:
             x, y, z = (o + a * u + b * v for o, a, b in zip(origin, du, dv, strict=True))
+            # made anew: a literal that outlives a loop keeps the size that the loop gave it
+            none = (renderer.Float(0.0),) * 3
             return FacePoint((x, y, z), du, dv, none, none, none)
 
         return evaluate

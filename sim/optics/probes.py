@@ -1,7 +1,8 @@
 """Points of the coated face whose radiance is measured, on any deformed finger."""
 
 from dataclasses import dataclass
-from typing import Final
+from types import ModuleType
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from scipy.interpolate import LinearNDInterpolator
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from sim.optics.scene import band_film
 from sim.surface_meshes.finger_shape import FingerShape
 
 Floats = NDArray[np.float64]
@@ -74,6 +76,16 @@ def default_probe_points_mm(design: FingerDesign, shape: FingerShape) -> Floats:
     ends = [touching[0], touching[-1]] if touching.size else [design.indenter.position_mm] * 2
     ends = np.clip(ends, _MARGIN * pad.length_mm, (1.0 - _MARGIN) * pad.length_mm).tolist()
     return np.array([[x, z] for z in ends for x in (-pad.width_mm / 6.0, pad.width_mm / 6.0)])
+
+
+def radiance_meter(renderer: ModuleType, probes: Probes, number: int) -> dict[str, Any]:
+    """Return a one-pixel radiance meter that looks at a probe."""
+    origin, direction = probes.origins_mm[number], probes.directions[number]
+    transform = renderer.ScalarTransform4f().look_at(
+        origin=origin.tolist(), target=(origin + direction).tolist(), up=[1.0, 0.0, 0.0]
+    )
+    sampler = {"type": "independent", "sample_count": 16}
+    return {"type": "radiancemeter", "to_world": transform, "film": band_film(1, 1), "sampler": sampler}
 
 
 def _at(shape: FingerShape, name: str, values: Floats, uv: Floats) -> Floats:

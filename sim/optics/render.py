@@ -28,6 +28,12 @@ BAKE_SAMPLES = {False: 64_000, True: 12_000}
 SURROUNDINGS_SHARE = 8
 """Pixels that see neither coat nor walls get this many times fewer paths: nothing is measured there."""
 
+CONTACT_SHARE = 4
+"""Pixels near the contact get this many times more paths by default: comparisons look there, and they are few."""
+
+CONTACT_REACH = 2.5
+"""In half-widths of the contact: a comparison reaches to twice its half-width."""
+
 # a bent finger at rest would be shorter; meshes keep their size to rounding
 _SIZE_TOLERANCE_REL = 0.02
 
@@ -43,10 +49,11 @@ class PressRender:
     """Band images of a finger without and with a press.
 
     Images are (rows, columns, 3 bands: red emission, green emission, LED), radiance in units of the panel's;
-    ``*_chains`` hold the same light apart, per chain of fluorescence in the order of ``chains``. Each
+    ``*_chains`` hold the same light apart, per chain of fluorescence in the order of ``chains``: the mean of two
+    independent halves, and ``*_half_difference`` half their difference, so that mean + and - it are the halves. Each
     half has its own bake of the walls, so the variance holds the bake's noise too; that part (about 2 % of the painted
     bands) is common to all pixels and does not average out over an area.
-    ``*_variance`` is the variance of the mean of the two independent halves, ``*_maps`` is what each pixel sees,
+    ``*_variance`` is the variance of the mean of the halves, ``*_maps`` is what each pixel sees,
     ``contact_label`` where the pressed shape comes from.
     """
 
@@ -55,6 +62,8 @@ class PressRender:
     chains: tuple[str, ...]
     no_contact_chains: NDArray[np.float32]
     contact_chains: NDArray[np.float32]
+    no_contact_half_difference: NDArray[np.float32]
+    contact_half_difference: NDArray[np.float32]
     no_contact_variance: NDArray[np.float32]
     contact_variance: NDArray[np.float32]
     no_contact_maps: PixelMaps
@@ -84,6 +93,7 @@ def render_press(
     progress: Progress | None = None,
     shapes: tuple[FingerShape, FingerShape] | None = None,
     calibration: CameraCalibration | None = None,
+    contact_samples_per_pixel: int | None = None,
 ) -> PressRender:
     """Render a finger without and with its press.
 
@@ -111,6 +121,9 @@ def render_press(
         The finger without and with contact, equal meshes.
     calibration
         Of the camera; without it the ideal pinhole of the design.
+    contact_samples_per_pixel
+        Paths per pixel of the rectangle around the contact and its halo, an even number; by default four times those
+        of the pad.
 
     Raises
     ------
@@ -118,7 +131,7 @@ def render_press(
         When a paint is missing, a paint gains energy, samples_per_pixel is odd, the gel intersects itself, the camera
         does not see the coat, or level c meets a scalar variant.
     """
-    _check_samples(samples_per_pixel)
+    samples = _Samples(samples_per_pixel, contact_samples_per_pixel or CONTACT_SHARE * samples_per_pixel)
     _check_scalar(design, renderer)
     start = time.monotonic()
     bands = check_paints(design, paints)
@@ -128,10 +141,10 @@ def render_press(
         check_no_intersections(shape.gel)
     maps = [pixel_maps(design, shape, rest, renderer, calibration) for shape in (rest, pressed)]
     timings = {"pixel maps": time.monotonic() - start}
-    camera = _Camera(design, calibration, Window.around(*(seen.coat_mm(design) for seen in maps)))
+    camera = _Camera(design, calibration, Window.around(*(m.coat_mm(design) for m in maps)), _contact_window(maps[1]))
     states = []
     for step, (name, shape) in enumerate((("no contact", rest), ("contact", pressed)), start=1):
-        states.append(_render_state(camera, shape, bands, renderer, level, seed, samples_per_pixel))
+        states.append(_render_state(camera, shape, bands, renderer, level, seed, samples))
         timings |= {f"bake {name}": states[-1].bake_s, f"render {name}": states[-1].render_s}
         if progress is not None:
             progress(step, 2, f"rendered {name}")
@@ -144,8 +157,10 @@ def render_press(
         chains=chains,
         no_contact_chains=_stacked(states[0].chains, chains),
         contact_chains=_stacked(states[1].chains, chains),
-        no_contact_variance=states[0].variance,
-        contact_variance=states[1].variance,
+        no_contact_half_difference=_stacked(states[0].half_difference, chains),
+        contact_half_difference=_stacked(states[1].half_difference, chains),
+        no_contact_variance=_bands_of(states[0].half_difference) ** 2,
+        contact_variance=_bands_of(states[1].half_difference) ** 2,
         no_contact_maps=maps[0],
         contact_maps=maps[1],
         contact_label=pressed.label,
@@ -223,12 +238,10 @@ def _check_size(design: FingerDesign, rest: FingerShape) -> None:
             )
 
 
-def _check_samples(samples_per_pixel: int) -> None:
-    """Refuse numbers of samples that cannot be halved."""
-    if samples_per_pixel < 2 or samples_per_pixel % 2:
-        raise SimulateError(
-            f"samples_per_pixel must be an even number of at least 2 (two independent halves), got {samples_per_pixel}"
-        )
+def _contact_window(pressed: PixelMaps) -> Window | None:
+    """Return the rectangle around the contact and its halo; None where the camera sees no contact."""
+    near = pressed.contact_distance <= CONTACT_REACH
+    return Window.around(np.where(near, 0.0, np.nan)[..., None]) if near.any() else None
 
 
 def _check_scalar(design: FingerDesign, renderer: ModuleType) -> None:
@@ -241,19 +254,36 @@ def _check_scalar(design: FingerDesign, renderer: ModuleType) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Camera:
-    """The finger's camera and the window of pixels that see the pad."""
+    """The finger's camera, the window of pixels that see the pad, and the one around the contact."""
 
     design: FingerDesign
     calibration: CameraCalibration | None
     window: Window
+    contact: Window | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Samples:
+    """Paths per pixel of both halves together: over the pad, and around the contact."""
+
+    pad: int
+    contact: int
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that cannot be halved."""
+        for name, count in (("samples_per_pixel", self.pad), ("contact_samples_per_pixel", self.contact)):
+            if count < 2 or count % 2:
+                raise SimulateError(
+                    f"{name} must be an even number of at least 2 (two independent halves), got {count}"
+                )
 
 
 @dataclass(frozen=True, slots=True)
 class _State:
-    """The finger without or with contact: an image per chain, the variance of its bands, seconds of both halves."""
+    """The finger without or with contact: an image per chain, half the difference of both halves, their seconds."""
 
     chains: Mapping[str, NDArray[np.float32]]
-    variance: NDArray[np.float32]
+    half_difference: Mapping[str, NDArray[np.float32]]
     bake_s: float
     render_s: float
 
@@ -265,17 +295,16 @@ def _render_state(
     renderer: ModuleType,
     level: RenderLevel,
     seed: int,
-    samples_per_pixel: int,
+    samples: _Samples,
 ) -> _State:
     """Render two independent halves, whose difference tells the noise."""
     begun = time.monotonic()
     (one, bake_s), (other, more_s) = (
-        _render_half(camera, shape, bands, renderer, level, stream_seed(seed, half), samples_per_pixel // 2)
-        for half in (0, 1)
+        _render_half(camera, shape, bands, renderer, level, stream_seed(seed, half), samples) for half in (0, 1)
     )
-    variance = np.float32(0.25) * (_bands_of(one) - _bands_of(other)) ** 2
     bake_s += more_s
-    return _State(_mean_of_chains(one, other), variance, bake_s, time.monotonic() - begun - bake_s)
+    mean, half_difference = _mean_and_half_difference(one, other)
+    return _State(mean, half_difference, bake_s, time.monotonic() - begun - bake_s)
 
 
 def _render_half(
@@ -285,27 +314,28 @@ def _render_half(
     renderer: ModuleType,
     level: RenderLevel,
     seed: int,
-    samples_per_pixel: int,
+    samples: _Samples,
 ) -> tuple[dict[str, NDArray[np.float32]], float]:
-    """Bake the walls and render once, the window finely; return an image per chain and the seconds of the bake."""
-    begun = time.monotonic()
-    design, window = camera.design, camera.window
+    """Bake the walls and render once, the windows finely; return an image per chain and the seconds of the bake."""
+    begun, design = time.monotonic(), camera.design
     scene = open_scene(design, shape, bands, renderer, camera_sensor(design, renderer, camera.calibration))
     chains: tuple[str, ...]
     if level == "c":
         integrator, chains = _pathwise_integrator(scene, design, shape, bands, renderer), FIRST_CHAINS
     else:
-        samples = BAKE_SAMPLES[renderer.variant() == SCALAR_VARIANT]
-        light = bake_walls(scene, design, shape, bands, renderer, level, seed, samples)[0]
+        paths = BAKE_SAMPLES[renderer.variant() == SCALAR_VARIANT]
+        light = bake_walls(scene, design, shape, bands, renderer, level, seed, paths)[0]
         integrator, chains = lit_integrator(scene, design, shape, renderer, light)
     bake_s = time.monotonic() - begun
-    coarse = max(1, samples_per_pixel // SURROUNDINGS_SHARE)
+    coarse = max(1, samples.pad // 2 // SURROUNDINGS_SHARE)
     image = np.array(renderer.render(scene, integrator=integrator, spp=coarse, seed=seed), dtype=np.float32)
-    sensor = renderer.load_dict(camera_sensor(design, renderer, camera.calibration, window))
-    fine = renderer.render(
-        scene, sensor=sensor, integrator=integrator, spp=samples_per_pixel, seed=stream_seed(seed, 1)
-    )
-    image[window.rows, window.columns] = np.array(fine, dtype=np.float32)
+    for stream, (window, count) in enumerate(((camera.window, samples.pad), (camera.contact, samples.contact)), 1):
+        if window is not None:
+            sensor = renderer.load_dict(camera_sensor(design, renderer, camera.calibration, window))
+            fine = renderer.render(
+                scene, sensor=sensor, integrator=integrator, spp=count // 2, seed=stream_seed(seed, stream)
+            )
+            image[window.rows, window.columns] = np.array(fine, dtype=np.float32)
     return {chain: image[..., k] for k, chain in enumerate(chains)}, bake_s
 
 
@@ -322,13 +352,14 @@ def _pathwise_integrator(
     return fluorescent_bands(scene, {wall: bands.matrix(wall) for wall in ("red", "green")}, panels=panels)
 
 
-def _mean_of_chains(
+def _mean_and_half_difference(
     one: dict[str, NDArray[np.float32]], other: dict[str, NDArray[np.float32]]
-) -> dict[str, NDArray[np.float32]]:
-    """Return the mean of two halves; a chain at the edge of being left out may be in one of them only."""
-    chains = dict.fromkeys([*one, *other])
+) -> tuple[dict[str, NDArray[np.float32]], dict[str, NDArray[np.float32]]]:
+    """Return mean and half difference of two halves; a chain at the edge of being left out may be in one of them."""
     dark = np.zeros_like(next(iter(one.values())))
-    return {c: np.asarray(np.float32(0.5) * (one.get(c, dark) + other.get(c, dark))) for c in chains}
+    pairs = {c: (one.get(c, dark), other.get(c, dark)) for c in dict.fromkeys([*one, *other])}
+    half = np.float32(0.5)
+    return {c: half * (a + b) for c, (a, b) in pairs.items()}, {c: half * (a - b) for c, (a, b) in pairs.items()}
 
 
 def _bands_of(images: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:

@@ -25,7 +25,7 @@ _SMALLEST_OVERLAP_MM = 1e-6
 
 
 def check_analytic_press(design: FingerDesign) -> None:
-    """Check that the analytic press can shape this press: a cylinder or a ball on the middle line, inside the pad.
+    """Check that the analytic press can shape this press: a cylinder that lies across the pad, or a ball.
 
     Raises
     ------
@@ -45,13 +45,13 @@ def check_analytic_press(design: FingerDesign) -> None:
             f'indenter.shape = "{indenter.shape}": the analytic press knows {" and ".join(_ANALYTIC_SHAPES)} only. '
             f"{_BY_ELEMENTS}"
         )
-    turned = indenter.shape == "cylinder" and any(indenter.rotation_deg)
-    if indenter.across_mm != 0.0 or turned:
+    turned = any(indenter.rotation_deg)
+    if indenter.shape == "cylinder" and (indenter.across_mm != 0.0 or turned):
         field = (
             f"rotation_deg = {list(indenter.rotation_deg)} deg" if turned else f"across_mm = {indenter.across_mm:g} mm"
         )
         raise SimulateError(
-            f"indenter.{field}: the analytic press is for an indenter on the middle line, not turned. {_BY_ELEMENTS}"
+            f"indenter.{field}: the analytic press is for a cylinder on the middle line, not turned. {_BY_ELEMENTS}"
         )
 
 
@@ -81,7 +81,9 @@ def contact_distance(design: FingerDesign, x_mm: ArrayLike, z_mm: ArrayLike) -> 
     x, z = np.broadcast_arrays(np.asarray(x_mm, dtype=np.float64), np.asarray(z_mm, dtype=np.float64))
     if indenter.depth_mm == 0.0:
         return np.full(x.shape, np.nan)
-    drop = pad.drop_mm(x, z - pad.length_mm / 2.0) - pad.drop_mm(0.0, indenter.position_mm - pad.length_mm / 2.0)
+    drop = pad.drop_mm(x, z - pad.length_mm / 2.0) - pad.drop_mm(
+        _across_mm(design), indenter.position_mm - pad.length_mm / 2.0
+    )
     offset = _offset_mm(design, x, z) / contact_half_width_mm(design)
     return np.asarray(np.sqrt(offset**2 + np.maximum(drop, 0.0) / indenter.depth_mm))
 
@@ -145,8 +147,9 @@ def _dent_and_bulge(
     indenter = design.indenter
     x, z = x_mm[:, None], z_mm[None, :]
     qx, qz = quadrature_x[:, None], quadrature_z[None, :]
-    crown = rest_height_mm(design, 0.0, indenter.position_mm)
-    nearest = rest_height_mm(design, qx if indenter.shape == "cylinder" else 0.0, indenter.position_mm)
+    across = _across_mm(design)
+    crown = rest_height_mm(design, across, indenter.position_mm)
+    nearest = rest_height_mm(design, qx if indenter.shape == "cylinder" else across, indenter.position_mm)
     half_width = float(contact_half_width_mm(design, crown - nearest.max()))
     if indenter.depth_mm - (crown - nearest.max()) < _SMALLEST_OVERLAP_MM:
         return rest_height_mm(design, x, z)
@@ -166,19 +169,23 @@ def _mean(values: NDArray[np.float64]) -> float:
     return float(means[0] if means.size == 1 else np.trapezoid(means) / (means.size - 1))
 
 
+def _across_mm(design: FingerDesign) -> float:
+    """Return the place of the indenter across the pad; a cylinder lies on all of it."""
+    return design.indenter.across_mm if design.indenter.shape == "ball" else 0.0
+
+
 def _offset_mm(design: FingerDesign, x_mm: ArrayLike, z_mm: ArrayLike) -> NDArray[np.float64]:
     """Return the distance from the cylinder's line or from the ball's centre, seen along the press."""
+    across = np.asarray(x_mm, dtype=np.float64) - _across_mm(design)
     along = np.asarray(z_mm, dtype=np.float64) - design.indenter.position_mm
-    return np.asarray(
-        np.hypot(x_mm, along) if design.indenter.shape == "ball" else np.abs(along + 0.0 * np.asarray(x_mm))
-    )
+    return np.asarray(np.hypot(across, along) if design.indenter.shape == "ball" else np.abs(along + 0.0 * across))
 
 
 def _dented(design: FingerDesign, x_mm: NDArray[np.float64], z_mm: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the smooth minimum of the face and the indenter, without the bulge."""
     indenter, radius = design.indenter, design.indenter.radius_mm
     rest = rest_height_mm(design, x_mm, z_mm)
-    bottom = rest_height_mm(design, 0.0, indenter.position_mm) - indenter.depth_mm
+    bottom = rest_height_mm(design, _across_mm(design), indenter.position_mm) - indenter.depth_mm
     offset = _offset_mm(design, x_mm, z_mm)
     tool = bottom + radius - np.sqrt(np.maximum(radius**2 - offset**2, 0.0))
     tool = np.where(offset < radius, tool, np.inf)

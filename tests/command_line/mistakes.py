@@ -395,6 +395,16 @@ CASES = (
         design("[skeleton]\nrib_count = 40\nrib_thickness_mm = 2.0"),
     ),
     Case(
+        "objectives of a sweep without a sweep",
+        BOTH + " --objectives all",
+        r"--objectives are those of a sweep; add --angles FIRST:LAST:STEP",
+    ),
+    Case(
+        "objectives of sensing by the scalar renderer",
+        BOTH + " --angles 0:90:30 --engine scalar --objectives all",
+        r"needs a compiled variant; leave out --engine scalar",
+    ),
+    Case(
         "sweep of the paper's emitter",
         BOTH + " --angles 0:90:10 --level a",
         r"--level a: sweeps are made with level b",
@@ -452,6 +462,11 @@ CASES = (
         "report on encoded values",
         "decide {lab}/sweep.json --photometric-error {lab}/encoded-report.json",
         r"sweep\.json and \S+encoded-report\.json: .*carries no brightness error, .* in linear light \(raw frames\)",
+    ),
+    Case(
+        "one capture twice",
+        "decide {lab}/sweep.json --photometric-error {lab}/report.json --photometric-error {lab}/report.json",
+        r"two reports are on the capture 'capture of the strip': the same capture would count twice\. Give one report",
     ),
     # import and demo
     Case(

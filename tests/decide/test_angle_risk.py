@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from finray_calib.decide.angle_risk import AngleRisk, angle_risk, discrepancy_covariance, verdict_of
-from finray_calib.decide.gaussian_process import CurvePosterior, Matern52
+from finray_calib.decide.angle_risk import AngleRisk, angle_risk, verdict_of
 
 GRID = np.arange(0, 21.0)
 
@@ -34,16 +33,14 @@ def test_two_peaks_give_two_intervals():
     assert angle_risk(curve, GRID, 4, 0.051).equivalent_deg == ((3.0, 5.0), (15.0, 17.0))
 
 
-def test_discrepancy_cannot_act_as_a_common_scale():
-    mean = 1 + 0.3 * np.sin(GRID / 8)
-    posterior = CurvePosterior(GRID, mean, np.zeros((21, 21)))
-    covariance = discrepancy_covariance(posterior, 0.04)
-    relative = covariance / np.outer(mean, mean)
-    assert relative.sum(axis=0) == pytest.approx(np.zeros(21), abs=1e-15)
-    # The difference of two angles is untouched by removing a common scale.
-    plain = Matern52(35.0, 0.04).covariance(GRID, GRID)
-    assert relative[0, 0] + relative[20, 20] - 2 * relative[0, 20] == pytest.approx(2 * (plain[0, 0] - plain[0, 20]))
-    assert np.linalg.eigvalsh(covariance).min() > -1e-15
+def test_only_allowed_angles_are_optima_and_equivalent():
+    curve = np.maximum(peak_at(4, 0.05), 0.95 * peak_at(16, 0.05))[None, :]
+    allowed = GRID >= 10
+    result = angle_risk(curve, GRID, 16, 0.051, allowed)
+    assert result.p_within_5deg == 1.0
+    assert result.regret_95_rel == 0.0
+    assert result.equivalent_deg == ((15.0, 17.0),)
+    assert angle_risk(curve, GRID, 16, 0.051).regret_95_rel == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize(

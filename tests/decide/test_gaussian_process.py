@@ -68,15 +68,16 @@ def test_fitted_kernel_maximises_the_penalised_likelihood(data):
         covariance += 1e-9 * amplitude**2 * np.eye(len(ANGLES))
         inverse = np.linalg.inv(covariance)
         constant = (inverse @ values).sum() / inverse.sum()
+        integrated = -0.5 * np.log(inverse.sum())
         # A density per logarithm: the lognormal density times its argument.
         prior = lognorm.logpdf(length, 0.6, scale=35) + np.log(length)
         prior += lognorm.logpdf(amplitude, 1.0, scale=0.5) + np.log(amplitude)
-        return -multivariate_normal.logpdf(values, np.full(len(values), constant), covariance) - prior
+        return -multivariate_normal.logpdf(values, np.full(len(values), constant), covariance) - integrated - prior
 
     found = fit_kernel(ANGLES, values, noise)
     best = minimize(loss, np.log([20.0, 1.0]), method="Powell")
-    # Both minimisers stop within 0.01 of the least loss.
-    assert loss(np.log([found.length_deg, found.amplitude_rel])) < best.fun + 0.02
+    # The grid promises 0.02, Powell stops within 0.001.
+    assert loss(np.log([found.length_deg, found.amplitude_rel])) < best.fun + 0.021
     assert found.length_deg == pytest.approx(np.exp(best.x[0]), rel=0.1)
 
 

@@ -6,9 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.capture import CaptureSession, Frame, IndenterPose, PaintPlan, RegionOfInterest, TactileCapture
-from data_schemas.compare import ErrorRow, Interval, PhotometricErrorReport, RegionError
+from data_schemas.compare import (
+    ErrorRow,
+    InputUncertainty,
+    Interval,
+    MonteCarlo,
+    ObjectiveError,
+    PhotometricErrorReport,
+    RegionError,
+    ValidationCell,
+)
 from data_schemas.curves import SpectralCurve
-from data_schemas.decide import AngleStatement, LightAngleDecision
+from data_schemas.decide import AngleProposal, AngleStatement, DecidingCapture, LightAngleDecision, OtherObjective
 from data_schemas.design import FingerDesign
 from data_schemas.estimate import Estimate
 from data_schemas.fit import (
@@ -32,7 +41,7 @@ from data_schemas.rig import (
     SimulatedBench,
     WhiteReference,
 )
-from data_schemas.simulate import LightAngleSweep, SimulatedPress
+from data_schemas.simulate import AngleConstraints, AngleObjective, LightAngleSweep, SimulatedPress
 from finray_calib.reports.demo_results import Colour, DemoResults, PaintResult
 from finray_calib.reports.fitted_paint import PaintTruth
 
@@ -494,12 +503,71 @@ def _report(error: Floats) -> PhotometricErrorReport:
         exposure_factor=1.034,
         exposure_factor_sd=0.002,
         channel_weights=(1.2, 1.0, 0.8),
-        objective_error_rel=0.018,
-        objective_error_sd_rel=0.006,
+        objective_error=ObjectiveError(
+            error_rel=Interval(estimate=0.018, low95=0.006, high95=0.03),
+            log_ratio_draws=0.018 + 0.006 * np.random.default_rng(5).standard_normal((40, 3)),
+            log_exposure_draws=None,
+            source="red paint 0000, green paint 1111, camera of the rig",
+        ),
+        interval_covers="paint posterior, camera, pose, render noise and which part of the region was looked at",
+        monte_carlo=MonteCarlo(
+            draws=4000,
+            converged=True,
+            significant_digits=1,
+            not_included=("the spectrum of the blue LED, which is nominal", "another press on another day"),
+        ),
+        budget=_budget(),
+        validation=_validation(),
+        findings=("no shift between render and capture above 0.3 px was found",),
         light_angle_deg=30.0,
         error_map=error,
         notes=("one capture: the intervals do not know what another press would give",),
     )
+
+
+def _budget() -> tuple[InputUncertainty, ...]:
+    """Return what four inputs add."""
+    lines = (
+        ("paints", "A", "posterior draws of both paints", 0.006, 0.004),
+        ("pose of the indenter", "B", "depth and position of the capture with their uncertainties", 0.011, 0.003),
+        ("render noise", "A", "two halves of the samples", 0.002, 0.001),
+        ("part of the region that was looked at", "A", "block bootstrap", 0.005, None),
+    )
+    return tuple(
+        InputUncertainty(input=name, evaluation=kind, source=source, skill_u=skill, objective_u_rel=objective)
+        for name, kind, source, skill, objective in lines
+    )
+
+
+def _validation() -> tuple[ValidationCell, ...]:
+    """Return the level of nine parts in three channels; two of them are outside."""
+    cells = []
+    for number, channel in enumerate(("red", "green", "blue")):
+        for place in range(9):
+            error = 0.004 * (place - 4) + 0.002 * number
+            outside = channel == "green" and place in {0, 8}
+            cells.append(
+                ValidationCell(
+                    row=place // 3,
+                    column=place % 3,
+                    channel=channel,
+                    pixels=510,
+                    error_rel=3 * error if outside else error,
+                    u_numerical_rel=0.002,
+                    u_input_rel=0.008,
+                    u_data_rel=0.004,
+                    u_validation_rel=0.0092,
+                    within=not outside,
+                    area_too_bright_rel=max(error, 0.0),
+                    area_too_dark_rel=max(-error, 0.0),
+                )
+            )
+    return tuple(cells)
+
+
+def _around(value: float) -> dict[str, float]:
+    """Return an interval of a tenth to both sides."""
+    return {"estimate": value, "low95": 0.9 * value, "high95": 1.1 * value}
 
 
 def _scored(report: PhotometricErrorReport, skill: float) -> PhotometricErrorReport:
@@ -533,7 +601,12 @@ def _row(candidate: str, skill: float, half: float, rms: float) -> ErrorRow:
             "candidate": candidate,
             "skill": {"estimate": skill, "low95": skill - half, "high95": skill + half},
             "skill_per_channel": (skill, skill + 0.7 * half, skill - half),
-            "relative_rms": (rms, 0.9 * rms, 1.2 * rms),
+            "relative_rms": tuple(_around(share * rms) for share in (1.0, 0.9, 1.2)),
+            "difference_gradient_rms_per_px": _around(0.1 * rms),
+            "chromaticity_rms": _around(0.3 * rms),
+            "ms_ssim": 0.95 + 0.04 * skill,
+            "ciede2000_mean": 40 * rms,
+            "ciede2000_p95": 100 * rms,
             "psnr_db": 20.0 - 20 * np.log10(rms / 0.2),
             "ssim": 0.9 + 0.09 * skill,
         }
@@ -556,12 +629,50 @@ def _sweep(rng: np.random.Generator, best_deg: float, repeats: int) -> LightAngl
         probe_points_mm=np.zeros((2, 3)),
         design=FingerDesign(),
         paints={"red": "0" * 64, "green": "1" * 64},
+        other_objectives=(
+            AngleObjective(
+                name="surface normal",
+                meaning="standard uncertainty of the normal of a tilted facet",
+                unit="deg",
+                larger_is_better=False,
+                values=1 / _two_repeats(angles_deg, 62.0),
+            ),
+            AngleObjective(
+                name="uniformity",
+                meaning="dimmest over brightest of the untouched pad",
+                unit="1",
+                larger_is_better=True,
+                values=_two_repeats(angles_deg, 36.0),
+            ),
+        ),
+        constraints=AngleConstraints(
+            clipped_share=np.where(angles_deg > 100.0, 0.02, 0.0),
+            clipped_limit_share=0.001,
+            exposure_rel=np.ones(angles_deg.size),
+            in_the_way=tuple("skeleton" if angle < 5.0 else "" for angle in angles_deg),
+        ),
     )
+
+
+def _two_repeats(angles_deg: Floats, best_deg: float) -> Floats:
+    """Return a hill twice, each with small errors of its own."""
+    rng = np.random.default_rng(9)
+    return _hill(angles_deg, best_deg)[:, None] * (1 + 0.01 * rng.standard_normal((angles_deg.size, 2)))
 
 
 def _hill(angle_deg: Floats, best_deg: float) -> Floats:
     """Return a smooth hill with its top at `best_deg`."""
     return np.asarray(0.25 + 0.75 * np.exp(-0.5 * ((angle_deg - best_deg) / 34.0) ** 2))
+
+
+OTHERS = (
+    OtherObjective(
+        name="surface normal", best_deg=62.0, loss_rel=0.21, loss_90_rel=(0.17, 0.25), disagrees=True, statement=""
+    ),
+    OtherObjective(
+        name="uniformity", best_deg=36.0, loss_rel=0.01, loss_90_rel=(0.0, 0.03), disagrees=None, statement=""
+    ),
+)
 
 
 def example_decision(verdict: str, validated: bool = True) -> LightAngleDecision:
@@ -572,23 +683,41 @@ def example_decision(verdict: str, validated: bool = True) -> LightAngleDecision
         p_within_5deg=0.71, expected_regret=0.0031, regret_95=0.0142, equivalent_deg=((25.0, 39.0),)
     )
     alone = AngleStatement(p_within_5deg=0.93, expected_regret=0.0008, regret_95=0.0041, equivalent_deg=((27.0, 37.0),))
+    captures = (
+        DecidingCapture(
+            captured="cylinder press, simulated twin",
+            light_angle_deg=30.0,
+            light_angle_uncertainty_deg=0.5,
+            error_rel=0.018,
+            error_u_rel=0.006,
+            value=0.98,
+            sd=0.006,
+        ),
+    )
     return LightAngleDecision.model_validate(
         {
             "objective": "mean brightness beside the indenter",
             "angle_deg": 32.0,
+            "angle_simulation_only_deg": 32.0,
             "verdict": verdict,
             "sentence": "32 deg: true optimum within 5 deg with probability 0.71; expected loss 0.3 %, at most 1.4 % "
             "with 95 % probability; 25-39 deg are equivalent within 2 %.",
             "tolerance_rel": 0.02,
             "validated": validated,
             "discrepancy_rel": 0.018 if validated else None,
+            "discrepancy_95_rel": (0.006, 0.06) if validated else None,
+            "captures": captures if validated else (),
             "statement": statement if validated else alone,
             "statement_simulation_only": alone,
             "grid_deg": grid_deg,
             "mean": mean,
+            "mean_simulation_only": mean,
             "low95": mean - 0.035,
             "high95": mean + 0.035,
             "low95_simulation_only": mean - 0.012,
             "high95_simulation_only": mean + 0.012,
+            "other_objectives": OTHERS,
+            "next_render": AngleProposal(angle_deg=28.0, gain_rel=0.0004, noise_rel=0.008),
+            "next_capture": AngleProposal(angle_deg=35.0, gain_rel=0.0021, noise_rel=0.01) if validated else None,
         }
     )

@@ -90,9 +90,9 @@ def test_summary_has_the_promised_keys_in_plain_json() -> None:
 
 
 def test_summary_turns_what_is_not_finite_into_null() -> None:
-    report = RESULTS.report.model_copy(update={"objective_error_rel": float("nan")})
+    report = RESULTS.report.model_copy(update={"light_angle_deg": float("nan")})
     numbers = summary(replace(RESULTS, report=report, true_sweep=None))
-    assert numbers["photometric_error"]["objective_error_rel"] is None
+    assert numbers["photometric_error"]["light_angle_deg"] is None
     assert numbers["decision"]["true_regret"] is None
 
 
@@ -185,7 +185,7 @@ def test_true_loss_of_a_known_curve() -> None:
 def test_tables_name_what_is_not_used() -> None:
     cells = {cell for group in signals_table(RESULTS.paints["red"].fitted).groups for row in group.rows for cell in row}
     assert "weak" in cells
-    assert decision_table(RESULTS).groups[0].rows[3] == (
+    assert decision_table(RESULTS.decision).groups[0].rows[3] == (
         "angles equivalent within 2 %",
         "25 to 39 deg",
         "27 to 37 deg",
@@ -215,8 +215,7 @@ def test_blocks_are_named_where_pixels_were_averaged() -> None:
 
 def test_the_lead_of_the_comparison_names_grid_and_unit_of_the_exposure_factor() -> None:
     numbers = {"block_px": 8, "exposure_factor": 27756.49, "exposure_factor_sd": None}
-    blocks = replace(RESULTS, report=RESULTS.report.model_copy(update=numbers))
-    lead = compare_section(blocks).lead
+    lead = compare_section(replace(RESULTS, report=RESULTS.report.model_copy(update=numbers))).lead
     assert "over blocks of 8 x 8 px" in lead
     assert "one exposure factor for all channels, 27800 DN per unit of panel radiance" in lead
     lead = compare_section(RESULTS).lead

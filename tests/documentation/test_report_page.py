@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 from example_records import example_decision, example_results
-from html_page import Page
+from html_page import Page, contrast
 
 from data_schemas.errors import RecordError
 from finray_calib.reports.demo_report import demo_report
@@ -85,20 +85,7 @@ def test_ids_are_unique_and_labels_and_links_point_to_them(page: Page) -> None:
 def test_text_colours_have_a_contrast_of_at_least_4_5(html: str) -> None:
     grounds = ("#ffffff", "#f0f6fb", "#f6f8fa")  # page, verdict box, table groups and code
     for ink in re.findall(r"--(?:ink|muted|accent): (#[0-9a-f]{6})", html):
-        assert min(_contrast(ink, ground) for ground in grounds) >= 4.5
-
-
-def _contrast(one: str, other: str) -> float:
-    """Contrast ratio after WCAG 2.1."""
-    lighter, darker = sorted((_luminance(one), _luminance(other)), reverse=True)
-    return (lighter + 0.05) / (darker + 0.05)
-
-
-def _luminance(colour: str) -> float:
-    """Relative luminance after WCAG 2.1."""
-    values = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-    linear = [v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in values]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+        assert min(contrast(ink, ground) for ground in grounds) >= 4.5
 
 
 def test_the_embedded_json_is_the_summary(html: str) -> None:

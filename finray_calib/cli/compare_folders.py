@@ -1,0 +1,152 @@
+"""``finray compare`` with folders: a report for each pair, and a summary over the presses."""
+
+import argparse
+import csv
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from data_schemas.errors import CompareError, FinrayError
+from finray_calib.cli.options import command_line, file_name, input_digests, progress_bar, require_new, say, warn
+
+if TYPE_CHECKING:
+    from data_schemas.comparison_batch import ComparedPair, ComparisonBatch
+    from finray_calib.compare.checked_comparison import CheckOptions
+
+SUMMARY, TABLE = "summary.json", "summary.csv"
+COLUMNS = ("name", "skill", "skill_low95", "skill_high95", "floor_skill", "findings", "error", "simulated", "captured")
+
+
+def compare_folders(arguments: argparse.Namespace) -> None:
+    """Compare all pairs; a pair that fails is told and does not stop the others.
+
+    Raises
+    ------
+    CompareError
+        No pair is there, or none could be compared (the summary says why, pair by pair).
+    """
+    import numpy as np
+
+    from data_schemas.comparison_batch import ComparisonBatch
+    from data_schemas.provenance import provenance
+    from data_schemas.sensing import NormalMapRecord
+    from data_schemas.storage import read_record, write_record
+    from finray_calib.compare.batch import mean_skill, worst_pairs
+    from finray_calib.compare.checked_comparison import CheckOptions
+    from finray_calib.compare.comparison_record import DILATED
+
+    out = require_new(arguments.out or Path("photometric-errors"))
+    pairs, notes = _pairs(arguments)
+    out.mkdir(parents=True)
+    normal_map = None if arguments.normal_map is None else read_record(arguments.normal_map, NormalMapRecord)
+    options = CheckOptions(arguments.register, arguments.despite_mismatch, normal_map)
+    compared = []
+    with progress_bar("compare") as progress:
+        for number, (name, files) in enumerate(pairs.items()):
+            progress(number, len(pairs), name)
+            compared.append(_compare_pair(name, files, out, arguments.seed, options))
+    skills = np.array([pair.skill.estimate for pair in compared if pair.skill is not None])
+    batch = ComparisonBatch(
+        pairs=tuple(compared),
+        headline_region=DILATED if skills.size else None,
+        mean_skill=mean_skill(skills, np.random.default_rng(arguments.seed)),
+        worst=worst_pairs(compared),
+        notes=tuple(notes),
+    )
+    inputs = input_digests({f for files in pairs.values() for f in files if f.is_file()})
+    write_record(batch, out / SUMMARY, provenance(command_line(), inputs, arguments.seed))
+    _write_table(batch, out / TABLE)
+    say(_told(batch))
+    say(f"{out}: {skills.size} of {len(pairs)} pairs compared; {SUMMARY}, {TABLE} and their reports written")
+    if not skills.size:
+        raise CompareError(f"none of the {len(pairs)} pairs could be compared; {out / TABLE} says why")
+
+
+def _pairs(arguments: argparse.Namespace) -> tuple[dict[str, tuple[Path, Path]], list[str]]:
+    """Return name -> files, and what to tell of files without partner."""
+    from finray_calib.compare.batch import pair_by_name, pairs_of_rows
+
+    if arguments.pairs is not None:
+        listed = pairs_of_rows(_rows(arguments.pairs))
+        above = arguments.pairs.parent
+        return {name: (above / first, above / second) for name, (first, second) in listed.items()}, []
+    simulated, captured = arguments.simulated, arguments.capture
+    paired, alone = pair_by_name(*([file.name for file in folder.iterdir()] for folder in (simulated, captured)))
+    notes = [f"{file}: has no partner and was left out" for file in alone]
+    for note in notes:
+        warn(note)
+    return {name: (simulated / first, captured / second) for name, (first, second) in paired.items()}, notes
+
+
+def _rows(path: Path) -> list[dict[str, str | None]]:
+    """Return the rows of a CSV file with header."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            return list(csv.DictReader(file))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise CompareError(f"{path}: not a CSV file in UTF-8 ({error}); save it as CSV with a header row") from None
+
+
+def _compare_pair(name: str, files: tuple[Path, Path], out: Path, seed: int, options: "CheckOptions") -> "ComparedPair":
+    """Compare one pair and store its report, or return why not."""
+    from data_schemas.capture import TactileCapture
+    from data_schemas.comparison_batch import ComparedPair
+    from data_schemas.provenance import provenance
+    from data_schemas.simulate import SimulatedPress
+    from data_schemas.storage import read_record, write_record
+    from finray_calib.compare.checked_comparison import compare_checked
+    from finray_calib.reports.comparison_page import write_comparison_page
+
+    simulated, captured = files
+    places = {"name": name, "simulated": str(simulated), "captured": str(captured)}
+    try:
+        press, capture = read_record(simulated, SimulatedPress), read_record(captured, TactileCapture)
+        report, shown = compare_checked(press, capture, seed, options)
+        file, inputs = f"{file_name(name)}.photometric-error.json", input_digests(files)
+        write_record(report, out / file, provenance(command_line(), inputs, seed))
+        write_comparison_page(report, shown, capture, (out / file).with_suffix(".html"), command_line(), inputs)
+    except (FinrayError, OSError) as error:
+        warn(f"{name}: {error}")
+        return ComparedPair.model_validate({**places, "error": str(error)})
+    region = next(r for r in report.regions if r.region == report.headline_region)
+    floors = [row.skill for row in region.rows if row.candidate == "floor"]
+    return ComparedPair.model_validate(
+        {
+            **places,
+            "report": file,
+            "skill": report.headline_skill,
+            "floor_skill": floors[0] if floors else None,
+            "findings": report.findings,
+        }
+    )
+
+
+def _write_table(batch: "ComparisonBatch", path: Path) -> None:
+    """Write one row per pair, for spreadsheets."""
+    with path.open("x", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(COLUMNS)
+        for pair in batch.pairs:
+            skill = pair.skill
+            numbers = ("", "", "") if skill is None else (skill.estimate, skill.low95, skill.high95)
+            floor = "" if pair.floor_skill is None else pair.floor_skill.estimate
+            rest = (" | ".join(pair.findings), pair.error or "", pair.simulated, pair.captured)
+            table.writerow((pair.name, *numbers, floor, *rest))
+
+
+def _told(batch: "ComparisonBatch") -> str:
+    """Return the summary in a few lines."""
+    lines = []
+    for pair in batch.pairs:
+        if pair.skill is None:
+            lines.append(f"{pair.name:30} failed: {pair.error}")
+        else:
+            lines.append(
+                f"{pair.name:30} skill {pair.skill.estimate:6.3f}  [{pair.skill.low95:.3f}, {pair.skill.high95:.3f}]"
+            )
+    if batch.mean_skill is not None:
+        mean = batch.mean_skill
+        lines.append(
+            f"mean skill {mean.estimate:.3f} [{mean.low95:.3f}, {mean.high95:.3f}] over {batch.headline_region} "
+            f"(95 %, presses drawn with replacement); lowest: {', '.join(batch.worst)}"
+        )
+    return "\n".join(lines)

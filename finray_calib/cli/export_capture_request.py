@@ -1,0 +1,35 @@
+"""``finray export capture-request``: which captures a lab should take of a finger, as a page and tactile plans."""
+
+import argparse
+from pathlib import Path
+
+from finray_calib.cli.options import file_name, require_new, say
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Write page and plans, and report."""
+    from data_schemas.design import FingerDesign
+    from data_schemas.errors import RecordError
+    from data_schemas.storage import read_toml, write_bytes
+    from finray_calib.cli.export_deck import refuse_options as refuse_deck
+    from finray_calib.cli.export_taxim import refuse_options as refuse_taxim
+    from finray_calib.exchange.capture_request import capture_request
+
+    refuse_deck(arguments)
+    refuse_taxim(arguments)
+    for name in ("format", "led", "camera_response"):
+        if getattr(arguments, name) is not None:
+            raise RecordError(f"--{name.replace('_', '-')} belongs to a paint; leave it out for a capture request")
+    if len(arguments.paint) != 2:  # the word and the file
+        raise RecordError("a capture request needs one design: finray export capture-request DESIGN.toml")
+    path: Path = arguments.paint[1]
+    design = read_toml(path, FingerDesign)
+    out = require_new(arguments.out or Path(f"{file_name(design.name)}.request.md"))
+    request = capture_request(design, path.name, out.name.removesuffix(".md"))
+    plans = {require_new(out.with_name(name)): text for name, text in request.plans.items()}
+    write_bytes(out, request.page.encode())
+    for plan, text in plans.items():
+        write_bytes(plan, text.encode())
+    say(f"{out}: what to capture of {design.name}")
+    for plan in plans:
+        say(f"{plan}: plan for 'finray capture'")

@@ -1,0 +1,75 @@
+"""A comparison with what goes before it: do the images belong together, and does the camera stand where it should."""
+
+from dataclasses import dataclass
+
+from data_schemas.capture import TactileCapture
+from data_schemas.compare import PhotometricErrorReport
+from data_schemas.errors import CompareError
+from data_schemas.sensing import NormalMapRecord
+from data_schemas.simulate import SimulatedPress
+from finray_calib.compare.comparison_record import compare_press
+from finray_calib.compare.mismatch import find_mismatches, require_no_mismatch
+from finray_calib.compare.registered_press import move_press, register_press
+
+
+@dataclass(frozen=True, slots=True)
+class CheckOptions:
+    """What to do with what the checks find.
+
+    Attributes
+    ----------
+    registered : bool
+        Move the render by the drift of the camera that was found; else the drift is only told. The render stands where
+        the calibrated camera puts it, so that a drift is a fact about the rig, which a silent correction would hide.
+    despite_mismatch : bool
+        Compare images that do not belong together; the findings stand in the report.
+    normal_map : NormalMapRecord or None
+        Of the capture's sensor, for the error in sensing space.
+    """
+
+    registered: bool = False
+    despite_mismatch: bool = False
+    normal_map: NormalMapRecord | None = None
+
+
+def compare_checked(
+    press: SimulatedPress, capture: TactileCapture, seed: int, options: CheckOptions | None = None
+) -> tuple[PhotometricErrorReport, SimulatedPress]:
+    """Compare a press with a capture after checking that they belong together.
+
+    Returns
+    -------
+    PhotometricErrorReport
+        What the checks found stands in its `findings`.
+    SimulatedPress
+        The press as it was compared: moved, if that was asked for and the camera has drifted.
+
+    Raises
+    ------
+    CompareError
+        The images do not belong together, cannot be compared (see `compare_press`), or the registration that was asked
+        for cannot be trusted.
+    """
+    chosen = options or CheckOptions()
+    findings = find_mismatches(press, capture)
+    if not chosen.despite_mismatch:
+        require_no_mismatch(findings)
+    compared, told = _placed_press(press, capture, chosen.registered)
+    report = compare_press(compared, capture, seed, chosen.normal_map)
+    checks = (*(f"{f.about}: {f.text}" for f in findings), *told)
+    return report.model_copy(update={"findings": (*report.findings, *checks)}), compared
+
+
+def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bool) -> tuple[SimulatedPress, list[str]]:
+    """Return the press, moved if asked, and what to tell of the camera's drift."""
+    try:
+        found, state = register_press(press, capture)
+    except CompareError as error:
+        if registered:
+            raise
+        return press, [f"whether the camera stands where the render has it cannot be told: {error}"]
+    if not found.significant:
+        return press, [f"no drift of the camera to speak of, by the images with {state}: {found}"]
+    if not registered:
+        return press, [f"the camera has drifted, by the images with {state}: {found}; --register moves the render"]
+    return move_press(press, found.to_render), [f"the render was moved, by the images with {state}: {found}"]

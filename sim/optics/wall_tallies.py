@@ -1,0 +1,74 @@
+"""What paths do where they meet a painted wall: note the texels for later, or take up the light that it sends.
+
+Import this module only after a compiled variant has been set (see :mod:`sim.optics.variants`).
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP
+
+Floats = NDArray[np.float64]
+
+
+class WallTexels:
+    """Adds up, per group, what paths carry to the texels of the walls, and what the panels keep away from them."""
+
+    def __init__(self, by_wall: Any, kept_away: Any, group: Any, count: int) -> None:
+        self.by_wall, self.kept_away, self.group, self.count = by_wall, kept_away, group, count
+
+    def met(self, si: Any, is_green: Any, throughput: Any, free: Sequence[Any], active: Any) -> None:
+        """Note that paths have met a wall; they are free for some angles."""
+        carried = dr.select(is_green, throughput.y, throughput.x)
+        _note_wall(self.by_wall, si, self.group, is_green, carried, active)
+        for k in range(self.count):
+            _note_wall(self.kept_away, si, self.group * self.count + k, is_green, carried, active & ~free[k])
+
+
+class WallGlow:
+    """Adds up what known walls send along each path: radiance (path, angle, 2)."""
+
+    def __init__(self, emitted: Floats, paths: int) -> None:
+        self.count = len(emitted)
+        self.texels = mi.Float(np.ascontiguousarray(emitted, dtype=np.float32).ravel())
+        self.radiance = dr.zeros(mi.Float, paths * self.count * 2)
+        self.path = dr.arange(mi.UInt32, paths)
+        dr.make_opaque(self.texels)
+
+    def met(self, si: Any, is_green: Any, throughput: Any, free: Sequence[Any], active: Any) -> None:
+        """Add the emission where paths have met a wall, as :meth:`BandPaths.wall_radiance` reads it."""
+        carried = dr.select(is_green, throughput.y, throughput.x)
+        around = _texels_around(si, mi.UInt32(0), is_green)
+        per_angle = 2 * TEXELS_ALONG * TEXELS_UP
+        for k in range(self.count):
+            here = active & free[k]
+            glow = mi.Float(0)
+            for weight, texel in around:
+                glow += weight * dr.gather(mi.Float, self.texels, texel + k * per_angle, here)
+            band = (self.path * self.count + k) * 2 + dr.select(is_green, mi.UInt32(1), mi.UInt32(0))
+            dr.scatter_add(self.radiance, carried * glow, band, here)
+
+
+def _note_wall(by_wall: Any, si: Any, group: Any, is_green: Any, carried: Any, active: Any) -> None:
+    """Add what a path carries to the texels around a wall point, as :meth:`BandPaths.wall_radiance` reads them."""
+    for weight, texel in _texels_around(si, group, is_green):
+        dr.scatter_add(by_wall, carried * weight, texel, active)
+
+
+def _texels_around(si: Any, group: Any, is_green: Any) -> list[tuple[Any, Any]]:
+    """Return weight and index of the four texels around a wall point."""
+    x = dr.clip(si.uv.x * TEXELS_UP - 0.5, 0.0, TEXELS_UP - 1.0)
+    y = dr.clip(si.uv.y * TEXELS_ALONG - 0.5, 0.0, TEXELS_ALONG - 1.0)
+    i, j = (dr.minimum(mi.UInt32(t), most - 2) for t, most in ((x, TEXELS_UP), (y, TEXELS_ALONG)))
+    s, t = x - mi.Float(i), y - mi.Float(j)
+    first = ((group * 2 + dr.select(is_green, mi.UInt32(1), mi.UInt32(0))) * TEXELS_ALONG + j) * TEXELS_UP + i
+    return [
+        (along * up, first + (b * TEXELS_UP + a))
+        for b, along in ((0, 1.0 - t), (1, t))
+        for a, up in ((0, 1.0 - s), (1, s))
+    ]

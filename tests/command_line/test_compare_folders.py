@@ -1,0 +1,104 @@
+"""``finray compare`` over folders and lists: a report for each pair, a summary, and pairs that fail."""
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from data_schemas.compare import PhotometricErrorReport
+from data_schemas.comparison_batch import ComparisonBatch
+from data_schemas.provenance import provenance
+from data_schemas.storage import read_record, write_record
+from tests.command_line.records import capture_of, press
+from tests.command_line.running import finray, tree
+
+
+@pytest.fixture
+def folders(tmp_path: Path) -> Path:
+    """Two good pairs, one with exchanged channels, and a press without capture."""
+    origin, good = provenance("pytest"), press()
+    exchanged = capture_of(good, 50.0)
+    exchanged = exchanged.model_copy(update={"contact": exchanged.contact[..., ::-1].copy()})
+    for name, capture in {"one": capture_of(good, 50.0), "two": capture_of(good, 20.0), "bgr": exchanged}.items():
+        write_record(good, tmp_path / f"simulated/{name}.press.json", origin)
+        write_record(capture, tmp_path / f"captured/{name}.capture.json", origin)
+    write_record(good, tmp_path / "simulated/alone.press.json", origin)
+    return tmp_path
+
+
+def test_folders_give_reports_and_a_summary_and_survive_a_bad_pair(folders: Path) -> None:
+    outcome = finray(f"compare {folders}/simulated {folders}/captured --out {folders}/out")
+    assert outcome.status == 0
+    assert "alone.press.json: has no partner and was left out" in outcome.err
+    assert "bgr: " in outcome.err
+    assert "2 of 3 pairs compared" in outcome.out
+    batch = read_record(folders / "out/summary.json", ComparisonBatch)
+    assert [pair.name for pair in batch.pairs] == ["bgr", "one", "two"]
+    failed, one, two = batch.pairs
+    assert failed.skill is None
+    assert "as BGR much better than as RGB" in str(failed.error)
+    assert batch.worst == tuple(sorted(("one", "two"), key=lambda n: {"one": one, "two": two}[n].skill.estimate))
+    assert one.skill is not None
+    assert two.skill is not None
+    assert batch.mean_skill.estimate == pytest.approx((one.skill.estimate + two.skill.estimate) / 2)
+    report = read_record(folders / "out" / str(one.report), PhotometricErrorReport)
+    assert report.headline_skill == one.skill
+    with (folders / "out/summary.csv").open(newline="") as file:
+        rows = {row["name"]: row for row in csv.DictReader(file)}
+    assert float(rows["one"]["skill"]) == one.skill.estimate
+    assert (rows["bgr"]["skill"], rows["bgr"]["error"]) == ("", failed.error)
+    before = tree(folders)
+    again = finray(f"compare {folders}/simulated {folders}/captured --out {folders}/out")
+    assert again.status == 2
+    assert "exists already and is not overwritten" in again.err
+    assert tree(folders) == before
+
+
+def test_a_list_of_pairs(folders: Path) -> None:
+    (folders / "pairs.csv").write_text(
+        "simulated,captured,name\nsimulated/one.press.json,captured/two.capture.json,mixed\nx.json,y.json,gone\n"
+    )
+    outcome = finray(f"compare --pairs {folders}/pairs.csv --out {folders}/out")
+    assert outcome.status == 0
+    assert "1 of 2 pairs compared" in outcome.out
+    mixed, gone = read_record(folders / "out/summary.json", ComparisonBatch).pairs
+    assert mixed.skill is not None
+    assert "x.json" in str(gone.error)
+
+
+def test_a_mismatch_is_compared_when_asked(folders: Path) -> None:
+    pair = f"{folders}/simulated/bgr.press.json {folders}/captured/bgr.capture.json --out {folders}/one.json"
+    refused = finray(f"compare {pair}")
+    assert refused.status == 2
+    assert "do not belong together: the contact image of capture of the strip fits" in refused.err
+    assert "channel order: " in finray(f"compare {pair} --despite-mismatch").out
+
+
+def test_nothing_compared_is_an_error_that_says_where_to_look(folders: Path) -> None:
+    (folders / "pairs.csv").write_text("simulated,captured\nx.json,y.json\n")
+    outcome = finray(f"compare --pairs {folders}/pairs.csv --out {folders}/out")
+    assert outcome.status == 2
+    assert f"none of the 1 pairs could be compared; {folders}/out/summary.csv says why" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("", "give SIMULATED and CAPTURE, or --pairs CSV: one of the two"),
+        ("{0}/simulated", "with what? Give CAPTURE too"),
+        ("{0}/simulated {0}/captured/one.capture.json", "one is a folder, the other is not; give two records or two"),
+        ("{0}/simulated --pairs {0}/pairs.csv", "give SIMULATED and CAPTURE, or --pairs CSV: one of the two"),
+        ("--pairs {0}/pairs.csv", "row 1: needs a file in each of the columns simulated, captured"),
+        ("--pairs {0}/none.csv", "none.csv: No such file or directory; check the path"),
+        ("--pairs {0}/bytes.csv", "bytes.csv: not a CSV file in UTF-8"),
+        ("{0}/captured {0}/simulated", "no press has a capture of its name (0 presses, 0 captures)"),
+    ],
+)
+def test_mistakes_are_told_and_nothing_is_written(folders: Path, arguments: str, message: str) -> None:
+    (folders / "pairs.csv").write_text("simulation,captured\na,b\n")
+    (folders / "bytes.csv").write_bytes(b"simulated,captured\n\xff\xfe\n")
+    before = tree(folders)
+    outcome = finray(f"compare {arguments.format(folders)} --out {folders}/out")
+    assert outcome.status == 2
+    assert message in outcome.err
+    assert tree(folders) == before

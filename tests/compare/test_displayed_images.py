@@ -1,0 +1,87 @@
+import sys
+from types import SimpleNamespace
+
+import colour
+import numpy as np
+import pytest
+
+from data_schemas.errors import CompareError, MissingExtraError
+from finray_calib.compare.colour_difference import colour_difference_map, colour_difference_within
+from finray_calib.compare.displayed_images import display_white_dn, displayed_image
+from finray_calib.compare.flip_error import flip_mean
+
+
+def test_linear_light_goes_through_the_curve_of_srgb():
+    light = np.linspace(0, 1, 3000).reshape(-1, 10, 3)
+    # colour-science, same standard
+    assert displayed_image(400 * light, 400.0, linear=True) == pytest.approx(colour.cctf_encoding(light), abs=1e-12)
+
+
+def test_encoded_values_are_shown_as_they_are_and_everything_is_clipped():
+    image = np.array([[[-5.0, 51.0, 300.0], [np.nan, 0.0, 255.0]]])
+    shown = displayed_image(image, 255.0, linear=False)
+    assert shown[0, 0].tolist() == [0.0, 0.2, 1.0]
+    assert np.isnan(shown[0, 1, 0])
+    assert shown[0, 1, 1:].tolist() == [0.0, 1.0]
+
+
+def test_white_is_the_brightest_half_per_cent_without_contact():
+    image = np.arange(3000.0).reshape(10, 100, 3)
+    image[0, 0, 0] = np.nan
+    assert display_white_dn(image) == pytest.approx(np.percentile(np.arange(1.0, 3000), 99.5))
+    for black in (np.zeros((4, 4, 3)), np.full((4, 4, 3), np.nan)):
+        with pytest.raises(CompareError, match=r"no-contact image is black .* cannot be shown: check the light"):
+            display_white_dn(black)
+    with pytest.raises(CompareError, match="white level must be positive, got 0"):
+        displayed_image(image, 0.0, linear=True)
+
+
+def test_the_colour_difference_within_a_region():
+    rng = np.random.default_rng(0)
+    first, second = rng.random((20, 30, 3)), rng.random((20, 30, 3))
+    mask = np.zeros((20, 30), bool)
+    mask[5:15, 5:20] = True
+    second[6, 6, 0] = np.nan
+    found = colour_difference_within(first, second, mask)
+    mask[6, 6] = False
+    values = colour_difference_map(first, np.nan_to_num(second))[mask]
+    assert found.pixels == 149
+    assert found.mean == pytest.approx(values.mean(), rel=1e-12)
+    assert found.p95 == pytest.approx(np.quantile(values, 0.95), rel=1e-12)
+
+
+def test_flip_is_asked_for_the_displayed_images_and_averaged_over_the_region(monkeypatch):
+    """What is handed to the package and what is done with its answer; its numbers are its makers'."""
+    asked = {}
+
+    def evaluate(reference, test, dynamic_range, **settings):
+        asked.update(reference=reference, test=test, dynamic_range=dynamic_range, **settings)
+        return np.abs(reference - test).mean(axis=2, keepdims=True), -1.0, {}
+
+    monkeypatch.setitem(sys.modules, "flip_evaluator", SimpleNamespace(evaluate=evaluate))
+    reference, test = np.full((6, 8, 3), 0.5), np.full((6, 8, 3), 0.75)
+    reference[0, 0, 0] = np.nan
+    mask = np.zeros((6, 8), bool)
+    mask[:3] = True
+    test[3:] = 0.0
+    assert flip_mean(reference, test, mask) == pytest.approx(0.25)
+    assert asked["dynamic_range"] == "LDR"
+    assert asked["parameters"] == {"ppd": 67.0}
+    assert asked["inputsRGB"] is True
+    assert asked["reference"][0, 0].tolist() == asked["test"][0, 0].tolist() == [0, 0, 0]
+    assert asked["test"].dtype == np.float32
+
+
+def test_flip_by_its_makers_program():
+    pytest.importorskip("flip_evaluator")
+    black, white = np.zeros((32, 32, 3)), np.ones((32, 32, 3))
+    everywhere = np.ones((32, 32), bool)
+    assert flip_mean(black, black, everywhere) == 0
+    # the largest difference there is: the paper's scale ends at 1
+    assert flip_mean(black, white, everywhere) == pytest.approx(1.0, abs=0.05)
+
+
+def test_without_the_package_the_error_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'finray-calib\[flip\]'"):
+        flip_mean(np.zeros((4, 4, 3)), np.zeros((4, 4, 3)), np.ones((4, 4), bool))

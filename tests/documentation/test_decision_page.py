@@ -1,0 +1,209 @@
+"""The page of a decision: what to build, how exactly, at which risk; self-contained, accessible and safe."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from example_records import example_decision, example_results
+from html_page import Page
+
+from data_schemas.decide import AngleStatement
+from data_schemas.errors import RecordError
+from data_schemas.storage import write_record
+from finray_calib.reports import decision_words as words
+from finray_calib.reports.decide_figures import angle_figure
+from finray_calib.reports.decision_page import decision_page, write_decision_page
+from finray_calib.reports.mounting_figure import mounting_figure
+from finray_calib.reports.other_objectives_figure import other_objectives_figure
+from tests.command_line.running import finray, succeed
+
+SWEEP = example_results().sweep
+ORIGIN = example_results().provenance
+DECISION = example_decision("decided")
+ALONE = example_decision("undecided", validated=False).model_copy(update={"other_objectives": ()})
+HOSTILE = '</script><script>alert(1)</script> & "quoted" $\\frac{'
+COMMAND = "finray decide sweep.json --out decision.json"
+DIGESTS = {"sweep.json": "ab" * 32}
+
+
+def page_of(decision=DECISION, sweep=SWEEP) -> str:
+    return decision_page(decision, sweep, COMMAND, DIGESTS)
+
+
+def plain(html: str) -> str:
+    """Return the prose of a page with common spaces."""
+    return Page(html).prose.replace("\u00a0", " ")
+
+
+@pytest.fixture(scope="module")
+def html() -> str:
+    return page_of()
+
+
+def test_a_designer_finds_angle_tolerance_and_risk_before_anything_else(html):
+    page = Page(html)
+    assert page.open == []
+    start = plain(html[: html.index('id="trust"')])
+    for text in (
+        "Mount the light at 32 deg",
+        "32 deg: true optimum within 5 deg with probability 0.71",
+        "Mounting tolerance -7 / +7 deg equivalent: 25 to 39 deg",
+        "On the drawing: 32 deg, -7 / +7 deg. Inside this tolerance at most 2 % of the signal is lost",
+        "on average 0.3 % of the signal is lost against the best possible angle, and in 19 of 20 cases not more than "
+        "1.4 %",
+        "The objectives disagree: surface normal is best at 62 deg and loses 21 % here",
+        "One capture is part of this decision. By the renders alone it would be 32 deg, with a loss below 0.4 %",
+    ):
+        assert text in start
+    assert html.index('id="trust"') < min(html.index("<img"), html.index("<table"))
+
+
+@pytest.mark.parametrize(
+    ("verdict", "title", "meaning"),
+    [
+        ("decided", "Mount the light at 32 deg", "only angles nearby do as well"),
+        ("tie", "Several angles do equally well; take 32 deg if nothing speaks against it", "easiest to build"),
+        ("undecided", "Not decided yet; 32 deg is the best guess so far", "More angles or more repeats would help"),
+        ("model-limited", "32 deg by the simulation, which is not good enough to decide", "More renders will not help"),
+    ],
+)
+def test_every_verdict_says_what_to_do(verdict, title, meaning):
+    text = plain(page_of(example_decision(verdict)))
+    assert title in text
+    assert meaning in text
+
+
+def test_without_a_capture_it_is_said_at_once():
+    html = page_of(ALONE)
+    assert "not validated against a capture: it holds only if the simulation is right" in plain(
+        html[: html.index("trust")]
+    )
+    text = plain(html)
+    assert "Next capture: none is expected to change the decision." in text
+    assert "Another objective may prefer another angle." in text
+    assert "Light at 32 deg, not validated against a capture claim renders alone" in text
+    for absent in (
+        "with captures",
+        "Captures in this decision",
+        "Other objectives of the sweep",
+        "At an angle without a capture",
+    ):
+        assert absent not in text
+
+
+def test_no_tolerance_is_promised_where_none_is_known():
+    for ranges in ((), ((10.0, 20.0),), ((32.0, 32.0),)):
+        claim = DECISION.statement.model_copy(update={"equivalent_deg": ranges})
+        decision = DECISION.model_copy(update={"statement": claim})
+        assert words.tolerance_text(claim, 32.0) == "none known"
+        assert "No tolerance can be promised" in words.mounting_sentence(decision)
+    split = AngleStatement(
+        p_within_5deg=0.5, expected_regret=0.01, regret_95=0.015, equivalent_deg=((10.0, 15.0), (30.0, 41.0))
+    )
+    assert words.tolerance_text(split, 32.0) == "-2 / +9 deg"
+
+
+def test_captures_and_proposals_are_listed(html):
+    text = plain(html)
+    assert "cylinder press, simulated twin 30 \u00b1 0.5 deg +1.8 % 0.6 %" in text
+    assert "Next render: at 28 deg. It may move the chosen angle; expected gain on average: below 0.1 %" in text
+    assert "Next capture: at 35 deg." in text
+    assert "may be off by 1.8 % (95 %: 0.6 % to 6 %)" in text
+    two = DECISION.model_copy(update={"captures": 2 * DECISION.captures, "discrepancy_95_rel": None})
+    assert words.capture_sentence(two).startswith("2 captures are part of this decision")
+    assert "may be off by 1.8 %, as one standard deviation" in str(words.discrepancy_sentence(two))
+
+
+def test_objectives_that_agree_or_cannot_be_told_are_not_called_a_disagreement():
+    normal, uniformity = DECISION.other_objectives
+    unsure = DECISION.model_copy(update={"other_objectives": (uniformity,)})
+    assert words.disagreement_sentence(unsure) == (
+        "No other objective of the sweep is shown to need another angle (of 1 the sweep is too noisy to say): "
+        "uniformity."
+    )
+    agree = DECISION.model_copy(update={"other_objectives": (normal.model_copy(update={"disagrees": False}),)})
+    assert words.disagreement_sentence(agree) == (
+        "No other objective of the sweep is shown to need another angle: surface normal."
+    )
+
+
+def test_figures_show_captures_forbidden_angles_and_any_mounting():
+    without = DECISION.model_copy(update={"captures": ()})
+    assert len(angle_figure(DECISION, SWEEP, None)) > len(angle_figure(without, SWEEP, None))
+    free = SWEEP.model_copy(update={"constraints": None})
+    assert len(other_objectives_figure(DECISION, SWEEP)) > len(other_objectives_figure(DECISION, free))
+    named = SWEEP.other_objectives[0].model_copy(update={"name": HOSTILE})
+    assert "<svg" in other_objectives_figure(DECISION, SWEEP.model_copy(update={"other_objectives": (named,)}))
+    short = SWEEP.design.model_copy(update={"pad": SWEEP.design.pad.model_copy(update={"length_mm": 30.0})})
+    for angle_deg, design in ((0.0, SWEEP.design), (120.0, SWEEP.design), (90.0, short)):
+        assert "<svg" in mounting_figure(DECISION.model_copy(update={"angle_deg": angle_deg}), design)
+
+
+def test_hostile_names_stay_text_and_nothing_comes_from_outside():
+    capture = DECISION.captures[0].model_copy(update={"captured": HOSTILE})
+    decision = DECISION.model_copy(
+        update={"sentence": HOSTILE, "objective": HOSTILE, "captures": (capture,), "notes": (HOSTILE,)}
+    )
+    design = SWEEP.design.model_copy(update={"name": HOSTILE})
+    html = page_of(decision, SWEEP.model_copy(update={"name": HOSTILE, "design": design}))
+    page = Page(html)
+    assert "<script>alert" not in html
+    assert page.prose.count(HOSTILE) >= 6
+    assert [script["type"] for script in page.all("script")] == ["application/json"]
+    assert not re.search(r"https?:|//[a-z]+\.|@import|url\(", re.sub(r"data:image/[^\"]*", "", html))
+    block = re.search(r'id="summary">(.*?)</script>', html, re.DOTALL)
+    assert block is not None
+    assert json.loads(block[1])["decision"]["sentence"] == HOSTILE
+
+
+def test_the_embedded_json_holds_decision_and_sweep(html):
+    block = re.search(r'id="summary">(.*?)</script>', html, re.DOTALL)
+    assert block is not None
+    numbers = json.loads(block[1])
+    assert numbers["command"] == COMMAND
+    assert numbers["decision"]["statement"]["regret_95"] == DECISION.statement.regret_95
+    assert numbers["decision"]["mean"] == DECISION.mean.tolist()
+    assert numbers["sweep"]["angles_deg"] == SWEEP.angles_deg.tolist()
+
+
+def test_it_reads_well_without_eyes_or_mouse(html):
+    page = Page(html)
+    texts = [str(image["alt"]) for image in page.all("img")]
+    assert len(texts) == 3
+    assert "best near 32 deg. 32 deg: true optimum within 5 deg" in texts[0]
+    assert "shines at 32 deg from the pad's plane" in texts[1]
+    assert "surface normal is best at 62 deg" in texts[2]
+    assert {heading.get("scope") for heading in page.all("th")} == {"col", "row"}
+    assert len(page.all("caption")) == len(page.all("table")) == 5
+    boxes = [attributes for _, attributes in page.tags if attributes.get("class") == "scroll"]
+    assert all(box["tabindex"] == "0" and box["aria-label"] for box in boxes)
+    assert page.all("html")[0]["lang"] == "en"
+
+
+def test_equal_input_gives_equal_bytes_and_no_claim_of_traceability(html):
+    assert page_of() == html
+    assert "traceable" not in html.lower()
+
+
+def test_the_verb_writes_record_and_page_or_neither(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_record(SWEEP, Path("sweep.json"), ORIGIN)
+    said = succeed("decide sweep.json --out decision.json")
+    assert "decision.html: written" in said
+    assert "finray decide sweep.json --out decision.json" in plain(Path("decision.html").read_text(encoding="utf-8"))
+    Path("taken.html").touch()
+    outcome = finray("decide sweep.json --out taken.json")
+    assert outcome.status == 2
+    assert "taken.html: exists already and is not overwritten" in outcome.err
+    assert not Path("taken.json").exists()
+    outcome = finray("decide sweep.json --out page.html")
+    assert outcome.status == 2
+    assert "page.html: is to be a record; choose an --out that ends in .json" in outcome.err
+
+
+def test_the_page_is_written_once_and_never_over_another(tmp_path, html):
+    path = write_decision_page(DECISION, SWEEP, tmp_path / "decision.html", COMMAND, DIGESTS)
+    assert path.read_text(encoding="utf-8") == html
+    with pytest.raises(RecordError, match="exists already and is not overwritten"):
+        write_decision_page(DECISION, SWEEP, path, COMMAND, DIGESTS)
