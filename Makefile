@@ -31,7 +31,7 @@ pytest: $(VENV)/installed-dev
 test-rigs: $(VENV)/installed-dev $(OTHERS)/installed rig-programs
 	FINRAY_OTHERS_VENV=$(CURDIR)/$(OTHERS) $(BIN)/pytest -m rigs
 
-# The numbers of docs/verification.md, as ratios against public alternatives in the same run: an hour or more on two
+# The numbers of docs/verification.md, as ratios against public alternatives in the same run: several hours on two
 # cores. Each script prints what it found; the table at the end says what is met. MATERIALS holds measured matrices (CSV).
 MATERIALS ?= ../shared/data/spectra/materials
 MODELS    := default zheng2014 skew_t log_normal_wavenumber gaussian_mixture
@@ -43,6 +43,15 @@ bench: $(VENV)/installed-bench llvm
 	-$(ONE) $(BIN)/python benchmarks/leave_one_material_out.py --materials $(MATERIALS) --out bench-out/left-out.json
 	-for model in $(MODELS); do $(ONE) $(BIN)/python benchmarks/simulation_based_calibration.py --model $$model \
 	  --out bench-out/sbc-$$model.json; done
+	-$(BIN)/python benchmarks/comparison_throughput.py --out bench-out/comparison-throughput.json
+	-$(ONE) $(BIN)/python benchmarks/light_angle_decision.py --out bench-out/light-angle-decision.json
+	-$(BIN)/python benchmarks/digital_twins.py --out bench-out/digital-twins.json
+	-$(BIN)/python benchmarks/fluorescence_levels.py --spectral --twice
+	-$(BIN)/python benchmarks/angle_sweep_bias.py
+	-$(BIN)/python benchmarks/angle_sweep_speed.py
+	-$(BIN)/python benchmarks/whole_image_time.py
+	-$(BIN)/python benchmarks/mechanics_engines.py --out bench-out/mechanics-engines.json
+	-$(BIN)/python benchmarks/finger_mesh_convergence.py
 	-$(BIN)/pytest benchmarks --benchmark-columns=median,iqr,rounds --junitxml=bench-out/pytest.xml
 	$(BIN)/python benchmarks/table.py --complete bench-out
 

@@ -100,7 +100,41 @@ def rows() -> list[Row]:
             unit="x",
         )
     )
+    return [*table, *_comparison_rows(), *_decision_rows()]
+
+
+def _comparison_rows() -> list[Row]:
+    """Return the rows of compare."""
+    throughput = ("comparison_throughput.py", "comparison-throughput.json")
+    table = [
+        Row("1,000 pairs of 640 x 480", "-", *throughput, lambda r: r["seconds_1000"], high=60.0, unit=" s"),
+        Row("SSIM", "scikit-image", *throughput, lambda r: r["ssim_ratio"], low=3.0, unit="x"),
+        Row("CIEDE2000", "colour-science", *throughput, lambda r: r["ciede2000_ratio"], low=3.0, unit="x"),
+    ]
+    twins = ("digital_twins.py", "digital-twins.json")
+    for quantity in ("skill", "red rms", "green rms", "blue rms", "gradient", "objective"):
+        what = f"95 % interval of the {quantity} holds the truth, of 60 twins"
+        table.append(Row(what, "hidden fingers", *twins, _held(quantity), low=52.0, high=60.0))
     return table
+
+
+def _decision_rows() -> list[Row]:
+    """Return the rows of decide."""
+    decision = ("light_angle_decision.py", "light-angle-decision.json")
+    return [
+        Row("claimed less actual hit rate, 3,000 curves", "-", *decision, lambda r: r["largest_miss"], high=0.05),
+        Row("overclaimed under a foreign model error", "-", *decision, lambda r: r["largest_overclaim"], high=0.05),
+        Row("regret", "argmax of means", *decision, _regret("ratio_means"), low=2.8, unit="x"),
+        Row("regret", "single-shot", *decision, _regret("ratio_single"), low=4.0, unit="x"),
+    ]
+
+
+def _held(quantity: str) -> Callable[[Any], float]:
+    return lambda record: 60.0 * record["covered"][quantity] / record["twins"]
+
+
+def _regret(against: str) -> Callable[[Any], float]:
+    return lambda record: record["cases"]["8 % of the hill"][against]
 
 
 def _ratio(model: str, against: str) -> Callable[[Any], float]:

@@ -269,10 +269,14 @@ class FingerDesign(Record):
         },
         description="where a number comes from; every number that is not listed is assumed",
     )
+    uncertainty_rel: dict[str, RelativeUncertainty] = Field(
+        default={},
+        description="standard uncertainty of a number over its value; the force of a press is compared with it",
+    )
 
-    @field_validator("origin")
+    @field_validator("origin", "uncertainty_rel")
     @classmethod
-    def _origins_of_known_fields(cls, origin: dict[str, Origin]) -> dict[str, Origin]:
+    def _known_fields(cls, origin: dict[str, Any]) -> dict[str, Any]:
         known = [path for path in _field_paths(cls) if not path.startswith("provenance.")]
         for name in origin:
             if name not in known:

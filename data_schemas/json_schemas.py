@@ -13,6 +13,7 @@ from data_schemas.decide import LightAngleDecision
 from data_schemas.design import FingerDesign
 from data_schemas.finger_stiffness import FingerStiffness
 from data_schemas.fit import PaintCalibration
+from data_schemas.force_comparison import ForceComparison
 from data_schemas.illumination import FluorescentRendering, LightAngleIntensity, TwoLights
 from data_schemas.model import Record
 from data_schemas.paint_map import PaintMap
@@ -51,6 +52,7 @@ STORED: tuple[type[Record], ...] = (
     FingerStiffness,
     PressIncrement,
     PressMechanics,
+    ForceComparison,
     FingerSurfaces,
     SimulatedPress,
     LightAngleSweep,

@@ -8,9 +8,44 @@ from pydantic import Field, model_validator
 
 from data_schemas.arrays import ArraySpec, check_dimensions
 from data_schemas.design import FingerDesign
-from data_schemas.model import Record
+from data_schemas.model import Model, Record
 
 PerIncrement = NDArray[np.float64]
+
+
+class VariedPress(Model):
+    """The same press of a design with one number changed, or the first part of it."""
+
+    field: str = Field(description="dotted path of the number in the design; of a list, all its numbers")
+    change_rel: Annotated[float, Field(gt=-1.0, description="its change over its value in the design")]
+    depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")]
+    force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
+        description="along the pad's normal"
+    )
+    failure: str = Field(default="", description="why there are no forces, or why the push ended early")
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "VariedPress":
+        check_dimensions(self)
+        return self
+
+
+class PressSensitivities(Model):
+    """How the force of a press answers to numbers of the design, changed one at a time."""
+
+    preset: Literal["coarse", "medium", "fine"]
+    depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
+        description="of the design as it is, on this mesh"
+    )
+    force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
+        description="along the pad's normal, of the design as it is"
+    )
+    varied: tuple[VariedPress, ...]
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "PressSensitivities":
+        check_dimensions(self)
+        return self
 
 
 class PressMechanics(Record):
@@ -33,6 +68,9 @@ class PressMechanics(Record):
     largest_pressure_mpa: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "MPa"})]
     unreached: str = Field(description="why the push ended early; empty when it did not")
     design: FingerDesign
+    sensitivities: PressSensitivities | None = Field(
+        default=None, description="presses of the design with one number changed; none unless asked for"
+    )
     notes: tuple[str, ...] = ()
 
     @model_validator(mode="after")

@@ -13,7 +13,7 @@ _HEAD = """\
 # Axes: x across the pad, y from its inner face into the gel, z along it from the base.
 # A number is assumed unless the table [origin] at the end says otherwise: measured, data sheet or paper.
 """
-_LEFT_OUT = {"provenance", "schema_version", "name", "materials", "origin"}
+_LEFT_OUT = {"provenance", "schema_version", "name", "materials", "origin", "uncertainty_rel"}
 
 
 def design_toml(design: FingerDesign) -> str:
@@ -28,7 +28,16 @@ def design_toml(design: FingerDesign) -> str:
     for name, texts in (("materials", design.materials), ("origin", design.origin)):
         lines = "".join(f"{_value(key)} = {_value(text)}\n" for key, text in texts.items())
         parts.append(f"\n[{name}]\n{lines}")
+    parts.append(_uncertainties(design.uncertainty_rel))
     return "".join(parts)
+
+
+def _uncertainties(stated: dict[str, float]) -> str:
+    """Return the table of uncertainties, or an example of it as a comment."""
+    lines = [f"{_value(field)} = {_value(u)}" for field, u in stated.items()]
+    head = "# Standard uncertainty of a number over its value, for comparisons with a measured force."
+    example = '# [uncertainty_rel]\n# "mechanics.gel.c10_mpa" = 0.2'
+    return "\n".join(["", head, *(["[uncertainty_rel]", *lines] if lines else [example]), ""])
 
 
 def _commented_out(name: str, example: BaseModel) -> str:

@@ -80,26 +80,6 @@ def chromaticity_error(
     )
 
 
-def chromaticity_squares(
-    simulated: Floats,
-    captured: Floats,
-    simulated_variance: Floats | None = None,
-    captured_variance: Floats | None = None,
-) -> Floats:
-    """Return the squared distance of the chromaticities less its noise, pixel by pixel; NaN where it has no value.
-
-    Its mean over a region is the square of `chromaticity_error`; it is what a block bootstrap resamples, and may be
-    negative at a pixel. Parameters as there.
-
-    Returns
-    -------
-    ndarray, shape (H, W)
-    """
-    first, first_noise = _shares(simulated, simulated_variance)
-    second, second_noise = _shares(captured, captured_variance)
-    return np.asarray(((first - second) ** 2).sum(axis=2) - first_noise - second_noise)
-
-
 def _shares(image: Floats, variance: Floats | None) -> tuple[Floats, Floats]:
     """Return red and green share (H, W, 2), NaN where the sum is too small, and their summed noise variance (H, W)."""
     total = np.asarray(image.sum(axis=2))

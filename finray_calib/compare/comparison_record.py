@@ -316,8 +316,8 @@ def _notes(press: SimulatedPress, capture: TactileCapture, block_px: int) -> tup
     notes, linear = list(press.notes), capture.encoding == "linear"
     if block_px > 1:
         notes.append(
-            f"compared over blocks of {block_px} x {block_px} px, at most a quarter of the contact's half-width, so that "
-            f"noise leaves the headline uncertain by {LARGEST_HEADLINE_NOISE:g}, or as little as such blocks allow"
+            f"compared over blocks of {block_px} x {block_px} px, at most a quarter of the contact's half-width, so "
+            f"that noise leaves the headline uncertain by {LARGEST_HEADLINE_NOISE:g}, or as little as such blocks allow"
         )
     if capture.repeat_no_contact is None:
         notes.append("no repeat of the no-contact image: neither the floor nor the camera's noise is known")

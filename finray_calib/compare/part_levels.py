@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.errors import CompareError
 from finray_calib.compare.exposure import ExposureFit
 from finray_calib.compare.input_draws import Drawn
 from finray_calib.compare.region_sums import Captured
@@ -57,12 +58,23 @@ class PartLevels:
 
 
 def part_levels(layers: RenderLayers, captured: Captured, used: Bools, pose_names: tuple[str, ...]) -> PartLevels:
-    """Form the levels of all parts that hold enough pixels and light."""
+    """Form the levels of all parts that hold enough pixels and light.
+
+    Raises
+    ------
+    CompareError
+        There is none.
+    """
     places, masks = [], []
     for row, column, where in _parts(used):
         if (captured.contact[where].mean(axis=0) > 0.0).all() and (captured.no_contact[where].mean(axis=0) > 0.0).all():
             places.append((row, column))
             masks.append(where)
+    if not masks:
+        raise CompareError(
+            f"no part of the region (its bounding box in {PARTS_A_SIDE} x {PARTS_A_SIDE}) holds at least {_LEAST_PIXELS} pixels "
+            "and captured light in every channel: take a larger image, or capture with more light"
+        )
     pixels = np.array([int(m.sum()) for m in masks])
     halves = [
         [layers.halves(state, m, names) for m in masks]

@@ -85,8 +85,8 @@ def _require_comparable(press: SimulatedPress, capture: TactileCapture, shape: t
         allowed_deg = max(_SAME_ANGLE_DEG, 3.0 * (capture.light_angle_uncertainty_deg or 0.0))
         if abs(angles[0] - angles[1]) > allowed_deg:
             raise CompareError(
-                f"{press.name} is lit at {angles[0]:g} deg, {capture.name} at {angles[1]:g} deg; up to {allowed_deg:.2g} "
-                "deg apart are one light: simulate with the capture's light.angle_deg"
+                f"{press.name} is lit at {angles[0]:g} deg, {capture.name} at {angles[1]:g} deg; up to "
+                f"{allowed_deg:.2g} deg apart are one light: simulate with the capture's light.angle_deg"
             )
     if press.contact.shape != shape:
         raise CompareError(

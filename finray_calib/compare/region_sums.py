@@ -3,20 +3,17 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from finray_calib.compare.blocks import block_mean
 from finray_calib.compare.capture_noise import CaptureNoise
+from finray_calib.compare.image_gradient import NOISE_EXCESS, gradient_variance, image_gradient
 from finray_calib.compare.render_layers import RenderLayers
 from finray_calib.compare.squared_error import NoiseCovariance, SquaredError, noise_covariance, squared_error
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-_DIFFERENCE, _AVERAGE = np.array([-0.5, 0.0, 0.5]), np.array([0.25, 0.5, 0.25])
-# neighbouring gradients share pixels: sums of their squares scatter more, by the sum of squared autocorrelations
-_GRADIENT_NOISE_EXCESS = (1.0 + 2.0 * 0.5**2) * (1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,23 +104,23 @@ def gradient_sums(
     The no-contact image becomes zero and the capture grad (D - B). None where no pixel has all its neighbours.
     """
     b, v_b = captured.no_contact, captured.variance(captured.no_contact)
-    signal = _gradient(captured.contact - b)
-    repeat = None if captured.repeat is None else _gradient(captured.repeat - b)
+    signal = image_gradient(captured.contact - b)
+    repeat = None if captured.repeat is None else image_gradient(captured.repeat - b)
     whole = used & np.isfinite(signal).all(axis=(0, 3))
     if repeat is not None:
         whole &= np.isfinite(repeat).all(axis=(0, 3))
     if not whole.any():
         return None
     d = _at(signal, whole)
-    variance = _at(_gradient_variance(captured.variance(captured.contact) + v_b), whole)
+    variance = _at(gradient_variance(captured.variance(captured.contact) + v_b), whole)
     values = _PixelValues(d, np.zeros_like(d), None, variance, np.zeros_like(d), None)
     if captured.repeat is not None and repeat is not None:
-        more = _at(_gradient_variance(captured.variance(captured.repeat) + v_b), whole)
+        more = _at(gradient_variance(captured.variance(captured.repeat) + v_b), whole)
         values = replace(values, repeat=_at(repeat, whole), repeat_variance=more)
-    render_variance = exposure_k**2 * _gradient_variance(layers.contact_variance + layers.no_contact_variance)
+    render_variance = exposure_k**2 * gradient_variance(layers.contact_variance + layers.no_contact_variance)
     halves = _gradient_halves(layers, whole, pose_names)
     level = np.concatenate([b[whole]] * 2)
-    excess = _GRADIENT_NOISE_EXCESS
+    excess = NOISE_EXCESS
     return _sums(whole, halves, values, exposure_k, layers.matrix, _at(render_variance, whole), level, excess)
 
 
@@ -179,28 +176,6 @@ def _sums(
     )
 
 
-def _gradient(image: NDArray[np.floating]) -> Floats:
-    """Return Sobel / 8 gradients (2, H, W, C) per px; NaN at the frame's edge and beside missing pixels."""
-    return _filtered(image, _DIFFERENCE, _AVERAGE)
-
-
-def _gradient_variance(variance: Floats) -> Floats:
-    """Return the variance of these gradients of an image of independent pixels."""
-    return _filtered(variance, _DIFFERENCE**2, _AVERAGE**2)
-
-
-def _filtered(image: NDArray[np.floating], across: Floats, along: Floats) -> Floats:
-    """Return the image filtered down the columns and along the rows, NaN where a 3 x 3 window is incomplete."""
-    missing = np.pad(~np.isfinite(image).all(axis=2), 1, constant_values=True).astype(np.uint8)
-    incomplete = cv2.dilate(missing, np.ones((3, 3), np.uint8))[1:-1, 1:-1] > 0
-    finite = np.ascontiguousarray(np.nan_to_num(image, nan=0.0), dtype=np.float64)
-    both = np.array(
-        [cv2.sepFilter2D(finite, -1, *pair).reshape(image.shape) for pair in ((along, across), (across, along))]
-    )
-    both[:, incomplete] = np.nan
-    return both
-
-
 def _at(gradient: Floats, where: Bools) -> Floats:
     """Return both directions at some pixels, one after the other: (2 P, C)."""
     return np.concatenate([gradient[0][where], gradient[1][where]])
@@ -212,7 +187,7 @@ def _gradient_halves(layers: RenderLayers, where: Bools, pose_names: tuple[str, 
     half = layers.contact_half - layers.no_contact_half
     poses = [layers.pose_names.index(name) for name in pose_names]
     means, differences = (
-        np.concatenate([_at(_gradient(image), where) for image in (first, *(more[n] for n in poses))], axis=1)
+        np.concatenate([_at(image_gradient(image), where) for image in (first, *(more[n] for n in poses))], axis=1)
         for first, more in ((mean, layers.pose), (half, layers.pose_half))
     )
     return means + differences, means - differences

@@ -61,15 +61,20 @@ class RenderLayers:
 
     def blocked(self, side_px: int) -> "RenderLayers":
         """Return the means over blocks of pixels."""
-        names = ("contact", "no_contact", "contact_half", "no_contact_half")
-        images = {name: block_mean(getattr(self, name), side_px) for name in names}
-        poses = {
-            name: np.array([block_mean(image, side_px) for image in getattr(self, name)]).reshape(
-                -1, *images["contact"].shape
-            )
-            for name in ("pose", "pose_half")
-        }
-        return replace(self, **images, **poses)
+        contact = block_mean(self.contact, side_px)
+        pose, pose_half = (
+            np.array([block_mean(image, side_px) for image in images]).reshape(-1, *contact.shape)
+            for images in (self.pose, self.pose_half)
+        )
+        return replace(
+            self,
+            contact=contact,
+            no_contact=block_mean(self.no_contact, side_px),
+            contact_half=block_mean(self.contact_half, side_px),
+            no_contact_half=block_mean(self.no_contact_half, side_px),
+            pose=pose,
+            pose_half=pose_half,
+        )
 
     def halves(self, state: str, where: NDArray[np.bool_], pose_names: tuple[str, ...] = ()) -> tuple[Floats, Floats]:
         """Return both halves (pixels, L (1 + N)) of "contact" or "no_contact" at some pixels.

@@ -15,7 +15,7 @@ from finray_calib.compare.stopping_rule import ends
 
 Floats = NDArray[np.float64]
 DRAWS = 40
-"""Of the inputs: whole images are sensed, and the ends of an interval of 40 draws are its second smallest and largest."""
+"""Of the inputs: whole images are sensed; the ends of an interval of 40 draws are its second smallest and largest."""
 
 
 def sensing_record(

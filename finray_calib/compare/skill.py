@@ -1,4 +1,4 @@
-"""Skill of a simulation relative to doing nothing, and the one exposure factor it may be granted.
+"""Skill of a simulation relative to doing nothing, of images as they are.
 
 Full-frame similarity cannot tell a good simulator from an empty background, because contact changes few
 pixels. The skill score asks instead which share of the contact signal (capture minus no-contact image) the
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from data_schemas.errors import CompareError
 from finray_calib.compare.regions import usable_pixels
-from finray_calib.compare.tiles import tile_indices
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,14 +35,6 @@ class SkillScore:
     weights: NDArray[np.float64]
     pixels_used: int
     pixels_left_out: int
-
-
-@dataclass(frozen=True, slots=True)
-class ExposureFactor:
-    """Hold the exposure factor `k` and its standard uncertainty `u`, both dimensionless."""
-
-    k: float
-    u: float
 
 
 def channel_weights(no_contact: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -124,7 +115,7 @@ def skill_score(
     weights : ndarray, shape (C,), optional
         Per-channel weights; default `channel_weights`, ones for the plain pooled score.
     exposure_k : float
-        Factor on the simulation, see `exposure_factor`.
+        Factor on the simulation, see :mod:`finray_calib.compare.exposure`.
 
     Returns
     -------
@@ -156,52 +147,3 @@ def skill_score(
     pixels = int(used.sum())
     skill = float(1 - (channel_weight @ error) / (channel_weight @ signal))
     return SkillScore(skill, per_channel, channel_weight, pixels, int(mask.sum()) - pixels)
-
-
-def exposure_factor(
-    simulated: NDArray[np.float64],
-    captured: NDArray[np.float64],
-    mask: NDArray[np.bool_],
-    weights: NDArray[np.float64],
-    tile_px: int = 16,
-) -> ExposureFactor:
-    """Fit the one scalar that brings a simulation to the exposure of the capture.
-
-    k = sum w S D / sum w S^2 over pixels and channels. It is common to all channels, because a gain per
-    channel would hide an error of the paint. The standard uncertainty is the cluster-robust one,
-    u^2 = G / (G - 1) sum_g (sum_{p in g} w S (D - k S))^2 / (sum w S^2)^2, over G square tiles: neighbouring
-    pixels share their error, and counting them as independent would make u far too small. With fewer than two
-    tiles u is NaN.
-
-    Parameters
-    ----------
-    simulated, captured : ndarray, shape (H, W, C)
-    mask : ndarray of bool, shape (H, W)
-    weights : ndarray, shape (C,)
-    tile_px : int
-        Side of a tile, px.
-
-    Returns
-    -------
-    ExposureFactor
-
-    Raises
-    ------
-    CompareError
-        If shapes or weights are wrong, no pixel is usable, or the simulation is black.
-    """
-    simulation, capture = (np.asarray(image, dtype=np.float64) for image in (simulated, captured))
-    used = usable_pixels(mask, simulation, capture)
-    weight = checked_weights(weights, simulation, used)
-    model, real = simulation[used], capture[used]
-    energy = float((weight * model**2).sum())
-    if not energy > 0:
-        raise CompareError("The simulation is black over the region; no exposure factor fits. Check the render.")
-    k = float((weight * model * real).sum()) / energy
-    pull = (weight * model * (real - k * model)).sum(axis=1)
-    tile = tile_indices(used, tile_px)
-    tiles = int(tile.max()) + 1
-    if tiles < 2:
-        return ExposureFactor(k, float("nan"))
-    meat = float((np.bincount(tile, weights=pull) ** 2).sum())
-    return ExposureFactor(k, float(np.sqrt(tiles / (tiles - 1) * meat)) / energy)

@@ -94,8 +94,8 @@ def noise_covariance(
 
     With the error e = S - D and the signal s = B - D of the noise-free images and variances v of the noise, which is
     normal and independent between pixels: var sum (S-D)^2 = sum 4 e^2 (v_S + v_D) + 2 (v_S + v_D)^2, and with the
-    independent halves of the render 2 v_S^2 more; cov = sum 4 e s v_D + 2 v_D^2. The squares of e and s are replaced
-    by their estimates, which noise inflates, so the variances are rather too large than too small.
+    independent halves of the render 2 v_S^2 more; cov = sum 4 e s v_D + 2 v_D^2. e^2, s^2 and e s are replaced by what
+    is measured without the noise's share, no square below zero, so the variances are rather too large than too small.
 
     Parameters
     ----------
@@ -109,5 +109,5 @@ def noise_covariance(
     return NoiseCovariance(
         error=(4.0 * clean_error * (s + d) + 2.0 * (s + d) ** 2 + 2.0 * s**2).sum(axis=0),
         signal=(4.0 * clean_signal * (b + d) + 2.0 * (b + d) ** 2).sum(axis=0),
-        both=(4.0 * error * signal * d + 2.0 * d**2).sum(axis=0),
+        both=(4.0 * (error * signal - d) * d + 2.0 * d**2).sum(axis=0),
     )

@@ -37,7 +37,8 @@ def validation_cells(comparison: Comparison, inputs: Inputs, rng: np.random.Gene
     error = np.exp(comparison.level_ratios(inputs.best())[0, _CONTACT]) - 1.0
     render = levels.render_variance[_CONTACT]
     camera = levels.noise_variance[_CONTACT] - render
-    u_numerical = np.sqrt(render + ratios["walls"].var(axis=0, ddof=1))
+    # the render's noise is known relative to the simulated level, all else is stated relative to the captured one
+    u_numerical = (1.0 + error) * np.sqrt(render + ratios["walls"].var(axis=0, ddof=1))
     u_data = np.sqrt(camera + drawn.log_drift.var(ddof=1))
     u_input = simulated.std(axis=0, ddof=1)
     u_validation = np.sqrt(u_numerical**2 + u_input**2 + u_data**2)

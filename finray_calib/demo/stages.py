@@ -55,7 +55,7 @@ class RenderEffort:
     probe_samples: int
 
 
-COMPILED_EFFORT = RenderEffort(samples_per_pixel=128, twin_samples_per_pixel=192, probe_samples=4000)
+COMPILED_EFFORT = RenderEffort(samples_per_pixel=64, twin_samples_per_pixel=96, probe_samples=4000)
 # The scalar renderer is some six times slower on the image and calls Python for every probe.
 SCALAR_EFFORT = RenderEffort(samples_per_pixel=40, twin_samples_per_pixel=80, probe_samples=2000)
 

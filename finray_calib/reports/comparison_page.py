@@ -141,8 +141,8 @@ def _sensed(sensing: SensingError) -> Part:
     outside = max(sensing.outside_share_simulated, sensing.outside_share_captured)
     remarks = [
         f"The map '{sensing.normal_map}' was taught by {sensing.presses} presses; of presses that it had not seen it "
-        f"explains {percent(score.estimate)} of the squared slopes ({percent(score.low95)} to {percent(score.high95)} over "
-        "random halves). A wrong map is wrong on both sides alike, and its errors partly cancel here."
+        f"explains {percent(score.estimate)} of the squared slopes ({percent(score.low95)} to {percent(score.high95)} "
+        "over random halves). A wrong map is wrong on both sides alike, and its errors partly cancel here."
     ]
     if outside > 0.0:
         remarks.append(f"{percent(outside)} of the pixels show a change of colour that no calibration press showed.")

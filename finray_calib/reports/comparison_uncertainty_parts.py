@@ -8,6 +8,9 @@ from finray_calib.reports.number_text import percent, significant
 from finray_calib.reports.section import Content, Part, Picture, drawing
 from finray_calib.reports.validation_figure import validation_figure
 
+_STEADY = ("not yet steady to one significant digit", "steady to one significant digit", "steady to two digits")
+"""By the number of steady digits of the headline's standard uncertainty."""
+
 
 def budget_part(report: PhotometricErrorReport) -> Part:
     """Show what each input adds to the uncertainty."""
@@ -15,11 +18,8 @@ def budget_part(report: PhotometricErrorReport) -> Part:
     run = report.monte_carlo
     steady = ""
     if run is not None:
-        state = "steady" if run.converged else "not yet steady"
-        steady = (
-            f" The intervals come from {run.draws} draws of all inputs together (JCGM 101), {state} to "
-            f"{run.significant_digits} significant digit(s)."
-        )
+        digits = _STEADY[run.significant_digits]
+        steady = f" The intervals come from {run.draws} draws of all inputs together (JCGM 101), {digits}."
     share = largest.skill_u**2 / (sum(line.skill_u**2 for line in report.budget) or 1.0)
     lead = f"The largest contribution is {largest.input}: {percent(share)} of the variance of the skill.{steady}"
     return Part("Uncertainty", Content(lead, (_bars(report),), tables=(tables.budget_table(report),)))

@@ -91,10 +91,10 @@ def limits(report: PhotometricErrorReport) -> tuple[str, ...]:
     if report.monte_carlo is not None:
         run = report.monte_carlo
         told += [f"Not in the intervals: {reason.rstrip('.')}." for reason in run.not_included]
-        if not run.converged:
+        if run.significant_digits == 0:
             told.append(
-                f"The Monte Carlo run of {run.draws} draws ended before the uncertainty was steady to "
-                f"{run.significant_digits} significant digit(s): the last digits may change with another seed."
+                f"The Monte Carlo run of {run.draws} draws ended before the uncertainty was steady to one significant "
+                "digit: the ends of the interval may change with another seed."
             )
     if report.values != "linear light":
         told.append(

@@ -3,14 +3,14 @@
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
-from pydantic import ValidationError
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
 from data_schemas.finger_stiffness import FingerStiffness, Measure, StiffnessOrder, StiffnessRow
+from sim.experiments.changed_design import changed_design
 from sim.mechanics.loads import LoadedFinger
 
 Progress = Callable[[int, int, str], None]
@@ -85,30 +85,10 @@ def _variants(design: FingerDesign, share: float) -> Iterator[tuple[str, float, 
             yield field, changed / value - 1.0, changed
 
 
-def _changed(design: FingerDesign, field: str, value: float) -> FingerDesign:
-    """Return a design with one field changed.
-
-    Raises
-    ------
-    SimulateError
-        When the design refuses the value.
-    """
-    whole: dict[str, Any] = design.model_dump()
-    place = whole
-    *path, last = field.split(".")
-    for name in path:
-        place = place[name]
-    place[last] = value
-    try:
-        return FingerDesign.model_validate(whole)
-    except ValidationError as refused:
-        raise SimulateError(refused.errors()[0]["msg"]) from refused
-
-
 def _row(design: FingerDesign, field: str, change_rel: float, value: float, threads: int) -> StiffnessRow:
     """Load one finger; a changed one may fail."""
     try:
-        finger = LoadedFinger(_changed(design, field, value) if field else design, threads=threads)
+        finger = LoadedFinger(changed_design(design, field, value) if field else design, threads=threads)
         return StiffnessRow(
             design=design.name,
             changed=field,

@@ -103,8 +103,8 @@ def _paint_factors(
         tried += 1
         if tried - len(found) > max(20, _LARGEST_UNPHYSICAL_SHARE * tried):
             raise SimulateError(
-                f"more than half the posterior draws of {calibration.paint_name} return more light than the paint gets; check "
-                " the white reference of its session"
+                f"more than half the posterior draws of {calibration.paint_name} return more light than the paint "
+                "gets; check the white reference of its session"
             )
         paint = replace(finger.paints[colour], emission_per_nm=np.maximum(emission[rng.integers(len(emission))], 0.0))
         try:
@@ -119,7 +119,8 @@ def _paint_factors(
 def _of_chains(response: Floats, chains: Sequence[str], gains: Mapping[tuple[str, str], float]) -> Floats:
     """Return factors (3, chain): of the last band's response, times the gains on the chain's way."""
     last = [BAND_NAMES.index(chain.rsplit(">", 1)[-1]) for chain in chains]
-    return response[:, last] * np.array([np.prod([gains[step] for step in steps(chain)]) for chain in chains])
+    gain = np.array([np.prod([gains[step] for step in steps(chain)]) for chain in chains])
+    return np.asarray(response[:, last] * gain)
 
 
 def _camera_factors(finger: PaintedFinger, chains: Sequence[str], draws: int, rng: np.random.Generator) -> Floats:

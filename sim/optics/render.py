@@ -28,7 +28,7 @@ BAKE_SAMPLES = {False: 64_000, True: 12_000}
 SURROUNDINGS_SHARE = 8
 """Pixels that see neither coat nor walls get this many times fewer paths: nothing is measured there."""
 
-CONTACT_SHARE = 4
+CONTACT_SHARE = 2
 """Pixels near the contact get this many times more paths by default: comparisons look there, and they are few."""
 
 CONTACT_REACH = 2.5
@@ -122,7 +122,7 @@ def render_press(
     calibration
         Of the camera; without it the ideal pinhole of the design.
     contact_samples_per_pixel
-        Paths per pixel of the rectangle around the contact and its halo, an even number; by default four times those
+        Paths per pixel of the rectangle around the contact and its halo, an even number; by default twice those
         of the pad.
 
     Raises

@@ -26,6 +26,7 @@ DIMENSIONLESS_WORDS = frozenset(
         "alpha",
         "chi",
         "chi2",
+        "correlation",
         "exponent",
         "factor",
         "fraction",
@@ -53,6 +54,7 @@ EXCEPTIONS = {
         ("estimate", "sd", "low", "high", "low68", "high68", "low95", "high95", "mean", "value", "truth"),
         "a summary of another quantity, in its unit",
     ),
+    "p95": "95th percentile of another quantity, in its unit",
     "half_width": "of an interval, in the unit of its value",
     "p_within_5deg": "probability",
     **dict.fromkeys(("probability", "posterior_predictive_p", "p_conform"), "probability"),
@@ -80,6 +82,11 @@ EXCEPTIONS = {
     "width_in": "inches, as matplotlib counts",
     "height_in": "inches, as matplotlib counts",
     "seconds": "a duration in words",
+    **dict.fromkeys(("ciede2000_mean", "ciede2000_p95"), "colour difference, as CIE 142 counts"),
+    "flip_mean": "visible difference, 0 to 1",
+    **dict.fromkeys(("rms", "noise_rms", "mean_red", "mean_green"), "of chromaticities, shares of light"),
+    **dict.fromkeys(("scale_x", "scale_y"), "ratio of two pixel sizes"),
+    **dict.fromkeys(("c1", "c2"), "of SSIM, in the square of the images' unit"),
 }
 HEAVY = ("numpy", "scipy", "matplotlib", "mitsuba", "cv2", "colour", "emcee", "pydantic", "rich", "skimage", "tifffile")
 

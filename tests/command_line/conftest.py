@@ -28,7 +28,6 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, record in {
         "press": linear,
         "black-press": press(level=0.0),
-        "noisy-press": press(variance=1e6),
         "encoded-press": encoded,
         "capture": capture_of(linear, 50.0),
         "cut-capture": capture_of(linear, 50.0, slice(0, 40)),

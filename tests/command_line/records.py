@@ -12,8 +12,8 @@ BEST_DEG = 35.0
 Encoding = Literal["linear", "unknown"]
 
 
-def press(encoding: Encoding = "linear", level: float = 1.0, variance: float = 0.0) -> SimulatedPress:
-    """A dark strip across a smooth pad; `level` 0 is black, `variance` is what the render claims of its noise."""
+def press(encoding: Encoding = "linear", level: float = 1.0) -> SimulatedPress:
+    """A dark strip across a smooth pad; `level` 0 is black."""
     rows, columns = np.mgrid[0:60, 0:80].astype(float)
     distance = np.abs(columns - 40.0) / 12.0
     pad = level * np.stack([1.0 + rows / 60, 2.0 - rows / 60, 1.0 + columns / 80], axis=2)
@@ -26,7 +26,7 @@ def press(encoding: Encoding = "linear", level: float = 1.0, variance: float = 0
         no_contact=100 * pad,
         contact=100 * contact,
         distance=distance,
-        variance=np.full_like(pad, variance),
+        variance=None,
         light_angle_deg=30.0,
         design=None,
     )

@@ -125,7 +125,7 @@ def test_encoded_images_compare_but_withhold_what_needs_linear_light(lab: Path) 
     require_valid(lab / "encoded-report.json")
     report = read_record(lab / "encoded-report.json", PhotometricErrorReport)
     assert report.values == "encoded values, encoding unknown"
-    assert report.objective_error_rel is None
+    assert report.objective_error is None
     assert report.withheld
 
 

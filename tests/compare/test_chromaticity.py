@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from data_schemas.errors import CompareError
-from finray_calib.compare.chromaticity import chromaticity_error, chromaticity_squares
+from finray_calib.compare.chromaticity import chromaticity_error
 
 SHAPE = (50, 60, 3)
 EVERYWHERE = np.ones(SHAPE[:2], bool)
@@ -53,11 +53,3 @@ def test_dark_pixels_are_left_out():
     assert error.rms == 0
     with pytest.raises(CompareError, match="None of the 3000 pixels of the region is usable"):
         chromaticity_error(colour(0, 0, 0), captured, EVERYWHERE)
-
-
-def test_the_squares_average_to_the_error():
-    rng = np.random.default_rng(2)
-    first, second = rng.uniform(50, 100, SHAPE), rng.uniform(50, 100, SHAPE)
-    squares = chromaticity_squares(first, second, colour(1, 1, 1), colour(2, 2, 2))
-    error = chromaticity_error(first, second, EVERYWHERE, colour(1, 1, 1), colour(2, 2, 2))
-    assert np.sqrt(squares.mean()) == pytest.approx(error.rms, rel=1e-12)

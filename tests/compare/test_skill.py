@@ -6,7 +6,7 @@ import pytest
 from data_schemas.errors import CompareError
 from finray_calib.compare.regions import disc
 from finray_calib.compare.relative_rms import relative_rms
-from finray_calib.compare.skill import channel_weights, exposure_factor, skill_score
+from finray_calib.compare.skill import channel_weights, skill_score
 from tests.compare.scenes import CENTER_PX, SHAPE, press
 
 
@@ -90,43 +90,6 @@ def test_weights_are_checked(scene):
     no_contact[..., 2] = -0.5
     with pytest.raises(CompareError, match=r"Channel 2 of the no-contact image has mean -0.5"):
         channel_weights(no_contact, mask)
-
-
-def test_exposure_factor_is_the_weighted_least_squares_slope(scene):
-    no_contact, captured, mask = scene
-    weight = channel_weights(no_contact, mask)
-    root = np.sqrt(weight)
-    slope, *_ = np.linalg.lstsq((no_contact * root)[mask].reshape(-1, 1), (captured * root)[mask].ravel(), rcond=None)
-    assert exposure_factor(no_contact, captured, mask, weight).k == pytest.approx(slope[0], rel=1e-12)
-    exact = exposure_factor(captured / 1.7, captured, mask, weight)
-    assert exact.k == pytest.approx(1.7, rel=1e-12)
-    assert exact.u < 1e-12
-
-
-def test_exposure_uncertainty_covers_error_that_neighbouring_pixels_share():
-    """Truth k = 1.25; an 8 px blotch of error per tile. |k - 1.25| <= 2 u in about 95 % of the scenes."""
-    rng = np.random.default_rng(5)
-    mask = np.ones((96, 128), bool)
-    simulated = np.full((96, 128, 2), 100.0)
-    inside, naive = 0, 0
-    for _ in range(200):
-        blotches = np.kron(rng.standard_normal((12, 16)), np.ones((8, 8)))[..., None] * 5
-        captured = 1.25 * simulated + blotches
-        factor = exposure_factor(simulated, captured, mask, np.ones(2))
-        inside += abs(factor.k - 1.25) <= 2 * factor.u
-        naive += abs(factor.k - 1.25) <= 2 * 0.05 / np.sqrt(2 * mask.sum())
-    # Covers 0.96 (600 scenes). Binomial(200, 0.94) is below 176 with probability 4e-4.
-    assert inside >= 176
-    assert naive < 60
-
-
-def test_exposure_factor_needs_light_and_two_tiles(scene):
-    no_contact, captured, mask = scene
-    with pytest.raises(CompareError, match="simulation is black"):
-        exposure_factor(np.zeros_like(captured), captured, mask, np.ones(3))
-    corner = np.zeros(SHAPE, bool)
-    corner[:8, :8] = True
-    assert math.isnan(exposure_factor(no_contact, captured, corner, np.ones(3)).u)
 
 
 def test_relative_rms_of_a_gain_and_of_noise(scene):

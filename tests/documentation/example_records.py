@@ -511,9 +511,8 @@ def _report(error: Floats) -> PhotometricErrorReport:
         ),
         interval_covers="paint posterior, camera, pose, render noise and which part of the region was looked at",
         monte_carlo=MonteCarlo(
-            draws=4000,
-            converged=True,
-            significant_digits=1,
+            draws=40_000,
+            significant_digits=2,
             not_included=("the spectrum of the blue LED, which is nominal", "another press on another day"),
         ),
         budget=_budget(),

@@ -8,11 +8,13 @@ import pytest
 from data_schemas.design import FingerDesign, TactileCamera
 from data_schemas.errors import CompareError, SimulateError
 from data_schemas.provenance import provenance
-from data_schemas.simulate import SimulatedPress
+from data_schemas.simulate import KnownInputs, SimulatedPress
 from data_schemas.standard_curves import assumed_camera_response
 from data_schemas.storage import read_record, write_record
 from finray_calib.cli import main
+from finray_calib.compare.comparison_record import compare_press
 from finray_calib.compare.prepared_images import prepare_images
+from finray_calib.compare.render_layers import render_layers
 from sim.experiments import painted_finger
 from sim.experiments.painted_finger import PaintedFinger
 from sim.experiments.press import light_record, simulate_press
@@ -105,6 +107,14 @@ def test_a_yield_alone_is_exact(llvm, paints, monkeypatch):
     made = recoloured(old, brighter)
     for name in ("no_contact", "contact", "variance"):
         np.testing.assert_allclose(getattr(made, name), getattr(new, name), rtol=FLOAT32, atol=1e-9)
+    # what a comparison takes of a press: layers, their noise, and the matrix from layers to RGB
+    fresh, recoloured_ones = render_layers(new), render_layers(made)
+    for name in ("contact_half", "no_contact_half"):
+        here, there = (layers.rgb(getattr(layers, name)) for layers in (recoloured_ones, fresh))
+        np.testing.assert_allclose(here, there, rtol=FLOAT32, atol=FLOAT32 * np.abs(there).max())
+    capture = simulated_capture(new, seed=3)
+    skills = [compare_press(p, capture, 1).headline_skill for p in (made, new)]
+    assert skills[0].estimate == pytest.approx(skills[1].estimate, abs=FLOAT32)
 
 
 def test_camera_and_white_balance_are_a_matrix(exciting):
@@ -146,6 +156,42 @@ def test_other_paints_start_from_the_render_and_can_be_changed_back(exciting):
     np.testing.assert_allclose(
         recoloured(blue, exciting, white_balance=(1.0, 1.0, 1.0)).contact, rendered.contact, rtol=1e-5
     )
+
+
+def test_layers_and_their_matrix_are_the_images(exciting):
+    dimmer = tuple(c.model_copy(update={"values": 0.5 * c.values}) for c in assumed_camera_response())
+    together = press(exciting, no_contact_chains=None, contact_chains=None, chains=())
+    for made in (
+        recoloured(press(exciting), other(exciting, yield_rel=1.3), dimmer, (2.0, 1.0, 4.0)),
+        recoloured(together, response=dimmer, white_balance=(2.0, 1.0, 4.0)),
+    ):
+        for state in ("no_contact", "contact"):
+            layers = getattr(made, f"{state}_chains" if made.chains else f"{state}_bands")
+            np.testing.assert_allclose(getattr(made, state), layers @ made.layer_matrix.T, rtol=1e-5)
+
+
+def test_draws_of_what_did_not_change_still_hold(exciting):
+    names = ("red paint", "green paint", "camera response")
+    known = KnownInputs(
+        names=names,
+        keys=("r", "g", "c"),
+        evaluations=("A", "A", "B"),
+        sources=("of red", "of green", "of the camera"),
+        factors=np.random.default_rng(4).random((3, 5, 3, len(CHAINS))),
+    )
+    rendered, brighter = press(exciting, known_inputs=known), other(exciting, yield_rel=1.3)
+    response = assumed_camera_response()
+    for changes, kept in (
+        ({"white_balance": (2.0, 1.0, 1.0)}, [0, 1, 2]),
+        ({"response": response}, [0, 1]),
+        ({"paints": brighter}, [2]),
+    ):
+        left = recoloured(rendered, **changes).known_inputs
+        for field in ("names", "keys", "evaluations", "sources"):
+            assert getattr(left, field) == tuple(getattr(known, field)[i] for i in kept)
+        np.testing.assert_array_equal(left.factors, known.factors[kept])
+    assert recoloured(rendered, brighter, response).known_inputs is None
+    assert recoloured(press(exciting), brighter).known_inputs is None
 
 
 def test_what_needs_a_new_render_is_refused(exciting):
