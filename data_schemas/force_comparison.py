@@ -41,8 +41,8 @@ class ForceRow(Model):
 
     candidate: Literal["do nothing", "simulation"]
     rms_rel: Interval = Field(
-        description="root mean square of the error over that of the measured force; the estimate is the observed one, "
-        "the 95 % interval that of the model's own error"
+        description="root mean square of the error over that of the measured force, noise taken out of both; the "
+        "interval holds the model's own error, whatever the inputs really are"
     )
 
 

@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from finray_calib.cli.compare_force import add_force, compare_force_verb, refuse_force_options
 from finray_calib.cli.options import (
     add_out,
     add_seed,
@@ -25,7 +26,9 @@ With two folders, one.press.json is compared with one.capture.json and so on (or
 for each, and a summary over the presses.
 
 Images that do not belong together (channel order, exposure, encoding, bit depth, black level) are refused. Whether
-the camera stands where the render has it is told; --register moves the render accordingly."""
+the camera stands where the render has it is told; --register moves the render accordingly.
+
+With --force, the force of a press by finite elements is compared with a measured one instead."""
 
 
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -53,7 +56,8 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         "--normal-map", type=Path, metavar="FILE",
         help="also compare normals and depth, by the map that 'finray study normal-map' wrote",
     )  # fmt: skip
-    add_out(parser, "photometric-error.json; with folders the folder photometric-errors")
+    add_force(parser)
+    add_out(parser, "photometric-error.json, with --force force-comparison.json; with folders photometric-errors")
     add_seed(parser)
     parser.set_defaults(run=run)
 
@@ -62,6 +66,9 @@ def run(arguments: argparse.Namespace) -> None:
     """Compare one pair, or all pairs of two folders or a list."""
     from data_schemas.errors import CompareError
 
+    if arguments.force is not None:
+        return compare_force_verb(arguments)
+    refuse_force_options(arguments)
     if (arguments.pairs is None) == (arguments.simulated is None):
         raise CompareError("give SIMULATED and CAPTURE, or --pairs CSV: one of the two")
     if arguments.simulated is not None and arguments.capture is None:

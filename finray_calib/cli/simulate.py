@@ -64,6 +64,11 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         help="with --only mechanics: penalty (fast, no friction), barrier (friction, any indenter, contact of ribs) or "
         "auto (default: penalty where it can)",
     )  # fmt: skip
+    parser.add_argument(
+        "--sensitivities", action="store_true",
+        help="with --only mechanics: also press with each uncertain modulus and thickness changed (some 15 presses), "
+        "so that 'finray compare --force' can carry their uncertainty",
+    )  # fmt: skip
     parser.add_argument("--angles", type=_angles, metavar="FIRST:LAST:STEP", help="light angles in deg, e.g. 0:120:10")
     parser.add_argument(
         "--objectives", choices=["intensity", "all"], default="intensity",
@@ -120,6 +125,8 @@ def _require_mechanics_only(arguments: argparse.Namespace) -> None:
         raise SimulateError(f"--engine {arguments.engine} renders; give calculix with --only mechanics, or none")
     if arguments.engine == "calculix" and arguments.contact != "auto":
         raise SimulateError("--contact: CalculiX has a contact of its own; leave out --contact, or --engine calculix")
+    if arguments.sensitivities and (arguments.engine == "calculix" or arguments.resume is not None):
+        raise SimulateError("--sensitivities need a whole press by the elements here; leave out --resume and --engine")
     if arguments.engine == "calculix" and arguments.resume is not None:
         raise SimulateError("--resume: CalculiX presses from first touch; leave out --resume, or --engine calculix")
 
@@ -178,13 +185,15 @@ def run(arguments: argparse.Namespace) -> None:
         with progress_bar("simulate") as progress:
             simulate_mechanics_verb(
                 design, arguments.increments or DEFAULT_INCREMENTS, resume, out, origin, progress, arguments.engine,
-                arguments.contact, arguments.design.parent,
+                arguments.contact, arguments.design.parent, arguments.sensitivities,
             )  # fmt: skip
         return
     if arguments.engine == "calculix":
         raise SimulateError("--engine calculix presses, it does not render; add --only mechanics, or leave it out")
     if arguments.contact != "auto":
         raise SimulateError("--contact is that of the finite elements; add --only mechanics or leave it out")
+    if arguments.sensitivities:
+        raise SimulateError("--sensitivities are those of a force; add --only mechanics or leave it out")
     if arguments.resume is not None:
         raise SimulateError("--resume goes on with a press of finite elements; add --only mechanics or leave it out")
     require_new(out)

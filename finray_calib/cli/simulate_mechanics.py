@@ -8,16 +8,18 @@ from finray_calib.cli.options import Progress, require_new, say
 
 if TYPE_CHECKING:
     from data_schemas.design import FingerDesign
+    from data_schemas.press_mechanics import PressSensitivities
     from data_schemas.provenance import Provenance
     from sim.mechanics.press import PressedFinger
     from sim.mechanics.press_contact import ContactChoice
 
 
 class _Engine(TypedDict, total=False):
-    """What :func:`~sim.experiments.mechanical_press.press_records` is told of another engine."""
+    """What :func:`~sim.experiments.mechanical_press.press_records` is told beside the press itself."""
 
     engine: str
     notes: tuple[str, ...]
+    sensitivities: "PressSensitivities"
 
 
 def mechanics_paths(out: Path, resume: Path | None = None) -> dict[str, Path]:
@@ -70,6 +72,7 @@ def simulate_mechanics_verb(
     engine: str = "auto",
     contact: "ContactChoice" = "auto",
     folder: Path = Path(),
+    sensitivities: bool = False,
 ) -> None:
     """Press the design's indenter in, store forces, surfaces, mesh and picture, and tell the curve.
 
@@ -83,6 +86,7 @@ def simulate_mechanics_verb(
     from data_schemas.storage import write_bytes, write_record
     from finray_calib.exchange.vtu import vtu_bytes
     from finray_calib.reports.pressed_finger_figure import pressed_finger_png
+    from sim.experiments.force_sensitivities import press_sensitivities
     from sim.experiments.mechanical_press import press_records
 
     if engine == "calculix":
@@ -91,6 +95,8 @@ def simulate_mechanics_verb(
         kept = files["increments"]
         pressed = _pressed(design, increments, resume, kept, origin, progress, contact, folder)
         said = _Engine()
+        if sensitivities and not pressed.unreached:
+            said["sensitivities"] = press_sensitivities(design, pressed, _threads(), progress, contact, folder)
     mechanics, surfaces = press_records(design, pressed, **said)
     write_record(mechanics, files["mechanics"], origin)
     write_record(surfaces, files["surfaces"], origin)
@@ -99,6 +105,8 @@ def simulate_mechanics_verb(
     say(f"{files['mechanics']}: {mechanics.label}")
     for depth, force in zip(mechanics.depth_mm, mechanics.force_n, strict=True):
         say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
+    if mechanics.sensitivities is not None:
+        say(f"  {len(mechanics.sensitivities.varied)} presses with one number changed, for 'finray compare --force'")
     say(f"{files['surfaces']}: for 'finray simulate DESIGN --only optics --surfaces {files['surfaces'].name}'")
     say(f"{files['mesh']}: the pressed mesh, for ParaView")
     say(f"{files['picture']}: the finger before and after, and its force")

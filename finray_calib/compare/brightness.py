@@ -73,7 +73,7 @@ def brightness_draws(
         Generator of the noise.
     """
     draws = len(drawn.log_drift)
-    exposure = comparison.exposure_of(drawn.matrix)
+    exposure = comparison.exposure_of(drawn.matrix, rng)
     first, second = comparison.layers.halves("contact", ring, inputs.pose_names)
     simulated = exposure[:, None] * (drawn.weights @ ((first + second) / 2.0).mean(axis=0))
     contact = comparison.captured.contact

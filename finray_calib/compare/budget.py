@@ -48,7 +48,7 @@ def uncertainty_budget(
     for name, (evaluation, source) in origins.items():
         noise = rng if name == PIXELS else None
         drawn = after.only(name)
-        draws = propagated_draws(comparison.sums[-1], drawn, comparison.exposure_of(drawn.matrix), noise)
+        draws = propagated_draws(comparison.sums[-1], drawn, comparison.exposure_of(drawn.matrix, noise), noise)
         skill = draws.skill("simulation", comparison.channel_weights)
         objective = brightness_draws(comparison, inputs, ring, before.only(name), noise).error_rel(share)
         lines.append(

@@ -204,7 +204,9 @@ def _region_records(
     variance = captured.variance(captured.contact)
     drawn = None
     if draws.propagated is not None and inputs is not None:
-        drawn = comparison.conditioned(inputs.draw(CONDITIONED_DRAWS, rng), rng).weights[:CHROMATICITY_DRAWS]
+        conditioned = comparison.conditioned(inputs.draw(CONDITIONED_DRAWS, rng), rng)
+        exposure = comparison.exposure_of(conditioned.matrix)
+        drawn = (exposure[:, None, None] * conditioned.weights)[:CHROMATICITY_DRAWS]
     records = []
     for i, (region, used) in enumerate(zip(comparison.regions, comparison.used, strict=True)):
         images = None
@@ -241,7 +243,7 @@ def _statements(
     if inputs is None:
         return _Statements()
     captured = comparison.captured
-    usable: NDArray[np.bool_] = np.isfinite(captured.contact).all(axis=2)
+    usable: NDArray[np.bool_] = np.asarray(np.isfinite(captured.contact).all(axis=2), dtype=np.bool_)
     ring = ring_of(distance, usable)
     share = captured_share(comparison, ring, np.isfinite(distance))
     objective = objective_error(comparison, inputs, ring, share, capture, rng)

@@ -60,7 +60,7 @@ def shown_candidate(
 ) -> ShownCandidate:
     """Return a candidate with its likeness to the captured contact image."""
     white_dn = display_white_dn(no_contact) if linear else data_range_dn
-    usable: Bools = np.isfinite(captured + image).all(axis=2)
+    usable: Bools = np.asarray(np.isfinite(captured + image).all(axis=2), dtype=np.bool_)
     shown = [displayed_image(np.where(usable[..., None], i, 0.0), white_dn, linear) for i in (image, captured)]
     multi_scale = multi_scale_similarity(image, captured, data_range_dn)
     return ShownCandidate(
@@ -135,7 +135,14 @@ def error_row(
             "difference_gradient_rms_per_px": None
             if gradients is None or central is None or not linear
             else interval(gradients.relative_rms_of_all(name), central.relative_rms_of_all(name)),
-            "chromaticity_rms": _chromaticity(candidate, captured, captured_variance, used, drawn_images)
+            # the floor is made of the capture itself and shares its noise
+            "chromaticity_rms": _chromaticity(
+                candidate,
+                captured,
+                0.0 * captured_variance if name == "floor" else captured_variance,
+                used,
+                drawn_images,
+            )
             if linear
             else None,
             "psnr_db": 10.0 * np.log10(data_range_dn**2 / mean_square) if mean_square > 0.0 else None,

@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 _DIFFERENCE, _AVERAGE = np.array([-0.5, 0.0, 0.5]), np.array([0.25, 0.5, 0.25])
-NOISE_EXCESS = (1.0 + 2.0 * 0.5**2) * (1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2))
-"""Sums of squared gradients of noise scatter this much more than of independent numbers, because neighbours share
-pixels: the sum of the squared autocorrelations of the kernel."""
+NOISE_EXCESS = (1.0 + 2.0 * 0.5**2) * (1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2)) + (5.0 / 6.0) ** 2
+"""Sums of squared gradients of noise, both directions together, scatter this much more than of independent numbers,
+because neighbours share pixels: the sum of the squared correlations within a direction and between the two."""
 
 
 def image_gradient(image: NDArray[np.floating]) -> Floats:

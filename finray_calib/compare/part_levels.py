@@ -72,8 +72,9 @@ def part_levels(layers: RenderLayers, captured: Captured, used: Bools, pose_name
             masks.append(where)
     if not masks:
         raise CompareError(
-            f"no part of the region (its bounding box in {PARTS_A_SIDE} x {PARTS_A_SIDE}) holds at least {_LEAST_PIXELS} pixels "
-            "and captured light in every channel: take a larger image, or capture with more light"
+            f"no part of the region ({PARTS_A_SIDE} x {PARTS_A_SIDE}) holds at least {_LEAST_PIXELS} pixels with light "
+            "captured in every channel: take a larger image, or "
+            "capture with more light"
         )
     pixels = np.array([int(m.sum()) for m in masks])
     halves = [

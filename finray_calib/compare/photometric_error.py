@@ -70,9 +70,14 @@ class Comparison:
         """Return draws narrowed by what the captured levels say."""
         return condition_on_levels(drawn, self.level_ratios, self.levels.noise_variance, rng)
 
-    def exposure_of(self, matrix: Floats) -> Floats:
-        """Return the exposure factors (draws,) of matrices (draws, 3, L)."""
-        return np.ones(len(matrix)) if self.exposure is None else self.exposure(matrix)
+    def exposure_of(self, matrix: Floats, rng: np.random.Generator | None = None) -> Floats:
+        """Return the exposure factors (draws,) of matrices (draws, 3, L), noisy where there is a generator."""
+        if self.exposure is None:
+            return np.ones(len(matrix))
+        factors = self.exposure(matrix)
+        if rng is not None:
+            factors = factors * np.exp(self.exposure.noise_sd_rel * rng.standard_normal(len(factors)))
+        return factors
 
     @property
     def headline_noise(self) -> float:
@@ -131,7 +136,11 @@ def prepare_comparison(
         for region in regions
     )
     weights = channel_weights(captured.no_contact, used[-1]) if relative_weights else np.ones(3)
-    exposure = exposure_fit(layers, captured.no_contact, used[-1]) if fit_exposure else None
+    exposure = (
+        exposure_fit(layers, captured.no_contact, captured.variance(captured.no_contact), used[-1])
+        if fit_exposure
+        else None
+    )
     k = 1.0 if exposure is None else float(exposure(layers.matrix[None])[0])
     poses = () if inputs is None else inputs.pose_names
     sums = tuple(image_sums(layers, captured, where, k, poses) for where in used)
@@ -168,7 +177,7 @@ def propagated(
 
     def block(draws: int) -> dict[str, Floats]:
         drawn = comparison.conditioned(inputs.draw(draws, rng), rng)
-        exposure = comparison.exposure_of(drawn.matrix)
+        exposure = comparison.exposure_of(drawn.matrix, rng)
         found = {"exposure": exposure}
         for i, result in enumerate(_results(comparison, drawn, exposure, rng)):
             for part, of_part in (("images", result.images), ("gradients", result.gradients)):

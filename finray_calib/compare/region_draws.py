@@ -47,8 +47,9 @@ class RegionDraws:
         return np.asarray(np.sqrt(np.maximum(self.error[candidate], 0.0) / self.pixels) / mean)
 
     def relative_rms_of_all(self, candidate: str) -> Floats:
-        """Return draws (draws,) of the root mean square over channels of the relative RMS."""
-        return np.asarray(np.sqrt((self.relative_rms(candidate) ** 2).mean(axis=1)))
+        """Return draws (draws,) of the root mean square of the relative error; 0 where noise leaves nothing."""
+        squares = self.error[candidate] / self.pixels / (self.level / self.pixels) ** 2
+        return np.asarray(np.sqrt(np.maximum(squares.mean(axis=1), 0.0)))
 
 
 def propagated_draws(sums: RegionSums, drawn: Drawn, exposure: Floats, rng: np.random.Generator | None) -> RegionDraws:

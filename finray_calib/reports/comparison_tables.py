@@ -31,7 +31,7 @@ def metric_table(report: PhotometricErrorReport, region: RegionError) -> ReportT
 
 def sensing_table(sensing: SensingError) -> ReportTable:
     """List the error in sensing space of each candidate."""
-    by_name = {row.candidate: row for row in sensing.rows}
+    by_name: dict[str, SensingRow] = {row.candidate: row for row in sensing.rows}
     rows = [by_name.get(name) for name in _CANDIDATES]
 
     def cells(pick: Callable[[SensingRow], Interval]) -> tuple[str, ...]:

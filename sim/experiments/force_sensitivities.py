@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -46,7 +46,7 @@ def press_sensitivities(
     progress: Progress | None = None,
     contact: ContactChoice = "auto",
     folder: Path = Path(),
-    fields: Sequence[str] = UNCERTAIN_FIELDS,
+    fields: Sequence[str] | None = None,
 ) -> PressSensitivities:
     """Press the design again with each number changed by a tenth, on the coarse mesh.
 
@@ -64,7 +64,8 @@ def press_sensitivities(
     progress
         Called after each press.
     fields
-        Dotted paths of the numbers; what the design does not have is left out.
+        Dotted paths of the numbers, by default UNCERTAIN_FIELDS and those whose uncertainty the design
+        states; what the design does not have, or what is no continuous number, is left out.
 
     Raises
     ------
@@ -76,17 +77,16 @@ def press_sensitivities(
     if design.mesh.preset != PRESET:
         before = press_finger(design, PRESET, increments, threads, contact=contact, folder=folder)
     start = before if chosen_contact(design, contact) == "penalty" else None
-    changes = list(_changes(design, fields))
+    changes = list(_changes(design, _uncertain(design) if fields is None else fields))
     varied = []
-    for done, (field, change_rel, changed) in enumerate(changes):
+    for done, (field, change_rel) in enumerate(changes):
         try:
+            changed = _changed(design, field, change_rel)
             again = press_finger(changed, PRESET, increments, threads, None, start, contact=contact, folder=folder)
             depth, force, failure = again.depth_mm, again.force_n[:, 1], again.unreached
         except SimulateError as failed:
             depth, force, failure = np.empty(0), np.empty(0), str(failed)
-        varied.append(
-            VariedPress(field=field, change_rel=change_rel, depth_mm=depth, force_n=force, failure=failure)
-        )
+        varied.append(VariedPress(field=field, change_rel=change_rel, depth_mm=depth, force_n=force, failure=failure))
         if progress is not None:
             progress(done + 1, len(changes), field)
     return PressSensitivities(
@@ -94,27 +94,34 @@ def press_sensitivities(
     )
 
 
-def _changes(design: FingerDesign, fields: Sequence[str]) -> Iterator[tuple[str, float, FingerDesign]]:
-    """Yield field, relative change and changed design of every number that the design has."""
+def _uncertain(design: FingerDesign) -> tuple[str, ...]:
+    """Return the fields that are uncertain in every design, and further ones that this design calls so."""
+    return tuple(dict.fromkeys((*UNCERTAIN_FIELDS, *design.uncertainty_rel)))
+
+
+def _changes(design: FingerDesign, fields: Sequence[str]) -> Iterator[tuple[str, float]]:
+    """Yield field and relative change of every number that the design has."""
     nodes = len(finger_mesh(design, PRESET).nodes_mm)
     for field in fields:
-        value = design_value(design, field)
-        if value is None or (field.startswith("mechanics.onyx.") and design.skeleton.backing is None):
+        unused = field.startswith("mechanics.onyx.") and design.skeleton.backing is None
+        if unused or not isinstance(design_value(design, field), float | tuple):
             continue
-        up, down = (_scaled(design, field, value, 1.0 + sign * CHANGE_REL) for sign in (1.0, -1.0))
-        kept = field.startswith("mechanics.") or _node_count(up) == nodes or _node_count(down) != nodes
-        yield (field, CHANGE_REL, up) if kept else (field, -CHANGE_REL, down)
+        material = field.startswith("mechanics.")
+        up = material or _node_count(design, field, CHANGE_REL) == nodes
+        yield field, CHANGE_REL if up or _node_count(design, field, -CHANGE_REL) != nodes else -CHANGE_REL
 
 
-def _scaled(design: FingerDesign, field: str, value: Any, factor: float) -> FingerDesign:
+def _changed(design: FingerDesign, field: str, change_rel: float) -> FingerDesign:
     """Return a design with a number, or all numbers of a list, scaled."""
-    scaled = tuple(factor * v for v in value) if isinstance(value, tuple) else factor * value
-    return changed_design(design, field, scaled)
+    value, factor = design_value(design, field), 1.0 + change_rel
+    return changed_design(
+        design, field, tuple(factor * v for v in value) if isinstance(value, tuple) else factor * value
+    )
 
 
-def _node_count(design: FingerDesign) -> int:
-    """Return the number of nodes of the coarse mesh; 0 where the changed parts do not fit."""
+def _node_count(design: FingerDesign, field: str, change_rel: float) -> int:
+    """Return the number of nodes of the changed design's mesh; 0 where its parts do not fit."""
     try:
-        return len(finger_mesh(design, PRESET).nodes_mm)
+        return len(finger_mesh(_changed(design, field, change_rel), PRESET).nodes_mm)
     except SimulateError:
         return 0

@@ -6,7 +6,7 @@ import numpy as np
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
-from data_schemas.press_mechanics import PressIncrement, PressMechanics
+from data_schemas.press_mechanics import PressIncrement, PressMechanics, PressSensitivities
 from data_schemas.surfaces import FingerSurfaces
 from sim.mechanics.finger_mesh import Preset, finger_mesh
 from sim.mechanics.press import PressedFinger, contact_distance
@@ -20,6 +20,7 @@ def press_records(
     preset: Preset | None = None,
     engine: str = "finite elements",
     notes: tuple[str, ...] = (),
+    sensitivities: PressSensitivities | None = None,
 ) -> tuple[PressMechanics, FingerSurfaces]:
     """Return forces and surfaces of a press as records.
 
@@ -33,6 +34,8 @@ def press_records(
         Program that pressed, for the label.
     notes
         What must be said about it beside what holds for every press.
+    sensitivities
+        The same press of the design with one number changed, if there are.
 
     Raises
     ------
@@ -40,6 +43,7 @@ def press_records(
         When the pressed gel is torn.
     """
     mechanics = _mechanics(design, preset or design.mesh.preset, pressed, engine, notes)
+    mechanics = mechanics.model_copy(update={"sensitivities": sensitivities})
     return mechanics, _surfaces(design, pressed, engine)
 
 

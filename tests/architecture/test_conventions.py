@@ -83,7 +83,7 @@ EXCEPTIONS = {
     "height_in": "inches, as matplotlib counts",
     "seconds": "a duration in words",
     **dict.fromkeys(("ciede2000_mean", "ciede2000_p95"), "colour difference, as CIE 142 counts"),
-    "flip_mean": "visible difference, 0 to 1",
+    **dict.fromkeys(("flip", "flip_mean"), "visible difference, 0 to 1"),
     **dict.fromkeys(("rms", "noise_rms", "mean_red", "mean_green"), "of chromaticities, shares of light"),
     **dict.fromkeys(("scale_x", "scale_y"), "ratio of two pixel sizes"),
     **dict.fromkeys(("c1", "c2"), "of SSIM, in the square of the images' unit"),

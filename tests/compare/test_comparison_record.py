@@ -1,62 +1,270 @@
-"""From press and capture to the report: blocks, clipping, brightness beside the indenter."""
+"""From press and capture to the report: rows, statements, notes, and what is refused."""
 
 import numpy as np
 import pytest
 
 from data_schemas.errors import CompareError
-from finray_calib.compare.blocks import block_mean, block_side_px
-from finray_calib.compare.brightness import brightness_beside_contact, brightness_error
-from finray_calib.compare.comparison_record import DILATED, compare_press
+from finray_calib.compare import stopping_rule
+from finray_calib.compare.chromaticity import chromaticity_error
+from finray_calib.compare.comparison_record import (
+    ALWAYS_UNKNOWN,
+    COVERS_INPUTS,
+    COVERS_PARTS,
+    DILATED,
+    PATCH,
+    compare_press,
+)
+from finray_calib.compare.input_draws import DRIFT, PIXELS, POSE, WALLS
 from tests.command_line.records import capture_of
-from tests.command_line.records import press as press_record
+from tests.command_line.records import press as made_up_press
+from tests.compare.twins import NAMES, SHAPE, distance_map, twin
 
 
-def test_block_mean_is_the_mean_and_keeps_nan_to_its_block():
-    image = np.arange(48.0).reshape(6, 8)
-    image[0, 0] = np.nan
-    means = block_mean(image, 2)
-    assert means.shape == (3, 4)
-    assert np.isnan(means[0, 0])
-    assert means[2, 3] == image[4:6, 6:8].mean()
-    assert block_mean(image[:5, :7], 2).shape == (2, 3)
-    assert block_mean(image, 1) is image
+@pytest.fixture(autouse=True)
+def _few_draws(monkeypatch):
+    """Blocks of 500 draws, 12 at most: contents of the report are tested here, not its last digit."""
+    monkeypatch.setattr(stopping_rule, "BLOCK_DRAWS", 500)
 
 
-@pytest.mark.parametrize(("noise_rel", "side"), [(0.02, 1), (0.05, 2), (0.11, 4), (0.2, 8), (5.0, 8)])
-def test_block_is_as_large_as_the_noise_asks_for(noise_rel, side):
-    level = np.full((16, 16, 3), 4.0)
-    variance = np.broadcast_to((noise_rel * 4.0) ** 2 * np.array([1.0, 0.25, 0.04]), level.shape)
-    everywhere = np.ones((16, 16), bool)
-    assert block_side_px(level, variance, everywhere) == side
-    assert block_side_px(level, None, everywhere) == 1
+@pytest.fixture
+def pair():
+    made = twin(np.random.default_rng(0))
+    return made.press, made.capture
 
 
-def test_brightness_is_white_balanced_and_taken_in_the_ring():
-    distance = np.array([[0.0, 1.0, 1.5, 1.6, np.nan]])
-    image = np.array([[[9.0, 9, 9], [2, 20, 200], [4, 40, 400], [9, 9, 9], [9, 9, 9]]])
-    white = np.array([1.0, 10.0, 100.0])
-    assert brightness_beside_contact(image, distance, white) == pytest.approx(3.0)
-    with pytest.raises(CompareError, match=r"no usable pixel lies 1 to 1\.5 contact half-widths"):
-        brightness_beside_contact(np.full_like(image, np.nan), distance, white)
+def rows_of(report, region=DILATED):
+    found = next(r for r in report.regions if r.region == region)
+    return {row.candidate: row for row in found.rows}
 
 
-def test_brightness_error_and_its_uncertainty():
-    distance = np.linspace(0.0, 3.0, 31)[None, :]
-    captured = np.full((1, 31, 3), 100.0)
-    error = brightness_error(1.1 * captured, captured, captured, 1.02 * captured, distance, 0.01)
-    assert error.error_rel == pytest.approx(0.1)
-    assert error.sd_rel == pytest.approx(np.hypot(0.02 / np.sqrt(2), 0.01))
-    assert brightness_error(captured, captured, captured, None, distance, np.nan).sd_rel == 0.0
+def test_linear_light_with_known_inputs_gives_every_figure(pair):
+    report = compare_press(*pair, seed=1)
+    assert report.values == "linear light"
+    assert [r.region for r in report.regions] == [PATCH, DILATED]
+    assert [r.pixels for r in report.regions] == [int((distance_map() <= k).sum()) for k in (1.0, 2.0)]
+    rows = rows_of(report)
+    assert list(rows) == ["do nothing", "simulation", "floor"]
+    assert report.headline_region == DILATED
+    assert report.headline_skill == rows["simulation"].skill
+    nothing = rows["do nothing"].skill
+    assert (nothing.estimate, nothing.low95, nothing.high95) == (0.0, 0.0, 0.0)
+    for row in rows.values():
+        for interval in (row.skill, *row.relative_rms, row.difference_gradient_rms_per_px):
+            assert interval.low95 <= interval.estimate <= interval.high95
+    # the twin is right but for its inputs and 5 % of shape; the floor is noise, which is taken out
+    assert 0.9 < report.headline_skill.estimate < 1.0
+    assert rows["floor"].skill.estimate > report.headline_skill.estimate
+    # similarity is that of the images as they are: the render's noise makes it prefer doing nothing
+    assert rows["simulation"].ssim < rows["do nothing"].ssim
+    assert rows["simulation"].psnr_db > rows["do nothing"].psnr_db
+    assert set(report.ssim_full_frame) == set(rows)
+    assert report.withheld == ()
+    assert report.interval_covers == COVERS_INPUTS
+    assert report.exposure_factor_sd > 0.0
+    assert {line.input for line in report.budget} == {*NAMES, POSE["depth_mm"], WALLS, DRIFT, PIXELS}
+    assert len(report.validation) == 27
+    assert report.objective_error.source == "; ".join(NAMES)
+    assert report.error_map.shape == SHAPE
+    assert 500 * 4 <= report.monte_carlo.draws <= 500 * 12
+    left_out = report.monte_carlo.not_included
+    assert left_out[:2] == ALWAYS_UNKNOWN
+    # depth is stated and rendered, position neither; both paints are calibrated
+    assert [text.split(":")[0] for text in left_out[2:]] == [f"the {POSE['position_mm']}"]
 
 
-def test_clipped_pixels_are_counted():
-    press = press_record()
-    capture = capture_of(press, 50.0)
-    clean = next(r for r in compare_press(press, capture, 1).regions if r.region == DILATED)
-    assert clean.clipped_fraction == 0.0
+def test_colour_errors_are_those_of_the_noise_free_images():
+    """The twin's model error has no colour; doing nothing misses the colour of the contact."""
+    made = twin(np.random.default_rng(0), render_noise=0.02)
+    rows = rows_of(compare_press(made.press, made.capture, seed=1))
+    within = distance_map() <= 2.0
+    truth = chromaticity_error(made.clean_no_contact, made.clean_contact, within).rms
+    # noise of 2 % in the channels of 6000 pixels, to first order
+    assert rows["do nothing"].chromaticity_rms.estimate == pytest.approx(truth, rel=0.01)
+    found = rows["simulation"].chromaticity_rms
+    assert found.low95 < 0.001
+    assert 0.0 < found.estimate < 0.1 * truth
+    # made of the capture itself: only the noise of two images is in it, and nothing else
+    floor = rows["floor"].chromaticity_rms
+    assert floor is None or floor.estimate < 0.05 * truth
+
+
+def test_the_seed_decides_the_draws_and_nothing_else(pair):
+    one, again, other = (compare_press(*pair, seed=s) for s in (1, 1, 2))
+    assert one.headline_skill == again.headline_skill
+    assert one.headline_skill != other.headline_skill
+    assert one.exposure_factor == other.exposure_factor
+    assert (one.error_map == other.error_map).all()
+    # what reports share does not depend on the seed: the exposure of a draw is that of its paints
+    draws = [r.objective_error.log_exposure_draws for r in (one, other)]
+    assert draws[0] == pytest.approx(draws[1], abs=0.2)
+    assert np.corrcoef(*draws)[0, 1] > 0.9
+
+
+def test_a_loud_render_is_compared_over_blocks():
+    made = twin(np.random.default_rng(1), render_noise=0.5)
+    report = compare_press(made.press, made.capture, seed=1)
+    # 8 px of half-width: blocks of up to 2
+    assert report.block_px == 2
+    assert any("compared over blocks of 2 x 2 px" in note for note in report.notes)
+    assert report.error_map.shape == (SHAPE[0] // 2, SHAPE[1] // 2)
+    quiet = twin(np.random.default_rng(1), render_noise=0.02)
+    assert compare_press(quiet.press, quiet.capture, seed=1).block_px == 1
+
+
+def test_a_paint_without_calibration_is_said_to_be_left_out(pair):
+    press, capture = pair
+    known = press.known_inputs
+    camera_only = known.model_copy(
+        update={
+            "names": known.names[2:], "keys": known.keys[2:], "evaluations": known.evaluations[2:],
+            "sources": known.sources[2:], "factors": known.factors[2:],
+        }
+    )  # fmt: skip
+    report = compare_press(press.model_copy(update={"known_inputs": camera_only}), capture, seed=1)
+    for colour in ("red", "green"):
+        assert f"the {colour} paint, which has no calibration" in report.monte_carlo.not_included
+
+
+def test_without_known_inputs_intervals_come_from_parts():
+    press = made_up_press()
+    report = compare_press(press, capture_of(press, 50.0), seed=1)
+    assert report.interval_covers == COVERS_PARTS
+    assert report.monte_carlo is None
+    assert report.budget == report.validation == ()
+    # noise of 1 DN is all that is wrong, and it is taken out
+    assert report.headline_skill.estimate == pytest.approx(1.0, abs=1e-4)
+    assert report.exposure_factor == pytest.approx(50.0, rel=1e-3)
+    assert report.exposure_factor_sd is None
+    assert report.objective_error.error_rel.estimate == pytest.approx(0.0, abs=0.005)
+    # current is not known: only ratios within one capture mean something
+    assert report.objective_error.log_exposure_draws is None
+    assert "the render holds no halves: its noise stays in its errors" in report.notes
+
+
+def test_without_a_repeat_neither_floor_nor_noise_is_known(pair):
+    press, capture = pair
+    report = compare_press(press, capture.model_copy(update={"repeat_no_contact": None}), seed=1)
+    assert list(rows_of(report)) == ["do nothing", "simulation"]
+    assert "no repeat of the no-contact image: neither the floor nor the camera's noise is known" in report.notes
+    drift = next(line for line in report.budget if line.input == DRIFT)
+    assert drift.evaluation == "B"
+
+
+def test_encoded_values_get_similarity_and_skill_only():
+    press = made_up_press("unknown")
+    report = compare_press(press, capture_of(press, 50.0, encoding="unknown"), seed=1)
+    assert report.values == "encoded values, encoding unknown"
+    assert len(report.withheld) == 1
+    assert "the encoding of capture of the strip is unknown" in report.withheld[0]
+    for row in rows_of(report).values():
+        assert row.relative_rms is row.difference_gradient_rms_per_px is row.chromaticity_rms is None
+        assert row.ssim is not None
+    assert report.exposure_factor is report.objective_error is report.monte_carlo is None
+    assert report.channel_weights == (1.0, 1.0, 1.0)
+    assert "the noise of encoded images is not known: it stays in their errors" in report.notes
+
+
+def test_clipped_pixels_are_counted_and_left_out(pair):
+    press, capture = pair
     contact = capture.contact.copy()
-    contact[20:26, 38:42] = 2**16 - 1
-    clipped = compare_press(press, capture.model_copy(update={"contact": contact}), 1)
-    region = next(r for r in clipped.regions if r.region == DILATED)
-    assert region.clipped_fraction == pytest.approx(24 / (clean.pixels))
-    assert region.pixels == clean.pixels - 24
+    contact[30:34, 20:26] = 2**capture.bit_depth - 1
+    clean, clipped = (
+        next(r for r in compare_press(press, c, seed=1).regions if r.region == DILATED)
+        for c in (capture, capture.model_copy(update={"contact": contact}))
+    )
+    assert clean.clipped_fraction == 0.0
+    assert clipped.clipped_fraction == pytest.approx(24 / clean.pixels)
+    assert clipped.pixels == clean.pixels - 24
+    estimates = [next(row for row in r.rows if row.candidate == "simulation").skill.estimate for r in (clean, clipped)]
+    # 1 % of the region less
+    assert estimates[0] == pytest.approx(estimates[1], abs=0.01)
+
+
+def test_the_error_map_is_relative_to_each_channels_level():
+    press = made_up_press()
+    brighter = press.model_copy(update={"contact": 1.1 * press.contact})
+    report = compare_press(brighter, capture_of(press, 50.0), seed=1)
+    level = press.no_contact.mean(axis=(0, 1))
+    expected = 0.1 * np.sqrt(((press.contact / level) ** 2).mean(axis=2))
+    # noise of 1 DN in 5000, and of the exposure factor
+    np.testing.assert_allclose(report.error_map, expected, atol=0.002)
+
+
+def replaced(record, **changes):
+    return record.model_copy(update=changes)
+
+
+def test_images_of_another_size_are_refused(pair):
+    press, capture = pair
+    cut = {name: getattr(capture, name)[:, :-4] for name in ("contact", "no_contact", "repeat_no_contact")}
+    with pytest.raises(
+        CompareError, match=r"press has 80 x 64 px, twin \d+ has 76 x 64 px: simulate with the camera of"
+    ):
+        compare_press(press, replaced(capture, **cut), seed=1)
+
+
+def test_linear_light_is_not_compared_with_encoded_values(pair):
+    press, capture = pair
+    with pytest.raises(CompareError, match=r"press holds linear values, twin \d+ unknown ones: linear light cannot"):
+        compare_press(press, replaced(capture, encoding="unknown"), seed=1)
+
+
+def test_a_render_with_holes_is_refused(pair):
+    press, capture = pair
+    bands = press.contact_bands.copy()
+    bands[5, 6, 2] = np.inf
+    with pytest.raises(CompareError, match="press holds values that are not finite: the render failed; simulate again"):
+        compare_press(replaced(press, contact_bands=bands), capture, seed=1)
+
+
+def test_a_black_render_is_refused(pair):
+    press, capture = pair
+    dark = {n: np.zeros_like(press.no_contact_bands) for n in ("no_contact_bands", "no_contact_half_difference")}
+    with pytest.raises(
+        CompareError, match="no exposure factor fits: the render or the capture without contact is black"
+    ):
+        compare_press(replaced(press, **dark), capture, seed=1)
+
+
+def test_a_black_capture_is_refused(pair):
+    press, capture = pair
+    black = np.full_like(capture.no_contact, int(capture.black_level_dn))
+    with pytest.raises(CompareError, match=r"Channel 0 of the no-contact image has mean 0 over the region"):
+        compare_press(press, replaced(capture, no_contact=black, repeat_no_contact=black), seed=1)
+
+
+def test_a_capture_without_contact_is_refused(pair):
+    press, capture = pair
+    above = [image - capture.black_level_dn for image in (capture.no_contact, capture.repeat_no_contact)]
+    # at the same light: what drifts can look like a touch
+    again = np.rint(above[1] * above[0].sum() / above[1].sum() + capture.black_level_dn).astype(np.uint16)
+    with pytest.raises(CompareError, match="contact changes nothing in the region 'contact patch' beyond the camera's"):
+        compare_press(press, replaced(capture, contact=again), seed=1)
+
+
+@pytest.mark.parametrize(
+    ("images", "said"),
+    # with a repeat the camera's noise is looked for first
+    [
+        (("contact", "no_contact", "repeat_no_contact"), "only 0 pixels of the two no-contact images can be compared"),
+        (("contact",), r"None of the \d+ pixels of the region is usable: all are clipped"),
+    ],
+)
+def test_clipped_captures_are_refused(pair, images, said):
+    press, capture = pair
+    full = {name: np.full_like(capture.contact, 2**capture.bit_depth - 1) for name in images}
+    with pytest.raises(CompareError, match=said):
+        compare_press(press, replaced(capture, **full), seed=1)
+
+
+def test_a_press_off_the_image_is_refused(pair):
+    press, capture = pair
+    with pytest.raises(CompareError, match=r"No pixel lies within 1\.0 half-widths of the contact line"):
+        compare_press(replaced(press, distance=press.distance + 5.0), capture, seed=1)
+
+
+def test_without_a_ring_beside_the_contact_there_is_no_objective(pair):
+    """A contact that fills the image: nothing lies 1 to 1.5 half-widths away."""
+    press, capture = pair
+    with pytest.raises(CompareError, match=r"no usable pixel lies 1 to 1\.5 contact half-widths from the indenter"):
+        compare_press(replaced(press, distance=0.2 * press.distance), capture, seed=1)

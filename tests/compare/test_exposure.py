@@ -19,28 +19,46 @@ SINGLE = 1e-6
 
 def test_a_render_at_another_exposure_gets_its_factor():
     base, pressed = smooth_layers()
-    fit = exposure_fit(layers_of(pressed, base), 700.0 * base @ MATRIX.T, EVERYWHERE)
+    fit = exposure_fit(layers_of(pressed, base), 700.0 * base @ MATRIX.T, 0.0 * base, EVERYWHERE)
     assert fit(np.array([MATRIX, 2.0 * MATRIX])) == pytest.approx([700.0, 350.0], rel=SINGLE)
 
 
 def test_all_channels_count_alike_however_bright():
     """1 / k is the mean of simulated over captured: channels at 1, 1/2 and 1/4 of the render's level give 3 / 7."""
     flat = np.ones((*SHAPE, 3))
-    fit = exposure_fit(layers_of(flat, flat, np.eye(3)), flat * [1.0, 0.5, 0.25], EVERYWHERE)
+    fit = exposure_fit(layers_of(flat, flat, np.eye(3)), flat * [1.0, 0.5, 0.25], 0.0 * flat, EVERYWHERE)
     assert fit(np.eye(3)[None])[0] == pytest.approx(3.0 / 7.0, rel=SINGLE)
+
+
+def test_the_factor_scatters_as_it_says():
+    """400 noisy renders and captures: four standard errors of a standard deviation."""
+    flat, rng = np.ones((*SHAPE, 3)), np.random.default_rng(2)
+    factors, claimed = [], []
+    for _ in range(400):
+        halves = 0.2 * rng.standard_normal((2, *flat.shape))
+        layers = layers_of(flat, flat + halves[0], np.diag([1.0, 2.0, 0.5]), noise=(0.0 * flat, halves[1]))
+        fit = exposure_fit(layers, 100.0 * flat + 30.0 * rng.standard_normal(flat.shape), 900.0 * flat, EVERYWHERE)
+        factors.append(float(fit(layers.matrix[None])[0]))
+        claimed.append(fit.noise_sd_rel)
+    assert np.std(factors, ddof=1) / np.mean(factors) == pytest.approx(np.mean(claimed), rel=4.0 / np.sqrt(800.0))
 
 
 def test_the_press_itself_does_not_matter():
     base, pressed = smooth_layers()
-    fits = [exposure_fit(layers_of(contact, base), base @ MATRIX.T, EVERYWHERE) for contact in (pressed, 5.0 * pressed)]
+    fits = [
+        exposure_fit(layers_of(contact, base), base @ MATRIX.T, 0.0 * base, EVERYWHERE)
+        for contact in (pressed, 5.0 * pressed)
+    ]
     assert fits[0](MATRIX[None]) == fits[1](MATRIX[None])
 
 
 @pytest.mark.parametrize(("render", "capture"), [(0.0, 1.0), (1.0, 0.0), (1.0, -1.0)])
 def test_black_images_have_no_exposure_factor(render, capture):
     flat = np.ones((*SHAPE, 3))
-    with pytest.raises(CompareError, match="no exposure factor fits: the render or the capture without contact is black"):
-        exposure_fit(layers_of(render * flat, render * flat), capture * flat, EVERYWHERE)
+    with pytest.raises(
+        CompareError, match="no exposure factor fits: the render or the capture without contact is black"
+    ):
+        exposure_fit(layers_of(render * flat, render * flat), capture * flat, 0.0 * flat, EVERYWHERE)
 
 
 def test_levels_of_nine_parts_are_the_direct_means():
@@ -59,7 +77,7 @@ def test_levels_of_nine_parts_are_the_direct_means():
             images = (base, pressed + move * slope)
             direct = [k * (image[part] @ MATRIX.T).mean(axis=(0, 1)) for image in images]
             assert found[d, :, :, i] == pytest.approx(np.array(direct), rel=SINGLE)
-    fit = exposure_fit(layers, captured.no_contact, EVERYWHERE)
+    fit = exposure_fit(layers, captured.no_contact, 0.0 * base, EVERYWHERE)
     ratio = levels.log_ratio(drawn, fit)
     # without contact the exposure takes all: nothing is left; with it 690 / 700, and the drift of the capture
     assert ratio[0, 0] == pytest.approx(0.0, abs=SINGLE)

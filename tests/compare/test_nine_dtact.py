@@ -6,8 +6,8 @@ import pytest
 from skimage.metrics import structural_similarity as scikit_image_ssim
 
 from data_schemas.errors import ImportFormatError
-from finray_calib.compare.photometric_error import photometric_error
-from finray_calib.compare.regions import Region, disc
+from finray_calib.compare.comparison_record import compare_press
+from finray_calib.compare.regions import disc
 from finray_calib.exchange.nine_dtact import (
     ContactCircle,
     contact_circle,
@@ -16,6 +16,7 @@ from finray_calib.exchange.nine_dtact import (
     predict_press,
     read_nine_dtact,
 )
+from finray_calib.exchange.nine_dtact_records import table_prediction, tactile_capture
 
 NO_CONTACT = np.full((60, 80, 3), 150, np.uint8)
 
@@ -99,37 +100,29 @@ def test_transferred_tables_score_as_published(
 ):
     """The table of one sensor predicts the press of the other: inside the contact well, around it not."""
     folder = shared_data / "tactile" / "9dtact"
-    sensor, other = read_nine_dtact(folder / f"sensor_{scene}"), read_nine_dtact(folder / f"sensor_{table}")
-    prediction = predict_press(
-        sensor.no_contact_rgb, sensor.circle, sensor.mm_per_px, sensor.ball_radius_mm, other.depth_table_mm
-    )
-    shape, circle = (345, 460), sensor.circle
-    regions = [Region(f"k = {k}", disc(shape, circle.center_px, k * circle.radius_px), k) for k in (1.0, 2.0)]
-    report = photometric_error(
-        prediction,
-        sensor.sample_rgb,
-        sensor.no_contact_rgb,
-        sensor.repeat_no_contact_rgb,
-        regions,
-        data_range_dn=255,
-        linear=False,
-        rng=np.random.default_rng(0),
-        fit_exposure=False,
-        weights=np.ones(3),
-    )
-    contact, halo = report.regions
+    prediction = table_prediction(folder / f"sensor_{scene}", folder / f"sensor_{table}")
+    capture = tactile_capture(folder / f"sensor_{scene}")
+    report = compare_press(prediction, capture, seed=0)
+    assert report.block_px == 1
+    assert report.exposure_factor is None
+    assert report.channel_weights == (1.0, 1.0, 1.0)
+    contact, halo = ({row.candidate: row for row in region.rows} for region in report.regions)
     # The published values have three decimals; a rim of one pixel more or less moves the last one.
-    assert contact.simulation.skill.estimate == pytest.approx(skill_contact, abs=1e-3)
-    assert halo.simulation.skill.estimate == pytest.approx(skill_halo, abs=1e-3)
-    assert contact.floor.skill.estimate == pytest.approx(1 - ceiling_loss, abs=1e-3)
-    assert contact.do_nothing.skill.estimate == halo.do_nothing.skill.estimate == 0
-    assert contact.simulation.relative_rms is None
+    assert contact["simulation"].skill.estimate == pytest.approx(skill_contact, abs=1e-3)
+    assert halo["simulation"].skill.estimate == pytest.approx(skill_halo, abs=1e-3)
+    assert contact["floor"].skill.estimate == pytest.approx(1 - ceiling_loss, abs=1e-3)
+    for rows in (contact, halo):
+        assert rows["do nothing"].skill.estimate == rows["do nothing"].skill.high95 == 0
+        for row in (rows["simulation"], rows["floor"]):
+            assert row.skill.low95 < row.skill.estimate < row.skill.high95
+            assert row.relative_rms is row.difference_gradient_rms_per_px is row.chromaticity_rms is None
     # The published similarity is that of scikit-image's 8-bit default window, so it judges the prediction itself.
-    eight_bit = np.clip(np.round(prediction), 0, 255).astype(np.uint8)
-    _, default_map = scikit_image_ssim(eight_bit, sensor.sample_rgb, channel_axis=-1, full=True)
-    assert default_map.mean(axis=2)[regions[0].mask].mean() == pytest.approx(ssim_contact, abs=1e-3)
+    eight_bit = np.clip(np.round(prediction.contact), 0, 255).astype(np.uint8)
+    sample = capture.contact.astype(np.uint8)
+    _, default_map = scikit_image_ssim(eight_bit, sample, channel_axis=-1, full=True)
+    assert default_map.mean(axis=2)[prediction.distance <= 1.0].mean() == pytest.approx(ssim_contact, abs=1e-3)
     # Full-frame similarity cannot tell: explaining 96 % of the contact moves it by about a hundredth.
-    assert abs(contact.simulation.ssim_full_frame - contact.do_nothing.ssim_full_frame) < 0.015
+    assert abs(report.ssim_full_frame["simulation"] - report.ssim_full_frame["do nothing"]) < 0.015
 
 
 @pytest.mark.shared_data

@@ -9,6 +9,7 @@ from finray_calib.compare import stopping_rule
 from finray_calib.compare.capture_noise import CaptureNoise
 from finray_calib.compare.input_draws import WALLS, Inputs, generator_of, inputs_of
 from finray_calib.compare.photometric_error import best, prepare_comparison, propagated, resampled
+from finray_calib.compare.prepared_images import prepare_images
 from finray_calib.compare.regions import Region
 from finray_calib.compare.skill import skill_score
 from tests.compare.layered_scenes import EVERYWHERE, MATRIX, SHAPE, captured_of, layers_of, smooth_layers
@@ -154,8 +155,6 @@ def test_a_factor_that_exposure_takes_away_does_not_count(scene, monkeypatch):
 
 def test_draws_are_those_of_the_record_the_pose_and_the_drift():
     press, capture = twin(np.random.default_rng(0)).press, twin(np.random.default_rng(0)).capture
-    from finray_calib.compare.prepared_images import prepare_images
-
     images = prepare_images(press, capture)
     pad = np.isfinite(images.distance)
     inputs = inputs_of(images.layers, capture, images.captured.no_contact, images.captured.repeat, pad)
@@ -223,7 +222,9 @@ def test_clipped_everywhere_is_refused(scene):
         compare(layers, captured_of(contact, captured.no_contact))
 
 
-@pytest.mark.parametrize("noise", [CaptureNoise(np.zeros(3), np.zeros(3)), CaptureNoise(np.full(3, 400.0), np.zeros(3))])
+@pytest.mark.parametrize(
+    "noise", [CaptureNoise(np.zeros(3), np.zeros(3)), CaptureNoise(np.full(3, 400.0), np.zeros(3))]
+)
 def test_a_contact_that_changes_nothing_beyond_noise_is_refused(scene, noise):
     layers, captured = scene
     rng = np.random.default_rng(8)
@@ -235,7 +236,7 @@ def test_a_contact_that_changes_nothing_beyond_noise_is_refused(scene, noise):
     assert compare(layers, captured_of(captured.contact + images[0] - captured.no_contact, images[1], noise=noise))
 
 
-def test_a_region_off_the_image_pad_uses_all_of_it(scene):
+def test_a_region_may_be_the_whole_image(scene):
     comparison = compare(*scene, regions=[Region("all", EVERYWHERE, 2.0)])
     assert comparison.used[0].all()
     assert comparison.gradients[0].where.sum() == (SHAPE[0] - 2) * (SHAPE[1] - 2)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from finray_calib.compare.capture_noise import CaptureNoise
+from finray_calib.compare.image_gradient import NOISE_EXCESS
 from finray_calib.compare.input_draws import Drawn, Inputs
 from finray_calib.compare.region_draws import RegionDraws, propagated_draws, resampled_draws
-from finray_calib.compare.region_sums import _GRADIENT_NOISE_EXCESS, gradient_sums, image_sums
+from finray_calib.compare.region_sums import gradient_sums, image_sums
 from tests.compare.layered_scenes import EVERYWHERE, MATRIX, SHAPE, captured_of, layers_of, smooth_layers
 
 DN = 900.0
@@ -106,7 +107,7 @@ def test_draws_of_paint_pose_exposure_and_drift_are_the_direct_sums(scene):
 
 
 def test_noise_leaves_no_bias_in_images_and_gradients():
-    """200 captures and renders of a scene whose noise is as large as its contact signal: within three standard errors."""
+    """200 captures and renders of a scene whose noise is as large as its contact signal."""
     base, pressed = smooth_layers()
     rng = np.random.default_rng(3)
     clean = [DN * image @ MATRIX.T for image in (1.05 * pressed, base)]
@@ -120,7 +121,9 @@ def test_noise_leaves_no_bias_in_images_and_gradients():
         images = [i + noisy * np.sqrt(noise.variance(i)) * rng.standard_normal(i.shape) for i in (*clean, clean[1])]
         captured = captured_of(*images, noise if noisy else CaptureNoise(np.zeros(3), np.zeros(3)))
         for name, sums in (("images", image_sums), ("gradients", gradient_sums)):
-            errors = propagated_draws(sums(layers, captured, EVERYWHERE, DN, ()), best(layers), np.array([DN]), None).error
+            errors = propagated_draws(
+                sums(layers, captured, EVERYWHERE, DN, ()), best(layers), np.array([DN]), None
+            ).error
             values = np.array([errors[candidate][0] for candidate in ("simulation", "do nothing", "floor")])
             if noisy:
                 found[name].append(values)
@@ -148,14 +151,16 @@ def test_sums_of_squared_gradients_scatter_as_claimed():
     squares = 2.0 * variance**2 * found.pixels
     excess = np.var(sums, axis=0, ddof=1).mean() / squares
     # three channels of 500: four standard errors; at the frame's edge neighbours are missing
-    assert excess == pytest.approx(0.98 * _GRADIENT_NOISE_EXCESS, rel=4.0 * np.sqrt(2.0 / 1500.0))
+    assert excess == pytest.approx(0.98 * NOISE_EXCESS, rel=4.0 * np.sqrt(2.0 / 1500.0))
     assert np.mean(claimed) > squares * excess
 
 
 def test_noise_spreads_the_draws_as_the_sums_say(scene):
     layers, captured = scene
     noise = CaptureNoise(np.full(3, 100.0), np.full(3, 2.0))
-    sums = image_sums(layers, captured_of(captured.contact, captured.no_contact, captured.repeat, noise), EVERYWHERE, DN, ())
+    sums = image_sums(
+        layers, captured_of(captured.contact, captured.no_contact, captured.repeat, noise), EVERYWHERE, DN, ()
+    )
     draws = 20_000
     drawn = Drawn(MATRIX, {}, {}, np.zeros(draws))
     found = propagated_draws(sums, drawn, np.full(draws, DN), np.random.default_rng(5))

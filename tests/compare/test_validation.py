@@ -18,6 +18,7 @@ from finray_calib.compare.budget import uncertainty_budget
 from finray_calib.compare.capture_noise import CaptureNoise
 from finray_calib.compare.input_draws import DRIFT, PIXELS, WALLS, Inputs
 from finray_calib.compare.photometric_error import ALONE_DRAWS, prepare_comparison
+from finray_calib.compare.region_draws import propagated_draws
 from finray_calib.compare.regions import Region
 from finray_calib.compare.validation import DRAWS, validation_cells
 from tests.compare.layered_scenes import captured_of, layers_of
@@ -62,7 +63,7 @@ def cells(**options):
 
 
 def test_error_and_input_uncertainty_by_hand():
-    """E = 60 / 50 - 1. Factors of sd s with the exposure in between: u of r / mean(r, g, b) is s sqrt(4 + 1 + 1) / 3."""
+    """E = 60 / 50 - 1. Factors of sd s, and the exposure: r / mean(r, g, b) has the sd s sqrt(4 + 1 + 1) / 3."""
     found = cells()
     assert len(found) == 27
     assert {(c.row, c.column, c.channel) for c in found} == {
@@ -108,7 +109,7 @@ def test_noise_and_drift_of_the_capture_are_its_uncertainty():
 
 
 def test_noise_of_pixels_and_walls_is_numerical():
-    """0.5 in 60 per pixel, times S / D = 1.2. Walls: 1 % in red and green, none in the LED; blue moves by the exposure only."""
+    """0.5 in 60 per pixel, times S / D = 1.2. Walls: 1 % in red and green; blue moves by the exposure only."""
     scale = np.array([0.01, 0.01, 0.0])
     found = cells(render_sd=0.5, walls=(scale, 60))
     sd = 0.01 * np.sqrt(60.0 / 58.0)
@@ -129,7 +130,11 @@ def test_the_pose_is_an_input():
 def test_the_budget_names_every_input_with_what_it_does_alone():
     noise = CaptureNoise(np.full(3, 9.0), np.full(3, 0.0))
     comparison, inputs = flat_comparison(
-        noise=noise, render_sd=0.5, drift=(0.01, 60), walls=(np.array([0.01, 0.01, 0.0]), 60), pose_sd_mm={"depth_mm": 0.5}
+        noise=noise,
+        render_sd=0.5,
+        drift=(0.01, 60),
+        walls=(np.array([0.01, 0.01, 0.0]), 60),
+        pose_sd_mm={"depth_mm": 0.5},
     )
     share = np.array([1.0, 0.0, 0.0])
     lines = uncertainty_budget(comparison, inputs, EVERYWHERE, share, CAPTURE, np.random.default_rng(3))
@@ -143,22 +148,33 @@ def test_the_budget_names_every_input_with_what_it_does_alone():
     assert found[depth].source == f"0.5 mm, as {CAPTURE.name} states"
     assert found[DRIFT].source.startswith("1.00%, from the repeat")
     # the objective is red over captured: as in the validation, but known before the capture
-    t = np.sqrt(60.0 / 58.0)
+    t, of_exposure = np.sqrt(60.0 / 58.0), comparison.exposure.noise_sd_rel
     expected = {
         "camera response": 1.2 * SD * np.sqrt(6.0) / 3.0,
         depth: 1.2 * 4.0 / 60.0,
         WALLS: 1.2 * 0.01 * t * np.sqrt(5.0) / 3.0,
         DRIFT: 1.2 * 0.01 * t,
-        PIXELS: 1.2 * np.hypot(0.5 / 60.0, 3.0 / 50.0) / np.sqrt(EVERYWHERE.sum()),
+        PIXELS: 1.2 * np.hypot(np.hypot(0.5 / 60.0, 3.0 / 50.0) / np.sqrt(EVERYWHERE.sum()), of_exposure),
     }
     for name, u in expected.items():
         assert found[name].objective_u_rel == pytest.approx(u, rel=BUDGET_REL + 0.02)
     # captured levels tell pose and colours: of the 6 % and more that they are uncertain by, the skill shows a part only
-    assert found[PIXELS].skill_u == pytest.approx(comparison.headline_noise, rel=BUDGET_REL)
+    skills = [_skill(comparison, exposure) for exposure in (0.999, 1.001)]
+    u = np.hypot(comparison.headline_noise, (skills[1] - skills[0]) / 0.002 * of_exposure)
+    # captured levels move the mean of the colours, and with it what a wrong exposure does
+    assert comparison.headline_noise * (1.0 - BUDGET_REL) < found[PIXELS].skill_u < u * (1.0 + BUDGET_REL)
     alone = inputs.draw(2000, np.random.default_rng(4)).only(depth)
     blind = comparison.sums[-1].simulation(alone.weights, comparison.exposure_of(alone.matrix), alone.drift)
     signal = comparison.sums[-1].signal(np.ones(1)) @ comparison.channel_weights
     assert found[depth].skill_u < 0.9 * float((blind @ comparison.channel_weights / signal).std())
+
+
+def _skill(comparison, exposure):
+    """Skill at the best values with another exposure."""
+    drawn = comparison.inputs.best()
+    factor = np.array([exposure * comparison.best_exposure])
+    draws = propagated_draws(comparison.sums[-1], drawn, factor, None)
+    return float(draws.skill("simulation", comparison.channel_weights)[0])
 
 
 def test_a_prior_is_said_to_be_one():

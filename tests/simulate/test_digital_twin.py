@@ -13,6 +13,7 @@ from rigs.simulated.sensor import bayer_planes
 from sim.experiments import digital_twin, light_angle, press, tactile_camera
 from sim.experiments.painted_finger import PaintedFinger
 from sim.optics.paint_bands import paint_bands
+from sim.optics.wall_emission import FIRST_CHAINS
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=128, height_px=96))
 SIGMAS = 5.0
@@ -115,8 +116,8 @@ def test_floor_of_a_dark_twin_is_not_brighter_than_its_image(monkeypatch, paints
     image[:8], variance[:8] = 1.0, 0.0
     first, repeat = (counts[8:] for counts in captured(monkeypatch, paints, variance, image))
     difference = repeat.mean((0, 1)) / first.mean((0, 1)) - 1.0
-    # the LED's drift, and a relative noise of 1.4 per cell, whose mean cut off at zero would be 0.2 too high
-    error = np.hypot(digital_twin.LED_DRIFT_REL, np.sqrt(2.0 / repeat[..., 0].size))
+    # the LED's drift in both, and a relative noise of 1.4 per cell, whose mean cut off at zero would be 0.2 too high
+    error = np.sqrt(2.0) * np.hypot(digital_twin.LED_DRIFT_REL, np.sqrt(1.0 / repeat[..., 0].size))
     assert (np.abs(difference) < 3.0 * error).all()
 
 
@@ -128,6 +129,7 @@ def test_curves_that_begin_late_are_noted_in_both_records(monkeypatch, paints):
     render = SimpleNamespace(
         bands=bands, label="flat", no_contact_bands=flat, contact_bands=flat, contact_variance=flat,
         contact_maps=SimpleNamespace(contact_distance=np.ones((96, 128))), contact_label="flat", chains_apart=False,
+        chains=FIRST_CHAINS, no_contact_half_difference=0.0 * flat, contact_half_difference=0.0 * flat,
     )  # fmt: skip
     swept = SimpleNamespace(
         bands=bands, label="flat", angles_deg=np.arange(4.0), radiance_rel=np.ones((4, 2, 2, 3)),

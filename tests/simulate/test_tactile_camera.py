@@ -9,7 +9,7 @@ from data_schemas.simulate import SimulatedPress
 from finray_calib.compare.comparison_record import compare_press
 from finray_calib.compare.linear_image import rgb_image
 from rigs.simulated.sensor import bayer_planes
-from sim.experiments.tactile_camera import colour_spread, simulated_capture
+from sim.experiments.tactile_camera import BandImages, camera_capture, colour_spread, simulated_capture
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=256, height_px=192, response_at_led_uncertainty_rel=0.2))
 MATRIX = np.array([[1.0, 0.0, 0.05], [0.0, 1.0, 0.2], [0.0, 0.1, 1.0]])
@@ -54,6 +54,32 @@ def test_capture_can_be_compared_with_the_press_it_came_from():
     assert report.values == "linear light"
     # the sensor's noise is all that lies between the two: the render explains nearly all that the contact changes
     assert report.headline_skill.estimate > 0.95
+
+
+def test_the_led_drifts_from_image_to_image():
+    flat, drift_rel, runs = np.ones((96, 128, 3), np.float32), 0.02, 60
+    bands = BandImages(flat, flat, np.zeros_like(flat))
+    levels = []
+    for seed in range(runs):
+        taken = camera_capture(
+            bands, MATRIX, DESIGN, seed, light_angle_deg=30.0, name="a", source="b", led_drift_rel=drift_rel
+        )
+        levels.append([float(i.mean()) - 16.0 for i in (taken.contact, taken.no_contact, taken.repeat_no_contact)])
+    # noise of 49 152 pixels is 1e-4 of a level, below what 60 runs tell of its spread
+    spread = np.std(levels, axis=0, ddof=1) / np.mean(levels, axis=0)
+    np.testing.assert_allclose(spread, drift_rel, rtol=SIGMAS / np.sqrt(2 * runs))
+    correlation = np.corrcoef(np.transpose(levels))[np.triu_indices(3, 1)]
+    assert np.abs(correlation).max() < SIGMAS / np.sqrt(runs)
+
+
+def test_a_capture_states_how_well_its_pose_is_known():
+    flat = np.ones((96, 128, 3), np.float32)
+    taken = camera_capture(
+        BandImages(flat, flat, np.zeros_like(flat)), MATRIX, DESIGN, 1, light_angle_deg=30.0, name="a", source="b",
+        pose_uncertainty_mm=(0.02, 0.1),
+    )  # fmt: skip
+    assert (taken.indenter.depth_uncertainty_mm, taken.indenter.position_uncertainty_mm) == (0.02, 0.1)
+    assert simulated_capture(press(), seed=1).indenter.depth_uncertainty_mm is None
 
 
 def test_what_is_no_render_has_no_capture():

@@ -1,0 +1,49 @@
+"""Measured force over displacement from a CSV file (comment lines start with #, one header row, units in its names)."""
+
+from pathlib import Path
+from typing import Final
+
+from data_schemas.curve_files import read_table
+from data_schemas.errors import CurveError, ImportFormatError
+from finray_calib.compare.measured_force import MeasuredForce
+
+NEEDED: Final = ("displacement_mm", "force_n")
+OPTIONAL: Final = ("force_uncertainty_n", "displacement_uncertainty_mm")
+
+
+def read_force_csv(path: Path) -> MeasuredForce:
+    """Read a measured loading curve.
+
+    Columns in any order: displacement_mm of the indenter along the pad's normal and force_n that pushes it back; if
+    known, force_uncertainty_n and displacement_uncertainty_mm (standard uncertainties, independent between rows).
+
+    Raises
+    ------
+    ImportFormatError
+        The file is missing or no table of finite numbers, or a column is missing, doubled or unknown.
+    CompareError
+        There are too few points, an uncertainty is negative, or the force pulls.
+    """
+    try:
+        header, table = read_table(path)
+    except CurveError as error:
+        raise ImportFormatError(str(error)) from None
+    # spreadsheets write a byte order mark
+    header = [name.removeprefix("\ufeff").lower() for name in header]
+    allowed = f"needed are {', '.join(NEEDED)}, allowed also {', '.join(OPTIONAL)}"
+    unknown = [name for name in header if name not in {*NEEDED, *OPTIONAL}]
+    if unknown:
+        raise ImportFormatError(f"{path}: column '{unknown[0][:60]}' is unknown; {allowed}; mm and N, commas between")
+    missing = [name for name in NEEDED if name not in header]
+    if missing:
+        raise ImportFormatError(f"{path}: has no column '{missing[0]}'; {allowed}")
+    if len(set(header)) < len(header):
+        raise ImportFormatError(f"{path}: a column appears twice; {allowed}")
+    columns = dict(zip(header, table.T, strict=True))
+    return MeasuredForce(
+        path.name,
+        columns["displacement_mm"],
+        columns["force_n"],
+        columns.get("force_uncertainty_n"),
+        columns.get("displacement_uncertainty_mm"),
+    )

@@ -1,0 +1,120 @@
+"""``finray simulate --only mechanics --sensitivities``, then ``finray compare --force``: a press against a bench."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from data_schemas.design import FingerDesign
+from data_schemas.force_comparison import ForceComparison
+from data_schemas.press_mechanics import PressMechanics
+from data_schemas.provenance import provenance
+from data_schemas.storage import read_record, write_record
+from sim.design_toml import design_toml
+from tests.command_line.running import finray, succeed
+from tests.compare.force_curves import force_at, power_law_press
+
+FINGER = """
+name = "short press"
+[indenter]
+depth_mm = 0.4
+[uncertainty_rel]
+"mechanics.gel.c10_mpa" = 0.1
+"pad.shape" = 0.1
+"""
+# the whole list takes minutes: one material, one dimension, and one part that this finger does not have
+FIELDS = ("mechanics.gel.c10_mpa", "skeleton.rib_thickness_mm", "pad.radius_mm")
+
+
+def bench(path: Path, force: np.ndarray, displacement: np.ndarray, u_n: float = 0.01) -> Path:
+    rows = "".join(f"{d:.6f},{f:.6f},{u_n}\n" for d, f in zip(displacement, force, strict=True))
+    path.write_text(f"# a bench\ndisplacement_mm,force_n,force_uncertainty_n\n{rows}")
+    return path
+
+
+def test_a_press_with_sensitivities_is_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "finger.toml").write_text(FINGER)
+    monkeypatch.setattr("sim.experiments.force_sensitivities.UNCERTAIN_FIELDS", FIELDS)
+    said = succeed(
+        f"simulate {tmp_path}/finger.toml --only mechanics --increments 2 --sensitivities --out {tmp_path}/f.press.json"
+    )
+    assert "2 presses with one number changed" in said
+    press = read_record(tmp_path / "f.mechanics.json", PressMechanics)
+    gel, ribs = press.sensitivities.varied
+    assert (gel.field, ribs.field) == FIELDS[:2]
+    for varied in (gel, ribs):
+        effect = np.log(varied.force_n[-1] / press.sensitivities.force_n[-1]) / np.log1p(varied.change_rel)
+        # a part that is stiffer or thicker stiffens the finger, but less than in proportion to a rib's cube
+        assert 0.05 < effect < 1.0
+    force = np.interp(np.linspace(0.0, 0.38, 9), np.r_[0.0, press.depth_mm], np.r_[0.0, press.force_n[:, 1]])
+    bench(tmp_path / "bench.csv", force, np.linspace(0.0, 0.38, 9) + 0.05)
+    told = succeed(f"compare {tmp_path}/f.mechanics.json --force {tmp_path}/bench.csv --out {tmp_path}/f.force.json")
+    found = read_record(tmp_path / "f.force.json", ForceComparison)
+    # the interpolation between two increments differs from straight lines by a few thousandths of a newton
+    assert found.first_touch.offset_mm.estimate == pytest.approx(0.05, abs=0.01)
+    assert all(third.within for third in found.thirds)
+    stated = {line.input: line.source for line in found.budget}
+    assert stated["mechanics.gel.c10_mpa"] == "stated by the design"
+    assert stated["skeleton.rib_thickness_mm"].startswith("assumed")
+    assert re.search(r"do nothing +100\.0%", told)
+    assert re.search(r"simulation +\d+\.\d%  \[0\.0%", told)
+    assert (tmp_path / "f.force.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_stated_uncertainties_survive_the_file_of_a_design() -> None:
+    design = FingerDesign(uncertainty_rel={"mechanics.gel.c10_mpa": 0.1})
+    assert FingerDesign.model_validate(tomllib.loads(design_toml(design))) == design
+    with pytest.raises(ValidationError, match=r"'mechanics\.gel\.c10' is no field of the design; did you mean"):
+        FingerDesign(uncertainty_rel={"mechanics.gel.c10": 0.1})
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    write_record(power_law_press(), tmp_path / "p.mechanics.json", provenance("pytest"))
+    depth = np.linspace(0.1, 1.9, 9)
+    bench(tmp_path / "bench.csv", 1.5 * force_at(depth), depth)
+    return tmp_path
+
+
+def test_a_model_that_is_off_is_told_and_drawn(lab: Path) -> None:
+    command = f"compare {lab}/p.mechanics.json --force {lab}/bench.csv --known-first-touch --out {lab}/force.json"
+    told = succeed(command)
+    assert "off by more than 2 u_val" in told
+    assert "displacements count from it, nothing fitted" in told
+    again = finray(command)
+    assert again.status == 2
+    assert "exists already and is not overwritten" in again.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("compare {lab}/p.mechanics.json {lab}/c.json --force {lab}/bench.csv", "no CAPTURE and no --pairs"),
+        ("compare --force {lab}/bench.csv", "give NAME.mechanics.json"),
+        ("compare {lab}/p.mechanics.json --force {lab}/bench.csv --register", "belong to images"),
+        (
+            "compare {lab}/p.mechanics.json --force {lab}/bench.csv --out {lab}/x.png",
+            "choose an --out that ends in .json",
+        ),
+        ("compare {lab}/p.json {lab}/c.json --known-first-touch", "belong to --force CSV"),
+        ("compare {lab}/p.mechanics.json --force {lab}/none.csv --out {lab}/x.json", "none.csv: no such file"),
+        (
+            "compare {lab}/p.mechanics.json --force {lab}/bench.csv --out {lab}/x.json "
+            "--other-mesh {lab}/p.mechanics.json",
+            "p.mechanics.json: power law, push of 2 mm: is on the coarse mesh too",
+        ),
+        ("simulate {lab}/finger.toml --sensitivities", "those of a force; add --only mechanics"),
+        (
+            "simulate {lab}/finger.toml --only mechanics --engine calculix --sensitivities",
+            "--sensitivities need a whole press by the elements here",
+        ),
+    ],
+)
+def test_mistakes(arguments: str, message: str, lab: Path) -> None:
+    (lab / "finger.toml").write_text(FINGER)
+    outcome = finray(arguments.format(lab=lab))
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
+    assert message in outcome.err

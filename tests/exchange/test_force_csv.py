@@ -1,0 +1,69 @@
+"""Measured forces as CSV files: what is read, and what is refused with the place and the remedy."""
+
+import numpy as np
+import pytest
+
+from data_schemas.errors import CompareError, ImportFormatError
+from finray_calib.exchange.force_csv import read_force_csv
+
+ROWS = [(0.0, 0.0), (0.5, 1.0), (1.0, 2.1), (1.5, 3.2), (2.0, 4.3)]
+
+
+def csv(header="displacement_mm,force_n", rows=ROWS):
+    return "\n".join([header, *(",".join(map(str, row)) for row in rows)]) + "\n"
+
+
+def test_columns_in_any_order_with_comments_and_a_byte_order_mark(tmp_path):
+    header = "\ufeffforce_n, displacement_mm,displacement_uncertainty_mm,force_uncertainty_n"
+    rows = [(force, depth, 0.01, 0.02) for depth, force in ROWS]
+    path = tmp_path / "bench.csv"
+    path.write_text("# load cell 10 N\n" + csv(header, rows) + "# end\n", encoding="utf-8")
+    measured = read_force_csv(path)
+    np.testing.assert_array_equal(measured.displacement_mm, [row[0] for row in ROWS])
+    np.testing.assert_array_equal(measured.force_n, [row[1] for row in ROWS])
+    np.testing.assert_array_equal(measured.u_force_n, np.full(5, 0.02))
+    np.testing.assert_array_equal(measured.u_displacement_mm, np.full(5, 0.01))
+    # 0.02 N, and 0.01 mm at 3 N/mm
+    np.testing.assert_allclose(measured.variance_n2(np.full(5, 3.0)), 0.02**2 + 0.03**2)
+
+
+def test_uncertainties_may_be_absent(tmp_path):
+    path = tmp_path / "bench.csv"
+    path.write_text(csv())
+    measured = read_force_csv(path)
+    assert measured.u_force_n is None
+    assert measured.u_displacement_mm is None
+    assert not measured.variance_n2(np.ones(5)).any()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            csv("displacement_mm,force_gf"),
+            r"bench\.csv: column 'force_gf' is unknown; needed are displacement_mm, force_n",
+        ),
+        (csv("displacement_um,force_n"), "column 'displacement_um' is unknown; .* mm and N"),
+        (csv("displacement_mm;force_n").replace(",", ";"), "line 2: '0.0;0.0' holds something that is not a number"),
+        (csv("displacement_mm,force_uncertainty_n"), "has no column 'force_n'"),
+        (csv("displacement_mm,force_n,force_n", [(*row, 1) for row in ROWS]), "a column appears twice"),
+        (csv(rows=[*ROWS, ("1,5", "3,2")]), "line 7: has 4 columns, the header has 2"),
+        (csv(rows=[*ROWS, (2.5, "nan")]), "line 7: NaN or infinite value"),
+        (csv(rows=[*ROWS, (2.5, "five")]), "holds something that is not a number"),
+        ("", "needs a header row and at least two rows"),
+    ],
+)
+def test_bad_files(text, message, tmp_path):
+    path = tmp_path / "bench.csv"
+    path.write_text(text)
+    with pytest.raises(ImportFormatError, match=message):
+        read_force_csv(path)
+
+
+def test_a_missing_file_and_too_few_points(tmp_path):
+    with pytest.raises(ImportFormatError, match="no such file"):
+        read_force_csv(tmp_path / "none.csv")
+    path = tmp_path / "bench.csv"
+    path.write_text(csv(rows=ROWS[:3]))
+    with pytest.raises(CompareError, match="has 3 points"):
+        read_force_csv(path)

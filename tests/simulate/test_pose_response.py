@@ -1,0 +1,103 @@
+"""Derivatives of the contact image by the indenter's pose, against images of closed form and against renders."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from data_schemas.design import FingerDesign, TactileCamera
+from data_schemas.errors import SimulateError
+from data_schemas.standard_curves import assumed_camera_response
+from finray_calib.compare.render_layers import render_layers
+from sim.experiments import pose_response as module
+from sim.experiments.painted_finger import PaintedFinger
+from sim.experiments.pose_response import POSE_STEPS_MM, pose_response
+from sim.experiments.press import simulate_press
+from sim.optics.render import BAKE_SAMPLES
+
+DESIGN = FingerDesign(camera=TactileCamera(width_px=64, height_px=48))
+CHAINS = ("led>red", "led>green", "led")
+SHAPE = (4, 5)
+BASE = np.random.default_rng(0).random((2, *SHAPE, 3)).astype(np.float32)
+
+
+def closed_form(depth_mm, position_mm):
+    """Light and half difference of a press: curved in depth, linear in position."""
+    return (
+        BASE[0] * (1.0 + 0.3 * depth_mm - 0.5 * depth_mm**2) + 0.1 * position_mm,
+        BASE[1] * (1.0 + 0.2 * depth_mm) - 0.05 * position_mm,
+    )
+
+
+@pytest.fixture
+def finger(paints):
+    return PaintedFinger(DESIGN, paints, assumed_camera_response(), SimpleNamespace())
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """Replace the renderer by the closed form; each call is noted."""
+    noted = []
+
+    def render(design, paints, renderer, level, seed, samples, progress, shapes, calibration, contact_samples):
+        noted.append((level, seed, samples, contact_samples))
+        less, more = (closed_form(s.depth_mm, s.position_mm) for s in shapes)
+        return SimpleNamespace(
+            chains=("led", "led>red"),
+            no_contact_chains=less[0][..., [2, 0]], contact_chains=more[0][..., [2, 0]],
+            no_contact_half_difference=less[1][..., [2, 0]], contact_half_difference=more[1][..., [2, 0]],
+        )  # fmt: skip
+
+    monkeypatch.setattr(module, "render_press", render)
+    return noted
+
+
+def shape_of(design):
+    return SimpleNamespace(depth_mm=design.indenter.depth_mm, position_mm=design.indenter.position_mm)
+
+
+def test_derivatives_are_central_differences(finger, calls):
+    found = pose_response(finger, "b", 7, 16, 64, CHAINS, shape_of)
+    assert calls == [("b", 7, 16, 64)] * 2
+    assert found.names == ("depth_mm", "position_mm")
+    assert found.steps_mm == tuple(POSE_STEPS_MM.values())
+    depth = DESIGN.indenter.depth_mm
+    # central differences of a parabola are exact; images are single precision, differences of 0.2 mm of them
+    tolerance = 10.0 * np.finfo(np.float32).eps * 20.0 / 0.2
+    for channel in (0, 2):
+        expected = BASE[0, ..., channel] * (0.3 - depth)
+        np.testing.assert_allclose(found.derivative[0, ..., channel], expected, atol=tolerance)
+        np.testing.assert_allclose(found.derivative[1, ..., channel], 0.1, atol=tolerance)
+        np.testing.assert_allclose(found.half_difference[0, ..., channel], 0.2 * BASE[1, ..., channel], atol=tolerance)
+        np.testing.assert_allclose(found.half_difference[1, ..., channel], -0.05, atol=tolerance)
+    # a chain that these renders did not keep is dark
+    assert (found.derivative[..., 1] == 0.0).all()
+
+
+def test_given_shapes_have_no_response(finger):
+    with pytest.raises(
+        SimulateError, match="rendered for the analytic press only; leave it out, or leave the surfaces"
+    ):
+        simulate_press(finger, "b", 0, 2, {}, shapes=(None, None), with_pose_response=True)
+
+
+def test_a_rendered_press_holds_its_response(scalar, paints, monkeypatch):
+    """Of chains, halves and pose in one order; the finger moves only where the indenter is near."""
+    monkeypatch.setitem(BAKE_SAMPLES, True, 300)
+    press = simulate_press(
+        PaintedFinger(DESIGN, paints, assumed_camera_response(), scalar), "b", 3, 2, {}, with_pose_response=True,
+        contact_samples_per_pixel=4,
+    )  # fmt: skip
+    response = press.pose_response
+    assert response.names == ("depth_mm", "position_mm")
+    assert response.derivative.shape == response.half_difference.shape == (2, *press.contact_half_difference.shape)
+    layers = render_layers(press)
+    assert layers.pose_names == response.names
+    assert layers.halves("contact", press.distance < 1.0, response.names)[0].shape[1] == 3 * press.layer_matrix.shape[1]
+    assert np.isfinite(response.derivative).all()
+    # with the random numbers of the press itself the far end of the pad hardly changes, beside what the contact does
+    near, far = (
+        np.abs(response.derivative[:, where]).mean(axis=(1, 2))
+        for where in (press.distance < 1.5, press.distance > 4.0)
+    )
+    assert (near > 2.0 * far).all()
