@@ -37,6 +37,7 @@ MATERIALS ?= ../shared/data/spectra/materials
 MODELS    := default zheng2014 skew_t log_normal_wavenumber gaussian_mixture
 ONE       := OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false
 bench: $(VENV)/installed-bench llvm
+	rm -rf bench-out
 	-$(ONE) $(BIN)/python benchmarks/samplers.py --out bench-out/samplers.json
 	-$(ONE) $(BIN)/python benchmarks/fit_command_time.py --out bench-out/fit-command.json
 	-$(ONE) $(BIN)/python benchmarks/session_time.py --out bench-out/session-time.json

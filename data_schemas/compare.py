@@ -82,6 +82,7 @@ class ObjectiveError(Model):
     log_ratio_draws: Annotated[NDArray[np.float64], ArraySpec("<f8", ("draw", "3"))]
     log_exposure_draws: Annotated[NDArray[np.float64], ArraySpec("<f8", ("draw",))] | None
     source: str = Field(description="checksums of the paints and name of the camera whose draws are shared")
+    rig: str | None = Field(default=None, description="what the capture was taken with; None: not known")
 
 
 class ErrorRow(Model):
@@ -137,7 +138,9 @@ class SensingError(Model):
 
     normal_map: str
     presses: int
-    held_out_explained_rel: Interval
+    held_out_explained_rel: Interval = Field(
+        description="median, least and greatest over random halves of the presses; no 95 % interval"
+    )
     outside_share_simulated: float
     outside_share_captured: float
     rows: tuple[SensingRow, ...]
@@ -163,7 +166,9 @@ class PhotometricErrorReport(Record):
     exposure_factor: float | None = Field(description="one factor for all channels; None when not fitted")
     exposure_factor_sd: float | None
     channel_weights: tuple[float, float, float]
-    objective_error: ObjectiveError | None = Field(description="None where values are not linear light")
+    objective_error: ObjectiveError | None = Field(
+        description="None where values are not linear light, or no input of the press has a known uncertainty"
+    )
     light_angle_deg: float | None
     light_angle_uncertainty_deg: float | None = None
     interval_covers: str = Field(description="what the intervals cover, in plain words")
@@ -172,6 +177,9 @@ class PhotometricErrorReport(Record):
     validation: tuple[ValidationCell, ...] = ()
     sensing: SensingError | None = Field(default=None, description="None where no normal map was given")
     findings: tuple[str, ...] = Field(default=(), description="of the checks of registration, channels and exposure")
+    forced_mismatch: bool = Field(
+        default=False, description="compared although the checks say that the images do not belong together"
+    )
     error_map: Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column"), allow_nan=True)]
     withheld: tuple[str, ...] = Field(default=(), description="figures that are not given, and why")
     notes: tuple[str, ...] = ()

@@ -35,7 +35,9 @@ class DecidingCapture(Model):
     captured: str
     light_angle_deg: AngleDeg
     light_angle_uncertainty_deg: Annotated[float, Field(ge=0.0, le=90.0)]
-    error_rel: float = Field(description="simulated over captured objective, minus one; without the common scale")
+    error_rel: float = Field(
+        description="simulated over captured objective, minus one; of absolute ratios without the scale of the rig"
+    )
     error_u_rel: float = Field(description="its standard uncertainty, with that of the angle")
     value: float
     sd: float
@@ -70,6 +72,7 @@ class LightAngleDecision(Record):
     angle_deg: AngleDeg
     angle_simulation_only_deg: AngleDeg
     verdict: Verdict
+    at_range_end: bool = Field(default=False, description="the optimum may lie outside the sweep: widen it")
     sentence: str
     tolerance_rel: Fraction
     validated: bool = Field(description="False: not validated against a capture")

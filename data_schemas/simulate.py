@@ -149,7 +149,11 @@ class AngleObjective(Model):
 
 
 class AngleConstraints(Model):
-    """What an angle must meet besides being good: no clipped pixels, and room for the panel."""
+    """What an angle must meet besides being good: no clipped pixels, and room for the panel.
+
+    Where the exposure is chosen anew for each angle so that it clips no more, the first is met by construction, and
+    ``exposure_rel`` is its price.
+    """
 
     clipped_share: Annotated[Floats, ArraySpec("<f8", ("angle",), "1")] = Field(
         description="of the pixels of the pressed coat with a channel at full scale, at that angle's exposure"

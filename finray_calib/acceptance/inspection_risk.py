@@ -87,7 +87,8 @@ def global_risks(
     value, weight = _quadrature(support, tolerance, guard, sd)
     weight = weight * np.asarray(prior(value))
     low, high = tolerance.narrowed(guard)
-    accepted = norm.cdf((high - value) / sd) - norm.cdf((low - value) / sd)
+    # guard bands that overlap leave nothing that could be accepted
+    accepted = np.maximum(norm.cdf((high - value) / sd) - norm.cdf((low - value) / sd), 0.0)
     conforms = (value >= tolerance.edges[0]) & (value <= tolerance.edges[1])
     whole = float(weight.sum())
     # a support that cuts more off than this changes risks that one would state

@@ -48,7 +48,7 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     batch = ComparisonBatch(
         pairs=tuple(compared),
         headline_region=DILATED if skills.size else None,
-        mean_skill=mean_skill(skills, np.random.default_rng(arguments.seed)),
+        mean_skill=mean_skill(skills),
         worst=worst_pairs(compared),
         notes=tuple(notes),
     )

@@ -45,7 +45,7 @@ def simulate_optics(
     from finray_calib.exchange.render_files import require_exr, write_optics_folder
     from finray_calib.reports.denoised import require_denoiser
     from sim.experiments.optics_products import optics_products
-    from sim.experiments.pose_response import pose_response
+    from sim.experiments.pose_response import moved_designs, pose_response
     from sim.experiments.press import press_record
     from sim.optics.render import render_press
 
@@ -54,6 +54,8 @@ def simulate_optics(
     if denoise:
         require_denoiser()
     samples = samples or DEFAULT_SAMPLES
+    if with_pose_response:
+        moved_designs(finger.design)  # what cannot be moved is told before anything is rendered
     render = render_press(
         finger.design, finger.paints, finger.renderer, level, seed, samples, progress, shapes, finger.calibration
     )

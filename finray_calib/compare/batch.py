@@ -4,15 +4,14 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student_t
 
 from data_schemas.compare import Interval
 from data_schemas.comparison_batch import ComparedPair
 from data_schemas.errors import CompareError
 
 _ENDINGS = (".json", ".press", ".capture")
-_DRAWS = 10_000
 _WORST = 5
-_TAIL = 0.025
 
 
 def pair_by_name(simulated: Iterable[str], captured: Iterable[str]) -> tuple[dict[str, tuple[str, str]], list[str]]:
@@ -87,16 +86,17 @@ def pairs_of_rows(rows: Sequence[Mapping[str, str | None]]) -> dict[str, tuple[s
     return pairs
 
 
-def mean_skill(skills: NDArray[np.float64], rng: np.random.Generator) -> Interval | None:
-    """Return the mean over presses with its 95 % bootstrap interval: presses are drawn with replacement.
+def mean_skill(skills: NDArray[np.float64]) -> Interval | None:
+    """Return the mean over presses with its 95 % interval by Student's t: mean +- t(0.975, n - 1) s / sqrt(n).
 
-    None with fewer than two presses. With few presses the interval is too narrow: by a third for 4, a tenth for 12.
+    Drawing presses with replacement instead would hold the truth in half the cases of two presses and in four of five
+    of four. None with fewer than two presses.
     """
     if skills.size < 2:
         return None
-    means = skills[rng.integers(skills.size, size=(_DRAWS, skills.size))].mean(axis=1)
-    low, high = np.quantile(means, [_TAIL, 1 - _TAIL])
-    return Interval(estimate=float(skills.mean()), low95=float(low), high95=float(high))
+    half = float(student_t.ppf(0.975, skills.size - 1) * skills.std(ddof=1) / np.sqrt(skills.size))
+    mean = float(skills.mean())
+    return Interval(estimate=mean, low95=mean - half, high95=mean + half)
 
 
 def worst_pairs(pairs: Iterable[ComparedPair]) -> tuple[str, ...]:

@@ -11,6 +11,9 @@ from finray_calib.compare.comparison_record import compare_press
 from finray_calib.compare.mismatch import find_mismatches, require_no_mismatch
 from finray_calib.compare.registered_press import move_press, register_press
 
+#: How the finding begins that says that the camera stands where the render has it.
+NO_DRIFT = "no drift of the camera to speak of"
+
 
 @dataclass(frozen=True, slots=True)
 class CheckOptions:
@@ -40,7 +43,7 @@ def compare_checked(
     Returns
     -------
     PhotometricErrorReport
-        What the checks found stands in its `findings`.
+        What the checks found stands in its `findings`; `forced_mismatch` where they would have refused it.
     SimulatedPress
         The press as it was compared: moved, if that was asked for and the camera has drifted.
 
@@ -57,7 +60,8 @@ def compare_checked(
     compared, told = _placed_press(press, capture, chosen.registered)
     report = compare_press(compared, capture, seed, chosen.normal_map)
     checks = (*(f"{f.about}: {f.text}" for f in findings), *told)
-    return report.model_copy(update={"findings": (*report.findings, *checks)}), compared
+    forced = any(f.severity == "refuse" for f in findings)
+    return report.model_copy(update={"findings": (*report.findings, *checks), "forced_mismatch": forced}), compared
 
 
 def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bool) -> tuple[SimulatedPress, list[str]]:
@@ -69,7 +73,7 @@ def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bo
             raise
         return press, [f"whether the camera stands where the render has it cannot be told: {error}"]
     if not found.significant:
-        return press, [f"no drift of the camera to speak of, by the images with {state}: {found}"]
+        return press, [f"{NO_DRIFT}, by the images with {state}: {found}"]
     if not registered:
         return press, [f"the camera has drifted, by the images with {state}: {found}; --register moves the render"]
     return move_press(press, found.to_render), [f"the render was moved, by the images with {state}: {found}"]

@@ -125,7 +125,7 @@ def compare_press(
         validation=statements.validation,
         sensing=_sensing(comparison, normal_map, capture, candidates, images.block_px, rng),
         error_map=_error_map(candidates["simulation"].image, captured.contact, captured.no_contact),
-        withheld=() if linear else _withheld(capture),
+        withheld=_withheld(press, capture, draws.propagated is not None),
         notes=_notes(press, capture, images.block_px),
     )
 
@@ -218,7 +218,7 @@ def _region_records(
                 name, candidate, captured.contact, variance, used, draws.regions[i],
                 None if draws.whole is None else draws.whole[i], comparison.channel_weights, _full_scale_dn(capture),
                 capture.encoding == "linear", images if name == "simulation" else None,
-                i == len(comparison.regions) - 1,
+                i == len(comparison.regions) - 1, comparison.sums[i].told,
             )
             for name, candidate in candidates.items()
         ]  # fmt: skip
@@ -240,17 +240,14 @@ def _statements(
 ) -> _Statements:
     """Return objective, budget and validation, for linear light whose inputs are known."""
     inputs = comparison.inputs
-    if inputs is None:
+    if inputs is None or draws.propagated is None:
         return _Statements()
     captured = comparison.captured
     usable: NDArray[np.bool_] = np.asarray(np.isfinite(captured.contact).all(axis=2), dtype=np.bool_)
     ring = ring_of(distance, usable)
     share = captured_share(comparison, ring, np.isfinite(distance))
-    objective = objective_error(comparison, inputs, ring, share, capture, rng)
-    if draws.propagated is None:
-        return _Statements(objective)
     return _Statements(
-        objective,
+        objective_error(comparison, inputs, ring, share, capture, rng),
         uncertainty_budget(comparison, inputs, ring, share, capture, rng),
         validation_cells(comparison, inputs, rng),
     )
@@ -285,7 +282,11 @@ def _monte_carlo(draws: Propagated | None, press: SimulatedPress, inputs: Inputs
         return None
     left_out = [*ALWAYS_UNKNOWN]
     known = press.known_inputs.names if press.known_inputs is not None else ()
-    left_out += [f"the {c} paint, which has no calibration" for c in ("red", "green") if f"{c} paint" not in known]
+    left_out += [
+        f"the {name}, of which the press holds no draws"
+        for name in ("red paint", "green paint", "camera response")
+        if name not in known
+    ]
     left_out += [
         f"the {POSE[name]}: the capture states no uncertainty of it, or the render no derivative (--pose-response)"
         for name in POSE
@@ -305,8 +306,15 @@ def _error_map(simulated: Floats, captured: Floats, no_contact: Floats) -> NDArr
     return error.astype(np.float32)
 
 
-def _withheld(capture: TactileCapture) -> tuple[str, ...]:
-    """Say which figures an unknown encoding does not allow."""
+def _withheld(press: SimulatedPress, capture: TactileCapture, is_propagated: bool) -> tuple[str, ...]:
+    """Say which figures an unknown encoding, or a press of unknown inputs, does not allow."""
+    if is_propagated:
+        return ()
+    if capture.encoding == "linear":
+        return (
+            "the error of the sweep's objective, budget and validation are not given: no input of "
+            f"{press.name} has a known uncertainty",
+        )
     return (
         "relative RMS, gradient and colour error, exposure factor, objective and validation are not given: the "
         f"encoding of {capture.name} is unknown, so its values are not proportional to light",

@@ -94,6 +94,7 @@ def error_row(
     linear: bool,
     drawn_images: Floats | None,
     is_headline: bool,
+    told: Bools,
 ) -> ErrorRow:
     """Return the metrics of one candidate.
 
@@ -118,9 +119,11 @@ def error_row(
         The candidate for draws of the inputs at the region's pixels.
     is_headline
         Whether this is the headline region, which FLIP is taken over.
+    told : ndarray of bool, shape (3,)
+        Channels that contact changes beyond noise; the others have no skill of their own.
     """
     images, centre = result.images, (best or result).images
-    channels = np.median(centre.channel_skill(name), axis=0)
+    channels = np.where(told, np.median(centre.channel_skill(name), axis=0), np.nan)
     mean_square = float(((candidate.image[used] - captured[used]) ** 2).mean())
     differences = candidate.colour_difference[used]
     ssim = candidate.similarity.mean_within(used)

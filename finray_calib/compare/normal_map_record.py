@@ -13,6 +13,8 @@ from finray_calib.compare.normal_map_fit import CalibrationPress, fit_normal_map
 
 # scales of one camera differ by rounding only
 _SAME_SCALE_REL = 1e-6
+# a scale that was measured twice
+_NEAR_SCALE_REL = 0.02
 
 
 def normal_map_record(captures: Sequence[TactileCapture], name: str, seed: int) -> NormalMapRecord:
@@ -67,18 +69,25 @@ def normal_map_of(record: NormalMapRecord) -> NormalMap:
 
 
 def check_senses(record: NormalMapRecord, capture: TactileCapture) -> None:
-    """Refuse to apply a map to a capture of another encoding.
+    """Refuse to apply a map to a capture of another encoding or scale.
 
     Raises
     ------
     CompareError
-        When the capture's encoding is not that of the map's calibration presses.
+        When the capture's encoding or scale is not that of the map's calibration presses.
     """
     if record.encoding != capture.encoding:
         raise CompareError(
             f"{capture.name} holds {capture.encoding} values, the normal map '{record.name}' was taught by "
             f"{record.encoding} ones: fit it to presses of the same camera settings"
         )
+    if capture.mm_per_px is not None:
+        scale_mm = capture.mm_per_px * _cell_px(capture)
+        if not np.isclose(scale_mm, record.mm_per_px, rtol=_NEAR_SCALE_REL, atol=0.0):
+            raise CompareError(
+                f"{capture.name} has {scale_mm:.4g} mm per pixel, the normal map '{record.name}' "
+                f"{record.mm_per_px:.4g}: slopes and depths would be wrong; fit the map to presses at this distance"
+            )
 
 
 def calibration_press(capture: TactileCapture) -> CalibrationPress:

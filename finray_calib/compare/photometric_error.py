@@ -12,7 +12,7 @@ from finray_calib.compare.exposure import ExposureFit, exposure_fit
 from finray_calib.compare.input_draws import Drawn, Inputs
 from finray_calib.compare.part_levels import PartLevels, part_levels
 from finray_calib.compare.region_draws import CANDIDATES, RegionDraws, propagated_draws, resampled_draws
-from finray_calib.compare.region_sums import Captured, RegionSums, gradient_sums, image_sums
+from finray_calib.compare.region_sums import LEAST_SIGNAL, Captured, RegionSums, gradient_sums, image_sums
 from finray_calib.compare.regions import Region, usable_pixels
 from finray_calib.compare.render_layers import RenderLayers
 from finray_calib.compare.skill import channel_weights
@@ -23,8 +23,6 @@ RESAMPLED_DRAWS = 2000
 ALONE_DRAWS = 4000
 """Draws of one line of the budget; its standard uncertainty is then known to 1 %."""
 
-# a contact signal below this many standard deviations of its noise is none
-_LEAST_SIGNAL = 3.0
 _HEADLINE = "headline"
 
 
@@ -47,8 +45,8 @@ class Comparison:
         Of the headline region, in 1 / unit^2; common to all regions.
     exposure : ExposureFit or None
         None where no factor is fitted.
-    levels : PartLevels
-        Of parts of the headline region.
+    levels : PartLevels or None
+        Of parts of the headline region; None where no input is known.
     """
 
     layers: RenderLayers
@@ -60,15 +58,14 @@ class Comparison:
     gradients: tuple[RegionSums | None, ...]
     channel_weights: Floats
     exposure: ExposureFit | None
-    levels: PartLevels
-
-    def level_ratios(self, drawn: Drawn) -> Floats:
-        """Return ln(simulated / captured) of the parts' levels, (draws, images, channels, parts)."""
-        return self.levels.log_ratio(drawn, self.exposure)
+    levels: PartLevels | None
 
     def conditioned(self, drawn: Drawn, rng: np.random.Generator) -> Drawn:
         """Return draws narrowed by what the captured levels say."""
-        return condition_on_levels(drawn, self.level_ratios, self.levels.noise_variance, rng)
+        levels = self.levels
+        if levels is None:
+            return drawn
+        return condition_on_levels(drawn, lambda d: levels.log_ratio(d, self.exposure), levels.noise_variance, rng)
 
     def exposure_of(self, matrix: Floats, rng: np.random.Generator | None = None) -> Floats:
         """Return the exposure factors (draws,) of matrices (draws, 3, L), noisy where there is a generator."""
@@ -147,7 +144,8 @@ def prepare_comparison(
     for region, of_region in zip(regions, sums, strict=True):
         _require_contact(region, of_region, weights)
     gradients = tuple(gradient_sums(layers, captured, where, k, poses) for where in used)
-    levels = part_levels(layers, captured, used[-1], poses)
+    knows = inputs is not None and layers.inputs is not None
+    levels = part_levels(layers, captured, used[-1], poses) if knows else None
     return Comparison(layers, captured, inputs, tuple(regions), used, sums, gradients, weights, exposure, levels)
 
 
@@ -155,7 +153,7 @@ def _require_contact(region: Region, sums: RegionSums, weights: Floats) -> None:
     """Refuse a region where contact changes no more than noise does."""
     signal = float(sums.signal(np.ones(1))[0] @ weights)
     noise = float(np.sqrt(sums.noise.signal @ weights**2))
-    if not signal > _LEAST_SIGNAL * noise:
+    if not signal > LEAST_SIGNAL * noise:
         raise CompareError(
             f"contact changes nothing in the region '{region.name}' beyond the camera's noise; there is nothing to "
             "explain: check that the contact image is one, that the region lies on the contact, or press deeper"

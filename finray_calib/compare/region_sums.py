@@ -14,6 +14,8 @@ from finray_calib.compare.squared_error import NoiseCovariance, SquaredError, no
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+LEAST_SIGNAL = 3.0
+"""A contact signal below this many standard deviations of its noise is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +74,11 @@ class RegionSums:
     floor_noise_sd: Floats
     per_pixel: Mapping[str, Floats]
 
+    @property
+    def told(self) -> Bools:
+        """Channels (3,) whose contact signal stands out of its noise."""
+        return np.asarray(self.signal(np.ones(1))[0] > LEAST_SIGNAL * np.sqrt(self.noise.signal))
+
     def signal(self, drift: Floats) -> Floats:
         """Return the contact signal, sum of (B - g D)^2, for factors g on the capture: (draws, 3)."""
         g = drift[:, None]
@@ -101,7 +108,9 @@ def gradient_sums(
 ) -> RegionSums | None:
     """Return the same of the gradients of (image - its no-contact image), both directions together.
 
-    The no-contact image becomes zero and the capture grad (D - B). None where no pixel has all its neighbours.
+    The no-contact image becomes zero and the capture grad (D - B). A drift g of the capture multiplies grad (D - B);
+    the change (g - 1) grad B of the pad's own gradient, below 1 % of it, is left out. None where no pixel has all its
+    neighbours.
     """
     b, v_b = captured.no_contact, captured.variance(captured.no_contact)
     signal = image_gradient(captured.contact - b)

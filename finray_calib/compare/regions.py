@@ -110,28 +110,6 @@ def strip_from_distance(distance_in_half_widths: NDArray[np.float64], factor: fl
     return mask
 
 
-def clipped_pixels(data_range_dn: float, *images: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return the pixels where any channel of any image is at or above full scale.
-
-    Only captures belong here: a simulation that clips where the capture does not is wrong, and leaving its
-    pixels out would let it choose what it is judged on.
-
-    Parameters
-    ----------
-    data_range_dn : float
-        Full scale of the images, in their unit (255 for 8 bit).
-    *images : ndarray, shape (H, W, C)
-
-    Returns
-    -------
-    ndarray of bool, shape (H, W)
-    """
-    mask = np.zeros(images[0].shape[:2], dtype=np.bool_)
-    for image in images:
-        mask |= (image >= data_range_dn).any(axis=2)
-    return mask
-
-
 def usable_pixels(mask: NDArray[np.bool_], *images: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return the pixels of a mask that are finite in every channel of every image.
 

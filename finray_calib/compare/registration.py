@@ -164,10 +164,13 @@ def _refined(moving: Floats, fixed: Floats, usable: Mask, matrix: Floats, factor
     """Return the map after refinement on a grid that is coarser by a factor."""
     small = [block_mean(image, factor) for image in (fixed, moving)]
     mask = (block_mean(usable.astype(np.float64), factor) > 0.999).astype(np.uint8)
+    everywhere = np.ones(small[1].shape, dtype=np.uint8)
     start = scaled_map(matrix, 1 / factor).astype(np.float32)
     try:
-        _, found = cv2.findTransformECC(
-            small[0].astype(np.float32), small[1].astype(np.float32), start, motion, _STOP, mask, _SMOOTHING_PX
+        fixed_small, moving_small = (image.astype(np.float32) for image in small)
+        # the mask is that of the picture that stands still
+        _, found = cv2.findTransformECCWithMask(
+            fixed_small, moving_small, mask, everywhere, start, motion, _STOP, _SMOOTHING_PX
         )
     except cv2.error:
         raise CompareError(

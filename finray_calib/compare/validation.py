@@ -29,12 +29,14 @@ def validation_cells(comparison: Comparison, inputs: Inputs, rng: np.random.Gene
     ASME V&V 20-2009, sections 1 and 6; S. Ferson, W. L. Oberkampf, L. Ginzburg, Comput. Methods Appl. Mech. Eng. 197
     (2008) 2408.
     """
-    levels, drawn = comparison.levels, inputs.draw(DRAWS, rng)
+    levels, exposure, drawn = comparison.levels, comparison.exposure, inputs.draw(DRAWS, rng)
+    if levels is None:
+        return ()
     walls = drawn.only(WALLS)
     steady = Inputs(inputs.layers, inputs.pose_sd_mm, None, None).draw(DRAWS, rng)
-    ratios = {name: comparison.level_ratios(d)[:, _CONTACT] for name, d in (("walls", walls), ("inputs", steady))}
+    ratios = {name: levels.log_ratio(d, exposure)[:, _CONTACT] for name, d in (("walls", walls), ("inputs", steady))}
     simulated = np.exp(ratios["inputs"])
-    error = np.exp(comparison.level_ratios(inputs.best())[0, _CONTACT]) - 1.0
+    error = np.exp(levels.log_ratio(inputs.best(), exposure)[0, _CONTACT]) - 1.0
     render = levels.render_variance[_CONTACT]
     camera = levels.noise_variance[_CONTACT] - render
     # the render's noise is known relative to the simulated level, all else is stated relative to the captured one

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from data_schemas.compare import ObjectiveError, PhotometricErrorReport
 from data_schemas.errors import DecideError
 from data_schemas.simulate import LightAngleSweep
+from finray_calib.compare.checked_comparison import NO_DRIFT
 
 Floats = NDArray[np.float64]
 
@@ -18,6 +19,10 @@ UNSTATED_ANGLE_SD_DEG = 2.0
 LEAST_SD_REL = 1e-3
 #: Two captures closer than this say nothing about the shape of the curve.
 _APART_DEG = 2.0
+#: A capture further than this beyond the sweep says nothing about the curve inside it.
+_BEYOND_DEG = 5.0
+
+Known = tuple[PhotometricErrorReport, ObjectiveError]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +82,8 @@ def capture_errors(
 
     Where two captures of one rig at different angles carry exposure and LED current, absolute ratios are compared, up
     to a common scale of the rig; captures without are then left out. Else each error is relative to the no-contact
-    image of its own capture. Reports of one source share their draws, so their covariance is that of the draws; others
-    are independent.
+    image of its own capture. Captures more than 5 deg beyond the sweep are left out. Reports of one source share their
+    draws, so their covariance is that of the draws; others are independent.
 
     Parameters
     ----------
@@ -95,22 +100,27 @@ def capture_errors(
     Raises
     ------
     DecideError
-        A report carries no error of the objective or no angle, or two are on one capture.
+        A report carries no error of the objective or no angle, is on images that do not belong together, or two are on
+        one capture.
     """
-    if not reports:
-        return NO_CAPTURES, ()
     _refuse_duplicates(reports)
-    known = [(report, _error_of(report)) for report in reports]
+    known, notes = _within_sweep(sweep, [(report, _error_of(report)) for report in reports])
     groups = _absolute_groups(known)
-    used = [
-        (report, error) for report, error in known if not groups or (_is_absolute(error) and error.source in groups)
-    ]
-    notes = [
+    used = [(report, error) for report, error in known if not groups or _scale_key(error) in groups]
+    if not used:
+        return NO_CAPTURES, tuple(notes)
+    notes += [
         f"{report.captured} is left out: the other captures are compared by exposure and LED current, and it has none "
         "or no other capture of its rig beside it"
         for report, _ in known
         if all(report is not kept for kept, _ in used)
     ]
+    if not groups and _spread_deg([_angle_deg(report) for report, error in known if _is_exposed(error)]) >= _APART_DEG:
+        notes.append(
+            "exposures and LED currents are known at several angles but not compared: the reports do not name one rig "
+            "with one set of paints"
+        )
+    notes += _doubts(sweep, used)
     angles_deg = np.array([report.light_angle_deg for report, _ in used], dtype=np.float64)
     unstated = [report.captured for report, _ in used if report.light_angle_uncertainty_deg is None]
     if unstated:
@@ -125,7 +135,7 @@ def capture_errors(
         angle_sd_deg=np.array([_angle_sd_deg(report) for report, _ in used]),
         log_error=np.array([d.mean() for d in draws]),
         covariance=_covariance(draws, sources),
-        scale_of=np.array([groups.index(source) for source in sources]) if groups else None,
+        scale_of=np.array([groups.index(_scale_key(error)) for _, error in used]) if groups else None,
     ), tuple(notes)
 
 
@@ -143,7 +153,17 @@ def _refuse_duplicates(reports: Sequence[PhotometricErrorReport]) -> None:
 
 
 def _error_of(report: PhotometricErrorReport) -> ObjectiveError:
-    """Return the error of the objective, or refuse a report without."""
+    """Return the error of the objective, or refuse a report without, or on images that do not belong together."""
+    if report.forced_mismatch:
+        raise DecideError(
+            f"the report on {report.captured} was made despite a mismatch, so its brightness error says nothing about "
+            f"the simulation ({'; '.join(report.findings)}): mend the capture and compare again, or leave it out"
+        )
+    if report.objective_error is None and report.values == "linear light":
+        raise DecideError(
+            f"the report on {report.captured} carries no brightness error, because the render holds no draws of its "
+            "paints and camera: render it with 'finray simulate --paint' and compare again"
+        )
     if report.objective_error is None:
         raise DecideError(
             f"the report on {report.captured} carries no brightness error, because its values are "
@@ -157,18 +177,68 @@ def _error_of(report: PhotometricErrorReport) -> ObjectiveError:
     return report.objective_error
 
 
-def _is_absolute(error: ObjectiveError) -> bool:
+def _within_sweep(sweep: LightAngleSweep, known: Sequence[Known]) -> tuple[list[Known], list[str]]:
+    """Return the reports on captures at angles of the sweep, and a note on each of the others."""
+    first, last = sweep.angles_deg[0], sweep.angles_deg[-1]
+    kept, notes = [], []
+    for report, error in known:
+        angle_deg = _angle_deg(report)
+        if first - _BEYOND_DEG <= angle_deg <= last + _BEYOND_DEG:
+            kept.append((report, error))
+        else:
+            notes.append(
+                f"{report.captured} is left out: its light stood at {angle_deg:g} deg, outside the sweep ({first:g} to "
+                f"{last:g} deg), so the decision is not validated by it"
+            )
+    return kept, notes
+
+
+def _doubts(sweep: LightAngleSweep, used: Sequence[Known]) -> list[str]:
+    """Return what the checks of the comparisons found, and paints of the sweep that a render does not name."""
+    notes = [
+        f"{report.captured}: {finding}"
+        for report, _ in used
+        for finding in report.findings
+        if not finding.startswith(NO_DRIFT)
+    ]
+    for colour, sha256 in sorted(sweep.paints.items()):
+        without = [report.captured for report, error in used if sha256 not in error.source]
+        if without:
+            notes.append(
+                f"the {colour} paint of the sweep (SHA-256 {sha256}) is not named by the reports on "
+                f"{', '.join(without)}: their renders may have another paint"
+            )
+    return notes
+
+
+def _scale_key(error: ObjectiveError) -> tuple[str, str] | None:
+    """Return what captures with one common scale of absolute ratios share: rig and paints; None where not known."""
+    return (error.rig, error.source) if error.rig is not None and _is_exposed(error) else None
+
+
+def _is_exposed(error: ObjectiveError) -> bool:
     """Return whether exposure and LED current are known."""
     return error.log_exposure_draws is not None
 
 
-def _absolute_groups(known: Sequence[tuple[PhotometricErrorReport, ObjectiveError]]) -> list[str]:
-    """Return the sources with absolute ratios at two or more angles."""
-    angles_deg: dict[str, list[float]] = {}
+def _spread_deg(angles_deg: Sequence[float]) -> float:
+    """Return how far angles lie apart."""
+    return max(angles_deg, default=0.0) - min(angles_deg, default=0.0)
+
+
+def _absolute_groups(known: Sequence[Known]) -> list[tuple[str, str] | None]:
+    """Return the keys of the scales with absolute ratios at two or more angles; None is never among them."""
+    angles_deg: dict[tuple[str, str], list[float]] = {}
     for report, error in known:
-        if _is_absolute(error) and report.light_angle_deg is not None:
-            angles_deg.setdefault(error.source, []).append(report.light_angle_deg)
-    return [source for source, found in angles_deg.items() if max(found) - min(found) >= _APART_DEG]
+        key = _scale_key(error)
+        if key is not None:
+            angles_deg.setdefault(key, []).append(_angle_deg(report))
+    return [key for key, found in angles_deg.items() if _spread_deg(found) >= _APART_DEG]
+
+
+def _angle_deg(report: PhotometricErrorReport) -> float:
+    """Return the angle, which `_error_of` has looked for."""
+    return np.nan if report.light_angle_deg is None else report.light_angle_deg
 
 
 def _angle_sd_deg(report: PhotometricErrorReport) -> float:

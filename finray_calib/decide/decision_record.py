@@ -58,6 +58,7 @@ def decide(sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport], se
         angle_deg=decision.best_deg,
         angle_simulation_only_deg=decision.best_simulation_only_deg,
         verdict=decision.verdict,
+        at_range_end=decision.at_range_end,
         sentence=decision_sentence(decision, captures.angles_deg, TOLERANCE_REL, next_render, next_capture, others),
         tolerance_rel=TOLERANCE_REL,
         validated=decision.with_captures is not None,
@@ -81,10 +82,10 @@ def decide(sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport], se
 
 
 def _captures(decision: AngleDecision, captures: CaptureErrors, scale: float) -> tuple[DecidingCapture, ...]:
-    """Return each capture with its error, less the common scale, and its place beside the curve.
+    """Return each capture with its error and its place beside the curve.
 
-    The scale is that which the curve leaves open: the mean of t over the grid, or, for absolute ratios, the mean
-    residual of the captures of one rig.
+    The place is less the scale that the curve leaves open: the mean of t over the grid, or, for absolute ratios, the
+    mean residual of the captures of one rig. Only the latter, which nobody knows, is taken off the error too.
     """
     if not captures.names:
         return ()
@@ -95,9 +96,10 @@ def _captures(decision: AngleDecision, captures: CaptureErrors, scale: float) ->
         for number in np.unique(captures.scale_of):
             members = captures.scale_of == number
             offset[members] = (captures.log_error - expected)[members].mean()
-    log_error = captures.log_error - offset
+    log_shape = captures.log_error - offset
+    log_error = captures.log_error if captures.scale_of is None else log_shape
     sd = np.sqrt(np.diag(discrepancy.noise))
-    value = scale * np.interp(captures.angles_deg, grid_deg, decision.simulated.posterior.mean) * np.exp(-log_error)
+    value = scale * np.interp(captures.angles_deg, grid_deg, decision.simulated.posterior.mean) * np.exp(-log_shape)
     return tuple(
         DecidingCapture(
             captured=name,

@@ -49,7 +49,8 @@ def decision_sentence(
     elif decision.verdict in _CONSEQUENCE:
         parts.append(_CONSEQUENCE[decision.verdict])
     parts += _captures(decision, captures_deg)
-    if next_render is not None and decision.verdict == "undecided":
+    # inside a sweep that is too narrow no render helps
+    if next_render is not None and decision.verdict == "undecided" and not decision.at_range_end:
         parts.append(f"next: render {next_render.angle_deg:.0f} deg")
     if next_capture is not None and (decision.verdict == "model-limited" or not len(captures_deg)):
         parts.append(f"next: capture at {next_capture.angle_deg:.0f} deg")

@@ -19,6 +19,8 @@ _JITTER = 1e-9
 _LEAST_NOISE_REL = 1e-6
 #: A smooth covariance has few eigenvalues of weight; those below this share of the largest are left out of draws.
 _LEAST_EIGENVALUE = 1e-10
+#: Components of an eigenvector closer than this ratio are one size: rounding leaves less, their steps more.
+_EQUAL = 1 - 1e-6
 _LENGTHS_DEG = np.geomspace(6.0, 200.0, 56)
 _AMPLITUDES_REL = np.geomspace(0.005, 20.0, 96)
 
@@ -155,7 +157,15 @@ def draw_normal(covariance: NDArray[np.float64], draws: int, rng: np.random.Gene
     eigenvalues, vectors = np.linalg.eigh(covariance)
     kept = eigenvalues > _LEAST_EIGENVALUE * eigenvalues.max(initial=0.0)
     scale = np.sqrt(eigenvalues[kept])
-    return np.asarray((rng.standard_normal((draws, scale.size)) * scale) @ vectors[:, kept].T)
+    return np.asarray((rng.standard_normal((draws, scale.size)) * scale) @ _upright(vectors[:, kept]).T)
+
+
+def _upright(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return eigenvectors (G, E) with their largest component positive: their signs differ between LAPACK libraries."""
+    size = np.abs(vectors)
+    # odd vectors have two largest components, equal but for rounding: the first one counts
+    first = (size >= _EQUAL * size.max(axis=0, initial=0.0)).argmax(axis=0)
+    return np.asarray(vectors * np.sign(np.take_along_axis(vectors, first[None, :], axis=0)))
 
 
 def _factorised(

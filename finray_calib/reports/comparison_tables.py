@@ -132,7 +132,7 @@ def budget_table(report: PhotometricErrorReport) -> ReportTable:
         for line in lines
     ]
     objective = hypot(*(line.objective_u_rel or 0.0 for line in lines))
-    rows.append(("root sum of squares", significant(total, 2), "100 %", percent(objective), _DASH))
+    rows.append(("root sum of squares, as if independent", significant(total, 2), "100 %", percent(objective), _DASH))
     columns = ("input", "u of the skill (1)", "share", "u of the brightness", "known from")
     return one_group("What each input adds: standard uncertainty u with this input alone", columns, rows, True)
 

@@ -21,7 +21,10 @@ def budget_part(report: PhotometricErrorReport) -> Part:
         digits = _STEADY[run.significant_digits]
         steady = f" The intervals come from {run.draws} draws of all inputs together (JCGM 101), {digits}."
     share = largest.skill_u**2 / (sum(line.skill_u**2 for line in report.budget) or 1.0)
-    lead = f"The largest contribution is {largest.input}: {percent(share)} of the variance of the skill.{steady}"
+    lead = (
+        f"The largest contribution is {largest.input}: {percent(share)} of the sum of squares of the lines below, "
+        f"which need not add up to the whole.{steady}"
+    )
     return Part("Uncertainty", Content(lead, (_bars(report),), tables=(tables.budget_table(report),)))
 
 

@@ -13,7 +13,7 @@ Verdict = Literal[
     "Worse than no simulation",
 ]
 _WELL_KNOWN = 0.9
-"""A skill that may be below this is told to be so even where the interval reaches the best possible score."""
+"""A skill that may be below this is not told to be as good as the capture can tell, wherever its interval ends."""
 _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "right")
 
 
@@ -24,7 +24,7 @@ def comparison_verdict(report: PhotometricErrorReport) -> Verdict:
         return "Worse than no simulation"
     if skill.low95 <= 0:
         return "Not told apart from no simulation"
-    if floor is not None and skill.high95 >= floor.skill.low95:
+    if floor is not None and skill.high95 >= floor.skill.low95 and skill.low95 >= _WELL_KNOWN:
         return "As good as this capture can tell"
     return "Better than no simulation"
 
@@ -32,14 +32,17 @@ def comparison_verdict(report: PhotometricErrorReport) -> Verdict:
 def verdict_meaning(report: PhotometricErrorReport) -> str:
     """Say what the verdict lets the reader do."""
     left = percent(max(1 - report.headline_skill.estimate, 0.0))
-    low = report.headline_skill.low95
-    wide = f" But the interval is wide: perhaps only {percent(low)} is explained." if low < _WELL_KNOWN else ""
+    skill, floor = report.headline_skill, row_of(headline(report), "floor")
+    wide = ""
+    if floor is not None and skill.high95 >= floor.skill.low95:
+        wide = (
+            f" The interval is wide: it may be as good as the capture can tell, or explain only {percent(skill.low95)}."
+        )
     meaning: dict[Verdict, str] = {
-        "As good as this capture can tell": "Render and capture differ by no more than two captures of the same thing "
-        "do. A better simulation could not be told from this one with this capture."
-        f"{wide}",
+        "As good as this capture can tell": "No difference between render and capture is shown beyond that of two "
+        "captures of the same thing. A better simulation could not be told from this one with this capture.",
         "Better than no simulation": f"The simulation predicts what the touch changes, but not all of it: {left} of "
-        "the squared change is left over. The error map shows where.",
+        f"the squared change is left over. The error map shows where.{wide}",
         "Not told apart from no simulation": "This capture gives no reason to prefer the simulation to an image of the "
         "untouched pad. Do not rely on the simulated touch; look at the findings, the pose and the light first.",
         "Worse than no simulation": "An image of the untouched pad is nearer to the capture than the simulated touch. "

@@ -80,6 +80,8 @@ def decision_page(
 def _key_numbers(decision: LightAngleDecision) -> tuple[tuple[str, str, str], ...]:
     """Return (label, value, remark) of the few numbers that stand beside the verdict."""
     claim, angle = decision.statement, decision.angle_deg
+    if decision.at_range_end:
+        return (("Light angle", f"{angle:.0f} deg", "end of the sweep: no tolerance can be promised"),)
     return (
         ("Light angle", f"{angle:.0f} deg", decision.verdict),
         ("Mounting tolerance", words.tolerance_text(claim, angle), f"equivalent: {equivalent_text(claim)}"),
@@ -91,10 +93,10 @@ def _key_numbers(decision: LightAngleDecision) -> tuple[tuple[str, str, str], ..
 def _findings(decision: LightAngleDecision) -> tuple[str, ...]:
     """Return the sentences below the verdict: what to do, what to draw, the risk, captures, other objectives."""
     other = words.disagreement_sentence(decision)
+    promised = () if decision.at_range_end else (words.mounting_sentence(decision), words.risk_sentence(decision))
     return (
         verdict_meaning(decision),
-        words.mounting_sentence(decision),
-        words.risk_sentence(decision),
+        *promised,
         words.capture_sentence(decision),
         *(() if other is None else (other,)),
     )
@@ -149,7 +151,7 @@ def _captures_table(decision: LightAngleDecision) -> ReportTable:
     rows = (
         (
             capture.captured,
-            f"{capture.light_angle_deg:g} \u00b1 {capture.light_angle_uncertainty_deg:.1g} deg",
+            f"{capture.light_angle_deg:g} \u00b1 {capture.light_angle_uncertainty_deg:.2g} deg",
             signed_percent(capture.error_rel),
             percent(capture.error_u_rel),
         )

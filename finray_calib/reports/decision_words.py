@@ -14,7 +14,7 @@ def verdict_title(decision: LightAngleDecision) -> str:
         return f"Several angles do equally well; take {angle} if nothing speaks against it"
     if decision.verdict == "undecided":
         return f"Not decided yet; {angle} is the best guess so far"
-    return f"{angle} by the simulation, which is not good enough to decide"
+    return f"{angle} is the best guess; the simulation is not good enough to decide"
 
 
 def tolerance_text(statement: AngleStatement, angle_deg: float) -> str:
@@ -78,7 +78,9 @@ def discrepancy_sentence(decision: LightAngleDecision) -> str | None:
 
 
 def next_sentences(decision: LightAngleDecision) -> tuple[str, ...]:
-    """Say which render and which capture would help most."""
+    """Say which render and which capture would help most; at the end of a sweep only a wider one would."""
+    if decision.at_range_end:
+        return (f"Next: simulate a sweep that goes beyond {decision.angle_deg:.0f} deg, and decide again.",)
     told = []
     for what, proposal in (("Next render", decision.next_render), ("Next capture", decision.next_capture)):
         if proposal is None:

@@ -10,7 +10,13 @@ from finray_calib.reports.summary import true_loss
 def verdict_meaning(decision: LightAngleDecision) -> str:
     """Say what the verdict tells a designer to do."""
     tolerance, angle = percent(decision.tolerance_rel), f"{decision.angle_deg:.0f} deg"
+    alone_angle = f"{decision.angle_simulation_only_deg:.0f} deg"
     loss, alone = percent(decision.statement.regret_95), percent(decision.statement_simulation_only.regret_95)
+    if decision.at_range_end:
+        return (
+            f"The best angle found, {angle}, is at the end of the sweep. The optimum may lie outside the sweep: widen "
+            "it. Until then no tolerance can be promised, and a loss is one against the angles of this sweep only."
+        )
     if decision.verdict == "decided":
         return (
             f"Mount the light at {angle}: the loss against the best angle stays within {tolerance} with 95 % "
@@ -22,14 +28,15 @@ def verdict_meaning(decision: LightAngleDecision) -> str:
             "against the best angle with 95 % probability; take the one that is easiest to build."
         )
     if decision.verdict == "undecided":
+        moved = f" With captures the best guess is {angle}." if decision.validated else ""
         return (
-            f"The renders alone do not yet show a choice that loses at most {tolerance}: {angle} is the best guess so "
-            f"far, and may lose {alone}. More angles or more repeats would help."
+            f"The renders alone do not yet show a choice that loses at most {tolerance}: {alone_angle} is their best "
+            f"guess so far, and may lose {alone}.{moved} More angles or more repeats would help."
         )
     return (
-        f"By the renders alone {angle} loses at most {alone}; with the difference between simulation and capture it "
-        f"may lose {loss}, more than the {tolerance} that count as equal. More renders will not help; a better model "
-        "or more captures would."
+        f"By the renders alone {alone_angle} loses at most {alone}; with the difference between simulation and capture "
+        f"{angle} is the best guess and may lose {loss}, more than the {tolerance} that count as equal. More renders "
+        "will not help; a better model or more captures would."
     )
 
 

@@ -112,7 +112,10 @@ def _paint_factors(
         except SimulateError:
             continue
         gains = conversion_gains(mean.conversion, bands.conversion)
-        found.append(_of_chains(response_matrix(finger.response, bands) / best, chains, gains))
+        response = response_matrix(finger.response, bands)
+        # a channel that is blind to a band stays so
+        change = np.divide(response, best, out=np.ones_like(best), where=best > 0.0)
+        found.append(_of_chains(change, chains, gains))
     return np.array(found)
 
 

@@ -42,8 +42,8 @@ FRAMES: Final = 4
 WORST_TENTH: Final = 0.9
 
 _SEEN = (
-    "facets of the undeformed coat, seen through the mirror, one Bayer cell each; exposure set anew at each angle, as "
-    f"long as it clips less than {CLIPPED_LIMIT:.1%} of the pressed coat"
+    "facets of the undeformed coat, seen through the mirror, one pixel of each colour; exposure set anew at each "
+    f"angle, as long as it clips less than {CLIPPED_LIMIT:.1%} of the pressed coat"
 )
 
 

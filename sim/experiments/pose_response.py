@@ -4,8 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from data_schemas.design import FingerDesign
+from data_schemas.errors import SimulateError
 from data_schemas.simulate import PoseResponse
 from sim.experiments.painted_finger import PaintedFinger
 from sim.optics.render import Progress, RenderLevel, render_press
@@ -41,8 +43,8 @@ def pose_response(
         Called after each render.
     """
     derivatives, differences = [], []
-    for field, step_mm in POSE_STEPS_MM.items():
-        shapes = (shape_at(_moved(finger.design, field, -step_mm)), shape_at(_moved(finger.design, field, step_mm)))
+    for (_, step_mm), designs in zip(POSE_STEPS_MM.items(), moved_designs(finger.design), strict=True):
+        shapes = (shape_at(designs[0]), shape_at(designs[1]))
         render = render_press(
             finger.design, finger.paints, finger.renderer, level, seed, samples_per_pixel, progress, shapes,
             finger.calibration, contact_samples_per_pixel,
@@ -63,11 +65,30 @@ def pose_response(
     )
 
 
-def _moved(design: FingerDesign, field: str, step_mm: float) -> FingerDesign:
-    """Return a design whose indenter stands elsewhere."""
-    values = design.model_dump()
-    values["indenter"][field] += step_mm
-    return FingerDesign.model_validate(values)
+def moved_designs(design: FingerDesign) -> tuple[tuple[FingerDesign, FingerDesign], ...]:
+    """Return the design with its indenter a step before and after its place, for each part of the pose.
+
+    Raises
+    ------
+    SimulateError
+        A step leads out of the pad: the press is too shallow, or too near an end.
+    """
+    found = []
+    for field, step_mm in POSE_STEPS_MM.items():
+        pair = []
+        for sign in (-1.0, 1.0):
+            values = design.model_dump()
+            values["indenter"][field] += sign * step_mm
+            try:
+                pair.append(FingerDesign.model_validate(values))
+            except ValidationError:
+                raise SimulateError(
+                    f"the response to the pose moves indenter.{field} by {step_mm:g} mm to either side, and "
+                    f"{values['indenter'][field]:g} mm is not possible: press deeper, or farther from the end of the "
+                    "pad, or leave out --pose-response"
+                ) from None
+        found.append((pair[0], pair[1]))
+    return tuple(found)
 
 
 def _ordered(images: NDArray[np.float32], own: tuple[str, ...], chains: tuple[str, ...]) -> NDArray[np.float32]:

@@ -11,7 +11,7 @@ from data_schemas.fit import PaintCalibration
 from data_schemas.simulate import PoseResponse, RenderedLight, SimulatedPress
 from sim.experiments.known_inputs import known_inputs
 from sim.experiments.painted_finger import COLOURS, CameraResponse, PaintedFinger, coverage_notes
-from sim.experiments.pose_response import pose_response
+from sim.experiments.pose_response import moved_designs, pose_response
 from sim.optics.chain_images import chain_matrix
 from sim.optics.paint_bands import BAND_NAMES, PaintBands
 from sim.optics.render import PressRender, Progress, RenderLevel, render_press
@@ -65,6 +65,8 @@ def simulate_press(
         raise SimulateError(
             "the response to the pose is rendered for the analytic press only; leave it out, or leave the surfaces out"
         )
+    if with_pose_response:
+        moved_designs(finger.design)  # what cannot be moved is told before anything is rendered
     render = render_press(
         finger.design,
         finger.paints,

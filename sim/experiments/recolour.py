@@ -94,11 +94,10 @@ def recoloured(
 
 
 def _still_known(known: KnownInputs | None, other_paints: bool, other_camera: bool) -> KnownInputs | None:
-    """Return the inputs whose draws still hold; those of a changed paint or camera belong to the old one."""
-    if known is None:
+    """Return the inputs whose draws still hold: another camera sees a draw of a paint otherwise too."""
+    if known is None or other_camera:
         return None
-    changed = other_paints * ("red paint", "green paint") + other_camera * ("camera response",)
-    kept = [i for i, name in enumerate(known.names) if name not in changed]
+    kept = [i for i, name in enumerate(known.names) if not (other_paints and name.endswith("paint"))]
     if not kept:
         return None
     fields = {

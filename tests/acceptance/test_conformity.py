@@ -93,6 +93,12 @@ def test_a_wider_guard_band_moves_risk_from_the_consumer_to_the_producer():
     assert rounded == [(1.89, 3.7), (0.43, 11.5), (0.05, 24.8)]
 
 
+def test_guard_bands_that_overlap_accept_nothing():
+    found = global_risks_normal(0.5, 0.2, 0.1, ToleranceInterval(0, 1), 0.6)
+    assert found.consumer_share == 0.0
+    assert found.producer_share == pytest.approx(found.conforming_share)
+
+
 def test_a_measurement_without_error_has_no_risks_and_a_useless_one_has_its_closed_form():
     sharp = global_risks_normal(1500, 0.12, 1e-6, RESISTORS)
     assert max(sharp.consumer_share, sharp.producer_share) < 1e-5

@@ -9,7 +9,7 @@ from data_schemas.provenance import provenance
 from data_schemas.storage import write_record
 from rigs.presets import paint_plan, simulated_rig
 from rigs.toml_text import write_plan, write_rig
-from tests.command_line.records import capture_of, press, sweep
+from tests.command_line.records import capture_of, press, sweep, with_known_camera
 from tests.command_line.running import succeed
 
 FINGER = 'name = "small finger"\n[camera]\nwidth_px = 512\nheight_px = 384\n'
@@ -24,7 +24,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_plan(paint_plan("red", rig.camera), folder / "plan.toml")
     (folder / "finger.toml").write_text(FINGER)
     origin = provenance("pytest")
-    linear, encoded = press(), press("unknown")
+    linear, encoded = with_known_camera(press()), press("unknown")
     for name, record in {
         "press": linear,
         "black-press": press(level=0.0),

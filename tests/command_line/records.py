@@ -6,7 +6,7 @@ import numpy as np
 
 from data_schemas.capture import IndenterPose, TactileCapture
 from data_schemas.design import FingerDesign
-from data_schemas.simulate import LightAngleSweep, SimulatedPress
+from data_schemas.simulate import KnownInputs, LightAngleSweep, SimulatedPress
 
 BEST_DEG = 35.0
 Encoding = Literal["linear", "unknown"]
@@ -29,6 +29,29 @@ def press(encoding: Encoding = "linear", level: float = 1.0) -> SimulatedPress:
         variance=None,
         light_angle_deg=30.0,
         design=None,
+    )
+
+
+def with_known_camera(simulated: SimulatedPress) -> SimulatedPress:
+    """The press without noise, its camera's response known to 1 %: enough for an error of the objective."""
+    none = np.zeros_like(simulated.contact)
+    factors = 1 + 0.01 * np.random.default_rng(3).standard_normal((1, 1000, 3, 1))
+    return simulated.model_copy(
+        update={
+            "bands": ("red", "green", "blue"),
+            "contact_bands": simulated.contact,
+            "no_contact_bands": simulated.no_contact,
+            "contact_half_difference": none,
+            "no_contact_half_difference": none,
+            "layer_matrix": np.eye(3),
+            "known_inputs": KnownInputs(
+                names=("camera response",),
+                keys=("camera",),
+                evaluations=("B",),
+                sources=("stated",),
+                factors=(factors * np.ones((1, 1, 1, 3))).astype(np.float32),
+            ),
+        }
     )
 
 

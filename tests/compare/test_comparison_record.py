@@ -122,7 +122,7 @@ def test_a_paint_without_calibration_is_said_to_be_left_out(pair):
     )  # fmt: skip
     report = compare_press(press.model_copy(update={"known_inputs": camera_only}), capture, seed=1)
     for colour in ("red", "green"):
-        assert f"the {colour} paint, which has no calibration" in report.monte_carlo.not_included
+        assert f"the {colour} paint, of which the press holds no draws" in report.monte_carlo.not_included
 
 
 def test_without_known_inputs_intervals_come_from_parts():
@@ -135,9 +135,8 @@ def test_without_known_inputs_intervals_come_from_parts():
     assert report.headline_skill.estimate == pytest.approx(1.0, abs=1e-4)
     assert report.exposure_factor == pytest.approx(50.0, rel=1e-3)
     assert report.exposure_factor_sd is None
-    assert report.objective_error.error_rel.estimate == pytest.approx(0.0, abs=0.005)
-    # current is not known: only ratios within one capture mean something
-    assert report.objective_error.log_exposure_draws is None
+    assert report.objective_error is None
+    assert any("no input of strip has a known uncertainty" in line for line in report.withheld)
     assert "the render holds no halves: its noise stays in its errors" in report.notes
 
 
@@ -268,3 +267,14 @@ def test_without_a_ring_beside_the_contact_there_is_no_objective(pair):
     press, capture = pair
     with pytest.raises(CompareError, match=r"no usable pixel lies 1 to 1\.5 contact half-widths from the indenter"):
         compare_press(replaced(press, distance=0.2 * press.distance), capture, seed=1)
+
+
+def test_a_channel_that_contact_does_not_change_has_no_skill_of_its_own():
+    press = made_up_press()
+    contact = press.contact.copy()
+    contact[..., 0] = press.no_contact[..., 0]
+    untouched = press.model_copy(update={"contact": contact})
+    rows = rows_of(compare_press(untouched, capture_of(untouched, 50.0), seed=1))
+    for row in rows.values():
+        assert row.skill_per_channel[0] is None
+        assert row.skill_per_channel[1] is not None

@@ -116,6 +116,8 @@ def test_a_map_senses_its_own_encoding_only(captures):
     check_senses(record, captures[0])
     with pytest.raises(CompareError, match="holds unknown values, the normal map 'map' was taught by linear ones"):
         check_senses(record, captures[0].model_copy(update={"encoding": "unknown"}))
+    with pytest.raises(CompareError, match="slopes and depths would be wrong; fit the map"):
+        check_senses(record, captures[0].model_copy(update={"mm_per_px": 1.1 * MM_PER_PX}))
 
 
 def test_no_capture_is_too_few():

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from data_schemas.errors import CompareError
-from finray_calib.compare.regions import Region, clipped_pixels, disc, strip_from_distance, usable_pixels
+from finray_calib.compare.regions import Region, disc, strip_from_distance, usable_pixels
 from finray_calib.compare.tiles import MINIMUM_TILES, tile_indices, tile_side_px
 
 
@@ -61,13 +61,6 @@ def test_usable_pixels_drop_what_is_not_finite_and_refuse_wrong_shapes():
         usable_pixels(everywhere.T, image)
     with pytest.raises(CompareError, match=r"None of the 12 pixels of the region is usable"):
         usable_pixels(everywhere, np.full((3, 4, 1), np.nan))
-
-
-def test_clipping_in_any_channel_of_any_capture_counts():
-    first, second = np.zeros((2, 2, 3)), np.zeros((2, 2, 3))
-    first[0, 0, 2] = 255
-    second[1, 1, 0] = 256
-    assert clipped_pixels(255, first, second).tolist() == [[True, False], [False, True]]
 
 
 def test_tiles_partition_the_region():

@@ -153,7 +153,8 @@ def test_a_missing_pixel_takes_out_its_window_only():
 
 
 def test_a_press_is_moved_with_everything_in_it():
-    press = press_record(variance=4.0)
+    press = press_record()
+    press = press.model_copy(update={"variance": np.full_like(press.contact, 4.0)})
     shift = np.array([[1.0, 0.0, 3.0], [0.0, 1.0, 0.0]])
     moved = move_press(press, shift)
     assert moved.contact[20, 30] == pytest.approx(press.contact[20, 33], rel=1e-6)
@@ -208,6 +209,8 @@ def test_a_mismatch_is_refused_or_told():
         compare_checked(press, swapped, 1)
     report, _ = compare_checked(press, swapped, 1, CheckOptions(despite_mismatch=True))
     assert any(f.startswith("channel order: ") for f in report.findings)
+    assert report.forced_mismatch
+    assert not compare_checked(press, capture, 1, CheckOptions(despite_mismatch=True))[0].forced_mismatch
 
 
 def detailed_press():

@@ -218,6 +218,7 @@ def test_the_objective_comes_with_draws_that_reports_share(exposed):
     record = objective_error(comparison, inputs, EVERYWHERE, share, capture, np.random.default_rng(6))
     assert record.log_ratio_draws.shape == (STORED_DRAWS, 3)
     assert record.source == "response"
+    assert record.rig == CAPTURE.source
     # channels add up to three times the exposure's own mean: factors cancel but for the drift
     error = record.error_rel
     assert error.estimate == pytest.approx(0.2, abs=4.0 * 1.2 * 0.01 / np.sqrt(STORED_DRAWS) * 1.2533)

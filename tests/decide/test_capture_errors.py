@@ -17,17 +17,18 @@ from tests.command_line.records import sweep as sweep_record
 DRAWS = 500
 
 
-def objective_error(log_ratio, log_exposure=None, source="rig", sd=0.0, rng=None):
+def objective_error(log_ratio, log_exposure=None, source="paints", sd=0.0, rng=None, rig="rig 1"):
     noise = 0.0 if rng is None else sd * rng.standard_normal((DRAWS, 3))
     return ObjectiveError(
         error_rel=Interval(estimate=0.0, low95=-1.0, high95=1.0),
         log_ratio_draws=np.broadcast_to(log_ratio, (DRAWS, 3)) + noise,
         log_exposure_draws=None if log_exposure is None else np.full(DRAWS, float(log_exposure)),
         source=source,
+        rig=rig,
     )
 
 
-def report(captured, angle_deg, error, angle_sd_deg=1.0):
+def report(captured, angle_deg, error, angle_sd_deg=1.0, findings=(), forced_mismatch=False):
     """Only what a decision reads."""
     return PhotometricErrorReport.model_construct(
         captured=captured,
@@ -35,6 +36,8 @@ def report(captured, angle_deg, error, angle_sd_deg=1.0):
         light_angle_deg=angle_deg,
         light_angle_uncertainty_deg=angle_sd_deg,
         objective_error=error,
+        findings=findings,
+        forced_mismatch=forced_mismatch,
     )
 
 
@@ -64,7 +67,7 @@ def test_shares_are_those_of_the_sweep_at_the_angle_of_the_capture():
     # a sweep of an older version knows no shares; one beyond the sweep holds the last
     (equal, _) = capture_errors(sweep_record(), [report("a", 30.0, objective_error(ratio))])
     assert equal.log_error == pytest.approx([-np.log(np.exp(-ratio).mean())])
-    (beyond, _) = capture_errors(sweep, [report("a", 150.0, objective_error(ratio))])
+    (beyond, _) = capture_errors(sweep, [report("a", 123.0, objective_error(ratio))])
     assert beyond.log_error == pytest.approx([-np.log(np.array([0.6, 0.3, 0.1]) @ np.exp(-ratio))])
 
 
@@ -76,7 +79,8 @@ def test_two_angles_with_exposure_and_current_compare_absolute_ratios():
     assert found.scale_of.tolist() == [0, 0]
     assert notes == ()
     # one angle twice says nothing of the shape: relative to the no-contact images again
-    same, _ = capture_errors(sweep_record(), [reports[0], report("c", 10.5, objective_error(ratio, 4.1))])
+    same, notes = capture_errors(sweep_record(), [reports[0], report("c", 10.5, objective_error(ratio, 4.1))])
+    assert notes == ()
     assert same.scale_of is None
     assert same.log_error == pytest.approx([0.1, 0.1])
 
@@ -87,15 +91,54 @@ def test_captures_that_cannot_be_compared_with_the_others_are_left_out_and_named
         report("a", 10.0, objective_error(ratio, 4.0)),
         report("no current", 30.0, objective_error(ratio)),
         report("b", 60.0, objective_error(ratio, 4.0)),
-        report("other rig", 80.0, objective_error(ratio, 1.0, source="other")),
+        report("other rig", 80.0, objective_error(ratio, 1.0, rig="rig 2")),
     ]
     found, notes = capture_errors(sweep_record(), reports)
     assert found.names == ("a", "b")
     assert [note.split(" is left out")[0] for note in notes] == ["no current", "other rig"]
-    second = report("other rig, far", 30.0, objective_error(ratio, 1.0, source="other"))
+    second = report("other rig, far", 30.0, objective_error(ratio, 1.0, rig="rig 2"))
     found, _ = capture_errors(sweep_record(), [*reports, second])
     assert found.names == ("a", "b", "other rig", "other rig, far")
     assert found.scale_of.tolist() == [0, 0, 1, 1]
+
+
+@pytest.mark.parametrize("other", [{"rig": "rig 2"}, {"rig": None}, {"source": "other paints"}])
+def test_captures_without_a_common_rig_and_paints_share_no_scale(other):
+    """A rig that nobody named may be any: exposures of two rigs differ by their lenses, LEDs and gains."""
+    ratio = np.full(3, 0.1)
+    first = objective_error(ratio, 4.0, **(other if other.get("rig", "") is None else {}))
+    reports = [report("a", 10.0, first), report("b", 60.0, objective_error(ratio, 9.0, **other))]
+    found, notes = capture_errors(sweep_record(), reports)
+    assert found.scale_of is None
+    assert found.log_error == pytest.approx([0.1, 0.1])
+    (note,) = notes
+    assert "known at several angles but not compared: the reports do not name one rig" in note
+
+
+@pytest.mark.parametrize(("angle_deg", "kept"), [(-5.0, True), (-5.5, False), (125.0, True), (126.0, False)])
+def test_a_capture_outside_the_sweep_validates_nothing(angle_deg, kept):
+    found, notes = capture_errors(sweep_record(), [report("far", angle_deg, objective_error(np.zeros(3)))])
+    assert bool(found.names) is kept
+    if not kept:
+        assert found == NO_CAPTURES
+        assert notes == (
+            f"far is left out: its light stood at {angle_deg:g} deg, outside the sweep (0 to 120 deg), so the decision "
+            "is not validated by it",
+        )
+
+
+def test_what_the_checks_found_and_other_paints_are_told():
+    red, green = "ab" * 32, "cd" * 32
+    sweep = sweep_record().model_copy(update={"paints": {"red": red, "green": green}})
+    error = objective_error(np.zeros(3), source=f"{red}; camera")
+    stands = "no drift of the camera to speak of, by the images with contact: 0.1 px"
+    reports = [report("a", 30.0, error, 1.0, ("the camera has drifted: 4 px", stands)), report("b", 40.0, error)]
+    _, notes = capture_errors(sweep, reports)
+    assert notes == (
+        "a: the camera has drifted: 4 px",
+        f"the green paint of the sweep (SHA-256 {green}) is not named by the reports on a, b: their renders may have "
+        "another paint",
+    )
 
 
 def test_reports_of_one_source_share_their_draws():
@@ -130,7 +173,17 @@ def test_what_would_mislead_is_refused():
         capture_errors(sweep_record(), [good, report("b", 30.0, objective_error(np.zeros(3))), good])
     with pytest.raises(DecideError, match=r"b carries no brightness error, because its values are 'encoded values"):
         capture_errors(sweep_record(), [good, report("b", 30.0, None)])
+    unknown = report("b", 30.0, None).model_copy(update={"values": "linear light"})
+    with pytest.raises(
+        DecideError, match=r"b carries no brightness error, because the render holds no draws .*--paint"
+    ):
+        capture_errors(sweep_record(), [good, unknown])
     with pytest.raises(
         DecideError, match=r"b names no angle of the light, .* write light_angle_deg \(-180 to 180 deg\)"
     ):
         capture_errors(sweep_record(), [good, report("b", None, objective_error(np.zeros(3)))])
+    forced = report("b", 40.0, objective_error(np.zeros(3)), 1.0, ("channel order: as BGR",), forced_mismatch=True)
+    with pytest.raises(
+        DecideError, match=r"b was made despite a mismatch, .*\(channel order: as BGR\): mend the capture"
+    ):
+        capture_errors(sweep_record(), [good, forced])

@@ -69,9 +69,26 @@ def test_a_report_relative_to_the_no_contact_image_keeps_its_level():
     (only,) = decision.captures
     curve = np.interp(30.0, decision.grid_deg, decision.mean)
     assert only.value == pytest.approx(curve, rel=0.02)
+    # the table's error is what was compared, whatever the curve takes up of it
+    assert only.error_rel == pytest.approx(np.expm1(0.1), rel=0.01)
     assert "a capture at 30 deg included" in decision.sentence
     assert any("relative to the no-contact image" in note for note in decision.notes)
     assert any("older version without its channels" in note for note in decision.notes)
+
+
+def test_a_capture_beyond_the_sweep_does_not_validate():
+    decision = decide(sweep_record(), [capture(150.0, 0.1)], 1)
+    assert not decision.validated
+    assert "not validated against a capture" in decision.sentence
+    assert any("outside the sweep (0 to 120 deg)" in note for note in decision.notes)
+
+
+def test_an_optimum_at_the_end_of_the_sweep_is_stored():
+    assert not decide(sweep_record(), [], 1).at_range_end
+    cut = decide(sweep_record(last_deg=30.0), [], 1)
+    assert cut.at_range_end
+    assert cut.verdict == "undecided"
+    assert "next: render" not in cut.sentence
 
 
 def test_reports_that_mislead_are_refused():

@@ -70,7 +70,9 @@ def test_an_undecided_one_asks_for_a_render():
 
 def test_what_is_missing_is_said():
     risk = AngleRisk(0.4, 0.05, 0.999, ())
-    assert decision_sentence(decision(90.0, risk, "undecided", True), NONE, 0.02) == (
+    # a render inside a sweep that is too narrow is not asked for
+    next_render = Proposal(85.0, 0.01, 0.02)
+    assert decision_sentence(decision(90.0, risk, "undecided", True), NONE, 0.02, next_render) == (
         "90 deg: true optimum within 5 deg with probability 0.40; expected loss 5 %, at most 100 % with 95 % "
         "probability; no angle is within 2 % of the best with 95 % probability; the best angle is at the end of the "
         "sweep, so the optimum may lie outside it: widen the sweep; not validated against a capture."

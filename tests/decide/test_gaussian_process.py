@@ -87,3 +87,16 @@ def test_draws_have_the_covariance_asked_for_even_if_it_is_singular():
     assert draws[:, 1] == pytest.approx(2 * draws[:, 0], abs=1e-6)
     # Standard error of a variance from 20 000 draws is 1 %; five of them.
     assert np.cov(draws.T) == pytest.approx(rank_one, rel=0.05)
+
+
+def test_draws_do_not_depend_on_the_signs_of_the_eigenvectors(monkeypatch):
+    """LAPACK libraries return either sign; odd eigenvectors of an even kernel have two largest components."""
+    covariance = Matern52(35.0, 0.5).covariance(GRID, GRID)
+    plain = draw_normal(covariance, 5, np.random.default_rng(1))
+    eigenvalues, vectors = np.linalg.eigh(covariance)
+    rng = np.random.default_rng(2)
+    for _ in range(3):
+        signs = rng.choice([-1.0, 1.0], len(GRID))
+        rounding = 1 + 1e-12 * rng.standard_normal(vectors.shape)
+        monkeypatch.setattr(np.linalg, "eigh", lambda _, v=vectors * rounding * signs: (eigenvalues, v))
+        assert draw_normal(covariance, 5, np.random.default_rng(1)) == pytest.approx(plain, abs=1e-9)

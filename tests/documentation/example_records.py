@@ -686,7 +686,7 @@ def example_decision(verdict: str, validated: bool = True) -> LightAngleDecision
         DecidingCapture(
             captured="cylinder press, simulated twin",
             light_angle_deg=30.0,
-            light_angle_uncertainty_deg=0.5,
+            light_angle_uncertainty_deg=0.52,
             error_rel=0.018,
             error_u_rel=0.006,
             value=0.98,

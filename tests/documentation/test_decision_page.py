@@ -16,6 +16,7 @@ from finray_calib.reports.decide_figures import angle_figure
 from finray_calib.reports.decision_page import decision_page, write_decision_page
 from finray_calib.reports.mounting_figure import mounting_figure
 from finray_calib.reports.other_objectives_figure import other_objectives_figure
+from finray_calib.reports.statements import verdict_meaning
 from tests.command_line.running import finray, succeed
 
 SWEEP = example_results().sweep
@@ -65,13 +66,37 @@ def test_a_designer_finds_angle_tolerance_and_risk_before_anything_else(html):
         ("decided", "Mount the light at 32 deg", "only angles nearby do as well"),
         ("tie", "Several angles do equally well; take 32 deg if nothing speaks against it", "easiest to build"),
         ("undecided", "Not decided yet; 32 deg is the best guess so far", "More angles or more repeats would help"),
-        ("model-limited", "32 deg by the simulation, which is not good enough to decide", "More renders will not help"),
+        (
+            "model-limited",
+            "32 deg is the best guess; the simulation is not good enough to decide",
+            "More renders will not help",
+        ),
     ],
 )
 def test_every_verdict_says_what_to_do(verdict, title, meaning):
     text = plain(page_of(example_decision(verdict)))
     assert title in text
     assert meaning in text
+
+
+def test_what_the_renders_alone_say_is_said_of_their_own_angle():
+    """Captures have moved the angle from 50 to 32 deg."""
+    moved = {"angle_simulation_only_deg": 50.0}
+    limited = verdict_meaning(example_decision("model-limited").model_copy(update=moved))
+    assert limited.startswith("By the renders alone 50 deg loses at most 0.4 %; ")
+    assert "32 deg is the best guess and may lose 1.4 %" in limited
+    undecided = verdict_meaning(example_decision("undecided").model_copy(update=moved))
+    assert "50 deg is their best guess so far, and may lose 0.4 %. With captures the best guess is 32 deg." in undecided
+    assert "With captures" not in verdict_meaning(ALONE)
+
+
+def test_at_the_end_of_the_sweep_nothing_is_promised():
+    html = page_of(example_decision("undecided").model_copy(update={"at_range_end": True}))
+    text = plain(html)
+    assert "The optimum may lie outside the sweep: widen it." in text
+    assert "Next: simulate a sweep that goes beyond 32 deg, and decide again." in text
+    for absent in ("On the drawing", "Risk:", "Mounting tolerance", "Next render", "More angles or more repeats"):
+        assert absent not in text
 
 
 def test_without_a_capture_it_is_said_at_once():
@@ -106,7 +131,7 @@ def test_no_tolerance_is_promised_where_none_is_known():
 
 def test_captures_and_proposals_are_listed(html):
     text = plain(html)
-    assert "cylinder press, simulated twin 30 \u00b1 0.5 deg +1.8 % 0.6 %" in text
+    assert "cylinder press, simulated twin 30 \u00b1 0.52 deg +1.8 % 0.6 %" in text
     assert "Next render: at 28 deg. It may move the chosen angle; expected gain on average: below 0.1 %" in text
     assert "Next capture: at 35 deg." in text
     assert "may be off by 1.8 % (95 %: 0.6 % to 6 %)" in text

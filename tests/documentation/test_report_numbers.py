@@ -142,8 +142,12 @@ def test_lines_break_neither_between_number_and_unit_nor_inside_an_interval() ->
     [
         ("decided", "stays within 2 % with 95 % probability, and only angles nearby do as well (25 to 39 deg)"),
         ("tie", "Any of these angles will do: 25 to 39 deg"),
-        ("undecided", "may lose 0.4 %. More angles or more repeats would help"),
-        ("model-limited", "loses at most 0.4 %; with the difference between simulation and capture it may lose 1.4 %"),
+        ("undecided", "may lose 0.4 %. With captures the best guess is 32 deg. More angles or more repeats would help"),
+        (
+            "model-limited",
+            "By the renders alone 32 deg loses at most 0.4 %; with the difference between simulation and capture 32 deg is "
+            "the best guess and may lose 1.4 %",
+        ),
     ],
 )
 def test_each_verdict_says_what_to_do(verdict: str, meaning: str) -> None:

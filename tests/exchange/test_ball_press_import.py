@@ -258,6 +258,7 @@ def test_an_image_that_is_none_is_refused(tmp_path):
         read_ball_presses(folder, MM_PER_PX, BALL_DIAMETER_MM)
 
 
+@pytest.mark.rigs
 @pytest.mark.timeout(120)
 def test_real_presses_of_a_gelsight_teach_a_map(tmp_path):
     """The 48 presses that Taxim's port ships (MIT): the score on unseen ones that the how-to states."""

@@ -92,6 +92,7 @@ def test_files_are_those_of_the_format_and_the_same_again(folder, presses):
         assert (folder / name).read_bytes() == content
 
 
+@pytest.mark.rigs
 @pytest.mark.timeout(2 * PORT_WITHIN_S)
 def test_the_published_port_renders_our_sensor(folder, presses, tmp_path):
     python = others_python("taxim[jax-cpu]")

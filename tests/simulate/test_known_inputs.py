@@ -148,3 +148,13 @@ def test_unphysical_draws_are_left_out_and_too_many_refused(finger):
         SimulateError, match=r"more than half the posterior draws of red acrylic return more light .* white"
     ):
         known_inputs(finger, {"red": fit.model_copy(update={"emission_draws_per_nm": most})}, SHA, CHAINS, 100)
+
+
+def test_a_channel_that_is_blind_to_a_band_stays_so(finger):
+    red, green, blue = assumed_camera_response()
+    cut = red.model_copy(update={"values": np.where(red.wavelength_nm < 520.0, 0.0, red.values)})
+    camera = replace(finger, response=(cut, green, blue))
+    found = known_inputs(camera, {"red": calibration(finger.paints["red"])}, SHA, CHAINS, draws=20)
+    assert camera.camera_matrix(paint_bands(**finger.paints, light=DESIGN.light))[0, BAND_NAMES.index("led")] == 0.0
+    assert np.isfinite(found.factors).all()
+    assert (found.factors[0, :, 0, CHAINS.index("led")] == 1.0).all()

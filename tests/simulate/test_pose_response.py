@@ -1,5 +1,6 @@
 """Derivatives of the contact image by the indenter's pose, against images of closed form and against renders."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -72,6 +73,15 @@ def test_derivatives_are_central_differences(finger, calls):
         np.testing.assert_allclose(found.half_difference[1, ..., channel], -0.05, atol=tolerance)
     # a chain that these renders did not keep is dark
     assert (found.derivative[..., 1] == 0.0).all()
+
+
+@pytest.mark.parametrize(("field", "value_mm"), [("depth_mm", 0.05), ("position_mm", 0.1)])
+def test_a_step_out_of_the_pad_is_refused_before_anything_is_rendered(finger, calls, field, value_mm):
+    indenter = finger.design.indenter.model_copy(update={field: value_mm})
+    near = replace(finger, design=finger.design.model_copy(update={"indenter": indenter}))
+    with pytest.raises(SimulateError, match=rf"moves indenter\.{field} by .* mm is not possible: press deeper, or"):
+        simulate_press(near, "b", 1, 2, {}, with_pose_response=True)
+    assert not calls
 
 
 def test_given_shapes_have_no_response(finger):
