@@ -145,8 +145,8 @@ def test_lines_break_neither_between_number_and_unit_nor_inside_an_interval() ->
         ("undecided", "may lose 0.4 %. With captures the best guess is 32 deg. More angles or more repeats would help"),
         (
             "model-limited",
-            "By the renders alone 32 deg loses at most 0.4 %; with the difference between simulation and capture 32 deg is "
-            "the best guess and may lose 1.4 %",
+            "By the renders alone 32 deg loses at most 0.4 %; with the difference between simulation and capture "
+            "32 deg is the best guess and may lose 1.4 %",
         ),
     ],
 )
