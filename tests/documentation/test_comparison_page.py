@@ -285,7 +285,7 @@ def test_the_embedded_json_holds_every_number_but_draws_and_maps(html):
     report = numbers["photometric_error"]
     assert report["headline_skill"]["estimate"] == REPORT.headline_skill.estimate
     assert len(report["validation"]) == 27
-    assert set(report["objective_error"]) == {"error_rel", "source"}
+    assert set(report["objective_error"]) == {"error_rel", "rig", "source"}
     assert "error_map" not in report
 
 
