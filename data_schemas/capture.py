@@ -194,6 +194,9 @@ class TactileCapture(Record):
     contact_circle: ContactCircle | None
     mm_per_px: LengthMm | None
     source: str
+    rig: str | None = Field(
+        default=None, description="whose name it is: captures of one rig at different angles may be compared absolutely"
+    )
     light_angle_uncertainty_deg: UncertaintyDeg | None = Field(default=None, description="standard uncertainty")
     led_current_ma: CurrentMa | None = Field(default=None, description="of the blue LED panel")
     exposure_bracket_s: tuple[ExposureS, ...] = Field(

@@ -116,5 +116,5 @@ def objective_error(
         log_ratio_draws=draws.log_ratio,
         log_exposure_draws=log_exposure,
         source="; ".join(known.keys) if known is not None else "no input with a known uncertainty",
-        rig=capture.source or None,
+        rig=capture.rig,
     )
