@@ -36,8 +36,8 @@ def compare_folders(arguments: argparse.Namespace) -> None:
 
     out = require_new(arguments.out or Path("photometric-errors"))
     pairs, notes = _pairs(arguments)
-    out.mkdir(parents=True)
     normal_map = None if arguments.normal_map is None else read_record(arguments.normal_map, NormalMapRecord)
+    out.mkdir(parents=True)
     options = CheckOptions(arguments.register, arguments.despite_mismatch, normal_map)
     compared = []
     with progress_bar("compare") as progress:

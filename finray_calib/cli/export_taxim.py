@@ -83,6 +83,7 @@ def run(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import write_bytes
     from finray_calib.cli.export_deck import refuse_options as refuse_deck
     from finray_calib.exchange.taxim_export import taxim_files
+    from finray_calib.exchange.taxim_table import FEWEST_PRESSES
 
     refuse_deck(arguments)
     for name in ("format", "led", "camera_response"):
@@ -90,6 +91,11 @@ def run(arguments: argparse.Namespace) -> None:
             raise RecordError(f"--{name.replace('_', '-')} belongs to a paint; leave it out for a Taxim folder")
     if len(arguments.paint) != 2:  # the word and the file
         raise RecordError("a Taxim folder needs one sensor or finger: finray export taxim SENSOR.toml")
+    if arguments.presses is not None and arguments.presses < FEWEST_PRESSES:  # found before anything is rendered
+        raise RecordError(
+            f"--presses {arguments.presses}: a shading table needs at least {FEWEST_PRESSES} presses; ask for more, or "
+            f"leave it out for {PRESSES}"
+        )
     default = Path(f"{file_name(arguments.paint[1].stem)}.taxim")
     out = require_new(arguments.out or default)
     with progress_bar("rendering") as progress:

@@ -131,13 +131,19 @@ def _rows(path: Path, needed: tuple[str, ...]) -> list[tuple[int, dict[str, str]
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise ImportFormatError(f"{path}: cannot be read as text ({error})") from None
-    reader = csv.DictReader(io.StringIO(text), skipinitialspace=True, restval="")
-    missing = [name for name in needed if name not in (reader.fieldnames or ())]
+    reader = csv.DictReader(io.StringIO(text), skipinitialspace=True, restval="", strict=True)
+    try:
+        columns, rows = reader.fieldnames or (), [(reader.line_num, row) for row in reader if any(row.values())]
+    except csv.Error as error:
+        raise ImportFormatError(
+            f"{path}, line {reader.line_num + 1}: cannot be read as CSV ({error}); close or remove its quotes"
+        ) from None
+    missing = [name for name in needed if name not in columns]
     if missing:
         raise ImportFormatError(
             f"{path}: the first line must name the columns {', '.join(needed)}; {', '.join(missing)} is missing"
         )
-    return [(reader.line_num, row) for row in reader if any(row.values())]
+    return rows
 
 
 def _inside(name: str, path: Path, line: int) -> PurePosixPath:

@@ -1,5 +1,6 @@
 """Tell a lab exactly which captures to take: a page for people, and tactile plans for 'finray capture'."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -63,8 +64,8 @@ def capture_request(
     Raises
     ------
     RecordError
-        When the design's indenter is none that a tactile plan knows, it does not press, or the pad is too small for a
-        ball.
+        When the design's indenter is none that a tactile plan knows, it does not press, the pad is too small for a
+        ball, or two angles would share a plan.
     """
     indenter = design.indenter
     if indenter.shape not in ("cylinder", "ball") or indenter.depth_mm <= 0.0:
@@ -77,6 +78,11 @@ def capture_request(
     presses = [_Press(share * indenter.depth_mm, indenter.position_mm) for share in _PRESS_DEPTHS_REL]
     for angle in sorted({*angles_deg, design.light.angle_deg}):
         name = f"{stem}.angle-{angle:g}.toml"
+        if name in plans:
+            raise RecordError(
+                f"panel angle of {float(angle)!r} deg: the plan of another angle is named {name} too; round the "
+                "angles, and light.angle_deg of the design, to six digits"
+            )
         plans[name] = _plan(design, design_file, indenter.shape, indenter.radius_mm, presses, angle, board=False)
     return CaptureRequest(_page(design, ball_mm, ball, presses, plans), plans)
 
@@ -119,7 +125,9 @@ def _plan(
     angle_deg: float,
     board: bool,
 ) -> str:
-    """Return a tactile plan as TOML."""
+    """Return a tactile plan as TOML; that with the board teaches a normal map, which needs the scale too."""
+    scale_mm = design.pad.length_mm / design.camera.width_px
+    scale = f"mm_per_px = {_float(scale_mm)}               # MEASURE: side of a raw pixel on the pad\n" if board else ""
     name = f"{design.name}, {shape}, panel at {angle_deg:g} deg"
     head = f"""\
 # Written by finray. Lines with MEASURE hold what is planned: put in what you measured.
@@ -132,7 +140,7 @@ repeats = {_REPEATS}                      # of each press, the indenter taken aw
 led_current_ma = {_LED_CURRENT_MA:.1f}            # MEASURE
 light_angle_deg = {_float(angle_deg)}           # MEASURE: the panel's normal from the pad plane
 light_angle_uncertainty_deg = {_ANGLE_U_DEG}  # MEASURE: standard uncertainty
-
+{scale}
 [indenter]
 shape = "{shape}"
 radius_mm = {_float(radius_mm)}
@@ -165,7 +173,8 @@ def _page(
     """Return the page for people."""
     ball_plan, *angle_plans = plans
     rows = "\n".join(
-        f"| {k} | {p.position_mm:.1f} | {p.across_mm:+.1f} | {p.depth_mm:.2f} |" for k, p in enumerate(ball, start=1)
+        f"| {k} | {_files(k)} | {p.position_mm:.1f} | {p.across_mm:+.1f} | {p.depth_mm:.2f} |"
+        for k, p in enumerate(ball, start=1)
     )
     depths = ", ".join(f"{p.depth_mm:.2f}" for p in presses)
     pad, indenter = design.pad, design.indenter
@@ -195,13 +204,15 @@ Around each press: {_NO_CONTACT_IMAGES} images of no contact before it and {_NO_
 2^{_BRACKET_POWERS[1]} us that the camera allows (16 us to 4.2 s).
 
 1. The camera's geometry: {_BOARD_IMAGES} images of a ChArUco board of 7 x 5 squares, flat and where the pad is, in
-   many places and tilts. Measure a square with a calliper over all seven.
+   many places and tilts. Measure a square with a calliper over all seven. Before the session, lay the board on the
+   pad and take a picture: the side of a square in mm, over its length in raw pixels, is `mm_per_px` of the ball plan;
+   without it no map can be fitted.
 2. {len(ball)} presses of a ball of {ball_mm:g} mm radius ({2 * ball_mm:g} mm diameter), panel at
    {design.light.angle_deg:g} deg; at least {MINIMUM_PRESSES} are needed, spread over pad and depth as here
    (`{ball_plan}`):
 
-| press | along, mm | across, mm | depth, mm |
-|---|---|---|---|
+| press | files | along, mm | across, mm | depth, mm |
+|---|---|---|---|---|
 {rows}
 
 3. The {indenter.shape} of {indenter.radius_mm:g} mm radius at {indenter.position_mm:g} mm along the pad, on the middle
@@ -222,8 +233,9 @@ plans, correct the lines marked MEASURE:
 {listed}
 
 Check a plan first with `--dry-run`: it says how many frames and how much disk. Send the session folders whole:
-`session.json`, `journal`, `frames/` and `press-*.json`. For the ball add `circles.csv`, with a line for each press:
-its contact circle, drawn by hand on the picture.
+`session.json`, `journal`, `frames/` and `press-*.json`, one for each contact. For the ball add `circles.csv`, with a
+line for each file (press 1 is {_files(1)}), all {_REPEATS * len(ball)} of them: its contact circle in raw pixels, drawn
+by hand on the picture.
 
     image,column_px,row_px,radius_px
     press-001.json,412.5,300.0,61.0
@@ -239,9 +251,14 @@ def _angles(names: Sequence[str]) -> str:
     return ", ".join(name.rsplit("angle-", 1)[1].removesuffix(".toml") for name in names)
 
 
+def _files(press: int) -> str:
+    """Return the first and the last file of a press (from 1): the session counts contacts, repeats among them."""
+    return f"press-{_REPEATS * (press - 1) + 1:03d} to press-{_REPEATS * press:03d}"
+
+
 def _text(text: str) -> str:
     """Return a TOML string."""
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return json.dumps(text, ensure_ascii=False)
 
 
 def _float(value: float) -> str:

@@ -1,6 +1,5 @@
 """Read the arrays of a foreign npz file, but never a pickled object: that would run a stranger's code."""
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,14 +11,19 @@ from data_schemas.errors import ImportFormatError
 
 Arrays = dict[str, NDArray[Any]]
 
+# numpy tells a pickled array from a damaged one by words alone
+_PICKLED = "allow_pickle=False"
+
 
 def read_npz(path: Path) -> tuple[Arrays, tuple[str, ...]]:
     """Return the arrays of an npz file by name, and the names of its pickled ones, which are left out.
 
+    What else lies in the file, such as a text, is left out too.
+
     Raises
     ------
     ImportFormatError
-        When the file is missing or is no npz file.
+        When the file is missing, damaged or no npz file.
     """
     if not path.is_file():
         raise ImportFormatError(f"{path}: no such file; the folder must hold it")
@@ -30,11 +34,18 @@ def read_npz(path: Path) -> tuple[Arrays, tuple[str, ...]]:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             for name in file.files:
                 try:
-                    arrays[name] = file[name]
-                except ValueError:
+                    array = file[name]
+                except ValueError as error:
+                    if _PICKLED not in str(error):
+                        raise
                     pickled.append(name)
-    except (OSError, EOFError, ValueError, TypeError, AttributeError, zipfile.BadZipFile) as error:
-        raise ImportFormatError(f"{path}: cannot be read as npz ({error}); copy it again") from None
+                    continue
+                if isinstance(array, np.ndarray):
+                    arrays[name] = array
+    except Exception as error:  # of a damaged file numpy and zipfile raise nearly anything
+        raise ImportFormatError(
+            f"{path}: cannot be read as npz ({error}); copy it again, or have its owner save it again (numpy.savez)"
+        ) from None
     return arrays, tuple(pickled)
 
 
@@ -54,7 +65,7 @@ def require_array(
             "plain array (numpy.savez with equal shapes)"
         )
     if name not in arrays:
-        raise ImportFormatError(f"{path}: {name!r} is missing; it holds {', '.join(sorted(arrays)) or 'nothing'}")
+        raise ImportFormatError(f"{path}: array {name!r} is missing; it holds {', '.join(sorted(arrays)) or 'nothing'}")
     array = arrays[name]
     if array.dtype.kind not in "uif" or array.ndim != dims or not np.isfinite(array).all():
         raise ImportFormatError(

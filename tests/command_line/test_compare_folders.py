@@ -91,6 +91,7 @@ def test_nothing_compared_is_an_error_that_says_where_to_look(folders: Path) -> 
         ("--pairs {0}/pairs.csv", "row 1: needs a file in each of the columns simulated, captured"),
         ("--pairs {0}/none.csv", "none.csv: No such file or directory; check the path"),
         ("--pairs {0}/bytes.csv", "bytes.csv: not a CSV file in UTF-8"),
+        ("{0}/simulated {0}/captured --normal-map {0}/none.json", "none.json: no such file"),
         ("{0}/captured {0}/simulated", "no press has a capture of its name (0 presses, 0 captures)"),
     ],
 )

@@ -1,7 +1,9 @@
 """Taxim and gs_sdk folders become captures; nothing pickled is ever loaded; wrong folders are refused."""
 
+import io
 import json
 import subprocess
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +119,72 @@ def test_npz_that_are_none(tmp_path):
         require_array({}, (), "a", 1, tmp_path / "x.npz")
 
 
+def npy(array):
+    """The bytes of an npy file."""
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
+
+
+def npy_header(shape):
+    """An npy file of numbers that ends after its header."""
+    file = io.BytesIO()
+    np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    return file.getvalue()
+
+
+def write_member(path, content):
+    """An npz file whose 'a' holds these bytes, beside a text and an array in order."""
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("a.npy", content)
+        file.writestr("b.npy", npy(np.ones(3)))
+        file.writestr("readme.txt", "hello")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (npy(np.ones(10))[:-20], "cannot be read as npz .*; copy it again, or have its owner save it again"),
+        (npy_header((10**15,)), "cannot be read as npz .*Unable to allocate"),
+        (npy_header((10**30,)), "cannot be read as npz .*too large"),
+        (npy_header((-5,)), "cannot be read as npz .*negative dimensions"),
+        (b"\x93NUMPY\x01\x00\x05\x00(((((", "cannot be read as npz"),
+    ],
+)
+def test_damaged_arrays_are_refused_by_name_and_never_called_pickled(tmp_path, content, message):
+    write_member(tmp_path / "x.npz", content)
+    with pytest.raises(ImportFormatError, match=rf"x\.npz: {message}"):
+        read_npz(tmp_path / "x.npz")
+
+
+def test_every_damaged_byte_of_a_compressed_npz_is_refused_or_harmless(tmp_path):
+    path = tmp_path / "x.npz"
+    values = np.random.default_rng(1).normal(size=100)
+    np.savez_compressed(path, a=values)
+    content, refused = path.read_bytes(), 0
+    for place in range(len(content)):
+        path.write_bytes(content[:place] + bytes([content[place] ^ 0xFF]) + content[place + 1 :])
+        try:
+            arrays, pickled = read_npz(path)
+        except ImportFormatError as error:
+            assert str(error).startswith(f"{path}: cannot be read as npz")  # noqa: PT017
+            refused += 1
+        else:  # a date, a comment or the member's name
+            assert pickled == ()
+            assert all(np.array_equal(array, values) for array in arrays.values())
+    assert refused > 0.8 * len(content)  # the compressed array is 899 of the 1027 bytes
+
+
+def test_members_that_are_no_arrays_are_left_out(tmp_path):
+    write_member(tmp_path / "x.npz", b"hello")
+    arrays, pickled = read_npz(tmp_path / "x.npz")
+    assert (list(arrays), pickled) == (["b"], ())
+    with pytest.raises(ImportFormatError, match=r"x\.npz: array 'a' is missing; it holds b"):
+        require_array(arrays, pickled, "a", 1, tmp_path / "x.npz")
+    write_member(tmp_path / "x.npz", npy(np.array([None])))
+    assert read_npz(tmp_path / "x.npz")[1] == ("a",)
+
+
 def test_a_gs_sdk_folder_without_all_labels(tmp_path):
     found = read_ball_presses(write_catalog(tmp_path / "g", 3, labelled=2), MM_PER_PX)
     assert [c.name for c in found.captures] == ["4.000mm/0", "4.000mm/1"]
@@ -146,6 +214,12 @@ def test_plain_images_with_circles(tmp_path):
         ("catalog.csv", "experiment_reldir\nC:\\x\n", "must be a path within the folder"),
         ("catalog.csv", "experiment_reldir\nnone\n", "no labelled press in it"),
         ("catalog.csv", b"\xff\xfe\x00", "cannot be read as text"),
+        (
+            "catalog.csv",
+            'experiment_reldir\n"4.000mm/0\n',
+            r"catalog\.csv, line 2: cannot be read as CSV \(unexpected end",
+        ),
+        ("catalog.csv", '"experiment_reldir\n4.000mm/0\n', r"catalog\.csv, line 1: .* close or remove its quotes"),
         ("catalog.csv", "experiment_reldir,diameter(mm)\n4.000mm/0,four\n", "line 2: .* must be a number of mm"),
         ("catalog.csv", "experiment_reldir,diameter(mm)\n4.000mm/0,0\n", "0 mm must be above 0"),
         ("4.000mm/0/gelsight.png", b"", "expected an 8-bit colour image .* got an unreadable file"),
@@ -188,6 +262,8 @@ def test_what_is_missing_or_disagrees_is_refused(tmp_path):
         ("a.png,1,2", "radius_px must be a number, got ''"),
         ("a.png,1,2,0", "line 2: radius_px = 0 must be above 0"),
         ("a.png,1,2,3\na.png,1,2,3", "line 3: a.png has a circle already"),
+        ('a.png,1,2,3\n"b.png,1,2,3', "line 3: cannot be read as CSV"),
+        ("a" * 140_000 + ",1,2,3", r"line 2: cannot be read as CSV \(field larger than field limit"),
     ],
 )
 def test_wrong_circles_are_refused(tmp_path, line, message):

@@ -1,15 +1,24 @@
 """Capture requests: plans that 'finray capture' accepts, presses that fit the pad, a page that names them all."""
 
+import re
+import sys
+
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign, GelPad, Indenter
+from data_schemas.capture import TactileCapture
+from data_schemas.design import FingerDesign, GelPad, Indenter, LightPanel
 from data_schemas.errors import RecordError
-from data_schemas.storage import read_toml
+from data_schemas.storage import read_record, read_toml
 from data_schemas.tactile import TactilePlan
 from finray_calib.compare.normal_map_fit import MINIMUM_PRESSES
+from finray_calib.compare.normal_map_record import calibration_press
+from finray_calib.exchange.ball_press_folder import read_circles
 from finray_calib.exchange.capture_request import ANGLES_DEG, capture_request
 from sim.design_toml import design_toml
+from tests.capture.drivers import picamera2_stand_in
+from tests.capture.finger_session import RIG as SMALL_RIG
+from tests.capture.finger_session import capture, plan_of, pressing, rig_of
 from tests.command_line.running import finray, succeed
 
 RIG = """\
@@ -75,12 +84,47 @@ def test_plans_hold_what_the_design_needs(tmp_path):
         assert needed.lower() in request.page.lower()
 
 
-def test_names_with_quotes_stay_toml(tmp_path):
-    request = capture_request(FingerDesign(name='finger "3" \\ a'), 'my "f".toml', "r")
-    (tmp_path / "p.toml").write_text(request.plans["r.ball.toml"])
-    plan = read_toml(tmp_path / "p.toml", TactilePlan)
-    assert plan.name.startswith('finger "3" \\ a')
-    assert plan.design == 'my "f".toml'
+def test_captures_of_the_ball_plan_teach_a_normal_map(tmp_path, monkeypatch):
+    """The first two presses, at the exposures of a quick camera, with the circles that the page asks for."""
+    monkeypatch.setitem(sys.modules, "picamera2", picamera2_stand_in.module())
+    request = capture_request(FingerDesign(), "f.toml", "r")
+    plan = plan_of(tmp_path, request.plans["r.ball.toml"])
+    rows = {int(k): files for k, files in re.findall(r"^\| (\d+) \| (press-\d+ to press-\d+) \|", request.page, re.M)}
+    assert list(rows) == list(range(1, len(plan.presses) + 1))
+    assert "(press 1 is press-001 to press-003), all 54 of them" in request.page
+    circles = re.search(r"^    image,.*\n    press-001\.json,.*$", request.page, re.M)
+    assert circles is not None
+    (tmp_path / "circles.csv").write_text(circles[0])
+    circle = read_circles(tmp_path / "circles.csv")["press-001.json"]
+
+    plan = plan.model_copy(update={"presses": plan.presses[:2], "board": None})
+    rig = rig_of(tmp_path, SMALL_RIG + "shortest_exposure_s = 1e-2\nlongest_exposure_s = 0.02\n")
+    session = capture(tmp_path, plan, rig, pressing(picamera2_stand_in.Picamera2.sensor))
+    for k, press in enumerate(plan.presses, start=1):
+        first, last = (int(n) for n in re.findall(r"\d+", rows[k]))
+        for file in session.captures[first - 1 : last]:
+            stored = read_record(tmp_path / "out" / file, TactileCapture)
+            assert stored.indenter.depth_mm == press.depth_mm
+            lesson = calibration_press(stored.model_copy(update={"contact_circle": circle}))
+            # 70 mm of pad on the 640 px of the design's camera, two raw pixels to a Bayer cell
+            assert lesson.ball_radius_px == pytest.approx(plan.indenter.radius_mm / (70.0 / 640.0) / 2.0, rel=1e-3)
+    assert session.captures == tuple(f"press-{n:03d}.json" for n in range(1, 7))
+
+
+@pytest.mark.parametrize("name", ['finger "3" \\ a', "two\nlines\r\tand \x01", "Finger für Lötstellen 指"])
+def test_names_of_any_text_stay_toml(tmp_path, name):
+    request = capture_request(FingerDesign(name=name), 'my "f".toml', "r")
+    for text in request.plans.values():
+        (tmp_path / "p.toml").write_text(text, encoding="utf-8", newline="")
+        plan = read_toml(tmp_path / "p.toml", TactilePlan)
+        assert plan.name.startswith(f"{name}, ")
+        assert plan.design == 'my "f".toml'
+
+
+def test_angles_that_would_share_a_plan_are_refused():
+    design = FingerDesign(light=LightPanel(angle_deg=30.00000001))
+    with pytest.raises(RecordError, match=r"panel angle of 30\.00000001 deg: .* named r\.angle-30\.toml too; round"):
+        capture_request(design, "f.toml", "r")
 
 
 @pytest.mark.parametrize(

@@ -174,6 +174,8 @@ def test_with_paints_a_finger_is_rendered(presses, tmp_path, monkeypatch):
         ("taxim s.toml --format csv", "--format belongs to a paint"),
         ("taxim s.toml --dialect abaqus", "--dialect: belongs to a deck"),
         ("taxim s.toml --presses 0", "must be a whole number from 1"),
+        # refused before the sensor is read, let alone rendered
+        ("taxim none.toml --presses 23", "--presses 23: a shading table needs at least 24 presses"),
         ("taxim s.toml --ball-diameter-mm x", "must be a number of mm above 0"),
         ("taxim none.toml", "none.toml: no such file"),
         ("x.json --format csv --presses 9", "--presses: belongs to a Taxim folder"),
