@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from sim.optics.curved_refraction import GelFace
 from sim.optics.fluorescent_paths import fluorescent_integrator, painted_bsdfs
-from sim.optics.paths import BandPaths, Panel
+from sim.optics.panel_light import Panel
+from sim.optics.paths import BandPaths
 from sim.optics.scene import MAX_DEPTH, ROULETTE_DEPTH
 
 

@@ -1,11 +1,11 @@
-"""Band path tracer with refractive next-event estimation through the gel's smooth curved inner face.
+"""Band path tracer: panels connected through the gel's smooth curved inner face, and found by the mirror.
 
 Import this module only after a compiled variant has been set (see :mod:`sim.optics.variants`): integrators written in
 Python do not run in scalar variants, which use Mitsuba's own ``path`` instead.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -13,15 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
-from sim.optics.curved_refraction import (
-    GelFace,
-    curved_irradiance,
-    film_transmittance,
-    inner_face,
-    refract_through,
-)
-from sim.optics.panel_frame import PanelFrame, panel_frame
-from sim.optics.scene import MAX_DEPTH, PANEL_RADIANCE_REL, ROULETTE_DEPTH
+from sim.optics.curved_refraction import GelFace, film_transmittance, inner_face, refract_through
+from sim.optics.mirror_guide import GUIDE_CHANCE, MirrorGuide, learn_guide
+from sim.optics.panel_light import Panel, panel_point, panels_of
+from sim.optics.scene import MAX_DEPTH, ROULETTE_DEPTH
 from sim.optics.wall_emission import FIRST_CHAINS, TEXELS_ALONG, TEXELS_UP
 from sim.surface_meshes.finger_shape import FingerShape
 
@@ -36,9 +31,6 @@ _FROM_SURFACE, _STRAIGHT_OUT, _OTHER_WAY, _FROM_EYE = 0, 1, 2, 3
 # texels are fetched in packets of this many chains
 _PACKET = 4
 _SMALLEST_COSINE = 1e-4
-# panels light different parts of the pad, so none is drawn more rarely than this
-_SMALLEST_SHARE = 0.25
-_SHARE_GRID = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 
 
 class BandPaths(mi.SamplingIntegrator):
@@ -47,7 +39,8 @@ class BandPaths(mi.SamplingIntegrator):
     A point in the gel and a uniformly drawn panel point are joined by the refracted path between them, see
     :func:`sim.optics.curved_refraction.refract_through`. A path that later meets the panel by just that kind of route
     is given weight zero, so nothing is counted twice. What the painted walls emit is looked up where a path meets
-    them: they are large and need no connection. Light that enters through the ends of the gel is left to chance.
+    them: they are large and need no connection. Panels seen by the mirror are found along the directions of a
+    :class:`sim.optics.mirror_guide.MirrorGuide`. Light that enters through the ends of the gel is left to chance.
     """
 
     def __init__(self, props: Any) -> None:
@@ -56,9 +49,10 @@ class BandPaths(mi.SamplingIntegrator):
         self.roulette_depth = props.get("rr_depth", ROULETTE_DEPTH)
         self.from_wall = props.get("from_wall", False)
         self.refractive, self.with_led = True, True
+        self.guide: MirrorGuide | None = None
         self.chains: tuple[str, ...] = FIRST_CHAINS
 
-    def aim(self, scene: Any, panels: Sequence["Panel"], face: GelFace) -> None:
+    def aim(self, scene: Any, panels: Sequence[Panel], face: GelFace) -> None:
         """Tell the integrator where panels, inner face and walls are."""
         self.face, self.evaluate_face = face, face.map.in_renderer(mi)
         self.index = mi.Float(face.index)
@@ -108,27 +102,13 @@ class BandPaths(mi.SamplingIntegrator):
             radiance += [mixed[k] for k in range(_PACKET)]
         return radiance
 
-    def panel_point(self, sample: Any) -> tuple[Any, Any, Any]:
-        """Return a point on a panel drawn by its light, (normal, beam exponent), and radiance over density in mm^2."""
-        chosen, start = self.panels[0], 0.0
-        point, normal, exponent, weight = chosen.at(sample.x, sample.y, start)
-        for panel in self.panels[1:]:
-            start = start + chosen.share
-            chosen = panel
-            here = sample.x >= start
-            other = panel.at(sample.x, sample.y, start)
-            point, normal, exponent, weight = (
-                dr.select(here, b, a) for a, b in zip((point, normal, exponent, weight), other, strict=True)
-            )
-        return point, (normal, exponent), weight
-
     def foot(self, si: Any) -> tuple[Any, Any]:
         """Return the coordinates of the inner face below points of coat and painted walls."""
         return dr.select(si.shape == self.red, 0.0, dr.select(si.shape == self.green, 1.0, si.uv.x)), si.uv.y
 
     def connect(self, scene: Any, si: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return (visible, direction in the gel, LED radiance x solid angle) of a panel point seen through the face."""
-        point, (normal, exponent), weight = self.panel_point(sample)
+        point, (normal, exponent), weight = panel_point(self.panels, sample)
         path = refract_through(
             self.evaluate_face,
             (si.p.x, si.p.y, si.p.z),
@@ -179,7 +159,6 @@ class BandPaths(mi.SamplingIntegrator):
         self, scene, sampler, ray, medium=None, active=True
     ):
         """Return the radiance of the chains along rays (called by Mitsuba)."""
-        context = mi.BSDFContext()
         ray = mi.Ray3f(ray)
         throughput: Any = mi.Color3f(1)
         led = mi.Float(0)
@@ -202,18 +181,19 @@ class BandPaths(mi.SamplingIntegrator):
             for k in range(len(greens)):
                 greens[k] += dr.select(on_wall & is_green, throughput.y * glow[k], 0)
             active &= (depth + 1) < self.max_depth
-            bsdf = si.bsdf(ray)
+            on_coat = active & ~front & (si.shape == self.coat)
             direction = mi.Vector3f(0, 0, 1)
             weight, seen = mi.Float(0), mi.Bool(False)
             if dr.hint(self.with_led and self.refractive, mode="scalar"):
-                can_connect = on_wall | (active & ~front & (si.shape == self.coat))
+                can_connect = on_wall | on_coat
                 seen, direction, weight = self.connect(scene, si, sampler.next_2d(can_connect), can_connect & active)
-            value, _, chosen, chosen_weight = bsdf.eval_pdf_sample(
-                context, si, si.to_local(direction), sampler.next_1d(active), sampler.next_2d(active), active
+            value, chosen, onward, usual_weight, chosen_weight = self.scatter(
+                si, si.bsdf(ray), sampler, direction, on_coat, active
             )
             led += dr.select(seen, throughput.z * value.z * weight, 0)
             smooth = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
             transmitted = smooth & mi.has_flag(chosen.sampled_type, mi.BSDFFlags.DeltaTransmission)
+            carried_usually = dr.max(throughput * usual_weight)
             throughput *= chosen_weight
             on_inner = si.shape == self.inner
             if dr.hint(self.face.film is not None, mode="scalar"):
@@ -223,15 +203,44 @@ class BandPaths(mi.SamplingIntegrator):
             after = dr.select(straight, mi.UInt32(_STRAIGHT_OUT), mi.UInt32(_OTHER_WAY))
             after = dr.select(state == _FROM_EYE, mi.UInt32(_FROM_EYE), after)
             state = dr.select(smooth, after, mi.UInt32(_FROM_SURFACE))
-            ray = si.spawn_ray(si.to_world(chosen.wo))
+            ray = si.spawn_ray(onward)
             depth += 1
-            largest = dr.max(throughput)
-            active &= largest > 0
-            survival = dr.minimum(largest * eta * eta, _LARGEST_SURVIVAL)
-            survival = dr.select(depth >= self.roulette_depth, survival, 1.0)
+            active &= dr.max(throughput) > 0
+            # a guided path carries little of the walls' light but may be about to meet a panel: judged as any other,
+            # and not between smooth faces, where what it carries now says nothing of that
+            survival = dr.minimum(carried_usually * eta * eta, _LARGEST_SURVIVAL)
+            survival = dr.select((depth >= self.roulette_depth) & ~smooth, survival, 1.0)
             active &= sampler.next_1d(active) < survival
             throughput /= survival
         return mi.Color3f(reds[0], greens[0], led), valid, reds[1:] + greens[1:]
+
+    def scatter(
+        self, si: Any, bsdf: Any, sampler: Any, aimed: Any, on_coat: Any, active: Any
+    ) -> tuple[Any, Any, Any, Any, Any]:
+        """Return (BSDF times cosine towards `aimed`, BSDF sample, way on, its weight without guide, its weight)."""
+        context = mi.BSDFContext()
+        value, _, chosen, chosen_weight = bsdf.eval_pdf_sample(
+            context, si, si.to_local(aimed), sampler.next_1d(active), sampler.next_2d(active), active
+        )
+        onward = si.to_world(chosen.wo)
+        if self.guide is None:
+            return value, chosen, onward, chosen_weight, chosen_weight
+        lobes = self.guide.lobes(si, on_coat)
+        known = on_coat & self.guide.known(lobes)
+        guided = known & (sampler.next_1d(on_coat) < GUIDE_CHANCE)
+        drawn = self.guide.direction(lobes, sampler.next_1d(on_coat), sampler.next_2d(on_coat))
+        onward = dr.select(guided, drawn, onward)
+        along, material_density = bsdf.eval_pdf(context, si, si.to_local(onward), known)
+        density = GUIDE_CHANCE * self.guide.density(lobes, onward) + (1.0 - GUIDE_CHANCE) * material_density
+        usual = dr.select(material_density > 0.0, along / material_density, 0.0)
+        mixed = dr.select(density > 0.0, along / density, 0.0)
+        return (
+            value,
+            chosen,
+            onward,
+            dr.select(known, usual, chosen_weight),
+            dr.select(known, mixed, chosen_weight),
+        )
 
     def panel_met(self, si: Any, state: Any) -> Any:
         """Return the radiance of a panel that a path has met, none if its connection has counted it."""
@@ -244,53 +253,6 @@ class BandPaths(mi.SamplingIntegrator):
         return dr.select(state == _STRAIGHT_OUT, 0, radiance) if self.refractive else radiance
 
 
-class PanelPower(Protocol):
-    """How strongly and how narrowly a panel shines."""
-
-    @property
-    def power_rel(self) -> float:
-        """Radiance along the normal."""
-
-    @property
-    def beam_exponent(self) -> float:
-        """Exponent m of an intensity ~ cos^m."""
-
-
-class Panel:
-    """A light panel as the renderer's numbers, and with which probability it is drawn."""
-
-    def __init__(self, frame: PanelFrame, light: PanelPower, share: float) -> None:
-        self.share = float(share)
-        self.beamed = light.beam_exponent != 1.0
-        self.centre = mi.Point3f(*frame.centre_mm.tolist())
-        self.across, self.along = (mi.Vector3f(*edge.tolist()) for edge in (frame.half_across_mm, frame.half_along_mm))
-        self.normal = mi.Vector3f(*frame.normal.tolist())
-        self.exponent = mi.Float(light.beam_exponent)
-        self.radiance = mi.Float(PANEL_RADIANCE_REL * light.power_rel)
-        self.radiance_per_density = mi.Float(PANEL_RADIANCE_REL * light.power_rel * frame.area_mm2 / share)
-        dr.make_opaque(self.centre, self.across, self.along, self.normal)
-        dr.make_opaque(self.exponent, self.radiance, self.radiance_per_density)
-
-    def at(self, x: Any, y: Any, start: float) -> tuple[Any, Any, Any, Any]:
-        """Return point, normal, beam exponent and radiance over density for sample x in start .. start + share."""
-        across: Any = 2.0 * (x - start) / self.share - 1.0
-        point = self.centre + across * self.across + (2.0 * y - 1.0) * self.along
-        return point, self.normal, self.exponent, self.radiance_per_density
-
-
-def _panel_shares(design: FingerDesign, face: GelFace) -> NDArray[np.float64]:
-    """Return with which probability each panel is drawn: by the light that it sends through the face into the pad."""
-    u, v = np.meshgrid(_SHARE_GRID, _SHARE_GRID)
-    uv = np.stack([u.ravel(), v.ravel()], axis=-1)
-    outward = face.map.normals(uv)
-    points = face.map.positions_mm(uv) - design.pad.thickness_mm / 2.0 * outward
-    sent = np.array(
-        [light.power_rel * curved_irradiance(points, outward, uv, light, face, (4, 2)).sum() for light in design.lights]
-    )
-    sent = np.maximum(sent, _SMALLEST_SHARE * sent.sum()) if sent.sum() > 0.0 else np.ones_like(sent)
-    return np.asarray(sent / sent.sum())
-
-
 def band_integrator(
     scene: Any,
     design: FingerDesign,
@@ -300,6 +262,7 @@ def band_integrator(
     max_depth: int = MAX_DEPTH,
     from_wall: bool = False,
     with_led: bool = True,
+    guide: MirrorGuide | None = None,
 ) -> BandPaths:
     """Return the path tracer of a scene.
 
@@ -321,12 +284,19 @@ def band_integrator(
         Rays start on a wall in the gel: the panel's direct light through the inner face is left out.
     with_led
         False leaves the panels dark.
+    guide
+        From :func:`mirror_guide` for this scene: the same mean, less noise of the LED's light.
     """
     mi.register_integrator(_NAME, BandPaths)
     integrator: BandPaths = mi.load_dict({"type": _NAME, "max_depth": max_depth, "from_wall": from_wall})
     integrator.refractive, integrator.with_led = refractive, with_led
     face = inner_face(design, shape)
-    shares = zip(design.lights, _panel_shares(design, face), strict=True)
-    integrator.aim(scene, [Panel(panel_frame(light), light, share) for light, share in shares], face)
+    integrator.aim(scene, panels_of(design, face), face)
     integrator.emit(emission or {})
+    integrator.guide = guide if with_led else None
     return integrator
+
+
+def mirror_guide(scene: Any, design: FingerDesign, shape: FingerShape) -> MirrorGuide:
+    """Return where the coating of a finger sees its panels by the mirror; for all integrators of this scene."""
+    return learn_guide(scene, band_integrator(scene, design, shape))

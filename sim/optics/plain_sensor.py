@@ -146,7 +146,7 @@ def plain_sensor_integrator(scene: Any, sensor: PlainSensor, renderer: ModuleTyp
     if renderer.variant() == SCALAR_VARIANT:
         return scene.integrator()
     from sim.optics.coloured_panels import coloured_integrator  # these need the variant set
-    from sim.optics.paths import Panel
+    from sim.optics.panel_light import Panel
 
     pad = sensor.pad
     inner = PositionMap.of(_gel(sensor, pressed)["inner"], "inner face")

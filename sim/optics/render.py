@@ -206,19 +206,29 @@ def open_scene(
     return finger_scene(design, shape, bands, renderer, emission, sensor)
 
 
+def open_guide(scene: Any, design: FingerDesign, shape: FingerShape, renderer: ModuleType) -> Any:
+    """Return the :class:`sim.optics.mirror_guide.MirrorGuide` of a scene; None in a scalar variant, which has none."""
+    if renderer.variant() == SCALAR_VARIANT:
+        return None
+    from sim.optics.paths import mirror_guide  # needs the variant set
+
+    return mirror_guide(scene, design, shape)
+
+
 def lit_integrator(
-    scene: Any, design: FingerDesign, shape: FingerShape, renderer: ModuleType, light: WallLight
+    scene: Any, design: FingerDesign, shape: FingerShape, renderer: ModuleType, light: WallLight, guide: Any = None
 ) -> tuple[Any, tuple[str, ...]]:
     """Return what renders a scene with lit walls, and the chains that its channels hold.
 
-    In a scalar variant this is the scene's own ``path``: its channels are the bands, all chains of a band together.
+    With a guide (:func:`open_guide`) the LED's light has less noise. In a scalar variant this is the scene's own
+    ``path``: its channels are the bands, all chains of a band together.
     """
     if renderer.variant() == SCALAR_VARIANT:
         light_walls(scene, light, renderer)
         return scene.integrator(), FIRST_CHAINS
     from sim.optics.paths import band_integrator  # needs the variant set
 
-    integrator = band_integrator(scene, design, shape, light)
+    integrator = band_integrator(scene, design, shape, light, guide=guide)
     return integrator, integrator.chains
 
 
@@ -298,9 +308,12 @@ def _render_state(
     samples: _Samples,
 ) -> _State:
     """Render two independent halves, whose difference tells the noise."""
-    begun = time.monotonic()
+    begun, design = time.monotonic(), camera.design
+    scene = open_scene(design, shape, bands, renderer, camera_sensor(design, renderer, camera.calibration))
+    guide = None if level == "c" else open_guide(scene, design, shape, renderer)
     (one, bake_s), (other, more_s) = (
-        _render_half(camera, shape, bands, renderer, level, stream_seed(seed, half), samples) for half in (0, 1)
+        _render_half(scene, guide, camera, shape, bands, renderer, level, stream_seed(seed, half), samples)
+        for half in (0, 1)
     )
     bake_s += more_s
     mean, half_difference = _mean_and_half_difference(one, other)
@@ -308,6 +321,8 @@ def _render_state(
 
 
 def _render_half(
+    scene: Any,
+    guide: Any,
     camera: _Camera,
     shape: FingerShape,
     bands: PaintBands,
@@ -318,14 +333,13 @@ def _render_half(
 ) -> tuple[dict[str, NDArray[np.float32]], float]:
     """Bake the walls and render once, the windows finely; return an image per chain and the seconds of the bake."""
     begun, design = time.monotonic(), camera.design
-    scene = open_scene(design, shape, bands, renderer, camera_sensor(design, renderer, camera.calibration))
     chains: tuple[str, ...]
     if level == "c":
         integrator, chains = _pathwise_integrator(scene, design, shape, bands, renderer), FIRST_CHAINS
     else:
         paths = BAKE_SAMPLES[renderer.variant() == SCALAR_VARIANT]
-        light = bake_walls(scene, design, shape, bands, renderer, level, seed, paths)[0]
-        integrator, chains = lit_integrator(scene, design, shape, renderer, light)
+        light = bake_walls(scene, design, shape, bands, renderer, level, seed, paths, guide=guide)[0]
+        integrator, chains = lit_integrator(scene, design, shape, renderer, light, guide)
     bake_s = time.monotonic() - begun
     coarse = max(1, samples.pad // 2 // SURROUNDINGS_SHARE)
     image = np.array(renderer.render(scene, integrator=integrator, spp=coarse, seed=seed), dtype=np.float32)

@@ -56,6 +56,7 @@ def bake_walls(
     seed: int = 0,
     samples: int = 64_000,
     repeats: int = 1,
+    guide: Any = None,
 ) -> list[WallLight]:
     """Return what the walls emit, chain by chain.
 
@@ -77,9 +78,11 @@ def bake_walls(
         Paths per wall and repeat for the LED's light.
     repeats
         Number of independent bakes.
+    guide
+        From :func:`sim.optics.paths.mirror_guide` for this scene: less noise.
     """
     rng = np.random.default_rng(seed)
-    detours = indirect_irradiance(scene, design, shape, renderer, int(rng.integers(2**32)), samples, repeats)
+    detours = indirect_irradiance(scene, design, shape, renderer, int(rng.integers(2**32)), samples, repeats, guide)
     direct = {wall: direct_irradiance(design, shape, wall, texel_uv()) for wall in WALLS}
     baked: list[WallLight] = []
     for detour in detours:
@@ -111,6 +114,7 @@ def indirect_irradiance(
     seed: int,
     samples: int,
     repeats: int = 1,
+    guide: Any = None,
 ) -> list[dict[str, NDArray[np.float64]]]:
     """Estimate the LED irradiance of the walls by all ways but the direct one through the inner face.
 
@@ -129,6 +133,8 @@ def indirect_irradiance(
         Paths per wall and repeat.
     repeats
         Number of independent estimates, traced together.
+    guide
+        From :func:`sim.optics.paths.mirror_guide` for this scene: less noise.
 
     Returns
     -------
@@ -137,7 +143,7 @@ def indirect_irradiance(
         negative.
     """
     scalar = renderer.variant() == SCALAR_VARIANT
-    integrator = scene.integrator() if scalar else _tracer(scene, design, shape, from_wall=True)
+    integrator = scene.integrator() if scalar else _tracer(scene, design, shape, from_wall=True, guide=guide)
     radiance = _trace_from_walls(scene, shape, integrator, renderer, seed, samples, repeats)[..., _LED]
     means = np.pi * radiance
     if scalar:  # the stock tracer meets the panel directly too

@@ -1,0 +1,173 @@
+"""Directions in which the coating sees the light panels by the mirror: learned from light paths, drawn along eye paths.
+
+A panel seen by the mirror fills a small solid angle, so paths that scatter at the coating meet it rarely and then bring
+much: these few carried nine tenths of the variance of the LED band beside the indenter. Light paths sent from the
+panels to the mirror tell where on the coating their light arrives and from where. Per cell of the coating and per
+route a normal distribution of directions describes them; eye paths draw from it with a fixed chance, else from the
+material, and are weighted by the density of the mixture, so that whatever was learned, the mean stays the same.
+
+Import this module only after a compiled variant has been set (see :mod:`sim.optics.variants`).
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.optics.guide_lobes import CELLS_ACROSS, CELLS_ALONG, NUMBERS, ROUTES, fit_lobes
+from sim.optics.panel_light import Panel, panel_point
+
+Floats = NDArray[np.float64]
+
+GUIDE_CHANCE = 0.2
+"""Chance that a path leaves the coating along the guide: the painted bands lose this share of their paths."""
+
+LIGHT_PATHS = 200_000
+_LONGEST_ROUTE = 10
+_SMALLEST_COSINE = 1e-3
+_LIFT_MM = 1e-3
+
+
+class LightPanels(Protocol):
+    """The panels and surfaces of :class:`sim.optics.paths.BandPaths`."""
+
+    panels: list[Panel]
+    inner: Any
+    coat: Any
+
+
+class Lobe(NamedTuple):
+    """One route's directions at a point: chance, mean slopes, and the Cholesky factor of their covariance."""
+
+    chance: Any
+    mean: tuple[Any, Any]
+    factor: tuple[Any, Any, Any]
+
+
+class MirrorGuide:
+    """The learned directions as the renderer's numbers.
+
+    Directions are slopes (x / -y, z / -y): all point from the coating to the inner face.
+    """
+
+    def __init__(self, lobes: Floats) -> None:
+        self.table = mi.Float(np.ascontiguousarray(lobes, dtype=np.float32).ravel())
+        dr.make_opaque(self.table)
+
+    def lobes(self, si: Any, active: Any) -> list[Lobe]:
+        """Return the routes at points of the coating."""
+        u, v = si.uv.x * CELLS_ACROSS, si.uv.y * CELLS_ALONG
+        i = mi.UInt32(dr.clip(u, 0.0, CELLS_ACROSS - 1.0))
+        j = mi.UInt32(dr.clip(v, 0.0, CELLS_ALONG - 1.0))
+        x, y = u - mi.Float(i) - 0.5, v - mi.Float(j) - 0.5
+        found = []
+        for route in range(ROUTES):
+            first = ((i * CELLS_ALONG + j) * ROUTES + route) * (NUMBERS // 4)
+            a, b, c = (dr.gather(mi.Vector4f, self.table, first + k, active) for k in range(3))
+            mean = (a.y + x * a.w + y * b.y, a.z + x * b.x + y * b.z)
+            found.append(Lobe(a.x, mean, (b.w, c.x, c.y)))
+        return found
+
+    def known(self, lobes: Sequence[Lobe]) -> Any:
+        """Return where any route is known."""
+        return sum((lobe.chance for lobe in lobes), start=mi.Float(0)) > 0.0
+
+    def direction(self, lobes: Sequence[Lobe], chosen: Any, sample: Any) -> Any:
+        """Return a unit direction drawn from the routes."""
+        normal = mi.warp.square_to_std_normal(sample)
+        slope_x, slope_z, passed = mi.Float(0), mi.Float(0), mi.Float(0)
+        for lobe in lobes:
+            here = (chosen >= passed) & (lobe.chance > 0.0)
+            l00, l10, l11 = lobe.factor
+            slope_x = dr.select(here, lobe.mean[0] + l00 * normal.x, slope_x)
+            slope_z = dr.select(here, lobe.mean[1] + l10 * normal.x + l11 * normal.y, slope_z)
+            passed += lobe.chance
+        return dr.normalize(mi.Vector3f(slope_x, -1.0, slope_z))
+
+    def density(self, lobes: Sequence[Lobe], direction: Any) -> Any:
+        """Return the density of :meth:`direction` per solid angle; zero where no route is known."""
+        down: Any = -direction.y
+        usable = down > _SMALLEST_COSINE
+        per_down = dr.rcp(dr.select(usable, down, 1.0))
+        slope_x, slope_z = direction.x * per_down, direction.z * per_down
+        total = mi.Float(0)
+        for lobe in lobes:
+            l00, l10, l11 = lobe.factor
+            a = (slope_x - lobe.mean[0]) / l00
+            b = (slope_z - lobe.mean[1] - l10 * a) / l11
+            total += lobe.chance * dr.exp(-0.5 * (a * a + b * b)) / (2.0 * dr.pi * l00 * l11)
+        return dr.select(usable, total * per_down * per_down * per_down, 0.0)
+
+
+def learn_guide(scene: Any, panels: LightPanels, seed: int = 0, paths: int = LIGHT_PATHS) -> MirrorGuide:
+    """Send light from the panels to the mirror and learn where the coating receives it from.
+
+    Parameters
+    ----------
+    scene
+        From :func:`sim.optics.scene.finger_scene`.
+    panels
+        Its band path tracer.
+    seed
+        Random seed, >= 0. It changes the noise of what is rendered with the guide, not the mean.
+    paths
+        Number of light paths.
+    """
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, paths)
+    mirror = next(shape for shape in scene.shapes() if shape.id() == "mirror")
+    arrived, uv, towards, light, route = (
+        np.array(values)
+        for values in _light_paths(panels, mirror, scene, sampler)  # type: ignore[no-untyped-call]
+    )
+    useful = arrived & (towards[1] < -_SMALLEST_COSINE) & (light > 0.0)
+    down = -towards[1, useful].astype(np.float64)
+    slopes = np.stack([towards[0, useful] / down, towards[2, useful] / down], axis=-1)
+    return MirrorGuide(fit_lobes(uv[:, useful].T.astype(np.float64), slopes, light[useful], route[useful]))
+
+
+@dr.syntax
+def _light_paths(panels, mirror, scene, sampler):  # type: ignore[no-untyped-def]
+    """Return (arrived at the coating, where, direction to the light, light, route) of paths aimed at the mirror."""
+    start, (normal, exponent), light = panel_point(panels.panels, sampler.next_2d())
+    by_face, spot = sampler.next_1d() < 0.5, sampler.next_2d()
+    face = next(shape for shape in scene.shapes() if shape.id() == "inner")
+    to_mirror, to_face = mirror.sample_position(0.0, spot), face.sample_position(0.0, spot)
+    aim = mi.Point3f(dr.select(by_face, to_face.p, to_mirror.p))
+    target = dr.select(by_face, dr.rcp(to_face.pdf), dr.rcp(to_mirror.pdf)) / dr.squared_norm(aim - start)
+    direction = dr.normalize(aim - start)
+    target *= dr.abs(dr.dot(direction, dr.select(by_face, to_face.n, to_mirror.n)))
+    light *= target * dr.power(dr.maximum(dr.dot(direction, normal), 0.0), exponent)
+    ray = mi.Ray3f(start + normal * _LIFT_MM, direction)
+    context = mi.BSDFContext(mi.TransportMode.Importance)
+    uv, towards = mi.Point2f(0), mi.Vector3f(0)
+    active, arrived = light > 0.0, mi.Bool(False)
+    mirrors, outsides, others, depth = mi.UInt32(0), mi.UInt32(0), mi.UInt32(0), mi.UInt32(0)
+    while dr.hint(active, max_iterations=_LONGEST_ROUTE):
+        si = scene.ray_intersect(ray, active)
+        active &= si.is_valid()
+        front = mi.Frame3f.cos_theta(si.wi) > 0
+        here = active & ~front & (si.shape == panels.coat)
+        uv, towards = dr.select(here, si.uv, uv), dr.select(here, -ray.d, towards)
+        arrived |= here
+        active &= ~here
+        outside = (si.shape == panels.inner) & front
+        # the renderer's glass reflects for numbers near 0 and transmits for numbers near 1, and returns that chance
+        reflects = (sampler.next_1d(active) < 0.5) | (by_face & (depth == 0))
+        number = dr.select(outside, dr.select(reflects, 0.0, 1.0), sampler.next_1d(active))
+        drawn, weight = si.bsdf(ray).sample(context, si, number, sampler.next_2d(active), active)
+        active &= mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
+        through = mi.has_flag(drawn.sampled_type, mi.BSDFFlags.DeltaTransmission)
+        on_mirror = si.shape == mi.ShapePtr(mirror)
+        mirrors += dr.select(active & on_mirror, 1, 0)
+        outsides += dr.select(active & outside & ~through, 1, 0)
+        others += dr.select(active & ~on_mirror & ~outside, 1, 0)
+        light = dr.select(active, light * weight.z * dr.select(outside, drawn.pdf, 1.0), light)
+        ray = si.spawn_ray(si.to_world(drawn.wo))
+        depth += 1
+    route = dr.select((mirrors == 1) & (outsides < 2), outsides, ROUTES - 1)
+    route = dr.select((mirrors == 2) & (outsides == 1), 2, route)
+    return arrived & (mirrors > 0), uv, towards, light, dr.select(others > 0, ROUTES - 1, route)
