@@ -39,7 +39,7 @@ ONE       := OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false
 bench: $(VENV)/installed-bench llvm
 	rm -rf bench-out
 	-$(ONE) $(BIN)/python benchmarks/samplers.py --out bench-out/samplers.json
-	-$(ONE) $(BIN)/python benchmarks/fit_command_time.py --out bench-out/fit-command.json
+	-$(BIN)/python benchmarks/fit_command_time.py --out bench-out/fit-command.json
 	-$(ONE) $(BIN)/python benchmarks/session_time.py --out bench-out/session-time.json
 	-$(ONE) $(BIN)/python benchmarks/leave_one_material_out.py --materials $(MATERIALS) --out bench-out/left-out.json
 	-for model in $(MODELS); do $(ONE) $(BIN)/python benchmarks/simulation_based_calibration.py --model $$model \

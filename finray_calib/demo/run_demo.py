@@ -69,6 +69,7 @@ def run_demo(settings: DemoSettings, engine: RendererChoice, open_bar: OpenBar) 
     times = StageTimes(open_bar)
     paints = {colour: _paint(demo, colour, times) for colour in COLOURS}
     with times.of("simulate") as count:
+        mechanics, surfaces = demo.press(count)
         press = demo.simulate(count)
         demo.simulate(count, "a")
         sweep = demo.sweep(count)
@@ -80,7 +81,8 @@ def run_demo(settings: DemoSettings, engine: RendererChoice, open_bar: OpenBar) 
     with times.of("decide"):
         decision = demo.decide()
     results = DemoResults(
-        paints=paints, press=press, capture=capture, report=report, sweep=sweep, decision=decision,
+        paints=paints, mechanics=mechanics, surfaces=surfaces,
+        press=press, capture=capture, report=report, sweep=sweep, decision=decision,
         stage_wall_times_s=times.seconds, renderer_note=engine.note, command=settings.command,
         provenance=provenance(settings.command, {}, settings.seed), true_sweep=true_sweep,
         report_level_a=report_level_a,

@@ -14,16 +14,19 @@ from data_schemas.decide import LightAngleDecision
 from data_schemas.design import FingerDesign
 from data_schemas.fit import PaintCalibration
 from data_schemas.model import Record
+from data_schemas.press_mechanics import PressMechanics
 from data_schemas.provenance import provenance
 from data_schemas.radiometry import BandSignals
 from data_schemas.rig import RigFile
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
 from data_schemas.standard_curves import camera_response
 from data_schemas.storage import read_record, sha256_of, write_record
+from data_schemas.surfaces import FingerSurfaces
 from finray_calib.compare.comparison_record import compare_press
 from finray_calib.decide.decision_record import decide
 from finray_calib.fit.paint_calibration import FitOptions, calibrate_paint
 from finray_calib.radiometry.band_signals import band_signals
+from finray_calib.spectra.compiled import machine_threads
 from rigs.capture.paint_session import capture_paint_session
 from rigs.capture.read_session import read_frame_of, read_session
 from rigs.presets import paint_plan, simulated_rig
@@ -31,16 +34,24 @@ from rigs.simulated.bench import BenchTruth, bench_truth
 from rigs.toml_text import write_plan, write_rig
 from sim.experiments.digital_twin import capture_twin, hidden_design
 from sim.experiments.light_angle import light_angle_sweep
+from sim.experiments.mechanical_press import press_records
 from sim.experiments.painted_finger import PaintedFinger, paint_optics
 from sim.experiments.press import simulate_press
+from sim.mechanics.finger_mesh import Preset
+from sim.mechanics.press import press_finger
 from sim.optics.paint_bands import PaintOptics
 from sim.optics.wall_emission import Level
+from sim.surface_meshes.finger_shape import FingerShape
+from sim.surface_meshes.stored_shape import restore_shapes
 
 COLOURS = ("red", "green")
 ANGLES_DEG = tuple(float(a) for a in range(0, 121, 10))
 SWEEP_REPEATS, TRUE_SWEEP_REPEATS = 6, 3
+MESH: Preset = "coarse"
+PUSH_MM, PUSH_INCREMENTS = 4.0, 2
 TWIN_SEED = 1000
 PRESS = {"a": "press-level-a.json", "b": "press.json"}
+SURFACES, MECHANICS = "pressed-finger.surfaces.json", "pressed-finger.mechanics.json"
 REPORT = {"a": "photometric-error-level-a.json", "b": "photometric-error.json"}
 Progress = Callable[[int, int, str], None]
 R = TypeVar("R", bound=Record)
@@ -136,32 +147,44 @@ class Demo:
 
     def design(self) -> FingerDesign:
         """Return the finger of the demo: 70 x 35 mm pad, 20 mm cylinder, the sensor under test in its camera."""
-        design = FingerDesign()
+        default = FingerDesign()
+        design = default.model_copy(update={"indenter": default.indenter.model_copy(update={"depth_mm": PUSH_MM})})
         if self.settings.sensor is None:
             return design
         camera = design.camera.model_copy(update={"response": str(self.settings.sensor.resolve())})
         return design.model_copy(update={"camera": camera})
+
+    def press(self, progress: Progress) -> tuple[PressMechanics, FingerSurfaces]:
+        """Press the finger by finite elements; everything rendered afterwards has its shape."""
+        design = self.design()
+        pressed = press_finger(design, MESH, PUSH_INCREMENTS, machine_threads(), progress)
+        mechanics, surfaces = press_records(design, pressed, MESH)
+        return self._store(mechanics, MECHANICS, []), self._store(surfaces, SURFACES, [])
+
+    def shapes(self) -> tuple[FingerShape, FingerShape]:
+        """Return the stored shapes of the finger, without and with contact."""
+        return restore_shapes(read_record(self.path(SURFACES), FingerSurfaces))
 
     def simulate(self, progress: Progress, level: Level = "b") -> SimulatedPress:
         """Render the press with the fitted paints; level "a" is the paper's emitter, for comparison."""
         finger = self._finger(self.design(), {c: paint_optics(p) for c, p in self.calibrations().items()})
         samples = self.settings.effort.samples_per_pixel // (1 if level == "b" else 2)
         press = simulate_press(
-            finger, level, self.settings.seed, samples, self._digests(), progress, calibrations=self.calibrations()
+            finger, level, self.settings.seed, samples, self._digests(), progress, self.shapes(), self.calibrations()
         )
-        return self._store(press, PRESS[level], [f"{c}/paint.json" for c in COLOURS])
+        return self._store(press, PRESS[level], [SURFACES, *(f"{c}/paint.json" for c in COLOURS)])
 
     def sweep(self, progress: Progress) -> LightAngleSweep:
         """Sweep the light angle with the fitted paints."""
         calibrations = self.calibrations()
         finger = self._finger(self.design(), {c: paint_optics(p) for c, p in calibrations.items()})
         sweep = self._swept(finger, calibrations, SWEEP_REPEATS, self.settings.seed, progress)
-        return self._store(sweep, "sweep.json", [f"{c}/paint.json" for c in COLOURS])
+        return self._store(sweep, "sweep.json", [SURFACES, *(f"{c}/paint.json" for c in COLOURS)])
 
     def true_sweep(self, progress: Progress) -> LightAngleSweep:
         """Sweep the light angle of the hidden true finger: what the decision is worth, for the report only."""
         sweep = self._swept(self.true_finger(), {}, TRUE_SWEEP_REPEATS, self.settings.seed + TWIN_SEED, progress)
-        return self._store(sweep, "true-sweep.json", [])
+        return self._store(sweep, "true-sweep.json", [SURFACES])
 
     def true_finger(self) -> PaintedFinger:
         """Return the finger as it was really built: true paints, light and coating a little off."""
@@ -172,9 +195,10 @@ class Demo:
         """Capture the digital twin: hidden true paints, another light angle, coating and seed."""
         capture = capture_twin(
             self.true_finger(), self.design().light.angle_deg, self.settings.seed + TWIN_SEED,
-            self.settings.effort.twin_samples_per_pixel, progress,
+            self.settings.effort.twin_samples_per_pixel, progress, self.shapes(),
+            self.settings.effort.twin_samples_per_pixel,
         )  # fmt: skip
-        return self._store(capture, "tactile-capture.json", [])
+        return self._store(capture, "tactile-capture.json", [SURFACES])
 
     def compare(self, level: Level = "b") -> PhotometricErrorReport:
         """Compare the stored render of a level with the stored capture."""
@@ -201,7 +225,8 @@ class Demo:
         """Sweep the light angle of a finger."""
         digests = self._digests() if calibrations else {}
         samples = self.settings.effort.probe_samples
-        return light_angle_sweep(finger, calibrations, ANGLES_DEG, repeats, samples, seed, digests, progress)
+        shape = self.shapes()[1]
+        return light_angle_sweep(finger, calibrations, ANGLES_DEG, repeats, samples, seed, digests, progress, shape)
 
     def _finger(self, design: FingerDesign, paints: Mapping[str, PaintOptics]) -> PaintedFinger:
         """Join design, paints, the tactile camera's response and the renderer."""

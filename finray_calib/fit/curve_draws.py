@@ -71,7 +71,7 @@ def curve_draws(log_posterior: LogPosterior, theta: FloatArray, rng: np.random.G
     np.put_along_axis(member, columns, p.in_band, axis=1)
     simulated = log_posterior.predict_usable(theta) + delta[:, split:] @ member.T + k @ u.T
     misfit = p.y - simulated - rng.standard_normal((count, len(p.y))) @ noise.T
-    alpha = np.linalg.solve(log_posterior.covariances(theta), misfit[..., None])[..., 0]
+    alpha = np.einsum("nij,nj->ni", log_posterior.precisions(theta), misfit)
     pull = (alpha @ member) * scale[:, split:]
     smooth = pull @ d.smooth_kernel(nodes, grid)
     rigid = edge[:, :split] * (pull * edge[:, split:]).sum(axis=1, keepdims=True)

@@ -67,8 +67,8 @@ def leave_one_band_out(log_posterior: LogPosterior, sample: WeightedSample) -> B
     p = log_posterior.problem
     kept = np.flatnonzero(sample.weight > 0)[:_DRAWS]
     theta, ln_weight = sample.theta[kept], np.log(sample.weight[kept])
-    precision = np.asarray(np.linalg.inv(log_posterior.covariances(theta)), dtype=np.float64)
-    pull = np.einsum("nij,nj->ni", precision, p.y - log_posterior.predict_usable(theta))
+    precision, predicted = log_posterior.precisions(theta), log_posterior.predict_usable(theta)
+    pull = np.einsum("nij,nj->ni", precision, p.y - predicted)
     bands = log_posterior.data.weights.bands
     score, k = np.full(bands, np.nan), np.full(bands, np.nan)
     excitation = log_posterior.data.weights.band_index[np.argmax(log_posterior.data.weights.is_excitation)]
@@ -78,7 +78,7 @@ def leave_one_band_out(log_posterior: LogPosterior, sample: WeightedSample) -> B
         error = np.linalg.solve(own, pull[:, rows, None])[..., 0]
         quadratic = np.einsum("ni,nij,nj->n", error, own, error)
         if band in log_posterior.own_leaks:
-            quadratic = _without_own_leak(log_posterior, theta, rows, error, own)
+            quadratic = _without_own_leak(log_posterior, theta, rows, predicted[:, rows], error, own)
         ln_p = 0.5 * (np.linalg.slogdet(own)[1] - quadratic - rows.size * np.log(2 * np.pi))
         smoothed = smooth_weights(ln_weight - ln_p)
         top = float(ln_p.max())
@@ -88,7 +88,12 @@ def leave_one_band_out(log_posterior: LogPosterior, sample: WeightedSample) -> B
 
 
 def _without_own_leak(
-    log_posterior: LogPosterior, theta: FloatArray, rows: NDArray[np.int64], error: FloatArray, precision: FloatArray
+    log_posterior: LogPosterior,
+    theta: FloatArray,
+    rows: NDArray[np.int64],
+    predicted: FloatArray,
+    error: FloatArray,
+    precision: FloatArray,
 ) -> FloatArray:
     r"""Return -2 ln of the mean of exp(-e^T P e / 2) over the prior of the band's own leak, (n,).
 
@@ -107,7 +112,7 @@ def _without_own_leak(
 
     beside = theta.copy()
     beside[:, column] += 1.0
-    change = (log_posterior.predict_usable(beside) - log_posterior.predict_usable(theta))[:, rows]
+    change = log_posterior.predict_usable(beside)[:, rows] - predicted
     start = opened(drawn)[0]
     slope = change / (opened(drawn + 1.0)[0] - start)
     peak = drawn.copy()

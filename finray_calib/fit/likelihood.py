@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 from finray_calib.fit.band_data import LEAST_BANDS, BandData
 from finray_calib.fit.discrepancy import NO_DISCREPANCY, Discrepancy
 from finray_calib.fit.nuisances import Reference, decisive_leaks
-from finray_calib.fit.posterior_calls import COVARIANCE, LOG_LIKELIHOOD, LOG_POSTERIOR, PREDICTION, TOP, evaluate
+from finray_calib.fit.posterior_calls import (
+    COVARIANCE,
+    LOG_LIKELIHOOD,
+    LOG_POSTERIOR,
+    PRECISION,
+    PREDICTION,
+    TOP,
+    evaluate,
+)
 from finray_calib.fit.posterior_kernel import NORMAL, ROW, Problem
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.spectra.band_quadrature import NODES
@@ -77,8 +85,16 @@ class LogPosterior:
 
     def covariances(self, theta: FloatArray) -> FloatArray:
         """Return the covariance of the usable band values at (n, D) rows, (n, K, K)."""
+        return self._matrices(COVARIANCE, theta)
+
+    def precisions(self, theta: FloatArray) -> FloatArray:
+        """Return the inverse covariance of the usable band values at (n, D) rows, (n, K, K)."""
+        return self._matrices(PRECISION, theta)
+
+    def _matrices(self, quantity: int, theta: FloatArray) -> FloatArray:
+        """Return a compiled matrix of many rows, (n, K, K)."""
         size = self.data.kept.size
-        return np.reshape(self._by_row(COVARIANCE, theta, size**2), (-1, size, size))
+        return np.reshape(self._by_row(quantity, theta, size**2), (-1, size, size))
 
     def _by_row(self, quantity: int, theta: FloatArray, columns: int, steps: int = 0) -> FloatArray:
         """Return a compiled quantity of many rows, (n, columns), computed by several threads where that pays."""

@@ -150,11 +150,12 @@ class MixtureProposal:
         """Return (count, D) draws in random order."""
         counts = rng.multinomial(count, self._shares)
         prior_draws = self._prior.draw(counts[-1], rng)
-        which = np.repeat(np.arange(len(self._centres)), counts[:-1])
-        stretch = np.sqrt(_DEGREES_OF_FREEDOM / rng.chisquare(_DEGREES_OF_FREEDOM, which.size))
-        normal = stretch[:, None] * rng.standard_normal((which.size, self._centres.shape[1]))
-        draws = self._centres[which] + np.einsum("nij,nj->ni", self._factors[which], normal)
-        return np.asarray(rng.permutation(np.concatenate([prior_draws, draws])))
+        size = int(counts[:-1].sum())
+        stretch = np.sqrt(_DEGREES_OF_FREEDOM / rng.chisquare(_DEGREES_OF_FREEDOM, size))
+        normal = stretch[:, None] * rng.standard_normal((size, self._centres.shape[1]))
+        parts = zip(self._centres, self._factors, np.split(normal, np.cumsum(counts[:-2])), strict=True)
+        draws = [centre + part @ factor.T for centre, factor, part in parts]
+        return np.asarray(rng.permutation(np.concatenate([prior_draws, *draws])))
 
     def log_density(self, theta: FloatArray) -> FloatArray:
         """Return the normalised log density of (n, D) rows, (n,)."""

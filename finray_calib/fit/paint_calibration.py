@@ -7,6 +7,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from data_schemas.colour_checker import ColourCheckerMatch
 from data_schemas.curves import HELD_UNCERTAINTY_REL, SpectralCurve
@@ -106,7 +107,18 @@ def calibrate_paint(
     if options.family is not None:
         family_named(options.family)
     refuse_unfit_lights(bands, other_lights)
-    rng = np.random.default_rng(seed)
+    with threadpool_limits(limits=1, user_api="blas"):  # its matrices are small, and the families fill the cores
+        return _calibrate(bands, np.random.default_rng(seed), options, other_lights, colour_match)
+
+
+def _calibrate(
+    bands: BandSignals,
+    rng: np.random.Generator,
+    options: FitOptions,
+    other_lights: Sequence[BandSignals],
+    colour_match: ColourCheckerMatch | None,
+) -> PaintCalibration:
+    """Return the calibration record."""
     data = band_data(bands)
     fitted = _choose(data, options, rng)
     posterior = fitted.posterior

@@ -6,7 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from finray_calib.fit.climb_kernel import climb
-from finray_calib.fit.posterior_kernel import MU, Problem, fill_covariance, log_density, predict, scratch
+from finray_calib.fit.posterior_kernel import (
+    MU,
+    Problem,
+    factorise,
+    fill_covariance,
+    invert,
+    log_density,
+    predict,
+    scratch,
+)
 from finray_calib.spectra.compiled import compiled
 
 FloatArray = NDArray[np.float64]
@@ -15,7 +24,8 @@ LOG_POSTERIOR: Final = 0
 LOG_LIKELIHOOD: Final = 1
 PREDICTION: Final = 2
 COVARIANCE: Final = 3
-TOP: Final = 4
+PRECISION: Final = 4
+TOP: Final = 5
 
 
 @compiled
@@ -32,8 +42,11 @@ def evaluate(p: Problem, theta: FloatArray, quantity: int, steps: int, out: Floa
             climb(p, out[n], w, steps)
         else:
             predict(p, theta[n], w)
-            if quantity == COVARIANCE:
+            if quantity != PREDICTION:
                 fill_covariance(p, theta[n], w)
+            if quantity == PRECISION:
+                factorise(w.factor, w.row[MU])
+                invert(w.factor)
             for i in range(rows):
                 if quantity == PREDICTION:
                     out[n, i] = w.row[MU, i]

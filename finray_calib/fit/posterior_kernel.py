@@ -15,6 +15,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _LN_2PI = math.log(2 * math.pi)
+_FAR_FROM_ONE = 1e100  # of a product of pivots, each 1e-150 or more: its logarithm is taken before it underflows
 
 
 # Few wide arrays, because compiling a function takes longer with every array that it is given.
@@ -102,8 +103,9 @@ def predict(p: Problem, theta: FloatArray, w: Work) -> None:
     fill(p.family, w.c, p.points_nm, w.curve[0])
     rho = math.exp(theta[p.shapes])
     blocking = math.exp(theta[p.shapes + 1]) if p.has_blocking else 1.0
-    start = len(p.kernel)
-    grid = len(p.points_nm) - start
+    # slices: of an index that is a sum the compiler cannot tell that it is not negative, and takes value after value
+    curve = w.curve[0, len(p.kernel) :]
+    grid = len(curve)
     for i in range(len(p.rows)):
         row = p.rows[i]
         first, emitted, leaked = row["band"] * NODES, 0.0, 0.0
@@ -111,9 +113,10 @@ def predict(p: Problem, theta: FloatArray, w: Work) -> None:
         more = blocking * own - 1
         for q in range(NODES):
             emitted += p.weights[i, q] * w.curve[0, first + q]
+        out_of_band, leaks = p.weights[i, NODES : NODES + grid], p.weights[i, NODES + grid :]
         for g in range(grid):
-            emitted += p.weights[i, NODES + g] * w.curve[0, start + g]
-            leaked += p.weights[i, NODES + grid + g] * w.curve[0, start + g]
+            emitted += out_of_band[g] * curve[g]
+            leaked += leaks[g] * curve[g]
         laser = row["laser"] + more * row["leaked_laser"]
         w.row[MU, i] = (emitted + more * leaked + rho * laser) / (1 + more * row["leaked_white"])
 
@@ -152,7 +155,7 @@ def fill_covariance(p: Problem, theta: FloatArray, w: Work) -> None:
 @compiled_inside
 def factorise(a: FloatArray, b: FloatArray) -> float:
     """Replace a lower triangle by its Cholesky factor L and b by L^-1 b; return half the log determinant."""
-    half = 0.0
+    half, product = 0.0, 1.0
     for i in range(len(b)):
         for j in range(i):
             s = a[i, j]
@@ -164,30 +167,54 @@ def factorise(a: FloatArray, b: FloatArray) -> float:
             s -= a[i, k] * a[i, k]
             z -= a[i, k] * b[k]
         pivot = math.sqrt(max(s, 1e-300))
-        half += math.log(pivot)
+        product *= pivot
+        if not 1 / _FAR_FROM_ONE < product < _FAR_FROM_ONE:
+            half, product = half + math.log(product), 1.0
         a[i, i] = 1 / pivot  # a division takes longer than all else in these short loops
         b[i] = z / pivot
-    return half
+    return half + math.log(product)
+
+
+@compiled_inside
+def invert(a: FloatArray) -> None:
+    """Replace a Cholesky factor (lower triangle, of the diagonal the inverse) by the lower triangle of C^-1."""
+    size = len(a)
+    for i in range(size):  # L^-1: row i of L and the rows above
+        for k in range(i):
+            own = -a[i, k] * a[i, i]
+            for j in range(k):
+                a[i, j] += own * a[k, j]
+            a[i, k] = own * a[k, k]
+    for i in range(size):  # L^-T L^-1: row i and the rows below
+        own = a[i, i]
+        for j in range(i + 1):
+            a[i, j] *= own
+        for k in range(i + 1, size):
+            own = a[k, i]
+            for j in range(i + 1):
+                a[i, j] += own * a[k, j]
 
 
 @compiled_inside
 def log_density(p: Problem, theta: FloatArray, w: Work, with_prior: bool) -> float:
     """Return the log posterior (or likelihood) of one theta; leave prediction, factor and whitened residual in w.
 
-    Where the prior is 0 both are minus infinity.
+    Where the prior is 0 both are minus infinity, and w is left alone.
     """
-    predict(p, theta, w)
-    fill_covariance(p, theta, w)
-    rows = len(p.rows)
-    for i in range(rows):
-        w.row[Z, i] = p.rows[i]["y"] - w.row[MU, i]
-    value, prior = -0.5 * rows * _LN_2PI - factorise(w.factor, w.row[Z]), p.ln_prior_norm
-    for i in range(rows):
-        value -= 0.5 * w.row[Z, i] ** 2
+    prior = p.ln_prior_norm
     for d in range(len(theta)):
         normal = p.prior[d]
         if not (normal["low"] <= theta[d] <= normal["high"]):
             return -math.inf
         prior -= 0.5 * ((theta[d] - normal["mean"]) / normal["sd"]) ** 2
-    value = value if math.isfinite(value) and math.isfinite(prior) else -math.inf
-    return value + prior if with_prior and value > -math.inf else value
+    predict(p, theta, w)
+    fill_covariance(p, theta, w)
+    rows = len(p.rows)
+    for i in range(rows):
+        w.row[Z, i] = p.rows[i]["y"] - w.row[MU, i]
+    value = -0.5 * rows * _LN_2PI - factorise(w.factor, w.row[Z])
+    for i in range(rows):
+        value -= 0.5 * w.row[Z, i] ** 2
+    if not (math.isfinite(value) and math.isfinite(prior)):
+        return -math.inf
+    return value + prior if with_prior else value

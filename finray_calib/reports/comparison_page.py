@@ -18,7 +18,7 @@ from finray_calib.reports.number_text import fixed, percent, signed_percent
 from finray_calib.reports.page import render_page
 from finray_calib.reports.plain_json import Json, plain
 from finray_calib.reports.section import Content, Part
-from finray_calib.reports.statements import ceiling_text, simulation_sentence
+from finray_calib.reports.statements import repeat_text, simulation_sentence
 from finray_calib.reports.touch_sections import grid_phrase
 
 TEMPLATE = "result_page.html.j2"
@@ -100,14 +100,14 @@ def comparison_page(
 def _key_numbers(report: PhotometricErrorReport) -> tuple[tuple[str, str, str], ...]:
     """Return (label, value, remark) of the few numbers that stand beside the verdict."""
     skill, floor = report.headline_skill, row_of(headline(report), "floor")
-    best = ("not known", "no repeat of the no-contact image was captured")
+    repeated = ("not known", "no repeat of the no-contact image was captured")
     if floor is not None:
-        best = (ceiling_text(floor.skill.estimate), "as well as the capture repeats itself")
+        repeated = (repeat_text(floor.skill.estimate), "with its noise, which the simulation's score is free of")
     between = f"95 %: {fixed(skill.low95, 2)} to {fixed(skill.high95, 2)}"
     numbers = [
         ("Skill of the simulation", fixed(skill.estimate, 2), between),
         ("Doing nothing", "0", "the untouched image in its place"),
-        ("Best possible", *best),
+        ("A repeated capture", *repeated),
     ]
     if report.objective_error is not None:
         error = report.objective_error.error_rel

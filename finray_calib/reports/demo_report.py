@@ -44,7 +44,7 @@ def _key_numbers(results: DemoResults) -> tuple[tuple[str, str, str], ...]:
     """Return (label, value, remark) of the few numbers that stand beside the verdict."""
     decision, report = results.decision, results.report
     claim, skill, floor = decision.statement, report.headline_skill, row_of(headline(report), "floor")
-    ceiling = "no repeat captured" if floor is None else f"at best {fixed(floor.skill.estimate, 3)}"
+    repeated = "no repeat captured" if floor is None else f"a repeated capture {fixed(floor.skill.estimate, 3)}"
     return (
         ("Light angle", f"{decision.angle_deg:.0f} deg", f"equivalent: {statements.equivalent_text(claim)}"),
         ("True best within 5 deg", probability(claim.p_within_5deg), "probability"),
@@ -52,7 +52,7 @@ def _key_numbers(results: DemoResults) -> tuple[tuple[str, str, str], ...]:
         (
             "Simulation skill",
             fixed(skill.estimate, 2),
-            f"95 %: {fixed(skill.low95, 2)} to {fixed(skill.high95, 2)}; do nothing 0, {ceiling}",
+            f"95 %: {fixed(skill.low95, 2)} to {fixed(skill.high95, 2)}; do nothing 0, {repeated}",
         ),
     )
 

@@ -11,9 +11,11 @@ from data_schemas.compare import ErrorRow, PhotometricErrorReport, RegionError
 from data_schemas.decide import LightAngleDecision
 from data_schemas.errors import RecordError
 from data_schemas.fit import PaintCalibration
+from data_schemas.press_mechanics import PressMechanics
 from data_schemas.provenance import Provenance
 from data_schemas.radiometry import BandSignals
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
+from data_schemas.surfaces import FingerSurfaces
 from finray_calib.reports.fitted_paint import FittedPaint, PaintTruth
 
 Colour = Literal["red", "green"]
@@ -54,6 +56,8 @@ class DemoResults:
     ----------
     paints
         The two paints by colour.
+    mechanics, surfaces
+        The finger as finite elements pressed it; its shape is that of all renders. None where it was not shown.
     stage_wall_times_s
         Wall time of each of the six stages, s.
     renderer_note
@@ -83,6 +87,8 @@ class DemoResults:
     command: str
     provenance: Provenance
     true_sweep: LightAngleSweep | None = None
+    mechanics: PressMechanics | None = None
+    surfaces: FingerSurfaces | None = None
     report_level_a: PhotometricErrorReport | None = None
 
     def __post_init__(self) -> None:

@@ -1,5 +1,6 @@
 """What a section of the report is made of."""
 
+import base64
 from dataclasses import dataclass
 
 from finray_calib.reports.images import ByteImage, png_data_uri
@@ -54,6 +55,12 @@ class Section:
 def raster(rgb8: ByteImage, alternative: str, caption: str) -> Picture:
     """Return an (H, W, 3) sRGB image as a picture."""
     return Picture(png_data_uri(rgb8), alternative, caption, is_raster=True, is_small=True)
+
+
+def figure_png(png: bytes, alternative: str, caption: str) -> Picture:
+    """Return a figure that was drawn as PNG as a picture."""
+    source = f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
+    return Picture(source, alternative, caption)
 
 
 def drawing(svg: str, alternative: str, caption: str, is_small: bool = False) -> Picture:

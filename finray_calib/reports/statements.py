@@ -60,11 +60,15 @@ def simulation_sentence(report: PhotometricErrorReport) -> str:
         # with the noise taken out an estimate may lie above 1
         share = "all" if skill.estimate >= 1 else percent(skill.estimate)
         meaning = f"The simulated touch explains {share} of the squared change in the image: skill {score}"
-    bound = "no repeat was captured, so the best possible score is unknown"
+    bound = "no repeat was captured, so the camera's noise is unknown and lowers the score"
     if floor is not None:
-        ceiling = ceiling_text(floor.skill.estimate)
-        bound = f"a perfect simulation would score {ceiling}, limited by how well the capture itself repeats"
-    return f"{meaning} over the region \u201c{report.headline_region}\u201d. Doing nothing scores 0; {bound}."
+        repeated = repeat_text(floor.skill.estimate)
+        bound = f"a repeated capture in its place, whose noise is not, scores {repeated}"
+    taken_out = "" if floor is None else " (the camera's noise is taken out)"
+    return (
+        f"{meaning} over the region \u201c{report.headline_region}\u201d. Doing nothing scores 0, a perfect simulation "
+        f"1{taken_out}; {bound}."
+    )
 
 
 def level_a_sentence(report: PhotometricErrorReport, report_level_a: PhotometricErrorReport) -> str:
@@ -80,7 +84,7 @@ def level_a_sentence(report: PhotometricErrorReport, report_level_a: Photometric
     )
 
 
-def ceiling_text(skill: float) -> str:
+def repeat_text(skill: float) -> str:
     """Return the floor row's skill; what rounds to a perfect 1 is said to be above 0.999."""
     return "above 0.999" if skill > 0.999 else fixed(skill, 3)
 

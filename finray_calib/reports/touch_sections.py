@@ -10,8 +10,9 @@ from finray_calib.reports.compare_figures import error_map_figure, score_figure
 from finray_calib.reports.demo_results import DemoResults, headline
 from finray_calib.reports.images import ByteImage, capture_rgb
 from finray_calib.reports.number_text import decimals_for, fixed, percent, significant
+from finray_calib.reports.pressed_finger_figure import pressed_finger_png
 from finray_calib.reports.report_tables import error_table
-from finray_calib.reports.section import Content, Picture, drawing, raster
+from finray_calib.reports.section import Content, Picture, drawing, figure_png, raster
 from finray_calib.reports.touch_images import is_unmixed, pad_window, touch_pair
 
 OUTLINED = "outlined: the region that is scored"
@@ -31,10 +32,37 @@ def simulate_section(results: DemoResults) -> Content:
         ),
     )
     return Content(
-        lead=f"The finger, untouched and pressed{angle}: {press.label}. Then the light was swept: {sweep.label}.",
-        picture_rows=(pictures,),
+        lead=f"{_push_phrase(results)}The finger, untouched and pressed{angle}: {press.label}. Then the light was "
+        f"swept: {sweep.label}.",
+        picture_rows=(*_pressed_finger(results), pictures),
         remarks=(display_remark(press),),
     )
+
+
+def _push_phrase(results: DemoResults) -> str:
+    """Say what the press took."""
+    mechanics = results.mechanics
+    if mechanics is None:
+        return ""
+    return (
+        f"The finger was pressed by {mechanics.label}: {mechanics.force_n[-1, 1]:.2f} N at a push of "
+        f"{mechanics.depth_mm[-1]:g} mm, a force that no measurement has confirmed. "
+    )
+
+
+def _pressed_finger(results: DemoResults) -> tuple[tuple[Picture, ...], ...]:
+    """Return a row with the pressed finger, where there is one."""
+    mechanics, surfaces = results.mechanics, results.surfaces
+    if mechanics is None or surfaces is None:
+        return ()
+    picture = figure_png(
+        pressed_finger_png(mechanics, surfaces),
+        f"The finger from the side before and after the press: the pad gives way under the indenter and the finger "
+        f"bends; the force rises to {mechanics.force_n[-1, 1]:.2f} N.",
+        "The whole finger from the side, to scale, and its force. What to see: the dent in the pad, and how the fins "
+        "bend around the indenter.",
+    )
+    return ((picture,),)
 
 
 def _renders(results: DemoResults) -> tuple[ByteImage, ByteImage]:

@@ -34,6 +34,7 @@ def capture_twin(
     samples_per_pixel: int,
     progress: Progress | None = None,
     shapes: tuple[FingerShape, FingerShape] | None = None,
+    contact_samples_per_pixel: int | None = None,
 ) -> TactileCapture:
     """Render a finger and pass it through the sensor: contact, no contact, and a repeat of no contact.
 
@@ -47,6 +48,8 @@ def capture_twin(
         Seed of render and sensor noise, paths per pixel.
     shapes
         The finger without and with contact; by default the design's indenter is pressed in analytically.
+    contact_samples_per_pixel
+        Paths per pixel around the contact, see :func:`sim.optics.render.render_press`.
     """
     render = render_press(
         finger.design,
@@ -58,6 +61,8 @@ def capture_twin(
         progress,
         shapes,
         finger.calibration,
+        contact_samples_per_pixel,
+        common_random_numbers=False,
     )
     return camera_capture(
         BandImages(render.contact_bands, render.no_contact_bands, render.no_contact_variance),

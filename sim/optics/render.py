@@ -34,6 +34,9 @@ CONTACT_SHARE = 2
 CONTACT_REACH = 2.5
 """In half-widths of the contact: a comparison reaches to twice its half-width."""
 
+# beside the streams of halves and windows, which count from zero
+_CONTACT_STREAM = 100
+
 # a bent finger at rest would be shorter; meshes keep their size to rounding
 _SIZE_TOLERANCE_REL = 0.02
 
@@ -94,11 +97,11 @@ def render_press(
     shapes: tuple[FingerShape, FingerShape] | None = None,
     calibration: CameraCalibration | None = None,
     contact_samples_per_pixel: int | None = None,
+    common_random_numbers: bool = True,
 ) -> PressRender:
     """Render a finger without and with its press.
 
-    Both images use the same random numbers, so that their difference away from the contact is small. The same
-    seed gives the same images.
+    The same seed gives the same images.
 
     Parameters
     ----------
@@ -124,6 +127,9 @@ def render_press(
     contact_samples_per_pixel
         Paths per pixel of the rectangle around the contact and its halo, an even number; by default twice those
         of the pad.
+    common_random_numbers
+        Whether both images use the same random numbers, so that their difference away from the contact is small.
+        What stands for a capture needs noise of its own in each image, as cameras have it.
 
     Raises
     ------
@@ -144,7 +150,8 @@ def render_press(
     camera = _Camera(design, calibration, Window.around(*(m.coat_mm(design) for m in maps)), _contact_window(maps[1]))
     states = []
     for step, (name, shape) in enumerate((("no contact", rest), ("contact", pressed)), start=1):
-        states.append(_render_state(camera, shape, bands, renderer, level, seed, samples))
+        own = seed if common_random_numbers or step == 1 else stream_seed(seed, _CONTACT_STREAM)
+        states.append(_render_state(camera, shape, bands, renderer, level, own, samples))
         timings |= {f"bake {name}": states[-1].bake_s, f"render {name}": states[-1].render_s}
         if progress is not None:
             progress(step, 2, f"rendered {name}")

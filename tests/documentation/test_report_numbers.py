@@ -168,7 +168,8 @@ def test_the_simulation_is_praised_only_as_far_as_its_interval(low: float, high:
     report = RESULTS.report.model_copy(update={"headline_skill": skill})
     sentence = statements.simulation_sentence(report)
     assert meaning in sentence
-    assert "Doing nothing scores 0; a perfect simulation would score 0.998" in sentence
+    assert "Doing nothing scores 0, a perfect simulation 1 (the camera's noise is taken out)" in sentence
+    assert "a repeated capture in its place, whose noise is not, scores 0.998" in sentence
 
 
 def test_a_missing_floor_is_said() -> None:

@@ -7,6 +7,7 @@ from scipy.stats import multivariate_normal, truncnorm
 from data_schemas.errors import FitError
 from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY, Discrepancy
 from finray_calib.fit.likelihood import BandData, LogPosterior
+from finray_calib.fit.posterior_kernel import factorise
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.spectra.band_quadrature import band_quadrature
 from finray_calib.spectra.band_weights import emission_weights
@@ -116,6 +117,25 @@ def test_covariances_are_those_of_a_dense_gaussian_process_at_the_nodes(correlat
         assert (np.abs(got - expected) < 5e-4 * scale).all()
         assert np.allclose(np.diag(got), np.diag(expected), rtol=1e-9, atol=0)
         assert np.array_equal(got, got.T)
+
+
+@pytest.mark.parametrize("discrepancy", [NO_DISCREPANCY, SHORT], ids=["family alone", "with discrepancy"])
+def test_precisions_are_inverse_covariances(correlated, discrepancy):
+    posterior = LogPosterior(correlated((4, 11)), LOG_NORMAL, EmissionPrior(), discrepancy)
+    theta = posterior.prior.draw(20, np.random.default_rng(5))
+    for covariance, got in zip(posterior.covariances(theta), posterior.precisions(theta), strict=True):
+        expected = np.linalg.inv(covariance)
+        scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+        # rounding of two different factorisations of a covariance of condition 1e6 or so
+        assert (np.abs(got - expected) < 1e-8 * scale).all()
+        assert np.array_equal(got, got.T)
+
+
+@pytest.mark.parametrize("variance", [1e-60, 1e60])
+def test_the_determinant_neither_underflows_nor_overflows(variance):
+    """The product of 24 such pivots, 1e-720 or 1e720, is no floating-point number."""
+    half_log = factorise.py_func(np.diag(np.full(24, variance)), np.ones(24))
+    assert half_log == pytest.approx(12 * np.log(variance), rel=1e-12)
 
 
 def test_bands_four_lengths_apart_may_be_cut_off(correlated, weights):

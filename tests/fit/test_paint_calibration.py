@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from data_schemas.errors import FitError
 from data_schemas.estimate import Estimate
@@ -14,6 +15,8 @@ from data_schemas.provenance import provenance
 from data_schemas.radiometry import BandSignals
 from data_schemas.standard_curves import assumed_camera_response
 from data_schemas.storage import read_record, write_record
+from finray_calib.fit import paint_calibration
+from finray_calib.fit.calibration_records import curve_bands
 from finray_calib.fit.calibration_warnings import absorption_warnings, fit_warnings, signal_warnings
 from finray_calib.fit.discrepancy import PAINT_DISCREPANCY
 from finray_calib.fit.emission import FitSettings, fit_emission
@@ -81,6 +84,26 @@ def test_bench_and_nominal_fitter_agree_on_mode_width_and_yield(paint):
         assert value.low95 < getattr(truth, name) < value.high95
     assert paint.energy_yield == paint.parameters["energy_yield"]
     assert not any("cannot explain" in said for said in paint.warnings)
+
+
+def test_linear_algebra_takes_one_thread_during_a_fit_and_all_again_after_it(bands, monkeypatch):
+    """The families are fitted side by side; threads of the matrices' own would only wait for each other."""
+
+    def blas_threads():
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    monkeypatch.setattr(paint_calibration, "_calibrate", lambda *_: blas_threads())
+    with threadpool_limits(limits=2, user_api="blas"):
+        assert calibrate_paint(bands, 1) == {1}
+        assert blas_threads() == {2}
+
+
+def test_limits_of_curves_are_numpys_quantiles():
+    curves = np.random.default_rng(1).gamma(2.0, size=(501, 30))
+    got = curve_bands(curves)
+    expected = np.quantile(curves, [0.025, 0.16, 0.84, 0.975], axis=0)
+    assert np.allclose([got.low95, got.low68, got.high68, got.high95], expected, rtol=1e-14, atol=0)
+    assert np.array_equal(got.mean, curves.mean(axis=0))
 
 
 def test_all_families_stand_beside_the_reported_one(paint):
