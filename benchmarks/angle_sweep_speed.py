@@ -109,7 +109,7 @@ class Picture:
         import mitsuba as mi
 
         from sim.optics.paint_bands import paint_bands
-        from sim.optics.render import BAKE_SAMPLES, lit_integrator, open_scene
+        from sim.optics.render import BAKE_SAMPLES, lit_integrator, open_guide, open_scene
         from sim.optics.wall_baking import bake_walls
         from sim.surface_meshes.finger_shape import pressed_shape
 
@@ -117,8 +117,9 @@ class Picture:
         took: list[Seconds] = []
         with timed(took):
             scene = open_scene(design, shape, bands, mi)
-            light = bake_walls(scene, design, shape, bands, mi, "b", 3, BAKE_SAMPLES[False])[0]
-            integrator, chains = lit_integrator(scene, design, shape, mi, light)
+            guide = open_guide(scene, design, shape, mi)
+            light = bake_walls(scene, design, shape, bands, mi, "b", 3, BAKE_SAMPLES[False], guide=guide)[0]
+            integrator, chains = lit_integrator(scene, design, shape, mi, light, guide)
         return cls(scene, integrator, chains, took[0])
 
     def seconds_per_sample(self) -> Seconds:

@@ -96,21 +96,21 @@ def measure(
 
     from sim.optics.fluorescent_bands import fluorescent_bands
     from sim.optics.paths import band_integrator
-    from sim.optics.render import lit_integrator, open_scene
+    from sim.optics.render import lit_integrator, open_guide, open_scene
     from sim.optics.wall_baking import bake_walls
     from sim.optics.wall_emission import last_band
     from sim.surface_meshes.finger_shape import pressed_shape
 
     shape, bands = pressed_shape(design), paint_bands(*paints().values(), design.light)
     scene = open_scene(design, shape, bands, mi)
-    panels = band_integrator(scene, design, shape)
+    panels, guide = band_integrator(scene, design, shape), open_guide(scene, design, shape, mi)
     matrices = {name: bands.matrix(name) for name in ("red", "green")}
     integrator, chains = fluorescent_bands(scene, matrices, max_depth=depth, panels=panels), BAND_NAMES
     images, seconds = [], 0.0
     for seed in seeds:
         if level == "b":
-            light = bake_walls(scene, design, shape, bands, mi, "b", seed, bake_samples)[0]
-            integrator, chains = lit_integrator(scene, design, shape, mi, light)
+            light = bake_walls(scene, design, shape, bands, mi, "b", seed, bake_samples, guide=guide)[0]
+            integrator, chains = lit_integrator(scene, design, shape, mi, light, guide)
         start = time.monotonic()
         image = mi.render(scene, integrator=integrator, spp=samples_per_pixel, seed=seed).numpy().astype(float)
         seconds += time.monotonic() - start
