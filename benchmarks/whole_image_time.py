@@ -2,7 +2,7 @@
 
     python benchmarks/whole_image_time.py [--width 1280] [--samples 64] [--rounds 3]
 
-Both render the same scene with the same sensor, samples per pixel, longest path and roulette: ours holds every chain
+Both render the same scene with the same sensor, samples per pixel and longest path: ours holds every chain
 of fluorescence apart and connects surfaces with the LED through the gel's face; ``path`` sees the painted walls as
 textured emitters of the same light. The bake of the walls is told apart, and added. Both are timed by turns in one
 process, after one sample each that compiles. The finger is pressed, its gel bent. The variance of the LED band over the

@@ -45,11 +45,11 @@ class CurveBands:
 
 
 def curve_bands(curves: Floats) -> CurveBands:
-    """Return mean and equal-tailed pointwise limits of (n, L) curves."""
+    """Return mean and equal-tailed pointwise limits of (n, L) curves of finite numbers."""
     ordered = np.sort(curves, axis=0)  # np.quantile, which selects instead, takes three times as long
     place = np.array([[0.025], [0.16], [0.84], [0.975]]) * (len(curves) - 1)
     below = place.astype(np.int64)
-    low, high = ordered[below[:, 0]], ordered[below[:, 0] + 1]
+    low, high = ordered[below[:, 0]], ordered[np.minimum(below[:, 0] + 1, len(curves) - 1)]
     low95, low68, high68, high95 = low + (place - below) * (high - low)
     return CurveBands(curves.mean(axis=0), low95, high95, low68, high68)
 

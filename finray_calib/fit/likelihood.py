@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.errors import FitError
 from finray_calib.fit.band_data import LEAST_BANDS, BandData
 from finray_calib.fit.discrepancy import NO_DISCREPANCY, Discrepancy
 from finray_calib.fit.nuisances import Reference, decisive_leaks
@@ -31,6 +32,7 @@ FloatArray = NDArray[np.float64]
 
 _HESSIAN_STEP = 1e-3  # in prior standard deviations: truncation 1e-6, rounding 1e-9 of the curvature
 _CLIMB_STEPS = 60
+_SINGULAR = 1e100  # no value is known that well: a pivot was zero
 _ROWS_WORTH_A_THREAD = 2500  # some 20 ms; for less, a busy second core costs more than an idle one gains
 _LENGTHS_APART = 4.0  # bands further apart than four correlation lengths share no discrepancy (e^-8)
 
@@ -88,8 +90,20 @@ class LogPosterior:
         return self._matrices(COVARIANCE, theta)
 
     def precisions(self, theta: FloatArray) -> FloatArray:
-        """Return the inverse covariance of the usable band values at (n, D) rows, (n, K, K)."""
-        return self._matrices(PRECISION, theta)
+        """Return the inverse covariance of the usable band values at (n, D) rows, (n, K, K).
+
+        Raises
+        ------
+        FitError
+            When a covariance is singular.
+        """
+        found = self._matrices(PRECISION, theta)
+        if not (np.abs(found) < _SINGULAR).all():
+            raise FitError(
+                "the covariance of the band values is singular: two values carry the same information without noise of "
+                "their own; state their uncertainties, or leave one of them out"
+            )
+        return found
 
     def _matrices(self, quantity: int, theta: FloatArray) -> FloatArray:
         """Return a compiled matrix of many rows, (n, K, K)."""

@@ -107,6 +107,7 @@ def calibrate_paint(
     if options.family is not None:
         family_named(options.family)
     refuse_unfit_lights(bands, other_lights)
+    # of the whole process: two fits at the same time in threads of one process would hold each other up
     with threadpool_limits(limits=1, user_api="blas"):  # its matrices are small, and the families fill the cores
         return _calibrate(bands, np.random.default_rng(seed), options, other_lights, colour_match)
 

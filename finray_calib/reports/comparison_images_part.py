@@ -87,6 +87,7 @@ def _scores(report: PhotometricErrorReport) -> Picture:
     return drawing(
         score_figure(report),
         simulation_sentence(report),
-        "Skill by region, with 95 % intervals. What to see: the nearer the circle is to the diamond, the less is left "
-        "to gain; at 0 the simulation is worth as much as an image of the untouched pad.",
+        "Skill by region, with 95 % intervals. What to see: the nearer the circle is to 1, the less is left to gain; "
+        "the diamond is a repeated capture, with its noise; at 0 the simulation is worth as much as an image of "
+        "the untouched pad.",
     )

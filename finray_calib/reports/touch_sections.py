@@ -100,6 +100,8 @@ def compare_section(results: DemoResults) -> Content:
         f"{_exposure_phrase(results)}. Beside it stand two candidates that need no simulation: leaving the image "
         "unchanged (do nothing), and repeating the capture (floor)."
     )
+    if results.mechanics is not None:
+        lead += " Both have the shape that finite elements gave: the score says nothing of the mechanics."
     remarks = [display_remark(results.press), f"Values: {report.values}. SSIM settings: {report.ssim_settings}."]
     if results.report_level_a is not None:
         remarks.insert(0, statements.level_a_sentence(report, results.report_level_a))
@@ -145,8 +147,8 @@ def _drawings(results: DemoResults) -> tuple[Picture, ...]:
         drawing(
             score_figure(report),
             statements.simulation_sentence(report),
-            "Skill by region, with 95 % intervals. What to see: the nearer the circle is to the diamond, the less is "
-            "left to gain.",
+            "Skill by region, with 95 % intervals. What to see: the nearer the circle is to 1, the less is left to "
+            "gain; the diamond is a repeated capture, with its noise.",
         ),
     )
 

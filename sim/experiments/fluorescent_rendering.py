@@ -11,7 +11,7 @@ from data_schemas.illumination import FluorescentRendering, LevelDifference
 from sim.experiments.painted_finger import PaintedFinger
 from sim.optics.finger_view import Window
 from sim.optics.paint_bands import BAND_NAMES
-from sim.optics.render import BAKE_SAMPLES, PressRender, Progress, check_paints, open_scene, render_press
+from sim.optics.render import BAKE_SAMPLES, PressRender, Progress, check_paints, open_guide, open_scene, render_press
 from sim.optics.variants import SCALAR_VARIANT
 from sim.optics.wall_baking import bake_walls
 from sim.optics.wall_emission import (
@@ -132,7 +132,8 @@ def _baked(finger: PaintedFinger, design: FingerDesign, seed: int, repeats: int)
     shape, bands = rest_shape(design), check_paints(design, finger.paints)
     scene = open_scene(design, shape, bands, finger.renderer)
     samples = BAKE_SAMPLES[finger.renderer.variant() == SCALAR_VARIANT]
-    bakes = bake_walls(scene, design, shape, bands, finger.renderer, "b", seed, samples, repeats)
+    guide = open_guide(scene, design, shape, finger.renderer)
+    bakes = bake_walls(scene, design, shape, bands, finger.renderer, "b", seed, samples, repeats, guide)
     chains = dict.fromkeys(chain for bake in bakes for chain in bake)
     return {c: np.sum([b[c] for b in bakes if c in b], axis=0) / repeats for c in chains}
 

@@ -77,7 +77,7 @@ def optics_products(
     wavelength_nm = spectral_grid_nm(render.bands)
     return OpticsProducts(
         press=press,
-        capture=simulated_capture(press, seed, render.no_contact_variance),
+        capture=simulated_capture(press, seed),
         basis={"contact": render.contact_chains, "no_contact": render.no_contact_chains},
         basis_names=render.chains,
         band_sd={"contact": np.sqrt(render.contact_variance), "no_contact": np.sqrt(render.no_contact_variance)},

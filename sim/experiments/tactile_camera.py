@@ -116,21 +116,18 @@ def electrons_per_s(no_contact: NDArray[np.floating], sensor: Sensor, exposure_s
     return float(BRIGHT_SHARE * sensor.full_scale_dn * sensor.gain_e_per_dn / exposure_s / bright)
 
 
-def simulated_capture(
-    press: SimulatedPress, seed: int, no_contact_bands_variance: Image | None = None
-) -> TactileCapture:
+def simulated_capture(press: SimulatedPress, seed: int) -> TactileCapture:
     """Return a rendered press as its camera would deliver it: raw Bayer counts with black level and noise.
 
-    The repeat of the image without contact has its own noise of the sensor, and of the render where that is known.
+    The render's own noise is part of all three images, as if it were texture: contact and no contact share most of it
+    (common random numbers), so that a repeat with noise of its own would tell a comparison of noise that is not there.
 
     Parameters
     ----------
     press
         Rendered press in the camera's linear RGB, one value per Bayer cell.
     seed
-        Of shot noise, read noise, the sensor's fixed pattern and the repeated render.
-    no_contact_bands_variance
-        Variance of the bands without contact from render noise (the press itself knows that of its contact only).
+        Of shot noise, read noise and the sensor's fixed pattern.
 
     Raises
     ------
@@ -143,9 +140,8 @@ def simulated_capture(
     contact, no_contact, matrix = press.contact_bands, press.no_contact_bands, press.camera_matrix
     if contact is None or no_contact is None or matrix is None:
         raise SimulateError(f"{press.name} holds no band images: only a rendered press can be captured")
-    none = np.zeros_like(no_contact)
     return camera_capture(
-        BandImages(contact, no_contact, none if no_contact_bands_variance is None else no_contact_bands_variance),
+        BandImages(contact, no_contact, np.zeros_like(no_contact)),
         matrix,
         design,
         seed,

@@ -2,9 +2,10 @@
 
 A panel seen by the mirror fills a small solid angle, so paths that scatter at the coating meet it rarely and then bring
 much: these few carried nine tenths of the variance of the LED band beside the indenter. Light paths sent from the
-panels to the mirror tell where on the coating their light arrives and from where. Per cell of the coating and per
-route a normal distribution of directions describes them; eye paths draw from it with a fixed chance, else from the
-material, and are weighted by the density of the mixture, so that whatever was learned, the mean stays the same.
+panels to the mirror, directly or by the outside of the gel, tell where on the coating their light arrives and from
+where. Per cell of the coating and per route a normal distribution of directions describes them; eye paths draw from it
+with a fixed chance, else from the material, and are weighted by the density of the mixture, so that whatever was
+learned, the mean stays the same.
 
 Import this module only after a compiled variant has been set (see :mod:`sim.optics.variants`).
 """
@@ -102,8 +103,10 @@ class MirrorGuide:
         return dr.select(usable, total * per_down * per_down * per_down, 0.0)
 
 
-def learn_guide(scene: Any, panels: LightPanels, seed: int = 0, paths: int = LIGHT_PATHS) -> MirrorGuide:
+def learn_guide(scene: Any, panels: LightPanels) -> MirrorGuide:
     """Send light from the panels to the mirror and learn where the coating receives it from.
+
+    Always with the same random numbers: they change the noise of what is rendered with the guide, not the mean.
 
     Parameters
     ----------
@@ -111,13 +114,9 @@ def learn_guide(scene: Any, panels: LightPanels, seed: int = 0, paths: int = LIG
         From :func:`sim.optics.scene.finger_scene`.
     panels
         Its band path tracer.
-    seed
-        Random seed, >= 0. It changes the noise of what is rendered with the guide, not the mean.
-    paths
-        Number of light paths.
     """
     sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(seed, paths)
+    sampler.seed(0, LIGHT_PATHS)
     mirror = next(shape for shape in scene.shapes() if shape.id() == "mirror")
     arrived, uv, towards, light, route = (
         np.array(values)
@@ -131,7 +130,7 @@ def learn_guide(scene: Any, panels: LightPanels, seed: int = 0, paths: int = LIG
 
 @dr.syntax
 def _light_paths(panels, mirror, scene, sampler):  # type: ignore[no-untyped-def]
-    """Return (arrived at the coating, where, direction to the light, light, route) of paths aimed at the mirror."""
+    """Return (arrived at the coating, where, direction to the light, light, route) of paths to the mirror."""
     start, (normal, exponent), light = panel_point(panels.panels, sampler.next_2d())
     by_face, spot = sampler.next_1d() < 0.5, sampler.next_2d()
     face = next(shape for shape in scene.shapes() if shape.id() == "inner")
@@ -146,7 +145,7 @@ def _light_paths(panels, mirror, scene, sampler):  # type: ignore[no-untyped-def
     uv, towards = mi.Point2f(0), mi.Vector3f(0)
     active, arrived = light > 0.0, mi.Bool(False)
     mirrors, outsides, others, depth = mi.UInt32(0), mi.UInt32(0), mi.UInt32(0), mi.UInt32(0)
-    while dr.hint(active, max_iterations=_LONGEST_ROUTE):
+    while dr.hint(active):
         si = scene.ray_intersect(ray, active)
         active &= si.is_valid()
         front = mi.Frame3f.cos_theta(si.wi) > 0
@@ -168,6 +167,7 @@ def _light_paths(panels, mirror, scene, sampler):  # type: ignore[no-untyped-def
         light = dr.select(active, light * weight.z * dr.select(outside, drawn.pdf, 1.0), light)
         ray = si.spawn_ray(si.to_world(drawn.wo))
         depth += 1
+        active &= depth < _LONGEST_ROUTE
     route = dr.select((mirrors == 1) & (outsides < 2), outsides, ROUTES - 1)
     route = dr.select((mirrors == 2) & (outsides == 1), 2, route)
     return arrived & (mirrors > 0), uv, towards, light, dr.select(others > 0, ROUTES - 1, route)

@@ -36,7 +36,7 @@ _SMALLEST_COSINE = 1e-4
 class BandPaths(mi.SamplingIntegrator):
     """Unidirectional path tracer whose channels are chains of fluorescence, one LED light and two painted walls.
 
-    A point in the gel and a uniformly drawn panel point are joined by the refracted path between them, see
+    A point in the gel and a panel point, drawn by the panels' light, are joined by the refracted path between them, see
     :func:`sim.optics.curved_refraction.refract_through`. A path that later meets the panel by just that kind of route
     is given weight zero, so nothing is counted twice. What the painted walls emit is looked up where a path meets
     them: they are large and need no connection. Panels seen by the mirror are found along the directions of a

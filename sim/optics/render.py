@@ -318,11 +318,12 @@ def _render_state(
     begun, design = time.monotonic(), camera.design
     scene = open_scene(design, shape, bands, renderer, camera_sensor(design, renderer, camera.calibration))
     guide = None if level == "c" else open_guide(scene, design, shape, renderer)
+    prepared_s = time.monotonic() - begun
     (one, bake_s), (other, more_s) = (
         _render_half(scene, guide, camera, shape, bands, renderer, level, stream_seed(seed, half), samples)
         for half in (0, 1)
     )
-    bake_s += more_s
+    bake_s += prepared_s + more_s
     mean, half_difference = _mean_and_half_difference(one, other)
     return _State(mean, half_difference, bake_s, time.monotonic() - begun - bake_s)
 

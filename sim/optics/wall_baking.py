@@ -119,7 +119,8 @@ def indirect_irradiance(
     """Estimate the LED irradiance of the walls by all ways but the direct one through the inner face.
 
     E = pi times the mean LED radiance over cosine-distributed directions, at a grid of points, then a least-squares
-    polynomial over the wall. Noise: about 640 % per path over the square root of paths per coefficient (16).
+    polynomial over the wall. Noise: about 640 % per path (with a guide half of it) over the square root of paths per
+    coefficient (16).
 
     Parameters
     ----------

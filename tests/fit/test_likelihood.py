@@ -7,7 +7,7 @@ from scipy.stats import multivariate_normal, truncnorm
 from data_schemas.errors import FitError
 from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY, Discrepancy
 from finray_calib.fit.likelihood import BandData, LogPosterior
-from finray_calib.fit.posterior_kernel import factorise
+from finray_calib.fit.posterior_kernel import factorise, invert
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.spectra.band_quadrature import band_quadrature
 from finray_calib.spectra.band_weights import emission_weights
@@ -129,6 +129,17 @@ def test_precisions_are_inverse_covariances(correlated, discrepancy):
         # rounding of two different factorisations of a covariance of condition 1e6 or so
         assert (np.abs(got - expected) < 1e-8 * scale).all()
         assert np.array_equal(got, got.T)
+
+
+def test_a_singular_covariance_is_refused(correlated, monkeypatch):
+    posterior = LogPosterior(correlated((4, 11)), LOG_NORMAL, EmissionPrior(), NO_DISCREPANCY)
+    size = posterior.data.kept.size
+    factor = np.ones((size, size))
+    factorise.py_func(factor, np.ones(size))
+    invert.py_func(factor)
+    monkeypatch.setattr(LogPosterior, "_matrices", lambda *_: factor[None])
+    with pytest.raises(FitError, match=r"the covariance of the band values is singular.*leave one of them out"):
+        posterior.precisions(orange()[None])
 
 
 @pytest.mark.parametrize("variance", [1e-60, 1e60])

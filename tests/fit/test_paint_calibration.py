@@ -98,8 +98,9 @@ def test_linear_algebra_takes_one_thread_during_a_fit_and_all_again_after_it(ban
         assert blas_threads() == {2}
 
 
-def test_limits_of_curves_are_numpys_quantiles():
-    curves = np.random.default_rng(1).gamma(2.0, size=(501, 30))
+@pytest.mark.parametrize("draws", [501, 2, 1])
+def test_limits_of_curves_are_numpys_quantiles(draws):
+    curves = np.random.default_rng(1).gamma(2.0, size=(draws, 30))
     got = curve_bands(curves)
     expected = np.quantile(curves, [0.025, 0.16, 0.84, 0.975], axis=0)
     assert np.allclose([got.low95, got.low68, got.high68, got.high95], expected, rtol=1e-14, atol=0)

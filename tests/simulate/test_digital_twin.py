@@ -94,8 +94,10 @@ def captured(monkeypatch, paints, variance, image=FLAT):
         contact_bands=image,
         no_contact_variance=np.float32(variance) * FLAT,
     )
-    monkeypatch.setattr(digital_twin, "render_press", lambda *arguments, **options: render)
+    given = {}
+    monkeypatch.setattr(digital_twin, "render_press", lambda *arguments, **options: given.update(options) or render)
     twin = digital_twin.capture_twin(finger(paints), 30.0, seed=3, samples_per_pixel=2)
+    assert given["common_random_numbers"] is False
     return [bayer_planes(image[..., 0]) - 16.0 for image in (twin.no_contact, twin.repeat_no_contact)]
 
 

@@ -198,6 +198,23 @@ def test_sweeps_share_random_numbers_within_a_repeat_and_not_between(llvm, paint
 
 
 @pytest.mark.renderer
+@pytest.mark.parametrize("common", [True, False])
+def test_contact_and_no_contact_share_their_noise_only_where_it_is_wanted(llvm, paints, common):
+    shapes = rest_shape(DESIGN), rest_shape(DESIGN)
+    render = render_press(
+        DESIGN, paints, llvm, seed=3, samples_per_pixel=4, shapes=shapes, common_random_numbers=common
+    )
+    on_coat = render.contact_maps.sees("coat")
+    one, other = (image[on_coat] for image in (render.no_contact_half_difference, render.contact_half_difference))
+    if common:
+        np.testing.assert_allclose(one, other, rtol=FLOAT32, atol=FLOAT32 * np.abs(one).mean())
+    else:
+        together = np.corrcoef(one.ravel(), other.ravel())[0, 1]
+        # heavy tails make single pixels count: some hundred pixels of three chains and more
+        assert abs(together) < 0.3
+
+
+@pytest.mark.renderer
 def test_more_paths_around_the_contact_make_it_quieter_and_change_nothing_else(llvm, paints):
     """Windows of different sizes and path counts in one scene: 16 times the paths, a quarter of the noise."""
     few, many = (

@@ -57,6 +57,23 @@ def test_connected_paths_find_what_stock_paths_find_beyond_the_direct_light(llvm
 
 
 @pytest.mark.renderer
+def test_a_guide_leaves_the_light_of_a_bake_and_takes_noise_out(llvm, paints):
+    from sim.optics.paths import mirror_guide
+
+    scene, design, shape, _ = finger(FingerDesign(camera=CAMERA), paints, llvm)
+    guide = mirror_guide(scene, design, shape)
+    plain, guided = (
+        indirect_irradiance(scene, design, shape, llvm, seed, 10_000, 24, g) for seed, g in ((1, None), (2, guide))
+    )
+    for wall in WALLS:
+        (one, one_error), (other, other_error) = (mean_and_error(r, wall) for r in (plain, guided))
+        assert abs(one - other) < STANDARD_ERRORS * np.hypot(one_error, other_error)
+    # of texels, whose noise is that of many paths: measured half of it
+    noise = [np.std([b[w] for b in bakes for w in WALLS], axis=0).mean() for bakes in (plain, guided)]
+    assert noise[1] < 0.8 * noise[0]
+
+
+@pytest.mark.renderer
 def test_most_light_reaches_the_walls_by_detours_and_none_in_a_black_finger(llvm, paints, black_paints):
     light = LightPanel(position_mm=(0.0, -8.0, 10.0))
     bright = FingerDesign(camera=CAMERA, light=light)

@@ -8,7 +8,6 @@ from data_schemas.errors import SimulateError
 from data_schemas.simulate import SimulatedPress
 from finray_calib.compare.comparison_record import compare_press
 from finray_calib.compare.linear_image import rgb_image
-from rigs.simulated.sensor import bayer_planes
 from sim.experiments.tactile_camera import BandImages, camera_capture, colour_spread, simulated_capture
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=256, height_px=192, response_at_led_uncertainty_rel=0.2))
@@ -108,21 +107,6 @@ def test_colours_spread_by_the_share_of_led_light():
     both = 0.2 * np.hypot(share[:2], share[2])
     np.testing.assert_allclose(spread.ratio_sd_rel, both, rtol=0.1)  # first order in 0.2
     assert "uncertain by 20%: red, green, blue hold" in str(spread)
-
-
-def test_repeat_has_the_render_noise_of_the_image_without_contact():
-    """That of the contact, which the press stores, is another: here it is 25 times smaller."""
-    simulated = press(no_contact_bands=np.ones((96, 128, 3), np.float32))
-    spread = {}
-    for noise_rel in (0.0, 0.05):
-        variance = np.full((96, 128, 3), noise_rel**2, np.float32)
-        capture = simulated_capture(simulated, 3, variance)
-        images = (capture.no_contact, capture.repeat_no_contact)
-        first, repeat = (bayer_planes(image[..., 0]) - 16.0 for image in images)
-        spread[noise_rel] = np.var((repeat - first) / first.mean((0, 1)), axis=(0, 1))
-    share = (MATRIX**2).sum(axis=1) / MATRIX.sum(axis=1) ** 2
-    # 12 288 cells: the standard error of a variance is 1.3 %, on top of the sensor's own noise that is taken off
-    np.testing.assert_allclose(spread[0.05] - spread[0.0], 2 * 0.05**2 * share, rtol=0.1)
 
 
 def test_spectral_images_integrate_to_the_bands(paints):
