@@ -1,6 +1,6 @@
 """Level (b), baked walls, against level (c), path-wise fluorescence in bands, on one pressed finger.
 
-    python benchmarks/fluorescence_levels.py [--seeds 24] [--samples-per-pixel 512] [--width 128] [--depth 30]
+    python benchmarks/fluorescence_levels.py [--seeds 36] [--samples-per-pixel 512] [--width 128] [--depth 30]
         [--twice] [--spectral]
 
 Prints per band the mean over the image of both levels with standard errors over seeds (each seed has its own bake),
@@ -272,7 +272,7 @@ def report_spectral(args: argparse.Namespace, paths: Means) -> None:
 def main() -> None:
     """Print the comparisons."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--seeds", type=int, default=24)
+    parser.add_argument("--seeds", type=int, default=36)
     parser.add_argument("--samples-per-pixel", type=int, default=512)
     parser.add_argument("--width", type=int, default=128)
     parser.add_argument("--depth", type=int, default=30)

@@ -1,5 +1,7 @@
 """Drawings of a finger: the cut is that of the mesh, labels do not overlap, a press shows what its records say."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -11,10 +13,12 @@ from finray_calib.reports.finger_figure import finger_page_png, finger_png
 from finray_calib.reports.finger_outline import finger_outline, outer_edges, side_polygons
 from finray_calib.reports.labelled_parts import spread
 from finray_calib.reports.pressed_finger_figure import pressed_finger_png
+from finray_calib.reports.touch_sections import compare_section, simulate_section
 from sim.experiments.camera_view import camera_view
 from sim.presets import preset_design
 from sim.surface_meshes.finger_shape import pressed_shape, rest_shape
 from sim.surface_meshes.stored_shape import store_shapes
+from tests.documentation.example_records import example_results
 
 SMALL = TactileCamera(width_px=160, height_px=120)
 
@@ -105,6 +109,18 @@ def press_records(depth_mm, unreached=""):
         energy_n_mm=depth**2, iterations=np.array([3, 4]), largest_pressure_mpa=0.1, unreached=unreached, design=design,
     )  # fmt: skip
     return mechanics, surfaces
+
+
+def test_the_report_of_the_demo_shows_the_pressed_finger_and_what_nobody_measured():
+    mechanics, surfaces = press_records(3.0)
+    bare = example_results()
+    results = replace(bare, mechanics=mechanics, surfaces=surfaces)
+    simulated, compared = simulate_section(results), compare_section(results)
+    assert "6.00 N at a push of 3 mm, a force that no measurement has confirmed" in simulated.lead
+    assert simulated.picture_rows[0][0].source.startswith("data:image/png;base64,")
+    assert "the score says nothing of the mechanics" in compared.lead
+    assert len(simulate_section(bare).picture_rows) == len(simulated.picture_rows) - 1
+    assert "mechanics" not in compare_section(bare).lead
 
 
 def test_a_deeper_press_is_seen_and_a_push_that_ended_early_is_marked():
