@@ -156,7 +156,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--fingers", type=int, default=20)
     parser.add_argument("--paints-each", type=int, default=3)
-    parser.add_argument("--samples-per-pixel", type=int, default=2048)
+    parser.add_argument("--samples-per-pixel", type=int, default=1024)
     parser.add_argument("--width", type=int, default=160)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path)
