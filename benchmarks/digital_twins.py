@@ -1,6 +1,6 @@
 """Do the stated intervals of the photometric error hold? Captures of fingers that the simulation does not know.
 
-    python benchmarks/digital_twins.py [--fingers 20] [--paints-each 3] [--samples-per-pixel 2048] [--out FILE]
+    python benchmarks/digital_twins.py [--fingers 20] [--paints-each 3] [--samples-per-pixel 1024] [--out FILE]
 
 Each hidden finger has a light a few degrees off, another coating, and a press whose pose is off by what the capture
 states. Its paints and camera are draws of what the simulation knows about them. The capture goes through the sensor,
