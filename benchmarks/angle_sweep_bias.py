@@ -44,7 +44,7 @@ def swept(
     import mitsuba as mi
 
     from sim.optics.angle_paths import AnglePaths
-    from sim.optics.render import open_scene
+    from sim.optics.lit_scene import open_scene
 
     design, lights = designs[0], [design.light for design in designs]
     bands = paint_bands(*paints().values(), design.light)
@@ -70,7 +70,7 @@ def in_scene(
     """Return (repeat, probe, band) with the panel in the scene, and what its reflectance adds to the LED band."""
     import mitsuba as mi
 
-    from sim.optics.render import lit_integrator, open_scene
+    from sim.optics.lit_scene import lit_integrator, open_scene
     from sim.optics.wall_baking import bake_walls
 
     bands = paint_bands(*paints().values(), design.light)

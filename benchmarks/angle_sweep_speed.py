@@ -108,9 +108,9 @@ class Picture:
         """Bake the walls of a finger."""
         import mitsuba as mi
 
+        from sim.optics.lit_scene import lit_integrator, open_guide, open_scene
         from sim.optics.paint_bands import paint_bands
-        from sim.optics.render import BAKE_SAMPLES, lit_integrator, open_guide, open_scene
-        from sim.optics.wall_baking import bake_walls
+        from sim.optics.wall_baking import BAKE_SAMPLES, bake_walls
         from sim.surface_meshes.finger_shape import pressed_shape
 
         shape, bands = pressed_shape(design), paint_bands(*paints().values(), design.light)

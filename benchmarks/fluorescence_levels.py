@@ -94,16 +94,16 @@ def measure(
     """Render once per seed at level "b" or "c"; means are over the whole image."""
     import mitsuba as mi
 
+    from sim.optics.band_integrator import band_paths
     from sim.optics.fluorescent_bands import fluorescent_bands
-    from sim.optics.paths import band_integrator
-    from sim.optics.render import lit_integrator, open_guide, open_scene
+    from sim.optics.lit_scene import lit_integrator, open_guide, open_scene
     from sim.optics.wall_baking import bake_walls
     from sim.optics.wall_emission import last_band
     from sim.surface_meshes.finger_shape import pressed_shape
 
     shape, bands = pressed_shape(design), paint_bands(*paints().values(), design.light)
     scene = open_scene(design, shape, bands, mi)
-    panels, guide = band_integrator(scene, design, shape), open_guide(scene, design, shape, mi)
+    panels, guide = band_paths(scene, design, shape), open_guide(scene, design, shape, mi)
     matrices = {name: bands.matrix(name) for name in ("red", "green")}
     integrator, chains = fluorescent_bands(scene, matrices, max_depth=depth, panels=panels), BAND_NAMES
     images, seconds = [], 0.0
@@ -149,17 +149,17 @@ def measure_spectral(design: FingerDesign, seeds: range, samples_per_pixel: int)
     """
     import mitsuba as mi
 
+    from sim.optics.band_integrator import band_paths
     from sim.optics.fluorescent_paint import fluorescent_paint
     from sim.optics.fluorescent_spectrum import fluorescent_spectrum
+    from sim.optics.lit_scene import open_scene
     from sim.optics.paint_bands import led_band
-    from sim.optics.paths import band_integrator
-    from sim.optics.render import open_scene
     from sim.surface_meshes.finger_shape import pressed_shape
 
     shape, bands, led = pressed_shape(design), paint_bands(*paints().values(), design.light), led_band(design.light)
     scene = open_scene(design, shape, bands, mi)
     tables = {name: fluorescent_paint(paint, design.light) for name, paint in paints().items()}
-    panels = band_integrator(scene, design, shape)
+    panels = band_paths(scene, design, shape)
     integrator = fluorescent_spectrum(scene, tables, led.wavelength_nm, led.density_per_nm, panels=panels)
     sensor = scene.sensors()[0]
     columns, rows = sensor.film().size()

@@ -53,10 +53,10 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     args = parser.parse_args()
     mi = open_renderer(choose_variant("llvm"))
+    from sim.optics.lit_scene import lit_integrator, open_guide
     from sim.optics.pixel_maps import pixel_maps
-    from sim.optics.render import BAKE_SAMPLES, lit_integrator, open_guide
     from sim.optics.scene import finger_scene
-    from sim.optics.wall_baking import bake_walls, light_walls
+    from sim.optics.wall_baking import BAKE_SAMPLES, bake_walls, light_walls
     from sim.optics.wall_emission import unbaked_walls
 
     design = finger(args.width)

@@ -11,7 +11,17 @@ from data_schemas.curves import SpectralCurve
 from data_schemas.filter_curves import check_named_curves
 from data_schemas.model import Model, Record
 from data_schemas.rig import DeviceIdentity, RigFile
-from data_schemas.units import AngleDeg, DurationS, EnergyJ, ExposureS, Fraction, LengthMm, PositionMm, SignalDn
+from data_schemas.units import (
+    AngleDeg,
+    DurationS,
+    EnergyJ,
+    ExposureS,
+    Fraction,
+    LengthMm,
+    PositionMm,
+    RelativeUncertainty,
+    SignalDn,
+)
 
 LightState = Literal["off", "lamp", "laser", "room"]
 Target = Literal["white", "sample", "sample beside ColorChecker"]
@@ -198,6 +208,9 @@ class TactileCapture(Record):
         default=None, description="whose name it is: captures of one rig at different angles may be compared absolutely"
     )
     light_angle_uncertainty_deg: UncertaintyDeg | None = Field(default=None, description="standard uncertainty")
+    mm_per_px_u_rel: RelativeUncertainty | None = Field(
+        default=None, description="relative standard uncertainty of mm_per_px; none: not known"
+    )
     led_current_ma: CurrentMa | None = Field(default=None, description="of the blue LED panel")
     exposure_bracket_s: tuple[ExposureS, ...] = Field(
         default=(), description="all exposures of the press, this one among them; the session holds the others' frames"

@@ -7,7 +7,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from data_schemas.arrays import ArraySpec
+from data_schemas.finger_identity import FingerIdentity
 from data_schemas.model import Model, Record
+from data_schemas.pixel_scale import LocalScale, ScaleRange
+from data_schemas.units import RelativeUncertainty
 
 
 class Interval(Model):
@@ -89,7 +92,10 @@ class ErrorRow(Model):
     """One row of the table: a candidate image against the captured contact image in one region."""
 
     candidate: Literal["do nothing", "simulation", "floor"]
-    skill: Interval = Field(description="1 - squared error relative to that of the no-contact image")
+    skill: Interval = Field(
+        description="1 - squared error relative to that of the no-contact image; none is above 1, where the interval "
+        "ends, but an estimate may be: the noise is taken out, and what is left scatters to both sides"
+    )
     skill_per_channel: tuple[float | None, float | None, float | None] = Field(
         description="None where contact does not change the channel"
     )
@@ -144,6 +150,32 @@ class SensingError(Model):
     outside_share_simulated: float
     outside_share_captured: float
     rows: tuple[SensingRow, ...]
+    mm_per_px_u_rel: RelativeUncertainty | None = Field(
+        default=None, description="of the scale that the map and its depths rest on; None: not known"
+    )
+
+
+class RegionExtent(Model):
+    """How far a region reaches on the pad, along the rows and the columns of the picture at the patch's middle."""
+
+    region: str
+    along_x_mm: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "mm"})]
+    along_y_mm: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "mm"})]
+    along_x_u_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})]
+    along_y_u_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})]
+
+
+class PatchScale(Model):
+    """Millimetres per raw pixel of the capture where the comparison looked.
+
+    ``extents`` are those of the pixels that belong to a region, for the pad at rest; half a pixel at either end is in
+    their standard uncertainty.
+    """
+
+    middle: LocalScale = Field(description="at the middle of the contact patch")
+    over_patch: ScaleRange
+    over_pad: ScaleRange
+    extents: tuple[RegionExtent, ...]
 
 
 class PhotometricErrorReport(Record):
@@ -155,6 +187,9 @@ class PhotometricErrorReport(Record):
 
     simulated: str
     captured: str
+    finger: FingerIdentity | None = Field(
+        default=None, description="that was rendered; None: not known (no design, or an older version)"
+    )
     label: str
     values: Literal["linear light", "encoded values, encoding unknown"]
     block_px: Annotated[int, Field(ge=1, description="images were averaged over blocks of this side")]
@@ -176,6 +211,7 @@ class PhotometricErrorReport(Record):
     budget: tuple[InputUncertainty, ...] = ()
     validation: tuple[ValidationCell, ...] = ()
     sensing: SensingError | None = Field(default=None, description="None where no normal map was given")
+    patch_scale: PatchScale | None = Field(default=None, description="None where no pixel scale was given")
     findings: tuple[str, ...] = Field(default=(), description="of the checks of registration, channels and exposure")
     forced_mismatch: bool = Field(
         default=False, description="compared although the checks say that the images do not belong together"

@@ -177,6 +177,12 @@ class TactileCamera(Model):
             )
         return self
 
+    def idle_fields(self) -> dict[str, str]:
+        """Return the field of view where a calibration tells it."""
+        if self.calibration is None:
+            return {}
+        return {"field_of_view_deg": "camera.calibration tells where each pixel looks; leave one of them out"}
+
 
 class Enclosure(Model):
     """What closes the finger: cloth on the sides, the printed base; both dark."""
@@ -219,6 +225,15 @@ class Indenter(Model):
                 f"{min(self.size_mm) / 2.0:g} mm"
             )
         return self
+
+    def idle_fields(self) -> dict[str, str]:
+        """Return the sizes of other shapes."""
+        of_shapes = {"radius_mm": ("cylinder", "ball"), "edge_radius_mm": ("cuboid",)}
+        return {
+            name: f'it is of a {" or a ".join(shapes)}, not of shape = "{self.shape}"; leave it out, or change shape'
+            for name, shapes in of_shapes.items()
+            if self.shape not in shapes
+        }
 
 
 class FingerDesign(Record):
@@ -284,6 +299,13 @@ class FingerDesign(Record):
                 hint = f"did you mean {' or '.join(near)}?" if near else f"fields are {', '.join(known)}"
                 raise ValueError(f"'{name}' is no field of the design; {hint}")
         return origin
+
+    def idle_fields(self) -> dict[str, str]:
+        """Return also what the finger has no part for."""
+        idle = super().idle_fields()
+        if self.pad.film is None:
+            idle["mechanics.film"] = "the pad has no film; add the table [pad.film], or leave it out"
+        return idle
 
     @property
     def lights(self) -> tuple[LightPanel, ...]:

@@ -19,6 +19,7 @@ The tree (the command line prints the message and ends with status 2; no traceba
     ├── RadiometryError        frames cannot be turned into band signals
     ├── FitError               band signals cannot be fitted
     ├── SimulateError          a scene cannot be built or rendered
+    │   └── NoEquilibriumError a press ended before what was asked for
     ├── CompareError           a render and a capture cannot be compared
     ├── DecideError            a sweep does not allow a decision
     └── MissingExtraError      an optional package or system library is needed
@@ -94,6 +95,10 @@ class FitError(FinrayError):
 
 class SimulateError(FinrayError):
     """A scene cannot be built or rendered."""
+
+
+class NoEquilibriumError(SimulateError):
+    """A press found no equilibrium beyond some share of its load."""
 
 
 class CompareError(FinrayError):

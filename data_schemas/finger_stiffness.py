@@ -20,6 +20,15 @@ class StiffnessRow(Model):
     sideways_n_per_mm: float | None = Field(default=None, description="force at the tip across the finger")
     pad_n_per_mm: float | None = Field(default=None, description="force under the middle of the pad, along its normal")
     twist_n_mm_per_deg: float | None = Field(default=None, description="turn of the tip end about the long axis")
+    slip_torque_per_friction_n_mm: float | None = Field(
+        default=None,
+        description="torque about the pad's normal at which a gripped cylinder begins to turn, over Coulomb's "
+        "coefficient; of designs as they are",
+    )
+    tipping_torque_n_mm: float | None = Field(
+        default=None,
+        description="torque about the finger's long axis that the gripping force alone holds; of designs as they are",
+    )
     failure: str = Field(default="", description="why there are no values: the changed parts do not fit, or stuck")
 
 
@@ -46,6 +55,9 @@ class FingerStiffness(Record):
     tip_force_n: float
     pad_force_n: float
     twist_deg: float
+    grip_force_n: float | None = Field(
+        default=None, description="of a cylinder of 20 mm across the middle of the pad; None in older versions"
+    )
     share: float = Field(description="of a dimension, by which it is changed up and down")
     rows: tuple[StiffnessRow, ...]
     orders: tuple[StiffnessOrder, ...]

@@ -17,7 +17,7 @@ from data_schemas.units import Fraction, WavelengthNm
 Floats = NDArray[np.float64]
 Curve = Annotated[Floats, ArraySpec("<f8", ("wavelength",))]
 FamilyCurves = Annotated[Floats, ArraySpec("<f8", ("family", "wavelength"))]
-SamplingMethod = Literal["importance sampling", "adapted importance sampling", "emcee"]
+SamplingMethod = Literal["importance sampling", "adapted importance sampling", "resample-move", "emcee"]
 
 
 class ChainCheck(Model):
@@ -43,13 +43,18 @@ class Diagnostics(Model):
 
     method: SamplingMethod
     trusted: bool = Field(
-        description="importance sampling: Pareto k at most 0.7 and 800 effective draws; emcee: converged"
+        description="importance sampling: Pareto k at most 0.7 and 800 effective draws; resample-move: memory at most "
+        "0.15; emcee: converged"
     )
     pareto_k: float | None = Field(description="shape of the weights' tail; none where it cannot be estimated")
     effective_samples: float
     ln_evidence: float
     ln_evidence_sd: float
     maxima: tuple[float, ...] = Field(description="log posterior of the distinct maxima that were found, best first")
+    memory: Fraction | None = Field(
+        default=None,
+        description="of moved draws: largest rank correlation of a parameter with its value before the last moves",
+    )
     chain: ChainCheck | None = Field(default=None, description="emcee, where it took over or was asked for as a check")
 
 

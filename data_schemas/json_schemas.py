@@ -18,6 +18,7 @@ from data_schemas.illumination import FluorescentRendering, LightAngleIntensity,
 from data_schemas.model import Record
 from data_schemas.paint_map import PaintMap
 from data_schemas.paper_paints import PaperPaints
+from data_schemas.pixel_scale import PixelScale
 from data_schemas.plain_sensor import PlainSensor
 from data_schemas.press_mechanics import PressIncrement, PressMechanics
 from data_schemas.radiometry import BandSignals, PixelSignals
@@ -60,6 +61,7 @@ STORED: tuple[type[Record], ...] = (
     TwoLights,
     LightAngleIntensity,
     NormalMapRecord,
+    PixelScale,
     PhotometricErrorReport,
     ComparisonBatch,
     LightAngleDecision,

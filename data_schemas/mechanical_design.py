@@ -51,6 +51,7 @@ BulkOverShear = Annotated[
     float,
     Field(ge=2.0, le=1e4, description="K / mu at small strain; the paper does not give it (20 is nu = 0.475)"),
 ]
+Preset = Literal["coarse", "medium", "fine"]
 RibAngleDeg = Annotated[float, Field(ge=-60.0, le=60.0, json_schema_extra={"unit": "deg"})]
 
 
@@ -113,6 +114,15 @@ class Skeleton(Model):
             )
         return self
 
+    def idle_fields(self) -> dict[str, str]:
+        """Return the fields of ribs that are not there."""
+        without = {"rib_spacing_mm": 2, "rib_thickness_mm": 1, "rib_angle_deg": 1}
+        return super().idle_fields() | {
+            name: f"it needs rib_count = {needed} or more, which is {self.rib_count}; leave it out, or add ribs"
+            for name, needed in without.items()
+            if self.rib_count < needed
+        }
+
 
 class OgdenSolid(Model):
     """Ogden rubber: energy sum of 2 mu_i / alpha_i^2 (l1^alpha_i + l2^alpha_i + l3^alpha_i - 3), mu0 = sum of mu_i.
@@ -167,4 +177,4 @@ class MechanicalMaterials(Model):
 class MeshPreset(Model):
     """How finely the finger is meshed: pad of about 2 mm, 1 mm, or the paper's 0.4 mm."""
 
-    preset: Literal["coarse", "medium", "fine"] = "coarse"
+    preset: Preset = "coarse"

@@ -12,6 +12,18 @@ class Model(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=False, validate_default=True)
 
+    def idle_fields(self) -> dict[str, str]:
+        """Return dotted paths of fields that other fields leave without effect, each with the reason.
+
+        A stored record may hold them; in a file that a person writes they are refused.
+        """
+        return {
+            f"{name}.{path}": why
+            for name in type(self).model_fields
+            if isinstance(part := getattr(self, name), Model)
+            for path, why in part.idle_fields().items()
+        }
+
 
 class Record(Model):
     """A product of a stage: stored by :mod:`data_schemas.storage` with its kind, version and provenance.

@@ -8,9 +8,13 @@ from pydantic import Field, model_validator
 
 from data_schemas.arrays import ArraySpec, check_dimensions
 from data_schemas.design import FingerDesign
+from data_schemas.mechanical_design import Preset
 from data_schemas.model import Model, Record
 
 PerIncrement = NDArray[np.float64]
+Torque = Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "N mm"})]
+ContactKind = Literal["penalty", "barrier"]
+PartOfEnergy = Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N mm", allow_nan=True)]
 
 
 class VariedPress(Model):
@@ -33,7 +37,7 @@ class VariedPress(Model):
 class PressSensitivities(Model):
     """How the force of a press answers to numbers of the design, changed one at a time."""
 
-    preset: Literal["coarse", "medium", "fine"]
+    preset: Preset
     depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
         description="of the design as it is, on this mesh"
     )
@@ -53,7 +57,7 @@ class PressMechanics(Record):
 
     name: str
     label: str = Field(description="engine and mesh, for example 'finite elements, coarse mesh, 31947 unknowns'")
-    preset: Literal["coarse", "medium", "fine"]
+    preset: Preset
     depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
         description="push of the indenter from first touch"
     )
@@ -61,12 +65,27 @@ class PressMechanics(Record):
         description="force on the indenter: across the finger, along the pad's normal, along the finger"
     )
     energy_n_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N mm", allow_nan=True)] = Field(
-        description="strain energy, with that of contact and ties; with the barrier also of its drive and of the last "
-        "increment's friction; missing where another program's results do not tell it"
+        description="energy that is stored: strain, ties and contact; NaN where another program's results do not tell "
+        "it. Records without contact_energy_n_mm hold with the barrier also that of its drive and the last friction"
+    )
+    contact_energy_n_mm: PartOfEnergy | None = Field(default=None, description="of the energy, that of the contact")
+    friction_work_n_mm: PartOfEnergy | None = Field(
+        default=None, description="work lost to friction from first touch on; each increment's last force on its slip"
     )
     iterations: Annotated[NDArray[np.int64], ArraySpec("<i8", ("increment",))]
     largest_pressure_mpa: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "MPa"})]
     unreached: str = Field(description="why the push ended early; empty when it did not")
+    wanted_force_n: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "N"})] | None = Field(
+        default=None, description="of a press to a force, in place of design.indenter.depth_mm; None of one to a depth"
+    )
+    slip_torque_per_friction_n_mm: Torque | None = Field(
+        default=None,
+        description="torque about the pad's normal at which the object begins to turn at the last increment, over "
+        "Coulomb's coefficient, by the frictionless pressures there; None with friction, or in older versions",
+    )
+    tipping_torque_n_mm: Torque | None = Field(
+        default=None, description="torque about the finger's long axis that the normal forces alone hold then"
+    )
     design: FingerDesign
     sensitivities: PressSensitivities | None = Field(
         default=None, description="presses of the design with one number changed; none unless asked for"
@@ -84,12 +103,18 @@ class PressIncrement(Record):
 
     written_by: ClassVar[str] = "'finray simulate --only mechanics'"
 
-    preset: Literal["coarse", "medium", "fine"]
+    preset: Preset
     depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
         description="push from first touch, of this and all increments before"
     )
     force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "N")]
     energy_n_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N mm")]
+    contact_energy_n_mm: PartOfEnergy | None = None
+    friction_work_n_mm: PartOfEnergy | None = None
+    contact: ContactKind | None = Field(default=None, description="None in increments of older versions")
+    indenter_sha256: str | None = Field(
+        default=None, description="of the STL of a mesh of the user; None without one, or in older versions"
+    )
     iterations: Annotated[NDArray[np.int64], ArraySpec("<i8", ("increment",))]
     nodes_mm: Annotated[NDArray[np.float64], ArraySpec("<f8", ("node", "3"), "mm")] = Field(
         description="of the mesh at rest, by which it is known again"

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from data_schemas.arrays import ArraySpec, check_dimensions
 from data_schemas.capture import Encoding
 from data_schemas.model import Record
-from data_schemas.units import LengthMm
+from data_schemas.units import LengthMm, RelativeUncertainty
 
 Floats = NDArray[np.float64]
 
@@ -32,6 +32,9 @@ class NormalMapRecord(Record):
     height_px: Annotated[int, Field(ge=1)]
     width_px: Annotated[int, Field(ge=1)]
     mm_per_px: LengthMm
+    mm_per_px_u_rel: RelativeUncertainty | None = Field(
+        default=None, description="relative standard uncertainty, as the captures state it; none: not known"
+    )
     encoding: Encoding = Field(description="of the captures that taught it; it senses those of the same encoding only")
     presses: Annotated[int, Field(ge=1)]
     held_out_explained_rel: Annotated[Floats, ArraySpec("<f8", ("split",))]

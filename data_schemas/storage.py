@@ -236,7 +236,7 @@ def read_toml(path: Path, record_type: type[R]) -> R:
     Raises
     ------
     RecordError
-        The file is missing, not TOML, or a field is unknown, missing or out of range.
+        The file is missing, not TOML, or a field is unknown, missing, out of range or without effect.
     """
     try:
         with path.open("rb") as file:
@@ -248,9 +248,19 @@ def read_toml(path: Path, record_type: type[R]) -> R:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise RecordError(f"{path}: cannot be read as TOML ({error})") from None
     try:
-        return record_type.model_validate(loaded)
+        read = record_type.model_validate(loaded)
     except ValidationError as error:
         raise RecordError(f"{path}: {explain(error, record_type)}") from None
+    for field, why in read.idle_fields().items():
+        if _is_written(loaded, field):
+            raise RecordError(f"{path}: {field} has no effect: {why}")
+    return read
+
+
+def _is_written(table: Any, field: str) -> bool:
+    """Return whether a dotted path stands in a table."""
+    name, _, inner = field.partition(".")
+    return isinstance(table, dict) and name in table and (not inner or _is_written(table[name], inner))
 
 
 def write_frame(path: Path, frame: NDArray[np.uint16], description: str) -> str:

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from data_schemas.capture import CurrentMa, IndenterPose, UncertaintyDeg, UncertaintyMm
 from data_schemas.model import Model, Record
 from data_schemas.rig import CameraSettings, DeviceIdentity
-from data_schemas.units import AngleDeg, DurationS, ExposureS, Fraction, LengthMm, PositionMm
+from data_schemas.units import AngleDeg, DurationS, ExposureS, Fraction, LengthMm, PositionMm, RelativeUncertainty
 
 BRACKET_POWERS: Final = (4, 22)
 """Two to this power in microseconds: 16 us to 4.2 s, as rigs with Raspberry Pi cameras take it."""
@@ -66,6 +66,9 @@ class CharucoBoard(Model):
         pattern=r"^DICT_((4X4|5X5|6X6|7X7)_(50|100|250|1000)|ARUCO_ORIGINAL)$", description="OpenCV's name of it"
     )
     images: Annotated[int, Field(ge=1, le=200)] = 10
+    on_pad: bool = Field(
+        default=False, description="the first place is flat where the coat of the pad is: it gives mm per pixel"
+    )
 
     @model_validator(mode="after")
     def _marker_fits_its_square(self) -> "CharucoBoard":
@@ -102,7 +105,12 @@ class TactilePlan(Record):
     led_current_ma: CurrentMa = Field(description="of the blue LED panel")
     light_angle_deg: AngleDeg = Field(description="measured: the panel's normal from the pad plane")
     light_angle_uncertainty_deg: UncertaintyDeg
-    mm_per_px: LengthMm | None = None
+    mm_per_px: LengthMm | None = Field(
+        default=None, description="side of a raw pixel on the pad, as 'finray study pixel-scale' measures it"
+    )
+    mm_per_px_u_rel: RelativeUncertainty | None = Field(
+        default=None, description="relative standard uncertainty; none: not known"
+    )
     board: CharucoBoard | None = None
 
     @model_validator(mode="after")

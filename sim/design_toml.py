@@ -2,7 +2,7 @@
 
 import json
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 from pydantic import BaseModel
 
@@ -17,14 +17,15 @@ _LEFT_OUT = {"provenance", "schema_version", "name", "materials", "origin", "unc
 
 
 def design_toml(design: FingerDesign) -> str:
-    """Return a design as TOML; what is left out stands in comments."""
+    """Return a design as TOML; what is left out, or has no effect in this design, stands in comments."""
+    idle = design.idle_fields()
     parts = [_HEAD, f"name = {_value(design.name)}\n"]
     for name in (field for field in FingerDesign.model_fields if field not in _LEFT_OUT):
         part = getattr(design, name)
         if part is None:
             parts.append(_commented_out(name, LightPanel()))
         else:
-            parts.append("".join(_table(name, part)))
+            parts.append("".join(_table(name, part, idle)))
     for name, texts in (("materials", design.materials), ("origin", design.origin)):
         lines = "".join(f"{_value(key)} = {_value(text)}\n" for key, text in texts.items())
         parts.append(f"\n[{name}]\n{lines}")
@@ -42,12 +43,14 @@ def _uncertainties(stated: dict[str, float]) -> str:
 
 def _commented_out(name: str, example: BaseModel) -> str:
     """Return a table that the design does not have, as a comment to be opened."""
-    lines = "".join(_table(name, example)).strip().split("\n")
+    lines = "".join(_table(name, example, ())).strip().split("\n")
     return "\n" + "".join(f"# {line}\n" for line in lines)
 
 
-def _table(name: str, part: BaseModel) -> Iterator[str]:
+def _table(name: str, part: BaseModel, idle: Collection[str]) -> Iterator[str]:
     """Yield the lines of a table and of the tables in it."""
+    if name in idle:
+        return
     yield f"\n[{name}]\n"
     inner = []
     for field, info in type(part).model_fields.items():
@@ -57,9 +60,12 @@ def _table(name: str, part: BaseModel) -> Iterator[str]:
             continue
         for line in textwrap.wrap(info.description or "", 116):
             yield f"# {line}\n"
-        yield f"# {field} = ...\n" if value is None else f"{field} = {_value(value)}\n"
+        if value is None:
+            yield f"# {field} = ...\n"
+        else:
+            yield f"{'# ' if f'{name}.{field}' in idle else ''}{field} = {_value(value)}\n"
     for path, model in inner:
-        yield from _table(path, model)
+        yield from _table(path, model, idle)
 
 
 def _value(value: object) -> str:

@@ -56,6 +56,10 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         "--normal-map", type=Path, metavar="FILE",
         help="also compare normals and depth, by the map that 'finray study normal-map' wrote",
     )  # fmt: skip
+    parser.add_argument(
+        "--scale", type=Path, metavar="FILE",
+        help="also give the scale and the sizes of patch and halo in mm, by what 'finray study pixel-scale' wrote",
+    )  # fmt: skip
     add_force(parser)
     add_out(parser, "photometric-error.json, with --force force-comparison.json; with folders photometric-errors")
     add_seed(parser)
@@ -91,6 +95,7 @@ def _compare_one(arguments: argparse.Namespace) -> None:
     """Compare one press with its capture."""
     from data_schemas.capture import TactileCapture
     from data_schemas.errors import CompareError
+    from data_schemas.pixel_scale import PixelScale
     from data_schemas.provenance import provenance
     from data_schemas.sensing import NormalMapRecord
     from data_schemas.simulate import SimulatedPress
@@ -105,10 +110,13 @@ def _compare_one(arguments: argparse.Namespace) -> None:
     capture = read_record(arguments.capture, TactileCapture)
     maps = [] if arguments.normal_map is None else [arguments.normal_map]
     normal_map = read_record(maps[0], NormalMapRecord) if maps else None
-    options = CheckOptions(arguments.register, arguments.despite_mismatch, normal_map)
+    scale = None if arguments.scale is None else read_record(arguments.scale, PixelScale)
+    options = CheckOptions(arguments.register, arguments.despite_mismatch, normal_map, scale)
     with naming(CompareError, arguments.simulated, arguments.capture):
         report, shown = compare_checked(press, capture, arguments.seed, options)
-    inputs = input_digests([arguments.simulated, arguments.capture, *maps])
+    inputs = input_digests(
+        [arguments.simulated, arguments.capture, *maps, *([arguments.scale] if arguments.scale else [])]
+    )
     write_record(report, out, provenance(command_line(), inputs, arguments.seed))
     write_comparison_page(report, shown, capture, page, command_line(), inputs)
     say(comparison_lines(report))

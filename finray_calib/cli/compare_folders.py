@@ -27,6 +27,7 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     import numpy as np
 
     from data_schemas.comparison_batch import ComparisonBatch
+    from data_schemas.pixel_scale import PixelScale
     from data_schemas.provenance import provenance
     from data_schemas.sensing import NormalMapRecord
     from data_schemas.storage import read_record, write_record
@@ -38,7 +39,8 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     pairs, notes = _pairs(arguments)
     normal_map = None if arguments.normal_map is None else read_record(arguments.normal_map, NormalMapRecord)
     out.mkdir(parents=True)
-    options = CheckOptions(arguments.register, arguments.despite_mismatch, normal_map)
+    scale = None if arguments.scale is None else read_record(arguments.scale, PixelScale)
+    options = CheckOptions(arguments.register, arguments.despite_mismatch, normal_map, scale)
     compared = []
     with progress_bar("compare") as progress:
         for number, (name, files) in enumerate(pairs.items()):

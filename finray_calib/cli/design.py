@@ -134,7 +134,7 @@ def _drawing(view: "CameraView", folder: Path, suffix: str) -> bytes:
     """Return the drawing as a picture or as a page."""
     from finray_calib.reports.finger_figure import finger_page_png
 
-    picture = finger_page_png(view)
+    picture = finger_page_png(view, folder)
     if suffix == ".png":
         return picture
     from finray_calib.reports.finger_page import finger_page

@@ -3,11 +3,10 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli.options import command_line, file_name, require_new, say
+from finray_calib.cli.options import DEFAULT_INCREMENTS, command_line, file_name, increment_count, require_new, say
 
 DIALECTS = ("abaqus", "calculix")
-PRESETS = ("coarse", "medium", "fine")
-INCREMENTS = 4
+PRESETS = ("coarse", "medium", "fine")  # as in data_schemas, which is too slow to load for --help
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -15,14 +14,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     deck = parser.add_argument_group("decks")
     deck.add_argument("--dialect", choices=DIALECTS, help="program that the deck is for")
     deck.add_argument("--preset", choices=PRESETS, help="fineness of the mesh (default: the design's)")
-    deck.add_argument("--increments", type=_count, metavar="N", help=f"steps of the push (default {INCREMENTS})")
-
-
-def _count(text: str) -> int:
-    """Parse a number of increments."""
-    if not text.isdecimal() or not 1 <= int(text) <= 1000:
-        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from 1 to 1000")
-    return int(text)
+    deck.add_argument(
+        "--increments", type=increment_count, metavar="N", help=f"steps of the push (default {DEFAULT_INCREMENTS})"
+    )
 
 
 def refuse_options(arguments: argparse.Namespace) -> None:
@@ -49,7 +43,7 @@ def run(arguments: argparse.Namespace) -> None:
     path = _one_design(arguments)
     design = read_toml(path, FingerDesign)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.inp"))
-    increments = arguments.increments or INCREMENTS
+    increments = arguments.increments or DEFAULT_INCREMENTS
     lines = finger_deck(design, arguments.dialect, arguments.preset, increments, command_line())
     write_bytes(out, "".join(f"{line}\n" for line in lines).encode("ascii", "replace"))
     say(f"{out}: {design.name}, {arguments.preset or design.mesh.preset} mesh, for {arguments.dialect}")

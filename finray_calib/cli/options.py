@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int, str], None]
 LONGEST_NAME = 80
+DEFAULT_INCREMENTS = 4
+DEFAULT_SEED = 1
 
 
 def add_out(parser: argparse.ArgumentParser, default: str) -> None:
@@ -29,7 +31,17 @@ def add_out(parser: argparse.ArgumentParser, default: str) -> None:
 
 def add_seed(parser: argparse.ArgumentParser) -> None:
     """Add ``--seed``; the same seed gives the same numbers."""
-    parser.add_argument("--seed", type=_whole_number, default=1, metavar="N", help="random seed (default: 1)")
+    parser.add_argument(
+        "--seed", type=_whole_number, default=DEFAULT_SEED, metavar="N",
+        help=f"random seed (default: {DEFAULT_SEED})",
+    )  # fmt: skip
+
+
+def increment_count(text: str) -> int:
+    """Parse a number of increments."""
+    if not text.isdecimal() or not 1 <= int(text) <= 1000:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from 1 to 1000")
+    return int(text)
 
 
 def _whole_number(text: str) -> int:

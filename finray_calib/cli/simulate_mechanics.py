@@ -1,25 +1,42 @@
 """``finray simulate --only mechanics``: press a finger by finite elements."""
 
-import os
+import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
-from finray_calib.cli.options import Progress, require_new, say
+from finray_calib.cli.mechanics_options import require_mechanics_only
+from finray_calib.cli.options import (
+    DEFAULT_INCREMENTS,
+    Progress,
+    command_line,
+    file_name,
+    input_digests,
+    progress_bar,
+    require_new,
+    say,
+)
 
 if TYPE_CHECKING:
     from data_schemas.design import FingerDesign
     from data_schemas.press_mechanics import PressSensitivities
     from data_schemas.provenance import Provenance
-    from sim.mechanics.press import PressedFinger
     from sim.mechanics.press_contact import ContactChoice
+    from sim.mechanics.pressed_finger import PressedFinger
 
 
-class _Engine(TypedDict, total=False):
+class _Said(TypedDict, total=False):
     """What :func:`~sim.experiments.mechanical_press.press_records` is told beside the press itself."""
 
     engine: str
     notes: tuple[str, ...]
     sensitivities: "PressSensitivities"
+    wanted_force_n: float
+
+
+def _indenter_file(design: "FingerDesign", folder: Path) -> list[Path]:
+    """Return the STL of an indenter; one that is missing is told of by who reads it."""
+    path = folder / (design.indenter.file or "")
+    return [path] if path.is_file() else []
 
 
 def mechanics_paths(out: Path, resume: Path | None = None) -> dict[str, Path]:
@@ -62,41 +79,114 @@ def last_increment(resume: Path) -> Path:
     return stored[-1]
 
 
-def simulate_mechanics_verb(
-    design: "FingerDesign",
-    increments: int,
-    resume: Path | None,
-    out: Path,
-    origin: "Provenance",
-    progress: Progress,
-    engine: str = "auto",
-    contact: "ContactChoice" = "auto",
-    folder: Path = Path(),
-    sensitivities: bool = False,
-) -> None:
+def run_mechanics(arguments: argparse.Namespace) -> None:
     """Press the design's indenter in, store forces, surfaces, mesh and picture, and tell the curve.
 
     Raises
     ------
     SimulateError
-        When the push ended early, after what was reached has been stored.
+        When the push ended early, after what was reached has been stored, and at least a picture.
     """
-    files = mechanics_paths(out, resume)
+    require_mechanics_only(arguments)
+    from data_schemas.design import FingerDesign
+    from data_schemas.errors import NoEquilibriumError
+    from data_schemas.provenance import provenance
+    from data_schemas.storage import read_toml, write_bytes
+
+    design, folder = read_toml(arguments.design, FingerDesign), arguments.design.parent
+    resume = None if arguments.resume is None else last_increment(arguments.resume)
+    files = mechanics_paths(arguments.out or Path(f"{file_name(design.name)}.press.json"), resume)
+    read = [arguments.design, *([resume] if resume else []), *_indenter_file(design, folder)]
+    origin = provenance(command_line(), input_digests(read), None)
+    try:
+        with progress_bar("simulate") as progress:
+            pressed, said = _pressed(arguments, design, resume, files["increments"], origin, progress)
+    except NoEquilibriumError as stuck:
+        if resume is not None:
+            raise
+        from finray_calib.reports.pressed_finger_figure import untouched_finger_png
+
+        write_bytes(files["picture"], untouched_finger_png(design, str(stuck), folder))
+        raise NoEquilibriumError(f"{stuck}. {files['picture']} shows where the indenter touches") from stuck
+    _store(design, pressed, said, files, origin, folder)
+
+
+def _pressed(
+    arguments: argparse.Namespace,
+    design: "FingerDesign",
+    resume: Path | None,
+    increments: Path,
+    origin: "Provenance",
+    progress: Progress,
+) -> "tuple[PressedFinger, _Said]":
+    """Press by what was asked for; return also what must be said about it."""
+    from finray_calib.spectra.compiled import machine_threads
+
+    count, threads, folder = arguments.increments or DEFAULT_INCREMENTS, machine_threads(), arguments.design.parent
+    if arguments.engine == "calculix":
+        from sim.mechanics.other_engines.calculix import calculix_notes, calculix_version, press_finger_calculix
+
+        engine = f"CalculiX {calculix_version()}"
+        pressed = press_finger_calculix(design, None, count, threads, progress)
+        return pressed, {"engine": engine, "notes": calculix_notes(design)}
+    if arguments.force is not None:
+        from sim.mechanics.force_control import press_to_force
+
+        pressed = press_to_force(design, arguments.force, None, count, threads, folder, progress)
+        return pressed, {"wanted_force_n": arguments.force}
+    pressed = _pressed_to_depth(design, count, resume, increments, origin, progress, arguments.contact, folder)
+    said = _Said()
+    if arguments.sensitivities and not pressed.unreached:
+        from sim.experiments.force_sensitivities import press_sensitivities
+
+        said["sensitivities"] = press_sensitivities(design, pressed, threads, progress, arguments.contact, folder)
+    return pressed, said
+
+
+def _pressed_to_depth(
+    design: "FingerDesign",
+    count: int,
+    resume: Path | None,
+    kept: Path,
+    origin: "Provenance",
+    progress: Progress,
+    contact: "ContactChoice",
+    folder: Path,
+) -> "PressedFinger":
+    """Press, or go on pressing, and store each increment."""
+    from data_schemas.press_mechanics import PressIncrement
+    from data_schemas.storage import read_record, sha256_of, write_record
+    from finray_calib.spectra.compiled import machine_threads
+    from sim.experiments.mechanical_press import increment_record, stored_press
+    from sim.mechanics.press import press_finger
+
+    digest = next((sha256_of(file) for file in _indenter_file(design, folder)), None)
+    before = None if resume is None else stored_press(read_record(resume, PressIncrement), design, contact, digest)
+
+    def store(pressed: "PressedFinger") -> None:
+        record = increment_record(design, pressed, indenter_sha256=digest)
+        write_record(record, kept / f"{len(pressed.depth_mm):03d}.json", origin)
+
+    return press_finger(
+        design, None, count, machine_threads(), progress, resume=before, store=store, contact=contact, folder=folder
+    )
+
+
+def _store(
+    design: "FingerDesign",
+    pressed: "PressedFinger",
+    said: "_Said",
+    files: dict[str, Path],
+    origin: "Provenance",
+    folder: Path,
+) -> None:
+    """Write records, mesh and picture, and tell the curve."""
     from data_schemas.errors import SimulateError
     from data_schemas.storage import write_bytes, write_record
     from finray_calib.exchange.vtu import vtu_bytes
     from finray_calib.reports.pressed_finger_figure import pressed_finger_png
-    from sim.experiments.force_sensitivities import press_sensitivities
     from sim.experiments.mechanical_press import press_records
 
-    if engine == "calculix":
-        pressed, said = _pressed_by_calculix(design, increments, progress)
-    else:
-        kept = files["increments"]
-        pressed = _pressed(design, increments, resume, kept, origin, progress, contact, folder)
-        said = _Engine()
-        if sensitivities and not pressed.unreached:
-            said["sensitivities"] = press_sensitivities(design, pressed, _threads(), progress, contact, folder)
     mechanics, surfaces = press_records(design, pressed, **said)
     write_record(mechanics, files["mechanics"], origin)
     write_record(surfaces, files["surfaces"], origin)
@@ -105,54 +195,20 @@ def simulate_mechanics_verb(
     say(f"{files['mechanics']}: {mechanics.label}")
     for depth, force in zip(mechanics.depth_mm, mechanics.force_n, strict=True):
         say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
+    if mechanics.slip_torque_per_friction_n_mm is not None:
+        say(
+            f"  torque at slip {mechanics.slip_torque_per_friction_n_mm:.3g} N mm times the coefficient of friction, "
+            f"about the pad's normal; {mechanics.tipping_torque_n_mm:.3g} N mm about the finger's axis without friction"
+        )
     if mechanics.sensitivities is not None:
         say(f"  {len(mechanics.sensitivities.varied)} presses with one number changed, for 'finray compare --force'")
     say(f"{files['surfaces']}: for 'finray simulate DESIGN --only optics --surfaces {files['surfaces'].name}'")
     say(f"{files['mesh']}: the pressed mesh, for ParaView")
     say(f"{files['picture']}: the finger before and after, and its force")
     if mechanics.unreached:
+        reached = f"{mechanics.depth_mm[-1]:.4g} of {design.indenter.depth_mm:g} mm"
+        if mechanics.wanted_force_n is not None:
+            reached = f"{mechanics.force_n[-1, 1]:.4g} of {mechanics.wanted_force_n:g} N"
         raise SimulateError(
-            f"the push ended early, at {mechanics.depth_mm[-1]:.4g} of {design.indenter.depth_mm:g} mm: "
-            f"{mechanics.unreached}. What was reached is stored and can be rendered"
+            f"the push ended early, at {reached}: {mechanics.unreached}. What was reached is stored and can be rendered"
         )
-
-
-def _pressed(
-    design: "FingerDesign",
-    increments: int,
-    resume: Path | None,
-    folder: Path,
-    origin: "Provenance",
-    progress: Progress,
-    contact: "ContactChoice",
-    design_folder: Path,
-) -> "PressedFinger":
-    """Press, or go on pressing, and store each increment."""
-    from data_schemas.press_mechanics import PressIncrement
-    from data_schemas.storage import read_record, write_record
-    from sim.experiments.mechanical_press import increment_record, stored_press
-    from sim.mechanics.press import press_finger
-
-    before = None if resume is None else stored_press(read_record(resume, PressIncrement), design)
-    threads = _threads()
-
-    def store(pressed: "PressedFinger") -> None:
-        write_record(increment_record(design, pressed), folder / f"{len(pressed.depth_mm):03d}.json", origin)
-
-    return press_finger(design, None, increments, threads, progress, None, before, store, contact, design_folder)
-
-
-def _pressed_by_calculix(
-    design: "FingerDesign", increments: int, progress: Progress
-) -> "tuple[PressedFinger, _Engine]":
-    """Press with CalculiX; return also its name and what must be said about it."""
-    from sim.mechanics.other_engines.calculix import calculix_notes, calculix_version, press_finger_calculix
-
-    engine = f"CalculiX {calculix_version()}"
-    pressed = press_finger_calculix(design, None, increments, _threads(), progress)
-    return pressed, {"engine": engine, "notes": calculix_notes(design)}
-
-
-def _threads() -> int:
-    """Return the number of processors that may be used."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)

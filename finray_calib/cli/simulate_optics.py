@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from data_schemas.provenance import Provenance
     from data_schemas.simulate import SimulatedPress
     from sim.experiments.painted_finger import PaintedFinger
-    from sim.optics.render import RenderLevel
+    from sim.optics.state_render import RenderLevel
     from sim.surface_meshes.finger_shape import FingerShape
 
 DEFAULT_SAMPLES = 128

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from finray_calib.cli.options import add_out, add_seed, command_line, input_digests, require_new, say
 from finray_calib.cli.study_illumination import add_illumination_studies
 from finray_calib.cli.study_normal_map import add_normal_map_study
+from finray_calib.cli.study_pixel_scale import add_pixel_scale_study
 from finray_calib.cli.study_stiffness import add_stiffness_study
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     add_illumination_studies(studies)
     add_stiffness_study(studies)
     add_normal_map_study(studies)
+    add_pixel_scale_study(studies)
 
 
 def run_paper_paints(arguments: argparse.Namespace) -> None:

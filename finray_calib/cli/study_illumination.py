@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 STAND_IN = "stand-in: default hidden paint of the simulated rig, not the paper's paint"
 FLATTEST = "ellipsoidal-30-8-90"
+_BANDS = {"red": "red emission", "green": "green emission", "led": "blue light"}
 EPILOG = """\
 Without --design, the preset {preset}. Without --paint, the two default paints of the simulated rig stand in for
 the paper's, whose spectra nobody has published; the record says so."""
@@ -206,15 +207,26 @@ def _tell_two_lights(study: "TwoLights") -> None:
 def _tell_light_angle(study: "LightAngleIntensity") -> None:
     """Say where each curve is highest and what the paper's angle loses."""
     for p, probe in enumerate(study.probes):
-        say(f"\n{probe} (z = {study.probe_points_mm[p, 2]:.1f} mm), panel {study.led_depth_mm:g} mm below the face;")
-        say(f"  direct light alone is highest at {study.elevation_deg[p]:.0f} deg")
+        x, y, z = study.probe_points_mm[p]
+        where = f"x = {x:g}, y = {y:.1f}, z = {z:.1f} mm"
+        say(f"\n{probe} ({where}), panel's centre {study.led_depth_mm:g} mm below the inner face;")
+        say(f"  highest at (95 % limits), and what the paper's {study.printed_angle_deg:g} deg loses against it:")
         for top in study.maxima:
             if top.probe == probe:
+                limits = f"[{_whole(top.low95_deg)}, {_whole(top.high95_deg)}]"
+                loss = f"[{top.loss_at_printed_low95_rel:.1%}, {top.loss_at_printed_high95_rel:.1%}]"
                 say(
-                    f"  {top.mirror:15s}{top.band:6s} highest at {top.angle_deg:3.0f} deg [{top.low95_deg:.0f}, "
-                    f"{top.high95_deg:.0f}]; {study.printed_angle_deg:g} deg loses {top.loss_at_printed_rel:.1%} "
-                    f"[{top.loss_at_printed_low95_rel:.1%}, {top.loss_at_printed_high95_rel:.1%}]"
+                    f"  {top.mirror:15s}{_BANDS[top.band]:15s}{_whole(top.angle_deg):>4s} deg {limits:9s} "
+                    f"loss {top.loss_at_printed_rel:5.1%} {loss}"
                 )
+        depths = {f"{study.led_depth_mm:g}": tuple(study.elevation_deg.tolist()), **study.elevation_by_depth_deg}
+        told = ", ".join(f"{_whole(depths[mm][p])} deg ({mm} mm)" for mm in sorted(depths, key=float))
+        say(f"  direct light alone, by depth of the panel: {told}")
+
+
+def _whole(angle_deg: float) -> str:
+    """Return an angle without decimals; never "-0"."""
+    return f"{round(angle_deg):d}"
 
 
 STUDIES = (
@@ -228,6 +240,6 @@ STUDIES = (
     ),
     _Study(
         "light-angle", "brightness beside the indenter over the light angle", ANGLE,
-        FLATTEST, 3000, _make_light_angle, _tell_light_angle,
+        FLATTEST, 12_000, _make_light_angle, _tell_light_angle,
     ),
 )  # fmt: skip

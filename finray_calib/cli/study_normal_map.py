@@ -30,6 +30,10 @@ def add_normal_map_study(studies: "argparse._SubParsersAction[argparse.ArgumentP
         "--circles", type=Path, metavar="CSV",
         help="contact circles: image,column_px,row_px,radius_px, image being the capture's file name",
     )  # fmt: skip
+    parser.add_argument(
+        "--scale", type=Path, metavar="FILE",
+        help="mm per pixel as 'finray study pixel-scale' measured it, in place of what the captures state",
+    )  # fmt: skip
     add_out(parser, "normal-map.json")
     add_seed(parser)
     parser.set_defaults(run=run)
@@ -46,9 +50,10 @@ def run(arguments: argparse.Namespace) -> None:
     out = require_new(arguments.out or Path("normal-map.json"))
     files: list[Path] = arguments.captures
     captures = _circled([read_record(path, TactileCapture) for path in files], files, arguments.circles)
+    captures = _scaled(captures, arguments.scale)
     with naming(CompareError, files[0].parent):
         record = normal_map_record(captures, out.name.removesuffix(".json"), arguments.seed)
-    inputs = [*files, *([arguments.circles] if arguments.circles else [])]
+    inputs = [*files, *(path for path in (arguments.circles, arguments.scale) if path)]
     write_record(record, out, provenance(command_line(), input_digests(inputs), arguments.seed))
     splits = len(record.held_out_angle_deg)
     say(f"{out}: normal map of {record.presses} presses, {record.width_px} x {record.height_px} px")
@@ -72,6 +77,27 @@ def _circled(captures: "list[TactileCapture]", files: list[Path], circles: Path 
         capture.model_copy(update={"contact_circle": found[path.name]})
         for capture, path in zip(captures, files, strict=True)
     ]
+
+
+def _scaled(captures: "list[TactileCapture]", scale: Path | None) -> "list[TactileCapture]":
+    """Give captures the mean scale of a file, at the middle of the board on the pad."""
+    from data_schemas.errors import CompareError
+    from data_schemas.pixel_scale import PixelScale
+    from data_schemas.storage import read_record
+
+    if scale is None:
+        return captures
+    found = read_record(scale, PixelScale)
+    lens, measured = found.calibration, found.middle
+    for capture in captures:
+        rows, columns = capture.contact.shape[:2]
+        if (columns, rows) != (lens.width_px, lens.height_px):
+            raise CompareError(
+                f"{scale}: is of pictures of {lens.width_px} x {lens.height_px} px, {capture.name} has {columns} x "
+                f"{rows} px: measure it with the camera of the captures, at its full frame"
+            )
+    update = {"mm_per_px": measured.mean_mm_per_px, "mm_per_px_u_rel": measured.mean_u_rel}
+    return [capture.model_copy(update=update) for capture in captures]
 
 
 def _spread(values: "NDArray[float64]", digits: int) -> str:

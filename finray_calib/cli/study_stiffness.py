@@ -1,7 +1,6 @@
 """``finray study finger-stiffness``: bending and twist of fingers, with assumed dimensions changed."""
 
 import argparse
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,8 +16,9 @@ NAME = "finger-stiffness"
 HELP = "stiffness of fingers in bending and twist, with assumed dimensions changed"
 DESCRIPTION = """\
 Load fingers without an indenter: a force at the tip (away from the pad, and across), a force under the middle of the
-pad, a twist of the tip. Then change each dimension of the skeleton that the design's origin does not list, one at a
-time, up and down, and say whether the order of the fingers stays. Writes a record and a table (CSV)."""
+pad, a twist of the tip; and let them grip a cylinder, for the torque at which it slips. Then change each dimension of
+the skeleton that the design's origin does not list, one at a time, up and down, and say whether the order of the
+fingers stays. Writes a record and a table (CSV)."""
 EPILOG = """\
 examples:
   finray study finger-stiffness flat-70x35 flat-70x35-soft --out stiffness
@@ -56,15 +56,15 @@ def run_stiffness_study(arguments: argparse.Namespace) -> None:
     """Load the fingers, write record and table, and tell the order."""
     from data_schemas.provenance import provenance
     from data_schemas.storage import write_bytes, write_record
+    from finray_calib.spectra.compiled import machine_threads
     from sim.experiments.finger_stiffness import study_finger_stiffness
 
     out = require_new(arguments.out or Path(NAME))
     designs = [_design(given) for given in arguments.designs]
     files = [Path(given) for given in arguments.designs if given.endswith(".toml")]
     origin = provenance(command_line(), input_digests(files), None)
-    threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
     with progress_bar(NAME) as progress:
-        study = study_finger_stiffness(designs, arguments.vary / _PERCENT, threads, progress)
+        study = study_finger_stiffness(designs, arguments.vary / _PERCENT, machine_threads(), progress)
     write_record(study, out / f"{NAME}.json", origin)
     write_bytes(out / f"{NAME}.csv", _table(study).encode())
     say(f"{out}: {NAME}.json, {NAME}.csv")
@@ -73,6 +73,11 @@ def run_stiffness_study(arguments: argparse.Namespace) -> None:
             say(
                 f"  {row.design}: bending {row.bending_n_per_mm:.3f} N/mm, sideways {row.sideways_n_per_mm:.2f} N/mm, "
                 f"under the pad {row.pad_n_per_mm:.3f} N/mm, twist {row.twist_n_mm_per_deg:.2f} N mm/deg"
+            )
+            say(
+                f"    a cylinder gripped with {study.grip_force_n:g} N slips about the pad's normal at "
+                f"{row.slip_torque_per_friction_n_mm:.1f} N mm times the coefficient of friction, and tips about the "
+                f"finger's axis at {row.tipping_torque_n_mm:.1f} N mm"
             )
     for order in study.orders:
         say(f"  {order.measure}: {order.stiffer} / {order.softer} = {order.ratio:.3f}{_over_assumptions(study, order)}")

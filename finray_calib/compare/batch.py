@@ -9,6 +9,7 @@ from scipy.stats import t as student_t
 from data_schemas.compare import Interval
 from data_schemas.comparison_batch import ComparedPair
 from data_schemas.errors import CompareError
+from finray_calib.compare.error_rows import LARGEST_SKILL
 
 _ENDINGS = (".json", ".press", ".capture")
 _WORST = 5
@@ -90,13 +91,13 @@ def mean_skill(skills: NDArray[np.float64]) -> Interval | None:
     """Return the mean over presses with its 95 % interval by Student's t: mean +- t(0.975, n - 1) s / sqrt(n).
 
     Drawing presses with replacement instead would hold the truth in half the cases of two presses and in four of five
-    of four. None with fewer than two presses.
+    of four. It ends at 1, which no skill exceeds. None with fewer than two presses.
     """
     if skills.size < 2:
         return None
     half = float(student_t.ppf(0.975, skills.size - 1) * skills.std(ddof=1) / np.sqrt(skills.size))
     mean = float(skills.mean())
-    return Interval(estimate=mean, low95=mean - half, high95=mean + half)
+    return Interval(estimate=mean, low95=min(mean - half, LARGEST_SKILL), high95=min(mean + half, LARGEST_SKILL))
 
 
 def worst_pairs(pairs: Iterable[ComparedPair]) -> tuple[str, ...]:

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 from data_schemas.capture import TactileCapture
 from data_schemas.compare import PhotometricErrorReport
 from data_schemas.errors import CompareError
+from data_schemas.pixel_scale import PixelScale
 from data_schemas.sensing import NormalMapRecord
 from data_schemas.simulate import SimulatedPress
-from finray_calib.compare.comparison_record import compare_press
+from finray_calib.compare.comparison_record import FACTORS, compare_press
 from finray_calib.compare.mismatch import find_mismatches, require_no_mismatch
+from finray_calib.compare.patch_scale import patch_scale, scale_finding
 from finray_calib.compare.registered_press import move_press, register_press
 
 #: How the finding begins that says that the camera stands where the render has it.
@@ -28,11 +30,14 @@ class CheckOptions:
         Compare images that do not belong together; the findings stand in the report.
     normal_map : NormalMapRecord or None
         Of the capture's sensor, for the error in sensing space.
+    pixel_scale : PixelScale or None
+        Of the capture's camera, for the sizes of patch and halo in mm.
     """
 
     registered: bool = False
     despite_mismatch: bool = False
     normal_map: NormalMapRecord | None = None
+    pixel_scale: PixelScale | None = None
 
 
 def compare_checked(
@@ -60,8 +65,14 @@ def compare_checked(
     compared, told = _placed_press(press, capture, chosen.registered)
     report = compare_press(compared, capture, seed, chosen.normal_map)
     checks = (*(f"{f.about}: {f.text}" for f in findings), *told)
+    scale = None
+    if chosen.pixel_scale is not None:
+        scale = patch_scale(chosen.pixel_scale, capture, compared.distance, FACTORS)
+        other = scale_finding(scale, capture)
+        checks = checks if other is None else (*checks, other)
     forced = any(f.severity == "refuse" for f in findings)
-    return report.model_copy(update={"findings": (*report.findings, *checks), "forced_mismatch": forced}), compared
+    found = {"findings": (*report.findings, *checks), "forced_mismatch": forced, "patch_scale": scale}
+    return report.model_copy(update=found), compared
 
 
 def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bool) -> tuple[SimulatedPress, list[str]]:

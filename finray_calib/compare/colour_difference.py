@@ -17,7 +17,7 @@ from finray_calib.compare.colour_kernels import (
     stretched_red_green,
     white_ratios,
 )
-from finray_calib.compare.regions import usable_pixels
+from finray_calib.compare.regions import pixels_within, usable_pixels
 
 Floats = NDArray[np.float64]
 
@@ -143,7 +143,7 @@ def colour_difference_within(first_srgb: Floats, second_srgb: Floats, mask: NDAr
         If shapes differ, no pixel is usable, or values lie outside 0..1.
     """
     used = usable_pixels(mask, first_srgb, second_srgb)
-    first, second = _checked_srgb(first_srgb[used]), _checked_srgb(second_srgb[used])
+    first, second = _checked_srgb(pixels_within(first_srgb, used)), _checked_srgb(pixels_within(second_srgb, used))
     difference = _in_chunks(_srgb_difference, first, second)
     return ColourDifference(float(difference.mean()), float(np.quantile(difference, 0.95)), difference.size)
 

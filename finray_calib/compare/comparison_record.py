@@ -15,6 +15,7 @@ from data_schemas.compare import (
     ValidationCell,
 )
 from data_schemas.compare import RegionError as RegionRecord
+from data_schemas.finger_identity import finger_identity
 from data_schemas.sensing import NormalMapRecord
 from data_schemas.simulate import SimulatedPress
 from finray_calib.compare.blocks import largest_block_px
@@ -34,6 +35,7 @@ from finray_calib.compare.photometric_error import (
     best,
     prepare_comparison,
     propagated,
+    require_contact,
     resampled,
 )
 from finray_calib.compare.prepared_images import PreparedImages, prepare_images
@@ -105,6 +107,7 @@ def compare_press(
     return PhotometricErrorReport(
         simulated=press.name,
         captured=capture.name,
+        finger=None if press.design is None else finger_identity(press.design),
         label=press.label,
         values="linear light" if linear else "encoded values, encoding unknown",
         block_px=images.block_px,
@@ -140,8 +143,9 @@ def _quiet_comparison(images: PreparedImages, capture: TactileCapture) -> tuple[
         if linear:
             inputs = inputs_of(blocked.layers, capture, captured.no_contact, captured.repeat, np.isfinite(distance))
         regions = [Region(name, strip_from_distance(distance, factor), factor) for name, factor in FACTORS.items()]
-        comparison = prepare_comparison(blocked.layers, captured, regions, inputs, linear, linear)
+        comparison = prepare_comparison(blocked.layers, captured, regions, inputs, linear, linear, demand_contact=False)
         if side >= largest or comparison.headline_noise <= LARGEST_HEADLINE_NOISE:
+            require_contact(comparison, distance)
             return blocked, comparison
         side *= 2
 

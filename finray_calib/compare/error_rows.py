@@ -20,6 +20,8 @@ from finray_calib.compare.structural_similarity import StructuralSimilarity, str
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 CHROMATICITY_DRAWS = 100
+LARGEST_SKILL = 1.0
+"""Of a simulation without error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +134,7 @@ def error_row(
     return ErrorRow.model_validate(
         {
             "candidate": name,
-            "skill": interval(images.skill(name, channel_weights), centre.skill(name, channel_weights)),
+            "skill": skill_interval(images.skill(name, channel_weights), centre.skill(name, channel_weights)),
             "skill_per_channel": tuple(float(v) if np.isfinite(v) else None for v in channels),
             "relative_rms": tuple(interval(rms[0][:, c], rms[1][:, c]) for c in range(3)) if linear else None,
             "difference_gradient_rms_per_px": None
@@ -162,6 +164,18 @@ def interval(draws: Floats, centre: Floats) -> Interval:
     """Return the 95 % interval of draws with the median of `centre` as estimate."""
     low, high = ends(draws)
     return Interval(estimate=float(np.median(centre)), low95=float(low), high95=float(high))
+
+
+def skill_interval(draws: Floats, centre: Floats) -> Interval:
+    """Return the 95 % interval of a skill, which ends at 1 at the latest; the estimate stays as it is.
+
+    No skill exceeds 1, so that an interval cut there holds the true one as often as before. With the noise taken out an
+    estimate scatters about its truth to both sides: one above 1 is not cut, or means over presses would be too low.
+    """
+    found = interval(draws, centre)
+    return found.model_copy(
+        update={"low95": min(found.low95, LARGEST_SKILL), "high95": min(found.high95, LARGEST_SKILL)}
+    )
 
 
 def full_frame_ssim(candidates: Mapping[str, ShownCandidate]) -> dict[str, float | None]:

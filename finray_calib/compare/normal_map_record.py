@@ -49,6 +49,7 @@ def normal_map_record(captures: Sequence[TactileCapture], name: str, seed: int) 
         height_px=fitted.shape_px[0],
         width_px=fitted.shape_px[1],
         mm_per_px=_scale_mm(first) * _cell_px(first),
+        mm_per_px_u_rel=first.mm_per_px_u_rel,
         encoding=first.encoding,
         presses=len(presses),
         held_out_explained_rel=score.explained,

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from data_schemas.errors import CompareError
 from finray_calib.compare.conditioning import condition_on_levels
+from finray_calib.compare.contact_evidence import require_touch
 from finray_calib.compare.exposure import ExposureFit, exposure_fit
 from finray_calib.compare.input_draws import Drawn, Inputs
 from finray_calib.compare.part_levels import PartLevels, part_levels
@@ -78,9 +79,11 @@ class Comparison:
 
     @property
     def headline_noise(self) -> float:
-        """Standard deviation of the headline's skill from noise alone."""
+        """Standard deviation of the headline's skill from noise alone; infinite where contact shows no signal."""
         sums = self.sums[-1]
         signal = float(sums.signal(np.ones(1))[0] @ self.channel_weights)
+        if not signal > 0.0:
+            return float("inf")
         return float(np.sqrt(sums.noise.error @ self.channel_weights**2) / signal)
 
     @property
@@ -104,6 +107,7 @@ def prepare_comparison(
     inputs: Inputs | None,
     fit_exposure: bool,
     relative_weights: bool,
+    demand_contact: bool = True,
 ) -> Comparison:
     """Form all sums over the regions; the last region is the headline's.
 
@@ -119,6 +123,9 @@ def prepare_comparison(
         Whether the render may be scaled by one factor common to all channels.
     relative_weights
         Whether errors count relative to each channel's own level, else plainly.
+    demand_contact
+        Whether to look for a contact signal; else :func:`require_contact` is to be called on blocks that are large
+        enough to show a weak one.
 
     Raises
     ------
@@ -141,12 +148,27 @@ def prepare_comparison(
     k = 1.0 if exposure is None else float(exposure(layers.matrix[None])[0])
     poses = () if inputs is None else inputs.pose_names
     sums = tuple(image_sums(layers, captured, where, k, poses) for where in used)
-    for region, of_region in zip(regions, sums, strict=True):
-        _require_contact(region, of_region, weights)
+    if demand_contact:
+        for region, of_region in zip(regions, sums, strict=True):
+            _require_contact(region, of_region, weights)
     gradients = tuple(gradient_sums(layers, captured, where, k, poses) for where in used)
     knows = inputs is not None and layers.inputs is not None
     levels = part_levels(layers, captured, used[-1], poses) if knows else None
     return Comparison(layers, captured, inputs, tuple(regions), used, sums, gradients, weights, exposure, levels)
+
+
+def require_contact(comparison: Comparison, distance: Floats) -> None:
+    """Refuse images whose regions change no more than noise does, or as a drift of light or camera does.
+
+    Raises
+    ------
+    CompareError
+        There is nothing to explain in a region.
+    """
+    for region, of_region in zip(comparison.regions, comparison.sums, strict=True):
+        _require_contact(region, of_region, comparison.channel_weights)
+    region, used = comparison.regions[-1], comparison.used[-1]
+    require_touch(comparison.captured, distance, region, used, comparison.channel_weights)
 
 
 def _require_contact(region: Region, sums: RegionSums, weights: Floats) -> None:

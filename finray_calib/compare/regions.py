@@ -142,11 +142,23 @@ def usable_pixels(mask: NDArray[np.bool_], *images: NDArray[np.float64]) -> NDAr
         )
     usable = mask.copy()
     for image in images:
-        # the sum over channels is finite where all of them are, and much faster than all(axis=2)
-        usable &= np.isfinite(sum(np.moveaxis(image, 2, 0)))
+        # a finite sum tells that all of its terms are finite, at a small part of the time of a look at each
+        if not np.isfinite(image.sum()):
+            usable &= np.isfinite(sum(np.moveaxis(image, 2, 0)))
     if not usable.any():
         raise CompareError(
             f"None of the {int(mask.sum())} pixels of the region is usable: all are clipped or not finite. "
             "Capture again with a shorter exposure or choose another region."
         )
     return usable
+
+
+def pixels_within(image: NDArray[np.float64], region: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the pixels of a region as a list, (P, C), row by row: image[region], several times faster.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W, C)
+    region : ndarray of bool, shape (H, W)
+    """
+    return np.asarray(image.reshape(-1, image.shape[2]).take(np.flatnonzero(region), axis=0))

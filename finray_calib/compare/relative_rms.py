@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import CompareError
-from finray_calib.compare.regions import usable_pixels
+from finray_calib.compare.regions import pixels_within, usable_pixels
 
 
 def relative_rms(
@@ -38,11 +38,12 @@ def relative_rms(
     """
     simulation, capture = (np.asarray(image, dtype=np.float64) for image in (simulated, captured))
     used = usable_pixels(mask, simulation, capture)
-    real = capture[used]
-    mean = real.mean(axis=0)
+    real = pixels_within(capture, used)
+    mean = np.einsum("pc->c", real) / len(real)
     if (mean <= 0).any():
         raise CompareError(
             f"Channel {int(np.argmin(mean))} of the capture has mean {mean.min():.3g} over the region; a relative "
             "error needs a positive mean. Check the black level that was subtracted."
         )
-    return np.asarray(np.sqrt(((exposure_k * simulation[used] - real) ** 2).mean(axis=0)) / mean)
+    error = exposure_k * pixels_within(simulation, used) - real
+    return np.asarray(np.sqrt(np.einsum("pc,pc->c", error, error) / len(real)) / mean)

@@ -69,6 +69,7 @@ def sensing_record(
         ),
         outside_share_simulated=found["simulation"].outside_share_simulated,
         outside_share_captured=found["simulation"].outside_share_captured,
+        mm_per_px_u_rel=normal_map.mm_per_px_u_rel,
         rows=tuple(_row(name, error, spread if name == "simulation" else []) for name, error in found.items()),
     )
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import CompareError
-from finray_calib.compare.regions import usable_pixels
+from finray_calib.compare.regions import pixels_within, usable_pixels
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,8 @@ def channel_weights(no_contact: NDArray[np.float64], mask: NDArray[np.bool_]) ->
         If a channel's mean over the region is not positive.
     """
     image = np.asarray(no_contact, dtype=np.float64)
-    mean = image[usable_pixels(mask, image)].mean(axis=0)
+    used = usable_pixels(mask, image)
+    mean = np.einsum("pc->c", pixels_within(image, used)) / np.count_nonzero(used)
     if (mean <= 0).any():
         raise CompareError(
             f"Channel {int(np.argmin(mean))} of the no-contact image has mean {mean.min():.3g} over the region; "
@@ -134,9 +135,9 @@ def skill_score(
     simulation, capture, background = (np.asarray(i, dtype=np.float64) for i in (simulated, captured, no_contact))
     used = usable_pixels(mask, simulation, capture, background)
     channel_weight = checked_weights(weights, background, used)
-    real = capture[used]
-    error = ((exposure_k * simulation[used] - real) ** 2).sum(axis=0)
-    signal = ((background[used] - real) ** 2).sum(axis=0)
+    real = pixels_within(capture, used)
+    residual, change = exposure_k * pixels_within(simulation, used) - real, pixels_within(background, used) - real
+    error, signal = (np.einsum("pc,pc->c", image, image) for image in (residual, change))
     if not channel_weight @ signal > 0:
         raise CompareError(
             "The capture equals the no-contact image over the whole region, so there is no contact signal to "

@@ -11,6 +11,7 @@ from data_schemas.simulate import LightAngleSweep
 from finray_calib.decide.angle_risk import AngleRisk
 from finray_calib.decide.capture_errors import CaptureErrors, capture_errors
 from finray_calib.decide.decision_sentence import decision_sentence
+from finray_calib.decide.finger_check import require_one_finger
 from finray_calib.decide.light_angle import AngleDecision, decide_angle
 from finray_calib.decide.other_objectives import OtherOptimum, other_optima
 from finray_calib.decide.proposals import Proposal, propose_capture, propose_render
@@ -37,9 +38,10 @@ def decide(sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport], se
     Raises
     ------
     DecideError
-        The sweep allows no decision, a report carries no error of the objective or no angle, or two reports are on
-        one capture.
+        The sweep allows no decision, a report carries no error of the objective or no angle, is on another finger, or
+        two reports are on one capture.
     """
+    of_finger = require_one_finger(sweep, reports)
     captures, left_out = capture_errors(sweep, reports)
     rng = np.random.default_rng(seed)
     allowed = None if sweep.constraints is None else sweep.constraints.allowed
@@ -77,7 +79,7 @@ def decide(sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport], se
         next_render=_proposal(next_render),
         next_capture=_proposal(next_capture),
         other_objectives=tuple(_other(other) for other in others),
-        notes=(*left_out, *_notes(sweep, decision, captures)),
+        notes=(*of_finger, *left_out, *_notes(sweep, decision, captures)),
     )
 
 

@@ -13,6 +13,7 @@ from data_schemas.compare import PhotometricErrorReport
 from data_schemas.decide import LightAngleDecision
 from data_schemas.design import FingerDesign
 from data_schemas.fit import PaintCalibration
+from data_schemas.mechanical_design import Preset
 from data_schemas.model import Record
 from data_schemas.press_mechanics import PressMechanics
 from data_schemas.provenance import provenance
@@ -37,7 +38,6 @@ from sim.experiments.light_angle import light_angle_sweep
 from sim.experiments.mechanical_press import press_records
 from sim.experiments.painted_finger import PaintedFinger, paint_optics
 from sim.experiments.press import simulate_press
-from sim.mechanics.finger_mesh import Preset
 from sim.mechanics.press import press_finger
 from sim.optics.paint_bands import PaintOptics
 from sim.optics.wall_emission import Level

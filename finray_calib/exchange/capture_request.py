@@ -125,9 +125,12 @@ def _plan(
     angle_deg: float,
     board: bool,
 ) -> str:
-    """Return a tactile plan as TOML; that with the board teaches a normal map, which needs the scale too."""
+    """Return a tactile plan as TOML."""
     scale_mm = design.pad.length_mm / design.camera.width_px
-    scale = f"mm_per_px = {_float(scale_mm)}               # MEASURE: side of a raw pixel on the pad\n" if board else ""
+    scale = (
+        f"mm_per_px = {_float(scale_mm)}  # MEASURE: 'finray study pixel-scale' says it and the next line\n"
+        "mm_per_px_u_rel = 0.2            # MEASURE: relative standard uncertainty\n"
+    )
     name = f"{design.name}, {shape}, panel at {angle_deg:g} deg"
     head = f"""\
 # Written by finray. Lines with MEASURE hold what is planned: put in what you measured.
@@ -147,6 +150,7 @@ radius_mm = {_float(radius_mm)}
 """
     charuco = f"""
 [board]                          # your ChArUco board; images of it in many places and tilts
+on_pad = true                    # the first one: flat where the pad's coat is
 squares = [7, 5]
 square_mm = 3.0                  # MEASURE
 marker_mm = 2.2                  # MEASURE
@@ -203,10 +207,21 @@ Around each press: {_NO_CONTACT_IMAGES} images of no contact before it and {_NO_
 {_REPEATS} times, the indenter taken away between. Every image at all exposures 2^{_BRACKET_POWERS[0]} to
 2^{_BRACKET_POWERS[1]} us that the camera allows (16 us to 4.2 s).
 
-1. The camera's geometry: {_BOARD_IMAGES} images of a ChArUco board of 7 x 5 squares, flat and where the pad is, in
-   many places and tilts. Measure a square with a calliper over all seven. Before the session, lay the board on the
-   pad and take a picture: the side of a square in mm, over its length in raw pixels, is `mm_per_px` of the ball plan;
-   without it no map can be fitted.
+1. The camera's geometry and the scale: {_BOARD_IMAGES} images of a ChArUco board of 7 x 5 squares, glued to a flat
+   plate. Measure all seven squares with a calliper at once; a seventh of that, and of its uncertainty, is that of one.
+   The first image: the board flat where the pad's coat is, printed face to the camera, before the pad is in or laid on
+   it, all of it in view (through the mirror is right). The others: turned, and tilted by 20 to 45 deg in all
+   directions, some into the corners of the picture. Camera, mirror and focus are those of the presses. If the printed
+   face cannot lie in the plane of the coat, measure how far behind it the coat is, to 0.1 mm: 1 mm at 50 mm changes the
+   scale by 2 %. The ball plan asks for these images first. Its session then gives millimetres per raw pixel along x and
+   y, with uncertainty, and refuses in plain words what cannot be measured:
+
+       finray study pixel-scale SESSION --square-u-mm 0.01 --out pixel-scale.json
+
+   Put the two lines it prints into the plans that are still to be run. The ball plan itself may be run with the planned
+   value: 'finray study normal-map --scale pixel-scale.json' puts the measured one in its place, and 'finray compare
+   --scale pixel-scale.json' states the sizes of patch and halo in mm. A capture without contact needs nothing more; one
+   taken without these images cannot be given a scale afterwards.
 2. {len(ball)} presses of a ball of {ball_mm:g} mm radius ({2 * ball_mm:g} mm diameter), panel at
    {design.light.angle_deg:g} deg; at least {MINIMUM_PRESSES} are needed, spread over pad and depth as here
    (`{ball_plan}`):
@@ -232,10 +247,10 @@ plans, correct the lines marked MEASURE:
 
 {listed}
 
-Check a plan first with `--dry-run`: it says how many frames and how much disk. Send the session folders whole:
-`session.json`, `journal`, `frames/` and `press-*.json`, one for each contact. For the ball add `circles.csv`, with a
-line for each file (press 1 is {_files(1)}), all {_REPEATS * len(ball)} of them: its contact circle in raw pixels, drawn
-by hand on the picture.
+Check a plan first with `--dry-run`: it says how many frames and how much disk. Send `pixel-scale.json` and the session
+folders whole: `session.json`, `journal`, `frames/` and `press-*.json`, one for each contact. For the ball add
+`circles.csv`, with a line for each file (press 1 is {_files(1)}), all {_REPEATS * len(ball)} of them: its contact
+circle in raw pixels, drawn by hand on the picture.
 
     image,column_px,row_px,radius_px
     press-001.json,412.5,300.0,61.0

@@ -68,7 +68,7 @@ def fit_warnings(
         modes = ", ".join(f"{theta[0]:.0f}" for theta in posterior.maxima.theta)
         said.append(f"the bands leave an ambiguity: {len(maxima)} maxima of the posterior, modes at {modes} nm")
     if not posterior.sampling.trusted:
-        said.append("the sampling cannot be trusted: neither importance sampling nor emcee converged")
+        said.append("the sampling cannot be trusted: importance sampling, moved draws and emcee all fall short")
     if check is not None and max(map(abs, check.mean_shift_sd.values())) > LARGEST_CHAIN_SHIFT_SD:
         said.append("emcee disagrees with the stored draws: do not quote the intervals")
     if check_asked and check is None:

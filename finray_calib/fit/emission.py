@@ -19,6 +19,7 @@ from finray_calib.fit.map_search import Maxima, find_maxima, starting_points
 from finray_calib.fit.mixture_proposal import GOOD_EFFECTIVE_SHARE, MixtureProposal
 from finray_calib.fit.predictive import BandCheck, check_bands
 from finray_calib.fit.prior import EmissionPrior
+from finray_calib.fit.resample_move import MovedDraws, moved_draws
 from finray_calib.fit.sampler import SamplerSettings, sample_posterior
 from finray_calib.spectra.curve_quantities import CurveQuantities, curve_quantities
 from finray_calib.spectra.emission_families import EmissionFamily
@@ -33,6 +34,7 @@ _GROWTHS: Final = 10
 _TRIAL_DRAWS: Final = 2000  # tell whether a grown proposal is worth all draws
 _DRAWS_OF_LAST_ADAPTATION: Final = 10_000  # a round; a curved ridge in ten dimensions needs them
 _SHARE_OF_LAST_ADAPTATION: Final = 0.75  # the rest watches over what the adaptation forgot
+_FEWEST_MOVED: Final = 1000  # as many as 95 % limits need
 REFERENCE_ROUNDS: Final = 2
 """The filters' tolerances act at a reference fit that is refined twice; the first is fitted without them."""
 
@@ -81,21 +83,26 @@ class Sampling:
     Attributes
     ----------
     method
-        "importance sampling", "adapted importance sampling" or "emcee".
+        "importance sampling", "adapted importance sampling", "resample-move" or "emcee".
     sample
         The last importance sample; its evidence holds whatever the method.
+    moved
+        The draws where they were moved.
     chain
         Diagnostics of emcee where it took over.
     """
 
     method: SamplingMethod
     sample: WeightedSample
-    chain: ChainDiagnostics | None
+    moved: MovedDraws | None = None
+    chain: ChainDiagnostics | None = None
 
     @property
     def trusted(self) -> bool:
         """Whether the draws support 95 % limits."""
-        return self.sample.trusted if self.chain is None else self.chain.converged
+        if self.chain is not None:
+            return self.chain.converged
+        return self.sample.trusted if self.moved is None else self.moved.forgotten
 
 
 @dataclass(frozen=True)
@@ -215,8 +222,8 @@ def draw_posterior(
     """Return proposal, draws of equal weight and how they were made.
 
     Importance sampling around the maxima; where its diagnostic k or its effective number says no, the same with a
-    proposal adapted to the posterior and grown where it falls short; where that says no, emcee with jumps between all
-    maxima.
+    proposal adapted to the posterior and grown where it falls short; where that says no, the draws are moved until they
+    have forgotten where they began; where they do not, emcee with jumps between all maxima.
     """
     proposal = MixtureProposal.around(maxima, log_posterior.prior)
     method: SamplingMethod = "importance sampling"
@@ -241,7 +248,10 @@ def draw_posterior(
         if sample.covered and trial < settings.importance_draws:
             sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
     if sample.trusted:
-        return proposal, sample.resampled(settings.kept_draws, rng), Sampling(method, sample, None)
+        return proposal, sample.resampled(settings.kept_draws, rng), Sampling(method, sample)
+    moved = moved_draws(log_posterior, proposal, sample, max(settings.kept_draws, _FEWEST_MOVED), rng)
+    if moved.forgotten:
+        return proposal, moved.theta[: settings.kept_draws], Sampling("resample-move", sample, moved)
     chain, diagnostics = sample_posterior(log_posterior, proposal, settings.chain, rng)
     chosen = rng.permutation(len(chain))[: settings.kept_draws]
-    return proposal, chain[chosen], Sampling("emcee", sample, diagnostics)
+    return proposal, chain[chosen], Sampling("emcee", sample, chain=diagnostics)

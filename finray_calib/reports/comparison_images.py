@@ -11,7 +11,7 @@ from data_schemas.capture import TactileCapture
 from data_schemas.errors import RecordError
 from data_schemas.simulate import SimulatedPress
 from finray_calib.compare.linear_image import rgb_image
-from finray_calib.reports.images import ByteImage, capture_rgb, display_white, to_display, with_outline
+from finray_calib.reports.images import ByteImage, display_white, missing, to_display, with_clipped, with_outline
 from finray_calib.reports.touch_images import pad_window, shown_bands
 
 Floats = NDArray[np.float64]
@@ -27,11 +27,15 @@ _SD_OF_MEDIAN_STEP = 1.4826 / sqrt(2.0)
 
 @dataclass(frozen=True, slots=True)
 class TouchPictures:
-    """The pad in 8-bit sRGB: captured untouched and touched, simulated touched; scored regions outlined."""
+    """The pad in 8-bit sRGB: captured untouched and touched, simulated touched; scored regions outlined.
+
+    `clipped` are the masks of the clipped pixels of both captured pictures, which are drawn as such.
+    """
 
     captured_untouched: ByteImage
     captured: ByteImage
     simulated: ByteImage
+    clipped: tuple[Mask, Mask]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +65,7 @@ def require_one_grid(press: SimulatedPress, capture: TactileCapture) -> None:
     RecordError
         Their sizes differ.
     """
-    height, width = capture_rgb(capture, capture.no_contact).shape[:2]
+    height, width = rgb_image(capture.no_contact, capture).shape[:2]
     if press.contact.shape[:2] != (height, width):
         raise RecordError(
             f"comparison page: the render has {press.contact.shape[1]} x {press.contact.shape[0]} px, the capture "
@@ -76,18 +80,21 @@ def touch_pictures(press: SimulatedPress, capture: TactileCapture, factors: tupl
     encoded values are shown as they are.
     """
     linear, window = capture.encoding == "linear", pad_window(press)
-    captured = [shown_bands(press, capture_rgb(capture, image)) for image in (capture.no_contact, capture.contact)]
+    captured = [shown_bands(press, rgb_image(image, capture)) for image in (capture.no_contact, capture.contact)]
     simulated = [shown_bands(press, image.astype(np.float64)) for image in (press.no_contact, press.contact)]
     if linear:
         whites = _whites(captured, simulated, np.isfinite(press.distance))
     else:
         full_scale_dn = 2.0**capture.bit_depth - 1.0 - capture.black_level_dn
         whites = [np.full(3, full_scale_dn)] * 2
+    untouched, touched = (missing(image[window]) for image in captured)
+    clipped = (untouched, touched)
     masks = [press.distance[window] <= factor for factor in factors]
     return TouchPictures(
-        _fitted(to_display(captured[0][window], whites[0], linear)),
-        _outlined(to_display(captured[1][window], whites[0], linear), masks),
+        _fitted(with_clipped(to_display(captured[0][window], whites[0], linear), clipped[0])),
+        _outlined(with_clipped(to_display(captured[1][window], whites[0], linear), clipped[1]), masks),
         _outlined(to_display(simulated[1][window], whites[1], linear), masks),
+        clipped,
     )
 
 

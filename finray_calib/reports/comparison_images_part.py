@@ -10,6 +10,7 @@ from finray_calib.reports.change_figure import change_figures
 from finray_calib.reports.compare_figures import error_map_figure, score_figure
 from finray_calib.reports.comparison_images import TouchChanges, TouchPictures, touch_changes, touch_pictures
 from finray_calib.reports.demo_results import headline
+from finray_calib.reports.images import clipped_remark
 from finray_calib.reports.section import Content, Part, Picture, drawing, raster
 from finray_calib.reports.statements import simulation_sentence
 from finray_calib.reports.touch_images import pad_window
@@ -31,11 +32,15 @@ def images_part(report: PhotometricErrorReport, press: SimulatedPress, capture: 
 def _pictures(report: PhotometricErrorReport, shown: TouchPictures) -> tuple[Picture, ...]:
     """Show the pad as captured and as simulated."""
     return (
-        raster(shown.captured_untouched, "Captured image of the untouched pad.", "Captured, no contact"),
+        raster(
+            shown.captured_untouched,
+            "Captured image of the untouched pad.",
+            f"Captured, no contact.{clipped_remark(shown.clipped[0])}",
+        ),
         raster(
             shown.captured,
             "Captured image of the pressed pad, scored regions outlined.",
-            "Captured, contact. Outlined: the regions that are scored.",
+            f"Captured, contact. Outlined: the regions that are scored.{clipped_remark(shown.clipped[1])}",
         ),
         raster(
             shown.simulated,

@@ -125,12 +125,9 @@ def _sections(report: PhotometricErrorReport, press: SimulatedPress, capture: Ta
         parts.append(validation_part(report))
     if report.sensing is not None:
         parts.append(_sensed(report.sensing))
-    parts.append(
-        Part(
-            "What was compared",
-            Content(lead=words.exposure_sentence(report), tables=(tables.images_table(press, capture),)),
-        )
-    )
+    scales = () if report.patch_scale is None else (tables.scale_table(report.patch_scale),)
+    lead = " ".join((words.exposure_sentence(report), *words.scale_sentences(report)))
+    parts.append(Part("What was compared", Content(lead=lead, tables=(*scales, tables.images_table(press, capture)))))
     return parts
 
 
@@ -146,6 +143,12 @@ def _sensed(sensing: SensingError) -> Part:
     ]
     if outside > 0.0:
         remarks.append(f"{percent(outside)} of the pixels show a change of colour that no calibration press showed.")
+    if sensing.mm_per_px_u_rel is not None:
+        # the step of the integration and the size of the calibration ball in pixels both carry the scale
+        remarks.append(
+            f"All depths rest on one scale, whose standard uncertainty of {percent(sensing.mm_per_px_u_rel)} is not in "
+            f"their intervals; it changes them by about {percent(2.0 * sensing.mm_per_px_u_rel)}, all alike."
+        )
     angle = simulation.normal_angle_mean_deg
     return Part(
         "As the sensor would see it",

@@ -4,7 +4,15 @@ from collections.abc import Callable, Mapping
 from math import hypot, sqrt
 
 from data_schemas.capture import IndenterPose, TactileCapture
-from data_schemas.compare import ErrorRow, Interval, PhotometricErrorReport, RegionError, SensingError, SensingRow
+from data_schemas.compare import (
+    ErrorRow,
+    Interval,
+    PatchScale,
+    PhotometricErrorReport,
+    RegionError,
+    SensingError,
+    SensingRow,
+)
 from data_schemas.simulate import SimulatedPress
 from finray_calib.reports.comparison_words import place
 from finray_calib.reports.demo_results import row_of
@@ -177,7 +185,7 @@ def images_table(press: SimulatedPress, capture: TactileCapture) -> ReportTable:
          _unit(press.light_angle_deg, "deg")),
         ("LED current", _unit(capture.led_current_ma, "mA"), _DASH),
         ("indenter", *_indenter(capture.indenter, press)),
-        ("scale", _unit(capture.mm_per_px, "mm per pixel"), _DASH),
+        ("scale, as the capture states it", _scale(capture), _DASH),
         ("finger", _DASH, "no design" if press.design is None else press.design.name),
     ]  # fmt: skip
     rows += [(f"{colour} paint", _DASH, f"SHA-256 {digest}") for colour, digest in sorted(press.paints.items())]
@@ -188,6 +196,51 @@ def files_table(digests: Mapping[str, str], version: str) -> ReportTable:
     """List the files that went in, by content, and the version that read them."""
     rows = [("finray-calib", version), *((f"SHA-256 of {name}", digest) for name, digest in sorted(digests.items()))]
     return one_group("Program and input files", ("item", "value"), rows, is_words=True)
+
+
+def scale_table(scale: PatchScale) -> ReportTable:
+    """List millimetres per raw pixel along x and y at the patch and over patch and pad, and the regions' extents."""
+    middle, patch, pad = scale.middle, scale.over_patch, scale.over_pad
+    rows = [
+        (
+            "mm per pixel at the middle of the patch",
+            _known(middle.along_x_mm_per_px, middle.along_x_u_rel * middle.along_x_mm_per_px),
+            _known(middle.along_y_mm_per_px, middle.along_y_u_rel * middle.along_y_mm_per_px),
+        ),
+        *(
+            (
+                f"mm per pixel, range over the {name}",
+                f"{over.along_x_low_mm_per_px:.4g} to {over.along_x_high_mm_per_px:.4g}",
+                f"{over.along_y_low_mm_per_px:.4g} to {over.along_y_high_mm_per_px:.4g}",
+            )
+            for name, over in (("patch", patch), ("pad", pad))
+        ),
+        *(
+            (
+                f"{extent.region}, extent in mm",
+                _known(extent.along_x_mm, extent.along_x_u_mm),
+                _known(extent.along_y_mm, extent.along_y_u_mm),
+            )
+            for extent in scale.extents
+        ),
+    ]
+    columns = ("length", "along x (rows)", "along y (columns)")
+    return one_group("Scale of the capture's raw pixels on the pad", columns, rows, is_words=True)
+
+
+def _known(value: float, u: float) -> str:
+    """Return a value with its standard uncertainty, in its unit."""
+    return f"{value:.4g} (u = {u:.2g})"
+
+
+def _scale(capture: TactileCapture) -> str:
+    """Return the scale that the capture carries."""
+    u = (
+        None
+        if capture.mm_per_px is None or capture.mm_per_px_u_rel is None
+        else (capture.mm_per_px * capture.mm_per_px_u_rel)
+    )
+    return _with_u(capture.mm_per_px, u, "mm per pixel")
 
 
 def _layout(capture: TactileCapture) -> str:

@@ -99,6 +99,12 @@ def limits(report: PhotometricErrorReport) -> tuple[str, ...]:
                 f"The Monte Carlo run of {run.draws} draws ended before the uncertainty was steady to one significant "
                 "digit: the ends of the interval may change with another seed."
             )
+    skills = (report.headline_skill, *(row.skill for region in report.regions for row in region.rows))
+    if any(skill.estimate > 1 for skill in skills):
+        told.append(
+            "An estimate of a skill above 1 means 1 within its uncertainty: the noise is taken out, and what is left "
+            "scatters about the true skill, which cannot exceed 1. Intervals end there."
+        )
     if report.values != "linear light":
         told.append(
             "The images hold encoded values of an unknown camera curve, not light: scores compare code values only."
@@ -117,6 +123,19 @@ def exposure_sentence(report: PhotometricErrorReport) -> str:
     return (
         f"The render was multiplied by one exposure factor, the same for all channels{known}. No other correction was "
         "fitted, so an error of a paint or of the light stays visible."
+    )
+
+
+def scale_sentences(report: PhotometricErrorReport) -> tuple[str, ...]:
+    """Say how large the contact patch is on the pad; nothing where the scale was not given."""
+    scale = report.patch_scale
+    if scale is None:
+        return ()
+    middle, patch = scale.middle, scale.extents[0]
+    return (
+        f"At the patch a raw pixel spans {middle.along_x_mm_per_px:.4g} mm along x and {middle.along_y_mm_per_px:.4g} "
+        f"mm along y (standard uncertainties {percent(middle.along_x_u_rel)} and {percent(middle.along_y_u_rel)}); the "
+        f"{patch.region} of the render is {patch.along_x_mm:.3g} mm by {patch.along_y_mm:.3g} mm.",
     )
 
 

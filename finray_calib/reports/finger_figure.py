@@ -1,6 +1,7 @@
 """Drawing of a finger design: cut along its middle and seen from its front, with the camera's view below."""
 
 import io
+from pathlib import Path
 
 from matplotlib.figure import Figure, SubFigure
 
@@ -19,15 +20,17 @@ _TITLES_IN = 2.0
 
 
 @styled()
-def finger_page_png(view: CameraView) -> bytes:
+def finger_page_png(view: CameraView, folder: Path | None = None) -> bytes:
     """Return the drawing of a finger with its camera's view below, as PNG bytes.
+
+    Without the folder where the design stands, the mesh of an indenter is not drawn.
 
     Raises
     ------
     SimulateError
         When the parts of the design do not fit together.
     """
-    finger = finger_outline(view.design)
+    finger = finger_outline(view.design, folder)
     figure = new_figure(_PAGE_IN, finger.views_in + _TITLES_IN + _CAMERA_VIEW_IN)
     rows = figure.add_gridspec(2, 1, height_ratios=(finger.views_in + _TITLES_IN, _CAMERA_VIEW_IN))
     _draw_finger(figure.add_subfigure(rows[0]), finger)
@@ -36,7 +39,7 @@ def finger_page_png(view: CameraView) -> bytes:
 
 
 @styled()
-def finger_png(design: FingerDesign) -> bytes:
+def finger_png(design: FingerDesign, folder: Path | None = None) -> bytes:
     """Return the drawing of a finger as PNG bytes: cut along its middle, and from its front, on one scale.
 
     Raises
@@ -44,7 +47,7 @@ def finger_png(design: FingerDesign) -> bytes:
     SimulateError
         When the parts of the design do not fit together.
     """
-    finger = finger_outline(design)
+    finger = finger_outline(design, folder)
     figure = new_figure(_PAGE_IN, finger.views_in + _TITLES_IN)
     _draw_finger(figure, finger)
     return _png(figure)

@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
-from data_schemas.design import FingerDesign
 from finray_calib.reports.finger_outline import PART_COLOURS, FingerOutline
 from finray_calib.reports.labelled_parts import PartLabel, dimension, label_row
 from finray_calib.reports.style import BLUE, GREEN, INK, MUTED, VERMILLION
@@ -35,7 +34,7 @@ def draw_front(axes: Axes, finger: FingerOutline) -> None:
         axes.plot([z, z], across, color=BLUE, lw=4.0, solid_capstyle="butt")
     pose = camera_pose(design).centre_mm
     axes.plot(pose[2], pose[0], marker="s", color=INK, markersize=8)
-    _front_touch(axes, design, window)
+    _front_touch(axes, finger, window)
     _front_labels(axes, finger)
     inch = finger.inch_mm
     for away, edge, text in ((0.3, half, ""), (0.7, inner, "hollow ")):
@@ -49,11 +48,16 @@ def draw_front(axes: Axes, finger: FingerOutline) -> None:
     )
 
 
-def _front_touch(axes: Axes, design: FingerDesign, half_mm: float) -> None:
-    """Mark where the indenter first touches: a line under a cylinder, a point under a ball."""
-    at = design.indenter.position_mm
-    x = [-half_mm, half_mm] if design.indenter.shape == "cylinder" else [design.indenter.across_mm]
+def _front_touch(axes: Axes, finger: FingerOutline, half_mm: float) -> None:
+    """Mark where the indenter first touches: a line under a cylinder, a point under anything else."""
+    across, at = finger.touch_mm
+    x = [-half_mm, half_mm] if finger.design.indenter.shape == "cylinder" else [across]
     axes.plot([at] * len(x), x, color=MUTED, ls="--", marker="x" if len(x) == 1 else "", lw=1.2)
+
+
+def _touch_x_mm(finger: FingerOutline, half_mm: float) -> float:
+    """Return x of the place that the name of the first touch points at."""
+    return -0.7 * half_mm if finger.design.indenter.shape == "cylinder" else finger.touch_mm[0]
 
 
 def _front_labels(axes: Axes, finger: FingerOutline) -> None:
@@ -71,7 +75,7 @@ def _front_labels(axes: Axes, finger: FingerOutline) -> None:
     below = [
         PartLabel("camera (behind)", (pose[2], pose[0])),
         PartLabel("wall painted red", (0.6 * length, -window)),
-        PartLabel("first touch", (design.indenter.position_mm, -0.7 * window)),
+        PartLabel("first touch", (finger.touch_mm[1], _touch_x_mm(finger, window))),
     ]
     if len(layout.ribs):
         z = float(layout.ribs[-1, :, 0].mean())

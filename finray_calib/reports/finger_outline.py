@@ -1,11 +1,13 @@
 """A finger's parts as its drawings need them: where they lie, in which colours, and on what scale."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
+from sim.mechanics.indenters import rigid_indenter, side_outline_mm
 from sim.mechanics.skeleton import SkeletonLayout, skeleton_layout
 from sim.mechanics.skeleton_mesh import skeleton_mesh
 from sim.surface_meshes.pressed_pad import rest_height_mm
@@ -18,16 +20,26 @@ PART_COLOURS = {"skeleton": "#b8c0c8", "base_plate": "#7d8590", "backing": "#c9a
 _STEP_MM = 1.5
 # of the page's width, what axis labels and margins leave for the drawing; and rows of labels above and below a view
 _DRAWING_IN, _LABELS_IN = 9.9, 0.85
+# of a large indenter only the lower part is shown
+_MOST_OF_INDENTER_MM = 24.0
+# corners of an indenter this near to the coat at first touch touch it: its round edges are chords
+_TOUCH_MM = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class FingerOutline:
-    """A finger's parts and its bounds."""
+    """A finger's parts and its bounds.
+
+    ``indenter_mm`` is the outline (m, 2), z and y, of the indenter at first touch, None for a mesh that is not at hand;
+    ``touch_mm`` is the place, x and z, where it touches first.
+    """
 
     design: FingerDesign
     layout: SkeletonLayout
     nodes_mm: Floats
     hexahedra: dict[str, NDArray[np.int64]]
+    indenter_mm: Floats | None
+    touch_mm: tuple[float, float]
 
     @property
     def bounds_mm(self) -> tuple[Floats, Floats]:
@@ -40,6 +52,12 @@ class FingerOutline:
         return float(rest_height_mm(self.design, 0.0, self.design.indenter.position_mm))
 
     @property
+    def indenter_height_mm(self) -> float:
+        """How much of the indenter is shown above the crown."""
+        height = 2.0 * self.design.indenter.radius_mm if self.indenter_mm is None else np.ptp(self.indenter_mm[:, 1])
+        return float(min(height, _MOST_OF_INDENTER_MM))
+
+    @property
     def inch_mm(self) -> float:
         """What an inch of the page shows: finger, dimension lines at the tip and a margin fill the page."""
         low, high = self.bounds_mm
@@ -47,9 +65,9 @@ class FingerOutline:
 
     @property
     def side_mm(self) -> tuple[float, float]:
-        """Least and greatest y of the side view with its labels; of a large indenter only the lower part is shown."""
+        """Least and greatest y of the side view with its labels."""
         row = self.inch_mm * _LABELS_IN
-        return self.bounds_mm[0][1] - row, self.crown_mm + min(2.0 * self.design.indenter.radius_mm, 24.0) + row
+        return self.bounds_mm[0][1] - row, self.crown_mm + self.indenter_height_mm + row
 
     @property
     def front_mm(self) -> float:
@@ -63,8 +81,15 @@ class FingerOutline:
         return (high - low + 2.0 * self.front_mm) / self.inch_mm
 
 
-def finger_outline(design: FingerDesign) -> FingerOutline:
+def finger_outline(design: FingerDesign, folder: Path | None = None) -> FingerOutline:
     """Return the parts of a design.
+
+    Parameters
+    ----------
+    design
+        Finger and indenter.
+    folder
+        Where the design stands; without it, the mesh of an indenter is not looked for.
 
     Raises
     ------
@@ -72,7 +97,24 @@ def finger_outline(design: FingerDesign) -> FingerOutline:
         When they do not fit together.
     """
     mesh = skeleton_mesh(design, _STEP_MM, layers=1)
-    return FingerOutline(design, skeleton_layout(design), mesh.nodes_mm, mesh.hexahedra)
+    outline, touch = side_outline_mm(design, folder=folder), _first_touch_mm(design, folder)
+    return FingerOutline(design, skeleton_layout(design), mesh.nodes_mm, mesh.hexahedra, outline, touch)
+
+
+def _first_touch_mm(design: FingerDesign, folder: Path | None) -> tuple[float, float]:
+    """Return where the indenter touches first, x and z; of an edge or a face its middle."""
+    wanted, pad = design.indenter, design.pad
+    place = wanted.across_mm, wanted.position_mm
+    if wanted.shape in ("cylinder", "ball") or (wanted.shape == "mesh" and folder is None):
+        return place
+    x, y, z = rigid_indenter(design, folder or Path()).vertices_mm().T
+    over = (np.abs(x) <= pad.width_mm / 2.0) & (z >= 0.0) & (z <= pad.length_mm)
+    if not over.any():
+        return place
+    gap = y[over] - rest_height_mm(design, x[over], z[over])
+    touching = gap <= gap.min() + _TOUCH_MM
+    middle = [(v[over][touching].min() + v[over][touching].max()) / 2.0 for v in (x, z)]
+    return float(middle[0]), float(middle[1])
 
 
 def side_polygons(finger: FingerOutline, name: str, x_mm: float) -> Floats:

@@ -3,13 +3,13 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.patches import Polygon
+from matplotlib.patches import Polygon, Rectangle
+from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from finray_calib.reports.finger_outline import PART_COLOURS, FingerOutline, outer_edges, side_polygons
 from finray_calib.reports.labelled_parts import PartLabel, dimension, label_row
 from finray_calib.reports.style import BLUE, HAIRLINE, INK, MUTED, ORANGE, SKY, VERMILLION
-from sim.mechanics.indenters import side_outline_mm
 from sim.mechanics.skeleton import back_curve_mm
 from sim.optics.finger_view import camera_pose
 from sim.optics.panel_frame import panel_frame
@@ -39,7 +39,7 @@ def draw_side(axes: Axes, finger: FingerOutline) -> None:
     axes.plot(mirror[:, 1], mirror[:, 0], color=SKY, lw=3.0)
     _draw_camera(axes, finger)
     _draw_lights(axes, design)
-    _draw_indenter(axes, design, finger.crown_mm)
+    _draw_indenter(axes, finger)
     low, high = finger.bounds_mm
     inch = finger.inch_mm
     _side_labels(axes, finger)
@@ -92,27 +92,46 @@ def _draw_lights(axes: Axes, design: FingerDesign) -> None:
                   ha="left" if panel.normal[2] >= 0.0 else "right", va="center", fontsize=8)  # fmt: skip
 
 
-def _draw_indenter(axes: Axes, design: FingerDesign, crown_mm: float) -> None:
-    """Draw the indenter where it first touches, and its push."""
-    indenter = design.indenter
-    at, radius = indenter.position_mm, indenter.radius_mm
-    outline = side_outline_mm(design)
+def _draw_indenter(axes: Axes, finger: FingerOutline) -> None:
+    """Draw the indenter where it first touches, as far up as there is room, and its push."""
+    outline, height, crown = finger.indenter_mm, finger.indenter_height_mm, finger.crown_mm
     if outline is not None:
-        axes.add_patch(Polygon(outline, facecolor=HAIRLINE, edgecolor=MUTED, alpha=0.6, ls="--"))
-        radius = float(np.ptp(outline[:, 1])) / 2.0
+        shown = axes.add_patch(Polygon(outline, facecolor=HAIRLINE, edgecolor=MUTED, alpha=0.6, ls="--"))
+        (left, right), (low, _) = axes.get_xlim(), axes.get_ylim()
+        room = Rectangle((left, low), right - left, crown + height - low + 0.2, transform=axes.transData)
+        shown.set_clip_path(room)
+    z = _middle_mm(finger, 0.35)
     axes.annotate(
         "",
-        (at, crown_mm + radius / 3.0),
-        (at, crown_mm + radius),
+        (z, crown + 0.15 * height),
+        (z, crown + 0.5 * height),
         arrowprops={"arrowstyle": "-|>", "color": VERMILLION},
     )
+
+
+def _middle_mm(finger: FingerOutline, share: float) -> float:
+    """Return z of the indenter's middle at a share of its height."""
+    outline = finger.indenter_mm
+    if outline is None:
+        return finger.design.indenter.position_mm
+    return float(np.mean(_crossings_mm(outline, finger.crown_mm + share * finger.indenter_height_mm)))
+
+
+def _crossings_mm(outline: NDArray[np.float64], y_mm: float) -> NDArray[np.float64]:
+    """Return z where a convex outline (m, 2), z and y, is crossed at a height; of its lowest point below it."""
+    (z0, y0), (z1, y1) = outline.T, np.roll(outline, -1, axis=0).T
+    crossed = (y0 > y_mm) != (y1 > y_mm)
+    if not crossed.any():
+        return outline[[outline[:, 1].argmin()], 0]
+    return np.asarray((z0 + (y_mm - y0) / np.where(crossed, y1 - y0, 1.0) * (z1 - z0))[crossed])
 
 
 def _indenter_size(design: FingerDesign) -> str:
     """Return the indenter's shape and size in words."""
     indenter = design.indenter
     if indenter.size_mm is not None:
-        return f"{indenter.shape}, {' x '.join(f'{size:g}' for size in indenter.size_mm)}"
+        x, y, z = indenter.size_mm
+        return f"{indenter.shape} {z:g} long, {x:g} wide, {y:g} high"
     return f"{indenter.shape} {indenter.file}" if indenter.file else f"{indenter.shape}, radius {indenter.radius_mm:g}"
 
 
@@ -129,7 +148,7 @@ def _side_labels(axes: Axes, finger: FingerOutline) -> None:
         PartLabel("coating (what is touched)", (0.78 * length, float(rest_height_mm(design, 0.0, 0.78 * length)))),
         PartLabel(
             f"{_indenter_size(design)},\npushed in by {indenter.depth_mm:g}",
-            (indenter.position_mm, finger.crown_mm + min(1.4 * indenter.radius_mm, 20.0)),
+            (_middle_mm(finger, 0.7), finger.crown_mm + 0.7 * finger.indenter_height_mm),
         ),
         PartLabel("tip", (layout.tip_line[0] + skeleton.tip_length_mm / 2.0, fin)),
     ]

@@ -6,6 +6,7 @@ from finray_calib.fit.calibration_records import LARGEST_CHAIN_SHIFT_SD
 from finray_calib.fit.diagnostics import LARGEST_R_HAT, SMALLEST_EFFECTIVE_SAMPLES
 from finray_calib.fit.importance import FEWEST_EFFECTIVE
 from finray_calib.fit.pareto_smoothing import LARGEST_PARETO_K
+from finray_calib.fit.resample_move import LARGEST_MEMORY
 from finray_calib.reports.curve_agreement import CurveAgreement, curve_agreement, paper_agreement
 from finray_calib.reports.fitted_paint import FittedPaint, PaintTruth
 from finray_calib.reports.number_text import estimate_text, fixed, pareto_text, percent, probability
@@ -172,7 +173,11 @@ def sampling_statement(diagnostics: Diagnostics) -> str:
         taken = f"draws by emcee, after importance sampling failed (Pareto k {pareto_text(diagnostics.pareto_k)})"
         return f"{taken}: {trust}; {_chain_text(diagnostics.chain)}; {found}." if diagnostics.chain else f"{taken}."
     own = (
-        f"draws by {diagnostics.method}, {trust}: Pareto k {pareto_text(diagnostics.pareto_k)} (at most "
+        f"draws by resample-move, {trust}: importance sampling was uneven (Pareto k "
+        f"{pareto_text(diagnostics.pareto_k)}), so its draws were moved until they had forgotten where they began "
+        f"(rank correlation {diagnostics.memory:.2f}, at most {LARGEST_MEMORY:g} wanted); {found}."
+        if diagnostics.memory is not None
+        else f"draws by {diagnostics.method}, {trust}: Pareto k {pareto_text(diagnostics.pareto_k)} (at most "
         f"{LARGEST_PARETO_K:g} wanted), {diagnostics.effective_samples:.0f} effective draws (at least "
         f"{FEWEST_EFFECTIVE:.0f} wanted); {found}."
     )

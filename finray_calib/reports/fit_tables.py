@@ -187,6 +187,8 @@ def sampling_table(paint: FittedPaint) -> ReportTable:
         ("ln evidence", f"{fixed(told.ln_evidence, 2)} \u00b1 {fixed(told.ln_evidence_sd, 2)}"),
         ("maxima, log posterior", ", ".join(fixed(value, 1) for value in told.maxima)),
     ]
+    if told.memory is not None:
+        rows.append(("moved draws: rank correlation with their start", f"{told.memory:.2f}"))
     if told.chain is not None:
         chain = told.chain
         role = "in its place" if told.method == "emcee" else "as a check"

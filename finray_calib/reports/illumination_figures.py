@@ -91,13 +91,15 @@ def light_angle_png(study: LightAngleIntensity) -> bytes:
         _blue_panel(panels[0, p], study, p)
         _paint_panel(panels[1, p], study, p)
         panels[1, p].set_xlabel("light angle: panel's normal from the pad plane (deg)")
-    panels[0, 0].set_ylabel("blue light, relative to each curve's highest")
+    panels[0, 0].set_ylabel("blue light,\nrelative to each curve's highest")
     panels[1, 0].set_ylabel("painted bands with mirror,\nrelative to each curve's highest")
     for axes in (*panels[0], panels[1, 0]):
         axes.legend(loc="lower left")
     figure.supxlabel(
-        f"{study.design.name}; panel {study.led_depth_mm:g} mm below the inner face. Bars: 95 % limits of the maximum "
-        f"(jackknife over {study.radiance_rel.shape[2]} repeats of {study.samples} paths).",
+        f"{study.design.name}; panel's centre {study.led_depth_mm:g} mm below the inner face; its normal is along the "
+        "pad at 0 deg and away from it below. Lines: means; small marks: single repeats.\n"
+        "Bars above: where the smooth curve through a mean is highest, with 95 % limits (jackknife over "
+        f"{study.radiance_rel.shape[2]} repeats of {study.samples} paths).",
         x=0.01, ha="left", fontsize=9,
     )  # fmt: skip
     return _png(figure)
@@ -229,9 +231,13 @@ def _blue_panel(axes: Axes, study: LightAngleIntensity, probe: int) -> None:
     axes.plot(fine, np.maximum(np.cos(np.radians(fine - elevation)), 0.0), ":", color=INK,
               label=f"direct light alone: cos(angle - {elevation:.0f} deg)")  # fmt: skip
     axes.axvline(
-        study.printed_angle_deg, color=VERMILLION, linewidth=1.2, linestyle="--", label="paper: best at 30 deg"
+        study.printed_angle_deg,
+        color=VERMILLION,
+        linewidth=1.2,
+        linestyle="--",
+        label=f"paper: best at {study.printed_angle_deg:g} deg",
     )
-    axes.axvline(90.0, color=MUTED, linewidth=0.8)
+    axes.axvline(90.0, color=MUTED, linewidth=0.8, label="panel faces straight into the pad")
     axes.set_ylim(0, _TOP)
 
 
@@ -270,7 +276,8 @@ def _curve(
     top = next(t for t in study.maxima if (t.mirror, t.probe, t.band) == names)
     axes.plot([top.low95_deg, top.high95_deg], [height, height], color=colour, linewidth=3)
     axes.plot(top.angle_deg, height, "|", color=colour, markersize=9, markeredgewidth=2)
-    axes.text(top.high95_deg + 2, height, f"{top.angle_deg:.0f} deg", color=colour, fontsize=9, va="center")
+    axes.text(top.high95_deg + 2, height, f"{top.angle_deg:.0f} deg", color=colour, fontsize=9, va="center",
+              bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8}, zorder=5)  # fmt: skip
 
 
 def _png(figure: Figure) -> bytes:

@@ -6,9 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.capture import TactileCapture
 from data_schemas.errors import RecordError
-from finray_calib.compare.linear_image import per_cell
 
 FloatImage = NDArray[np.float64]
 ByteImage = NDArray[np.uint8]
@@ -17,17 +15,8 @@ WHITE_PERCENTILE = 99.5
 """Share of pixels, in per cent, that must not clip in the display; the rest are glints and hot pixels."""
 
 
-def capture_rgb(capture: TactileCapture, image: NDArray[np.uint16]) -> FloatImage:
-    """Return one image of a capture as RGB above black level, DN; a Bayer frame at half size, cell by cell.
-
-    Parameters
-    ----------
-    capture
-        The capture that the image belongs to (its layout and black level).
-    image
-        (H, W, 1) RGGB counts or (H, W, 3) RGB counts.
-    """
-    return per_cell(image.astype(np.float64) - capture.black_level_dn, capture)
+CLIPPED_GREYS = (225, 140)
+"""The two levels that clipped pixels are drawn with."""
 
 
 def display_white(image: NDArray[np.floating]) -> FloatImage:
@@ -85,6 +74,27 @@ def with_outline(image: ByteImage, mask: NDArray[np.bool_]) -> ByteImage:
     drawn[outer] = 0
     drawn[inner] = 255
     return drawn
+
+
+def missing(image: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return which pixels (H, W) of an image (H, W, 3) have a channel without value."""
+    return np.asarray(np.isnan(image).any(axis=-1), dtype=np.bool_)
+
+
+def with_clipped(image: ByteImage, clipped: NDArray[np.bool_]) -> ByteImage:
+    """Return the image with clipped pixels as a chequerboard of two greys, which no colour of light looks like.
+
+    Where a channel is at full scale the colour is not known: shown as it is, or unmixed, it takes a false one.
+    """
+    drawn = image.copy()
+    rows, columns = np.nonzero(clipped)
+    drawn[rows, columns] = np.where((rows // 2 + columns // 2) % 2 == 0, *CLIPPED_GREYS)[:, None]
+    return drawn
+
+
+def clipped_remark(clipped: NDArray[np.bool_]) -> str:
+    """Return what a caption says of clipped pixels; nothing where there are none."""
+    return " Grey chequers: clipped, the colour is not known." if clipped.any() else ""
 
 
 def png_bytes(rgb: ByteImage) -> bytes:

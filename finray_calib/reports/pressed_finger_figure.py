@@ -1,6 +1,7 @@
 """Picture of a pressed finger from its stored records: before, after, and the force against the push."""
 
 import io
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,10 @@ from data_schemas.press_mechanics import PressMechanics
 from data_schemas.surfaces import FingerSurfaces
 from finray_calib.reports.finger_outline import PART_COLOURS
 from finray_calib.reports.style import BLUE, HAIRLINE, INK, MUTED, SKY, VERMILLION, new_figure, styled
+from sim.mechanics.finger_mesh import finger_mesh
 from sim.mechanics.indenters import side_outline_mm
 from sim.surface_meshes.finger_shape import FingerShape
+from sim.surface_meshes.from_mesh import shape_from_mesh
 from sim.surface_meshes.stored_shape import restore_shapes
 from sim.surface_meshes.surface import Surface
 
@@ -67,6 +70,33 @@ def pressed_finger_png(mechanics: PressMechanics, surfaces: FingerSurfaces, fold
     after.set_xlabel("z along the finger, from the base of the pad (mm)")
     _draw_curve(curve.subplots(), mechanics)
     figure.suptitle(f"{mechanics.name}: {mechanics.label}")
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=_DOTS_PER_INCH, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+@styled()
+def untouched_finger_png(design: FingerDesign, why: str, folder: Path | None = None) -> bytes:
+    """Return a picture of a finger whose press found no equilibrium at all, as PNG bytes: where the indenter touches.
+
+    Parameters
+    ----------
+    design
+        Finger and indenter.
+    why
+        What the press said, for the picture's title.
+    folder
+        Where the design stands; an STL relative to it is drawn only with it.
+    """
+    mesh = finger_mesh(design)
+    figure = new_figure(13.0, 6.0)
+    axes = figure.subplots()
+    _draw_before(axes, shape_from_mesh(design, mesh.nodes_mm, mesh.hexahedra))
+    _draw_indenter(axes, design, 0.0, folder)
+    axes.set_title("\n".join(textwrap.wrap(f"stopped where the indenter touches: {why}", 120)))
+    axes.set(aspect="equal", xlabel="z along the finger, from the base of the pad (mm)", ylabel="y (mm)")
+    axes.grid(visible=False)
+    axes.autoscale_view()
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=_DOTS_PER_INCH, metadata={"Software": None})
     return buffer.getvalue()

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.simulate import SimulatedPress
-from finray_calib.reports.images import ByteImage, display_white, to_display, with_outline
+from finray_calib.reports.images import ByteImage, display_white, missing, to_display, with_clipped, with_outline
 
 SHOWN_AS_RGB = ("red", "green", "led")
 """Bands shown as red, green and blue: emission of the two paints, and light of the LED."""
@@ -31,7 +31,7 @@ def touch_pair(
     press
         Gives camera matrix, encoding and the pad.
     no_contact, contact
-        (H, W, 3) images of one camera, on the grid of the press, any unit.
+        (H, W, 3) images of one camera, on the grid of the press, any unit; NaN where clipped, which is drawn so.
     region
         (H, W) mask that is outlined.
 
@@ -43,7 +43,7 @@ def touch_pair(
     before, after = (shown_bands(press, np.asarray(image, dtype=np.float64)) for image in (no_contact, contact))
     pad = np.isfinite(press.distance)
     white, linear = display_white(before[pad]), press.encoding == "linear"
-    shown, touched = (to_display(image, white, linear) for image in (before, after))
+    shown, touched = (with_clipped(to_display(image, white, linear), missing(image)) for image in (before, after))
     window = pad_window(press)
     return shown[window], with_outline(touched, region)[window]
 

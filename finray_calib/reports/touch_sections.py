@@ -5,10 +5,11 @@ from numpy.typing import NDArray
 
 from data_schemas.compare import PhotometricErrorReport
 from data_schemas.simulate import SimulatedPress
+from finray_calib.compare.linear_image import rgb_image
 from finray_calib.reports import statements
 from finray_calib.reports.compare_figures import error_map_figure, score_figure
 from finray_calib.reports.demo_results import DemoResults, headline
-from finray_calib.reports.images import ByteImage, capture_rgb
+from finray_calib.reports.images import ByteImage, clipped_remark
 from finray_calib.reports.number_text import decimals_for, fixed, percent, significant
 from finray_calib.reports.pressed_finger_figure import pressed_finger_png
 from finray_calib.reports.report_tables import error_table
@@ -116,14 +117,16 @@ def compare_section(results: DemoResults) -> Content:
 def _strip(results: DemoResults) -> tuple[Picture, ...]:
     """Return the captured images beside the render."""
     capture = results.capture
-    before, after = (capture_rgb(capture, image) for image in (capture.no_contact, capture.contact))
+    before, after = (rgb_image(image, capture) for image in (capture.no_contact, capture.contact))
+    window = pad_window(results.press)
+    remarks = [clipped_remark(np.isnan(image[window])) for image in (before, after)]
     untouched, touched = touch_pair(results.press, before, after, _scored(results))
     return (
-        raster(untouched, "Captured image of the untouched pad.", "Captured, no contact"),
+        raster(untouched, "Captured image of the untouched pad.", f"Captured, no contact.{remarks[0]}"),
         raster(
             touched,
             "Captured image of the pressed pad, with the scored region outlined.",
-            f"Captured, contact; {OUTLINED}",
+            f"Captured, contact; {OUTLINED}.{remarks[1]}",
         ),
         raster(
             _renders(results)[1],

@@ -77,6 +77,7 @@ def tactile_capture(
         indenter=press.pose(plan.indenter),
         contact_circle=None,
         mm_per_px=plan.mm_per_px,
+        mm_per_px_u_rel=plan.mm_per_px_u_rel,
         rig=f"{rig.name}, {rig.camera.driver} {rig.camera.address}, {plan.design}",
         source=f"tactile session '{folder.resolve().name}', {plan.design}, camera {rig.camera.driver}, frame "
         f"{shown.sequence} at {shown.captured_utc}",

@@ -120,6 +120,11 @@ def press_of(contact: int, repeats: int) -> int:
 def instruction(shot: TactileShot, plan: TactilePlan, presses: tuple[PlannedPress, ...]) -> str:
     """Return what the operator must do before a group of frames."""
     if shot.frame_type == "board" and plan.board is not None:
+        if plan.board.on_pad and shot.place == 1:
+            return (
+                f"Lay the ChArUco board flat where the coat of the pad is, printed face to the camera; place 1 of "
+                f"{plan.board.images}."
+            )
         return (
             f"Hold the ChArUco board in view, still; place {shot.place} of {plan.board.images}, each turned and tilted "
             "otherwise."

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
-from sim.optics.opencv_camera import read_calibration
+from sim.optics.opencv_file import read_calibration
 from sim.optics.pixel_maps import PixelMaps, pixel_maps
 from sim.surface_meshes.finger_shape import rest_shape
 

@@ -13,7 +13,8 @@ from rigs.simulated.sensor import Sensor
 from sim.experiments.painted_finger import PaintedFinger
 from sim.optics.angle_batches import measure_together
 from sim.optics.facets import SeenPoints, tilt_shares, tilted
-from sim.optics.render import Progress, check_paints
+from sim.optics.lit_scene import check_paints
+from sim.optics.render import Progress
 from sim.surface_meshes.finger_shape import FingerShape
 
 Floats = NDArray[np.float64]

@@ -7,16 +7,19 @@ from typing import get_args
 
 import numpy as np
 
-from data_schemas.design import FingerDesign
+from data_schemas.design import FingerDesign, Indenter
 from data_schemas.errors import SimulateError
 from data_schemas.finger_stiffness import FingerStiffness, Measure, StiffnessOrder, StiffnessRow
 from sim.experiments.changed_design import changed_design
+from sim.mechanics.force_control import press_to_force
 from sim.mechanics.loads import LoadedFinger
+from sim.mechanics.slip_torque import contact_forces_n, frictionless_torque_n_mm, slip_torque_n_mm
 
 Progress = Callable[[int, int, str], None]
 
 # small against what buckles ribs, large against the equilibrium's tolerance of 1e-6
 TIP_FORCE_N, PAD_FORCE_N, TWIST_DEG = 0.5, 2.0, 5.0
+GRIP_FORCE_N = 2.0
 _FEWEST_RIBS = 1
 
 
@@ -24,6 +27,8 @@ def study_finger_stiffness(
     designs: Sequence[FingerDesign], share: float = 0.2, threads: int = 1, progress: Progress | None = None
 ) -> FingerStiffness:
     """Load each finger at tip and pad, twist it, and do so again with each assumed dimension changed up and down.
+
+    Each finger as it is also grips a cylinder, for the torque at which that begins to turn.
 
     Changed are the numbers of ``skeleton`` that a design's ``origin`` does not list, one at a time; a change that
     leaves no room for a part is stored with the reason.
@@ -61,6 +66,7 @@ def study_finger_stiffness(
         tip_force_n=TIP_FORCE_N,
         pad_force_n=PAD_FORCE_N,
         twist_deg=TWIST_DEG,
+        grip_force_n=GRIP_FORCE_N,
         share=share,
         rows=tuple(rows),
         orders=tuple(_orders(names, rows)),
@@ -89,6 +95,7 @@ def _row(design: FingerDesign, field: str, change_rel: float, value: float, thre
     """Load one finger; a changed one may fail."""
     try:
         finger = LoadedFinger(changed_design(design, field, value) if field else design, threads=threads)
+        slip, tipping = (None, None) if field else _held_torques(design, threads)
         return StiffnessRow(
             design=design.name,
             changed=field,
@@ -97,11 +104,20 @@ def _row(design: FingerDesign, field: str, change_rel: float, value: float, thre
             sideways_n_per_mm=finger.push("tip", (TIP_FORCE_N, 0.0, 0.0)).stiffness_n_per_mm,
             pad_n_per_mm=finger.push("pad", (0.0, -PAD_FORCE_N, 0.0)).stiffness_n_per_mm,
             twist_n_mm_per_deg=finger.twist(TWIST_DEG).stiffness_n_mm_per_deg,
+            slip_torque_per_friction_n_mm=slip,
+            tipping_torque_n_mm=tipping,
         )
     except SimulateError as failed:
         if not field:
             raise
         return StiffnessRow(design=design.name, changed=field, change_rel=change_rel, failure=str(failed))
+
+
+def _held_torques(design: FingerDesign, threads: int) -> tuple[float, float]:
+    """Return the torques that the grip of a cylinder holds: by friction over its coefficient, and by its width."""
+    gripped = design.model_copy(update={"indenter": Indenter(position_mm=design.pad.length_mm / 2.0)})
+    places, forces = contact_forces_n(press_to_force(gripped, GRIP_FORCE_N, increments=1, threads=threads))
+    return slip_torque_n_mm(places, forces, 1.0), frictionless_torque_n_mm(places, forces, design.pad.width_mm)
 
 
 def _orders(names: Sequence[str], rows: Sequence[StiffnessRow]) -> Iterator[StiffnessOrder]:

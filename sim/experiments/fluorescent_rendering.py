@@ -10,10 +10,11 @@ from data_schemas.design import FingerDesign
 from data_schemas.illumination import FluorescentRendering, LevelDifference
 from sim.experiments.painted_finger import PaintedFinger
 from sim.optics.finger_view import Window
+from sim.optics.lit_scene import check_paints, open_guide, open_scene
 from sim.optics.paint_bands import BAND_NAMES
-from sim.optics.render import BAKE_SAMPLES, PressRender, Progress, check_paints, open_guide, open_scene, render_press
+from sim.optics.render import PressRender, Progress, render_press
 from sim.optics.variants import SCALAR_VARIANT
-from sim.optics.wall_baking import bake_walls
+from sim.optics.wall_baking import BAKE_SAMPLES, bake_walls
 from sim.optics.wall_emission import (
     FIRST_CHAINS,
     TEXELS_ALONG,

@@ -8,11 +8,13 @@ import numpy as np
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.mechanical_design import Preset
 from data_schemas.press_mechanics import PressSensitivities, VariedPress
 from sim.experiments.changed_design import changed_design, design_value
-from sim.mechanics.finger_mesh import Preset, finger_mesh
-from sim.mechanics.press import PressedFinger, press_finger
+from sim.mechanics.finger_mesh import finger_mesh
+from sim.mechanics.press import press_finger
 from sim.mechanics.press_contact import ContactChoice, chosen_contact
+from sim.mechanics.pressed_finger import PressedFinger
 
 Progress = Callable[[int, int, str], None]
 

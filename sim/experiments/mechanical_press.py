@@ -6,10 +6,14 @@ import numpy as np
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
-from data_schemas.press_mechanics import PressIncrement, PressMechanics, PressSensitivities
+from data_schemas.mechanical_design import Preset
+from data_schemas.press_mechanics import ContactKind, PressIncrement, PressMechanics, PressSensitivities
 from data_schemas.surfaces import FingerSurfaces
-from sim.mechanics.finger_mesh import Preset, finger_mesh
-from sim.mechanics.press import PressedFinger, contact_distance
+from sim.mechanics.finger_mesh import finger_mesh
+from sim.mechanics.mesh import FingerMesh
+from sim.mechanics.press_contact import ContactChoice, chosen_contact
+from sim.mechanics.pressed_finger import PressedFinger, contact_distance
+from sim.mechanics.slip_torque import contact_forces_n, frictionless_torque_n_mm, slip_torque_n_mm
 from sim.surface_meshes.from_mesh import coat_nodes, shape_from_mesh
 from sim.surface_meshes.stored_shape import store_shapes
 
@@ -21,6 +25,7 @@ def press_records(
     engine: str = "finite elements",
     notes: tuple[str, ...] = (),
     sensitivities: PressSensitivities | None = None,
+    wanted_force_n: float | None = None,
 ) -> tuple[PressMechanics, FingerSurfaces]:
     """Return forces and surfaces of a press as records.
 
@@ -36,6 +41,8 @@ def press_records(
         What must be said about it beside what holds for every press.
     sensitivities
         The same press of the design with one number changed, if there are.
+    wanted_force_n
+        Of a press to a force.
 
     Raises
     ------
@@ -43,17 +50,23 @@ def press_records(
         When the pressed gel is torn.
     """
     mechanics = _mechanics(design, preset or design.mesh.preset, pressed, engine, notes)
-    mechanics = mechanics.model_copy(update={"sensitivities": sensitivities})
+    mechanics = mechanics.model_copy(update={"sensitivities": sensitivities, "wanted_force_n": wanted_force_n})
     return mechanics, _surfaces(design, pressed, engine)
 
 
-def increment_record(design: FingerDesign, pressed: PressedFinger, preset: Preset | None = None) -> PressIncrement:
-    """Return the last increment of a press as a record to go on from."""
+def increment_record(
+    design: FingerDesign, pressed: PressedFinger, preset: Preset | None = None, indenter_sha256: str | None = None
+) -> PressIncrement:
+    """Return the last increment of a press as a record to go on from; with the digest of a mesh indenter's STL."""
     return PressIncrement(
         preset=preset or design.mesh.preset,
         depth_mm=pressed.depth_mm,
         force_n=pressed.force_n,
         energy_n_mm=pressed.energy_n_mm,
+        contact_energy_n_mm=pressed.contact_energy_n_mm,
+        friction_work_n_mm=pressed.friction_work_n_mm,
+        contact=None if pressed.kind == "unknown" else pressed.kind,
+        indenter_sha256=indenter_sha256,
         iterations=pressed.iterations,
         nodes_mm=pressed.mesh.nodes_mm,
         displacement_mm=pressed.displacement_mm[-1],
@@ -62,14 +75,37 @@ def increment_record(design: FingerDesign, pressed: PressedFinger, preset: Prese
     )
 
 
-def stored_press(record: PressIncrement, design: FingerDesign) -> PressedFinger:
+def stored_press(
+    record: PressIncrement,
+    design: FingerDesign,
+    contact: ContactChoice = "auto",
+    indenter_sha256: str | None = None,
+) -> PressedFinger:
     """Return a stored increment as a press of a design, which may push deeper, to go on from.
+
+    What an increment of an older version does not tell (its contact, the digest of the STL) is taken as the same.
+
+    Parameters
+    ----------
+    record
+        The increment.
+    design, contact
+        As they go into :func:`sim.mechanics.press.press_finger` now.
+    indenter_sha256
+        Digest of the STL of a mesh indenter, as it is now.
 
     Raises
     ------
     SimulateError
-        When the design differs in more than the depth of its push.
+        When the design differs in more than the depth of its push, or its STL or the contact is another one.
     """
+    _check_same_design(record, design)
+    _check_same_contact(record, chosen_contact(design, contact), indenter_sha256)
+    return _as_press(record, _same_mesh(record, design))
+
+
+def _check_same_design(record: PressIncrement, design: FingerDesign) -> None:
+    """Check that a design differs at most in its push from that of an increment."""
     depth = {"depth_mm": design.indenter.depth_mm}
     before = record.design.model_copy(update={"indenter": record.design.indenter.model_copy(update=depth)})
     # a stored design carries its own provenance
@@ -83,6 +119,24 @@ def stored_press(record: PressIncrement, design: FingerDesign) -> PressedFinger:
             f"the stored increment is of a press of another design: it differs in {', '.join(other) or 'mesh'}; only "
             "indenter.depth_mm may change between an increment and what goes on from it"
         )
+
+
+def _check_same_contact(record: PressIncrement, contact: ContactKind, indenter_sha256: str | None) -> None:
+    """Check that contact and STL are those of an increment, as far as it tells them."""
+    if record.contact is not None and record.contact != contact:
+        raise SimulateError(
+            f"the stored increment was pressed with --contact {record.contact}, which cannot be gone on with by "
+            f"--contact {contact}; give --contact {record.contact}, or press from the start"
+        )
+    if record.indenter_sha256 is not None and record.indenter_sha256 != indenter_sha256:
+        raise SimulateError(
+            f"the STL of the indenter, indenter.file = {record.design.indenter.file!r}, is not the one of the stored "
+            "increment: its content has changed; put the file back as it was, or press from the start"
+        )
+
+
+def _same_mesh(record: PressIncrement, design: FingerDesign) -> FingerMesh:
+    """Return the mesh of an increment, which must be that of the design."""
     mesh = finger_mesh(design, record.preset)
     own = len(mesh.nodes_mm)
     # a barrier's indenter is one node more
@@ -90,12 +144,17 @@ def stored_press(record: PressIncrement, design: FingerDesign) -> PressedFinger:
         raise SimulateError(
             "the stored increment is of another mesh of this design, made by another version; press from the start"
         )
+    return replace(mesh, nodes_mm=record.nodes_mm)
+
+
+def _as_press(record: PressIncrement, mesh: FingerMesh) -> PressedFinger:
+    """Return an increment as a press."""
     with_modes = [block.element == "incompatible_modes" for block in mesh.blocks]
     sizes = [len(block.hexahedra) if has else 0 for block, has in zip(mesh.blocks, with_modes, strict=True)]
     parts = np.split(record.modes_mm, np.cumsum(sizes)[:-1])
     nothing = np.empty((0, 0))
     return PressedFinger(
-        mesh=replace(mesh, nodes_mm=record.nodes_mm),
+        mesh=mesh,
         depth_mm=record.depth_mm,
         force_n=record.force_n,
         energy_n_mm=record.energy_n_mm,
@@ -109,6 +168,9 @@ def stored_press(record: PressIncrement, design: FingerDesign) -> PressedFinger:
         touch_mm=nothing,
         unreached="",
         contact="",
+        contact_energy_n_mm=record.contact_energy_n_mm,
+        friction_work_n_mm=record.friction_work_n_mm,
+        kind=record.contact or "unknown",
     )
 
 
@@ -117,6 +179,7 @@ def _mechanics(
 ) -> PressMechanics:
     """Return what the press took."""
     gel = design.mechanics.gel
+    slip, tipping = _torques(design, pressed)
     return PressMechanics(
         name=f"{design.name}, push of {pressed.depth_mm[-1]:g} mm",
         label=f"{engine}, {preset} mesh, {pressed.displacement_mm[0].size} unknowns",
@@ -124,9 +187,13 @@ def _mechanics(
         depth_mm=pressed.depth_mm,
         force_n=pressed.force_n,
         energy_n_mm=pressed.energy_n_mm,
+        contact_energy_n_mm=pressed.contact_energy_n_mm,
+        friction_work_n_mm=pressed.friction_work_n_mm,
         iterations=pressed.iterations,
         largest_pressure_mpa=float(pressed.pressure_mpa.max()),
         unreached=pressed.unreached,
+        slip_torque_per_friction_n_mm=slip,
+        tipping_torque_n_mm=tipping,
         design=design,
         notes=(
             pressed.contact,
@@ -135,6 +202,17 @@ def _mechanics(
             *notes,
         ),
     )
+
+
+def _torques(design: FingerDesign, pressed: PressedFinger) -> tuple[float | None, float | None]:
+    """Return the torques that the contact holds: by friction over its coefficient, and by its width.
+
+    None without contact, and of a press with friction: they rest on frictionless pressures.
+    """
+    if design.indenter.friction > 0.0 or not (pressed.pressure_mpa > 0.0).any():
+        return None, None
+    places, forces = contact_forces_n(pressed)
+    return slip_torque_n_mm(places, forces, 1.0), frictionless_torque_n_mm(places, forces, design.pad.width_mm)
 
 
 def _surfaces(design: FingerDesign, pressed: PressedFinger, engine: str) -> FingerSurfaces:

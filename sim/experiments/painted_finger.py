@@ -14,7 +14,7 @@ from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
 from data_schemas.fit import PaintCalibration
 from data_schemas.standard_curves import camera_response
-from sim.optics.opencv_camera import read_calibration
+from sim.optics.opencv_file import read_calibration
 from sim.optics.paint_bands import BAND_NAMES, PaintBands, PaintOptics, camera_matrix
 
 Floats = NDArray[np.float64]

@@ -10,7 +10,8 @@ from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
 from data_schemas.simulate import PoseResponse
 from sim.experiments.painted_finger import PaintedFinger
-from sim.optics.render import Progress, RenderLevel, render_press
+from sim.optics.render import Progress, render_press
+from sim.optics.state_render import RenderLevel
 from sim.surface_meshes.finger_shape import FingerShape, pressed_shape
 
 POSE_STEPS_MM = {"depth_mm": 0.1, "position_mm": 0.3}

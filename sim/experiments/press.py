@@ -14,7 +14,8 @@ from sim.experiments.painted_finger import COLOURS, CameraResponse, PaintedFinge
 from sim.experiments.pose_response import moved_designs, pose_response
 from sim.optics.chain_images import chain_matrix
 from sim.optics.paint_bands import BAND_NAMES, PaintBands
-from sim.optics.render import PressRender, Progress, RenderLevel, render_press
+from sim.optics.render import PressRender, Progress, render_press
+from sim.optics.state_render import RenderLevel
 from sim.surface_meshes.finger_shape import FingerShape
 
 Floats = NDArray[np.float64]

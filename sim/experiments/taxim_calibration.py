@@ -11,8 +11,9 @@ from scipy.interpolate import RectBivariateSpline
 from data_schemas.design import FingerDesign, Indenter
 from data_schemas.errors import SimulateError
 from data_schemas.plain_sensor import PlainSensor
+from sim.optics.lit_scene import stream_seed
 from sim.optics.plain_sensor import plain_sensor_integrator, plain_sensor_scene
-from sim.optics.render import Progress, stream_seed
+from sim.optics.render import Progress
 from sim.surface_meshes.pressed_pad import contact_distance, contact_half_width_mm, pressed_height_mm
 
 Floats = NDArray[np.float64]

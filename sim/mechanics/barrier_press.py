@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
+from data_schemas.press_mechanics import ContactKind
 from sim.mechanics.assembly import State, Term
 from sim.mechanics.body_meshes import TriangleMesh
 from sim.mechanics.colliding_surfaces import Obstacle
@@ -39,6 +40,8 @@ class BarrierPress:
     threads
         Of the barrier.
     """
+
+    kind: ContactKind = "barrier"
 
     def __init__(
         self, design: FingerDesign, mesh: FingerMesh, indenter: RigidIndenter, barrier: Barrier, threads: int
@@ -89,6 +92,14 @@ class BarrierPress:
     def force_n(self, u: FloatArray) -> FloatArray:
         """Return the force on the indenter (3,)."""
         return self.contact.force_n(u)
+
+    def energy_n_mm(self, u: FloatArray) -> float:
+        """Return the energy of the barrier alone, without friction and the drive of the indenter."""
+        return self.contact.barrier_energy(u)
+
+    def friction_work_n_mm(self, u: FloatArray) -> float:
+        """Return the work lost to friction in the increment that ended at `u`."""
+        return self.contact.friction_work_n_mm(u)
 
     def pressures_mpa(self, u: FloatArray) -> FloatArray:
         """Return the pressure at the corners of the faces of the coat, (f, 4)."""

@@ -116,11 +116,19 @@ class BarrierContact:
 
     def energy(self, u: FloatArray) -> float:
         """Return Pi in N mm."""
-        vertices = self._surfaces.vertices_mm(u)
-        energy = float(self._potential(self._surfaces.collisions(vertices), self._mesh, vertices))
+        energy = self.barrier_energy(u)
         if self._lag is not None:
-            energy += float(self._friction(self._lag, self._mesh, self._slip(vertices)))
+            energy += float(self._friction(self._lag, self._mesh, self._slip(self._surfaces.vertices_mm(u))))
         return energy if np.isfinite(energy) else np.inf
+
+    def barrier_energy(self, u: FloatArray) -> float:
+        """Return the first sum of Pi in N mm: what pushes surfaces apart, which is stored."""
+        vertices = self._surfaces.vertices_mm(u)
+        return float(self._potential(self._surfaces.collisions(vertices), self._mesh, vertices))
+
+    def friction_work_n_mm(self, u: FloatArray) -> float:
+        """Return the work lost to friction since the increment began: forces at `u` along the slip up to there."""
+        return float((self._friction_forces(u) * self._slip(self._surfaces.vertices_mm(u))).sum())
 
     def gradient(self, u: FloatArray) -> FloatArray:
         """Return dPi/du in N, shape (n, 3)."""

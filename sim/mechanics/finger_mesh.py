@@ -1,16 +1,15 @@
 """The whole finger as a mesh, by preset."""
 
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
 from data_schemas.design import FingerDesign
+from data_schemas.mechanical_design import Preset
 from sim.mechanics.mesh import FingerMesh, Tie
 from sim.mechanics.pad_mesh import pad_mesh
 from sim.mechanics.skeleton_mesh import skeleton_mesh
-
-Preset = Literal["coarse", "medium", "fine"]
 
 
 @dataclass(frozen=True, slots=True)

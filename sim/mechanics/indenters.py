@@ -11,6 +11,7 @@ from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
 from data_schemas.mechanical_design import check_magnitude
 from sim.mechanics.body_meshes import TriangleMesh, body_mesh, read_body, rotation_matrix
+from sim.mechanics.height_over_pad import least_over_triangles, over_rectangle
 from sim.mechanics.signed_distances import Body, Cylinder, Pose, RoundedBox, Sphere
 from sim.surface_meshes.pressed_pad import rest_height_mm
 
@@ -174,23 +175,30 @@ def _touch_of_mesh(design: FingerDesign, surface: TriangleMesh, rotation: FloatA
     wanted, pad = design.indenter, design.pad
     place = np.array([wanted.across_mm, 0.0, wanted.position_mm])
     corners = (surface.vertices_mm @ rotation.T + place)[surface.triangles]
-    shares = _shares(corners)
-    points = np.einsum("sa,kai->ksi", shares, corners).reshape(-1, 3)
-    over = (np.abs(points[:, 0]) <= pad.width_mm / 2.0) & (points[:, 2] >= 0.0) & (points[:, 2] <= pad.length_mm)
-    if not over.any():
+    over = over_rectangle(corners, (-pad.width_mm / 2.0, pad.width_mm / 2.0), (0.0, pad.length_mm))
+    if not len(over):
         raise SimulateError(_misses(design))
-    heights = np.full(len(points), np.inf)
-    heights[over] = points[over, 1] - rest_height_mm(design, points[over, 0], points[over, 2])
-    return Pose((wanted.across_mm, -float(heights.min()), wanted.position_mm), rotation)
+    half = pad.width_mm / 2.0, pad.length_mm / 2.0
+
+    def height_mm(points: FloatArray) -> FloatArray:
+        # clipping leaves points at the pad's edges that lie outside by rounding
+        x, z = np.clip(points[:, 0], -half[0], half[0]), np.clip(points[:, 2], 0.0, pad.length_mm)
+        return np.asarray(points[:, 1] - rest_height_mm(design, x, z))
+
+    least = least_over_triangles(over, height_mm, _steepest_curvature_per_mm(design))
+    return Pose((wanted.across_mm, -least, wanted.position_mm), rotation)
 
 
-def _shares(corners: FloatArray) -> FloatArray:
-    """Return weights (s, 3) of points all over a triangle, its corners among them, as close as the grid's step."""
-    longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
-    count = int(np.clip(np.ceil(longest / _GRID_MM), 1, 24))
-    i, j = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing="ij")
-    inside = i + j <= count
-    return np.column_stack([i[inside], j[inside], (count - i - j)[inside]]) / count
+def _steepest_curvature_per_mm(design: FingerDesign) -> float:
+    """Return a bound of the second derivative of the undeformed coat's height."""
+    pad = design.pad
+    if pad.semi_axes_mm is not None:
+        a, b, c = pad.semi_axes_mm
+        left = 1.0 - (pad.width_mm / 2.0 / a) ** 2 - (pad.length_mm / 2.0 / c) ** 2
+        return float(b / min(a, c) ** 2 / left**1.5)
+    if pad.radius_mm is not None:
+        return float(pad.radius_mm**2 / (pad.radius_mm**2 - (pad.width_mm / 2.0) ** 2) ** 1.5)
+    return 0.0
 
 
 def _misses(design: FingerDesign) -> str:

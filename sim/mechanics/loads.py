@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.mechanical_design import Preset
 from sim.mechanics.assembly import Assembly
 from sim.mechanics.elements import Elasticity
-from sim.mechanics.finger_mesh import STEPS, Preset, finger_mesh
+from sim.mechanics.finger_mesh import STEPS, finger_mesh
+from sim.mechanics.finger_parts import finger_materials, finger_ties
 from sim.mechanics.linear_solver import linear_solver
 from sim.mechanics.mesh import FingerMesh
 from sim.mechanics.newton import Increment, Supports, load_increments
-from sim.mechanics.press import finger_materials, finger_ties
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

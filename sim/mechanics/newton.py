@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.errors import SimulateError
+from data_schemas.errors import NoEquilibriumError, SimulateError
 from sim.mechanics.assembly import Assembly, State
 from sim.mechanics.linear_solver import SymmetricSolver, refined
 
@@ -331,7 +331,7 @@ def load_increments(
 
     Raises
     ------
-    SimulateError
+    NoEquilibriumError
         When an increment of the least size finds no equilibrium; all increments before have been yielded.
     """
     state, at = start or assembly.at_rest(), begin
@@ -353,7 +353,7 @@ def load_increments(
             if reached.failure:
                 part /= 2.0
                 if part < shortest_share:
-                    raise SimulateError(
+                    raise NoEquilibriumError(
                         f"no equilibrium beyond {at:.4g} of the load: {reached.failure}. The increments up to there "
                         "are kept; try a finer mesh, smaller increments, or a smaller load"
                     )

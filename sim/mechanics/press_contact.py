@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.press_mechanics import ContactKind
 from sim.mechanics.assembly import State, Term
 from sim.mechanics.barrier_press import BarrierPress
 from sim.mechanics.contact_analytic import PenaltyContact
@@ -18,23 +19,48 @@ from sim.mechanics.mesh import FingerMesh
 from sim.mechanics.newton import Supports
 
 FloatArray = NDArray[np.float64]
-ContactKind = Literal["penalty", "barrier"]
 ContactChoice = Literal["auto", "penalty", "barrier"]
 
 # contact sinks in by pressure / stiffness: at a tenth of the gel's modulus by a thousandth of an element
 _CONTACT_MODULI_PER_STEP = 100.0
 
 
-class PressContact(Protocol):
-    """What a press needs of its contact; `mesh` is the finger's, with one more node where the indenter is one."""
+class Touch(Protocol):
+    """What contact does at an equilibrium; `mesh` is the finger's, with one more node where the indenter is one."""
 
     mesh: FingerMesh
-    terms: tuple[Term, ...]
+    kind: ContactKind
 
     @property
     def note(self) -> str:
         """How surfaces touch, in words."""
         ...
+
+    def force_n(self, u: FloatArray) -> FloatArray:
+        """Return the force on the indenter (3,)."""
+        ...
+
+    def energy_n_mm(self, u: FloatArray) -> float:
+        """Return the energy that the contact stores, without friction."""
+        ...
+
+    def friction_work_n_mm(self, u: FloatArray) -> float:
+        """Return the work lost to friction in the increment that ended at `u`."""
+        ...
+
+    def pressures_mpa(self, u: FloatArray) -> FloatArray:
+        """Return the pressure at q points of the coat's f faces, (f, q)."""
+        ...
+
+    def touch_mm(self) -> FloatArray:
+        """Return where these points lie in the undeformed pad, (f, q, 3)."""
+        ...
+
+
+class PressContact(Touch, Protocol):
+    """What a press to a depth needs of its contact."""
+
+    terms: tuple[Term, ...]
 
     def push(self, depth_mm: float) -> Supports:
         """Move the indenter to a depth and return the supports; lagged forces are those of the last increment."""
@@ -46,18 +72,6 @@ class PressContact(Protocol):
 
     def accept(self, state: State) -> None:
         """Let the next increment begin at a stored state."""
-        ...
-
-    def force_n(self, u: FloatArray) -> FloatArray:
-        """Return the force on the indenter (3,)."""
-        ...
-
-    def pressures_mpa(self, u: FloatArray) -> FloatArray:
-        """Return the pressure at q points of the coat's f faces, (f, q)."""
-        ...
-
-    def touch_mm(self) -> FloatArray:
-        """Return where these points lie in the undeformed pad, (f, q, 3)."""
         ...
 
 
@@ -114,15 +128,25 @@ def press_contact(
     """
     kind = chosen_contact(design, wanted)
     indenter = rigid_indenter(design, folder)
-    shear_mpa = 2.0 * design.mechanics.gel.c10_mpa
     if kind == "penalty":
-        return _PenaltyPress(mesh, indenter, _CONTACT_MODULI_PER_STEP * shear_mpa / step_mm)
-    chosen = barrier or Barrier(stiffness_mpa=shear_mpa)
+        return _PenaltyPress(mesh, indenter, penalty_mpa_per_mm(design, step_mm))
+    chosen = barrier or Barrier(stiffness_mpa=_shear_mpa(design))
     return BarrierPress(design, mesh, indenter, replace(chosen, friction_ratio=design.indenter.friction), threads)
+
+
+def penalty_mpa_per_mm(design: FingerDesign, step_mm: float) -> float:
+    """Return the stiffness of a penalty on a coat with elements of this size."""
+    return _CONTACT_MODULI_PER_STEP * _shear_mpa(design) / step_mm
+
+
+def _shear_mpa(design: FingerDesign) -> float:
+    return 2.0 * design.mechanics.gel.c10_mpa
 
 
 class _PenaltyPress:
     """The coat against exact distances of the indenter."""
+
+    kind: ContactKind = "penalty"
 
     def __init__(self, mesh: FingerMesh, indenter: RigidIndenter, stiffness_mpa_per_mm: float) -> None:
         if indenter.body is None:
@@ -151,6 +175,12 @@ class _PenaltyPress:
 
     def force_n(self, u: FloatArray) -> FloatArray:
         return self._contact.force_n(u)
+
+    def energy_n_mm(self, u: FloatArray) -> float:
+        return self._contact.energy(u)
+
+    def friction_work_n_mm(self, u: FloatArray) -> float:
+        return 0.0
 
     def pressures_mpa(self, u: FloatArray) -> FloatArray:
         return self._contact.pressures_mpa(u)

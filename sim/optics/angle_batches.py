@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from sim.optics.facets import Facets
+from sim.optics.lit_scene import open_scene, stream_seed
 from sim.optics.paint_bands import PaintBands
 from sim.optics.probes import Probes, radiance_meter
-from sim.optics.render import BAKE_SAMPLES, Progress, open_scene, stream_seed
+from sim.optics.render import Progress
 from sim.optics.scene import check_outside_the_gel
+from sim.optics.wall_baking import BAKE_SAMPLES
 from sim.optics.wall_exchange import WallExchange, direct_lights
 from sim.surface_meshes.finger_shape import FingerShape
 

@@ -19,86 +19,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign, LightPanel
+from sim.optics.band_integrator import band_paths
 from sim.optics.curved_refraction import refract_through
 from sim.optics.even_points import even_points
-from sim.optics.panel_frame import PanelFrame, panel_frame
-from sim.optics.paths import BandPaths, band_integrator
-from sim.optics.scene import MAX_DEPTH, PANEL_RADIANCE_REL, ROULETTE_DEPTH
+from sim.optics.panel_poses import PosedPanel
+from sim.optics.path_rules import LARGEST_SURVIVAL, LIFT_MM, MAX_DEPTH, NEWTON_STEPS, ROULETTE_DEPTH, SMALLEST_COS_AIR
+from sim.optics.path_states import DIRECT, FROM_EYE, FROM_START, FROM_SURFACE, STRAIGHT_OUT, state_after
 from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP
 from sim.optics.wall_tallies import WallGlow, WallTexels
 from sim.surface_meshes.finger_shape import FingerShape
 
 Floats = NDArray[np.float64]
 
-_NEWTON_STEPS = 3
-_LARGEST_SURVIVAL = 0.95
-_LIFT_MM = 2e-3
-# how a path left its last surface that was not a smooth interface; from the start in a wall, and straight out from it
-_FROM_SURFACE, _STRAIGHT_OUT, _OTHER_WAY, _FROM_EYE, _FROM_START, _DIRECT = range(6)
 _FAR_MM = 1e6
 # as many paths at once as fit into some hundred MB
 _MOST_PATHS = 400_000
-
-
-class _Rectangle:
-    """A rectangle as the renderer's numbers."""
-
-    def __init__(self, frame: PanelFrame) -> None:
-        self.centre, self.normal = mi.Point3f(*frame.centre_mm.tolist()), mi.Vector3f(*frame.normal.tolist())
-        across, along = frame.half_across_mm, frame.half_along_mm
-        self.across, self.along = mi.Vector3f(*across.tolist()), mi.Vector3f(*along.tolist())
-        # products with these are -1..1 inside
-        self.u = mi.Vector3f(*(across / (across @ across)).tolist())
-        self.v = mi.Vector3f(*(along / (along @ along)).tolist())
-        # numbers that vary between scenes must not become constants of the compiled kernel
-        dr.make_opaque(self.centre, self.normal, self.across, self.along, self.u, self.v)
-        self.area_mm2 = frame.area_mm2
-
-    def faces(self, ray: Any) -> Any:
-        """Return whether rays meet its front."""
-        inside, _, cosine = self.meet(ray)
-        return inside & (cosine > 0.0)
-
-    def meet(self, ray: Any) -> tuple[Any, Any, Any]:
-        """Return (meets it, distance in mm, cosine on the side of the normal) of rays."""
-        cosine = -dr.dot(ray.d, self.normal)
-        from_centre = ray.o - self.centre
-        distance = dr.dot(from_centre, self.normal) / dr.select(cosine == 0.0, 1.0, cosine)
-        spot = from_centre + distance * ray.d
-        inside = (dr.abs(dr.dot(spot, self.u)) <= 1.0) & (dr.abs(dr.dot(spot, self.v)) <= 1.0)
-        return inside & (cosine != 0.0) & (distance > 0.0), distance, cosine
-
-
-class _Panel:
-    """One light in all its poses, and the rectangle that surface points aim at: it covers all poses."""
-
-    def __init__(self, lights: Sequence[LightPanel], length_mm: float) -> None:
-        self.poses = [_Rectangle(panel_frame(light)) for light in lights]
-        self.radiance = mi.Float(PANEL_RADIANCE_REL * lights[0].power_rel)
-        self.exponent = mi.Float(lights[0].beam_exponent - 1.0)
-        self.beamed = lights[0].beam_exponent != 1.0
-        dr.make_opaque(self.radiance, self.exponent)
-        self.aim = _Rectangle(_covering(lights[0], length_mm))
-
-    def sent(self, cosine: Any) -> Any:
-        """Return the radiance at a cosine from the panel's normal, none behind it."""
-        beam: Any = dr.power(dr.maximum(cosine, 0.0), self.exponent) if self.beamed else 1.0
-        return dr.select(cosine > 0.0, self.radiance * beam, 0.0)
-
-
-def _covering(light: LightPanel, length_mm: float) -> PanelFrame:
-    """Return a rectangle that looks at the inner face and hides the panel in all poses from nearly all of it.
-
-    What it does not hide is left to chance, so its size changes the noise alone.
-    """
-    centre = np.array(light.position_mm, dtype=np.float64)
-    ends = [np.array([0.0, 0.0, z]) - centre * [0.0, 1.0, 1.0] for z in (0.0, length_mm)]
-    ends = [end / np.linalg.norm(end) for end in ends]
-    middle = (ends[0] + ends[1]) / np.linalg.norm(ends[0] + ends[1])
-    across = np.array([1.0, 0.0, 0.0])
-    half = light.height_mm / 2.0
-    half_along = half / max(float(middle @ ends[0]), 0.5)
-    return PanelFrame(centre, across * (light.width_mm / 2.0 + half), np.cross(middle, across) * half_along, middle)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,9 +58,9 @@ class AnglePaths:
 
     def __init__(self, scene: Any, design: FingerDesign, shape: FingerShape, lights: Sequence[LightPanel]) -> None:
         self.scene, self.count = scene, len(lights)
-        self.paths: BandPaths = band_integrator(scene, design, shape)
+        self.paths = band_paths(scene, design, shape)
         length_mm = design.pad.length_mm
-        self.panels = [_Panel(lights, length_mm), *(_Panel([light], length_mm) for light in design.lights[1:])]
+        self.panels = [PosedPanel(lights, length_mm), *(PosedPanel([light], length_mm) for light in design.lights[1:])]
         parameters = mi.traverse(scene)
         for number in range(len(design.lights)):
             parameters[f"panel{number}.to_world"] = mi.Transform4f().translate([0.0, -_FAR_MM, 0.0])
@@ -162,7 +97,7 @@ class AnglePaths:
             first = mi.Point3f(np.ascontiguousarray(spread[chunk].T, dtype=np.float32))
             group = (dr.arange(mi.UInt32, o.shape[1]) + number * _MOST_PATHS) // per_group
             walls = WallTexels(by_wall, kept_away, group, self.count)
-            state = _FROM_START if from_wall else _FROM_EYE
+            state = FROM_START if from_wall else FROM_EYE
             found = _follow(  # type: ignore[no-untyped-call]
                 self, sampler, mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), first, walls, state
             )
@@ -198,7 +133,7 @@ class AnglePaths:
             sampler.seed(int(rng.integers(2**32)), o.shape[1])
             walls = WallGlow(emitted, o.shape[1])
             ray, first = mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), mi.Point3f(0.0)
-            led = _follow(self, sampler, ray, first, walls, _FROM_SURFACE)  # type: ignore[no-untyped-call]
+            led = _follow(self, sampler, ray, first, walls, FROM_SURFACE)  # type: ignore[no-untyped-call]
             dr.eval(led, walls.radiance)
             light[chunk, :, :2] = np.array(walls.radiance).reshape(-1, self.count, 2)
             light[chunk, :, 2] = np.stack([np.array(radiance) for radiance in led], axis=1)
@@ -251,20 +186,20 @@ class AnglePaths:
             )
         return found
 
-    def connect(self, panel: "_Panel", si: Any, sample: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+    def connect(self, panel: PosedPanel, si: Any, sample: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
         """Return (reached, direction in the gel, solid angle, ray in air, its length) towards a panel in all poses."""
         paths, aim = self.paths, panel.aim
         point = aim.centre + (2.0 * sample.x - 1.0) * aim.across + (2.0 * sample.y - 1.0) * aim.along
         path = refract_through(
             paths.evaluate_face, (si.p.x, si.p.y, si.p.z), paths.foot(si), (point.x, point.y, point.z), paths.face, dr,
-            _NEWTON_STEPS, paths.index,
+            NEWTON_STEPS, paths.index,
         )  # fmt: skip
         in_gel, in_air = mi.Vector3f(*path.to_crossing), mi.Vector3f(*path.to_panel)
         weight = path.weight * dr.maximum(-dr.dot(aim.normal, in_air), 0.0) * aim.area_mm2
         reached = active & (weight > 0.0)
-        before, after = paths.gap / path.cos_gel, paths.gap / dr.maximum(path.cos_air, 0.02)
+        before, after = paths.gap / path.cos_gel, paths.gap / dr.maximum(path.cos_air, SMALLEST_COS_AIR)
         inside = mi.Ray3f(
-            si.p + in_gel * _LIFT_MM, in_gel, path.length_in_gel - _LIFT_MM - before, si.time, si.wavelengths
+            si.p + in_gel * LIFT_MM, in_gel, path.length_in_gel - LIFT_MM - before, si.time, si.wavelengths
         )
         reached &= ~self.scene.ray_test(inside, reached & (inside.maxt > 0.0))
         outside = mi.Ray3f(mi.Point3f(*path.crossing) + in_air * after, in_air)
@@ -287,7 +222,7 @@ def _follow(  # type: ignore[no-untyped-def]
     state = mi.UInt32(start)
     while dr.hint(active, max_iterations=MAX_DEPTH):
         si = scene.ray_intersect(ray, active)
-        aimed_at = [(state == _DIRECT) | ((state == _STRAIGHT_OUT) & panel.aim.faces(ray)) for panel in tracer.panels]
+        aimed_at = [(state == DIRECT) | ((state == STRAIGHT_OUT) & panel.aim.faces(ray)) for panel in tracer.panels]
         met = tracer.met(ray, si.t)
         for k in range(tracer.count):
             for (here, sent), counted in zip(met[k], aimed_at, strict=True):
@@ -313,7 +248,7 @@ def _follow(  # type: ignore[no-untyped-def]
                 here, sent = seen[k][number]
                 led[k] += dr.select(reached & free[k] & here, value * sent, 0)
         lobe, spot = sampler.next_1d(active), sampler.next_2d(active)
-        if dr.hint(start != _FROM_SURFACE, mode="scalar"):
+        if dr.hint(start != FROM_SURFACE, mode="scalar"):
             lobe = dr.select(depth == 0, first.z, lobe)
             spot = dr.select(depth == 0, mi.Point2f(first.x, first.y), spot)
         chosen, chosen_weight = bsdf.sample(context, si, lobe, spot, active)
@@ -324,16 +259,12 @@ def _follow(  # type: ignore[no-untyped-def]
         if dr.hint(paths.face.film is not None, mode="scalar"):
             throughput *= dr.select(on_inner & smooth, paths.film_factor(si, transmitted), 1)
         eta *= dr.select(smooth, chosen.eta, 1.0)
-        out = transmitted & on_inner & ~front
-        after = dr.select(out & (state == _FROM_SURFACE), mi.UInt32(_STRAIGHT_OUT), mi.UInt32(_OTHER_WAY))
-        after = dr.select(out & (state == _FROM_START), mi.UInt32(_DIRECT), after)
-        after = dr.select(state == _FROM_EYE, mi.UInt32(_FROM_EYE), after)
-        state = dr.select(smooth, after, mi.UInt32(_FROM_SURFACE))
+        state = state_after(state, smooth, transmitted & on_inner & ~front)
         ray = si.spawn_ray(si.to_world(chosen.wo))
         depth += 1
         largest = dr.max(throughput)
         active &= largest > 0
-        survival = dr.minimum(largest * eta * eta, _LARGEST_SURVIVAL)
+        survival = dr.minimum(largest * eta * eta, LARGEST_SURVIVAL)
         survival = dr.select(depth >= ROULETTE_DEPTH, survival, 1.0)
         active &= sampler.next_1d(active) < survival
         throughput /= survival

@@ -13,11 +13,12 @@ from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
 from sim.optics.angle_batches import BAKE_SHARE, at_angle, measure_together
 from sim.optics.chain_images import chain_matrix
+from sim.optics.lit_scene import check_paints, lit_integrator, open_scene, stream_seed
 from sim.optics.paint_bands import PaintBands, PaintOptics
 from sim.optics.probes import Probes, default_probe_points_mm, probes_on, radiance_meter
-from sim.optics.render import BAKE_SAMPLES, Progress, check_paints, lit_integrator, open_scene, stream_seed
+from sim.optics.render import Progress
 from sim.optics.variants import SCALAR_VARIANT
-from sim.optics.wall_baking import bake_walls
+from sim.optics.wall_baking import BAKE_SAMPLES, bake_walls
 from sim.surface_meshes.finger_shape import FingerShape, pressed_shape
 
 Floats = NDArray[np.float64]

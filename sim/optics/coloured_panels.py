@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from sim.optics.curved_refraction import GelFace
 from sim.optics.fluorescent_paths import fluorescent_integrator, painted_bsdfs
 from sim.optics.panel_light import Panel
+from sim.optics.path_rules import MAX_DEPTH, ROULETTE_DEPTH
 from sim.optics.paths import BandPaths
-from sim.optics.scene import MAX_DEPTH, ROULETTE_DEPTH
 
 
 class ColouredPanels(BandPaths):
@@ -98,8 +98,7 @@ def coloured_integrator(
     wall_reflectance
         Of the dark walls.
     """
-    connection = ColouredPanels(mi.Properties())
-    connection.aim(scene, panels, face)
+    connection = ColouredPanels(scene, panels, face)
     connection.colour(colours, scene)
     paints = painted_bsdfs(scene, dark_walls)
     return fluorescent_integrator(_PlainCarrier(wall_reflectance), paints, MAX_DEPTH, ROULETTE_DEPTH, connection)

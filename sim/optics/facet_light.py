@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sim.optics.even_points import even_points
 from sim.optics.facets import Facets
+from sim.optics.path_rules import LIFT_MM
 from sim.optics.probes import Probes
 
 if TYPE_CHECKING:
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
-# paths leave the mesh by this much
-_LIFT_MM = 2e-3
 _BANDS = 3
 
 
@@ -68,7 +67,7 @@ def facet_radiance(
     coat = next(shape.bsdf() for shape in tracer.scene.shapes() if shape.id() == "coat")
     drawn = _drawn(coat, probes, facets, even_points(rays, 4, rng))
     points = len(probes.points_mm)
-    starts = np.repeat(probes.points_mm - _LIFT_MM * probes.directions, rays, axis=0)
+    starts = np.repeat(probes.points_mm - LIFT_MM * probes.directions, rays, axis=0)
     light = tracer.arriving(starts, drawn.directions.reshape(-1, 3), emitted, int(rng.integers(2**32)))
     light = light.reshape(points, rays, -1, _BANDS)
     sent = np.einsum("pfrb,prab->afpb", drawn.weight, light, optimize=True).astype(np.float64) / rays

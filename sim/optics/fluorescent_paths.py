@@ -13,11 +13,8 @@ import drjit as dr
 import mitsuba as mi
 
 from data_schemas.errors import MissingExtraError, SimulateError
-from sim.optics.scene import MAX_DEPTH, ROULETTE_DEPTH
-
-_LARGEST_SURVIVAL = 0.95
-# how a path left its last surface that was not a smooth interface, in the numbers of sim.optics.paths
-_FROM_SURFACE, _STRAIGHT_OUT, _OTHER_WAY, _FROM_EYE = 0, 1, 2, 3
+from sim.optics.path_rules import LARGEST_SURVIVAL, MAX_DEPTH, ROULETTE_DEPTH
+from sim.optics.path_states import FROM_EYE, state_after
 
 
 class Carrier(Protocol):
@@ -152,7 +149,7 @@ def _trace(  # type: ignore[no-untyped-def]
     depth, eta = mi.UInt32(0), mi.Float(1)
     active, valid = mi.Bool(active), mi.Bool(False)
     before, before_pdf, before_smooth = dr.zeros(mi.Interaction3f), mi.Float(1), mi.Bool(True)
-    state = mi.UInt32(_FROM_EYE)
+    state = mi.UInt32(FROM_EYE)
     while dr.hint(active, max_iterations=max_depth):
         si = scene.ray_intersect(ray, active)
         valid |= active & si.is_valid() & (depth == 0)
@@ -186,7 +183,7 @@ def _trace(  # type: ignore[no-untyped-def]
 
         left = carrier.largest(carried)
         active &= left > 0
-        survival = dr.minimum(left * eta * eta, _LARGEST_SURVIVAL)
+        survival = dr.minimum(left * eta * eta, LARGEST_SURVIVAL)
         survival = dr.select(depth >= roulette_depth, survival, 1.0)
         active &= sampler.next_1d(active) < survival
         carried = carrier.scattered(carried, dr.rcp(survival))
@@ -241,10 +238,7 @@ def _way_on(panels: PanelLight, si: Any, drawn: Any, smooth: Any, state: Any) ->
     film: Any = mi.Float(1)
     if panels.face.film is not None:
         film = dr.select(on_face & smooth, panels.film_factor(si, through), 1)
-    straight = through & on_face & ~front & (state == _FROM_SURFACE)
-    after = dr.select(straight, mi.UInt32(_STRAIGHT_OUT), mi.UInt32(_OTHER_WAY))
-    after = dr.select(state == _FROM_EYE, mi.UInt32(_FROM_EYE), after)
-    return dr.select(smooth, after, mi.UInt32(_FROM_SURFACE)), film
+    return state_after(state, smooth, through & on_face & ~front), film
 
 
 def _light_by_chance(scene: Any, si: Any, before: tuple[Any, Any, Any], active: Any) -> Any:

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from sim.optics.fluorescent_paint import FluorescentPaint
 from sim.optics.fluorescent_paths import PanelLight, check_variant, fluorescent_integrator, painted_bsdfs
-from sim.optics.scene import MAX_DEPTH, ROULETTE_DEPTH
+from sim.optics.path_rules import MAX_DEPTH, ROULETTE_DEPTH
 
 RENDERED_NM = (360.0, 830.0)
 """Wavelengths the renderer can draw; tables are linear in steps of 1 nm between them."""

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import MissingExtraError, SimulateError
+from sim.optics.lit_scene import check_paints, open_scene, stream_seed
 from sim.optics.paint_bands import BAND_NAMES, PaintBands, PaintOptics
 from sim.optics.probes import default_probe_points_mm, probes_on
-from sim.optics.render import check_paints, open_scene, stream_seed
 from sim.optics.variants import SCALAR_VARIANT
 from sim.optics.wall_emission import WALLS
 from sim.surface_meshes.finger_shape import FingerShape, pressed_shape
@@ -250,10 +250,10 @@ class _Probes:
 
     def _integrator(self, change: Any, parameter: Parameter | None, light: _Light) -> Any:
         """Return a fresh path tracer of level c in which one parameter has moved by `change`."""
-        from sim.optics.fluorescent_paths import fluorescent_integrator, painted_bsdfs  # these need the variant set
-        from sim.optics.paths import band_integrator
+        from sim.optics.band_integrator import band_paths  # these need the variant set
+        from sim.optics.fluorescent_paths import fluorescent_integrator, painted_bsdfs
 
-        panels = band_integrator(self.scene, self.design, self.shape)
+        panels = band_paths(self.scene, self.design, self.shape)
         part, by_chance = _PARTS[light]
         panels.face = replace(panels.face, part=part)
         if parameter in ("angle_deg", *_POSITION_AXES):

@@ -1,7 +1,7 @@
 """Band path tracer: panels connected through the gel's smooth curved inner face, and found by the mirror.
 
-Import this module only after a compiled variant has been set (see :mod:`sim.optics.variants`): integrators written in
-Python do not run in scalar variants, which use Mitsuba's own ``path`` instead.
+Import this module only after a compiled variant has been set (see :mod:`sim.optics.variants`);
+:mod:`sim.optics.band_integrator` makes tracers of a scene.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,28 +12,20 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.design import FingerDesign
-from sim.optics.curved_refraction import GelFace, film_transmittance, inner_face, refract_through
-from sim.optics.mirror_guide import GUIDE_CHANCE, MirrorGuide, learn_guide
-from sim.optics.panel_light import Panel, panel_point, panels_of
-from sim.optics.scene import MAX_DEPTH, ROULETTE_DEPTH
-from sim.optics.wall_emission import FIRST_CHAINS, TEXELS_ALONG, TEXELS_UP
-from sim.surface_meshes.finger_shape import FingerShape
+from sim.optics.curved_refraction import GelFace, film_transmittance, refract_through
+from sim.optics.mirror_guide import GUIDE_CHANCE, MirrorGuide
+from sim.optics.panel_light import Panel, panel_point
+from sim.optics.path_rules import LARGEST_SURVIVAL, LIFT_MM, MAX_DEPTH, NEWTON_STEPS, ROULETTE_DEPTH, SMALLEST_COS_AIR
+from sim.optics.path_states import FROM_EYE, FROM_SURFACE, STRAIGHT_OUT, state_after
+from sim.optics.wall_emission import FIRST_CHAINS, TEXELS_ALONG, TEXELS_UP, WALLS, last_band
+from sim.optics.wall_tallies import first_texel
 
-_NAME = "finray_band_paths"
-# from the start in the undeformed face, three steps meet Snell's law to a millionth even at a bending radius of 50 mm
-_NEWTON_STEPS = 3
-_LARGEST_SURVIVAL = 0.95
-# shadow rays leave a surface by this much, and stop before the face by as much more as its mesh lies off its map
-_LIFT_MM = 2e-3
-# how a path left its last surface that was not a smooth interface
-_FROM_SURFACE, _STRAIGHT_OUT, _OTHER_WAY, _FROM_EYE = 0, 1, 2, 3
 # texels are fetched in packets of this many chains
 _PACKET = 4
 _SMALLEST_COSINE = 1e-4
 
 
-class BandPaths(mi.SamplingIntegrator):
+class BandPaths:
     """Unidirectional path tracer whose channels are chains of fluorescence, one LED light and two painted walls.
 
     A point in the gel and a panel point, drawn by the panels' light, are joined by the refracted path between them, see
@@ -43,20 +35,16 @@ class BandPaths(mi.SamplingIntegrator):
     :class:`sim.optics.mirror_guide.MirrorGuide`. Light that enters through the ends of the gel is left to chance.
     """
 
-    def __init__(self, props: Any) -> None:
-        super().__init__(props)
-        self.max_depth = props.get("max_depth", MAX_DEPTH)
-        self.roulette_depth = props.get("rr_depth", ROULETTE_DEPTH)
-        self.from_wall = props.get("from_wall", False)
+    def __init__(
+        self, scene: Any, panels: Sequence[Panel], face: GelFace, max_depth: int = MAX_DEPTH, from_wall: bool = False
+    ) -> None:
+        self.max_depth, self.from_wall = max_depth, from_wall
         self.refractive, self.with_led = True, True
         self.guide: MirrorGuide | None = None
         self.chains: tuple[str, ...] = FIRST_CHAINS
-
-    def aim(self, scene: Any, panels: Sequence[Panel], face: GelFace) -> None:
-        """Tell the integrator where panels, inner face and walls are."""
         self.face, self.evaluate_face = face, face.map.in_renderer(mi)
         self.index = mi.Float(face.index)
-        self.gap = mi.Float(face.map.gap_mm + _LIFT_MM)
+        self.gap = mi.Float(face.map.gap_mm + LIFT_MM)
         self.panels = list(panels)
         by_name = {shape.id(): shape for shape in scene.shapes()}
         self.inner, self.red, self.green, self.coat = (
@@ -71,26 +59,18 @@ class BandPaths(mi.SamplingIntegrator):
         """Set what the walls emit: per chain, radiance (TEXELS_ALONG, TEXELS_UP) of the wall that the chain ends at."""
         further = tuple(chain for chain in emission if chain not in FIRST_CHAINS)
         self.chains = FIRST_CHAINS + further
-        self.of_wall = {w: [c for c in self.chains if c.split(">")[-1] == w] for w in ("red", "green")}
+        self.of_wall = {wall: [c for c in self.chains if last_band(c) == wall] for wall in WALLS}
         self.packets = -(-max(len(chains) for chains in self.of_wall.values()) // _PACKET)
         texels = np.zeros((2, TEXELS_ALONG, TEXELS_UP, self.packets * _PACKET), dtype=np.float32)
-        for k, wall in enumerate(("red", "green")):
+        for k, wall in enumerate(WALLS):
             for channel, chain in enumerate(self.of_wall[wall]):
                 texels[k, ..., channel] = emission.get(chain, 0.0)
         self.texels = mi.Float(texels.ravel())
         dr.make_opaque(self.texels)
 
-    def aov_names(self) -> list[str]:
-        """Return the names of the channels beyond the first three chains."""
-        return list(self.chains[len(FIRST_CHAINS) :])
-
     def wall_radiance(self, si: Any, is_green: Any, active: Any) -> list[Any]:
         """Return the emission at wall points, bilinear between texel centres, one value per chain of the wall."""
-        x = dr.clip(si.uv.x * TEXELS_UP - 0.5, 0.0, TEXELS_UP - 1.0)
-        y = dr.clip(si.uv.y * TEXELS_ALONG - 0.5, 0.0, TEXELS_ALONG - 1.0)
-        i, j = (dr.minimum(mi.UInt32(t), most - 2) for t, most in ((x, TEXELS_UP), (y, TEXELS_ALONG)))
-        s, t = x - mi.Float(i), y - mi.Float(j)
-        first = (dr.select(is_green, mi.UInt32(TEXELS_ALONG), mi.UInt32(0)) + j) * TEXELS_UP + i
+        first, s, t = first_texel(si, is_green)
         radiance: list[Any] = []
         for packet in range(self.packets):
             corner = [
@@ -116,7 +96,7 @@ class BandPaths(mi.SamplingIntegrator):
             (point.x, point.y, point.z),
             self.face,
             dr,
-            _NEWTON_STEPS,
+            NEWTON_STEPS,
             self.index,
         )
         in_gel, in_air = mi.Vector3f(*path.to_crossing), mi.Vector3f(*path.to_panel)
@@ -125,15 +105,15 @@ class BandPaths(mi.SamplingIntegrator):
         weight = weight * path.weight * sent
         seen = active & (weight > 0.0)
         crossing = mi.Point3f(*path.crossing)
-        before_face, after_face = self.gap / path.cos_gel, self.gap / dr.maximum(path.cos_air, 0.02)
+        before_face, after_face = self.gap / path.cos_gel, self.gap / dr.maximum(path.cos_air, SMALLEST_COS_AIR)
         inside = mi.Ray3f(
-            si.p + in_gel * _LIFT_MM, in_gel, path.length_in_gel - _LIFT_MM - before_face, si.time, si.wavelengths
+            si.p + in_gel * LIFT_MM, in_gel, path.length_in_gel - LIFT_MM - before_face, si.time, si.wavelengths
         )
         seen &= ~scene.ray_test(inside, seen & (inside.maxt > 0.0))
         outside = mi.Ray3f(
             crossing + in_air * after_face,
             in_air,
-            path.length_in_air - after_face - _LIFT_MM,
+            path.length_in_air - after_face - LIFT_MM,
             si.time,
             si.wavelengths,
         )
@@ -158,14 +138,14 @@ class BandPaths(mi.SamplingIntegrator):
     def sample(  # type: ignore[no-untyped-def]
         self, scene, sampler, ray, medium=None, active=True
     ):
-        """Return the radiance of the chains along rays (called by Mitsuba)."""
+        """Return radiance along rays: of the first three chains, whether anything was met, of the other chains."""
         ray = mi.Ray3f(ray)
         throughput: Any = mi.Color3f(1)
         led = mi.Float(0)
         reds, greens = [mi.Float(0) for _ in self.of_wall["red"]], [mi.Float(0) for _ in self.of_wall["green"]]
         depth, eta = mi.UInt32(0), mi.Float(1)
         active, valid = mi.Bool(active), mi.Bool(False)
-        state = mi.UInt32(_FROM_SURFACE if self.from_wall else _FROM_EYE)
+        state = mi.UInt32(FROM_SURFACE if self.from_wall else FROM_EYE)
         while dr.hint(active, max_iterations=self.max_depth):
             si = scene.ray_intersect(ray, active)
             valid |= si.is_valid() & (depth == 0)
@@ -199,17 +179,14 @@ class BandPaths(mi.SamplingIntegrator):
             if dr.hint(self.face.film is not None, mode="scalar"):
                 throughput *= dr.select(on_inner & smooth, self.film_factor(si, transmitted), 1)
             eta *= dr.select(smooth, chosen.eta, 1.0)
-            straight = transmitted & on_inner & ~front & (state == _FROM_SURFACE)
-            after = dr.select(straight, mi.UInt32(_STRAIGHT_OUT), mi.UInt32(_OTHER_WAY))
-            after = dr.select(state == _FROM_EYE, mi.UInt32(_FROM_EYE), after)
-            state = dr.select(smooth, after, mi.UInt32(_FROM_SURFACE))
+            state = state_after(state, smooth, transmitted & on_inner & ~front)
             ray = si.spawn_ray(onward)
             depth += 1
             active &= dr.max(throughput) > 0
             # a guided path carries little of the walls' light but may be about to meet a panel: judged as any other,
             # and not between smooth faces, where what it carries now says nothing of that
-            survival = dr.minimum(carried_usually * eta * eta, _LARGEST_SURVIVAL)
-            survival = dr.select((depth >= self.roulette_depth) & ~smooth, survival, 1.0)
+            survival = dr.minimum(carried_usually * eta * eta, LARGEST_SURVIVAL)
+            survival = dr.select((depth >= ROULETTE_DEPTH) & ~smooth, survival, 1.0)
             active &= sampler.next_1d(active) < survival
             throughput /= survival
         return mi.Color3f(reds[0], greens[0], led), valid, reds[1:] + greens[1:]
@@ -250,53 +227,4 @@ class BandPaths(mi.SamplingIntegrator):
             beam: Any = dr.power(cosine, panel.exponent - 1) if panel.beamed else 1.0
             sent = beam * panel.radiance
             radiance = dr.select(si.shape == shape, sent, radiance)
-        return dr.select(state == _STRAIGHT_OUT, 0, radiance) if self.refractive else radiance
-
-
-def band_integrator(
-    scene: Any,
-    design: FingerDesign,
-    shape: FingerShape,
-    emission: Mapping[str, NDArray[np.float64]] | None = None,
-    refractive: bool = True,
-    max_depth: int = MAX_DEPTH,
-    from_wall: bool = False,
-    with_led: bool = True,
-    guide: MirrorGuide | None = None,
-) -> BandPaths:
-    """Return the path tracer of a scene.
-
-    Its first three channels are the chains led>red, led>green and led, the others ``aov_names()``.
-
-    Parameters
-    ----------
-    scene
-        From :func:`sim.optics.scene.finger_scene`; emitters of its walls are not looked at.
-    design, shape
-        Panels, pad and the shape of the inner face.
-    emission
-        What the walls emit per chain, see :func:`sim.optics.wall_emission.wall_emission`; dark by default.
-    refractive
-        False leaves the panel to chance: the same mean, much more noise; it serves as a check.
-    max_depth
-        Longest path in surfaces; below 30 the painted bands lose light.
-    from_wall
-        Rays start on a wall in the gel: the panel's direct light through the inner face is left out.
-    with_led
-        False leaves the panels dark.
-    guide
-        From :func:`mirror_guide` for this scene: the same mean, less noise of the LED's light.
-    """
-    mi.register_integrator(_NAME, BandPaths)
-    integrator: BandPaths = mi.load_dict({"type": _NAME, "max_depth": max_depth, "from_wall": from_wall})
-    integrator.refractive, integrator.with_led = refractive, with_led
-    face = inner_face(design, shape)
-    integrator.aim(scene, panels_of(design, face), face)
-    integrator.emit(emission or {})
-    integrator.guide = guide if with_led else None
-    return integrator
-
-
-def mirror_guide(scene: Any, design: FingerDesign, shape: FingerShape) -> MirrorGuide:
-    """Return where the coating of a finger sees its panels by the mirror; for all integrators of this scene."""
-    return learn_guide(scene, band_integrator(scene, design, shape))
+        return dr.select(state == STRAIGHT_OUT, 0, radiance) if self.refractive else radiance

@@ -10,20 +10,18 @@ from numpy.typing import NDArray
 from data_schemas.errors import SimulateError
 from data_schemas.plain_sensor import CHANNELS, ColouredLight, PlainSensor
 from sim.optics.curved_refraction import GelFace
+from sim.optics.lit_scene import stream_seed
 from sim.optics.panel_frame import PanelFrame
+from sim.optics.path_rules import MAX_DEPTH, ROULETTE_DEPTH
 from sim.optics.position_map import PositionMap
-from sim.optics.render import stream_seed
 from sim.optics.scene import (
-    MAX_DEPTH,
     PANEL_RADIANCE_REL,
-    ROULETTE_DEPTH,
     band_film,
-    coating,
     dark_box,
-    diffuse,
     shining_rectangle,
     surface_mesh,
 )
+from sim.optics.surface_materials import coating, diffuse
 from sim.optics.variants import SCALAR_VARIANT
 from sim.surface_meshes.finger_shape import gel_faces
 from sim.surface_meshes.pressed_pad import pressed_height_mm, without_press

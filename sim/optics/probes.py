@@ -6,7 +6,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import LinearNDInterpolator
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
@@ -17,6 +16,7 @@ Floats = NDArray[np.float64]
 
 _ALONG: Final = 4001  # points of the middle line among which the ends of the contact are sought
 _MARGIN: Final = 0.05  # of the pad's length that probes stay away from its ends
+_AT_ONCE: Final = 64  # points that are looked for together, among the triangles of their surroundings
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,5 +89,24 @@ def radiance_meter(renderer: ModuleType, probes: Probes, number: int) -> dict[st
 
 
 def _at(shape: FingerShape, name: str, values: Floats, uv: Floats) -> Floats:
-    """Return what a surface's vertices carry at texture coordinates (n, 2)."""
-    return np.asarray(LinearNDInterpolator(shape.surfaces[name].uv, values)(uv))
+    """Return what a surface's vertices carry at texture coordinates (n, 2), linear over its own triangles."""
+    surface = shape.surfaces[name]
+    triangles = surface.triangles[_near(surface.uv[surface.triangles], uv)]
+    corners, found = surface.uv[triangles], []
+    for points in np.split(uv, range(_AT_ONCE, len(uv), _AT_ONCE)):
+        near = _near(corners, points)
+        # barycentric coordinates of every point in every triangle (point, triangle, 3)
+        edges = np.linalg.inv(corners[near, 1:] - corners[near, :1])
+        shares = np.einsum("pti,tij->ptj", points[:, None] - corners[near, 0], edges)
+        weights = np.concatenate([1.0 - shares.sum(axis=-1, keepdims=True), shares], axis=-1)
+        # none is negative in the triangle that holds the point, to rounding at its edges
+        holds = weights.min(axis=-1).argmax(axis=1)
+        at_corners = values[triangles[near][holds]]
+        found.append(np.einsum("pk,pk...->p...", weights[np.arange(len(points)), holds], at_corners))
+    return np.concatenate(found)
+
+
+def _near(corners: Floats, points: Floats) -> NDArray[np.bool_]:
+    """Return which triangles (n, 3, 2) reach into the rectangle around points (m, 2)."""
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    return np.asarray(((low <= points.max(axis=0)) & (high >= points.min(axis=0))).all(axis=1))

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,36 +12,23 @@ from numpy.typing import NDArray
 from data_schemas.camera_calibration import CameraCalibration
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
-from sim.optics.finger_view import Window
-from sim.optics.paint_bands import BAND_NAMES, PaintBands, PaintOptics, paint_bands
+from sim.optics.lit_scene import check_paints, stream_seed
+from sim.optics.paint_bands import BAND_NAMES, PaintBands, PaintOptics
 from sim.optics.pixel_maps import PixelMaps, pixel_maps
-from sim.optics.scene import camera_sensor, finger_scene
+from sim.optics.state_render import CameraWindows, PathsPerPixel, RenderLevel, StateRender, render_state
 from sim.optics.variants import SCALAR_VARIANT
-from sim.optics.wall_baking import bake_walls, light_walls
-from sim.optics.wall_emission import FIRST_CHAINS, LEVEL_NAMES, Level, WallLight, last_band, unbaked_walls
+from sim.optics.wall_emission import LEVEL_NAMES, last_band
 from sim.surface_meshes.finger_shape import FingerShape, pressed_shape, rest_shape
 from sim.surface_meshes.intersections import check_no_intersections
 
-BAKE_SAMPLES = {False: 64_000, True: 12_000}
-"""Paths per wall of one bake, by whether the variant is scalar (there each path costs a call from Python)."""
-
-SURROUNDINGS_SHARE = 8
-"""Pixels that see neither coat nor walls get this many times fewer paths: nothing is measured there."""
-
 CONTACT_SHARE = 2
 """Pixels near the contact get this many times more paths by default: comparisons look there, and they are few."""
-
-CONTACT_REACH = 2.5
-"""In half-widths of the contact: a comparison reaches to twice its half-width."""
 
 # beside the streams of halves and windows, which count from zero
 _CONTACT_STREAM = 100
 
 # a bent finger at rest would be shorter; meshes keep their size to rounding
 _SIZE_TOLERANCE_REL = 0.02
-
-RenderLevel = Level | Literal["c"]
-"""A level of :data:`sim.optics.wall_emission.Level`, or c: fluorescence traced along each path, the reference."""
 
 Progress = Callable[[int, int, str], None]
 """Called with the number of finished steps, of all steps, and what was done."""
@@ -137,7 +124,7 @@ def render_press(
         When a paint is missing, a paint gains energy, samples_per_pixel is odd, the gel intersects itself, the camera
         does not see the coat, or level c meets a scalar variant.
     """
-    samples = _Samples(samples_per_pixel, contact_samples_per_pixel or CONTACT_SHARE * samples_per_pixel)
+    samples = PathsPerPixel(samples_per_pixel, contact_samples_per_pixel or CONTACT_SHARE * samples_per_pixel)
     _check_scalar(design, renderer)
     start = time.monotonic()
     bands = check_paints(design, paints)
@@ -147,11 +134,11 @@ def render_press(
         check_no_intersections(shape.gel)
     maps = [pixel_maps(design, shape, rest, renderer, calibration) for shape in (rest, pressed)]
     timings = {"pixel maps": time.monotonic() - start}
-    camera = _Camera(design, calibration, Window.around(*(m.coat_mm(design) for m in maps)), _contact_window(maps[1]))
+    camera = CameraWindows.of(design, calibration, maps)
     states = []
     for step, (name, shape) in enumerate((("no contact", rest), ("contact", pressed)), start=1):
         own = seed if common_random_numbers or step == 1 else stream_seed(seed, _CONTACT_STREAM)
-        states.append(_render_state(camera, shape, bands, renderer, level, own, samples))
+        states.append(render_state(camera, shape, bands, renderer, level, own, samples))
         timings |= {f"bake {name}": states[-1].bake_s, f"render {name}": states[-1].render_s}
         if progress is not None:
             progress(step, 2, f"rendered {name}")
@@ -159,17 +146,9 @@ def render_press(
     chains = tuple(dict.fromkeys(chain for state in states for chain in state.chains))
     variant = renderer.variant()
     return PressRender(
-        no_contact_bands=_bands_of(states[0].chains),
-        contact_bands=_bands_of(states[1].chains),
+        **_images("no_contact", states[0], chains, maps[0]),
+        **_images("contact", states[1], chains, maps[1]),
         chains=chains,
-        no_contact_chains=_stacked(states[0].chains, chains),
-        contact_chains=_stacked(states[1].chains, chains),
-        no_contact_half_difference=_stacked(states[0].half_difference, chains),
-        contact_half_difference=_stacked(states[1].half_difference, chains),
-        no_contact_variance=_bands_of(states[0].half_difference) ** 2,
-        contact_variance=_bands_of(states[1].half_difference) ** 2,
-        no_contact_maps=maps[0],
-        contact_maps=maps[1],
         contact_label=pressed.label,
         bands=bands,
         samples_per_pixel=samples_per_pixel,
@@ -179,64 +158,6 @@ def render_press(
         level=level,
         label=f"rendered, {'level c' if level == 'c' else LEVEL_NAMES[level]}, {variant}{_left_out(design, variant)}",
     )
-
-
-def check_paints(design: FingerDesign, paints: Mapping[str, PaintOptics]) -> PaintBands:
-    """Return the bands of the two paints of a finger.
-
-    Raises
-    ------
-    SimulateError
-        When "red" or "green" is missing.
-    """
-    missing = {"red", "green"} - paints.keys()
-    if missing:
-        raise SimulateError(f"paints must hold 'red' and 'green'; missing: {', '.join(sorted(missing))}")
-    return paint_bands(paints["red"], paints["green"], design.light)
-
-
-def stream_seed(seed: int, stream: int) -> int:
-    """Return the renderer's 32-bit seed of one of several independent random streams."""
-    return int(np.random.SeedSequence((seed, stream)).generate_state(1)[0])
-
-
-def open_scene(
-    design: FingerDesign,
-    shape: FingerShape,
-    bands: PaintBands,
-    renderer: ModuleType,
-    sensor: Mapping[str, Any] | None = None,
-) -> Any:
-    """Return a scene whose walls can be lit with :func:`lit_integrator`."""
-    # the band path tracer looks the walls' light up itself; Mitsuba's own integrators need emitters
-    emission = unbaked_walls() if renderer.variant() == SCALAR_VARIANT else None
-    return finger_scene(design, shape, bands, renderer, emission, sensor)
-
-
-def open_guide(scene: Any, design: FingerDesign, shape: FingerShape, renderer: ModuleType) -> Any:
-    """Return the :class:`sim.optics.mirror_guide.MirrorGuide` of a scene; None in a scalar variant, which has none."""
-    if renderer.variant() == SCALAR_VARIANT:
-        return None
-    from sim.optics.paths import mirror_guide  # needs the variant set
-
-    return mirror_guide(scene, design, shape)
-
-
-def lit_integrator(
-    scene: Any, design: FingerDesign, shape: FingerShape, renderer: ModuleType, light: WallLight, guide: Any = None
-) -> tuple[Any, tuple[str, ...]]:
-    """Return what renders a scene with lit walls, and the chains that its channels hold.
-
-    With a guide (:func:`open_guide`) the LED's light has less noise. In a scalar variant this is the scene's own
-    ``path``: its channels are the bands, all chains of a band together.
-    """
-    if renderer.variant() == SCALAR_VARIANT:
-        light_walls(scene, light, renderer)
-        return scene.integrator(), FIRST_CHAINS
-    from sim.optics.paths import band_integrator  # needs the variant set
-
-    integrator = band_integrator(scene, design, shape, light, guide=guide)
-    return integrator, integrator.chains
 
 
 def _left_out(design: FingerDesign, variant: str) -> str:
@@ -255,12 +176,6 @@ def _check_size(design: FingerDesign, rest: FingerShape) -> None:
             )
 
 
-def _contact_window(pressed: PixelMaps) -> Window | None:
-    """Return the rectangle around the contact and its halo; None where the camera sees no contact."""
-    near = pressed.contact_distance <= CONTACT_REACH
-    return Window.around(np.where(near, 0.0, np.nan)[..., None]) if near.any() else None
-
-
 def _check_scalar(design: FingerDesign, renderer: ModuleType) -> None:
     """Refuse what a scalar variant would render wrongly."""
     if renderer.variant() == SCALAR_VARIANT and any(light.beam_exponent != 1.0 for light in design.lights):
@@ -269,119 +184,15 @@ def _check_scalar(design: FingerDesign, renderer: ModuleType) -> None:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class _Camera:
-    """The finger's camera, the window of pixels that see the pad, and the one around the contact."""
-
-    design: FingerDesign
-    calibration: CameraCalibration | None
-    window: Window
-    contact: Window | None
-
-
-@dataclass(frozen=True, slots=True)
-class _Samples:
-    """Paths per pixel of both halves together: over the pad, and around the contact."""
-
-    pad: int
-    contact: int
-
-    def __post_init__(self) -> None:
-        """Refuse numbers that cannot be halved."""
-        for name, count in (("samples_per_pixel", self.pad), ("contact_samples_per_pixel", self.contact)):
-            if count < 2 or count % 2:
-                raise SimulateError(
-                    f"{name} must be an even number of at least 2 (two independent halves), got {count}"
-                )
-
-
-@dataclass(frozen=True, slots=True)
-class _State:
-    """The finger without or with contact: an image per chain, half the difference of both halves, their seconds."""
-
-    chains: Mapping[str, NDArray[np.float32]]
-    half_difference: Mapping[str, NDArray[np.float32]]
-    bake_s: float
-    render_s: float
-
-
-def _render_state(
-    camera: _Camera,
-    shape: FingerShape,
-    bands: PaintBands,
-    renderer: ModuleType,
-    level: RenderLevel,
-    seed: int,
-    samples: _Samples,
-) -> _State:
-    """Render two independent halves, whose difference tells the noise."""
-    begun, design = time.monotonic(), camera.design
-    scene = open_scene(design, shape, bands, renderer, camera_sensor(design, renderer, camera.calibration))
-    guide = None if level == "c" else open_guide(scene, design, shape, renderer)
-    prepared_s = time.monotonic() - begun
-    (one, bake_s), (other, more_s) = (
-        _render_half(scene, guide, camera, shape, bands, renderer, level, stream_seed(seed, half), samples)
-        for half in (0, 1)
-    )
-    bake_s += prepared_s + more_s
-    mean, half_difference = _mean_and_half_difference(one, other)
-    return _State(mean, half_difference, bake_s, time.monotonic() - begun - bake_s)
-
-
-def _render_half(
-    scene: Any,
-    guide: Any,
-    camera: _Camera,
-    shape: FingerShape,
-    bands: PaintBands,
-    renderer: ModuleType,
-    level: RenderLevel,
-    seed: int,
-    samples: _Samples,
-) -> tuple[dict[str, NDArray[np.float32]], float]:
-    """Bake the walls and render once, the windows finely; return an image per chain and the seconds of the bake."""
-    begun, design = time.monotonic(), camera.design
-    chains: tuple[str, ...]
-    if level == "c":
-        integrator, chains = _pathwise_integrator(scene, design, shape, bands, renderer), FIRST_CHAINS
-    else:
-        paths = BAKE_SAMPLES[renderer.variant() == SCALAR_VARIANT]
-        light = bake_walls(scene, design, shape, bands, renderer, level, seed, paths, guide=guide)[0]
-        integrator, chains = lit_integrator(scene, design, shape, renderer, light, guide)
-    bake_s = time.monotonic() - begun
-    coarse = max(1, samples.pad // 2 // SURROUNDINGS_SHARE)
-    image = np.array(renderer.render(scene, integrator=integrator, spp=coarse, seed=seed), dtype=np.float32)
-    for stream, (window, count) in enumerate(((camera.window, samples.pad), (camera.contact, samples.contact)), 1):
-        if window is not None:
-            sensor = renderer.load_dict(camera_sensor(design, renderer, camera.calibration, window))
-            fine = renderer.render(
-                scene, sensor=sensor, integrator=integrator, spp=count // 2, seed=stream_seed(seed, stream)
-            )
-            image[window.rows, window.columns] = np.array(fine, dtype=np.float32)
-    return {chain: image[..., k] for k, chain in enumerate(chains)}, bake_s
-
-
-def _pathwise_integrator(
-    scene: Any, design: FingerDesign, shape: FingerShape, bands: PaintBands, renderer: ModuleType
-) -> Any:
-    """Return the integrator of level c; its channels are the bands, all chains of a band together."""
-    if renderer.variant() == SCALAR_VARIANT:
-        raise SimulateError("level c runs in compiled variants only; install LLVM 17 or newer, or take level b")
-    from sim.optics.fluorescent_bands import fluorescent_bands  # these need the variant set
-    from sim.optics.paths import band_integrator
-
-    panels = band_integrator(scene, design, shape)
-    return fluorescent_bands(scene, {wall: bands.matrix(wall) for wall in ("red", "green")}, panels=panels)
-
-
-def _mean_and_half_difference(
-    one: dict[str, NDArray[np.float32]], other: dict[str, NDArray[np.float32]]
-) -> tuple[dict[str, NDArray[np.float32]], dict[str, NDArray[np.float32]]]:
-    """Return mean and half difference of two halves; a chain at the edge of being left out may be in one of them."""
-    dark = np.zeros_like(next(iter(one.values())))
-    pairs = {c: (one.get(c, dark), other.get(c, dark)) for c in dict.fromkeys([*one, *other])}
-    half = np.float32(0.5)
-    return {c: half * (a + b) for c, (a, b) in pairs.items()}, {c: half * (a - b) for c, (a, b) in pairs.items()}
+def _images(name: str, state: StateRender, chains: tuple[str, ...], maps: PixelMaps) -> dict[str, Any]:
+    """Return the fields of a render that belong to one state."""
+    return {
+        f"{name}_bands": _bands_of(state.chains),
+        f"{name}_chains": _stacked(state.chains, chains),
+        f"{name}_half_difference": _stacked(state.half_difference, chains),
+        f"{name}_variance": _bands_of(state.half_difference) ** 2,
+        f"{name}_maps": maps,
+    }
 
 
 def _bands_of(images: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
-from sim.optics.even_points import even_points
 from sim.optics.paint_bands import BAND_NAMES, PaintBands
 from sim.optics.scene import wall_texels
 from sim.optics.variants import SCALAR_VARIANT
@@ -29,19 +28,21 @@ from sim.optics.wall_emission import (
     last_band,
     paper_emission,
     texel_uv,
-    wall_map,
 )
+from sim.optics.wall_rays import POINTS_ALONG, POINTS_UP, radiance_at_walls
 from sim.surface_meshes.finger_shape import FingerShape
 
 SMALLEST_CHAIN_SHARE = 0.005
 """Chains that add less to the emission of their band are left out, and so is everything they would excite."""
 
-_LED = 2
-POINTS_ALONG, POINTS_UP = 28, 4
+BAKE_SAMPLES = {False: 64_000, True: 12_000}
+"""Paths per wall of one bake, by whether the variant is scalar (there each path costs a call from Python)."""
+
+HIGHEST_ORDER = 6
+"""Orders of fluorescence that are followed: each is a fifth of the one before, or less."""
+
 # the irradiance varies over centimetres: polynomials smooth the sampling noise without bias of its own scale
 _DEGREE_ALONG, _DEGREE_UP = 7, 1
-_LIFT_MM = 2e-3
-_HIGHEST_ORDER = 6
 # emission by emission is a tenth of the light and comes from large walls: an eighth of the paths resolve it as well
 _SHARE_OF_FURTHER_ORDERS = 0.125
 
@@ -54,7 +55,7 @@ def bake_walls(
     renderer: ModuleType,
     level: Level = "b",
     seed: int = 0,
-    samples: int = 64_000,
+    samples: int = BAKE_SAMPLES[False],
     repeats: int = 1,
     guide: Any = None,
 ) -> list[WallLight]:
@@ -79,7 +80,7 @@ def bake_walls(
     repeats
         Number of independent bakes.
     guide
-        From :func:`sim.optics.paths.mirror_guide` for this scene: less noise.
+        From :func:`sim.optics.band_integrator.mirror_guide` for this scene: less noise.
     """
     rng = np.random.default_rng(seed)
     detours = indirect_irradiance(scene, design, shape, renderer, int(rng.integers(2**32)), samples, repeats, guide)
@@ -135,7 +136,7 @@ def indirect_irradiance(
     repeats
         Number of independent estimates, traced together.
     guide
-        From :func:`sim.optics.paths.mirror_guide` for this scene: less noise.
+        From :func:`sim.optics.band_integrator.mirror_guide` for this scene: less noise.
 
     Returns
     -------
@@ -145,7 +146,9 @@ def indirect_irradiance(
     """
     scalar = renderer.variant() == SCALAR_VARIANT
     integrator = scene.integrator() if scalar else _tracer(scene, design, shape, from_wall=True, guide=guide)
-    radiance = _trace_from_walls(scene, shape, integrator, renderer, seed, samples, repeats)[..., _LED]
+    radiance = radiance_at_walls(scene, shape, integrator, renderer, seed, samples, repeats)[
+        ..., BAND_NAMES.index("led")
+    ]
     means = np.pi * radiance
     if scalar:  # the stock tracer meets the panel directly too
         at = grid_uv(POINTS_ALONG, POINTS_UP)
@@ -167,7 +170,7 @@ def _further_orders(
     found: dict[str, NDArray[np.float64]] = {}
     latest = {chain: light for chain, light in first.items() if bands.excites(last_band(chain))}
     per_trace = max(1, round(samples * _SHARE_OF_FURTHER_ORDERS))
-    for _ in range(2, _HIGHEST_ORDER + 1):
+    for _ in range(2, HIGHEST_ORDER + 1):
         irradiance = _exchanged(scene, design, shape, renderer, latest, int(rng.integers(2**32)), per_trace)
         made = {name: light for chain, e in irradiance.items() for name, light in excited(chain, e, bands).items()}
         totals = {
@@ -194,7 +197,7 @@ def _exchanged(
     if renderer.variant() == SCALAR_VARIANT:
         return _exchanged_by_stock_paths(scene, shape, renderer, emitted, seed, samples)
     tracer = _tracer(scene, design, shape, from_wall=True, with_led=False, emission=emitted)
-    radiance = np.pi * _trace_from_walls(scene, shape, tracer, renderer, seed, samples, 1)[0]
+    radiance = np.pi * radiance_at_walls(scene, shape, tracer, renderer, seed, samples, 1)[0]
     return {
         chain: {wall: _smooth(radiance[k, :, tracer.chains.index(chain)]) for k, wall in enumerate(WALLS)}
         for chain in emitted
@@ -209,88 +212,16 @@ def _exchanged_by_stock_paths(
     for chain, light in emitted.items():
         light_walls(scene, {chain: light}, renderer)
         band = BAND_NAMES.index(last_band(chain))
-        traced = _trace_from_walls(scene, shape, scene.integrator(), renderer, seed, samples, 1)[0, ..., band]
+        traced = radiance_at_walls(scene, shape, scene.integrator(), renderer, seed, samples, 1)[0, ..., band]
         irradiance[chain] = {wall: _smooth(np.pi * traced[k]) for k, wall in enumerate(WALLS)}
     return irradiance
 
 
 def _tracer(scene: Any, design: FingerDesign, shape: FingerShape, **options: Any) -> Any:
     """Return the band path tracer."""
-    from sim.optics.paths import band_integrator  # needs the variant set
+    from sim.optics.band_integrator import band_paths  # needs the variant set
 
-    return band_integrator(scene, design, shape, **options)
-
-
-def _trace_from_walls(
-    scene: Any, shape: FingerShape, integrator: Any, renderer: ModuleType, seed: int, samples: int, repeats: int
-) -> NDArray[np.float64]:
-    """Return the mean radiance over cosine-distributed directions, (repeat, wall, point, channel)."""
-    rng = np.random.default_rng(seed)
-    points = POINTS_ALONG * POINTS_UP
-    per_point = max(1, round(samples / points))
-    origins, directions = rays_from_walls(shape, per_point, rng, repeats)
-    trace = _trace_one_by_one if renderer.variant() == SCALAR_VARIANT else _trace_together
-    radiance = trace(scene, integrator, renderer, origins, directions, int(rng.integers(2**32)))
-    return np.asarray(radiance.reshape(repeats, len(WALLS), points, per_point, -1).mean(axis=3))
-
-
-def rays_from_walls(
-    shape: FingerShape, per_point: int, rng: np.random.Generator, repeats: int = 1
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return origins and cosine-distributed directions into the gel, (repeat * wall * point * per_point, 3)."""
-    uv = grid_uv(POINTS_ALONG, POINTS_UP).reshape(-1, 2)
-    walls = [(where.positions_mm(uv), -where.normals(uv)) for where in (wall_map(shape, wall) for wall in WALLS)]
-    rays = [_wall_rays(points, inward, per_point, rng) for _ in range(repeats) for points, inward in walls]
-    origins, directions = (np.concatenate([ray[k] for ray in rays]) for k in (0, 1))
-    return origins, directions
-
-
-def _wall_rays(
-    points_mm: NDArray[np.float64], inward: NDArray[np.float64], per_point: int, rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return origins and cosine-distributed directions (n, 3) from wall points into the gel."""
-    normal = np.repeat(inward, per_point, axis=0)
-    origins = np.repeat(points_mm, per_point, axis=0) + _LIFT_MM * normal
-    # walls are nearly upright, so their normals are never near the pad's length
-    across = np.cross(normal, [0.0, 0.0, 1.0])
-    across /= np.linalg.norm(across, axis=-1, keepdims=True)
-    # most of the light that reaches a wall at random has met smooth faces only, so that its direction decides
-    height, turn = even_points(len(origins), 2, rng).T * np.array([[1.0], [2.0 * np.pi]])
-    flat = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * np.cross(normal, across)
-    return origins, np.sqrt(height)[:, None] * normal + np.sqrt(1.0 - height)[:, None] * flat
-
-
-def _trace_together(
-    scene: Any,
-    integrator: Any,
-    renderer: ModuleType,
-    origins: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    seed: int,
-) -> NDArray[np.float64]:
-    """Return the channels of radiance along all rays, traced as one wavefront."""
-    o, d = (np.ascontiguousarray(v.T, dtype=np.float32) for v in (origins, directions))
-    sampler = renderer.load_dict({"type": "independent"})
-    sampler.seed(seed, len(origins))
-    rays = renderer.Ray3f(renderer.Point3f(o), renderer.Vector3f(d))
-    radiance, _, further = integrator.sample(scene, sampler, rays, None, renderer.Bool(True))
-    channels = [*radiance.numpy(), *(np.array(channel) for channel in further)]
-    return np.stack([np.asarray(c, dtype=np.float64) for c in channels], axis=-1)
-
-
-def _trace_one_by_one(
-    scene: Any,
-    integrator: Any,
-    renderer: ModuleType,
-    origins: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    seed: int,
-) -> NDArray[np.float64]:
-    """Return the bands of radiance along rays in a scalar variant."""
-    sampler = renderer.load_dict({"type": "independent"})
-    sampler.seed(seed, 1)
-    rays = zip(origins.tolist(), directions.tolist(), strict=True)
-    return np.array([np.array(integrator.sample(scene, sampler, renderer.RayDifferential3f(o, d))[0]) for o, d in rays])
+    return band_paths(scene, design, shape, **options)
 
 
 def _smooth(irradiance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,14 +9,12 @@ from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign, LightPanel
 from sim.optics.paint_bands import BAND_NAMES, PaintBands
-from sim.optics.wall_baking import POINTS_ALONG, POINTS_UP, polynomial_basis, rays_from_walls
+from sim.optics.wall_baking import HIGHEST_ORDER, polynomial_basis
 from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP, WALLS, direct_irradiances, texel_uv
+from sim.optics.wall_rays import POINTS_ALONG, POINTS_UP, rays_from_walls
 from sim.surface_meshes.finger_shape import FingerShape
 
 Floats = NDArray[np.float64]
-
-# emission of further orders falls by a factor of five or more each time
-_HIGHEST_ORDER = 6
 
 
 class WallsMet(Protocol):
@@ -91,7 +89,7 @@ class WallExchange:
         latest = conversion[:, BAND_NAMES.index("led"), None, None] * irradiance
         total = latest
         of_band = conversion[:, [BAND_NAMES.index(wall) for wall in WALLS]]
-        for _ in range(2, _HIGHEST_ORDER + 1):
+        for _ in range(2, HIGHEST_ORDER + 1):
             received = np.einsum("wcvij,vij->vwc", self.exchange[:, :, light], latest, optimize=True)
             latest = np.einsum("wv,vwij->wij", of_band, _over_texels(received))
             total = total + latest

@@ -16,6 +16,18 @@ from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP
 Floats = NDArray[np.float64]
 
 
+def first_texel(si: Any, is_green: Any) -> tuple[Any, Any, Any]:
+    """Return number, and share of the way up and along to the next ones, of the texel below and before wall points.
+
+    Texels of the red wall come first, then those of the green one, (along, up) each.
+    """
+    x = dr.clip(si.uv.x * TEXELS_UP - 0.5, 0.0, TEXELS_UP - 1.0)
+    y = dr.clip(si.uv.y * TEXELS_ALONG - 0.5, 0.0, TEXELS_ALONG - 1.0)
+    i, j = (dr.minimum(mi.UInt32(t), most - 2) for t, most in ((x, TEXELS_UP), (y, TEXELS_ALONG)))
+    first = (dr.select(is_green, mi.UInt32(TEXELS_ALONG), mi.UInt32(0)) + j) * TEXELS_UP + i
+    return first, x - mi.Float(i), y - mi.Float(j)
+
+
 class WallTexels:
     """Adds up, per group, what paths carry to the texels of the walls, and what the panels keep away from them."""
 
@@ -62,11 +74,8 @@ def _note_wall(by_wall: Any, si: Any, group: Any, is_green: Any, carried: Any, a
 
 def _texels_around(si: Any, group: Any, is_green: Any) -> list[tuple[Any, Any]]:
     """Return weight and index of the four texels around a wall point."""
-    x = dr.clip(si.uv.x * TEXELS_UP - 0.5, 0.0, TEXELS_UP - 1.0)
-    y = dr.clip(si.uv.y * TEXELS_ALONG - 0.5, 0.0, TEXELS_ALONG - 1.0)
-    i, j = (dr.minimum(mi.UInt32(t), most - 2) for t, most in ((x, TEXELS_UP), (y, TEXELS_ALONG)))
-    s, t = x - mi.Float(i), y - mi.Float(j)
-    first = ((group * 2 + dr.select(is_green, mi.UInt32(1), mi.UInt32(0))) * TEXELS_ALONG + j) * TEXELS_UP + i
+    first, s, t = first_texel(si, is_green)
+    first += group * (2 * TEXELS_ALONG * TEXELS_UP)
     return [
         (along * up, first + (b * TEXELS_UP + a))
         for b, along in ((0, 1.0 - t), (1, t))

@@ -215,3 +215,22 @@ def test_distances_of_vertices_and_edges():
     sampled = np.linalg.norm(plane - a[:, None], axis=-1).min(axis=1)
     np.testing.assert_allclose(point_triangle_mm(corners), sampled, atol=0.06)
     assert (point_triangle_mm(corners) <= sampled + 1e-12).all()
+
+
+LARGE_MM = (90.0, 12.0, 150.0)
+ROUND = GelPad(shape="cylindrical", radius_mm=60.0)
+
+
+@pytest.mark.parametrize("pad", [GelPad(), DOME, ROUND], ids=["flat", "dome", "cylindrical"])
+@pytest.mark.parametrize("rotation", [(0.0, 0.0, 0.0), (4.0, 0.0, 0.0), (0.0, 30.0, -7.0), (11.0, -50.0, 6.0)])
+def test_a_large_tilted_stl_touches_where_the_same_cuboid_does(tmp_path, pad, rotation):
+    # triangles longer than the pad: the place of first touch is none of their corners
+    place = {"across_mm": 6.0, "position_mm": 21.0, "rotation_deg": rotation}
+    exact = FingerDesign(pad=pad, indenter=Indenter(shape="cuboid", size_mm=LARGE_MM, edge_radius_mm=0.01, **place))
+    body = TriangleMesh(CUBE.vertices_mm * [15.0, 3.0, 37.5] - [0.0, 6.0, 0.0], CUBE.triangles)
+    assert np.ptp(body.vertices_mm, axis=0) == pytest.approx(LARGE_MM)
+    (tmp_path / "cuboid.stl").write_bytes(stl_bytes(body.triangles, body.vertices_mm, "cuboid"))
+    design = FingerDesign(pad=pad, indenter=Indenter(shape="mesh", file="cuboid.stl", **place))
+    touching = rigid_indenter(design, tmp_path).touching
+    # the file holds single precision; faces that touch are the same, edges that do are rounded by 0.01 mm
+    assert touching.position_mm == pytest.approx(rigid_indenter(exact).touching.position_mm, abs=1e-4)

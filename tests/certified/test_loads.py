@@ -5,12 +5,13 @@ import pytest
 
 from data_schemas.errors import SimulateError
 from sim.experiments.finger_stiffness import _row, study_finger_stiffness
-from sim.mechanics.force_control import contact_forces_n, frictionless_torque_n_mm, press_to_force, slip_torque_n_mm
+from sim.mechanics.force_control import press_to_force
 from sim.mechanics.linear_solver import linear_solver
 from sim.mechanics.loads import DeadForce, LoadedFinger
 from sim.mechanics.materials import LinearElastic
 from sim.mechanics.newton import Supports, find_equilibrium
 from sim.mechanics.press import press_finger
+from sim.mechanics.slip_torque import contact_forces_n, frictionless_torque_n_mm, slip_torque_n_mm
 from sim.presets import preset_design
 from tests.certified.blocks import assemble, unit_cells
 
@@ -122,8 +123,11 @@ def test_the_order_of_two_fingers_and_its_table(monkeypatch):
             return type("Twisted", (), {"stiffness_n_mm_per_deg": self.size**2})
 
     monkeypatch.setattr("sim.experiments.finger_stiffness.LoadedFinger", Quick)
+    monkeypatch.setattr("sim.experiments.finger_stiffness._held_torques", lambda design, threads: (7.0, 5.0))
     stiff, soft = preset_design("flat-70x35"), preset_design("flat-70x35-soft")
     study = study_finger_stiffness([stiff, soft], 0.2)
+    held = [(row.changed, row.slip_torque_per_friction_n_mm) for row in study.rows if row.tipping_torque_n_mm]
+    assert held == [("", 7.0), ("", 7.0)]
     changed = {row.changed for row in study.rows}
     assert {"skeleton.rib_count", "skeleton.backing.thickness_mm", ""} <= changed
     assert "skeleton.mirror_thickness_mm" not in changed  # the paper gives it

@@ -128,6 +128,11 @@ def test_a_stored_increment_must_fit(halfway):
     moved = record.model_copy(update={"nodes_mm": record.nodes_mm + 0.1})
     with pytest.raises(SimulateError, match="of another mesh of this design"):
         stored_press(moved, to_depth(3.0))
+    assert record.contact == "penalty"
+    with pytest.raises(SimulateError, match=r"pressed with --contact penalty, .* by --contact barrier; give --contact"):
+        stored_press(record, to_depth(3.0), "barrier")
+    of_older_version = record.model_copy(update={"contact": None})
+    assert stored_press(of_older_version, to_depth(3.0), "penalty").kind == "unknown"
     with pytest.raises(SimulateError, match=r"at 1 mm already and indenter\.depth_mm is 0\.7 mm"):
         press_finger(to_depth(0.7), "coarse", 2, resume=halfway)
     with pytest.raises(SimulateError, match="resume with the same design, mesh and --contact"):

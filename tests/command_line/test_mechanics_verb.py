@@ -5,16 +5,19 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from data_schemas.errors import RecordError
+from data_schemas.errors import NoEquilibriumError, RecordError
 from data_schemas.press_mechanics import PressIncrement, PressMechanics
-from data_schemas.storage import read_record
+from data_schemas.storage import read_record, sha256_of
 from data_schemas.surfaces import FingerSurfaces
 from finray_calib.cli.simulate_mechanics import last_increment, mechanics_paths
 from sim.mechanics.newton import Increment, NewtonOptions, load_increments
 from sim.surface_meshes.intersections import check_no_intersections
+from sim.surface_meshes.stl import stl_bytes
 from sim.surface_meshes.stored_shape import restore_shapes
+from tests.command_line.mistakes import CUBE, FACETS
 from tests.command_line.running import finray, succeed
 
 FINGER = """
@@ -76,6 +79,19 @@ def test_a_push_that_ends_early_is_kept_and_gone_on_with(tmp_path: Path, monkeyp
     assert last.depth_mm[-1] == pytest.approx(0.6)
 
 
+def test_a_push_that_never_begins_leaves_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: Any, **__: Any) -> Iterator[Increment]:
+        raise NoEquilibriumError("no equilibrium beyond 0 of the load: the stiffness matrix is singular")
+        yield
+
+    (tmp_path / "finger.toml").write_text(FINGER)
+    monkeypatch.setattr("sim.mechanics.press.load_increments", never)
+    said = refused(f"simulate {tmp_path}/finger.toml --only mechanics --out {tmp_path}/stuck.json")
+    assert re.search(r"matrix is singular\. \S*stuck\.mechanics\.png shows where the indenter touches", said)
+    assert (tmp_path / "stuck.mechanics.png").read_bytes().startswith(b"\x89PNG")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["finger.toml", "stuck.mechanics.png"]
+
+
 def test_an_earlier_increment_is_not_resumed_over_later_ones(tmp_path):
     folder = tmp_path / "d.increments"
     folder.mkdir()
@@ -85,3 +101,86 @@ def test_an_earlier_increment_is_not_resumed_over_later_ones(tmp_path):
     with pytest.raises(RecordError, match="later increments stand beside it"):
         mechanics_paths(tmp_path / "d.press.json", folder / "002.json")
     assert mechanics_paths(tmp_path / "d.press.json", folder / "1000.json")["increments"] == folder
+
+
+BABY = """
+name = "small"
+[pad]
+length_mm = 48.0
+width_mm = 18.0
+film = {}
+[indenter]
+position_mm = 24.0
+"""
+
+
+def refused(arguments: str) -> str:
+    """Run a command that must end in one line of explanation; return it."""
+    outcome = finray(arguments)
+    assert outcome.status == 2
+    assert outcome.out == ""
+    return outcome.err
+
+
+def test_an_stl_that_changed_is_not_gone_on_with(tmp_path: Path) -> None:
+    (tmp_path / "finger.toml").write_text(BABY + 'depth_mm = 0.2\nshape = "mesh"\nfile = "cube.stl"\n')
+    body = CUBE - np.array([2.5, 0.0, 2.5])
+    (tmp_path / "cube.stl").write_bytes(stl_bytes(FACETS, body, "body"))
+    press = f"simulate {tmp_path}/finger.toml --only mechanics"
+    succeed(f"{press} --increments 1 --out {tmp_path}/first.json")
+    stored = read_record(tmp_path / "first.increments" / "001.json", PressIncrement)
+    assert stored.contact == "barrier"
+    assert stored.indenter_sha256 == sha256_of(tmp_path / "cube.stl")
+
+    (tmp_path / "finger.toml").write_text(BABY + 'depth_mm = 0.3\nshape = "mesh"\nfile = "cube.stl"\n')
+    # a taller body of the same face: it touches at the same place, and no node of the mesh tells it
+    (tmp_path / "cube.stl").write_bytes(stl_bytes(FACETS, body * [1.0, 1.5, 1.0], "body"))
+    said = refused(f"{press} --resume {tmp_path}/first.increments --out {tmp_path}/second.json")
+    assert re.search(
+        r"indenter\.file = 'cube\.stl', is not the one of the stored increment: .* put the file back", said
+    )
+    assert not (tmp_path / "second.mechanics.json").exists()
+
+
+def test_a_press_to_a_force_tells_the_depth_and_the_torque_at_slip(tmp_path: Path) -> None:
+    (tmp_path / "finger.toml").write_text(BABY)
+    said = succeed(
+        f"simulate {tmp_path}/finger.toml --only mechanics --force 0.8 --increments 2 --out {tmp_path}/held.json"
+    )
+    record = read_record(tmp_path / "held.mechanics.json", PressMechanics)
+    assert f"push  {record.depth_mm[-1]:.3f} mm   force   0.800 N" in said
+    assert record.wanted_force_n == 0.8
+    assert record.force_n[:, 1] == pytest.approx([0.4, 0.8], rel=1e-5)
+    assert any("driven by a force of 0.8 N" in note for note in record.notes)
+    # a cylinder across the middle: its resultant is half the pad's width from the edge
+    assert record.tipping_torque_n_mm == pytest.approx(0.8 * 9.0, rel=1e-3)
+    # a strip across the pad: even pressure on it gives N w / 4, all of it at both edges N w / 2
+    assert 0.25 < record.slip_torque_per_friction_n_mm / (0.8 * 18.0) < 0.5
+    assert "N mm times the coefficient of friction" in said
+    check_no_intersections(restore_shapes(read_record(tmp_path / "held.surfaces.json", FingerSurfaces))[1].gel)
+
+
+@pytest.mark.parametrize(
+    ("tables", "options", "message"),
+    [
+        ("", "--only mechanics --seed 1", r"--seed: a press knows no chance; leave it out"),
+        ("", "--force 2", r"--force is that of a press by finite elements; add --only mechanics"),
+        ("", "--only mechanics --force 2 --contact barrier", r"--force presses from first touch by the penalty"),
+        ("", "--only mechanics --force 2 --resume d.increments", r"--force presses from first touch by the penalty"),
+        ("", "--only mechanics --force two", r"--force: 'two' must be a force in N above 0 and at most 1000"),
+        ("friction = 0.3", "--only mechanics --force 2", r"a press to a force is without friction and on exact"),
+        ("edge_radius_mm = 1.0", "--only mechanics", r"indenter\.edge_radius_mm has no effect: it is of a cuboid"),
+        (
+            'shape = "cuboid"\nsize_mm = [9, 9, 9]\nradius_mm = 5',
+            "--only mechanics",
+            r"indenter\.radius_mm has no effect: it is of a cylinder or a ball, not of shape = \"cuboid\"; leave it",
+        ),
+        ("[skeleton]\nrib_count = 1\nrib_spacing_mm = 9", "--only mechanics", r"rib_spacing_mm .* rib_count = 2 or"),
+        ("[skeleton]\nrib_count = 40\nrib_thickness_mm = 2.5", "--only mechanics", r"overlap or nearly touch .*= 40,"),
+        ("[skeleton]\nrib_count = 41", "--only mechanics", r"'skeleton\.rib_count': .* less than or equal to 40"),
+    ],
+)
+def test_what_has_no_effect_is_refused(tmp_path: Path, tables: str, options: str, message: str) -> None:
+    (tmp_path / "finger.toml").write_text(BABY + tables)
+    said = refused(f"simulate {tmp_path}/finger.toml {options} --out {tmp_path}/no.json")
+    assert re.search(message, said), said

@@ -43,6 +43,8 @@ def test_the_mean_over_presses_and_its_interval():
     assert found[0].estimate == pytest.approx(skills[0].mean())
     assert np.mean([f.low95 <= 0.8 <= f.high95 for f in found]) == pytest.approx(0.95, abs=0.028)
     assert mean_skill(skills[0, :1]) is None
+    # no skill exceeds 1: neither does the interval
+    assert mean_skill(np.array([0.9, 1.05])).high95 == 1.0
 
 
 def test_the_worst_pairs_come_first():

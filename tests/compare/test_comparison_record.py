@@ -14,6 +14,7 @@ from finray_calib.compare.comparison_record import (
     PATCH,
     compare_press,
 )
+from finray_calib.compare.error_rows import LARGEST_SKILL, skill_interval
 from finray_calib.compare.input_draws import DRIFT, PIXELS, POSE, WALLS
 from tests.command_line.records import capture_of
 from tests.command_line.records import press as made_up_press
@@ -191,6 +192,25 @@ def test_the_error_map_is_relative_to_each_channels_level():
 
 def replaced(record, **changes):
     return record.model_copy(update=changes)
+
+
+def test_the_interval_of_a_skill_ends_at_one_and_its_estimate_does_not():
+    rng = np.random.default_rng(4)
+    draws = 1.0 + 0.02 * rng.standard_normal(4000)
+    for shift, low in ((0.0, 1.0 - 0.0392), (0.1, 1.0)):
+        found = skill_interval(draws + shift, draws + shift)
+        # the quantile of 4000 draws is known to 0.05 standard deviations
+        assert found.low95 == pytest.approx(low, abs=4 * 0.05 * 0.02)
+        assert found.high95 == LARGEST_SKILL
+        assert found.estimate == pytest.approx(1.0 + shift, abs=0.002)
+    below = skill_interval(draws - 0.5, draws - 0.5)
+    assert below.high95 == pytest.approx(0.5 + 0.0392, abs=4 * 0.05 * 0.02)
+
+
+def test_no_interval_of_a_report_passes_one(pair):
+    report = compare_press(*pair, seed=1)
+    skills = [row.skill for region in report.regions for row in region.rows]
+    assert all(skill.high95 <= LARGEST_SKILL for skill in (*skills, report.headline_skill))
 
 
 def test_images_of_another_size_are_refused(pair):

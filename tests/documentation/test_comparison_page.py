@@ -93,6 +93,12 @@ def test_no_more_than_all_is_explained():
     assert "the interval is wide" not in text
 
 
+@pytest.mark.parametrize(("estimate", "told"), [(1.02, True), (0.98, False)])
+def test_an_estimate_above_one_is_explained(estimate, told):
+    limits = words.limits(with_skill(0.95, estimate, 1.0))
+    assert any("means 1 within its uncertainty" in limit for limit in limits) is told
+
+
 def test_every_metric_stands_beside_doing_nothing_and_the_floor():
     table = metric_table(REPORT, headline(REPORT))
     rows = {row[0]: row[1:] for group in table.groups for row in group.rows}

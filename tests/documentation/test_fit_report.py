@@ -116,6 +116,11 @@ def test_the_sampling_is_told_with_what_was_wanted() -> None:
     alone = diagnostics.model_copy(update={"chain": None, "trusted": False, "maxima": (1.0,)})
     assert said.sampling_statement(alone).endswith("one maximum of the posterior.")
     assert "NOT trusted" in said.sampling_statement(alone)
+    moved = diagnostics.model_copy(update={"method": "resample-move", "pareto_k": 0.5, "memory": 0.083, "chain": None})
+    assert said.sampling_statement(moved) == (
+        "draws by resample-move, trusted: importance sampling was uneven (Pareto k 0.50), so its draws were moved until "
+        "they had forgotten where they began (rank correlation 0.08, at most 0.15 wanted); 2 maxima of the posterior."
+    )
     taken_over = diagnostics.model_copy(update={"method": "emcee", "pareto_k": 1.2})
     assert said.sampling_statement(taken_over).startswith(
         "draws by emcee, after importance sampling failed (Pareto k 1.20): trusted; converged, largest R-hat 1.004"

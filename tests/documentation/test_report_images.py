@@ -10,12 +10,15 @@ import pytest
 from example_records import example_decision, example_results
 
 from data_schemas.errors import RecordError
+from finray_calib.compare.linear_image import rgb_image
 from finray_calib.reports.band_figures import bands_figure, reflectance_figure
 from finray_calib.reports.compare_figures import error_map_figure, score_figure
+from finray_calib.reports.comparison_images import touch_pictures
 from finray_calib.reports.decide_figures import angle_figure, on_curve_scale
 from finray_calib.reports.fit_figures import absorption_figure, emission_figure, families_figure, marginals_figure
 from finray_calib.reports.images import (
-    capture_rgb,
+    CLIPPED_GREYS,
+    clipped_remark,
     display_white,
     png_bytes,
     png_data_uri,
@@ -46,9 +49,9 @@ def test_a_bayer_frame_becomes_half_size_rgb_above_black() -> None:
     capture = RESULTS.capture
     frame = np.zeros((4, 6, 1), dtype=np.uint16)
     frame[0::2, 0::2], frame[0::2, 1::2], frame[1::2, 0::2], frame[1::2, 1::2] = 116, 216, 236, 316
-    assert np.array_equal(capture_rgb(capture, frame), np.full((2, 3, 3), (100.0, 210.0, 300.0)))
+    assert np.array_equal(rgb_image(frame, capture), np.full((2, 3, 3), (100.0, 210.0, 300.0)))
     rgb = np.full((2, 2, 3), 20, dtype=np.uint16)
-    assert np.array_equal(capture_rgb(capture.model_copy(update={"layout": "RGB"}), rgb), np.full((2, 2, 3), 4.0))
+    assert np.array_equal(rgb_image(rgb, capture.model_copy(update={"layout": "RGB"})), np.full((2, 2, 3), 4.0))
 
 
 def test_an_outline_is_a_white_line_beside_a_black_one_on_any_grid() -> None:
@@ -99,6 +102,37 @@ def test_images_are_not_unmixed_without_matrix_or_linear_light() -> None:
         white = display_white(press.no_contact[np.isfinite(press.distance)])
         linear = plain.encoding == "linear"
         assert np.array_equal(shown, to_display(press.no_contact, white, linear)[pad_window(press)])
+
+
+def test_clipped_pixels_are_shown_as_clipped_and_not_in_a_false_colour() -> None:
+    """Unmixed, a pixel whose red is at full scale would be cyan."""
+    press, capture = RESULTS.press, RESULTS.capture
+    row, column = (int(n[0]) for n in np.nonzero(press.distance <= 0.5))
+    full = 2**capture.bit_depth - 1
+    contact = capture.contact.copy()
+    assert capture.layout == "Bayer RGGB"
+    contact[2 * row, 2 * column] = full
+    glared = capture.model_copy(update={"contact": contact})
+    window = pad_window(press)
+    place = row - window[0].start, column - window[1].start
+    pictures = touch_pictures(press, glared, ())
+    before, after = (rgb_image(image, glared) for image in (glared.no_contact, glared.contact))
+    nowhere = np.zeros(press.distance.shape, dtype=bool)
+    for shown in (pictures.captured, touch_pair(press, before, after, nowhere)[1]):
+        pixel = shown[place].tolist()
+        assert pixel[0] == pixel[1] == pixel[2]
+        assert pixel[0] in CLIPPED_GREYS
+    assert pictures.clipped[1][place]
+    # neighbours and the untouched picture stay as they were
+    plain = touch_pictures(press, capture, ())
+    changed = (pictures.captured != plain.captured).any(axis=-1)
+    assert changed.sum() <= 1
+    assert np.array_equal(pictures.captured_untouched, plain.captured_untouched)
+
+
+def test_captions_tell_of_clipped_pixels_where_there_are_any() -> None:
+    assert clipped_remark(np.zeros((3, 3), dtype=bool)) == ""
+    assert "clipped, the colour is not known" in clipped_remark(np.eye(3, dtype=bool))
 
 
 def test_png_holds_the_same_pixels() -> None:

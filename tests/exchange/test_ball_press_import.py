@@ -11,14 +11,18 @@ import pytest
 
 from data_schemas.capture import TactileCapture
 from data_schemas.errors import ImportFormatError
+from data_schemas.provenance import provenance
 from data_schemas.sensing import NormalMapRecord
-from data_schemas.storage import read_record
+from data_schemas.storage import read_record, write_record
+from finray_calib.compare.board_corners import BoardView
 from finray_calib.compare.normal_map_record import normal_map_record
+from finray_calib.compare.pixel_scale_record import Declared, pixel_scale
 from finray_calib.exchange.ball_press_folder import read_ball_presses, read_circles
 from finray_calib.exchange.plain_arrays import read_npz, require_array
 from finray_calib.exchange.taxim_folder import read_taxim
 from tests.capture.drivers.programs import others_python
 from tests.command_line.running import finray, succeed
+from tests.compare.board_scenes import BOARD, PINHOLE, board_views, pose_of, poses
 from tests.exchange.ball_press_folders import (
     BALL_DIAMETER_MM,
     MM_PER_PX,
@@ -325,6 +329,35 @@ def test_circles_for_captures_that_have_none(tmp_path):
     assert "circles.csv: no circle for press-012.capture.json" in outcome.err
     (tmp_path / "circles.csv").write_text("\n".join(lines) + "\n")
     assert "12 presses" in succeed(f"study normal-map {named} --circles {tmp_path}/circles.csv --out {tmp_path}/m.json")
+
+
+def test_the_measured_scale_takes_the_place_of_the_stated_one(tmp_path):
+    """A board straight in front of an ideal camera of the presses' size: mm per px is distance over focal length."""
+    rng = np.random.default_rng(1)
+    lens = np.array([50.0, 50.0, 39.5, 29.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+    distance_mm = 50.0 * 1.1 * MM_PER_PX
+    shrunk = BOARD.model_copy(update={"square_mm": 0.2, "marker_mm": 0.14})
+    share = 0.2 / BOARD.square_mm
+    poses_mm = [pose_of([0.0, 0.0, 0.0], (0.0, 0.0, distance_mm / share)), *poses("pinhole", PINHOLE, rng, 8)[1:]]
+    views = [
+        BoardView(view.name, view.places_mm * share, view.pixels)
+        for view in board_views("pinhole", lens, poses_mm, rng, noise_px=0.005)
+    ]
+    scale = pixel_scale(views[0], views[1:], (80, 60), shrunk, Declared(0.002), 1, "pinhole")
+    write_record(scale, tmp_path / "scale.json", provenance("pytest"))
+    succeed(f"import taxim {write_taxim(tmp_path / 't')} --out {tmp_path}/o")
+    files = " ".join(map(str, sorted((tmp_path / "o").glob("*.json"))))
+    succeed(f"study normal-map {files} --scale {tmp_path}/scale.json --out {tmp_path}/m.json")
+    taught = read_record(tmp_path / "m.json", NormalMapRecord)
+    assert taught.mm_per_px == pytest.approx(1.1 * MM_PER_PX, rel=5 * scale.middle.mean_u_rel)
+    assert taught.mm_per_px_u_rel == pytest.approx(scale.middle.mean_u_rel)
+    assert taught.provenance is not None
+    assert f"{tmp_path}/scale.json" in taught.provenance.input_sha256
+    other = scale.model_copy(update={"calibration": scale.calibration.model_copy(update={"width_px": 640})})
+    write_record(other, tmp_path / "other.json", provenance("pytest"))
+    outcome = finray(f"study normal-map {files} --scale {tmp_path}/other.json --out {tmp_path}/n.json")
+    assert outcome.status == 2
+    assert "is of pictures of 640 x 60 px" in outcome.err
 
 
 def test_an_image_that_is_none_is_refused(tmp_path):

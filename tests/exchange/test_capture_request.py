@@ -80,7 +80,18 @@ def test_plans_hold_what_the_design_needs(tmp_path):
         assert rim <= press.position_mm <= design.pad.length_mm - rim
     depths = [p.depth_mm for p in ball.presses]
     assert abs(np.corrcoef(depths, [p.position_mm for p in ball.presses])[0, 1]) < 0.3
-    for needed in ("ChArUco", "Raw frames", "standard", "press-001.json,412.5", "| 18 |"):
+    # the scale: the board on the pad first, and in every plan a place for what was measured
+    assert ball.board.on_pad
+    for plan in (ball, *read.values()):
+        assert plan.mm_per_px is not None
+        assert plan.mm_per_px_u_rel == 0.2
+    for text in request.plans.values():
+        assert text.count("MEASURE: 'finray study pixel-scale' says it") == 1
+    for needed in (
+        "ChArUco", "Raw frames", "standard", "press-001.json,412.5", "| 18 |",
+        "finray study pixel-scale SESSION --square-u-mm 0.01 --out pixel-scale.json",
+        "the board flat where the pad's coat is", "A capture without contact needs nothing more",
+    ):  # fmt: skip
         assert needed.lower() in request.page.lower()
 
 

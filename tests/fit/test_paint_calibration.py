@@ -25,6 +25,7 @@ from finray_calib.fit.paint_calibration import FitOptions, band_data, calibrate_
 from finray_calib.fit.pareto_smoothing import smooth_weights
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.fit.reflectance import reflectance
+from finray_calib.fit.resample_move import LARGEST_MEMORY
 from finray_calib.fit.sampler import SamplerSettings
 from finray_calib.spectra.emission_families import FAMILIES
 from finray_calib.spectra.rig_curves import WAVELENGTH_NM, filter_transmission, held_shares
@@ -226,6 +227,7 @@ def test_emcee_that_took_over_is_no_check_of_itself(bands, tmp_path, monkeypatch
     monkeypatch.setattr("finray_calib.fit.importance.smooth_weights", without_shape)
     monkeypatch.setattr("finray_calib.fit.leave_one_band_out.smooth_weights", without_shape)
     monkeypatch.setattr("finray_calib.fit.paint_calibration.check_by_chain", refuse_call)
+    monkeypatch.setattr("finray_calib.fit.resample_move.LARGEST_MEMORY", 0.0)  # as if the moved draws remembered
     short = SamplerSettings(walkers=24, block_steps=100, most_steps=100, kept_draws=100)
     options = FitOptions(settings=FitSettings(importance_draws=1000, kept_draws=100, chain=short), check_by_emcee=True)
     taken_over = calibrate_paint(bands, 1, options)
@@ -236,6 +238,17 @@ def test_emcee_that_took_over_is_no_check_of_itself(bands, tmp_path, monkeypatch
     assert diagnostics.method == "emcee"
     assert diagnostics.chain.mean_shift_sd == {}
     assert (diagnostics.pareto_k, first.pareto_k, first.left_out_pareto_k) == (None, None, None)
+
+
+def test_moved_draws_are_told_in_the_record(bands, tmp_path, monkeypatch):
+    monkeypatch.setattr("finray_calib.fit.importance.smooth_weights", without_shape)
+    monkeypatch.setattr("finray_calib.fit.leave_one_band_out.smooth_weights", without_shape)
+    options = FitOptions(settings=FitSettings(importance_draws=1000, kept_draws=100))
+    path = write_record(calibrate_paint(bands, 1, options), tmp_path / "paint.json", provenance("finray fit"))
+    diagnostics = read_record(path, PaintCalibration).diagnostics
+    assert (diagnostics.method, diagnostics.trusted, diagnostics.chain) == ("resample-move", True, None)
+    assert 0 < diagnostics.memory <= LARGEST_MEMORY
+    assert 900 < diagnostics.effective_samples <= 1000  # of 1000 moved draws, less those that still share a place
 
 
 def refuse_call(*_):

@@ -93,6 +93,47 @@ def test_ready_made_fingers_are_drawn(name):
         assert (picture == bgr).all(axis=-1).sum() > 200
 
 
+@pytest.mark.parametrize(
+    ("indenter", "touch_mm"),
+    [
+        (Indenter(shape="cuboid", size_mm=(30.0, 20.0, 12.0), position_mm=40.0, across_mm=2.0), (2.0, 40.0)),
+        # turned by 30 deg about x: the corner of the inner box, 4 - 1 along and 20 - 1 up, lies lowest
+        (
+            Indenter(shape="cuboid", size_mm=(10.0, 40.0, 8.0), position_mm=55.0, rotation_deg=(30.0, 0.0, 0.0)),
+            (0.0, 55.0 + 3.0 * np.cos(np.radians(30.0)) - 19.0 * np.sin(np.radians(30.0))),
+        ),
+        (Indenter(shape="ball", radius_mm=8.0, position_mm=30.0, across_mm=-3.0), (-3.0, 30.0)),
+    ],
+    ids=["face", "edge", "ball"],
+)
+def test_the_first_touch_is_where_the_indenter_is_lowest(indenter, touch_mm):
+    finger = finger_outline(FingerDesign(indenter=indenter))
+    # chords of round edges of 1 mm, and the middle of those within 0.05 mm of the coat
+    assert finger.touch_mm == pytest.approx(touch_mm, abs=0.25)
+    lowest = finger.indenter_mm[finger.indenter_mm[:, 1].argmin()]
+    assert lowest[1] == pytest.approx(6.0, abs=0.05)
+
+
+def test_the_mesh_of_an_indenter_is_drawn_where_it_is_at_hand(tmp_path):
+    corners = np.array([[-8.0, 0.0, -6.0], [8.0, 0.0, -6.0], [0.0, 0.0, 10.0], [2.0, -12.0, 3.0]])
+    faces = [corners[list(k)] for k in ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0))]
+    text = ["solid spike"]
+    for a, b, c in faces:
+        if np.cross(b - a, c - a) @ (a - corners.mean(axis=0)) < 0.0:
+            b, c = c, b
+        lines = [f"vertex {' '.join(map(str, p))}" for p in (a, b, c)]
+        text += ["facet normal 0 0 0", "outer loop", *lines, "endloop", "endfacet"]
+    (tmp_path / "spike.stl").write_text("\n".join([*text, "endsolid spike"]) + "\n")
+    design = FingerDesign(indenter=Indenter(shape="mesh", file="spike.stl", position_mm=30.0))
+    finger = finger_outline(design, tmp_path)
+    assert finger.touch_mm == pytest.approx((2.0, 33.0), abs=0.01)  # the tip of the spike
+    assert finger.indenter_height_mm == pytest.approx(12.0)
+    bare = finger_outline(design)
+    assert bare.indenter_mm is None
+    assert bare.touch_mm == (0.0, 30.0)
+    assert (pixels(finger_png(design, tmp_path)).size, pixels(finger_png(design)).size) > (0, 0)
+
+
 def test_a_page_holds_drawing_and_view(scalar, tmp_path):
     design = FingerDesign(camera=SMALL)
     view = camera_view(design, tmp_path, scalar)

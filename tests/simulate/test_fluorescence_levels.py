@@ -54,10 +54,10 @@ def wall_bands(renderer, scene, shape, integrator, bands_of, seeds):
 @pytest.mark.renderer
 def test_walls_emit_what_path_wise_fluorescence_emits_and_a_wrong_bake_is_found(llvm):
     """Where only direct light reaches the walls, 3 % less of it in the bake is many standard errors."""
+    from sim.optics.band_integrator import band_paths
     from sim.optics.chain_images import chain_matrix
     from sim.optics.fluorescent_bands import fluorescent_bands
-    from sim.optics.paths import band_integrator
-    from sim.optics.render import lit_integrator, open_scene
+    from sim.optics.lit_scene import lit_integrator, open_scene
     from sim.optics.wall_baking import bake_walls
 
     shape = bent(pressed_shape(BLACK), BENDING_RADIUS_MM)
@@ -65,7 +65,7 @@ def test_walls_emit_what_path_wise_fluorescence_emits_and_a_wrong_bake_is_found(
     scene = open_scene(BLACK, shape, bands, llvm)
     bakes = bake_walls(scene, BLACK, shape, bands, llvm, "b", 1, BAKE_PATHS, BAKES)
     matrices = {wall: bands.matrix(wall) for wall in ("red", "green")}
-    traced = fluorescent_bands(scene, matrices, panels=band_integrator(scene, BLACK, shape))
+    traced = fluorescent_bands(scene, matrices, panels=band_paths(scene, BLACK, shape))
     paths = wall_bands(llvm, scene, shape, traced, np.eye(3), range(100, 100 + WALL_SEEDS))
     baked = []
     for seed, light in enumerate(bakes):

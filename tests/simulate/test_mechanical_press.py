@@ -6,7 +6,8 @@ import pytest
 from data_schemas.design import FingerDesign, Indenter
 from data_schemas.errors import SimulateError
 from sim.experiments.mechanical_press import press_records
-from sim.mechanics.press import contact_distance, press_finger
+from sim.mechanics.press import press_finger
+from sim.mechanics.pressed_finger import contact_distance
 from sim.surface_meshes.intersections import check_no_intersections
 from sim.surface_meshes.stored_shape import restore_shapes
 from sim.surface_meshes.surface import check_closed

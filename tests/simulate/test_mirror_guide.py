@@ -83,7 +83,7 @@ def led_of_rays(renderer, scene, shape, design, integrator, first_seed):
 
 def means_and_variances(llvm, paints, design, shape):
     """Per band: mean, its error and the variance of a ray, without and with the guide."""
-    from sim.optics.paths import band_integrator, mirror_guide
+    from sim.optics.band_integrator import band_integrator, mirror_guide
 
     scene = finger_scene(design, shape, paint_bands(paints["red"], paints["green"], design.light), llvm)
     glow = {f"led>{wall}": np.ones((TEXELS_ALONG, TEXELS_UP)) for wall in ("red", "green")}

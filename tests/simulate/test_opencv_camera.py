@@ -11,7 +11,8 @@ from pydantic import ValidationError
 
 from data_schemas.camera_calibration import CameraCalibration
 from data_schemas.errors import FinrayError, ImportFormatError, SimulateError
-from sim.optics.opencv_camera import camera_matrix_of, ray_table, rays_of_pixels, read_calibration
+from sim.optics.opencv_camera import camera_matrix_of, ray_table, rays_of_pixels
+from sim.optics.opencv_file import read_calibration
 from sim.optics.opencv_sensor import opencv_sensor
 from sim.optics.variants import LLVM_VARIANT
 

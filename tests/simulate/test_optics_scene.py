@@ -146,7 +146,7 @@ def test_refracted_irradiance_agrees_with_brute_force_paths(llvm, black_paints, 
 
 @pytest.mark.renderer
 def test_refractive_connection_has_the_mean_of_plain_paths_and_less_noise(llvm, paints):
-    from sim.optics.paths import band_integrator
+    from sim.optics.band_integrator import band_integrator
 
     design = FingerDesign(camera=SMALL_CAMERA)
     scene = finger_scene(design, pressed_shape(design), bands_of(paints, design), llvm)

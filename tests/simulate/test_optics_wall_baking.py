@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from data_schemas.design import Coating, Enclosure, FingerDesign, GelPad, LightPanel, Mirror, TactileCamera
+from sim.optics.lit_scene import open_scene
 from sim.optics.paint_bands import PaintOptics, paint_bands
-from sim.optics.render import open_scene
 from sim.optics.variants import choose_variant, open_renderer
 from sim.optics.wall_baking import bake_walls, indirect_irradiance, light_walls
 from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP, WALLS, direct_irradiance, last_band, texel_uv
@@ -58,7 +58,7 @@ def test_connected_paths_find_what_stock_paths_find_beyond_the_direct_light(llvm
 
 @pytest.mark.renderer
 def test_a_guide_leaves_the_light_of_a_bake_and_takes_noise_out(llvm, paints):
-    from sim.optics.paths import mirror_guide
+    from sim.optics.band_integrator import mirror_guide
 
     scene, design, shape, _ = finger(FingerDesign(camera=CAMERA), paints, llvm)
     guide = mirror_guide(scene, design, shape)

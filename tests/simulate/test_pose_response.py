@@ -14,7 +14,7 @@ from sim.experiments import pose_response as module
 from sim.experiments.painted_finger import PaintedFinger
 from sim.experiments.pose_response import POSE_STEPS_MM, pose_response
 from sim.experiments.press import simulate_press
-from sim.optics.render import BAKE_SAMPLES
+from sim.optics.wall_baking import BAKE_SAMPLES
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=64, height_px=48))
 CHAINS = ("led>red", "led>green", "led")

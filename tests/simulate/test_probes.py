@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import LinearNDInterpolator
 
 from data_schemas.design import FingerDesign, GelPad, Indenter
 from data_schemas.errors import SimulateError
@@ -51,3 +52,22 @@ def test_default_probes_flank_the_contact_and_stay_on_the_pad(pad):
 def test_points_beside_the_pad_are_refused(points, said):
     with pytest.raises(SimulateError, match=said):
         probes_on(DESIGN, rest_shape(DESIGN), points)
+
+
+def test_points_are_interpolated_as_by_another_program():
+    """On a flat pad both diagonals of a quadrilateral of the mesh give the same, so scipy's triangles are as good."""
+    shape, uv = pressed_shape(DESIGN), np.random.default_rng(1).uniform(0.01, 0.99, (200, 2))
+    probes = probes_on(DESIGN, shape, (uv - [0.5, 0.0]) * [35.0, 70.0])
+    coat = shape.surfaces["coat"]
+    np.testing.assert_allclose(probes.points_mm, LinearNDInterpolator(coat.uv, coat.vertices_mm)(uv), atol=1e-10)
+
+
+def test_a_curved_pad_keeps_its_probes_on_its_own_triangles():
+    design = FingerDesign(pad=GelPad(shape="cylindrical", radius_mm=40.0))
+    shape = pressed_shape(design)
+    coat = shape.surfaces["coat"]
+    # the centre of each triangle is the mean of its corners
+    some = np.random.default_rng(2).choice(len(coat.triangles), 50, replace=False)
+    uv, centres = (v[coat.triangles[some]].mean(axis=1) for v in (coat.uv, coat.vertices_mm))
+    probes = probes_on(design, shape, (uv - [0.5, 0.0]) * [design.pad.width_mm, design.pad.length_mm])
+    np.testing.assert_allclose(probes.points_mm, centres, atol=1e-9)

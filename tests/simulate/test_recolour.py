@@ -21,7 +21,7 @@ from sim.experiments.press import light_record, simulate_press
 from sim.experiments.recolour import recoloured
 from sim.experiments.tactile_camera import simulated_capture
 from sim.optics.paint_bands import PaintOptics, camera_matrix, paint_bands
-from sim.optics.render import BAKE_SAMPLES
+from sim.optics.wall_baking import BAKE_SAMPLES
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=96, height_px=72))
 NO_SHA: dict[str, str] = {}

@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import ImportFormatError
+from data_schemas.mechanical_design import Preset
 from sim.mechanics.contact_analytic import PenaltyContact
-from sim.mechanics.finger_mesh import Preset, finger_mesh
+from sim.mechanics.finger_mesh import finger_mesh
 from sim.mechanics.indenters import rigid_indenter
 from sim.mechanics.other_engines.calculix_results import NodalField
 from sim.mechanics.other_engines.deck_push import finger_push
-from sim.mechanics.press import PressedFinger
+from sim.mechanics.pressed_finger import PressedFinger
 from sim.mechanics.signed_distances import Body
 
 FloatArray = NDArray[np.float64]

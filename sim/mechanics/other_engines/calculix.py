@@ -16,13 +16,15 @@ from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import MissingExtraError, SimulateError
+from data_schemas.mechanical_design import Preset
 from sim.mechanics.contact_analytic import QUAD_CORNERS, quad_shapes
-from sim.mechanics.finger_mesh import Preset, finger_mesh
+from sim.mechanics.finger_mesh import finger_mesh
+from sim.mechanics.finger_parts import finger_materials
 from sim.mechanics.mesh import FingerMesh
 from sim.mechanics.other_engines.calculix_results import read_convergence, read_frd, read_totals
 from sim.mechanics.other_engines.deck_materials import deck_materials
 from sim.mechanics.other_engines.deck_push import finger_deck
-from sim.mechanics.press import PressedFinger, finger_materials
+from sim.mechanics.pressed_finger import PressedFinger
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]

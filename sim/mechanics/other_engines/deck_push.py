@@ -8,13 +8,14 @@ import numpy as np
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
-from sim.mechanics.finger_mesh import STEPS, Preset, finger_mesh
+from data_schemas.mechanical_design import Preset
+from sim.mechanics.finger_mesh import STEPS, finger_mesh
+from sim.mechanics.finger_parts import finger_materials
 from sim.mechanics.indenters import rigid_indenter
 from sim.mechanics.mesh import FingerMesh
 from sim.mechanics.other_engines.deck import Push, deck_lines
 from sim.mechanics.other_engines.deck_indenter import deepest_ball_mm, indenter_surface
 from sim.mechanics.other_engines.deck_materials import Dialect
-from sim.mechanics.press import finger_materials
 
 CONTACT_MODULI_PER_STEP: Final = 100.0
 """Contact stiffness in shear moduli of the gel per element: the same as that of the engine in process."""

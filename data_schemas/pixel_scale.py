@@ -1,0 +1,109 @@
+"""Millimetres per pixel of a tactile camera on the pad, along both directions of the picture, with uncertainty."""
+
+from typing import Annotated, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from data_schemas.arrays import ArraySpec, check_dimensions
+from data_schemas.camera_calibration import CameraCalibration
+from data_schemas.model import Model, Record
+from data_schemas.tactile import CharucoBoard
+from data_schemas.units import RelativeUncertainty
+
+Scale = Annotated[float, Field(gt=0.0, allow_inf_nan=False, json_schema_extra={"unit": "mm/px"})]
+OffsetMm = Annotated[float, Field(ge=-100.0, le=100.0, json_schema_extra={"unit": "mm"})]
+OffsetUMm = Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})]
+
+
+class LocalScale(Model):
+    """Scale at one place of the picture: lengths on the pad that one pixel along a row and along a column spans.
+
+    ``mean_mm_per_px`` is the root of the area of a pixel on the pad: what a radius or a blur is converted with.
+    Uncertainties are relative standard ones.
+    """
+
+    column_px: float
+    row_px: float
+    along_x_mm_per_px: Scale
+    along_y_mm_per_px: Scale
+    mean_mm_per_px: Scale
+    along_x_u_rel: RelativeUncertainty
+    along_y_u_rel: RelativeUncertainty
+    mean_u_rel: RelativeUncertainty
+
+
+class ScaleRange(Model):
+    """Least and greatest scale over a part of the picture."""
+
+    along_x_low_mm_per_px: Scale
+    along_x_high_mm_per_px: Scale
+    along_y_low_mm_per_px: Scale
+    along_y_high_mm_per_px: Scale
+
+
+class ScaleContribution(Model):
+    """One line of the budget of the mean scale at the middle of the board."""
+
+    input: str
+    u_rel: RelativeUncertainty
+
+
+class BoardResidual(Model):
+    """How well one picture of the board fits."""
+
+    file: str
+    corners: Annotated[int, Field(ge=1)]
+    rms_px: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "px"})]
+    mirrored: bool = False
+
+
+class PixelScale(Record):
+    """A calibrated lens, the plane of the pad as a board on it showed it, and the scale between both.
+
+    ``covariance`` is that of the lens (fx, fy, cx, cy, distortion) and the board's place (rotation vector, translation
+    in mm), in this order; every ``u_rel`` follows from it, the board's tolerance and where the coat lies.
+    """
+
+    written_by: ClassVar[str] = "'finray study pixel-scale'"
+
+    board: CharucoBoard
+    square_u_rel: RelativeUncertainty = Field(description="standard uncertainty of the side of a square, as declared")
+    coat_behind_board_mm: OffsetMm = Field(
+        default=0.0, description="from the printed face to the coat, away from the camera; as declared"
+    )
+    coat_behind_board_u_mm: OffsetUMm = Field(default=0.0, description="standard uncertainty, as declared")
+    calibration: CameraCalibration
+    place: tuple[float, float, float, float, float, float] = Field(
+        description="of the board on the pad: rotation vector (rad) and translation (mm) from board to camera"
+    )
+    covariance: Annotated[NDArray[np.float64], ArraySpec("<f8", ("parameter", "parameter"))]
+    widened_factor: Annotated[float, Field(ge=1.0, le=1000.0)] = Field(
+        default=1.0, description="on the standard deviations of the covariance, where resampled pictures scatter more"
+    )
+    corner_sd_px: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "px"})]
+    degrees_of_freedom: Annotated[int, Field(ge=1)]
+    pad_picture: BoardResidual
+    lens_pictures: tuple[BoardResidual, ...]
+    middle: LocalScale = Field(description="at the middle of the board on the pad")
+    over_board: ScaleRange = Field(description="over the part of the picture that the board on the pad covers")
+    budget: tuple[ScaleContribution, ...]
+    resampled_u_rel: RelativeUncertainty = Field(
+        description="of the mean scale at the middle, from resampled pictures and corners; beside the covariance's"
+    )
+    map_columns_px: Annotated[NDArray[np.float64], ArraySpec("<f8", ("map_column",), "px")]
+    map_rows_px: Annotated[NDArray[np.float64], ArraySpec("<f8", ("map_row",), "px")]
+    map_mm_per_px: Annotated[NDArray[np.float64], ArraySpec("<f8", ("map_row", "map_column", "3"), "mm/px", True)] = (
+        Field(description="along x, along y, mean; NaN where the picture does not see the plane")
+    )
+    map_u_rel: Annotated[NDArray[np.float64], ArraySpec("<f8", ("map_row", "map_column", "3"), "1", True)]
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "PixelScale":
+        check_dimensions(self)
+        expected = 4 + len(self.calibration.distortion) + 6
+        if self.covariance.shape[0] != expected:
+            raise ValueError(f"covariance: {self.covariance.shape[0]} rows, lens and place have {expected} numbers")
+        return self

@@ -1,0 +1,82 @@
+"""Work of what moves a body against the energy that is told as stored and lost, with the barrier and its friction."""
+
+import numpy as np
+import pytest
+
+from sim.mechanics.drive import Drive
+from sim.mechanics.linear_solver import linear_solver
+from sim.mechanics.newton import Supports, load_increments
+from sim.mechanics.press import press_finger
+from sim.presets import preset_design
+from tests.certified.blocks import assemble
+from tests.certified.test_friction import GEL, block_under_a_plate
+
+
+def press_and_drag(ratio, stops):
+    """Press a plate into a block by 0.1 mm times the share up to 1, then drag it along x by the rest in mm.
+
+    Returns share, force on the plate (x, y), stored energy and the work lost to friction in the increment, each stop.
+    """
+    block, nodes, contact = block_under_a_plate(ratio)
+    # met more closely than in a press: the balance below is sharper than 1e-4 mm times the force
+    drive = Drive(len(nodes) - 1, 1, met_mm=1e-7)
+    assembly = assemble(block.mesh("mean_dilatation", nodes), GEL, [contact, drive])
+    fixed = Supports.at_rest(len(nodes), block.numbers[:, 0].ravel()).fixed
+    fixed[-1] = (True, False, True)
+
+    def settle(state):
+        met, settled = drive.settle(state.u_mm), contact.settle(state.u_mm)
+        if met and settled:
+            contact.accept(state.u_mm)
+        return met and settled
+
+    def loading(share):
+        contact.restart()
+        drive.target_mm = -0.1 * min(share, 1.0)
+        move = np.zeros_like(nodes)
+        move[-1, 0] = max(share - 1.0, 0.0)
+        return Supports(fixed, move)
+
+    rows = []
+    for step in load_increments(assembly, linear_solver(), loading, stops, settle=settle):
+        state = step.equilibrium.state
+        stored = assembly.elasticity.energy(state.u_mm, state.modes) + contact.barrier_energy(state.u_mm)
+        force = contact.force_n(state.u_mm)
+        rows.append((step.fraction, force[0], force[1], stored, contact.friction_work_n_mm(state.u_mm)))
+    return np.array(rows).T
+
+
+def test_the_stored_energy_is_the_work_without_friction():
+    share, _, force, stored, lost = press_and_drag(0.0, [0.5, 0.625, 0.75, 0.875, 1.0])
+    assert share == pytest.approx([0.5, 0.625, 0.75, 0.875, 1.0])  # no cutbacks: Simpson's rule needs even steps
+    work = 0.0125 / 3.0 * (force[0] + 4.0 * force[1] + 2.0 * force[2] + 4.0 * force[3] + force[4])
+    # of fourth order in steps of 0.4 % of the block's height; the drive's own spring would be off by far more
+    assert stored[-1] - stored[0] == pytest.approx(work, rel=1e-5)
+    np.testing.assert_array_equal(lost, 0.0)
+
+
+@pytest.mark.parametrize("ratio", [0.3, 0.8])
+def test_the_work_of_sliding_is_what_friction_takes(ratio):
+    share, pull, push, stored, lost = press_and_drag(ratio, [1.0, *np.arange(1.1, 2.01, 0.1)])
+    steps = np.diff(share[-4:])
+    # the whole face slides: forces hardly change, so that their values at the ends of the steps give the work
+    work = -(pull[-3:] * steps).sum()
+    assert lost[-3:].sum() + stored[-1] - stored[-4] == pytest.approx(work, rel=5e-3)
+    # beside the plate's way the face slips back by what the block's shear relaxes
+    assert lost[-3:] == pytest.approx(ratio * push[-3:] * steps, rel=0.1)
+
+
+def test_a_press_tells_what_is_stored_and_what_is_lost():
+    small = preset_design("baby-48x18")
+    indenter = small.indenter.model_copy(update={"depth_mm": 0.2, "friction": 0.5})
+    pressed = press_finger(small.model_copy(update={"indenter": indenter}), "coarse", 2)
+    assert pressed.kind == "barrier"
+    depth, force = np.r_[0.0, pressed.depth_mm], np.r_[0.0, pressed.force_n[:, 1]]
+    assert (pressed.contact_energy_n_mm > 0.0).all()
+    assert (pressed.contact_energy_n_mm < 0.2 * pressed.energy_n_mm).all()
+    # the coat hardly slips under a cylinder; what is lost never comes back
+    assert (np.diff(np.r_[0.0, pressed.friction_work_n_mm]) >= 0.0).all()
+    assert pressed.friction_work_n_mm[-1] < 0.05 * pressed.energy_n_mm[-1]
+    whole = pressed.energy_n_mm[-1] + pressed.friction_work_n_mm[-1]
+    # two trapezoids of a curve that starts with a bend, some hundredths
+    assert np.trapezoid(force, depth) == pytest.approx(whole, rel=0.06)

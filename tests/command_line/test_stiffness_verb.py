@@ -1,0 +1,48 @@
+"""``finray study finger-stiffness``: its record, its table and what it says."""
+
+import csv
+import re
+from pathlib import Path
+
+import pytest
+
+from data_schemas.finger_stiffness import FingerStiffness
+from data_schemas.storage import read_record
+from tests.command_line.running import finray, succeed
+
+
+def test_two_fingers_are_told_apart(tmp_path: Path) -> None:
+    (tmp_path / "thin.toml").write_text(
+        'name = "thin ribs"\n[pad]\nlength_mm = 48.0\nwidth_mm = 18.0\nfilm = {}\n[indenter]\nposition_mm = 24.0\n'
+        "[skeleton]\nrib_count = 4\nrib_thickness_mm = 0.7\n"
+    )
+    said = succeed(f"study finger-stiffness baby-48x18 {tmp_path}/thin.toml --vary 0 --out {tmp_path}/stiffness")
+    study = read_record(tmp_path / "stiffness" / "finger-stiffness.json", FingerStiffness)
+    with (tmp_path / "stiffness" / "finger-stiffness.csv").open() as file:
+        table = list(csv.DictReader(file))
+    assert [row["design"] for row in table] == [row.design for row in study.rows] == ["baby-48x18", "thin ribs"]
+    for told, row in zip(table, study.rows, strict=True):
+        assert float(told["twist_n_mm_per_deg"]) == row.twist_n_mm_per_deg
+        assert float(told["slip_torque_per_friction_n_mm"]) == row.slip_torque_per_friction_n_mm
+        # a cylinder across the middle: half the pad's width to the edge; the force leans along the finger by 0.06 of it
+        assert row.tipping_torque_n_mm == pytest.approx(study.grip_force_n * 9.0, rel=5e-3)
+        # a strip across the pad: parabolic pressure on it gives 3/16 N w, even 1/4, all of it at both edges 1/2
+        assert 3.0 / 16.0 < row.slip_torque_per_friction_n_mm / (study.grip_force_n * 18.0) < 0.5
+        assert f"{row.design}: bending {row.bending_n_per_mm:.3f} N/mm" in said
+    assert re.search(r"twist_n_mm_per_deg: .* = \d\.\d{3}; no dimension was changed", said)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("baby-48x18 --vary 60", "--vary: '60' must be a number from 0 to 50"),
+        ("baby-48x18 baby-48x18", "the designs are named baby-48x18, baby-48x18: give each a name of its own"),
+        ("no-such", "no preset design 'no-such'"),
+        ("no-such.toml", "no-such.toml: no such file"),
+    ],
+)
+def test_mistakes_are_told(tmp_path: Path, arguments: str, message: str) -> None:
+    outcome = finray(f"study finger-stiffness {arguments} --out {tmp_path}/stiffness")
+    assert outcome.status == 2
+    assert message in outcome.err
+    assert not (tmp_path / "stiffness").exists()

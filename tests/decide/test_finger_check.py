@@ -1,0 +1,75 @@
+"""A decision takes reports on its own finger only."""
+
+import pytest
+
+from data_schemas.compare import PhotometricErrorReport
+from data_schemas.design import FingerDesign
+from data_schemas.errors import DecideError
+from data_schemas.finger_identity import finger_identity
+from finray_calib.compare.comparison_record import compare_press
+from finray_calib.decide.decision_record import decide
+from finray_calib.decide.finger_check import require_one_finger
+from tests.command_line.records import capture_of, press, sweep, with_known_camera
+
+DESIGN = FingerDesign()
+
+
+def changed(part, **fields):
+    """Return the design with fields of one part changed."""
+    return DESIGN.model_copy(update={part: getattr(DESIGN, part).model_copy(update=fields)})
+
+
+def report_on(design):
+    """Return only what the check reads."""
+    finger = None if design is None else finger_identity(design)
+    return PhotometricErrorReport.model_construct(captured="press 1", finger=finger)
+
+
+@pytest.mark.parametrize(
+    "design",
+    [
+        DESIGN,
+        DESIGN.model_copy(update={"name": "renamed"}),
+        changed("light", angle_deg=75.0),
+        changed("camera", width_px=1280, height_px=960),
+        changed("camera", calibration="lens.yaml"),
+    ],
+    ids=["same", "name", "angle of the light", "size of the picture", "lens"],
+)
+def test_what_makes_no_other_finger_is_taken(design):
+    assert require_one_finger(sweep(), [report_on(design)]) == ()
+
+
+@pytest.mark.parametrize(
+    ("design", "parts"),
+    [
+        (changed("pad", thickness_mm=4.0), "pad"),
+        (changed("light", position_mm=(0.0, -12.0, -1.0)), "light"),
+        (changed("light", peak_wavelength_nm=470.0), "light"),
+        (changed("indenter", position_mm=20.0), "indenter"),
+        (changed("mirror", reflectance=0.5), "mirror"),
+        (DESIGN.model_copy(update={"second_light": DESIGN.light}), "second_light"),
+    ],
+    ids=["pad", "place of the light", "wavelength", "place of the indenter", "mirror", "second light"],
+)
+def test_another_finger_is_refused_and_both_are_named(design, parts):
+    design = design.model_copy(update={"name": "other finger"})
+    with pytest.raises(DecideError, match=rf"on the finger 'other finger', the sweep 'hill' on '.*', .* in {parts}:"):
+        require_one_finger(sweep(), [report_on(DESIGN), report_on(design)])
+
+
+def test_a_report_that_names_no_finger_and_another_depth_are_told():
+    (unknown,) = require_one_finger(sweep(), [report_on(None)])
+    assert "does not say which finger" in unknown
+    (depth,) = require_one_finger(sweep(), [report_on(changed("indenter", depth_mm=0.5))])
+    assert depth == "press 1 was pressed 0.5 mm deep, the sweep is of 1.5 mm"
+
+
+def test_from_a_comparison_to_the_refusal():
+    simulated = with_known_camera(press()).model_copy(update={"design": DESIGN})
+    report = compare_press(simulated, capture_of(simulated, 50.0), 1)
+    assert report.finger == finger_identity(DESIGN)
+    assert decide(sweep(), [report], 1).validated
+    other = simulated.model_copy(update={"design": changed("pad", thickness_mm=4.0)})
+    with pytest.raises(DecideError, match="they differ in pad"):
+        decide(sweep(), [compare_press(other, capture_of(other, 50.0), 1)], 1)
