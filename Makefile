@@ -74,8 +74,9 @@ bench-optics: $(VENV)/installed-bench llvm
 
 bench-mechanics: $(VENV)/installed-bench
 	-$(BIN)/python benchmarks/mechanics_engines.py --out bench-out/mechanics-engines.json
-	-$(BIN)/python benchmarks/finger_mesh_convergence.py
+	-$(BIN)/python benchmarks/finger_mesh_convergence.py --out bench-out/finger-mesh-convergence.json
 	-$(BIN)/python benchmarks/published_fin_ray.py --out bench-out/published-fin-ray.json
+	-$(BIN)/python benchmarks/table.py bench-out
 
 # JSON Schema files of all records; tests fail when they drift from the models.
 schemas: $(VENV)/installed-dev

@@ -100,7 +100,7 @@ def rows() -> list[Row]:
             unit="x",
         )
     )
-    return [*table, *_comparison_rows(), *_decision_rows()]
+    return [*table, *_comparison_rows(), *_decision_rows(), *_mechanics_rows()]
 
 
 def _comparison_rows() -> list[Row]:
@@ -127,6 +127,39 @@ def _decision_rows() -> list[Row]:
         Row("regret", "argmax of means", *decision, _regret("ratio_means"), low=2.8, unit="x"),
         Row("regret", "single-shot", *decision, _regret("ratio_single"), low=4.0, unit="x"),
     ]
+
+
+def _mechanics_rows() -> list[Row]:
+    """Return the rows of the pressed finger."""
+    engines = ("mechanics_engines.py", "mechanics-engines.json")
+    meshes = ("finger_mesh_convergence.py", "finger-mesh-convergence.json")
+    return [
+        Row(
+            "force, coarse finger, 3 mm",
+            "CalculiX",
+            *engines,
+            lambda r: 100 * r["force_difference_rel"],
+            high=3.0,
+            unit=" %",
+        ),
+        Row("field of the pad", "CalculiX", *engines, lambda r: 100 * r["pad_difference_rel"], high=2.0, unit=" %"),
+        Row("processor time, coarse finger", "CalculiX", *engines, lambda r: r["speed_ratio"], low=5.0, unit="x"),
+        Row("force on the medium mesh", "fine mesh", *meshes, _medium_to_fine, high=2.0, unit=" %"),
+        Row(
+            "largest memory, fine mesh",
+            "-",
+            *meshes,
+            lambda r: r["meshes"]["fine"]["largest_memory_gb"],
+            high=8.0,
+            unit=" GB",
+        ),
+        Row("one increment, fine mesh", "-", *meshes, lambda r: r["meshes"]["fine"]["wall_s"], high=240.0, unit=" s"),
+    ]
+
+
+def _medium_to_fine(record: Any) -> float:
+    meshes = record["meshes"]
+    return 100 * abs(float(meshes["medium"]["force_n"]) / float(meshes["fine"]["force_n"]) - 1)
 
 
 def _held(quantity: str) -> Callable[[Any], float]:

@@ -190,8 +190,8 @@ def _sampling(paints: Paints) -> Content:
     """Show how the posterior was sampled."""
     chains = [table for paint in paints if (table := tables.chain_table(paint)) is not None]
     return Content(
-        lead="The posterior is drawn by importance sampling, which diagnoses itself; emcee takes over where it fails, "
-        "and checks it where asked.",
+        lead="The posterior is drawn by importance sampling, which diagnoses itself; where it falls short its draws "
+        "are moved until they forget their start, at last emcee takes over. emcee checks any of them where asked.",
         remarks=tuple(paint.titled(said.sampling_statement(paint.fit.diagnostics)) for paint in paints),
         tables=(*(tables.sampling_table(paint) for paint in paints), *chains),
     )

@@ -12,10 +12,10 @@ from data_schemas.errors import SimulateError
 from data_schemas.mechanical_design import MechanicalMaterials, OgdenSolid
 from sim.design_toml import design_toml
 from sim.mechanics.finger_mesh import MeshSteps, finger_mesh
+from sim.mechanics.finger_parts import finger_materials
 from sim.mechanics.other_engines.deck import Push, deck_lines
 from sim.mechanics.other_engines.deck_indenter import indenter_surface
 from sim.mechanics.other_engines.deck_push import finger_deck, finger_push
-from sim.mechanics.finger_parts import finger_materials
 from sim.mechanics.signed_distances import Cylinder, Pose, RoundedBox, Sphere
 from sim.surface_meshes.hexahedra import FACES, hexahedra_volume_mm3
 from tests.command_line.running import finray, succeed
