@@ -66,11 +66,12 @@ bench-compare: $(VENV)/installed-bench llvm
 	-$(BIN)/python benchmarks/table.py bench-out
 
 bench-optics: $(VENV)/installed-bench llvm
-	-$(BIN)/python benchmarks/fluorescence_levels.py --spectral --twice
+	-$(BIN)/python benchmarks/fluorescence_levels.py --spectral --twice --out bench-out/fluorescence-levels.json
 	-$(BIN)/python benchmarks/angle_sweep_bias.py
-	-$(BIN)/python benchmarks/angle_sweep_speed.py
-	-$(BIN)/python benchmarks/whole_image_time.py
+	-$(BIN)/python benchmarks/angle_sweep_speed.py --out bench-out/angle-sweep.json
+	-$(BIN)/python benchmarks/whole_image_time.py --out bench-out/whole-image.json
 	-$(PYTEST_BENCH) benchmarks/test_recoloured_render.py
+	-$(BIN)/python benchmarks/table.py bench-out
 
 bench-mechanics: $(VENV)/installed-bench
 	-$(BIN)/python benchmarks/mechanics_engines.py --out bench-out/mechanics-engines.json

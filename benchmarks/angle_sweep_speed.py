@@ -14,10 +14,12 @@ Seconds are those of the processor (all threads), which other work on the machin
 """
 
 import argparse
+import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -180,6 +182,7 @@ def main() -> None:
     parser.add_argument("--bands", choices=["led", "all"], default="all")
     parser.add_argument("--repeats", type=int, default=6)
     parser.add_argument("--image-angles", type=int, default=4)
+    parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     open_renderer(choose_variant("llvm"))
     columns = [BAND_NAMES.index("led")] if args.bands == "led" else [0, 1, 2]
@@ -199,16 +202,23 @@ def main() -> None:
     per_sample = picture.seconds_per_sample()
     needed = float(np.mean(np.array(variances)[..., columns])) / reached**2
     print(f"one image of {args.width // 2} columns: scene and bake {picture.opened}, {per_sample} per sample per pixel")
+    ratios = []
     for name, per_pixel in (
         (f"of the same noise, extrapolated from {args.image_angles} angles", needed),
         ("as pictures, noisier", float(PICTURE_SAMPLES_PER_PIXEL)),
     ):
         images = images_take(picture.opened, per_sample, per_pixel, args.angles)
         ratio = images.processor / sweep.processor
+        ratios.append(ratio)
         print(
             f"{args.angles} images {name}: {images} at {per_pixel:.0f} samples per pixel: {ratio:.1f} x the "
             f"processor's time, {images.clock / sweep.clock:.1f} x the clock's, "
             f"{'within' if ratio >= BAR else 'BELOW'} the bar of {BAR:g}"
+        )
+    if args.out is not None:
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        args.out.write_text(
+            json.dumps({"noise_rel": reached, "equal_noise_ratio": ratios[0], "pictures_ratio": ratios[1]})
         )
 
 

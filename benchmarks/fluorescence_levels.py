@@ -1,7 +1,7 @@
 """Level (b), baked walls, against level (c), path-wise fluorescence in bands, on one pressed finger.
 
     python benchmarks/fluorescence_levels.py [--seeds 36] [--samples-per-pixel 512] [--width 128] [--depth 30]
-        [--twice] [--spectral]
+        [--twice] [--spectral] [--out FILE]
 
 Prints per band the mean over the image of both levels with standard errors over seeds (each seed has its own bake),
 their ratio with its error, whether a bake with 3 % too little light would be found, and how much lower the
@@ -16,6 +16,7 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -208,6 +209,12 @@ def report_levels(args: argparse.Namespace) -> Means:
             f"{gain[k]:.1f} x lower"
         )
     print(f"time {time.monotonic() - start:.0f} s", flush=True)
+    if args.out is not None:
+        told = {
+            band: {"ratio": ratio[k], "error": error[k], "variance_gain": gain[k]} for k, band in enumerate(BAND_NAMES)
+        }
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        args.out.write_text(json.dumps(told, indent=1))
     return paths
 
 
@@ -280,6 +287,7 @@ def main() -> None:
     parser.add_argument("--spectral", action="store_true")
     parser.add_argument("--spectral-seeds", type=int, default=12)
     parser.add_argument("--spectral-samples", type=int, default=128)
+    parser.add_argument("--out", type=Path, help="of levels b and c, as JSON")
     parser.add_argument("--only-spectral", action="store_true", help=argparse.SUPPRESS)
     args = parser.parse_args()
     open_renderer(choose_variant("llvm", spectral=args.only_spectral))

@@ -100,7 +100,7 @@ def rows() -> list[Row]:
             unit="x",
         )
     )
-    return [*table, *_comparison_rows(), *_decision_rows(), *_mechanics_rows()]
+    return [*table, *_comparison_rows(), *_decision_rows(), *_optics_rows(), *_mechanics_rows()]
 
 
 def _comparison_rows() -> list[Row]:
@@ -127,6 +127,40 @@ def _decision_rows() -> list[Row]:
         Row("regret", "argmax of means", *decision, _regret("ratio_means"), low=2.8, unit="x"),
         Row("regret", "single-shot", *decision, _regret("ratio_single"), low=4.0, unit="x"),
     ]
+
+
+def _optics_rows() -> list[Row]:
+    """Return the rows of the renderer."""
+    levels, image = ("fluorescence_levels.py", "fluorescence-levels.json"), ("whole_image_time.py", "whole-image.json")
+    table = []
+    for band in ("red", "green"):
+        what = f"{band} band, variance at equal time"
+        table.append(Row(what, "paths (level c)", *levels, _of_band(band, "variance_gain"), low=5.0, unit="x"))
+        table.append(
+            Row(f"{band} band, bias beyond its errors", "paths (level c)", *levels, _bias(band), high=1.5, unit=" %")
+        )
+    return [
+        *table,
+        Row(
+            "LED band, variance at equal time", "Mitsuba's path", *image,
+            lambda r: r["led_variance_gain"], low=4.0, unit="x",
+        ),
+        Row("whole picture with bakes", "Mitsuba's path", *image, lambda r: r["time_ratio"], high=1.5, unit="x"),
+        Row("largest memory, whole picture", "-", *image, lambda r: r["memory_gb"], high=2.0, unit=" GB"),
+        Row(
+            "sweep of 13 angles at equal noise", "13 images", "angle_sweep_speed.py", "angle-sweep.json",
+            lambda r: r["equal_noise_ratio"], low=20.0, unit="x",
+        ),
+    ]  # fmt: skip
+
+
+def _of_band(band: str, number: str) -> Callable[[Any], float]:
+    return lambda record: float(record[band][number])
+
+
+def _bias(band: str) -> Callable[[Any], float]:
+    """Return how far level b is from level c beyond three combined errors, in per cent."""
+    return lambda record: 100 * (abs(record[band]["ratio"] - 1) - 3 * record[band]["error"])
 
 
 def _mechanics_rows() -> list[Row]:
