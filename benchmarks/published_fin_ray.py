@@ -3,8 +3,9 @@
 Finger, presses and forces are those of an undergraduate thesis of 2021, https://github.com/zeyang23/Fin-ray at commit
 57e8a49 (Experiments/test_05_17_1.m, test_05_20_1.m, test_05_20_transfer.m, PaperData/forward): two plates of 65Mn steel
 on a base 73.24 mm wide at 90 and 116 degrees, joined at the tip, with or without four rigid ribs on hinges. Its forces
-judge the model and set none of its inputs. Prints a table for each press; --out writes it as JSON. Exit status 1 when
-a press finds no equilibrium.
+judge the model; no input was fitted to them, but the spreads of the hinges' place and of friction were added after a
+first comparison without them had fallen below the forces at 30 mm. Prints a table for each press; --out writes it as
+JSON. Exit status 1 when a press finds no equilibrium.
 """
 
 import argparse

@@ -94,7 +94,8 @@ class ErrorRow(Model):
     candidate: Literal["do nothing", "simulation", "floor"]
     skill: Interval = Field(
         description="1 - squared error relative to that of the no-contact image; none is above 1, where the interval "
-        "ends, but an estimate may be: the noise is taken out, and what is left scatters to both sides"
+        "ends, but an estimate may be: the noise is taken out, and what is left scatters to both sides. An interval "
+        "from 1 to 1 beside an estimate above 1 means that model and noise disagree: less is left than noise explains"
     )
     skill_per_channel: tuple[float | None, float | None, float | None] = Field(
         description="None where contact does not change the channel"

@@ -32,6 +32,9 @@ class ComparisonBatch(Record):
 
     pairs: tuple[ComparedPair, ...]
     headline_region: str | None = Field(description="None where no pair could be compared")
-    mean_skill: Interval | None = Field(description="None with fewer than two compared pairs")
+    mean_skill: Interval | None = Field(
+        description="None with fewer than two compared pairs; an interval from 1 to 1 beside a larger estimate means "
+        "that model and noise disagree"
+    )
     worst: tuple[str, ...] = Field(default=(), description="names of the pairs of lowest skill, the lowest first")
     notes: tuple[str, ...] = ()

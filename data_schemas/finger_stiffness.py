@@ -29,6 +29,7 @@ class StiffnessRow(Model):
         default=None,
         description="torque about the finger's long axis that the gripping force alone holds; of designs as they are",
     )
+    grip_failure: str = Field(default="", description="why there are no torques of a design as it is; empty else")
     failure: str = Field(default="", description="why there are no values: the changed parts do not fit, or stuck")
 
 

@@ -47,13 +47,14 @@ class Diagnostics(Model):
         "0.15; emcee: converged"
     )
     pareto_k: float | None = Field(description="shape of the weights' tail; none where it cannot be estimated")
-    effective_samples: float
+    effective_samples: float = Field(description="of moved draws: how many of them differ")
     ln_evidence: float
     ln_evidence_sd: float
     maxima: tuple[float, ...] = Field(description="log posterior of the distinct maxima that were found, best first")
     memory: Fraction | None = Field(
         default=None,
-        description="of moved draws: largest rank correlation of a parameter with its value before the last moves",
+        description="of moved draws: largest correlation with what they were before the last moves (ranks of "
+        "parameters and of the density, place among the maxima)",
     )
     chain: ChainCheck | None = Field(default=None, description="emcee, where it took over or was asked for as a check")
 

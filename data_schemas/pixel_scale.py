@@ -13,6 +13,7 @@ from data_schemas.tactile import CharucoBoard
 from data_schemas.units import RelativeUncertainty
 
 Scale = Annotated[float, Field(gt=0.0, allow_inf_nan=False, json_schema_extra={"unit": "mm/px"})]
+LARGEST_WIDENED_FACTOR = 1000.0
 OffsetMm = Annotated[float, Field(ge=-100.0, le=100.0, json_schema_extra={"unit": "mm"})]
 OffsetUMm = Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})]
 
@@ -79,7 +80,7 @@ class PixelScale(Record):
         description="of the board on the pad: rotation vector (rad) and translation (mm) from board to camera"
     )
     covariance: Annotated[NDArray[np.float64], ArraySpec("<f8", ("parameter", "parameter"))]
-    widened_factor: Annotated[float, Field(ge=1.0, le=1000.0)] = Field(
+    widened_factor: Annotated[float, Field(ge=1.0, le=LARGEST_WIDENED_FACTOR)] = Field(
         default=1.0, description="on the standard deviations of the covariance, where resampled pictures scatter more"
     )
     corner_sd_px: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "px"})]

@@ -19,7 +19,20 @@ def board_pictures(arguments: argparse.Namespace) -> "tuple[CharucoBoard, Path, 
         return _session_pictures(files[0])
     if arguments.pad is None:
         raise CompareError("--pad: missing; give the picture of the board where the coat of the pad is")
-    return _board(arguments), arguments.pad, files
+    return _board(arguments), arguments.pad, _others(files, arguments.pad)
+
+
+def _others(files: list[Path], pad: Path) -> list[Path]:
+    """Return the pictures without that on the pad, which ``*.png`` gives once more; each counts once."""
+    from data_schemas.errors import CompareError
+
+    others = [file for file in files if file.resolve() != pad.resolve()]
+    seen: set[Path] = set()
+    for file in others:
+        if file.resolve() in seen:
+            raise CompareError(f"{file}: is given twice; a picture counts once, name each of them once")
+        seen.add(file.resolve())
+    return others
 
 
 def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
@@ -36,7 +49,7 @@ def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
             f"{folder}: its plan does not say that the first picture shows the board on the pad ([board], on_pad = "
             "true); give the pictures by name, and with --pad that of the board on the pad"
         )
-    chosen = []
+    chosen: list[Path] = []
     for place in range(1, board.images + 1):
         frames = [f for f in session.frames if (f.frame_type, f.place) == ("board", place)]
         frames.sort(key=lambda frame: frame.exposure_requested_s)
@@ -45,8 +58,11 @@ def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
             frame = good[-1] if good else frames[0]
             read_frame(folder / frame.file, frame.sha256)
             chosen.append(folder / frame.file)
-    if not chosen:
-        raise CompareError(f"{folder}: holds no pictures of the board; capture the session again")
+        elif place == 1:
+            raise CompareError(
+                f"{folder}: holds no picture of the board's first place, on the pad (was the session interrupted?): "
+                "capture it again, or give the pictures by name, and with --pad that of the board on the pad"
+            )
     return board, chosen[0], chosen[1:]
 
 

@@ -2,10 +2,12 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 from finray_calib.cli.mechanics_options import add_mechanics_options, require_optics_only
 from finray_calib.cli.options import (
     DEFAULT_SEED,
+    Progress,
     add_out,
     add_paint,
     add_seed,
@@ -20,6 +22,13 @@ from finray_calib.cli.options import (
     say,
 )
 from finray_calib.cli.simulate_mechanics import run_mechanics
+
+if TYPE_CHECKING:
+    from data_schemas.design import FingerDesign
+    from data_schemas.fit import PaintCalibration
+    from data_schemas.provenance import Provenance
+    from sim.experiments.painted_finger import PaintedFinger
+    from sim.surface_meshes.finger_shape import FingerShape
 
 HELP = "render a press of a painted finger, or sweep the light angle"
 SMALLEST_STEP_DEG = 0.5
@@ -131,22 +140,48 @@ def _require_one_kind(arguments: argparse.Namespace) -> None:
         )
 
 
+class _Scene(NamedTuple):
+    """What is rendered, and from what it was read."""
+
+    finger: "PaintedFinger"
+    calibrations: "dict[str, PaintCalibration]"
+    digests: dict[str, str]
+    shapes: "tuple[FingerShape, FingerShape] | None"
+    seed: int
+    origin: "Provenance"
+
+
 def _run_optics(arguments: argparse.Namespace) -> None:
     """Render or sweep."""
     from data_schemas.design import FingerDesign
-    from data_schemas.fit import PaintCalibration
-    from data_schemas.provenance import provenance
-    from data_schemas.storage import read_record, read_toml, sha256_of, write_record
-    from data_schemas.surfaces import FingerSurfaces
-    from finray_calib.cli.simulate_optics import DEFAULT_SAMPLES, simulate_optics
-    from sim.experiments.light_angle import light_angle_sweep
-    from sim.experiments.painted_finger import paint_finger, paint_optics
-    from sim.experiments.press import simulate_press
-    from sim.surface_meshes.stored_shape import restore_shapes
+    from data_schemas.storage import read_toml
+    from finray_calib.cli.simulate_optics import simulate_optics
 
     design = read_toml(arguments.design, FingerDesign)
     kind = "press" if arguments.angles is None else "sweep"
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.{kind}.json"))
+    scene = _scene(arguments, design)
+    with progress_bar("simulate") as progress:
+        if arguments.only == "optics":
+            simulate_optics(
+                scene.finger, arguments.level, scene.seed, arguments.samples, scene.digests, out, scene.origin,
+                progress, arguments.denoise, scene.shapes, scene.calibrations, arguments.pose_response,
+            )  # fmt: skip
+        elif arguments.angles is None:
+            _render(arguments, scene, out, progress)
+        else:
+            _sweep(arguments, scene, out, progress)
+
+
+def _scene(arguments: argparse.Namespace, design: "FingerDesign") -> _Scene:
+    """Read paints and surfaces, and paint the finger."""
+    from data_schemas.fit import PaintCalibration
+    from data_schemas.provenance import provenance
+    from data_schemas.storage import read_record, sha256_of
+    from data_schemas.surfaces import FingerSurfaces
+    from sim.experiments.painted_finger import paint_finger, paint_optics
+    from sim.surface_meshes.stored_shape import restore_shapes
+
     files = paint_files(arguments)
     calibrations = {colour: read_record(path, PaintCalibration) for colour, path in files.items()}
     digests = {colour: sha256_of(path) for colour, path in files.items()}
@@ -157,24 +192,32 @@ def _run_optics(arguments: argparse.Namespace) -> None:
     seed = DEFAULT_SEED if arguments.seed is None else arguments.seed
     inputs = [*design_inputs(design, arguments.design), *files.values(), *meshes]
     origin = provenance(command_line(), input_digests(inputs), seed)
-    with progress_bar("simulate") as progress:
-        if arguments.only == "optics":
-            simulate_optics(
-                finger, arguments.level, seed, arguments.samples, digests, out, origin, progress,
-                arguments.denoise, shapes, calibrations, arguments.pose_response,
-            )  # fmt: skip
-        elif arguments.angles is None:
-            samples = arguments.samples or DEFAULT_SAMPLES
-            press = simulate_press(
-                finger, arguments.level, seed, samples, digests, progress, shapes, calibrations,
-                arguments.pose_response,
-            )  # fmt: skip
-            write_record(press, out, origin)
-            say(f"{out}: {press.label}")
-        else:
-            sweep = light_angle_sweep(
-                finger, calibrations, arguments.angles, 6, arguments.samples or 4000, seed, digests, progress,
-                shapes and shapes[1], arguments.objectives == "all", shapes and shapes[0],
-            )  # fmt: skip
-            write_record(sweep, out, origin)
-            say(f"{out}: {len(sweep.angles_deg)} angles, {sweep.label}")
+    return _Scene(finger, calibrations, digests, shapes, seed, origin)
+
+
+def _render(arguments: argparse.Namespace, scene: _Scene, out: Path, progress: Progress) -> None:
+    """Render a press and write its record."""
+    from data_schemas.storage import write_record
+    from finray_calib.cli.simulate_optics import DEFAULT_SAMPLES
+    from sim.experiments.press import simulate_press
+
+    press = simulate_press(
+        scene.finger, arguments.level, scene.seed, arguments.samples or DEFAULT_SAMPLES, scene.digests, progress,
+        scene.shapes, scene.calibrations, arguments.pose_response,
+    )  # fmt: skip
+    write_record(press, out, scene.origin)
+    say(f"{out}: {press.label}")
+
+
+def _sweep(arguments: argparse.Namespace, scene: _Scene, out: Path, progress: Progress) -> None:
+    """Sweep the angle of the light and write its record."""
+    from data_schemas.storage import write_record
+    from sim.experiments.light_angle import light_angle_sweep
+
+    rest, shape = scene.shapes or (None, None)
+    sweep = light_angle_sweep(
+        scene.finger, scene.calibrations, arguments.angles, 6, arguments.samples or 4000, scene.seed, scene.digests,
+        progress, shape, arguments.objectives == "all", rest,
+    )  # fmt: skip
+    write_record(sweep, out, scene.origin)
+    say(f"{out}: {len(sweep.angles_deg)} angles, {sweep.label}")

@@ -85,11 +85,12 @@ def run_mechanics(arguments: argparse.Namespace) -> None:
     Raises
     ------
     SimulateError
-        When the push ended early, after what was reached has been stored, and at least a picture.
+        When the push ended early, or the presses with one number changed could not be made, after what was reached
+        has been stored, and at least a picture.
     """
     require_mechanics_only(arguments)
     from data_schemas.design import FingerDesign
-    from data_schemas.errors import NoEquilibriumError
+    from data_schemas.errors import NoEquilibriumError, SimulateError
     from data_schemas.provenance import provenance
     from data_schemas.storage import read_toml, write_bytes
 
@@ -101,6 +102,7 @@ def run_mechanics(arguments: argparse.Namespace) -> None:
     try:
         with progress_bar("simulate") as progress:
             pressed, said = _pressed(arguments, design, resume, files["increments"], origin, progress)
+            unvaried = _vary(arguments, design, pressed, said, progress)
     except NoEquilibriumError as stuck:
         if resume is not None:
             raise
@@ -109,6 +111,8 @@ def run_mechanics(arguments: argparse.Namespace) -> None:
         write_bytes(files["picture"], untouched_finger_png(design, str(stuck), folder))
         raise NoEquilibriumError(f"{stuck}. {files['picture']} shows where the indenter touches") from stuck
     _store(design, pressed, said, files, origin, folder)
+    if unvaried:
+        raise SimulateError(f"{unvaried}. The press itself is stored; for these, try a smaller push")
 
 
 def _pressed(
@@ -134,13 +138,27 @@ def _pressed(
 
         pressed = press_to_force(design, arguments.force, None, count, threads, folder, progress)
         return pressed, {"wanted_force_n": arguments.force}
-    pressed = _pressed_to_depth(design, count, resume, increments, origin, progress, arguments.contact, folder)
-    said = _Said()
-    if arguments.sensitivities and not pressed.unreached:
-        from sim.experiments.force_sensitivities import press_sensitivities
+    return _pressed_to_depth(design, count, resume, increments, origin, progress, arguments.contact, folder), {}
 
-        said["sensitivities"] = press_sensitivities(design, pressed, threads, progress, arguments.contact, folder)
-    return pressed, said
+
+def _vary(
+    arguments: argparse.Namespace, design: "FingerDesign", pressed: "PressedFinger", said: _Said, progress: Progress
+) -> str:
+    """Press with one number changed, if that was asked for, and add it to what is said; return why it failed."""
+    if not arguments.sensitivities or pressed.unreached:
+        return ""
+    from data_schemas.errors import SimulateError
+    from finray_calib.spectra.compiled import machine_threads
+    from sim.experiments.force_sensitivities import press_sensitivities
+
+    folder, contact = arguments.design.parent, arguments.contact
+    try:
+        said["sensitivities"] = press_sensitivities(design, pressed, machine_threads(), progress, contact, folder)
+    except SimulateError as failed:
+        unvaried = f"there are no presses with one number changed: {failed}"
+        said["notes"] = (unvaried,)
+        return unvaried
+    return ""
 
 
 def _pressed_to_depth(

@@ -84,20 +84,13 @@ def _scaled(captures: "list[TactileCapture]", scale: Path | None) -> "list[Tacti
     from data_schemas.errors import CompareError
     from data_schemas.pixel_scale import PixelScale
     from data_schemas.storage import read_record
+    from finray_calib.compare.patch_scale import with_measured_scale
 
     if scale is None:
         return captures
     found = read_record(scale, PixelScale)
-    lens, measured = found.calibration, found.middle
-    for capture in captures:
-        rows, columns = capture.contact.shape[:2]
-        if (columns, rows) != (lens.width_px, lens.height_px):
-            raise CompareError(
-                f"{scale}: is of pictures of {lens.width_px} x {lens.height_px} px, {capture.name} has {columns} x "
-                f"{rows} px: measure it with the camera of the captures, at its full frame"
-            )
-    update = {"mm_per_px": measured.mean_mm_per_px, "mm_per_px_u_rel": measured.mean_u_rel}
-    return [capture.model_copy(update=update) for capture in captures]
+    with naming(CompareError, scale):
+        return [with_measured_scale(capture, found) for capture in captures]
 
 
 def _spread(values: "NDArray[float64]", digits: int) -> str:

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from data_schemas.design import FingerDesign
-    from data_schemas.finger_stiffness import FingerStiffness, StiffnessOrder
+    from data_schemas.finger_stiffness import FingerStiffness, StiffnessOrder, StiffnessRow
 
 NAME = "finger-stiffness"
 HELP = "stiffness of fingers in bending and twist, with assumed dimensions changed"
@@ -74,11 +74,7 @@ def run_stiffness_study(arguments: argparse.Namespace) -> None:
                 f"  {row.design}: bending {row.bending_n_per_mm:.3f} N/mm, sideways {row.sideways_n_per_mm:.2f} N/mm, "
                 f"under the pad {row.pad_n_per_mm:.3f} N/mm, twist {row.twist_n_mm_per_deg:.2f} N mm/deg"
             )
-            say(
-                f"    a cylinder gripped with {study.grip_force_n:g} N slips about the pad's normal at "
-                f"{row.slip_torque_per_friction_n_mm:.1f} N mm times the coefficient of friction, and tips about the "
-                f"finger's axis at {row.tipping_torque_n_mm:.1f} N mm"
-            )
+            say(f"    a cylinder gripped with {study.grip_force_n:g} N {_held(row)}")
     for order in study.orders:
         say(f"  {order.measure}: {order.stiffer} / {order.softer} = {order.ratio:.3f}{_over_assumptions(study, order)}")
     for line in _ribs(study):
@@ -86,6 +82,16 @@ def run_stiffness_study(arguments: argparse.Namespace) -> None:
     for row in study.rows:
         if row.failure:
             say(f"  {row.design}, {row.changed} {_PERCENT * row.change_rel:+.0f} %: {row.failure}")
+
+
+def _held(row: "StiffnessRow") -> str:
+    """Say at which torques a gripped cylinder turns, or why that is not known."""
+    if row.slip_torque_per_friction_n_mm is None or row.tipping_torque_n_mm is None:
+        return f"is not told of: {row.grip_failure}"
+    return (
+        f"slips about the pad's normal at {row.slip_torque_per_friction_n_mm:.1f} N mm times the coefficient of "
+        f"friction, and tips about the finger's axis at {row.tipping_torque_n_mm:.1f} N mm"
+    )
 
 
 def _over_assumptions(study: "FingerStiffness", order: "StiffnessOrder") -> str:

@@ -91,7 +91,8 @@ def mean_skill(skills: NDArray[np.float64]) -> Interval | None:
     """Return the mean over presses with its 95 % interval by Student's t: mean +- t(0.975, n - 1) s / sqrt(n).
 
     Drawing presses with replacement instead would hold the truth in half the cases of two presses and in four of five
-    of four. It ends at 1, which no skill exceeds. None with fewer than two presses.
+    of four. It ends at 1, which no skill exceeds; an interval from 1 to 1 beside a larger mean
+    says that model and noise disagree. None with fewer than two presses.
     """
     if skills.size < 2:
         return None

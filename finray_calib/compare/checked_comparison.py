@@ -10,7 +10,7 @@ from data_schemas.sensing import NormalMapRecord
 from data_schemas.simulate import SimulatedPress
 from finray_calib.compare.comparison_record import FACTORS, compare_press
 from finray_calib.compare.mismatch import find_mismatches, require_no_mismatch
-from finray_calib.compare.patch_scale import patch_scale, scale_finding
+from finray_calib.compare.patch_scale import patch_scale, scale_finding, with_measured_scale
 from finray_calib.compare.registered_press import move_press, register_press
 
 #: How the finding begins that says that the camera stands where the render has it.
@@ -31,7 +31,7 @@ class CheckOptions:
     normal_map : NormalMapRecord or None
         Of the capture's sensor, for the error in sensing space.
     pixel_scale : PixelScale or None
-        Of the capture's camera, for the sizes of patch and halo in mm.
+        Of the capture's camera, for the sizes of patch and halo in mm; it takes the place of what the capture states.
     """
 
     registered: bool = False
@@ -63,9 +63,11 @@ def compare_checked(
     if not chosen.despite_mismatch:
         require_no_mismatch(findings)
     compared, told = _placed_press(press, capture, chosen.registered)
-    report = compare_press(compared, capture, seed, chosen.normal_map)
     checks = (*(f"{f.about}: {f.text}" for f in findings), *told)
-    scale = None
+    scale, scaled = None, capture
+    if chosen.pixel_scale is not None:
+        scaled = with_measured_scale(capture, chosen.pixel_scale)
+    report = compare_press(compared, scaled, seed, chosen.normal_map)
     if chosen.pixel_scale is not None:
         scale = patch_scale(chosen.pixel_scale, capture, compared.distance, FACTORS)
         other = scale_finding(scale, capture)

@@ -145,7 +145,7 @@ def _quiet_comparison(images: PreparedImages, capture: TactileCapture) -> tuple[
         regions = [Region(name, strip_from_distance(distance, factor), factor) for name, factor in FACTORS.items()]
         comparison = prepare_comparison(blocked.layers, captured, regions, inputs, linear, linear, demand_contact=False)
         if side >= largest or comparison.headline_noise <= LARGEST_HEADLINE_NOISE:
-            require_contact(comparison, distance)
+            require_contact(comparison)
             return blocked, comparison
         side *= 2
 
@@ -335,6 +335,10 @@ def _notes(press: SimulatedPress, capture: TactileCapture, block_px: int) -> tup
         )
     if capture.repeat_no_contact is None:
         notes.append("no repeat of the no-contact image: neither the floor nor the camera's noise is known")
+        notes.append(
+            "that there is a touch was told from noise as neighbouring pixels show it: noise that they share (JPEG, "
+            "interpolated colours) can pass for a touch"
+        )
     elif not linear:
         notes.append("the noise of encoded images is not known: it stays in their errors")
     if linear and press.contact_half_difference is None:

@@ -87,7 +87,8 @@ def check_senses(record: NormalMapRecord, capture: TactileCapture) -> None:
         if not np.isclose(scale_mm, record.mm_per_px, rtol=_NEAR_SCALE_REL, atol=0.0):
             raise CompareError(
                 f"{capture.name} has {scale_mm:.4g} mm per pixel, the normal map '{record.name}' "
-                f"{record.mm_per_px:.4g}: slopes and depths would be wrong; fit the map to presses at this distance"
+                f"{record.mm_per_px:.4g}: slopes and depths would be wrong; fit the map to presses at this distance, "
+                "or where the capture states a planned scale give the measured one (--scale)"
             )
 
 

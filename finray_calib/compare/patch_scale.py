@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,16 +42,15 @@ def patch_scale(
     CompareError
         The record is of pictures of another size, or the camera does not see the plane of the pad at the patch.
     """
-    rows, columns = capture.contact.shape[:2]
-    lens = record.calibration
-    if (lens.width_px, lens.height_px) != (columns, rows):
-        raise CompareError(
-            f"the pixel scale is of pictures of {lens.width_px} x {lens.height_px} px, {capture.name} has {columns} x "
-            f"{rows} px: measure it with the camera of the capture, at its full frame"
-        )
+    _require_same_picture(record, capture)
     cell = 1 if capture.layout == "RGB" else 2
     plane = seen_plane(record)
-    patch, pad = _raw_pixels(distance <= 1.0, cell), _raw_pixels(np.isfinite(distance), cell)
+    patch, pad = _thinned(_raw_pixels(distance <= 1.0, cell)), _thinned(_raw_pixels(np.isfinite(distance), cell))
+    if not len(patch):
+        raise CompareError(
+            f"{capture.name}: no pixel of the render lies within 1 half-width of the contact, so that the patch has no "
+            "size: is the contact in the picture?"
+        )
     middle_px = patch.mean(axis=0)
     at_middle = plane_scale(plane, middle_px[None])
     seen = scales_only(plane, np.concatenate([patch, pad]))
@@ -60,30 +60,46 @@ def patch_scale(
             f"scale is not known to {LARGEST_U_REL:.0%}: its camera does not see the plane of the pad there, or no "
             "board came near. Is it of this camera? Then lay the board where the patch is"
         )
-    u_rel = at_middle.u_rel[0]
     along = _along_picture(plane_places_mm(plane, middle_px + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])))
-    side = cell * at_middle.mm_per_px[0, :2]
+    side_mm, u_rel = cell * at_middle.mm_per_px[0, :2], at_middle.u_rel[0, :2]
     extents = []
     for name, factor in factors.items():
-        places = plane_places_mm(plane, _raw_pixels(distance <= factor, cell))
-        spans = np.ptp(places[np.isfinite(places).all(axis=1)] @ along.T, axis=0) + side
-        # either end lies anywhere in its pixel: variance side^2 / 12 each
-        u_mm = np.hypot(spans * u_rel[:2], side / np.sqrt(6.0))
-        extents.append(
-            RegionExtent(
-                region=name,
-                along_x_mm=float(spans[0]),
-                along_y_mm=float(spans[1]),
-                along_x_u_mm=float(u_mm[0]),
-                along_y_u_mm=float(u_mm[1]),
-            )
-        )
+        # what lies farthest out lies on the border
+        places = plane_places_mm(plane, _raw_pixels(_border(distance <= factor), cell))
+        extents.append(_extent(name, places @ along.T, side_mm, u_rel))
     return PatchScale(
         middle=local_scale(at_middle, middle_px, 0),
         over_patch=scale_range(seen[: len(patch)]),
         over_pad=scale_range(seen[len(patch) :]),
         extents=tuple(extents),
     )
+
+
+def _extent(name: str, places_mm: Floats, side_mm: Floats, u_rel: Floats) -> RegionExtent:
+    """Return the extent of a region from the places (N, 2) of its border along both directions of the picture."""
+    spans = np.ptp(places_mm[np.isfinite(places_mm).all(axis=1)], axis=0) + side_mm
+    # either end lies anywhere in its pixel: variance side^2 / 12 each
+    u_mm = np.hypot(spans * u_rel, side_mm / np.sqrt(6.0))
+    return RegionExtent(
+        region=name,
+        along_x_mm=float(spans[0]),
+        along_y_mm=float(spans[1]),
+        along_x_u_mm=float(u_mm[0]),
+        along_y_u_mm=float(u_mm[1]),
+    )
+
+
+def with_measured_scale(capture: TactileCapture, record: PixelScale) -> TactileCapture:
+    """Return a capture that states the measured mean scale, at the middle of the board on the pad, and its uncertainty.
+
+    Raises
+    ------
+    CompareError
+        The record is of pictures of another size.
+    """
+    _require_same_picture(record, capture)
+    middle = record.middle
+    return capture.model_copy(update={"mm_per_px": middle.mean_mm_per_px, "mm_per_px_u_rel": middle.mean_u_rel})
 
 
 def scale_finding(found: PatchScale, capture: TactileCapture) -> str | None:
@@ -101,11 +117,32 @@ def scale_finding(found: PatchScale, capture: TactileCapture) -> str | None:
     )
 
 
+def _require_same_picture(record: PixelScale, capture: TactileCapture) -> None:
+    """Refuse a scale of pictures of another size."""
+    rows, columns = capture.contact.shape[:2]
+    lens = record.calibration
+    if (lens.width_px, lens.height_px) != (columns, rows):
+        raise CompareError(
+            f"the pixel scale is of pictures of {lens.width_px} x {lens.height_px} px, {capture.name} has {columns} x "
+            f"{rows} px: measure it with the camera of the capture, at its full frame"
+        )
+
+
 def _raw_pixels(mask: NDArray[np.bool_], cell: int) -> Floats:
-    """Return (column, row) in raw pixels of the pixels of a mask, thinned out where there are very many."""
+    """Return (column, row) in raw pixels of the pixels of a mask."""
     rows, columns = np.nonzero(mask)
-    places = (np.column_stack([columns, rows]) + 0.5) * cell - 0.5
-    return np.asarray(places[:: 1 + len(places) // _MOST_PLACES])
+    return np.asarray((np.column_stack([columns, rows]) + 0.5) * cell - 0.5)
+
+
+def _thinned(places: Floats) -> Floats:
+    """Return every so many-th place where there are very many, which show the range of a scale as well."""
+    return places[:: 1 + len(places) // _MOST_PLACES]
+
+
+def _border(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the pixels of a mask that have a neighbour outside it, or none at the picture's edge."""
+    inner = cv2.erode(mask.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)), borderValue=0)
+    return np.asarray(mask & (inner == 0))
 
 
 def _along_picture(three: Floats) -> Floats:

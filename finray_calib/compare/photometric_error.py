@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from data_schemas.errors import CompareError
 from finray_calib.compare.conditioning import condition_on_levels
-from finray_calib.compare.contact_evidence import require_touch
 from finray_calib.compare.exposure import ExposureFit, exposure_fit
 from finray_calib.compare.input_draws import Drawn, Inputs
 from finray_calib.compare.part_levels import PartLevels, part_levels
@@ -157,8 +156,8 @@ def prepare_comparison(
     return Comparison(layers, captured, inputs, tuple(regions), used, sums, gradients, weights, exposure, levels)
 
 
-def require_contact(comparison: Comparison, distance: Floats) -> None:
-    """Refuse images whose regions change no more than noise does, or as a drift of light or camera does.
+def require_contact(comparison: Comparison) -> None:
+    """Refuse images whose regions change no more than noise does.
 
     Raises
     ------
@@ -167,8 +166,6 @@ def require_contact(comparison: Comparison, distance: Floats) -> None:
     """
     for region, of_region in zip(comparison.regions, comparison.sums, strict=True):
         _require_contact(region, of_region, comparison.channel_weights)
-    region, used = comparison.regions[-1], comparison.used[-1]
-    require_touch(comparison.captured, distance, region, used, comparison.channel_weights)
 
 
 def _require_contact(region: Region, sums: RegionSums, weights: Floats) -> None:

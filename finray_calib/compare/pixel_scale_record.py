@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 
 from data_schemas.camera_calibration import CameraCalibration, DistortionModel
 from data_schemas.errors import CompareError
-from data_schemas.pixel_scale import BoardResidual, LocalScale, PixelScale, ScaleContribution, ScaleRange
+from data_schemas.pixel_scale import (
+    LARGEST_WIDENED_FACTOR,
+    BoardResidual,
+    LocalScale,
+    PixelScale,
+    ScaleContribution,
+    ScaleRange,
+)
 from data_schemas.tactile import CharucoBoard
 from finray_calib.compare.board_corners import BoardView, require_plausible
 from finray_calib.compare.corner_refinement import refined_views
@@ -100,12 +107,19 @@ def pixel_scale(
     if pictures is not None:
         views = refined_views(views, pictures, found, board)
         pad, found = views[0], adjust(views, size_px, found.model, found.lens, found.poses)
-    plane = _plane(found, declared)
-    middle_px = pad.pixels.mean(axis=0)
     _require_facing(found, pad)
+    resampled_u = _resampled_u(views, found, declared, pad.pixels.mean(axis=0), np.random.default_rng(seed))
+    return _record(views, found, board, declared, resampled_u)
+
+
+def _record(
+    views: Sequence[BoardView], found: LensCalibration, board: CharucoBoard, declared: Declared, resampled_u: float
+) -> PixelScale:
+    """Return the record of a fitted lens and board, of which the first view is that on the pad."""
+    pad, size_px = views[0], (found.width_px, found.height_px)
+    middle_px = pad.pixels.mean(axis=0)
+    plane = _plane(found, declared)
     at_middle = plane_scale(plane, middle_px[None])
-    rng = np.random.default_rng(seed)
-    resampled_u = _resampled_u(views, found, declared, middle_px, rng)
     widened = _widened(resampled_u, at_middle)
     if widened > 1.0:
         plane = _plane(found, declared, widened)
@@ -298,7 +312,14 @@ def _widened(resampled_u: float, at_middle: ScaleDraws) -> float:
     """Return the factor on the covariance's standard deviations that resampling asks for."""
     parts = at_middle.parts_rel
     of_covariance = float(np.hypot(parts["corners of the board on the pad"][0, 2], parts["lens"][0, 2]))
-    ratio = resampled_u / of_covariance
+    # corners without any error leave nothing to widen
+    ratio = resampled_u / of_covariance if of_covariance > 0.0 else 1.0
+    if ratio > LARGEST_WIDENED_FACTOR:
+        raise CompareError(
+            f"the scale scatters {ratio:.0f} times as much when pictures are drawn with replacement as independent "
+            f"corners allow; up to {LARGEST_WIDENED_FACTOR:g} times can be stated: the lens rests on one or two of the "
+            "pictures, or the board was not rigid. Take more pictures"
+        )
     return ratio if ratio > _SCATTER_FACTOR else 1.0
 
 

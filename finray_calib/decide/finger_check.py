@@ -31,6 +31,12 @@ def require_one_finger(sweep: LightAngleSweep, reports: Sequence[PhotometricErro
                 f"version, or of a press without a design): whether it is '{own.name}' is taken on trust"
             )
             continue
+        if report.finger.version != own.version:
+            notes.append(
+                f"the report on {report.captured} names its finger '{report.finger.name}' as another version of finray "
+                f"does: whether it is '{own.name}' is taken on trust; compare again to know"
+            )
+            continue
         other = report.finger.differs_in(own)
         if other:
             raise DecideError(

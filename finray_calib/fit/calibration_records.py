@@ -180,7 +180,7 @@ def diagnostics(posterior: EmissionPosterior, check: ChainCheck | None) -> Diagn
     sampling = posterior.sampling
     chain, effective = check, sampling.sample.effective
     if sampling.moved is not None:
-        effective = float(len(np.unique(sampling.moved.theta, axis=0)))
+        effective = float(min(sampling.moved.distinct, len(posterior.draws)))
     if sampling.chain is not None:
         effective = float(sampling.chain.bulk_ess.min())
         chain = chain_record(posterior.log_posterior.prior.names, sampling.chain, None)
@@ -192,6 +192,6 @@ def diagnostics(posterior: EmissionPosterior, check: ChainCheck | None) -> Diagn
         ln_evidence=sampling.sample.ln_evidence,
         ln_evidence_sd=sampling.sample.ln_evidence_sd,
         maxima=tuple(float(v) for v in posterior.maxima.log_posterior),
-        memory=None if sampling.moved is None else float(sampling.moved.memory.max()),
+        memory=None if sampling.moved is None else sampling.moved.memory,
         chain=chain,
     )

@@ -85,7 +85,7 @@ class Sampling:
     method
         "importance sampling", "adapted importance sampling", "resample-move" or "emcee".
     sample
-        The last importance sample; its evidence holds whatever the method.
+        The last importance sample; its evidence is that of the fit whatever the method, and no better than its k.
     moved
         The draws where they were moved.
     chain
@@ -249,7 +249,7 @@ def draw_posterior(
             sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
     if sample.trusted:
         return proposal, sample.resampled(settings.kept_draws, rng), Sampling(method, sample)
-    moved = moved_draws(log_posterior, proposal, sample, max(settings.kept_draws, _FEWEST_MOVED), rng)
+    moved = moved_draws(log_posterior, proposal, sample, maxima, max(settings.kept_draws, _FEWEST_MOVED), rng)
     if moved.forgotten:
         return proposal, moved.theta[: settings.kept_draws], Sampling("resample-move", sample, moved)
     chain, diagnostics = sample_posterior(log_posterior, proposal, settings.chain, rng)

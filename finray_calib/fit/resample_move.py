@@ -1,4 +1,4 @@
-"""Draws that are carried on: an importance sample moved by Markov steps until every draw has forgotten its start."""
+"""Draws that are carried on: an importance sample moved by Markov steps until nothing tells where a draw began."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,13 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from finray_calib.fit.importance import WeightedSample
+from finray_calib.fit.map_search import Maxima
 from finray_calib.fit.sampler import LogDensity, Proposal
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 LARGEST_MEMORY: Final = 0.15
-"""Rank correlation with the start; chance alone leaves 0.09 as the largest of twelve parameters of 1000 draws."""
+"""Correlation with the start; chance alone leaves 0.1 as the largest of thirty columns of 1000 draws."""
+
+SMALLEST_DISTINCT_SHARE: Final = 0.8
+"""Of the draws: copies that never moved apart are one draw, whatever their ranks say."""
+
+_FEWEST_OF_A_MAXIMUM: Final = 10  # draws: chance overlap of fewer would look like memory
 
 _BLOCKS: Final = (100, 200, 400)  # sweeps; each is tried where the one before did not suffice
 _OPTIMAL_STEP: Final = 2.38  # times the difference of two draws, over sqrt(2 D): best for a normal posterior
@@ -32,34 +38,42 @@ class MovedDraws:
     theta
         (N, D) draws of equal weight.
     memory
-        (D,) size of the rank correlation of each parameter with its value before the last block of sweeps.
+        Largest correlation with what was before the last block of sweeps: of ranks and of distances from the middle
+        rank of each parameter, of the ranks of the density, and of belonging to each maximum.
     sweeps
         Moves tried by each draw.
-    acceptance
-        Accepted share of the moves.
     """
 
     theta: FloatArray
-    memory: FloatArray
+    memory: float
     sweeps: int
-    acceptance: float
+
+    @property
+    def distinct(self) -> int:
+        """Number of different draws."""
+        return len(np.unique(self.theta, axis=0))
 
     @property
     def forgotten(self) -> bool:
-        """Whether the draws no longer depend on the importance sample that they came from."""
-        return bool(self.memory.max() <= LARGEST_MEMORY)
+        """Whether nothing that was looked at depends on the importance sample that the draws came from."""
+        return self.memory <= LARGEST_MEMORY and self.distinct >= SMALLEST_DISTINCT_SHARE * len(self.theta)
 
 
 def moved_draws(
-    log_density: LogDensity, proposal: Proposal, sample: WeightedSample, count: int, rng: np.random.Generator
+    log_density: LogDensity,
+    proposal: Proposal,
+    sample: WeightedSample,
+    maxima: Maxima,
+    count: int,
+    rng: np.random.Generator,
 ) -> MovedDraws:
     """Return draws of a density: an importance sample resampled, then moved until it has forgotten itself.
 
     One sweep lets each draw jump to a draw of the proposal (accepted as in an independence chain), the next one lets it
     step by the difference of two others (differential evolution; the two come from the other half, so that the
     density is kept). An importance sample that is right on average but uneven becomes even; tails that it missed are
-    reached from the draws beside them. Valid where the proposal touches every maximum: sweeps cannot tell of one
-    that no draw has seen.
+    reached from the draws beside them. Sweeps cannot tell of a maximum, or of the far end of a ridge, that no draw
+    has met, nor of an exchange with a place that holds a few draws in a hundred and is none of the known maxima.
 
     Parameters
     ----------
@@ -69,6 +83,8 @@ def moved_draws(
         Normalised density that covers the posterior, roughly.
     sample
         Weighted draws of that proposal.
+    maxima
+        Of the density: draws must change between them.
     count
         Number of draws.
     rng
@@ -80,16 +96,16 @@ def moved_draws(
     Society B 63 (2001) 127-146; ter Braak, Statistics and Computing 16 (2006) 239-249.
     """
     population = _Population(log_density, proposal, sample.resampled(count, rng), rng)
-    memory = np.ones(population.theta.shape[1])
+    memory = 1.0
     for block in _BLOCKS:
-        start = population.theta.copy()
+        start = population.columns(maxima)
         for _ in range(block // 2):
             population.sweep(population.jump)
             population.sweep(population.step)
-        memory = np.abs(_rank_correlation(start, population.theta))
-        if memory.max() <= LARGEST_MEMORY:
+        memory = _largest_correlation(start, population.columns(maxima))
+        if memory <= LARGEST_MEMORY:
             break
-    return MovedDraws(population.theta, memory, population.sweeps, population.accepted / (population.sweeps * count))
+    return MovedDraws(population.theta, memory, population.sweeps)
 
 
 class _Population:
@@ -98,7 +114,7 @@ class _Population:
     def __init__(
         self, log_density: LogDensity, proposal: Proposal, theta: FloatArray, rng: np.random.Generator
     ) -> None:
-        self.theta, self.sweeps, self.accepted = theta, 0, 0
+        self.theta, self.sweeps = theta, 0
         self._log_density, self._proposal, self._rng = log_density, proposal, rng
         self._density = log_density(theta)
         self._jitter = _JITTER * theta.std(axis=0)
@@ -115,7 +131,6 @@ class _Population:
                 ln_ratio += self._proposal.log_density(self.theta[moving]) - self._proposal.log_density(theta)
             taken = np.log(self._rng.random(len(moving))) < ln_ratio
             self.theta[moving[taken]], self._density[moving[taken]] = theta[taken], density[taken]
-            self.accepted += int(taken.sum())
         self.sweeps += 1
 
     def jump(self, moving: IntArray, _: IntArray) -> FloatArray:
@@ -133,8 +148,23 @@ class _Population:
         jitter = self._jitter * self._rng.standard_normal((count, size))
         return np.asarray(self.theta[moving] + length[:, None] * apart + jitter)
 
+    def columns(self, maxima: Maxima) -> FloatArray:
+        """Return what a draw must forget, (N, columns), each column around 0."""
+        ranks = _centred_ranks(np.column_stack([self.theta, self._density]))
+        apart = self.theta[:, None] - maxima.theta
+        nearest = np.einsum("nki,kij,nkj->nk", apart, maxima.information, apart).argmin(axis=1)
+        belongs = (nearest[:, None] == np.arange(len(maxima.theta))).astype(np.float64)
+        return np.column_stack([ranks, _centred_ranks(np.abs(ranks)), belongs - belongs.mean(axis=0)])
 
-def _rank_correlation(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return Spearman's correlation of each column; ties count in the order they come, which weakens it slightly."""
-    ranks = [values.argsort(axis=0).argsort(axis=0) - (len(values) - 1) / 2 for values in (first, second)]
-    return np.asarray((ranks[0] * ranks[1]).sum(axis=0) / np.square(ranks[0]).sum(axis=0))
+
+def _centred_ranks(values: FloatArray) -> FloatArray:
+    """Return the ranks of each column around 0; equal values, copies of one draw, keep their order."""
+    order = values.argsort(axis=0, kind="stable").argsort(axis=0, kind="stable")
+    return np.asarray(order - (len(values) - 1) / 2)
+
+
+def _largest_correlation(first: FloatArray, second: FloatArray) -> float:
+    """Return the largest size of the correlation of columns; those of maxima that hold hardly a draw do not count."""
+    products, squares = (first * second).sum(axis=0), np.square([first, second]).sum(axis=1)
+    counted = squares.min(axis=0) >= _FEWEST_OF_A_MAXIMUM
+    return float(np.abs(products[counted] / np.sqrt(squares[0] * squares[1])[counted]).max())

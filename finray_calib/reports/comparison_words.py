@@ -100,7 +100,13 @@ def limits(report: PhotometricErrorReport) -> tuple[str, ...]:
                 "digit: the ends of the interval may change with another seed."
             )
     skills = (report.headline_skill, *(row.skill for region in report.regions for row in region.rows))
-    if any(skill.estimate > 1 for skill in skills):
+    if any(skill.estimate > 1 and skill.low95 >= 1 for skill in skills):
+        told.append(
+            "An interval from 1 to 1 beside an estimate above 1 is the rest of one that lies above 1 altogether: model "
+            "and noise disagree. Less is left of the difference than the noise that was taken out, so that this noise "
+            "is too large, or the capture was used to make the render."
+        )
+    if any(skill.estimate > 1 > skill.low95 for skill in skills):
         told.append(
             "An estimate of a skill above 1 means 1 within its uncertainty: the noise is taken out, and what is left "
             "scatters about the true skill, which cannot exceed 1. Intervals end there."

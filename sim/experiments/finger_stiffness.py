@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 
 from data_schemas.design import FingerDesign, Indenter
-from data_schemas.errors import SimulateError
+from data_schemas.errors import NoEquilibriumError, SimulateError
 from data_schemas.finger_stiffness import FingerStiffness, Measure, StiffnessOrder, StiffnessRow
 from sim.experiments.changed_design import changed_design
 from sim.mechanics.force_control import press_to_force
@@ -28,7 +28,8 @@ def study_finger_stiffness(
 ) -> FingerStiffness:
     """Load each finger at tip and pad, twist it, and do so again with each assumed dimension changed up and down.
 
-    Each finger as it is also grips a cylinder, for the torque at which that begins to turn.
+    Each finger as it is also grips a cylinder, for the torque at which that begins to turn; a grip that does not reach
+    its force is stored with the reason.
 
     Changed are the numbers of ``skeleton`` that a design's ``origin`` does not list, one at a time; a change that
     leaves no room for a part is stored with the reason.
@@ -95,7 +96,7 @@ def _row(design: FingerDesign, field: str, change_rel: float, value: float, thre
     """Load one finger; a changed one may fail."""
     try:
         finger = LoadedFinger(changed_design(design, field, value) if field else design, threads=threads)
-        slip, tipping = (None, None) if field else _held_torques(design, threads)
+        slip, tipping, loose = (None, None, "") if field else _held_torques(design, threads)
         return StiffnessRow(
             design=design.name,
             changed=field,
@@ -106,6 +107,7 @@ def _row(design: FingerDesign, field: str, change_rel: float, value: float, thre
             twist_n_mm_per_deg=finger.twist(TWIST_DEG).stiffness_n_mm_per_deg,
             slip_torque_per_friction_n_mm=slip,
             tipping_torque_n_mm=tipping,
+            grip_failure=loose,
         )
     except SimulateError as failed:
         if not field:
@@ -113,11 +115,20 @@ def _row(design: FingerDesign, field: str, change_rel: float, value: float, thre
         return StiffnessRow(design=design.name, changed=field, change_rel=change_rel, failure=str(failed))
 
 
-def _held_torques(design: FingerDesign, threads: int) -> tuple[float, float]:
-    """Return the torques that the grip of a cylinder holds: by friction over its coefficient, and by its width."""
+def _held_torques(design: FingerDesign, threads: int) -> tuple[float | None, float | None, str]:
+    """Return the torques that the grip of a cylinder holds: by friction over its coefficient, and by its width.
+
+    None, and why, where the grip does not reach its force.
+    """
     gripped = design.model_copy(update={"indenter": Indenter(position_mm=design.pad.length_mm / 2.0)})
-    places, forces = contact_forces_n(press_to_force(gripped, GRIP_FORCE_N, increments=1, threads=threads))
-    return slip_torque_n_mm(places, forces, 1.0), frictionless_torque_n_mm(places, forces, design.pad.width_mm)
+    try:
+        pressed = press_to_force(gripped, GRIP_FORCE_N, increments=1, threads=threads)
+    except NoEquilibriumError as stuck:
+        return None, None, str(stuck)
+    if pressed.unreached:
+        return None, None, f"the grip ended early, at {pressed.force_n[-1, 1]:.4g} N: {pressed.unreached}"
+    places, forces = contact_forces_n(pressed)
+    return slip_torque_n_mm(places, forces, 1.0), frictionless_torque_n_mm(places, forces, design.pad.width_mm), ""
 
 
 def _orders(names: Sequence[str], rows: Sequence[StiffnessRow]) -> Iterator[StiffnessOrder]:

@@ -80,18 +80,20 @@ def press_to_force(
     predict(assembly.at_rest(), 0.0, 0.0)
     stops = [(k + 1) / increments for k in range(increments)]
     history = PressHistory(assembly, ties, touch)
+    reached_n = 0.0
     try:
         for step in load_increments(
             assembly, solver, lambda share: touch.push_with(share * force_n), stops, touched, begin, predict=predict
         ):
-            depth_mm = touch.depth_mm(step.equilibrium.state)
+            depth_mm, reached_n = touch.depth_mm(step.equilibrium.state), step.fraction * force_n
             history.add(depth_mm, step.equilibrium)
             if progress is not None:
                 reached = sum(step.fraction >= stop for stop in stops)
-                progress(reached, increments, f"pressed with {step.fraction * force_n:.2f} N to {depth_mm:.2f} mm")
+                progress(reached, increments, f"pressed with {reached_n:.2f} N to {depth_mm:.2f} mm")
     except NoEquilibriumError as stuck:
         if history.depth_mm is None:
             raise
+        touch.push_with(reached_n)
         return history.pressed(str(stuck))
     return history.pressed()
 

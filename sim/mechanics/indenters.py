@@ -73,7 +73,8 @@ def rigid_indenter(design: FingerDesign, folder: Path = Path()) -> RigidIndenter
     Raises
     ------
     SimulateError
-        When an STL is not a closed body, a size cannot be mm, or the indenter does not meet the coat.
+        When an STL is not a closed body or runs along the coat in too many places, a size cannot be mm, or the
+        indenter does not meet the coat.
     """
     wanted = design.indenter
     rotation = rotation_matrix(*wanted.rotation_deg)
@@ -178,11 +179,11 @@ def _touch_of_mesh(design: FingerDesign, surface: TriangleMesh, rotation: FloatA
     over = over_rectangle(corners, (-pad.width_mm / 2.0, pad.width_mm / 2.0), (0.0, pad.length_mm))
     if not len(over):
         raise SimulateError(_misses(design))
-    half = pad.width_mm / 2.0, pad.length_mm / 2.0
+    half = pad.width_mm / 2.0
 
     def height_mm(points: FloatArray) -> FloatArray:
         # clipping leaves points at the pad's edges that lie outside by rounding
-        x, z = np.clip(points[:, 0], -half[0], half[0]), np.clip(points[:, 2], 0.0, pad.length_mm)
+        x, z = np.clip(points[:, 0], -half, half), np.clip(points[:, 2], 0.0, pad.length_mm)
         return np.asarray(points[:, 1] - rest_height_mm(design, x, z))
 
     least = least_over_triangles(over, height_mm, _steepest_curvature_per_mm(design))

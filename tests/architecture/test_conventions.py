@@ -76,6 +76,7 @@ EXCEPTIONS = {
     "bulk_over_shear": "ratio of two moduli",
     "scale": "of image values of any unit",
     "autocorrelation_times": "a count of autocorrelation times",
+    "memory": "a correlation",
     "least_effective": "a number of samples",
     "reflected_laser_median": "share of reflected laser light",
     "amplitude": "h of the paper's skew-Cauchy",

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from data_schemas.design import FingerDesign, GelPad, Indenter
 from data_schemas.errors import SimulateError
 from sim.mechanics.body_meshes import TriangleMesh, body_mesh, check_closed_body, read_body, rotation_matrix
+from sim.mechanics.height_over_pad import least_over_triangles, over_rectangle
 from sim.mechanics.indenters import rigid_indenter, side_outline_mm
 from sim.mechanics.near_pairs import edge_edge_mm, point_triangle_mm
 from sim.mechanics.press_contact import press_contact
@@ -234,3 +235,84 @@ def test_a_large_tilted_stl_touches_where_the_same_cuboid_does(tmp_path, pad, ro
     touching = rigid_indenter(design, tmp_path).touching
     # the file holds single precision; faces that touch are the same, edges that do are rounded by 0.01 mm
     assert touching.position_mm == pytest.approx(rigid_indenter(exact).touching.position_mm, abs=1e-4)
+
+
+def plan_area_mm2(triangles):
+    one, two = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    return np.abs(one[:, 0] * two[:, 2] - one[:, 2] * two[:, 0]).sum() / 2.0
+
+
+@pytest.mark.parametrize(
+    ("corners", "area_mm2", "count"),
+    [
+        ([(1.0, 0.0, 1.0), (2.0, 1.0, 1.0), (1.0, 2.0, 2.0)], 0.5, 1),
+        # all of the rectangle of 4 by 3 mm, and a corner of it cut off: polygons of 4 and of 5 corners
+        ([(-50.0, 0.0, -50.0), (90.0, 1.0, -50.0), (-50.0, 2.0, 90.0)], 12.0, 2),
+        ([(-50.0, 0.0, -43.0), (50.0, 1.0, -43.0), (-50.0, 2.0, 57.0)], 12.0, 2),
+        ([(-20.0, 0.0, -20.0), (26.0, 1.0, -20.0), (-20.0, 2.0, 26.0)], 11.5, 3),
+    ],
+    ids=["inside", "around", "by its corner", "cut off"],
+)
+def test_parts_over_a_rectangle_do_not_overlap(corners, area_mm2, count):
+    parts = over_rectangle(np.array([corners]), (0.0, 4.0), (0.0, 3.0))
+    # the clipping leaves points twice where an edge runs through a corner: triangles of no area
+    assert (np.abs(np.cross(parts[:, 1] - parts[:, 0], parts[:, 2] - parts[:, 0])).max(axis=1) > 1e-9).sum() == count
+    assert plan_area_mm2(parts) == pytest.approx(area_mm2, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("corners", "least_mm"),
+    [
+        ([(4.0, 0.5, 3.0), (9.0, -1.0, 3.0), (4.0, -1.0, 9.0)], 0.5),
+        ([(0.0, 0.5, 1.0), (0.0, 0.7, 2.0), (-5.0, -1.0, 1.0)], 0.5),
+        ([(1.0, 0.5, -2.0), (1.0, 0.5, 9.0), (1.0, 7.0, 2.0)], 0.5),
+    ],
+    ids=["a point", "an edge", "upright"],
+)
+def test_parts_without_area_keep_their_height(corners, least_mm):
+    parts = over_rectangle(np.array([corners]), (0.0, 4.0), (0.0, 3.0))
+    assert parts[..., 1].min() == pytest.approx(least_mm)
+    assert least_over_triangles(parts, lambda points: points[:, 1], 0.0) == pytest.approx(least_mm)
+
+
+def lining(step_mm, radius_mm, half_mm, length_mm):
+    """A body 5 mm high whose lower face runs along a cylinder about z, corners on it; facets of a step."""
+    x, z = np.arange(-half_mm, half_mm + 1e-9, step_mm), np.arange(-length_mm, length_mm + 1e-9, step_mm)
+    xx, zz = np.meshgrid(x, z, indexing="ij")
+    low = np.stack([xx, np.sqrt(radius_mm**2 - xx**2) - radius_mm, zz], -1).reshape(-1, 3)
+    high = np.stack([xx, np.full_like(xx, 5.0), zz], -1).reshape(-1, 3)
+    number = np.arange(xx.size).reshape(xx.shape)
+    a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    down = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
+    after, up = np.roll(rim, -1), len(low)
+    sides = np.concatenate([np.stack([after, rim, rim + up], 1), np.stack([after, rim + up, after + up], 1)])
+    return TriangleMesh(np.concatenate([low, high]), np.concatenate([down, down[:, ::-1] + up, sides])), x
+
+
+def test_a_file_that_runs_along_a_curved_pad_is_not_divided_without_end(tmp_path, monkeypatch):
+    body, x = lining(0.25, ROUND.radius_mm, 18.0, 36.0)
+    (tmp_path / "lining.stl").write_bytes(stl_bytes(body.triangles, body.vertices_mm, "lining"))
+    design = FingerDesign(pad=ROUND, indenter=Indenter(shape="mesh", file="lining.stl"))
+    asked = []
+
+    def height_mm(design, x, z):
+        asked.append(len(x))
+        return rest_height_mm(design, x, z)
+
+    monkeypatch.setattr("sim.mechanics.indenters.rest_height_mm", height_mm)
+    y = rigid_indenter(design, tmp_path).touching.position_mm[1]
+    # three corners of each of four parts of 250 000 triangles
+    assert max(asked) <= 3_000_000
+    # where a facet lies lowest over the arc between its ends, whatever z
+    fine = np.linspace(-17.5, 17.5, 700_001)
+    chords = np.interp(fine, x, np.sqrt(ROUND.radius_mm**2 - x**2) - ROUND.radius_mm)
+    least = (chords - rest_height_mm(design, fine, np.full_like(fine, 35.0))).min()
+    # to a sixth of the curvature, 0.02 per mm, times the square of a facet's half diagonal, 0.18 mm
+    assert y == pytest.approx(-least, abs=1.1e-4)
+
+
+def test_a_file_that_runs_along_a_pad_of_too_much_curvature_is_refused():
+    along = np.tile(np.eye(3), (250_001, 1, 1))
+    with pytest.raises(SimulateError, match=r"in 250001 places, so that its first touch is known to 0\.33 mm only"):
+        least_over_triangles(along, lambda points: np.zeros(len(points)), 1.0)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from data_schemas.errors import SimulateError
-from sim.experiments.finger_stiffness import _row, study_finger_stiffness
+from data_schemas.errors import NoEquilibriumError, SimulateError
+from sim.experiments.finger_stiffness import _held_torques, _row, study_finger_stiffness
 from sim.mechanics.force_control import press_to_force
 from sim.mechanics.linear_solver import linear_solver
 from sim.mechanics.loads import DeadForce, LoadedFinger
@@ -123,7 +123,7 @@ def test_the_order_of_two_fingers_and_its_table(monkeypatch):
             return type("Twisted", (), {"stiffness_n_mm_per_deg": self.size**2})
 
     monkeypatch.setattr("sim.experiments.finger_stiffness.LoadedFinger", Quick)
-    monkeypatch.setattr("sim.experiments.finger_stiffness._held_torques", lambda design, threads: (7.0, 5.0))
+    monkeypatch.setattr("sim.experiments.finger_stiffness._held_torques", lambda design, threads: (7.0, 5.0, ""))
     stiff, soft = preset_design("flat-70x35"), preset_design("flat-70x35-soft")
     study = study_finger_stiffness([stiff, soft], 0.2)
     held = [(row.changed, row.slip_torque_per_friction_n_mm) for row in study.rows if row.tipping_torque_n_mm]
@@ -140,6 +140,19 @@ def test_the_order_of_two_fingers_and_its_table(monkeypatch):
         study_finger_stiffness([stiff, stiff])
     with pytest.raises(SimulateError, match=r"give 0 to 0\.5"):
         study_finger_stiffness([stiff], 0.6)
+
+
+def test_a_grip_that_does_not_reach_its_force_holds_no_known_torque(monkeypatch):
+    def early(*_, **__):
+        return type("Early", (), {"unreached": "no equilibrium beyond 0.5", "force_n": np.array([[0.0, 1.0, 0.0]])})
+
+    def never(*_, **__):
+        raise NoEquilibriumError("no equilibrium at a push of 0.1 mm")
+
+    monkeypatch.setattr("sim.experiments.finger_stiffness.press_to_force", early)
+    assert _held_torques(SMALL, 1) == (None, None, "the grip ended early, at 1 N: no equilibrium beyond 0.5")
+    monkeypatch.setattr("sim.experiments.finger_stiffness.press_to_force", never)
+    assert _held_torques(SMALL, 1) == (None, None, "no equilibrium at a push of 0.1 mm")
 
 
 def test_a_dimension_that_the_design_refuses_is_a_row_with_the_reason():

@@ -13,6 +13,7 @@ from data_schemas.press_mechanics import PressIncrement, PressMechanics
 from data_schemas.storage import read_record, sha256_of
 from data_schemas.surfaces import FingerSurfaces
 from finray_calib.cli.simulate_mechanics import last_increment, mechanics_paths
+from sim.mechanics.finger_mesh import STEPS, MeshSteps
 from sim.mechanics.newton import Increment, NewtonOptions, load_increments
 from sim.surface_meshes.intersections import check_no_intersections
 from sim.surface_meshes.stl import stl_bytes
@@ -20,12 +21,22 @@ from sim.surface_meshes.stored_shape import restore_shapes
 from tests.command_line.mistakes import CUBE, FACETS
 from tests.command_line.running import finray, succeed
 
-FINGER = """
-name = "short press"
+BABY = """
+name = "small"
+[pad]
+length_mm = 48.0
+width_mm = 18.0
+film = {}
 [indenter]
-depth_mm = 0.6
-friction = 0.3
+position_mm = 24.0
 """
+FINGER = BABY + "depth_mm = 0.2\nfriction = 0.3\n"
+
+
+@pytest.fixture
+def rough_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Mesh half as finely as coarse: what is shown does not hang on it."""
+    monkeypatch.setitem(STEPS, "coarse", MeshSteps(pad_mm=3.0, pad_layer_mm=3.0, skeleton_mm=4.0, layers=1))
 
 
 def impatient(
@@ -43,10 +54,11 @@ def impatient(
         first.fraction,
         shortest_share=1.0,
         options=NewtonOptions(iterations=1),
-        settle=more["settle"],
+        **{name: more[name] for name in more if name == "settle"},
     )
 
 
+@pytest.mark.usefixtures("rough_mesh")
 def test_a_push_that_ends_early_is_kept_and_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "finger.toml").write_text(FINGER)
     press = f"simulate {tmp_path}/finger.toml --only mechanics --increments 2 --out {tmp_path}"
@@ -56,13 +68,13 @@ def test_a_push_that_ends_early_is_kept_and_gone_on_with(tmp_path: Path, monkeyp
     assert outcome.status == 2
     assert outcome.err.count("\n") == 1
     assert re.search(
-        r"error: the push ended early, at 0\.3 of 0\.6 mm: no equilibrium beyond 0\.5 of the load: .* is stored",
+        r"error: the push ended early, at 0\.1 of 0\.2 mm: no equilibrium beyond 0\.5 of the load: .* is stored",
         outcome.err,
     ), outcome.err
-    assert "push  0.300 mm" in outcome.out
+    assert "push  0.100 mm" in outcome.out
     early = read_record(tmp_path / "early.mechanics.json", PressMechanics)
     assert early.unreached
-    assert early.depth_mm[-1] == pytest.approx(0.3)
+    assert early.depth_mm[-1] == pytest.approx(0.1)
     assert any("friction 0.3 between indenter and finger" in note for note in early.notes)
     assert (tmp_path / "early.mechanics.png").read_bytes().startswith(b"\x89PNG")
     # what --surfaces restores for the optics
@@ -70,13 +82,13 @@ def test_a_push_that_ends_early_is_kept_and_gone_on_with(tmp_path: Path, monkeyp
     check_no_intersections(shape.gel)
 
     resumed = succeed(f"{press}/whole.press.json --resume {tmp_path}/early.increments")
-    assert "push  0.600 mm" in resumed
+    assert "push  0.200 mm" in resumed
     whole = read_record(tmp_path / "whole.mechanics.json", PressMechanics)
     assert not whole.unreached
     assert whole.force_n[0, 1] == early.force_n[-1, 1]
     assert whole.force_n[1, 1] > 1.5 * whole.force_n[0, 1]
     last = read_record(tmp_path / "whole.increments" / "002.json", PressIncrement)
-    assert last.depth_mm[-1] == pytest.approx(0.6)
+    assert last.depth_mm[-1] == pytest.approx(0.2)
 
 
 def test_a_push_that_never_begins_leaves_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,17 +115,6 @@ def test_an_earlier_increment_is_not_resumed_over_later_ones(tmp_path):
     assert mechanics_paths(tmp_path / "d.press.json", folder / "1000.json")["increments"] == folder
 
 
-BABY = """
-name = "small"
-[pad]
-length_mm = 48.0
-width_mm = 18.0
-film = {}
-[indenter]
-position_mm = 24.0
-"""
-
-
 def refused(arguments: str) -> str:
     """Run a command that must end in one line of explanation; return it."""
     outcome = finray(arguments)
@@ -122,6 +123,7 @@ def refused(arguments: str) -> str:
     return outcome.err
 
 
+@pytest.mark.usefixtures("rough_mesh")
 def test_an_stl_that_changed_is_not_gone_on_with(tmp_path: Path) -> None:
     (tmp_path / "finger.toml").write_text(BABY + 'depth_mm = 0.2\nshape = "mesh"\nfile = "cube.stl"\n')
     body = CUBE - np.array([2.5, 0.0, 2.5])
@@ -158,6 +160,42 @@ def test_a_press_to_a_force_tells_the_depth_and_the_torque_at_slip(tmp_path: Pat
     assert 0.25 < record.slip_torque_per_friction_n_mm / (0.8 * 18.0) < 0.5
     assert "N mm times the coefficient of friction" in said
     check_no_intersections(restore_shapes(read_record(tmp_path / "held.surfaces.json", FingerSurfaces))[1].gel)
+
+
+@pytest.mark.usefixtures("rough_mesh")
+def test_a_force_that_is_not_reached_is_told_as_what_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "finger.toml").write_text(BABY)
+    monkeypatch.setattr("sim.mechanics.force_control.load_increments", impatient)
+    outcome = finray(
+        f"simulate {tmp_path}/finger.toml --only mechanics --force 0.8 --increments 2 --out {tmp_path}/held.json"
+    )
+    assert outcome.status == 2
+    assert "error: the push ended early, at 0.4 of 0.8 N: no equilibrium beyond 0.5 of the load" in outcome.err
+    record = read_record(tmp_path / "held.mechanics.json", PressMechanics)
+    assert record.force_n[:, 1] == pytest.approx([0.4], rel=1e-5)
+    # not with the force that was tried last
+    assert any(note.endswith("driven by a force of 0.4 N") for note in record.notes)
+
+
+def test_a_press_is_stored_though_none_with_a_number_changed_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: Any, **__: Any) -> None:
+        raise NoEquilibriumError("no equilibrium beyond 0 of the load: the stiffness matrix is singular")
+
+    (tmp_path / "finger.toml").write_text(BABY + "depth_mm = 0.2\n")
+    monkeypatch.setattr("sim.experiments.force_sensitivities.press_sensitivities", never)
+    press = f"simulate {tmp_path}/finger.toml --only mechanics --increments 1 --sensitivities"
+    outcome = finray(f"{press} --out {tmp_path}/lone.json")
+    assert outcome.status == 2
+    assert re.search(
+        r"error: there are no presses with one number changed: .* is singular\. The press itself is stored", outcome.err
+    )
+    assert "push  0.200 mm" in outcome.out
+    record = read_record(tmp_path / "lone.mechanics.json", PressMechanics)
+    assert record.depth_mm[-1] == pytest.approx(0.2)
+    assert record.sensitivities is None
+    assert any("there are no presses with one number changed" in note for note in record.notes)
 
 
 @pytest.mark.parametrize(

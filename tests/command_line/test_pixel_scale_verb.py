@@ -210,3 +210,26 @@ def test_a_session_whose_first_picture_lies_anywhere_is_refused(pictures: Path, 
     missing = finray(f"study pixel-scale {lens(pictures)} {BOARD} --square-u-mm 0.003 --out {tmp_path}/s.json")
     assert missing.status == 2
     assert "--pad: missing; give the picture of the board" in missing.err
+
+
+def test_a_session_without_the_board_on_the_pad_is_refused(pictures: Path, tmp_path: Path) -> None:
+    folder = session_of(tmp_path / "session", pictures, on_pad=True)
+    session = read_record(folder / "session.json", TactileSession)
+    frames = tuple(frame for frame in session.frames if frame.place != 1)
+    (folder / "session.json").unlink()
+    write_record(session.model_copy(update={"frames": frames}), folder / "session.json", provenance("pytest"))
+    outcome = finray(f"study pixel-scale {folder} --square-u-mm 0.003 --monochrome --out {tmp_path}/s.json")
+    assert outcome.status == 2
+    assert "holds no picture of the board's first place, on the pad (was the session interrupted?)" in outcome.err
+
+
+def test_the_picture_on_the_pad_may_be_among_the_others(pictures: Path, tmp_path: Path) -> None:
+    every = f"{lens(pictures)} {pictures}/../{pictures.name}/board-0.png --pad {pictures}/board-0.png"
+    out = tmp_path / "s.json"
+    succeed(f"study pixel-scale {every} {BOARD} --square-u-mm 0.003 --lens-model fisheye --out {out}")
+    assert len(read_record(out, PixelScale).lens_pictures) == 6
+    twice = finray(
+        f"study pixel-scale {pictures}/board-1.png {every} {BOARD} --square-u-mm 0.003 --out {tmp_path}/t.json"
+    )
+    assert twice.status == 2
+    assert "board-1.png: is given twice; a picture counts once" in twice.err

@@ -3,15 +3,21 @@
 import csv
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from data_schemas.design import FingerDesign
+from data_schemas.errors import NoEquilibriumError
 from data_schemas.finger_stiffness import FingerStiffness
 from data_schemas.storage import read_record
+from sim.mechanics.finger_mesh import STEPS, MeshSteps
 from tests.command_line.running import finray, succeed
 
 
-def test_two_fingers_are_told_apart(tmp_path: Path) -> None:
+def test_two_fingers_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # half as fine as coarse: torques and bending differ from those by under a per cent
+    monkeypatch.setitem(STEPS, "coarse", MeshSteps(pad_mm=3.0, pad_layer_mm=3.0, skeleton_mm=4.0, layers=1))
     (tmp_path / "thin.toml").write_text(
         'name = "thin ribs"\n[pad]\nlength_mm = 48.0\nwidth_mm = 18.0\nfilm = {}\n[indenter]\nposition_mm = 24.0\n'
         "[skeleton]\nrib_count = 4\nrib_thickness_mm = 0.7\n"
@@ -30,6 +36,29 @@ def test_two_fingers_are_told_apart(tmp_path: Path) -> None:
         assert 3.0 / 16.0 < row.slip_torque_per_friction_n_mm / (study.grip_force_n * 18.0) < 0.5
         assert f"{row.design}: bending {row.bending_n_per_mm:.3f} N/mm" in said
     assert re.search(r"twist_n_mm_per_deg: .* = \d\.\d{3}; no dimension was changed", said)
+
+
+def test_a_finger_that_cannot_grip_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Quick:
+        def __init__(self, design: FingerDesign, threads: int) -> None:
+            pass
+
+        def push(self, place: str, force_n: tuple[float, float, float]) -> Any:
+            return type("Pushed", (), {"stiffness_n_per_mm": 2.0})
+
+        def twist(self, angle_deg: float) -> Any:
+            return type("Twisted", (), {"stiffness_n_mm_per_deg": 3.0})
+
+    def never(*_: Any, **__: Any) -> None:
+        raise NoEquilibriumError("no equilibrium at a push of 0.1 mm")
+
+    monkeypatch.setattr("sim.experiments.finger_stiffness.LoadedFinger", Quick)
+    monkeypatch.setattr("sim.experiments.finger_stiffness.press_to_force", never)
+    said = succeed(f"study finger-stiffness baby-48x18 --vary 0 --out {tmp_path}/stiffness")
+    assert "a cylinder gripped with 2 N is not told of: no equilibrium at a push of 0.1 mm" in said
+    row = read_record(tmp_path / "stiffness" / "finger-stiffness.json", FingerStiffness).rows[0]
+    assert (row.bending_n_per_mm, row.slip_torque_per_friction_n_mm, row.tipping_torque_n_mm) == (2.0, None, None)
+    assert row.grip_failure == "no equilibrium at a push of 0.1 mm"
 
 
 @pytest.mark.parametrize(

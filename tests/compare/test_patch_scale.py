@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from data_schemas.errors import CompareError
+from data_schemas.sensing import NormalMapRecord
 from finray_calib.compare.checked_comparison import CheckOptions, compare_checked
-from finray_calib.compare.patch_scale import patch_scale
+from finray_calib.compare.patch_scale import patch_scale, with_measured_scale
 from finray_calib.compare.pixel_scale_record import Declared, pixel_scale
 from finray_calib.reports.comparison_page import comparison_page
 from tests.command_line.records import capture_of, press
@@ -97,3 +98,49 @@ def test_a_plane_that_is_not_seen_is_refused(scale):
         CompareError, match="at column 40, row 30, the middle of the patch, the pixel scale is not known to 5%"
     ):
         patch_scale(scale.model_copy(update={"place": place}), capture, simulated.distance, FACTORS)
+
+
+def map_taught_at(mm_per_px):
+    """Return a map of the strip's size that was taught at a scale."""
+    return NormalMapRecord(
+        name="map", degree=1, coefficients=np.zeros((6, 2)), lowest_change_rel=-np.ones(3),
+        highest_change_rel=np.ones(3),
+        height_px=60, width_px=80, mm_per_px=mm_per_px, encoding="linear", presses=14,
+        held_out_explained_rel=np.array([0.9]), held_out_angle_deg=np.array([2.0]),
+    )  # fmt: skip
+
+
+def test_a_planned_scale_is_replaced_by_the_measured_one_before_sensing(scale):
+    """The ball plan runs with the planned value; its map is taught with the measured one, and so is the comparison."""
+    simulated = press()
+    capture = capture_of(simulated, 50.0).model_copy(update={"mm_per_px": 1.15 * MM_PER_PX, "mm_per_px_u_rel": 0.2})
+    normal_map = map_taught_at(with_measured_scale(capture, scale).mm_per_px)
+    with pytest.raises(CompareError, match=r"or where the capture states a planned scale give the measured one"):
+        compare_checked(simulated, capture, 1, CheckOptions(normal_map=normal_map))
+    report, _ = compare_checked(simulated, capture, 1, CheckOptions(normal_map=normal_map, pixel_scale=scale))
+    assert report.sensing is not None
+    assert not any(finding.startswith("scale:") for finding in report.findings)
+
+
+def test_a_large_patch_is_not_cut_short(scale):
+    """More pixels than are looked at for the range of the scale: extents still reach from border to border."""
+    shape = (480, 640)
+    lens = scale.calibration.model_copy(
+        update={"width_px": 640, "height_px": 480, "focal_px": (400.0, 400.0), "centre_px": (319.5, 239.5)}
+    )
+    large = scale.model_copy(update={"calibration": lens})
+    raw = np.zeros((*shape, 3), dtype=np.uint16)
+    capture = capture_of(press(), 50.0).model_copy(update={"contact": raw, "no_contact": raw, "repeat_no_contact": raw})
+    rows, columns = np.indices(shape)
+    distance = np.hypot(columns - 320, rows - 240) / 150.0
+    found = patch_scale(large, capture, distance, {"contact patch": 1.0})
+    # columns 170 to 470; one pixel less would be 3e-3, the fitted tilt of the plane changes the scale by below 1e-3
+    assert found.extents[0].along_x_mm == pytest.approx(301 * found.middle.along_x_mm_per_px, rel=1e-3)
+    assert found.extents[0].along_y_mm == pytest.approx(301 * found.middle.along_y_mm_per_px, rel=1e-3)
+
+
+def test_an_empty_patch_is_refused(scale):
+    simulated = press()
+    capture = capture_of(simulated, 50.0)
+    with pytest.raises(CompareError, match="no pixel of the render lies within 1 half-width of the contact"):
+        patch_scale(scale, capture, simulated.distance + 1.5, FACTORS)

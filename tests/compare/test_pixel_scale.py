@@ -8,8 +8,8 @@ from data_schemas.errors import CompareError
 from finray_calib.compare.board_corners import BoardView, find_board, require_plausible
 from finray_calib.compare.corner_refinement import refined_views
 from finray_calib.compare.lens_calibration import POSE, adjust, calibrate_lens
-from finray_calib.compare.pixel_scale import SeenPlane, plane_places_mm, plane_scale, scales_only
-from finray_calib.compare.pixel_scale_record import Declared, pixel_scale, seen_plane
+from finray_calib.compare.pixel_scale import ScaleDraws, SeenPlane, plane_places_mm, plane_scale, scales_only
+from finray_calib.compare.pixel_scale_record import Declared, _widened, pixel_scale, seen_plane
 from tests.compare.board_scenes import (
     BOARD,
     FISHEYE,
@@ -270,3 +270,19 @@ def test_a_board_that_is_too_small_or_a_line_is_refused(monkeypatch):
     monkeypatch.setattr(board_corners, "_detected", found(seen[:9], np.arange(9)))
     with pytest.raises(CompareError, match="lie on one line"):
         find_board(grey, wide, "edge")
+
+
+def draws_with(corners_u, lens_u):
+    """Return a scale whose parts are these."""
+    parts = {"corners of the board on the pad": np.full((1, 3), corners_u), "lens": np.full((1, 3), lens_u)}
+    return ScaleDraws(np.ones((1, 3)), np.full((1, 3), np.hypot(corners_u, lens_u)), parts)
+
+
+def test_corners_without_error_leave_nothing_to_widen():
+    assert _widened(0.0, draws_with(0.0, 0.0)) == 1.0
+    assert _widened(3e-3, draws_with(8e-4, 6e-4)) == pytest.approx(3.0)
+
+
+def test_a_scatter_beyond_all_bounds_is_refused():
+    with pytest.raises(CompareError, match=r"scatters 2000 times as much .* up to 1000 times can be stated"):
+        _widened(2e-3, draws_with(8e-7, 6e-7))

@@ -1,11 +1,13 @@
 """A decision takes reports on its own finger only."""
 
+import hashlib
+
 import pytest
 
 from data_schemas.compare import PhotometricErrorReport
 from data_schemas.design import FingerDesign
 from data_schemas.errors import DecideError
-from data_schemas.finger_identity import finger_identity
+from data_schemas.finger_identity import _PARTS, VERSION, FingerIdentity, finger_identity
 from finray_calib.compare.comparison_record import compare_press
 from finray_calib.decide.decision_record import decide
 from finray_calib.decide.finger_check import require_one_finger
@@ -56,6 +58,44 @@ def test_another_finger_is_refused_and_both_are_named(design, parts):
     design = design.model_copy(update={"name": "other finger"})
     with pytest.raises(DecideError, match=rf"on the finger 'other finger', the sweep 'hill' on '.*', .* in {parts}:"):
         require_one_finger(sweep(), [report_on(DESIGN), report_on(design)])
+
+
+def leaves(value, path=""):
+    """Return the names of all values of a dumped model."""
+    if isinstance(value, dict):
+        return [name for key, below in value.items() for name in leaves(below, f"{path}.{key}")]
+    return [path]
+
+
+def test_a_default_that_changes_makes_another_finger(monkeypatch):
+    """A value counts by what it is, not by whether it is the default."""
+    before = finger_identity(DESIGN)
+    thicker = changed("pad", thickness_mm=DESIGN.pad.thickness_mm + 1.0)
+    field = type(DESIGN.pad).model_fields["thickness_mm"]
+    monkeypatch.setattr(field, "default", thicker.pad.thickness_mm)
+    type(DESIGN.pad).model_rebuild(force=True)
+    try:
+        assert before.differs_in(finger_identity(thicker)) == ("pad",)
+    finally:
+        monkeypatch.undo()
+        type(DESIGN.pad).model_rebuild(force=True)
+
+
+def test_another_version_of_the_identity_is_taken_on_trust():
+    older = finger_identity(changed("pad", thickness_mm=4.0)).model_copy(update={"version": 1})
+    (note,) = require_one_finger(sweep(), [PhotometricErrorReport.model_construct(captured="press 1", finger=older)])
+    assert "as another version of finray does" in note
+    assert "taken on trust" in note
+    # what was stored before there were versions
+    assert FingerIdentity(name="finger", depth_mm=1.0, parts={}).version == 1
+
+
+def test_other_fields_are_another_version():
+    """If this fails, fields of the design were added or renamed: raise VERSION, and put the new checksum here."""
+    design = DESIGN.model_dump(mode="json")
+    fields = sorted(name for part in _PARTS for name in leaves(design[part], part))
+    digest = hashlib.sha256("\n".join(fields).encode()).hexdigest()[:12]
+    assert (VERSION, digest) == (2, "8838caeee28d")
 
 
 def test_a_report_that_names_no_finger_and_another_depth_are_told():

@@ -364,3 +364,10 @@ def test_the_page_is_written_once_and_never_over_another(tmp_path, html):
     assert path.read_text(encoding="utf-8") == html
     with pytest.raises(RecordError, match="exists already and is not overwritten"):
         write_comparison_page(REPORT, PRESS, CAPTURE, path, COMMAND, DIGESTS)
+
+
+def test_an_interval_that_is_cut_to_nothing_means_disagreement():
+    limits = words.limits(with_skill(1.0, 1.1, 1.0))
+    assert any("model and noise disagree" in limit for limit in limits)
+    assert not any("means 1 within its uncertainty" in limit for limit in limits)
+    assert not any("model and noise disagree" in limit for limit in words.limits(with_skill(0.95, 1.02, 1.0)))

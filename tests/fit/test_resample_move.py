@@ -7,11 +7,20 @@ import pytest
 from scipy.stats import chi2, kstest, spearmanr
 
 from finray_calib.fit.importance import importance_sample
-from finray_calib.fit.resample_move import LARGEST_MEMORY, moved_draws
+from finray_calib.fit.map_search import Maxima
+from finray_calib.fit.resample_move import LARGEST_MEMORY, _centred_ranks, _largest_correlation, moved_draws
 from tests.fit.test_sampler import FACTOR, MEAN, WideNormal, normal_density, two_normals
 
 COUNT = 1000
 BEND = 0.6
+PRECISION = np.linalg.inv(FACTOR @ FACTOR.T)
+
+
+def maxima_at(*places):
+    return Maxima(np.array(places), np.zeros(len(places)), np.array([PRECISION] * len(places)))
+
+
+ONE = maxima_at(MEAN)
 
 
 def bent(theta):
@@ -20,10 +29,10 @@ def bent(theta):
     return -0.5 * (z[0] ** 2 + (z[1] - BEND * (z[0] ** 2 - 1)) ** 2 + z[2] ** 2)
 
 
-def moved(density, proposal, seed, spoil=lambda sample: sample):
+def moved(density, proposal, seed, spoil=lambda sample: sample, maxima=ONE):
     rng = np.random.default_rng(seed)
     sample = spoil(importance_sample(density, proposal, 4000, rng))
-    return moved_draws(density, proposal, sample, COUNT, rng)
+    return moved_draws(density, proposal, sample, maxima, COUNT, rng)
 
 
 def unweighted(sample):
@@ -42,7 +51,9 @@ def test_draws_follow_the_density_even_from_a_wrong_start(seed):
 
 
 def test_masses_of_two_maxima_from_a_wrong_start():
-    draws = moved(two_normals, WideNormal(5.0), 5, unweighted)
+    draws = moved(
+        two_normals, WideNormal(5.0), 5, unweighted, maxima_at(MEAN - 5 * FACTOR[:, 0], MEAN + 5 * FACTOR[:, 0])
+    )
     assert draws.forgotten
     share = (draws.theta[:, 0] < MEAN[0]).mean()
     assert share == pytest.approx(0.7, abs=4 * np.sqrt(0.21 / COUNT))
@@ -66,8 +77,8 @@ def test_draws_that_hardly_move_remember_and_say_so():
     turn = rng.uniform(0, 2 * np.pi, COUNT)
     start = MEAN + np.stack([np.cos(turn), np.sin(turn), np.cos(turn)], axis=1) @ FACTOR.T
     sample = unweighted(replace(importance_sample(normal_density, WideNormal(), COUNT, rng), theta=start))
-    draws = moved_draws(ring, WideNormal(), sample, COUNT, rng)
-    assert draws.memory.max() > LARGEST_MEMORY
+    draws = moved_draws(ring, WideNormal(), sample, ONE, COUNT, rng)
+    assert draws.memory > LARGEST_MEMORY
     assert not draws.forgotten
     assert draws.sweeps == 700
 
@@ -77,11 +88,47 @@ def test_same_generator_gives_the_same_draws():
     assert np.array_equal(*runs)
 
 
-def test_rank_correlation_is_spearmans():
-    from finray_calib.fit.resample_move import _rank_correlation
+def test_a_small_maximum_that_never_exchanges_is_noticed():
+    """Each of two maxima of different shapes holds half the mass; the start has 3 % in one, and nothing leads over."""
+    far = 40 * FACTOR[:, 0]
 
+    def two_shapes(theta):
+        beside = np.linalg.solve(FACTOR, (theta - MEAN - far).T)
+        return np.logaddexp(
+            normal_density(theta), -0.5 * (np.diag([1e3, 1e3, 1e3]) @ beside**2).sum(axis=0) + 1.5 * np.log(1e3)
+        )
+
+    rng = np.random.default_rng(10)
+    small = rng.standard_normal((30, 3)) / np.sqrt(1e3) @ FACTOR.T + MEAN + far
+    start = np.concatenate([MEAN + rng.standard_normal((COUNT - 30, 3)) @ FACTOR.T, small])
+    sample = unweighted(replace(importance_sample(normal_density, WideNormal(), COUNT, rng), theta=start))
+    known = moved_draws(two_shapes, WideNormal(1.0), sample, maxima_at(MEAN, MEAN + far), COUNT, rng)
+    in_small = np.linalg.solve(FACTOR, (known.theta - MEAN).T)[0] > 20
+    assert in_small.mean() == pytest.approx(0.03, abs=0.01)  # wrong by far: one half is true
+    assert known.memory > 0.5
+    assert not known.forgotten
+
+
+def test_copies_that_stay_are_not_forgotten():
+    """One draw carries all the weight, and hardly a copy of it ever moves."""
+
+    def needle(theta):
+        return 1e12 * normal_density(theta)
+
+    rng = np.random.default_rng(11)
+    sample = importance_sample(normal_density, WideNormal(), COUNT, rng)
+    alone = replace(sample, theta=np.where(np.arange(COUNT)[:, None] == 7, MEAN, sample.theta), weight=np.eye(COUNT)[7])
+    draws = moved_draws(needle, WideNormal(), alone, ONE, COUNT, rng)
+    assert draws.distinct < 0.1 * COUNT
+    assert not draws.forgotten
+
+
+def test_correlations_are_spearmans_and_pearsons():
     rng = np.random.default_rng(9)
     first = rng.standard_normal((200, 2))
     second = first + rng.standard_cauchy((200, 2))
-    expected = [spearmanr(first[:, i], second[:, i])[0] for i in range(2)]
-    assert _rank_correlation(first, second) == pytest.approx(expected, abs=1e-12)
+    expected = max(spearmanr(first[:, i], second[:, i])[0] for i in range(2))
+    assert _largest_correlation(_centred_ranks(first), _centred_ranks(second)) == pytest.approx(expected, abs=1e-12)
+    belongs = rng.random((2, 200, 1)) < 0.3
+    centred = belongs - belongs.mean(axis=1, keepdims=True)
+    assert _largest_correlation(*centred) == pytest.approx(abs(np.corrcoef(belongs[:, :, 0])[0, 1]), abs=1e-12)
