@@ -175,7 +175,7 @@ def sampling_statement(diagnostics: Diagnostics) -> str:
     own = (
         f"draws by resample-move, {trust}: importance sampling was uneven (Pareto k "
         f"{pareto_text(diagnostics.pareto_k)}), so its draws were moved until they had forgotten where they began "
-        f"(rank correlation {diagnostics.memory:.2f}, at most {LARGEST_MEMORY:g} wanted); {found}."
+        f"(correlation {diagnostics.memory:.2f}, at most {LARGEST_MEMORY:g} wanted); {found}."
         if diagnostics.memory is not None
         else f"draws by {diagnostics.method}, {trust}: Pareto k {pareto_text(diagnostics.pareto_k)} (at most "
         f"{LARGEST_PARETO_K:g} wanted), {diagnostics.effective_samples:.0f} effective draws (at least "

@@ -188,7 +188,7 @@ def sampling_table(paint: FittedPaint) -> ReportTable:
         ("maxima, log posterior", ", ".join(fixed(value, 1) for value in told.maxima)),
     ]
     if told.memory is not None:
-        rows.append(("moved draws: rank correlation with their start", f"{told.memory:.2f}"))
+        rows.append(("moved draws: correlation with their start", f"{told.memory:.2f}"))
     if told.chain is not None:
         chain = told.chain
         role = "in its place" if told.method == "emcee" else "as a check"

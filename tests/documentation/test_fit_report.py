@@ -119,7 +119,7 @@ def test_the_sampling_is_told_with_what_was_wanted() -> None:
     moved = diagnostics.model_copy(update={"method": "resample-move", "pareto_k": 0.5, "memory": 0.083, "chain": None})
     assert said.sampling_statement(moved) == (
         "draws by resample-move, trusted: importance sampling was uneven (Pareto k 0.50), so its draws were moved "
-        "until they had forgotten where they began (rank correlation 0.08, at most 0.15 wanted); "
+        "until they had forgotten where they began (correlation 0.08, at most 0.15 wanted); "
         "2 maxima of the posterior."
     )
     taken_over = diagnostics.model_copy(update={"method": "emcee", "pareto_k": 1.2})
