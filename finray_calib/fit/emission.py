@@ -29,6 +29,8 @@ FloatArray = NDArray[np.float64]
 _PILOT_DRAWS: Final = 1000
 _WORTH_ADAPTING: Final = 20_000
 """Draws from which adapting the proposal, some ten thousand evaluations, pays even where the first one would do."""
+_GOOD_SHARE_OF_MANY: Final = 0.55
+"""Effective share at which adapting for so many draws stops: beyond it a round costs more than it gains."""
 
 _GROWTHS: Final = 10
 _TRIAL_DRAWS: Final = 2000  # tell whether a grown proposal is worth all draws
@@ -231,7 +233,8 @@ def draw_posterior(
     many = settings.importance_draws >= _WORTH_ADAPTING
     if many or pilot.effective < SMALLEST_EFFECTIVE_SHARE * _PILOT_DRAWS:
         method = "adapted importance sampling"
-        proposal = proposal.adapted(log_posterior, rng, good_effective_share=settings.good_effective_share)
+        good_share = max(settings.good_effective_share, _GOOD_SHARE_OF_MANY if many else 0.0)
+        proposal = proposal.adapted(log_posterior, rng, good_effective_share=good_share)
     sample = importance_sample(log_posterior, proposal, settings.importance_draws, rng)
     for growth in range(_GROWTHS):
         if sample.trusted:

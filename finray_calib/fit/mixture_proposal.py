@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from finray_calib.fit.map_search import Maxima
+from finray_calib.fit.mixture_kernel import fill_terms
 from finray_calib.fit.prior import Prior
 
 FloatArray = NDArray[np.float64]
 
-_DEGREES_OF_FREEDOM = 5.0  # tails heavier than the posterior's keep the importance weights bounded
+_DEGREES_OF_FREEDOM = 5  # tails heavier than the posterior's keep the importance weights bounded
 _INFLATION = 1.2  # of the Laplace sd: a proposal a little too wide costs less than one too narrow
 _LEAST_MASS = 0.05  # of the best maximum's: the Laplace mass is only an estimate
 _PRIOR_SHARE = 0.05
@@ -55,7 +56,8 @@ class MixtureProposal:
         self._whiten = np.linalg.inv(self._factors)
         dimension, df = centres.shape[1], _DEGREES_OF_FREEDOM
         constant = math.lgamma((df + dimension) / 2) - math.lgamma(df / 2) - dimension / 2 * np.log(df * np.pi)
-        self._ln_norm = constant - np.log(np.diagonal(self._factors, axis1=1, axis2=2)).sum(axis=1)
+        ln_norm = constant - np.log(np.diagonal(self._factors, axis1=1, axis2=2)).sum(axis=1)
+        self._heights = self._shares[:-1] * np.exp(ln_norm)
 
     @property
     def shares(self) -> FloatArray:
@@ -159,35 +161,31 @@ class MixtureProposal:
 
     def log_density(self, theta: FloatArray) -> FloatArray:
         """Return the normalised log density of (n, D) rows, (n,)."""
-        terms = self._ln_terms(theta, self._squared_distance(theta))
-        return np.asarray(np.log(np.exp(terms).sum(axis=1)))  # Student t terms do not underflow: no shift is needed
+        _, terms = self._terms(theta)
+        return np.asarray(np.log(terms.sum(axis=1) + self._prior_term(theta)))
 
-    def _squared_distance(self, theta: FloatArray) -> FloatArray:
-        """Return the squared Mahalanobis distances, (n, K)."""
-        count, size = self._centres.shape
-        z = theta @ self._whiten.reshape(count * size, size).T  # one product for all components
-        z -= np.einsum("kij,kj->ki", self._whiten, self._centres).ravel()
-        z *= z
-        return np.asarray(z.reshape(len(theta), count, size).sum(axis=2))
+    def _terms(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return squared Mahalanobis distances and densities of the components times their shares, each (n, K)."""
+        squared, terms = np.empty((2, len(theta), len(self._centres)))
+        rows = np.ascontiguousarray(theta)
+        fill_terms(rows, self._centres, self._whiten, self._heights, _DEGREES_OF_FREEDOM, squared, terms)
+        return squared, terms
 
-    def _ln_terms(self, theta: FloatArray, squared: FloatArray) -> FloatArray:
-        """Return the logarithms of the K + 1 terms of the density, (n, K + 1)."""
-        exponent = (_DEGREES_OF_FREEDOM + theta.shape[1]) / 2
-        ln_t = self._ln_norm - exponent * np.log1p(squared / _DEGREES_OF_FREEDOM)
-        return np.asarray(np.column_stack([ln_t, self._prior.log_density(theta)]) + np.log(self._shares))
+    def _prior_term(self, theta: FloatArray) -> FloatArray:
+        """Return the prior's density times its share, (n,)."""
+        return np.asarray(self._shares[-1] * np.exp(self._prior.log_density(theta)))
 
     def _split(self, theta: FloatArray, weight: FloatArray, rng: np.random.Generator) -> Self:
         """Return the mixture with components of the present shapes moved to weighted draws."""
         centres = theta[rng.choice(len(theta), _COMPONENTS, p=weight)]
-        nearest = self._ln_terms(centres, self._squared_distance(centres))[:, :-1].argmax(axis=1)
+        nearest = self._terms(centres)[1].argmax(axis=1)
         shares = np.full(_COMPONENTS, 1.0)
         return type(self)(shares, centres, self._covariances[nearest], self._prior)
 
     def updated(self, theta: FloatArray, weight: FloatArray) -> Self:
         """Return the mixture after one step of expectation maximisation on (n, D) draws with (n,) weights."""
-        squared = self._squared_distance(theta)
-        terms = self._ln_terms(theta, squared)
-        member = np.exp(terms - log_sum_exp(terms, axis=1)[:, None])[:, :-1] * weight[:, None]
+        squared, terms = self._terms(theta)
+        member = terms * (weight / (terms.sum(axis=1) + self._prior_term(theta)))[:, None]
         share = member.sum(axis=0)
         keep = share > _LEAST_SHARE
         if not keep.any():
