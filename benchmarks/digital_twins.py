@@ -25,11 +25,12 @@ from data_schemas.simulate import SimulatedPress
 from finray_calib.compare.blocks import block_mean
 from finray_calib.compare.brightness import brightness_draws, captured_share, ring_of
 from finray_calib.compare.capture_noise import NO_NOISE
-from finray_calib.compare.comparison_record import DILATED, FACTORS, compare_press
+from finray_calib.compare.comparison import prepare_comparison
+from finray_calib.compare.comparison_record import compare_press
 from finray_calib.compare.input_draws import Inputs
-from finray_calib.compare.photometric_error import best, prepare_comparison
+from finray_calib.compare.photometric_error import best
 from finray_calib.compare.region_sums import Captured
-from finray_calib.compare.regions import Region, strip_from_distance
+from finray_calib.compare.regions import DILATED, FACTORS, Region, strip_from_distance
 from finray_calib.compare.render_layers import RenderLayers
 from finray_calib.demo.stages import Demo, DemoSettings
 from sim.experiments.digital_twin import LED_DRIFT_REL

@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
-from data_schemas.design import FingerDesign, LightPanel
+from data_schemas.design import FingerDesign
+from data_schemas.optical_design import LightPanel
 from sim.optics.paint_bands import BAND_NAMES, PaintBands, PaintOptics, paint_bands
 from sim.optics.variants import choose_variant, open_renderer
 

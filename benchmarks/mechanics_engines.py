@@ -24,7 +24,8 @@ import numpy as np
 
 from data_schemas.design import FingerDesign
 from data_schemas.mechanical_design import OgdenSolid
-from sim.mechanics.other_engines.calculix import calculix_version, press_finger_calculix
+from sim.mechanics.other_engines.calculix import press_finger_calculix
+from sim.mechanics.other_engines.calculix_program import calculix_version
 from sim.mechanics.press import PressedFinger, press_finger
 from sim.presets import preset_design
 

@@ -7,8 +7,8 @@ from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
 from finray_calib.fit.discrepancy import PAINT_DISCREPANCY
 from finray_calib.fit.emission import REFERENCE_ROUNDS
 from finray_calib.fit.likelihood import BandData, LogPosterior
+from finray_calib.fit.measured_bands import band_data
 from finray_calib.fit.nuisances import band_values
-from finray_calib.fit.paint_calibration import band_data
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.spectra.band_weights import emission_weights
 from finray_calib.spectra.emission_families import EmissionFamily, family_named

@@ -22,17 +22,18 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from data_schemas.errors import SimulateError
-from sim.mechanics.assembly import Assembly, State, Term
+from sim.mechanics.assembly import Assembly
 from sim.mechanics.body_meshes import body_mesh
 from sim.mechanics.colliding_surfaces import Obstacle
 from sim.mechanics.contact_analytic import node_blocks
 from sim.mechanics.contact_ipc import Barrier, BarrierContact
-from sim.mechanics.drive import Drive
+from sim.mechanics.driven_contact import DrivenContact
 from sim.mechanics.elements import Elasticity
+from sim.mechanics.increments import load_increments
 from sim.mechanics.linear_solver import linear_solver
 from sim.mechanics.materials import LinearElastic
 from sim.mechanics.mesh import Block, FingerMesh
-from sim.mechanics.newton import Supports, load_increments
+from sim.mechanics.newton import Supports
 from sim.mechanics.signed_distances import Cylinder
 from sim.mechanics.structured_grid import hexahedra_on_grid, quads_of_layer
 from sim.surface_meshes.hexahedra import split_quads
@@ -242,41 +243,25 @@ class SteelPress:
     unknowns: int
 
 
-class Touch:
+def driven_cylinder(finger: SteelFinger, mesh: FingerMesh) -> DrivenContact:
     """Front plate and cylinder: a barrier between them, the cylinder driven towards the base of the push."""
-
-    def __init__(self, finger: SteelFinger, mesh: FingerMesh) -> None:
-        # the cylinder's reference node is the last one, which no element uses
-        reference, radius = len(mesh.nodes_mm) - 1, finger.radius_mm + finger.layer_mm
-        barrier = Barrier(friction_ratio=finger.friction)
-        cylinder = body_mesh(Cylinder(radius), CHORD_MM, WIDTH_MM)
-        centre = np.array([0.0, radius + barrier.reach_mm, finger.height_mm])
-        obstacle = Obstacle(cylinder.vertices_mm + centre, cylinder.triangles, reference)
-        front = split_quads(mesh.surfaces["front"], mesh.nodes_mm)
-        self.contact = BarrierContact(mesh.nodes_mm, front, obstacle, barrier)
-        self._drive = Drive(reference, 1)
-        self.terms: tuple[Term, ...] = (self.contact, self._drive)
-        self._supports = Supports.at_rest(reference + 1, mesh.node_sets["fixed"])
-        self._supports.fixed[mesh.node_sets["middle"], 0] = True
-        self._supports.fixed[reference] = (True, False, True)
-
-    def push(self, depth_mm: float) -> Supports:
-        self.contact.restart()
-        self._drive.target_mm = -depth_mm
-        return self._supports
-
-    def settle(self, state: State) -> bool:
-        met, settled = self._drive.settle(state.u_mm), self.contact.settle(state.u_mm)
-        if met and settled:
-            self.contact.accept(state.u_mm)
-        return met and settled
+    # the cylinder's reference node is the last one, which no element uses
+    reference, radius = len(mesh.nodes_mm) - 1, finger.radius_mm + finger.layer_mm
+    barrier = Barrier(friction_ratio=finger.friction)
+    cylinder = body_mesh(Cylinder(radius), CHORD_MM, WIDTH_MM)
+    centre = np.array([0.0, radius + barrier.reach_mm, finger.height_mm])
+    obstacle = Obstacle(cylinder.vertices_mm + centre, cylinder.triangles, reference)
+    front = split_quads(mesh.surfaces["front"], mesh.nodes_mm)
+    supports = Supports.at_rest(reference + 1, mesh.node_sets["fixed"])
+    supports.fixed[mesh.node_sets["middle"], 0] = True
+    return DrivenContact(BarrierContact(mesh.nodes_mm, front, obstacle, barrier), supports, reference)
 
 
 def press(finger: SteelFinger, at_mm: tuple[float, ...], step_mm: float = 3.0, across: int = 2) -> SteelPress:
     """Push the cylinder into the front plate from first touch."""
     mesh, pairs = steel_mesh(finger, step_mm, across)
     mesh = replace(mesh, nodes_mm=np.concatenate([mesh.nodes_mm, np.zeros((1, 3))]))
-    touch, ribs = Touch(finger, mesh), RigidRibs(mesh.nodes_mm, pairs)
+    touch, ribs = driven_cylinder(finger, mesh), RigidRibs(mesh.nodes_mm, pairs)
     steel = LinearElastic(1e3 * finger.youngs_modulus_gpa, POISSON)
     assembly = Assembly(Elasticity(mesh, {"steel": steel}), [*touch.terms, *([ribs] if finger.ribs else [])])
     # where the finger is touched late, it is pushed less than the source's displacement says

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data_schemas.rig import DeviceIdentity
+from data_schemas.devices import DeviceIdentity
 from rigs.capture.paint_session import capture_with
 from rigs.capture.plan import paint_steps
 from rigs.host import SystemClock

@@ -33,7 +33,7 @@ from benchmarks.drawn_paints import drawn_paint
 from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
 from finray_calib.fit.emission import FitSettings, fit_emission
 from finray_calib.fit.family_choice import DEFAULT_FAMILY
-from finray_calib.fit.paint_calibration import band_data
+from finray_calib.fit.measured_bands import band_data
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.spectra.curve_quantities import curve_quantities
 from finray_calib.spectra.emission_families import FAMILIES

@@ -9,7 +9,8 @@ from scipy.optimize import least_squares
 
 from data_schemas.radiometry import Optics
 from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
-from finray_calib.fit.pixel_maps import map_pixels, pixel_problem
+from finray_calib.fit.pixel_maps import map_pixels
+from finray_calib.fit.pixel_problem import pixel_problem
 from finray_calib.spectra.rig_curves import weights_of
 from rigs.presets import simulated_rig
 from tests.fit.pixel_scenes import SPREAD, PixelScene, center_of, scene, whole_rule

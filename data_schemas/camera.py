@@ -12,9 +12,10 @@ from pydantic import Field, model_validator
 
 from data_schemas.arrays import ArraySpec, check_dimensions
 from data_schemas.capture import Frame, RegionOfInterest
+from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.estimate import Estimate
 from data_schemas.model import Model, Record
-from data_schemas.rig import CameraSettings, DeviceIdentity, RigFile
+from data_schemas.rig import RigFile
 from data_schemas.units import ExposureS, RelativeUncertainty
 
 Floats = NDArray[np.float64]

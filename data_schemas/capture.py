@@ -8,9 +8,10 @@ from pydantic import Field, model_validator
 
 from data_schemas.arrays import ArraySpec, check_dimensions
 from data_schemas.curves import SpectralCurve
+from data_schemas.devices import DeviceIdentity
 from data_schemas.filter_curves import check_named_curves
 from data_schemas.model import Model, Record
-from data_schemas.rig import DeviceIdentity, RigFile
+from data_schemas.rig import RigFile
 from data_schemas.units import (
     AngleDeg,
     DurationS,

@@ -5,8 +5,9 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from data_schemas.capture import FilterProof, RegionOfInterest
+from data_schemas.devices import DeviceIdentity
 from data_schemas.model import Model, Record
-from data_schemas.rig import DeviceIdentity, RigFile
+from data_schemas.rig import RigFile
 from data_schemas.units import DurationS, ExposureS, Fraction, RelativeUncertainty, Seed, SignalDn
 
 Verdict = Literal["PASS", "FAIL", "UNDECIDED", "ERROR"]

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.curves import DonaldsonMatrix, SpectralCurve
 from data_schemas.errors import CurveError
-from data_schemas.rig import BandPassFilter
 
 Floats = NDArray[np.float64]
 CAMERA_COLUMNS = ["wavelength_nm", "red_percent", "green_percent", "blue_percent"]

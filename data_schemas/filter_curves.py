@@ -9,9 +9,9 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.curves import SpectralCurve, require_coverage
 from data_schemas.errors import CurveError
-from data_schemas.rig import BandPassFilter
 
 Floats = NDArray[np.float64]
 LARGEST_CENTER_DIFFERENCE_NM = 5.0

@@ -9,8 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from data_schemas.design import Coating, FingerDesign, GelPad, Indenter
+from data_schemas.design import FingerDesign
+from data_schemas.gel_pad import GelPad
+from data_schemas.indenter import Indenter
 from data_schemas.model import Model, Record
+from data_schemas.optical_design import Coating
 from data_schemas.units import AngleDeg, Fraction, LengthMm
 
 Channel = Literal["red", "green", "blue"]

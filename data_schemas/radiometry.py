@@ -7,11 +7,13 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from data_schemas.arrays import ArraySpec, check_dimensions
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.capture import RegionOfInterest
 from data_schemas.curves import SpectralCurve
+from data_schemas.devices import LaserSettings
 from data_schemas.filter_curves import check_named_curves
 from data_schemas.model import Model, Record
-from data_schemas.rig import BandPassFilter, LaserSettings, WhiteReference
+from data_schemas.rig import WhiteReference
 from data_schemas.units import AngleDeg, EnergyJ
 
 Floats = NDArray[np.float64]

@@ -1,17 +1,13 @@
-"""The only reader and writer of stored records: JSON plus arrays, atomic, hashed, versioned.
+"""The only reader and writer of records: JSON plus arrays, atomic, hashed, versioned; TOML where a person writes.
 
-A record is one JSON file (an envelope with kind, schema version and the record); arrays of more than
+A stored record is one JSON file (an envelope with kind, schema version and the record); arrays of more than
 :data:`INLINE_VALUES` values stand in one ``.npz`` file beside it, whose name carries its SHA-256. The array
-file is written first and the JSON gets its name last, so a record is either whole or absent. A name that is taken
-is refused by the file system itself: of two writers at the same moment one wins.
+file is written first and the JSON gets its name last, so a record is either whole or absent.
 """
 
-import errno
 import hashlib
 import io
 import json
-import os
-import secrets
 import tomllib
 import zipfile
 from pathlib import Path
@@ -25,62 +21,10 @@ from data_schemas.errors import ChecksumError, NewerSchemaError, RecordError
 from data_schemas.faults import explain
 from data_schemas.model import Record
 from data_schemas.provenance import Provenance
+from data_schemas.whole_files import refuse_taken, sha256_of, write_bytes
 
 INLINE_VALUES = 512
-# What os.link says on file systems without hard links (FAT, some network and container mounts).
-NO_HARD_LINKS = frozenset({errno.EPERM, errno.EACCES, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS})
 R = TypeVar("R", bound=Record)
-
-
-def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes as 64 hex digits."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a new file so that it is either whole or absent: part file, fsync, link to its name, fsync of the folder.
-
-    Raises
-    ------
-    RecordError
-        Something has this name already: nothing stored is overwritten.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    try:
-        with part.open("xb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        _give_name(part, path)
-    finally:
-        part.unlink(missing_ok=True)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
-
-
-def _give_name(part: Path, path: Path) -> None:
-    """Turn a finished part file into `path`, which must be free; linking refuses a taken name in one step."""
-    try:
-        os.link(part, path)
-    except FileExistsError:
-        raise _taken(path) from None
-    except OSError as error:
-        if error.errno not in NO_HARD_LINKS:
-            raise
-        # Without hard links a moment is left between look and rename.
-        if path.exists():
-            raise _taken(path) from None
-        part.replace(path)
-
-
-def _taken(path: Path) -> RecordError:
-    """Return the error for a name that is taken."""
-    return RecordError(f"{path}: exists already and is not overwritten; choose another --out or move it away")
 
 
 def _write_arrays(path: Path, content: bytes, sha256: str) -> None:
@@ -100,8 +44,7 @@ def write_record(record: Record, path: Path, provenance: Provenance) -> Path:
     RecordError
         The file exists already: a stored record is never overwritten.
     """
-    if path.exists():
-        raise _taken(path)
+    refuse_taken(path)
     content = record.model_copy(update={"provenance": provenance}).model_dump(mode="python")
     arrays: dict[str, NDArray[Any]] = {}
     body = _to_json(content, "", arrays)
@@ -261,40 +204,3 @@ def _is_written(table: Any, field: str) -> bool:
     """Return whether a dotted path stands in a table."""
     name, _, inner = field.partition(".")
     return isinstance(table, dict) and name in table and (not inner or _is_written(table[name], inner))
-
-
-def write_frame(path: Path, frame: NDArray[np.uint16], description: str) -> str:
-    """Write a frame, raw (H, W) or RGB (H, W, 3), as uncompressed 16-bit TIFF and return its SHA-256.
-
-    Raises
-    ------
-    RecordError
-        The file exists already.
-    """
-    import tifffile  # here and below, because most verbs touch no frame
-
-    buffer = io.BytesIO()
-    photometric = "rgb" if frame.ndim == 3 else "minisblack"
-    tifffile.imwrite(buffer, frame, photometric=photometric, description=description, metadata=None)
-    write_bytes(path, buffer.getvalue())
-    return hashlib.sha256(buffer.getvalue()).hexdigest()
-
-
-def read_frame(path: Path, sha256: str) -> NDArray[np.uint16]:
-    """Read a raw frame after checking that it is the one that was captured.
-
-    Raises
-    ------
-    ChecksumError
-        The frame is missing or its bytes differ from the recorded checksum.
-    """
-    import tifffile
-
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise ChecksumError(f"{path}: frame is missing; restore it from a copy or capture the session again") from None
-    if hashlib.sha256(content).hexdigest() != sha256:
-        raise ChecksumError(f"{path}: SHA-256 differs from the session's record; the frame was changed, restore it")
-    frame: NDArray[np.uint16] = tifffile.imread(io.BytesIO(content))
-    return frame

@@ -5,8 +5,8 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, model_validator
 
 from data_schemas.capture import CurrentMa, IndenterPose, UncertaintyDeg, UncertaintyMm
+from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.model import Model, Record
-from data_schemas.rig import CameraSettings, DeviceIdentity
 from data_schemas.units import AngleDeg, DurationS, ExposureS, Fraction, LengthMm, PositionMm, RelativeUncertainty
 
 BRACKET_POWERS: Final = (4, 22)

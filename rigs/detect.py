@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Final, Literal
 
-from data_schemas.rig import NO_ADDRESS
+from data_schemas.devices import NO_ADDRESS
 from rigs.cameras.call_thread import CallThread, NoAnswerError
 from rigs.drivers import CAMERAS, FILTER_WHEELS, LIGHTS
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final, cast
 
-from data_schemas.rig import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings
+from data_schemas.devices import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings
 from rigs.light_guard import GuardedLight, guarded_light
 from rigs.lights.plain_light import plain_light
 from rigs.protocols import Camera, FilterWheel, Light, Operator

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final, Literal
 
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import LostError
-from data_schemas.rig import DeviceIdentity
 from rigs.light_guard_client import SWITCH_DEADLINE_S, GuardClient
 
 STATE_DEADLINE_S: Final = 2.0

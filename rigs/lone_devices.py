@@ -5,7 +5,8 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TypeVar
 
-from data_schemas.rig import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings, RigFile
+from data_schemas.devices import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings
+from data_schemas.rig import RigFile
 from rigs.capture.rig_lock import device_locked
 from rigs.drivers import open_camera, open_lamp, open_laser, open_wheel
 from rigs.open_rig import OpenRig, open_rig

@@ -4,17 +4,22 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from data_schemas.curve_files import read_filter_curves
 from data_schemas.curves import SpectralCurve
+from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.filter_curves import coverage_notes
-from data_schemas.rig import DeviceIdentity, RigFile
+from data_schemas.rig import RigFile
 from data_schemas.standard_curves import camera_response, halogen_lamp
 from rigs.drivers import open_camera, open_lamp, open_laser, open_wheel
 from rigs.host import SystemClock, TerminalOperator
 from rigs.protocols import Camera, Clock, FilterWheel, Light, Operator
+
+if TYPE_CHECKING:
+    from rigs.simulated.sensor import Sensor
 
 DARK_CURRENT_E_PER_S = 2.0
 PIXEL_NONUNIFORMITY_REL = 0.01
@@ -120,26 +125,17 @@ def _open_simulated(
         SimulatedLight,
         SimulatedOperator,
     )
-    from rigs.simulated.sensor import Sensor
 
-    camera, seed = rig.camera, rig.simulated.seed if rig.simulated is not None else 0
-    sensor = Sensor(
-        bit_depth=camera.bit_depth,
-        black_level_dn=camera.black_level_dn,
-        gain_e_per_dn=camera.gain_e_per_dn,
-        read_noise_e=camera.read_noise_e,
-        dark_current_e_per_s=DARK_CURRENT_E_PER_S,
-        full_well_e=FULL_WELL_MARGIN * 2**camera.bit_depth * camera.gain_e_per_dn,
-        prnu_rel=PIXEL_NONUNIFORMITY_REL,
-        dsnu_e=DARK_OFFSET_SD_E,
-        seed=seed,
-    )
+    seed = rig.simulated.seed if rig.simulated is not None else 0
     slots = tuple(sorted(optic.slot for optic in rig.filter_wheel.filters))
     clock = SimulatedClock()
     state = BenchState(clock=clock, slot=slots[0], laser_power_mw=rig.laser.power_mw)
     return OpenRig(
         camera=SimulatedCamera(
-            Bench(rig, folder, response, filter_curves), sensor, state, np.random.default_rng([seed, 2])
+            Bench(rig, folder, response, filter_curves),
+            _simulated_sensor(rig.camera, seed),
+            state,
+            np.random.default_rng([seed, 2]),
         ),
         wheel=SimulatedFilterWheel(slots, state),
         laser=SimulatedLight("laser", state),
@@ -150,4 +146,21 @@ def _open_simulated(
         lamp_spectrum=lamp,
         filter_curves=filter_curves,
         notes=notes,
+    )
+
+
+def _simulated_sensor(camera: CameraSettings, seed: int) -> "Sensor":
+    """Return a sensor with the numbers of the rig file, and assumed ones where it has none."""
+    from rigs.simulated.sensor import Sensor
+
+    return Sensor(
+        bit_depth=camera.bit_depth,
+        black_level_dn=camera.black_level_dn,
+        gain_e_per_dn=camera.gain_e_per_dn,
+        read_noise_e=camera.read_noise_e,
+        dark_current_e_per_s=DARK_CURRENT_E_PER_S,
+        full_well_e=FULL_WELL_MARGIN * 2**camera.bit_depth * camera.gain_e_per_dn,
+        prnu_rel=PIXEL_NONUNIFORMITY_REL,
+        dsnu_e=DARK_OFFSET_SD_E,
+        seed=seed,
     )

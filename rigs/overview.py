@@ -9,9 +9,10 @@ from typing import Final
 import numpy as np
 
 from data_schemas.curve_files import read_filter_curves
+from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.errors import FinrayError
 from data_schemas.filter_curves import coverage_notes
-from data_schemas.rig import CameraSettings, DeviceIdentity, RigFile
+from data_schemas.rig import RigFile
 from data_schemas.standard_curves import camera_response, halogen_lamp
 from data_schemas.tactile import TactileRig
 from rigs.capture.exchange import CAMERA_DEADLINE_MARGIN_S

@@ -2,16 +2,11 @@
 
 from pathlib import Path
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.camera import CameraPlan
 from data_schemas.capture import PaintPlan, RegionOfInterest
-from data_schemas.rig import (
-    BandPassFilter,
-    CameraSettings,
-    FilterWheelSettings,
-    HiddenPaint,
-    RigFile,
-    SimulatedBench,
-)
+from data_schemas.devices import CameraSettings, FilterWheelSettings
+from data_schemas.rig import HiddenPaint, RigFile, SimulatedBench
 
 PAPER_FILTERS_NM = (405, 450, 500, 532, 560, 600, 630, 660)
 # The simulated filters come with a certificate: centre and width within 0.2 nm, evenly likely, is 0.12 nm, rounded up.

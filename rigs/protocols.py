@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.capture import Target
-from data_schemas.rig import DeviceIdentity
+from data_schemas.devices import DeviceIdentity
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,9 @@
 from collections.abc import Mapping
 from typing import Any, Final, Literal
 
-from data_schemas.rig import BandPassFilter, CameraSettings, FilterWheelSettings, LampSettings, LaserSettings, RigFile
+from data_schemas.band_pass_filter import BandPassFilter
+from data_schemas.devices import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings
+from data_schemas.rig import RigFile
 from rigs.detect import FoundDevice
 from rigs.presets import PAPER_FILTERS_NM
 

@@ -5,10 +5,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.camera import CameraPlan
 from data_schemas.capture import PaintPlan, RegionOfInterest
-from data_schemas.rig import BandPassFilter, RigFile, SimulatedBench
-from data_schemas.storage import write_bytes
+from data_schemas.rig import RigFile, SimulatedBench
+from data_schemas.whole_files import write_bytes
 
 _ABOVE: Final = ("address", "response")
 _CAMERA: Final = {

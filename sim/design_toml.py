@@ -6,7 +6,8 @@ from collections.abc import Collection, Iterator
 
 from pydantic import BaseModel
 
-from data_schemas.design import FingerDesign, LightPanel
+from data_schemas.design import FingerDesign
+from data_schemas.optical_design import LightPanel
 
 _HEAD = """\
 # A finger: gel pad, coating, light, mirror, camera, indenter. mm and deg; pads are length x width.

@@ -9,9 +9,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from data_schemas.design import Film, FingerDesign, GelPad, Indenter, LightPanel
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.gel_pad import Film, GelPad
+from data_schemas.indenter import Indenter
 from data_schemas.mechanical_design import Backing, Skeleton
+from data_schemas.optical_design import LightPanel
 
 # the panel at the tip, a mirror image of the one at the base
 _LIGHT_AT_THE_TIP: Final = LightPanel(angle_deg=150.0, position_mm=(0.0, -4.0, 71.0))

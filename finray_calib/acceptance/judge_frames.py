@@ -4,13 +4,11 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_schemas.check import CheckFacts, CheckPlan, CheckResult, DarkFrames, ExposureLevel, Verdict
-from data_schemas.rig import CameraSettings
+from data_schemas.devices import CameraSettings
 from finray_calib.acceptance.guard_band import limit_text, measured, unmeasured
 
-Floats = NDArray[np.float64]
 ROUNDING_DN2: Final = 1.0 / 12.0
 """Variance of rounding to whole counts."""
 LEAST_NOISE_DN: Final = 0.4

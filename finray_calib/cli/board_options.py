@@ -38,7 +38,8 @@ def _others(files: list[Path], pad: Path) -> list[Path]:
 def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
     """Return board and pictures of a tactile session: of each place that of the longest exposure that hardly clips."""
     from data_schemas.errors import CompareError
-    from data_schemas.storage import read_frame, read_record
+    from data_schemas.frame_files import read_frame
+    from data_schemas.storage import read_record
     from data_schemas.tactile import TactileSession
     from rigs.capture.tactile_captures import MOST_SATURATED_FRACTION
 

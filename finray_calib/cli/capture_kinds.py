@@ -7,8 +7,9 @@ from pathlib import Path
 
 from data_schemas.camera import CameraPlan, CameraSession
 from data_schemas.capture import CaptureSession, PaintPlan
+from data_schemas.devices import LaserSettings
 from data_schemas.errors import CaptureError
-from data_schemas.rig import LaserSettings, RigFile
+from data_schemas.rig import RigFile
 from data_schemas.storage import read_toml
 from finray_calib.cli.capture_tactile import capture_tactile, resume_tactile
 from finray_calib.cli.interruption import interruptible

@@ -56,7 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
     from data_schemas.errors import CaptureError
     from data_schemas.provenance import provenance
     from data_schemas.rig import RigFile
-    from data_schemas.storage import read_toml, write_bytes, write_record
+    from data_schemas.storage import read_toml, write_record
+    from data_schemas.whole_files import write_bytes
     from finray_calib.acceptance.acceptance_report import judge
     from finray_calib.acceptance.result_text import result_line
     from finray_calib.cli.interruption import interruptible

@@ -33,7 +33,7 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import read_record, write_record
     from finray_calib.compare.batch import mean_skill, worst_pairs
     from finray_calib.compare.checked_comparison import CheckOptions
-    from finray_calib.compare.comparison_record import DILATED
+    from finray_calib.compare.regions import DILATED
 
     out = require_new(arguments.out or Path("photometric-errors"))
     pairs, notes = _pairs(arguments)

@@ -40,7 +40,8 @@ def compare_force_verb(arguments: argparse.Namespace) -> None:
 
     from data_schemas.press_mechanics import PressMechanics
     from data_schemas.provenance import provenance
-    from data_schemas.storage import read_record, write_bytes, write_record
+    from data_schemas.storage import read_record, write_record
+    from data_schemas.whole_files import write_bytes
     from finray_calib.compare.force_comparison import compare_force
     from finray_calib.exchange.force_csv import read_force_csv
     from finray_calib.reports.force_figure import force_figure_png

@@ -96,7 +96,7 @@ def run_list(arguments: argparse.Namespace) -> None:
 
 def run_init(arguments: argparse.Namespace) -> None:
     """Write a design file."""
-    from data_schemas.storage import write_bytes
+    from data_schemas.whole_files import write_bytes
     from sim.design_toml import design_toml
     from sim.presets import preset_design
 
@@ -109,7 +109,8 @@ def run_init(arguments: argparse.Namespace) -> None:
 def run_show(arguments: argparse.Namespace) -> None:
     """Tell what the camera sees, and draw the finger."""
     from data_schemas.design import FingerDesign
-    from data_schemas.storage import read_toml, write_bytes
+    from data_schemas.storage import read_toml
+    from data_schemas.whole_files import write_bytes
     from sim.experiments.camera_view import camera_view
 
     design = read_toml(arguments.design, FingerDesign)
@@ -146,7 +147,8 @@ def run_export(arguments: argparse.Namespace) -> None:
     """Write the printed parts and the mould."""
     from data_schemas.design import FingerDesign
     from data_schemas.errors import SimulateError
-    from data_schemas.storage import read_toml, write_bytes
+    from data_schemas.storage import read_toml
+    from data_schemas.whole_files import write_bytes
     from finray_calib.exchange.printable_parts import PrintFormat, printable_parts
 
     design = read_toml(arguments.design, FingerDesign)

@@ -87,7 +87,8 @@ def run(arguments: argparse.Namespace) -> None:
     from data_schemas.fit import PaintCalibration
     from data_schemas.provenance import provenance
     from data_schemas.standard_curves import assumed_camera_response
-    from data_schemas.storage import read_record, write_bytes
+    from data_schemas.storage import read_record
+    from data_schemas.whole_files import write_bytes
     from finray_calib.exchange.led_camera_json import read_light
     from finray_calib.exchange.led_camera_matrix import assumed_led
     from finray_calib.exchange.paint_formats import PAINT_FORMATS, ExportOptions

@@ -10,7 +10,8 @@ def run(arguments: argparse.Namespace) -> None:
     """Write page and plans, and report."""
     from data_schemas.design import FingerDesign
     from data_schemas.errors import RecordError
-    from data_schemas.storage import read_toml, write_bytes
+    from data_schemas.storage import read_toml
+    from data_schemas.whole_files import write_bytes
     from finray_calib.cli.export_deck import refuse_options as refuse_deck
     from finray_calib.cli.export_taxim import refuse_options as refuse_taxim
     from finray_calib.exchange.capture_request import capture_request

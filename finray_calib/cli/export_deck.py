@@ -37,7 +37,8 @@ def refuse_options(arguments: argparse.Namespace) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Write the deck and report."""
     from data_schemas.design import FingerDesign
-    from data_schemas.storage import read_toml, write_bytes
+    from data_schemas.storage import read_toml
+    from data_schemas.whole_files import write_bytes
     from sim.mechanics.other_engines.deck_push import finger_deck
 
     path = _one_design(arguments)

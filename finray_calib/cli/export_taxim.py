@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Render, write the folder and report."""
     from data_schemas.errors import RecordError
     from data_schemas.provenance import provenance
-    from data_schemas.storage import write_bytes
+    from data_schemas.whole_files import write_bytes
     from finray_calib.cli.export_deck import refuse_options as refuse_deck
     from finray_calib.exchange.taxim_export import taxim_files
     from finray_calib.exchange.taxim_table import FEWEST_PRESSES

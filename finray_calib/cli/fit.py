@@ -82,9 +82,11 @@ def run(arguments: argparse.Namespace) -> None:
     from data_schemas.errors import FitError
     from data_schemas.provenance import provenance
     from data_schemas.radiometry import BandSignals
-    from data_schemas.storage import read_record, write_bytes, write_record
+    from data_schemas.storage import read_record, write_record
+    from data_schemas.whole_files import write_bytes
     from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
-    from finray_calib.fit.paint_calibration import FitOptions, calibrate_paint
+    from finray_calib.fit.fit_options import FitOptions
+    from finray_calib.fit.paint_calibration import calibrate_paint
 
     bands = read_record(arguments.bands, BandSignals)
     others = [read_record(path, BandSignals) for path in arguments.other_light]

@@ -27,7 +27,8 @@ def run_map(arguments: argparse.Namespace) -> None:
     from data_schemas.fit import PaintCalibration
     from data_schemas.provenance import provenance
     from data_schemas.radiometry import PixelSignals
-    from data_schemas.storage import read_record, write_bytes, write_record
+    from data_schemas.storage import read_record, write_record
+    from data_schemas.whole_files import write_bytes
     from finray_calib.fit.pixel_maps import map_paint
     from finray_calib.reports.paint_map_figure import paint_map_figure
 
@@ -52,7 +53,7 @@ def run_map(arguments: argparse.Namespace) -> None:
 
 def _report(fitted: "PaintMap") -> None:
     """Say how uniform the paint is and what could not be fitted."""
-    from finray_calib.reports.paint_map_figure import spot_sentence, spread_sentence
+    from finray_calib.reports.paint_map_figure import spot_sentence, spots_note, spread_sentence
 
     for quantity in fitted.uniformity:
         say(f"  {spread_sentence(fitted, quantity)}")
@@ -60,5 +61,7 @@ def _report(fitted: "PaintMap") -> None:
         say(f"  {fitted.unusable_pixels} pixels are masked or have fewer than four usable bands")
     if fitted.unconverged_pixels:
         say(f"  warning: {fitted.unconverged_pixels} pixels did not converge")
+    if fitted.worst_spots:
+        say(f"  spots whose yield departs. {spots_note(fitted)}")
     for spot in fitted.worst_spots:
         say(f"  {spot_sentence(spot)}")

@@ -60,7 +60,8 @@ def _add_format(
 def run(arguments: argparse.Namespace) -> None:
     """Import and report."""
     from data_schemas.provenance import provenance
-    from data_schemas.storage import sha256_of, write_record
+    from data_schemas.storage import write_record
+    from data_schemas.whole_files import sha256_of
 
     folder: Path = arguments.folder
     out = require_new(arguments.out or Path(f"{folder.resolve().name}.capture.json"))

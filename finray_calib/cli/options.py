@@ -5,6 +5,7 @@ import os
 import re
 import shlex
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int, str], None]
 LONGEST_NAME = 80
+LOG_INTERVAL_S = 20.0  # between the lines of a long command whose output goes to a file
 DEFAULT_INCREMENTS = 4
 DEFAULT_SEED = 1
 
@@ -162,16 +164,16 @@ def design_inputs(design: "FingerDesign", path: Path) -> list[Path]:
 
 def input_digests(paths: Iterable[Path]) -> dict[str, str]:
     """Return path as given -> SHA-256; file names alone would collide (red/paint.json, green/paint.json)."""
-    from data_schemas.storage import sha256_of
+    from data_schemas.whole_files import sha256_of
 
     return {path.as_posix(): sha256_of(path) for path in paths}
 
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Progress]:
-    """Show a progress bar on standard error while the block runs; in a log file or a pipe there is none."""
+    """Show a progress bar on standard error while the block runs; in a log file or a pipe, a line now and then."""
     if not sys.stderr.isatty():
-        yield lambda done, total, what: None
+        yield _lines_now_and_then(title)
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -189,3 +191,16 @@ def progress_bar(title: str) -> Iterator[Progress]:
             bar.update(task, completed=done, total=total, description=f"{title}: {what}")
 
         yield update
+
+
+def _lines_now_and_then(title: str) -> Progress:
+    """Return what writes how far a long block is, at most one line in :data:`LOG_INTERVAL_S`."""
+    last_s = time.monotonic()
+
+    def update(done: int, total: int, what: str) -> None:
+        nonlocal last_s
+        if time.monotonic() - last_s >= LOG_INTERVAL_S:
+            last_s = time.monotonic()
+            warn(f"{title}: {what} ({done} of {total})")
+
+    return update

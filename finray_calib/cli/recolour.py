@@ -64,7 +64,8 @@ def run(arguments: argparse.Namespace) -> None:
     from data_schemas.fit import PaintCalibration
     from data_schemas.provenance import provenance
     from data_schemas.simulate import SimulatedPress
-    from data_schemas.storage import read_record, sha256_of, write_record
+    from data_schemas.storage import read_record, write_record
+    from data_schemas.whole_files import sha256_of
     from sim.experiments.painted_finger import paint_optics
     from sim.experiments.recolour import recoloured
 

@@ -177,8 +177,9 @@ def _scene(arguments: argparse.Namespace, design: "FingerDesign") -> _Scene:
     """Read paints and surfaces, and paint the finger."""
     from data_schemas.fit import PaintCalibration
     from data_schemas.provenance import provenance
-    from data_schemas.storage import read_record, sha256_of
+    from data_schemas.storage import read_record
     from data_schemas.surfaces import FingerSurfaces
+    from data_schemas.whole_files import sha256_of
     from sim.experiments.painted_finger import paint_finger, paint_optics
     from sim.surface_meshes.stored_shape import restore_shapes
 

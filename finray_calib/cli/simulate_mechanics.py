@@ -92,7 +92,8 @@ def run_mechanics(arguments: argparse.Namespace) -> None:
     from data_schemas.design import FingerDesign
     from data_schemas.errors import NoEquilibriumError, SimulateError
     from data_schemas.provenance import provenance
-    from data_schemas.storage import read_toml, write_bytes
+    from data_schemas.storage import read_toml
+    from data_schemas.whole_files import write_bytes
 
     design, folder = read_toml(arguments.design, FingerDesign), arguments.design.parent
     resume = None if arguments.resume is None else last_increment(arguments.resume)
@@ -128,7 +129,8 @@ def _pressed(
 
     count, threads, folder = arguments.increments or DEFAULT_INCREMENTS, machine_threads(), arguments.design.parent
     if arguments.engine == "calculix":
-        from sim.mechanics.other_engines.calculix import calculix_notes, calculix_version, press_finger_calculix
+        from sim.mechanics.other_engines.calculix import calculix_notes, press_finger_calculix
+        from sim.mechanics.other_engines.calculix_program import calculix_version
 
         engine = f"CalculiX {calculix_version()}"
         pressed = press_finger_calculix(design, None, count, threads, progress)
@@ -173,7 +175,8 @@ def _pressed_to_depth(
 ) -> "PressedFinger":
     """Press, or go on pressing, and store each increment."""
     from data_schemas.press_mechanics import PressIncrement
-    from data_schemas.storage import read_record, sha256_of, write_record
+    from data_schemas.storage import read_record, write_record
+    from data_schemas.whole_files import sha256_of
     from finray_calib.spectra.compiled import machine_threads
     from sim.experiments.mechanical_press import increment_record, stored_press
     from sim.mechanics.press import press_finger
@@ -200,7 +203,8 @@ def _store(
 ) -> None:
     """Write records, mesh and picture, and tell the curve."""
     from data_schemas.errors import SimulateError
-    from data_schemas.storage import write_bytes, write_record
+    from data_schemas.storage import write_record
+    from data_schemas.whole_files import write_bytes
     from finray_calib.exchange.vtu import vtu_bytes
     from finray_calib.reports.pressed_finger_figure import pressed_finger_png
     from sim.experiments.mechanical_press import press_records

@@ -65,7 +65,8 @@ def run_paper_paints(arguments: argparse.Namespace) -> None:
 
     from data_schemas.curve_files import read_donaldson_matrix
     from data_schemas.provenance import provenance
-    from data_schemas.storage import write_bytes, write_record
+    from data_schemas.storage import write_record
+    from data_schemas.whole_files import write_bytes
     from finray_calib.reports.paper_paints_figure import paper_paints_png
     from sim.experiments.paper_paints import reproduce_paper_paints
 

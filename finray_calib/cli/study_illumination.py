@@ -84,7 +84,8 @@ def add_illumination_studies(studies: "argparse._SubParsersAction[argparse.Argum
 def run_study(study: _Study, arguments: argparse.Namespace) -> None:
     """Make a study; write its record and figure; tell its numbers."""
     from data_schemas.provenance import provenance
-    from data_schemas.storage import write_bytes, write_record
+    from data_schemas.storage import write_record
+    from data_schemas.whole_files import write_bytes
 
     out = require_new(arguments.out or Path(study.name))
     finger, paints = _finger(study, arguments)
@@ -121,7 +122,8 @@ def _finger(study: _Study, arguments: argparse.Namespace) -> "tuple[PaintedFinge
 def _calibrated(files: dict[str, Path]) -> "tuple[dict[str, PaintOptics], dict[str, str]]":
     """Return the optics of calibrated paints and their names and checksums."""
     from data_schemas.fit import PaintCalibration
-    from data_schemas.storage import read_record, sha256_of
+    from data_schemas.storage import read_record
+    from data_schemas.whole_files import sha256_of
     from sim.experiments.painted_finger import paint_optics
 
     paints = {colour: read_record(file, PaintCalibration) for colour, file in files.items()}
@@ -133,7 +135,7 @@ def _stand_ins() -> "tuple[dict[str, PaintOptics], dict[str, str]]":
     """Return the optics of the simulated rig's two default paints."""
     from finray_calib.demo.stages import true_paint_optics
     from rigs.presets import DEFAULT_PAINTS, simulated_rig
-    from rigs.simulated.bench import bench_truth
+    from rigs.simulated.bench_truth import bench_truth
 
     truths = {colour: bench_truth(simulated_rig(colour, None, seed=1), Path()) for colour in DEFAULT_PAINTS}
     paints = {colour: true_paint_optics(colour, truth) for colour, truth in truths.items()}
@@ -172,7 +174,9 @@ def _make_light_angle(finger: "PaintedFinger", *settings: Any) -> "LightAngleInt
 def _draw(record: Any) -> bytes:
     """Draw the figure of a study."""
     from data_schemas.illumination import FluorescentRendering, TwoLights
-    from finray_calib.reports.illumination_figures import fluorescent_rendering_png, light_angle_png, two_lights_png
+    from finray_calib.reports.fluorescent_rendering_figure import fluorescent_rendering_png
+    from finray_calib.reports.light_angle_figure import light_angle_png
+    from finray_calib.reports.two_lights_figure import two_lights_png
 
     if isinstance(record, FluorescentRendering):
         return fluorescent_rendering_png(record)
@@ -198,14 +202,22 @@ def _tell_two_lights(study: "TwoLights") -> None:
     """Say how even the light is with one panel and with two."""
     x, y, z = study.tip_light_position_mm
     say(f"\nPanel at the tip: ({x:g}, {y:g}, {z:g}) mm, {study.tip_light_angle_deg:g} deg. Without contact, by area:")
-    say(f"  {'':28s}{'channel':9s}sd / mean   of the middle 70 %   darkest / brightest along z")
+    say(
+        f"  {'':28s}{'channel':9s}sd / mean   of the middle 70 %   darkest / brightest along z   noise of a cell / mean"
+    )
     for u in study.uniformity:
-        numbers = f"{u.variation_rel:9.2f}{u.middle_variation_rel:21.2f}{u.min_to_max_ratio:30.2f}"
+        numbers = f"{u.variation_rel:9.2f}{u.middle_variation_rel:21.2f}{u.min_to_max_ratio:30.2f}{u.noise_rel:25.2f}"
         say(f"  {u.lights:28s}{u.channel:9s}{numbers}")
+    say(
+        "  red, green, led: light of each paint and of the LEDs, before the camera; R, G, B: what it makes of them."
+        f"\n  Cells of {study.cell_mm:g} mm; their noise is taken out of sd / mean, not of darkest / brightest."
+    )
 
 
 def _tell_light_angle(study: "LightAngleIntensity") -> None:
     """Say where each curve is highest and what the paper's angle loses."""
+    from finray_calib.reports.number_text import interval_text
+
     for p, probe in enumerate(study.probes):
         x, y, z = study.probe_points_mm[p]
         where = f"x = {x:g}, y = {y:.1f}, z = {z:.1f} mm"
@@ -213,12 +225,10 @@ def _tell_light_angle(study: "LightAngleIntensity") -> None:
         say(f"  highest at (95 % limits), and what the paper's {study.printed_angle_deg:g} deg loses against it:")
         for top in study.maxima:
             if top.probe == probe:
-                limits = f"[{_whole(top.low95_deg)}, {_whole(top.high95_deg)}]"
-                loss = f"[{top.loss_at_printed_low95_rel:.1%}, {top.loss_at_printed_high95_rel:.1%}]"
-                say(
-                    f"  {top.mirror:15s}{_BANDS[top.band]:15s}{_whole(top.angle_deg):>4s} deg {limits:9s} "
-                    f"loss {top.loss_at_printed_rel:5.1%} {loss}"
-                )
+                angle = interval_text(top.angle_deg, top.low95_deg, top.high95_deg, most_decimals=1)
+                limits = f"[{top.loss_at_printed_low95_rel:.1%}, {top.loss_at_printed_high95_rel:.1%}]"
+                lost = f"loss {top.loss_at_printed_rel:5.1%} {limits}"
+                say(f"  {top.mirror:15s}{_BANDS[top.band]:15s}{angle:>18s} deg  {lost}")
         depths = {f"{study.led_depth_mm:g}": tuple(study.elevation_deg.tolist()), **study.elevation_by_depth_deg}
         told = ", ".join(f"{_whole(depths[mm][p])} deg ({mm} mm)" for mm in sorted(depths, key=float))
         say(f"  direct light alone, by depth of the panel: {told}")

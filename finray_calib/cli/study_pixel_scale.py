@@ -55,9 +55,11 @@ def run(arguments: argparse.Namespace) -> None:
     """Calibrate, store and report."""
     from data_schemas.errors import CompareError
     from data_schemas.provenance import provenance
-    from data_schemas.storage import write_bytes, write_record
+    from data_schemas.storage import write_record
+    from data_schemas.whole_files import write_bytes
     from finray_calib.compare.board_corners import find_board, require_plausible
-    from finray_calib.compare.pixel_scale_record import Declared, pixel_scale
+    from finray_calib.compare.board_plane import Declared
+    from finray_calib.compare.pixel_scale_record import pixel_scale
     from finray_calib.exchange.board_pictures import calibration_yaml, read_board_picture
 
     out = require_new(arguments.out or Path("pixel-scale.json"))

@@ -55,7 +55,8 @@ def _percent(text: str) -> float:
 def run_stiffness_study(arguments: argparse.Namespace) -> None:
     """Load the fingers, write record and table, and tell the order."""
     from data_schemas.provenance import provenance
-    from data_schemas.storage import write_bytes, write_record
+    from data_schemas.storage import write_record
+    from data_schemas.whole_files import write_bytes
     from finray_calib.spectra.compiled import machine_threads
     from sim.experiments.finger_stiffness import study_finger_stiffness
 

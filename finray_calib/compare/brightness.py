@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from data_schemas.capture import TactileCapture
 from data_schemas.compare import Interval, ObjectiveError
 from data_schemas.errors import CompareError
+from finray_calib.compare.comparison import Comparison
 from finray_calib.compare.input_draws import Drawn, Inputs
-from finray_calib.compare.photometric_error import Comparison
 from finray_calib.compare.stopping_rule import ends
 
 Floats = NDArray[np.float64]

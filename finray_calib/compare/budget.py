@@ -8,12 +8,14 @@ from numpy.typing import NDArray
 from data_schemas.capture import TactileCapture
 from data_schemas.compare import InputUncertainty
 from finray_calib.compare.brightness import brightness_draws
+from finray_calib.compare.comparison import Comparison
 from finray_calib.compare.input_draws import DRIFT, PIXELS, POSE, PRIOR_DRIFT_REL, WALLS, Inputs
-from finray_calib.compare.photometric_error import ALONE_DRAWS, Comparison
 from finray_calib.compare.region_draws import propagated_draws
 
 Floats = NDArray[np.float64]
 Evaluation = Literal["A", "B"]
+ALONE_DRAWS = 4000
+"""Draws of one line of the budget; its standard uncertainty is then known to 1 %."""
 
 
 def uncertainty_budget(

@@ -8,9 +8,10 @@ from data_schemas.errors import CompareError
 from data_schemas.pixel_scale import PixelScale
 from data_schemas.sensing import NormalMapRecord
 from data_schemas.simulate import SimulatedPress
-from finray_calib.compare.comparison_record import FACTORS, compare_press
+from finray_calib.compare.comparison_record import compare_press
 from finray_calib.compare.mismatch import find_mismatches, require_no_mismatch
 from finray_calib.compare.patch_scale import patch_scale, scale_finding, with_measured_scale
+from finray_calib.compare.regions import FACTORS
 from finray_calib.compare.registered_press import move_press, register_press
 
 #: How the finding begins that says that the camera stands where the render has it.

@@ -26,3 +26,8 @@ def per_cell(values: Floats, capture: TactileCapture) -> Floats:
     plane = values[..., 0]
     green = (plane[0::2, 1::2] + plane[1::2, 0::2]) / 2
     return np.stack([plane[0::2, 0::2], green, plane[1::2, 1::2]], axis=-1)
+
+
+def full_scale_dn(capture: TactileCapture) -> float:
+    """Return full scale above black level, DN."""
+    return float(2.0**capture.bit_depth - 1.0 - capture.black_level_dn)

@@ -10,8 +10,10 @@ from data_schemas.capture import TactileCapture
 from data_schemas.compare import PatchScale, RegionExtent
 from data_schemas.errors import CompareError
 from data_schemas.pixel_scale import PixelScale
+from finray_calib.compare.board_plane import seen_plane
 from finray_calib.compare.pixel_scale import plane_places_mm, plane_scale, scales_only
-from finray_calib.compare.pixel_scale_record import LARGEST_U_REL, local_scale, scale_range, seen_plane
+from finray_calib.compare.pixel_scale_record import LARGEST_U_REL
+from finray_calib.compare.scale_summaries import local_scale, scale_range
 
 Floats = NDArray[np.float64]
 
@@ -68,7 +70,7 @@ def patch_scale(
         places = plane_places_mm(plane, _raw_pixels(_border(distance <= factor), cell))
         extents.append(_extent(name, places @ along.T, side_mm, u_rel))
     return PatchScale(
-        middle=local_scale(at_middle, middle_px, 0),
+        middle=local_scale(at_middle, middle_px),
         over_patch=scale_range(seen[: len(patch)]),
         over_pad=scale_range(seen[len(patch) :]),
         extents=tuple(extents),

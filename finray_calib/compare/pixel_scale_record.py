@@ -1,7 +1,6 @@
 """From pictures of a ChArUco board, one of them on the pad, to the record of the scale on the pad."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -9,51 +8,20 @@ from numpy.typing import NDArray
 
 from data_schemas.camera_calibration import CameraCalibration, DistortionModel
 from data_schemas.errors import CompareError
-from data_schemas.pixel_scale import (
-    LARGEST_WIDENED_FACTOR,
-    BoardResidual,
-    LocalScale,
-    PixelScale,
-    ScaleContribution,
-    ScaleRange,
-)
+from data_schemas.pixel_scale import BoardResidual, PixelScale, ScaleContribution
 from data_schemas.tactile import CharucoBoard
 from finray_calib.compare.board_corners import BoardView, require_plausible
+from finray_calib.compare.board_plane import Declared, fitted_plane
 from finray_calib.compare.corner_refinement import refined_views
-from finray_calib.compare.lens_calibration import LEAST_VIEWS, POSE, LensCalibration, adjust, calibrate_lens, project
-from finray_calib.compare.pixel_scale import ScaleDraws, SeenPlane, plane_scale, scales_only
+from finray_calib.compare.lens_calibration import LEAST_VIEWS, POSE, LensCalibration, adjust, calibrate_lens
+from finray_calib.compare.pixel_scale import ScaleDraws, plane_scale
+from finray_calib.compare.scale_scatter import resampled_scatter_rel, widened_factor
+from finray_calib.compare.scale_summaries import local_scale, range_over_board, scale_map
 
-Floats = NDArray[np.float64]
-
-RESAMPLINGS = 60
-"""Standard deviations from as many are good to a tenth."""
 MOST_OBLIQUE_DEG = 70.0
 LARGEST_U_REL = 0.05
-#: Resampled pictures scatter by up to this factor more by chance; beyond it corners of one picture err together.
-_SCATTER_FACTOR = 1.5
 #: A picture of the pad that fits this much worse than the others was taken through something that these were not.
 _WORSE_FACTOR = 2.0
-_MAP_COLUMNS, _MAP_ROWS = 33, 25
-#: Where the map is known less well than this, pictures of the board did not reach: nothing is stated there.
-_UNKNOWN_U_REL = 0.1
-_OVER_BOARD = 9
-
-
-@dataclass(frozen=True, slots=True)
-class Declared:
-    """What the user knows of the board and of the coat; uncertainties are standard ones.
-
-    Attributes
-    ----------
-    square_u_rel
-        Of the side of a printed square, relative to it.
-    coat_behind_board_mm, coat_behind_board_u_mm
-        From the printed face to the coat, away from the camera: the distance that the board's sheet keeps.
-    """
-
-    square_u_rel: float
-    coat_behind_board_mm: float = 0.0
-    coat_behind_board_u_mm: float = 0.0
 
 
 def pixel_scale(
@@ -108,7 +76,7 @@ def pixel_scale(
         views = refined_views(views, pictures, found, board)
         pad, found = views[0], adjust(views, size_px, found.model, found.lens, found.poses)
     _require_facing(found, pad)
-    resampled_u = _resampled_u(views, found, declared, pad.pixels.mean(axis=0), np.random.default_rng(seed))
+    resampled_u = resampled_scatter_rel(views, found, declared, pad.pixels.mean(axis=0), np.random.default_rng(seed))
     return _record(views, found, board, declared, resampled_u)
 
 
@@ -116,16 +84,15 @@ def _record(
     views: Sequence[BoardView], found: LensCalibration, board: CharucoBoard, declared: Declared, resampled_u: float
 ) -> PixelScale:
     """Return the record of a fitted lens and board, of which the first view is that on the pad."""
-    pad, size_px = views[0], (found.width_px, found.height_px)
+    pad = views[0]
     middle_px = pad.pixels.mean(axis=0)
-    plane = _plane(found, declared)
+    plane = fitted_plane(found, declared)
     at_middle = plane_scale(plane, middle_px[None])
-    widened = _widened(resampled_u, at_middle)
+    widened = widened_factor(resampled_u, at_middle)
     if widened > 1.0:
-        plane = _plane(found, declared, widened)
+        plane = fitted_plane(found, declared, widened)
         at_middle = plane_scale(plane, middle_px[None])
     _require_known(at_middle, pad)
-    columns, rows, scale_map = _map(plane, size_px)
     residuals = [
         BoardResidual(file=view.name, corners=len(view.pixels), rms_px=float(rms), mirrored=view.mirrored)
         for view, rms in zip(views, found.view_rms_px, strict=True)
@@ -145,55 +112,12 @@ def _record(
         degrees_of_freedom=found.degrees_of_freedom,
         pad_picture=residuals[0],
         lens_pictures=tuple(residuals[1:]),
-        middle=local_scale(at_middle, middle_px, 0),
-        over_board=_over_board(plane, pad),
+        middle=local_scale(at_middle, middle_px),
+        over_board=range_over_board(plane, pad),
         budget=tuple(ScaleContribution(input=k, u_rel=float(v[0, 2])) for k, v in at_middle.parts_rel.items()),
         resampled_u_rel=resampled_u,
-        map_columns_px=columns,
-        map_rows_px=rows,
-        map_mm_per_px=scale_map.mm_per_px.reshape(len(rows), len(columns), 3),
-        map_u_rel=scale_map.u_rel.reshape(len(rows), len(columns), 3),
+        **scale_map(plane, (found.width_px, found.height_px)),
         notes=_notes(found, residuals, widened, resampled_u),
-    )
-
-
-def seen_plane(record: PixelScale) -> SeenPlane:
-    """Return the plane of a record, to ask it for the scale anywhere in the picture."""
-    calibration = record.calibration
-    return SeenPlane(
-        model=calibration.model,
-        lens=np.array([*calibration.focal_px, *calibration.centre_px, *calibration.distortion]),
-        pose=np.array(record.place),
-        covariance=record.covariance * record.widened_factor**2,
-        behind_mm=record.coat_behind_board_mm,
-        behind_u_mm=record.coat_behind_board_u_mm,
-        square_u_rel=record.square_u_rel,
-    )
-
-
-def local_scale(found: ScaleDraws, pixel: Floats, index: int) -> LocalScale:
-    """Return the scale at one of the places that were asked for."""
-    (x, y, mean), (u_x, u_y, u_mean) = found.mm_per_px[index], found.u_rel[index]
-    return LocalScale(
-        column_px=float(pixel[0]),
-        row_px=float(pixel[1]),
-        along_x_mm_per_px=float(x),
-        along_y_mm_per_px=float(y),
-        mean_mm_per_px=float(mean),
-        along_x_u_rel=float(u_x),
-        along_y_u_rel=float(u_y),
-        mean_u_rel=float(u_mean),
-    )
-
-
-def scale_range(scales: Floats) -> ScaleRange:
-    """Return the range of scales (N, 3), of which some are finite."""
-    low, high = np.nanmin(scales, axis=0), np.nanmax(scales, axis=0)
-    return ScaleRange(
-        along_x_low_mm_per_px=float(low[0]),
-        along_x_high_mm_per_px=float(high[0]),
-        along_y_low_mm_per_px=float(low[1]),
-        along_y_high_mm_per_px=float(high[1]),
     )
 
 
@@ -211,20 +135,6 @@ def _best_lens(views: Sequence[BoardView], size_px: tuple[int, int], model: Dist
     if not found:
         raise refused[0]
     return min(found, key=lambda lens: lens.corner_sd_px)
-
-
-def _plane(found: LensCalibration, declared: Declared, widened: float = 1.0) -> SeenPlane:
-    """Return the plane of the first view."""
-    size = len(found.lens) + POSE
-    return SeenPlane(
-        found.model,
-        found.lens,
-        found.poses[0],
-        found.covariance[:size, :size] * widened**2,
-        declared.coat_behind_board_mm,
-        declared.coat_behind_board_u_mm,
-        declared.square_u_rel,
-    )
 
 
 def _calibration(found: LensCalibration) -> CameraCalibration:
@@ -264,85 +174,6 @@ def _require_known(found: ScaleDraws, pad: BoardView) -> None:
             f"'{worst}'. Show more of the board, larger in the picture, and take more pictures with it turned and "
             "tilted"
         )
-
-
-def _resampled_u(
-    views: Sequence[BoardView], found: LensCalibration, declared: Declared, middle_px: Floats, rng: np.random.Generator
-) -> float:
-    """Return the relative scatter of the mean scale over pictures drawn with replacement.
-
-    The picture of the pad is one of a kind: its corners get the residuals of its own corners, drawn with replacement.
-    """
-    pad, count = views[0], len(views) - 1
-    fitted = _fitted_pixels(found, pad)
-    errors = pad.pixels - fitted
-    # residuals are smaller than errors by what the pose took
-    errors *= np.sqrt(errors.size / max(errors.size - POSE, 1))
-    values = []
-    for _ in range(RESAMPLINGS):
-        drawn = BoardView(pad.name, pad.places_mm, fitted + errors[rng.integers(len(errors), size=len(errors))])
-        weights = np.concatenate([[1], np.bincount(rng.integers(count, size=count), minlength=count)]).astype(float)
-        kept = weights > 0
-        chosen = [drawn, *(view for view, keep in zip(views[1:], kept[1:], strict=True) if keep)]
-        try:
-            again = adjust(
-                chosen, (found.width_px, found.height_px), found.model, found.lens, found.poses[kept], weights[kept]
-            )
-        except CompareError:
-            continue
-        values.append(float(np.log(scales_only(_plane(again, declared), middle_px[None])[0, 2])))
-    usable = np.array([v for v in values if np.isfinite(v)])
-    if len(usable) < RESAMPLINGS // 2:
-        raise CompareError(
-            "the lens rests on too few pictures: without one or two of them it is not determined. Take more, with the "
-            "board tilted in several directions"
-        )
-    # quantiles: a draw of few alike pictures may lie far out
-    low, high = np.quantile(usable, [0.1587, 0.8413])
-    return float(high - low) / 2.0
-
-
-def _fitted_pixels(found: LensCalibration, pad: BoardView) -> Floats:
-    """Return where the corners of the first view should be."""
-    places = np.column_stack([pad.places_mm, np.zeros(len(pad.places_mm))])
-    return project(found.model, found.lens, found.poses[0], places)[0]
-
-
-def _widened(resampled_u: float, at_middle: ScaleDraws) -> float:
-    """Return the factor on the covariance's standard deviations that resampling asks for."""
-    parts = at_middle.parts_rel
-    of_covariance = float(np.hypot(parts["corners of the board on the pad"][0, 2], parts["lens"][0, 2]))
-    # corners without any error leave nothing to widen
-    ratio = resampled_u / of_covariance if of_covariance > 0.0 else 1.0
-    if ratio > LARGEST_WIDENED_FACTOR:
-        raise CompareError(
-            f"the scale scatters {ratio:.0f} times as much when pictures are drawn with replacement as independent "
-            f"corners allow; up to {LARGEST_WIDENED_FACTOR:g} times can be stated: the lens rests on one or two of the "
-            "pictures, or the board was not rigid. Take more pictures"
-        )
-    return ratio if ratio > _SCATTER_FACTOR else 1.0
-
-
-def _over_board(plane: SeenPlane, pad: BoardView) -> ScaleRange:
-    """Return the range over the part of the picture that the board covers."""
-    share = np.linspace(0.0, 1.0, _OVER_BOARD)
-    low, high = pad.places_mm.min(axis=0), pad.places_mm.max(axis=0)
-    grid = np.stack(np.meshgrid(*(low[i] + share * (high[i] - low[i]) for i in (0, 1))), -1).reshape(-1, 2)
-    pixels = project(plane.model, plane.lens, plane.pose, np.column_stack([grid, np.zeros(len(grid))]))[0]
-    return scale_range(scales_only(plane, pixels))
-
-
-def _map(plane: SeenPlane, size_px: tuple[int, int]) -> tuple[Floats, Floats, ScaleDraws]:
-    """Return columns, rows and scales of a coarse map over the picture."""
-    columns, rows = (
-        np.linspace(0.0, side - 1.0, count) for side, count in zip(size_px, (_MAP_COLUMNS, _MAP_ROWS), strict=True)
-    )
-    pixels = np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2)
-    found = plane_scale(plane, pixels)
-    unknown = ~(found.u_rel.max(axis=1) <= _UNKNOWN_U_REL)
-    scales, u_rel = found.mm_per_px.copy(), found.u_rel.copy()
-    scales[unknown], u_rel[unknown] = np.nan, np.nan
-    return columns, rows, ScaleDraws(scales, u_rel, {})
 
 
 def _notes(

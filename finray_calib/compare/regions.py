@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 
 from data_schemas.errors import CompareError
 
+PATCH, DILATED = "contact patch", "contact patch dilated 2x"
+FACTORS = {PATCH: 1.0, DILATED: 2.0}
+"""The default set; the last region holds the others and is the headline's."""
+
 
 @dataclass(frozen=True, slots=True)
 class Region:
@@ -108,6 +112,12 @@ def strip_from_distance(distance_in_half_widths: NDArray[np.float64], factor: fl
             "that the distance is given in half-widths of the contact."
         )
     return mask
+
+
+def contact_regions(distance_in_half_widths: NDArray[np.float64]) -> list[Region]:
+    """Return the default set of regions around a contact, see :func:`strip_from_distance`."""
+    masks = {name: strip_from_distance(distance_in_half_widths, factor) for name, factor in FACTORS.items()}
+    return [Region(name, mask, FACTORS[name]) for name, mask in masks.items()]
 
 
 def usable_pixels(mask: NDArray[np.bool_], *images: NDArray[np.float64]) -> NDArray[np.bool_]:

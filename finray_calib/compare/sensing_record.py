@@ -7,9 +7,9 @@ from data_schemas.capture import TactileCapture
 from data_schemas.compare import Interval, SensingRow
 from data_schemas.compare import SensingError as SensingRecord
 from data_schemas.sensing import NormalMapRecord
+from finray_calib.compare.comparison import Comparison
 from finray_calib.compare.input_draws import Drawn
 from finray_calib.compare.normal_map_record import check_senses, normal_map_of
-from finray_calib.compare.photometric_error import Comparison
 from finray_calib.compare.sensing_error import SensingError, sensing_error
 from finray_calib.compare.stopping_rule import ends
 

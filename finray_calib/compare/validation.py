@@ -3,13 +3,11 @@
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_schemas.compare import ValidationCell
+from finray_calib.compare.comparison import Comparison
 from finray_calib.compare.input_draws import WALLS, Inputs
-from finray_calib.compare.photometric_error import Comparison
 
-Floats = NDArray[np.float64]
 DRAWS = 2000
 COVERAGE_FACTOR = 2.0
 _CHANNELS: Final[tuple[Literal["red", "green", "blue"], ...]] = ("red", "green", "blue")

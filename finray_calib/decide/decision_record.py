@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_schemas.compare import PhotometricErrorReport
 from data_schemas.decide import AngleProposal, AngleStatement, DecidingCapture, LightAngleDecision, OtherObjective
@@ -16,7 +15,6 @@ from finray_calib.decide.light_angle import AngleDecision, decide_angle
 from finray_calib.decide.other_objectives import OtherOptimum, other_optima
 from finray_calib.decide.proposals import Proposal, propose_capture, propose_render
 
-Floats = NDArray[np.float64]
 TOLERANCE_REL = 0.02
 #: Half-width of a central 95 % interval of a normal distribution, in standard deviations.
 _BAND_QUANTILE = 1.959964

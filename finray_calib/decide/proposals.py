@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from finray_calib.decide.capture_errors import UNSTATED_ANGLE_SD_DEG, CaptureErrors
+from finray_calib.decide.capture_errors import CaptureErrors
 from finray_calib.decide.knowledge_gradient import knowledge_gradient
 from finray_calib.decide.light_angle import AngleDecision
+from finray_calib.decide.validating_captures import UNSTATED_ANGLE_SD_DEG
 
 Floats = NDArray[np.float64]
 

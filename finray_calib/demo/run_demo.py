@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from data_schemas.capture import CaptureSession
 from data_schemas.errors import CaptureError, RecordError
 from data_schemas.provenance import provenance
-from data_schemas.storage import write_bytes
+from data_schemas.whole_files import write_bytes
 from finray_calib.demo.stages import Demo, DemoSettings
 from finray_calib.reports.demo_report import demo_report
 from finray_calib.reports.demo_results import COLOURS, Colour, DemoResults, PaintResult

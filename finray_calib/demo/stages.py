@@ -21,17 +21,19 @@ from data_schemas.radiometry import BandSignals
 from data_schemas.rig import RigFile
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
 from data_schemas.standard_curves import camera_response
-from data_schemas.storage import read_record, sha256_of, write_record
+from data_schemas.storage import read_record, write_record
 from data_schemas.surfaces import FingerSurfaces
+from data_schemas.whole_files import sha256_of
 from finray_calib.compare.comparison_record import compare_press
 from finray_calib.decide.decision_record import decide
-from finray_calib.fit.paint_calibration import FitOptions, calibrate_paint
+from finray_calib.fit.fit_options import FitOptions
+from finray_calib.fit.paint_calibration import calibrate_paint
 from finray_calib.radiometry.band_signals import band_signals
 from finray_calib.spectra.compiled import machine_threads
 from rigs.capture.paint_session import capture_paint_session
 from rigs.capture.read_session import read_frame_of, read_session
 from rigs.presets import paint_plan, simulated_rig
-from rigs.simulated.bench import BenchTruth, bench_truth
+from rigs.simulated.bench_truth import BenchTruth, bench_truth
 from rigs.toml_text import write_plan, write_rig
 from sim.experiments.digital_twin import capture_twin, hidden_design
 from sim.experiments.light_angle import light_angle_sweep

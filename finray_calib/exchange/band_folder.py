@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.capture import CaptureSession, Frame, LightState, PaintPlan, Target
+from data_schemas.devices import CameraSettings, LampSettings
 from data_schemas.errors import ImportFormatError
 from data_schemas.filter_curves import coverage_notes
 from data_schemas.radiometry import BandSignals
-from data_schemas.rig import CameraSettings, LampSettings, RigFile
-from data_schemas.storage import read_toml, sha256_of
+from data_schemas.rig import RigFile
+from data_schemas.storage import read_toml
+from data_schemas.whole_files import sha256_of
 from finray_calib.exchange.band_folder_curves import (
     DESCRIPTION_NAME,
     filter_curves_of,

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.curve_files import read_camera_response, read_filter_curve, read_table
 from data_schemas.curves import SpectralCurve
+from data_schemas.devices import FilterWheelSettings
 from data_schemas.errors import CurveError
 from data_schemas.filter_curves import half_maximum_nm
-from data_schemas.rig import BandPassFilter, FilterWheelSettings
 from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
 from finray_calib.exchange.band_folder_file import BandFolder, ImportedFilter
 from finray_calib.exchange.led_camera_json import read_light

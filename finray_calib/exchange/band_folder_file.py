@@ -4,9 +4,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from data_schemas.band_pass_filter import FilterUncertaintyNm
 from data_schemas.capture import RegionOfInterest
+from data_schemas.devices import LaserSettings
 from data_schemas.model import Model, Record
-from data_schemas.rig import FilterUncertaintyNm, LaserSettings, WhiteReference
+from data_schemas.rig import WhiteReference
 from data_schemas.units import ChargeE, ExposureS, OpticalDensity, SignalDn, WavelengthNm, WidthNm
 
 Layout = Literal["monochrome", "RGB", "Bayer RGGB", "Bayer BGGR", "Bayer GRBG", "Bayer GBRG"]

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from data_schemas.capture import ContactCircle, IndenterPose, TactileCapture
 from data_schemas.simulate import SimulatedPress
-from finray_calib.exchange.nine_dtact import NineDTactSensor, predict_press, read_nine_dtact
+from finray_calib.exchange.nine_dtact_folder import NineDTactSensor, read_nine_dtact
+from finray_calib.exchange.nine_dtact_table import predict_press
 
 TABLE_LABEL = "table, not rendered"
 

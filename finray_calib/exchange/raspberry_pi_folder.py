@@ -29,7 +29,8 @@ from finray_calib.exchange.raspberry_pi_images import (
     RawImage,
     read_image,
 )
-from finray_calib.radiometry.libcamera_tuning import LibcameraTuning, shading_gains
+from finray_calib.radiometry.lens_shading import shading_gains
+from finray_calib.radiometry.libcamera_tuning import LibcameraTuning
 from finray_calib.radiometry.raspberry_pi import processed_signal, raw_signal
 from finray_calib.radiometry.raspberry_pi_settings import CaptureSettings, capture_settings, require_same_settings
 

@@ -5,12 +5,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from finray_calib.fit.emission import EmissionPosterior
 from finray_calib.fit.leave_one_band_out import BandPrediction
-
-FloatArray = NDArray[np.float64]
 
 DEFAULT_FAMILY: Final = "log_normal_wavenumber"
 """Predicts the whole spectrum of measured paints best from eight bands (docs/explanation/model-of-the-paint.md)."""

@@ -9,6 +9,10 @@ from numpy.typing import NDArray
 from data_schemas.errors import FitError
 from data_schemas.radiometry import BandSignals
 from finray_calib.fit.absorption_fit import LARGEST_YIELD_SD_REL, ExcitationYield
+from finray_calib.fit.emission import EmissionPosterior
+from finray_calib.fit.family_fits import fit_family
+from finray_calib.fit.fit_options import FitOptions
+from finray_calib.fit.measured_bands import band_data
 from finray_calib.spectra.rig_curves import WAVELENGTH_NM
 
 Floats = NDArray[np.float64]
@@ -37,6 +41,13 @@ def refuse_unfit_lights(bands: BandSignals, other_lights: Sequence[BandSignals])
             f"other lights: two sessions have the same excitation ({', '.join(f'{nm:g}' for nm in lights_nm[1:])} nm "
             f"and the first at {lights_nm[0]:g} nm); give one session per light"
         )
+
+
+def excited_emission(
+    light: BandSignals, family: str, options: FitOptions, rng: np.random.Generator
+) -> tuple[float, EmissionPosterior]:
+    """Return the wavelength of another light, nm, and the emission that it excites."""
+    return light.optics.laser.wavelength_nm, fit_family(band_data(light), family, options, rng)
 
 
 def excitation_yields(curves_per_nm: Mapping[float, Floats]) -> list[ExcitationYield]:

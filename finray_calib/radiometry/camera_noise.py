@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from data_schemas.rig import CameraSettings
+from data_schemas.devices import CameraSettings
 
 
 def noise_variance_dn2(signal_dn: ArrayLike, camera: CameraSettings) -> NDArray[np.float64]:

@@ -9,7 +9,6 @@ irradiance falls with the cosine of the tilt, and its radiance is the same in al
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_schemas.radiometry import TiltRatio
 from finray_calib.radiometry.bleaching import BleachingTrend
@@ -17,7 +16,6 @@ from finray_calib.radiometry.session_steps import SessionSteps
 from finray_calib.radiometry.signal_covariance import signal_covariance
 from finray_calib.radiometry.step_signals import StepSignal
 
-Floats = NDArray[np.float64]
 # A sample is set with a protractor or a wedge; this is what a careful person reaches.
 TILT_UNCERTAINTY_DEG = 0.5
 DIFFUSE_WITHIN_SD = 2.0

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.capture import CaptureSession, Frame, RegionOfInterest
-from data_schemas.rig import CameraSettings
+from data_schemas.devices import CameraSettings
 from finray_calib.radiometry.camera_noise import noise_variance_dn2
 from finray_calib.radiometry.dark_levels import ReadFrame, thermal_levels_dn
 

@@ -1,27 +1,33 @@
 """Picture of what a finger's camera sees: the parts in its frame with a millimetre grid, and how finely."""
 
-import io
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure, SubFigure
 
-from finray_calib.reports.style import BLUE, GREEN, HAIRLINE, INK, MUTED, ORANGE, VERMILLION, new_figure, styled
+from finray_calib.reports.style import (
+    BLUE,
+    GREEN,
+    HAIRLINE,
+    INK,
+    MUTED,
+    ORANGE,
+    VERMILLION,
+    new_figure,
+    png_bytes,
+    styled,
+)
 from sim.experiments.camera_view import CameraView
 
 _COLOURS = {"coat": "#f3efe6", "red": VERMILLION, "green": GREEN, "panel 1": BLUE, "panel 2": BLUE}
 _GRID_ALONG_MM, _GRID_ACROSS_MM = 10.0, 5.0
-_DOTS_PER_INCH = 120
 
 
 @styled()
 def camera_view_png(view: CameraView) -> bytes:
     """Return the figure of a camera's view as PNG bytes."""
-    buffer = io.BytesIO()
-    draw_camera_view(view).savefig(buffer, format="png", dpi=_DOTS_PER_INCH, metadata={"Software": None})
-    return buffer.getvalue()
+    return png_bytes(draw_camera_view(view))
 
 
 def draw_camera_view(view: CameraView) -> Figure:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from data_schemas.capture import TactileCapture
 from data_schemas.errors import RecordError
 from data_schemas.simulate import SimulatedPress
-from finray_calib.compare.linear_image import rgb_image
+from finray_calib.compare.linear_image import full_scale_dn, rgb_image
 from finray_calib.reports.images import ByteImage, display_white, missing, to_display, with_clipped, with_outline
 from finray_calib.reports.touch_images import pad_window, shown_bands
 
@@ -85,8 +85,7 @@ def touch_pictures(press: SimulatedPress, capture: TactileCapture, factors: tupl
     if linear:
         whites = _whites(captured, simulated, np.isfinite(press.distance))
     else:
-        full_scale_dn = 2.0**capture.bit_depth - 1.0 - capture.black_level_dn
-        whites = [np.full(3, full_scale_dn)] * 2
+        whites = [np.full(3, full_scale_dn(capture))] * 2
     untouched, touched = (missing(image[window]) for image in captured)
     clipped = (untouched, touched)
     masks = [press.distance[window] <= factor for factor in factors]

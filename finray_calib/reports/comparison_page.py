@@ -7,14 +7,15 @@ from data_schemas.capture import TactileCapture
 from data_schemas.compare import PhotometricErrorReport, SensingError
 from data_schemas.provenance import package_version
 from data_schemas.simulate import SimulatedPress
-from data_schemas.storage import write_bytes
-from finray_calib.reports import comparison_tables as tables
+from data_schemas.whole_files import write_bytes
 from finray_calib.reports import comparison_words as words
 from finray_calib.reports.comparison_images import require_one_grid
 from finray_calib.reports.comparison_images_part import images_part
 from finray_calib.reports.comparison_uncertainty_parts import budget_part, validation_part
 from finray_calib.reports.demo_results import headline, row_of
+from finray_calib.reports.metric_tables import metric_table, sensing_table
 from finray_calib.reports.number_text import fixed, percent, signed_percent
+from finray_calib.reports.origin_tables import files_table, images_table, scale_table
 from finray_calib.reports.page import render_page
 from finray_calib.reports.plain_json import Json, plain
 from finray_calib.reports.section import Content, Part
@@ -92,7 +93,7 @@ def comparison_page(
         notes=report.notes,
         sections=tuple(_sections(report, press, capture)),
         command=command,
-        files=tables.files_table(digests, package_version()),
+        files=files_table(digests, package_version()),
         summary=_summary(report, command, digests),
     )
 
@@ -125,9 +126,9 @@ def _sections(report: PhotometricErrorReport, press: SimulatedPress, capture: Ta
         parts.append(validation_part(report))
     if report.sensing is not None:
         parts.append(_sensed(report.sensing))
-    scales = () if report.patch_scale is None else (tables.scale_table(report.patch_scale),)
+    scales = () if report.patch_scale is None else (scale_table(report.patch_scale),)
     lead = " ".join((words.exposure_sentence(report), *words.scale_sentences(report)))
-    parts.append(Part("What was compared", Content(lead=lead, tables=(*scales, tables.images_table(press, capture)))))
+    parts.append(Part("What was compared", Content(lead=lead, tables=(*scales, images_table(press, capture)))))
     return parts
 
 
@@ -155,7 +156,7 @@ def _sensed(sensing: SensingError) -> Part:
         Content(
             lead="One map from colour to surface normals is applied to render and capture. The normals differ by "
             f"{fixed(angle.estimate, 1)} deg in the mean ({fixed(angle.low95, 1)} to {fixed(angle.high95, 1)} deg).",
-            tables=(tables.sensing_table(sensing),),
+            tables=(sensing_table(sensing),),
             remarks=tuple(remarks),
             has_wide_tables=True,
         ),
@@ -170,7 +171,7 @@ def _metrics(report: PhotometricErrorReport) -> Part:
             lead="Every number stands beside doing nothing (the untouched image in place of the simulation) and the "
             "floor (a second capture without contact in place of the first). A metric that rates doing nothing nearly "
             "as good as the simulation cannot tell them apart. Square brackets: 95 % interval.",
-            tables=tuple(tables.metric_table(report, region) for region in report.regions),
+            tables=tuple(metric_table(report, region) for region in report.regions),
             remarks=(f"SSIM: {report.ssim_settings}.",),
             has_wide_tables=True,
         ),

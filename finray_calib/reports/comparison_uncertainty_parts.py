@@ -1,11 +1,12 @@
 """The parts of a comparison's page on its uncertainty: the budget, and where the level agrees."""
 
 from data_schemas.compare import InputUncertainty, PhotometricErrorReport
-from finray_calib.reports import comparison_tables as tables
 from finray_calib.reports import comparison_words as words
 from finray_calib.reports.budget_figure import budget_figure
+from finray_calib.reports.metric_tables import CHANNELS
 from finray_calib.reports.number_text import percent, significant
 from finray_calib.reports.section import Content, Part, Picture, drawing
+from finray_calib.reports.uncertainty_tables import budget_table, validation_table
 from finray_calib.reports.validation_figure import validation_figure
 
 _STEADY = ("not yet steady to one significant digit", "steady to one significant digit", "steady to two digits")
@@ -25,7 +26,7 @@ def budget_part(report: PhotometricErrorReport) -> Part:
         f"The largest contribution is {largest.input}: {percent(share)} of the sum of squares of the lines below, "
         f"which need not add up to the whole.{steady}"
     )
-    return Part("Uncertainty", Content(lead, (_bars(report),), tables=(tables.budget_table(report),)))
+    return Part("Uncertainty", Content(lead, (_bars(report),), tables=(budget_table(report),)))
 
 
 def _bars(report: PhotometricErrorReport) -> tuple[Picture, ...]:
@@ -61,12 +62,12 @@ def validation_part(report: PhotometricErrorReport) -> Part:
     """Show in which parts and channels the level agrees."""
     sentence = words.validation_sentence(report.validation) or ""
     pictures = []
-    for channel in tables.CHANNELS:
+    for channel in CHANNELS:
         cells = tuple(cell for cell in report.validation if cell.channel == channel)
         found = f"{channel}: {sum(cell.within for cell in cells)} of {len(cells)} parts within"
         pictures.append(drawing(validation_figure(cells), f"Error of the level, {found}.", found, is_small=True))
     lead = "Area: what lies between the distributions of simulation and capture, split by sign."
-    numbers = Content(lead, tables=(tables.validation_table(report),), has_wide_tables=True)
+    numbers = Content(lead, tables=(validation_table(report),), has_wide_tables=True)
     detail = Part("Numbers of every part", numbers, is_detail=True)
     remark = (
         "Error of the mean level in the parts of the scored region, as they lie in the image. Within: the error is "

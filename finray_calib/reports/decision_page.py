@@ -6,12 +6,12 @@ from pathlib import Path
 from data_schemas.decide import LightAngleDecision
 from data_schemas.provenance import package_version
 from data_schemas.simulate import LightAngleSweep
-from data_schemas.storage import write_bytes
+from data_schemas.whole_files import write_bytes
 from finray_calib.reports import decision_words as words
-from finray_calib.reports.comparison_tables import files_table
 from finray_calib.reports.decide_figures import angle_figure
 from finray_calib.reports.mounting_figure import mounting_figure
 from finray_calib.reports.number_text import percent, probability, signed_percent
+from finray_calib.reports.origin_tables import files_table
 from finray_calib.reports.other_objectives_figure import other_objectives_figure
 from finray_calib.reports.page import render_page
 from finray_calib.reports.plain_json import Json, plain

@@ -1,6 +1,5 @@
 """Drawing of a finger design: cut along its middle and seen from its front, with the camera's view below."""
 
-import io
 from pathlib import Path
 
 from matplotlib.figure import Figure, SubFigure
@@ -10,10 +9,9 @@ from finray_calib.reports.camera_view_figure import draw_camera_view_on
 from finray_calib.reports.finger_front_view import draw_front
 from finray_calib.reports.finger_outline import FingerOutline, finger_outline
 from finray_calib.reports.finger_side_view import draw_side
-from finray_calib.reports.style import new_figure, styled
+from finray_calib.reports.style import new_figure, png_bytes, styled
 from sim.experiments.camera_view import CameraView
 
-_DOTS_PER_INCH = 120
 _PAGE_IN, _CAMERA_VIEW_IN = 11.0, 4.8
 # titles and axes of both views
 _TITLES_IN = 2.0
@@ -35,7 +33,7 @@ def finger_page_png(view: CameraView, folder: Path | None = None) -> bytes:
     rows = figure.add_gridspec(2, 1, height_ratios=(finger.views_in + _TITLES_IN, _CAMERA_VIEW_IN))
     _draw_finger(figure.add_subfigure(rows[0]), finger)
     draw_camera_view_on(figure.add_subfigure(rows[1]), view)
-    return _png(figure)
+    return png_bytes(figure)
 
 
 @styled()
@@ -50,14 +48,7 @@ def finger_png(design: FingerDesign, folder: Path | None = None) -> bytes:
     finger = finger_outline(design, folder)
     figure = new_figure(_PAGE_IN, finger.views_in + _TITLES_IN)
     _draw_finger(figure, finger)
-    return _png(figure)
-
-
-def _png(figure: Figure) -> bytes:
-    """Return a figure as PNG bytes."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DOTS_PER_INCH, metadata={"Software": None})
-    return buffer.getvalue()
+    return png_bytes(figure)
 
 
 def _draw_finger(figure: Figure | SubFigure, finger: FingerOutline) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from data_schemas.design import FingerDesign
 from finray_calib.reports.finger_scene import ScenePart, finger_scene, scene_values
+from finray_calib.reports.number_text import NO_VALUE
 from finray_calib.reports.page import render_page
 from finray_calib.reports.report_tables import ReportTable, TableGroup, one_group
 from sim.mechanics.skeleton import SkeletonLayout, skeleton_layout
@@ -17,7 +18,6 @@ TEMPLATE: Final = "finger_page.html.j2"
 _ENDINGS: Final = {"_mm": "mm", "_deg": "deg", "_nm": "nm", "_px": "px", "_mpa": "MPa"}
 _GROUPS: Final = ("pad", "skeleton", "mirror", "camera", "light", "second_light", "enclosure", "coating", "indenter",
                   "mechanics")  # fmt: skip
-_DASH: Final = "\N{EN DASH}"
 
 
 def finger_page(design: FingerDesign, picture_png: bytes, view: str, folder: Path = Path()) -> str:
@@ -70,7 +70,7 @@ def _part_table(design: FingerDesign, layout: SkeletonLayout, parts: tuple[Scene
     for part in parts:
         x, y, z = np.ptp(part.vertices_mm, axis=0)
         words, fields = _what(design, layout, part.name)
-        size = _DASH if part.name == "camera" else f"{z:.1f} x {x:.1f} x {y:.1f}"
+        size = NO_VALUE if part.name == "camera" else f"{z:.1f} x {x:.1f} x {y:.1f}"
         rows.append((part.name, size, words, _origins(design, fields)))
     columns = ("part", "length x width x depth (mm)", "what it is", "sizes come from")
     return one_group("Parts", columns, rows, is_words=True)
@@ -155,7 +155,7 @@ def _rows(values: dict[str, Any], path: str, design: FingerDesign) -> Iterator[t
         if isinstance(value, dict):
             yield from _rows(value, field, design)
         elif value is None:
-            yield field, _DASH, "not given"
+            yield field, NO_VALUE, "not given"
         else:
             unit = next((unit for ending, unit in _ENDINGS.items() if name.endswith(ending)), "")
             yield field, f"{_text(value)} {unit}".strip(), design.origin.get(field, "assumed")

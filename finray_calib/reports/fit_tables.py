@@ -7,7 +7,15 @@ from finray_calib.fit.diagnostics import LARGEST_R_HAT, SMALLEST_EFFECTIVE_SAMPL
 from finray_calib.fit.pareto_smoothing import LARGEST_PARETO_K
 from finray_calib.reports.fit_statements import holds
 from finray_calib.reports.fitted_paint import FittedPaint
-from finray_calib.reports.number_text import estimate_text, fixed, pareto_text, percent, probability, significant
+from finray_calib.reports.number_text import (
+    NO_VALUE,
+    estimate_text,
+    fixed,
+    pareto_text,
+    percent,
+    probability,
+    significant,
+)
 from finray_calib.reports.report_tables import ReportTable, TableGroup, one_group
 
 PER_THOUSAND = "10\u207b\u00b3/nm"
@@ -40,7 +48,6 @@ _PARAMETER_WORDS = {
     "ln_blocking": "filter leak over its nominal value",
 }
 _OWN_LEAK = "leak_"
-NONE = "\u2013"
 
 
 def parameter_words(name: str) -> str:
@@ -63,9 +70,10 @@ def quantities_table(paint: FittedPaint) -> ReportTable:
         true = _truth_cell(value, known.get(name), unit, factor)
         rows.append((label, estimate_text(value, unit, factor), paper, *([] if truth is None else [true])))
     blank = () if truth is None else ("",)
-    rows.append(("reflectance at the laser", estimate_text(fit.parameters["reflectance_at_laser"]), NONE, *blank))
+    rows.append(("reflectance at the laser", estimate_text(fit.parameters["reflectance_at_laser"]), NO_VALUE, *blank))
     symbols = [
-        (label, NONE, estimate_text(fit.paper[name], unit), *blank) for name, (label, unit) in _PAPER_SYMBOLS.items()
+        (label, NO_VALUE, estimate_text(fit.paper[name], unit), *blank)
+        for name, (label, unit) in _PAPER_SYMBOLS.items()
     ]
     columns = ("quantity", "fit", "the paper's curve alone", *([] if truth is None else [f"{truth.word} value"]))
     groups = (TableGroup("", tuple(rows)), TableGroup("The paper's four parameters, in its symbols", tuple(symbols)))
@@ -97,7 +105,7 @@ def _family_cells(family: FamilyResult) -> tuple[str, ...]:
         *(estimate_text(family.quantities[name]) for name in ("mode_nm", "fwhm_nm", "skew")),
         estimate_text(family.quantities["energy_yield"], "", 1e2),
         fixed(family.ln_evidence, 1),
-        NONE if family.probability is None else probability(family.probability),
+        NO_VALUE if family.probability is None else probability(family.probability),
         _left_out(family),
     )
 
@@ -105,7 +113,7 @@ def _family_cells(family: FamilyResult) -> tuple[str, ...]:
 def _left_out(family: FamilyResult) -> str:
     """Return the predictive score of the left-out bands with the error of its difference to the default family."""
     if family.left_out_bands is None:
-        return NONE
+        return NO_VALUE
     text = fixed(family.left_out_bands, 1)
     if family.left_out_bands_sd:
         text += f" \u00b1 {fixed(family.left_out_bands_sd, 1)}"
@@ -120,7 +128,7 @@ def bands_table(paint: FittedPaint) -> ReportTable:
         (
             f"{band.center_nm:g} nm",
             *_band_cells(band),
-            NONE if band.center_nm < laser_nm else estimate_text(emission, "", 1e3),
+            NO_VALUE if band.center_nm < laser_nm else estimate_text(emission, "", 1e3),
         )
         for band, emission in zip(fit.bands, fit.band_integrals, strict=True)
     ]
@@ -211,7 +219,7 @@ def chain_table(paint: FittedPaint) -> ReportTable | None:
             f"{chain.r_hat[name]:.3f}",
             f"{chain.effective_samples[name]:.0f}",
             significant(chain.autocorrelation_time[name], 2),
-            f"{chain.mean_shift_sd[name]:+.2f}" if chain.mean_shift_sd else NONE,
+            f"{chain.mean_shift_sd[name]:+.2f}" if chain.mean_shift_sd else NO_VALUE,
         )
         for name in paint.fit.sampled
     ]

@@ -1,13 +1,9 @@
 """Measured and simulated force over the push, with the simulation's band, and the error under it."""
 
-import io
-
 import numpy as np
 
 from data_schemas.force_comparison import ForceComparison
-from finray_calib.reports.style import BLUE, INK, MUTED, VERMILLION, legend_above, new_figure, styled
-
-_DOTS_PER_INCH = 120
+from finray_calib.reports.style import BLUE, INK, MUTED, VERMILLION, legend_above, new_figure, png_bytes, styled
 
 
 @styled()
@@ -37,6 +33,4 @@ def force_figure_png(comparison: ForceComparison) -> bytes:
     below.set(xlabel="push from first touch (mm)", ylabel="simulated - measured (N)")
     below.legend(loc="best")
     legend_above(figure, above, 2)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DOTS_PER_INCH, metadata={"Software": None})
-    return buffer.getvalue()
+    return png_bytes(figure)

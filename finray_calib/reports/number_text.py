@@ -5,6 +5,9 @@ import re
 
 from data_schemas.estimate import Estimate
 
+NO_VALUE = "\N{EN DASH}"
+"""Stands where there is no number to show."""
+
 _SIGNIFICANT_OF_HALF_WIDTH = 2
 _MOST_DECIMALS = 6
 
@@ -78,7 +81,7 @@ def probability(value: float) -> str:
 
 def pareto_text(k: float | None) -> str:
     """Return the shape k of importance weights with two decimals; a dash where it cannot be estimated."""
-    return "\u2013" if k is None else fixed(k, 2)
+    return NO_VALUE if k is None else fixed(k, 2)
 
 
 def duration(seconds: float) -> str:

@@ -116,7 +116,7 @@ def caption(fitted: PaintMap) -> str:
         "explains the pixel; bright patches are dirt, glare or bare ground.",
     ]
     if fitted.worst_spots:
-        parts.append("Numbers: the blocks that depart most.")
+        parts.append(f"Numbers: the blocks that depart most. {spots_note(fitted)}")
     return " ".join(parts)
 
 
@@ -131,8 +131,16 @@ def spread_sentence(fitted: PaintMap, quantity: MappedQuantity) -> str:
     if spread.pixels == 0:
         return f"{name}: median {middle}; the pixels are too noisy to tell how uniform the paint is"
     if not spread.resolved:
-        return f"{name}: median {middle}; no differences between pixels beyond their noise (below {limit})"
+        return f"{name}: median {middle}; no differences between single pixels beyond their noise (below {limit})"
     return f"{name}: median {middle}; the paint differs by {sd} (1 sd) between pixels, noise subtracted"
+
+
+def spots_note(fitted: PaintMap) -> str:
+    """Say what a block shows that single pixels do not, and what else than paint it may be."""
+    return (
+        f"Medians of {fitted.block_px} x {fitted.block_px} px show less than the noise of one pixel hides; "
+        "the white tile's own texture counts as the paint's: a session with the tile shifted tells them apart."
+    )
 
 
 def spot_sentence(spot: PaintSpot) -> str:

@@ -1,6 +1,5 @@
 """The paper's model of its paints beside ours, on measured stand-ins: one row of two panels for each material."""
 
-import io
 from collections.abc import Sequence
 
 from matplotlib.axes import Axes
@@ -16,6 +15,7 @@ from finray_calib.reports.style import (
     SKY,
     VERMILLION,
     new_figure,
+    png_bytes,
     styled,
 )
 
@@ -61,9 +61,7 @@ def paper_paints_png(study: PaperPaints) -> bytes:
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
     figure.legend(*panels[0, 1].get_legend_handles_labels(), loc="outside upper right", ncols=2)
     figure.supxlabel(_WHY, x=0.01, ha="left", fontsize=9)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=RESOLUTION_DPI, metadata={"Software": None})
-    return buffer.getvalue()
+    return png_bytes(figure, RESOLUTION_DPI)
 
 
 def _emission_panel(axes: Axes, paint: PaintStandIn) -> None:

@@ -1,6 +1,5 @@
 """Picture of a pressed finger from its stored records: before, after, and the force against the push."""
 
-import io
 import textwrap
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from data_schemas.design import FingerDesign
 from data_schemas.press_mechanics import PressMechanics
 from data_schemas.surfaces import FingerSurfaces
 from finray_calib.reports.finger_outline import PART_COLOURS
-from finray_calib.reports.style import BLUE, HAIRLINE, INK, MUTED, SKY, VERMILLION, new_figure, styled
+from finray_calib.reports.style import BLUE, HAIRLINE, INK, MUTED, SKY, VERMILLION, new_figure, png_bytes, styled
 from sim.mechanics.finger_mesh import finger_mesh
 from sim.mechanics.indenters import side_outline_mm
 from sim.surface_meshes.finger_shape import FingerShape
@@ -24,7 +23,6 @@ from sim.surface_meshes.surface import Surface
 
 Floats = NDArray[np.float64]
 
-_DOTS_PER_INCH = 120
 # a triangle turned further from the viewer is seen edge-on
 _LEAST_FACING = 0.05
 # vertices of one line along the finger share u to rounding
@@ -70,9 +68,7 @@ def pressed_finger_png(mechanics: PressMechanics, surfaces: FingerSurfaces, fold
     after.set_xlabel("z along the finger, from the base of the pad (mm)")
     _draw_curve(curve.subplots(), mechanics)
     figure.suptitle(f"{mechanics.name}: {mechanics.label}")
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DOTS_PER_INCH, metadata={"Software": None})
-    return buffer.getvalue()
+    return png_bytes(figure)
 
 
 @styled()
@@ -97,9 +93,7 @@ def untouched_finger_png(design: FingerDesign, why: str, folder: Path | None = N
     axes.set(aspect="equal", xlabel="z along the finger, from the base of the pad (mm)", ylabel="y (mm)")
     axes.grid(visible=False)
     axes.autoscale_view()
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DOTS_PER_INCH, metadata={"Software": None})
-    return buffer.getvalue()
+    return png_bytes(figure)
 
 
 def _draw_before(axes: Axes, rest: FingerShape) -> None:

@@ -75,6 +75,13 @@ def svg_text(figure: Figure) -> str:
     return buffer.getvalue().decode("utf-8")
 
 
+def png_bytes(figure: Figure, dots_per_inch: int = 120) -> bytes:
+    """Return the figure as PNG bytes; equal figures give equal bytes."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dots_per_inch, metadata={"Software": None})
+    return buffer.getvalue()
+
+
 def svg_data_uri(svg: str) -> str:
     """Return SVG text as a data URI for an HTML image."""
     return "data:image/svg+xml;base64," + base64.b64encode(svg.encode("utf-8")).decode("ascii")

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.curves import SpectralCurve
 from data_schemas.filter_curves import half_maximum_nm
 from data_schemas.radiometry import Optics
-from data_schemas.rig import BandPassFilter
 from finray_calib.spectra.band_weights import read_only
 from finray_calib.spectra.rig_curves import weights_of
 

@@ -3,9 +3,10 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.curves import SpectralCurve
+from data_schemas.devices import LaserSettings
 from data_schemas.radiometry import Optics
-from data_schemas.rig import BandPassFilter, LaserSettings
 from finray_calib.spectra.band_weights import EmissionWeights, emission_weights
 
 Floats = NDArray[np.float64]

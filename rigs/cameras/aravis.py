@@ -6,8 +6,8 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
 
+from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.errors import LostError, RefusedError
-from data_schemas.rig import CameraSettings, DeviceIdentity
 from rigs.cameras.aravis_device import AravisDevice, AravisStream
 from rigs.cameras.aravis_library import Aravis, load_aravis
 from rigs.cameras.genicam import ConnectionBrokenError

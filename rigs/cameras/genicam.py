@@ -2,8 +2,8 @@
 
 from typing import Final, Protocol
 
+from data_schemas.devices import CameraSettings
 from data_schemas.errors import BadFrameError, RefusedError
-from data_schemas.rig import CameraSettings
 from rigs.cameras.genicam_pixels import RawPixels, raw_pixels
 
 # Names before and after the GenICam Standard Features Naming Convention 1.0.

@@ -10,8 +10,8 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.errors import BadFrameError, LostError, RefusedError, TimedOutError
-from data_schemas.rig import CameraSettings, DeviceIdentity
 from rigs.cameras.call_thread import CallThread, NoAnswerError
 from rigs.cameras.genicam import (
     ConnectionBrokenError,

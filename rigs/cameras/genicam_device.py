@@ -6,8 +6,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.errors import BadFrameError
-from data_schemas.rig import CameraSettings, DeviceIdentity
 from rigs.cameras.genicam import Features
 from rigs.cameras.genicam_pixels import RawPixels
 

@@ -9,8 +9,8 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
+from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.errors import LostError, MissingExtraError, RefusedError
-from data_schemas.rig import CameraSettings, DeviceIdentity
 from rigs.cameras.genicam import ConnectionBrokenError, FeatureError
 from rigs.cameras.genicam_camera import GenicamCamera, opened_camera
 from rigs.cameras.genicam_device import Delivered, firmware_of, name_of

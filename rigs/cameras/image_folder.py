@@ -13,8 +13,8 @@ from typing import Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.errors import BadFrameError, RecordError, RefusedError
-from data_schemas.rig import CameraSettings, DeviceIdentity
 from rigs.cameras.genicam_device import name_of
 from rigs.cameras.raw_files import SUFFIXES, read_exposure_s, read_raw
 from rigs.capture.read_session import read_camera_session, read_frame_of, read_session, session_kind

@@ -1,27 +1,22 @@
 """A camera behind an INDI server: raw 16-bit frames as FITS, every setting compared with the frame's own header."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from data_schemas.errors import BadFrameError, CaptureError, RefusedError, TimedOutError
-from data_schemas.rig import CameraSettings, DeviceIdentity
-from rigs.cameras.fits_image import CardValue, FitsImage, read_fits_image
+from data_schemas.devices import CameraSettings, DeviceIdentity
+from data_schemas.errors import CaptureError, RefusedError, TimedOutError
+from rigs.cameras.fits_image import read_fits_image
+from rigs.cameras.indi_frames import IndiFrames
 from rigs.protocols import Camera, RawFrame
 from rigs.transports.indi_client import OPEN_WITHIN_S, IndiClient
 from rigs.transports.indi_messages import blob_bytes
 from rigs.transports.indi_server import CAMERA_INTERFACE, found_on_this_computer
 
-EXPOSURE_TOLERANCE_REL: Final = 0.01
-"""Cameras expose in steps; a header that differs by more belongs to another exposure."""
 ABORT_WITHIN_S: Final = 1.0
-_HEADER_DIGITS_REL: Final = 1e-5
 _EXPOSURE: Final = "CCD_EXPOSURE"
 _EXPOSURE_VALUE: Final = "CCD_EXPOSURE_VALUE"
 _FRAME: Final = "CCD1"
@@ -33,12 +28,6 @@ _SWITCHES: Final = (
     ("CCD_FRAME_TYPE", "FRAME_LIGHT"),
     ("CCD_VIDEO_STREAM", "STREAM_OFF"),
     ("CCD_FAST_TOGGLE", "INDI_DISABLED"),
-)
-# Settings that the record carries as the driver reads them back: name there, property, member.
-_READ_BACK: Final = (
-    ("gain", "CCD_GAIN", "GAIN"),
-    ("black_level", "CCD_OFFSET", "OFFSET"),
-    ("sensor_temperature_c", "CCD_TEMPERATURE", "CCD_TEMPERATURE_VALUE"),
 )
 
 
@@ -57,9 +46,7 @@ class IndiCamera:
         self._client = client
         self._settings = settings
         self._wheel_device = wheel_device
-        self._last_time_s: float | None = None
-        # Whether the camera was seen to use the low bits of its 16, which it does for good.
-        self._right_aligned = settings.bit_depth == 16
+        self._frames = IndiFrames(client, settings)
 
     def prepare(self, end_s: float) -> None:
         """Connect where there is no connection, and then set what every frame needs."""
@@ -110,7 +97,7 @@ class IndiCamera:
                 "set the driver's transfer format to FITS and its compression off"
             )
         image = read_fits_image(blob_bytes(blob, self._client.name), self._client.name)
-        return self._checked(image, exposure_s, captured_utc)
+        return self._frames.checked(image, exposure_s, captured_utc)
 
     def _await_frame(self, exposure_s: float, end_s: float) -> None:
         """Begin an exposure and wait for its frame and the driver's Ok."""
@@ -169,91 +156,6 @@ class IndiCamera:
                 "allowed; correct shortest_exposure_s and longest_exposure_s of the rig file"
             )
 
-    def _checked(self, image: FitsImage, exposure_s: float, captured_utc: str) -> RawFrame:
-        """Compare the frame with what was asked for."""
-        header, name = image.header, self._client.name
-        if image.counts.shape != (self._settings.height_px, self._settings.width_px):
-            raise RefusedError(
-                f"{name}: sent {image.counts.shape[1]} x {image.counts.shape[0]} px, {self._settings.width_px} x "
-                f"{self._settings.height_px} px were asked for; check the frame and binning in the camera's driver"
-            )
-        read_back_s = _number(header, "EXPTIME", name)
-        if abs(read_back_s - exposure_s) > EXPOSURE_TOLERANCE_REL * exposure_s:
-            raise RefusedError(
-                f"{name}: {exposure_s:g} s were asked for, the frame's header says {read_back_s:g} s; see that no "
-                "other program uses the camera"
-            )
-        gain = self._settings.gain_db
-        if "GAIN" in header and abs(_number(header, "GAIN", name) - gain) > _HEADER_DIGITS_REL * max(1.0, gain):
-            raise RefusedError(
-                f"{name}: gain {gain:g} was asked for, the frame's header says {header['GAIN']}; see that no other "
-                "program uses the camera"
-            )
-        device_time_s = self._require_new(header)
-        return RawFrame(
-            counts=self._right_align(image.counts),
-            exposure_requested_s=exposure_s,
-            exposure_s=read_back_s,
-            captured_utc=captured_utc,
-            device_time_s=device_time_s,
-            settings=self._settings_read_back(header),
-        )
-
-    def _settings_read_back(self, header: Mapping[str, CardValue]) -> dict[str, str | float]:
-        """Return what the driver and the header say beside the exposure."""
-        client = self._client
-        settings: dict[str, str | float] = {
-            label: client.number(name, member) for label, name, member in _READ_BACK if name in client.properties
-        }
-        settings["pixel_format"] = self._pixel_format(header)
-        # Which filter the driver believes in: only as true as ACTIVE_FILTER, which names the wheel it listens to.
-        if "FILTER" in header:
-            settings["filter_header"] = str(header["FILTER"])
-        active = client.properties.get("ACTIVE_DEVICES")
-        if active is not None and "ACTIVE_FILTER" in active.values:
-            settings["active_filter"] = active.values["ACTIVE_FILTER"]
-        return settings
-
-    def _pixel_format(self, header: Mapping[str, CardValue]) -> Literal["BayerRG16", "Mono16"]:
-        """Return the colour pattern; refuse one that the rig file does not mean."""
-        pattern = header.get("BAYERPAT", "")
-        offsets = [header.get(key, 0.0) for key in ("XBAYROFF", "YBAYROFF")]
-        upside_down = header.get("ROWORDER", "TOP-DOWN") != "TOP-DOWN"
-        if pattern not in ("", self._settings.bayer_pattern) or offsets != [0.0, 0.0] or upside_down:
-            raise RefusedError(
-                f"{self._client.name}: sends the colour pattern {pattern or 'none'} (offset {offsets[0]}, "
-                f"{offsets[1]}, rows {header.get('ROWORDER', 'TOP-DOWN')}), {self._settings.bayer_pattern} from the "
-                "top left is needed; choose a camera or a frame with this pattern"
-            )
-        return "BayerRG16" if pattern else "Mono16"
-
-    def _require_new(self, header: Mapping[str, CardValue]) -> float | None:
-        """Return the driver's time of the frame; refuse one that was delivered before."""
-        try:
-            taken = datetime.fromisoformat(str(header.get("DATE-OBS", "")))
-        except ValueError:
-            return None
-        device_time_s = (taken if taken.tzinfo else taken.replace(tzinfo=UTC)).timestamp()
-        if device_time_s == self._last_time_s:
-            raise BadFrameError(f"{self._client.name}: sent the frame of {header['DATE-OBS']} twice; expose again")
-        self._last_time_s = device_time_s
-        return device_time_s
-
-    def _right_align(self, counts: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Shift counts down whose lowest bits no pixel ever uses: fewer bits, left-aligned in 16."""
-        depth = self._settings.bit_depth
-        used = int(np.bitwise_or.reduce(counts, axis=None))
-        if used & ((1 << (16 - depth)) - 1):
-            self._right_aligned = True
-        if not self._right_aligned:
-            return counts >> np.uint16(16 - depth)
-        if used >> depth:
-            raise BadFrameError(
-                f"{self._client.name}: sent counts up to {int(counts.max())} DN, {depth} bits hold {2**depth - 1} DN; "
-                "correct bit_depth of the rig file"
-            )
-        return counts
-
 
 @contextmanager
 def open_camera(settings: CameraSettings, folder: Path, wheel_device: str = "") -> Iterator[Camera]:
@@ -281,11 +183,3 @@ def open_camera(settings: CameraSettings, folder: Path, wheel_device: str = "") 
 def found() -> list[tuple[str, str]]:
     """Return address and description of the cameras of an INDI server on this computer."""
     return found_on_this_computer(CAMERA_INTERFACE)
-
-
-def _number(header: Mapping[str, CardValue], key: str, name: str) -> float:
-    """Return a number of the header."""
-    value = header.get(key)
-    if not isinstance(value, float):
-        raise RefusedError(f"{name}: the frame's header states no {key}; choose another INDI driver for the camera")
-    return value

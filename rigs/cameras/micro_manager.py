@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.errors import BadFrameError, CaptureError, LostError, MissingExtraError, RefusedError, TimedOutError
-from data_schemas.rig import CameraSettings, DeviceIdentity
 from rigs.cameras.call_thread import CallThread, NoAnswerError
 from rigs.cameras.genicam import CLOCK_REL, LINE_S
 from rigs.cameras.genicam_device import name_of

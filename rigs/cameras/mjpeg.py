@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.errors import BadFrameError, CaptureError, RefusedError, TimedOutError
-from data_schemas.rig import CameraSettings, DeviceIdentity
 from rigs.cameras.jpeg_picture import decoded_jpeg, jpeg_size_px
 from rigs.protocols import RawFrame
 from rigs.transports.multipart_stream import MultipartStream, Part

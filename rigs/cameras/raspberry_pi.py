@@ -16,8 +16,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.errors import BadFrameError, LostError, MissingExtraError, RefusedError, TimedOutError
-from data_schemas.rig import CameraSettings, DeviceIdentity
 from rigs.cameras.raspberry_pi_raw import RawLayout, chosen_mode
 from rigs.protocols import RawFrame
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.bayer import FIRST_RED, BayerOrder
+from data_schemas.devices import CameraSettings
 from data_schemas.errors import BadFrameError, RefusedError
-from data_schemas.rig import CameraSettings
 
 CONTAINER_BITS: Final = 16
 RAW_FORMAT: Final = re.compile(r"S(RGGB|GRBG|GBRG|BGGR)(8|10|12|14|16)")

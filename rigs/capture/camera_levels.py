@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.camera import CameraPlan
+from data_schemas.devices import CameraSettings
 from data_schemas.errors import CaptureError
-from data_schemas.rig import CameraSettings
 
 Counts = NDArray[np.uint16]
 # The last level lies this far beyond saturation, so that the variance is seen to fall.

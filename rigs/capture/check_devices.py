@@ -6,9 +6,11 @@ from typing import Final, Protocol
 
 import numpy as np
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.check import CheckPlan, Handshake, WheelMove
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import CaptureError, WrongPositionError
-from data_schemas.rig import BandPassFilter, DeviceIdentity, RigFile
+from data_schemas.rig import RigFile
 from rigs.capture.exchange import WHEEL_DEADLINE_S
 from rigs.open_rig import OpenRig
 

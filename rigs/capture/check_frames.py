@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.capture import FilterProof
 from data_schemas.check import CheckPlan, DarkFrames, ExposureLevel, Revisit
 from data_schemas.errors import CaptureError, SaturatedError
-from data_schemas.rig import BandPassFilter, RigFile
+from data_schemas.rig import RigFile
 from rigs.capture.exchange import CheckedCamera, shine
 from rigs.capture.exposure import exposure_ladder, meter_exposure
 from rigs.capture.filter_proof import judge_filters, predicted_rates

@@ -5,9 +5,10 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Final, Literal, TypeVar
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.check import CheckFacts, CheckPlan, LightOff, Section, WheelMove
 from data_schemas.errors import CaptureError, UnsafeError
-from data_schemas.rig import BandPassFilter, RigFile
+from data_schemas.rig import RigFile
 from rigs.capture.check_devices import handshakes, wheel_moves
 from rigs.capture.check_frames import CheckFrames
 from rigs.capture.laser_watch import (

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from data_schemas.capture import LightState
+from data_schemas.devices import CameraSettings
 from data_schemas.errors import BadFrameError, CaptureError, RefusedError, WrongPositionError
-from data_schemas.rig import CameraSettings
 from rigs.capture.attempts import exposed, within_attempts
 from rigs.capture.plan import Step
 from rigs.open_rig import OpenRig

@@ -16,9 +16,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.capture import CaptureSession, FilterProof
 from data_schemas.curves import SpectralCurve
-from data_schemas.rig import BandPassFilter
 
 FloatArray = NDArray[np.float64]
 
@@ -93,30 +93,10 @@ def judge_filters(
         return FilterProof(verdict="cannot tell", text="one filter alone has nothing to be compared with")
     ln_measured, ln_predicted = _levels(measured), _levels(predicted)
     stuck = _only_filter(ln_measured, ln_predicted)
-    if stuck is not None and sum(lamp_off()) > LIT_SHARE * measured[0].sum():
-        return FilterProof(
-            verdict="cannot tell",
-            text="the picture is alike at every slot and hardly changes when the lamp goes off: this camera does not "
-            "see it, or other light does the work",
-        )
     if stuck is not None:
-        return FilterProof(
-            verdict="contradicted",
-            text=f"the frames show filter {names[stuck]} at every slot: the wheel counts and does not turn; look at "
-            "its motor, belt and filters",
-        )
-    order = np.arange(len(names))
-    better: list[tuple[float, str]] = []
-    unclear: list[str] = []
-    for first, second in combinations(range(len(names)), 2):
-        exchanged = order.copy()
-        exchanged[[first, second]] = exchanged[[second, first]]
-        gain = _chi_square(ln_measured, ln_predicted) - _chi_square(ln_measured, ln_predicted[exchanged])
-        pair = f"{names[first]} and {names[second]}"
-        if gain > CLEAR_DIFFERENCE:
-            better.append((gain, pair))
-        elif gain > -CLEAR_DIFFERENCE:
-            unclear.append(pair)
+        still_lit = bool(sum(lamp_off()) > LIT_SHARE * measured[0].sum())
+        return _alike_at_every_slot(names[stuck], still_lit)
+    better, unclear = _exchanges(names, ln_measured, ln_predicted)
     if better:
         return FilterProof(
             verdict="contradicted",
@@ -129,6 +109,43 @@ def judge_filters(
             text="the frames cannot tell apart filters " + ", ".join(unclear) + "; the others are where they should be",
         )
     return FilterProof(verdict="confirmed", text="the frames show every filter in its slot")
+
+
+def _alike_at_every_slot(name: str, still_lit: bool) -> FilterProof:
+    """Return what frames prove that show one filter at every slot, whether or not the lamp is on."""
+    if still_lit:
+        return FilterProof(
+            verdict="cannot tell",
+            text="the picture is alike at every slot and hardly changes when the lamp goes off: this camera does not "
+            "see it, or other light does the work",
+        )
+    return FilterProof(
+        verdict="contradicted",
+        text=f"the frames show filter {name} at every slot: the wheel counts and does not turn; look at its motor, "
+        "belt and filters",
+    )
+
+
+def _exchanges(
+    names: Sequence[str], measured: FloatArray, predicted: FloatArray
+) -> tuple[list[tuple[float, str]], list[str]]:
+    """Return the exchanges of two filters that explain the frames clearly better, and those that do so about as well.
+
+    The former with what chi-square falls by.
+    """
+    order = np.arange(len(names))
+    better: list[tuple[float, str]] = []
+    unclear: list[str] = []
+    for first, second in combinations(range(len(names)), 2):
+        exchanged = order.copy()
+        exchanged[[first, second]] = exchanged[[second, first]]
+        gain = _chi_square(measured, predicted) - _chi_square(measured, predicted[exchanged])
+        pair = f"{names[first]} and {names[second]}"
+        if gain > CLEAR_DIFFERENCE:
+            better.append((gain, pair))
+        elif gain > -CLEAR_DIFFERENCE:
+            unclear.append(pair)
+    return better, unclear
 
 
 def compare_with_last(names: Sequence[str], measured: FloatArray, last: CaptureSession) -> FilterProof:

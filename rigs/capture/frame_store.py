@@ -10,8 +10,8 @@ from types import TracebackType
 
 from data_schemas.capture import Frame, RegionOfInterest
 from data_schemas.errors import CaptureError
+from data_schemas.frame_files import write_frame
 from data_schemas.rig import RigFile
-from data_schemas.storage import write_frame
 from rigs.capture.exchange import CheckedCamera, CheckedFrame
 from rigs.capture.exposure import saturated_fraction
 from rigs.capture.journal import Journal

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
 from data_schemas.check import Witness
+from data_schemas.devices import LaserSettings
 from data_schemas.errors import BadFrameError, CaptureError, UnsafeError
-from data_schemas.rig import LaserSettings, RigFile
+from data_schemas.rig import RigFile
 from rigs.capture.check_frames import CheckFrames
 from rigs.capture.exchange import CAMERA_DEADLINE_MARGIN_S, WHEEL_DEADLINE_S, shine
 from rigs.capture.plan import Step

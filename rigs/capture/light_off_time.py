@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from typing import Final, NamedTuple
 
 from data_schemas.check import LightLayer, LightOff
+from data_schemas.devices import LaserSettings
 from data_schemas.errors import CaptureError, TimedOutError
-from data_schemas.rig import LaserSettings
 from rigs.capture.laser_watch import LaserWatch, make_off
 from rigs.open_rig import OpenRig
 

@@ -3,9 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.capture import FrameType, LightState, PaintPlan, RegionOfInterest, Target
+from data_schemas.devices import CameraSettings
 from data_schemas.errors import CaptureError
-from data_schemas.rig import BandPassFilter, CameraSettings, RigFile
+from data_schemas.rig import RigFile
 
 SMALLEST_REGION_PX = 2
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from data_schemas.camera import CameraSession
 from data_schemas.capture import CaptureSession, Frame
 from data_schemas.errors import RecordError
-from data_schemas.storage import read_frame, read_record
+from data_schemas.frame_files import read_frame
+from data_schemas.storage import read_record
 from rigs.capture.journal import JOURNAL_NAME
 from rigs.capture.session_folder import SESSION_NAME
 

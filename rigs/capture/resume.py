@@ -13,7 +13,7 @@ from data_schemas.errors import CaptureError
 from data_schemas.faults import explain
 from data_schemas.model import Record
 from data_schemas.rig import RigFile
-from data_schemas.storage import sha256_of
+from data_schemas.whole_files import sha256_of
 from rigs.capture.journal import JOURNAL_NAME, read_journal
 from rigs.capture.session_folder import SESSION_NAME
 from rigs.protocols import Clock

@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from data_schemas.devices import NO_ADDRESS
 from data_schemas.errors import CaptureError
-from data_schemas.rig import NO_ADDRESS, RigFile
+from data_schemas.rig import RigFile
 
 
 @contextmanager

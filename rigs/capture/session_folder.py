@@ -8,7 +8,8 @@ from data_schemas.errors import CaptureError, CurveError
 from data_schemas.model import Record
 from data_schemas.provenance import provenance
 from data_schemas.rig import RigFile
-from data_schemas.storage import sha256_of, write_bytes, write_record
+from data_schemas.storage import write_record
+from data_schemas.whole_files import sha256_of, write_bytes
 from rigs.capture.journal import JOURNAL_NAME, Journal
 
 SESSION_NAME = "session.json"

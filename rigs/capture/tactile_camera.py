@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable
 from typing import Final
 
+from data_schemas.devices import CameraSettings
 from data_schemas.errors import RefusedError
-from data_schemas.rig import CameraSettings
 from rigs.capture.attempts import exposed, within_attempts
 from rigs.capture.exchange import CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL, require_new
 from rigs.protocols import Camera, RawFrame

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from data_schemas.capture import TactileCapture
 from data_schemas.errors import CaptureError, RecordError
-from data_schemas.storage import read_frame
+from data_schemas.frame_files import read_frame
 from data_schemas.tactile import PlannedPress, TactileFrame, TactilePlan, TactileRig
 from rigs.capture.tactile_plan import press_of
 

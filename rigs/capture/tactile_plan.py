@@ -6,9 +6,9 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from data_schemas.devices import CameraSettings
 from data_schemas.errors import CaptureError, RecordError
 from data_schemas.faults import explain
-from data_schemas.rig import CameraSettings
 from data_schemas.tactile import PlannedPress, TactileFrameType, TactilePlan
 
 MOST_PRESSES = 10_000

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import CaptureError
-from data_schemas.rig import DeviceIdentity
-from data_schemas.storage import sha256_of
 from data_schemas.tactile import PlannedPress, TactileFrame, TactilePlan, TactileRig
+from data_schemas.whole_files import sha256_of
 from rigs.capture.journal import JOURNAL_NAME, read_journal
 from rigs.capture.resume import ORPHANS
 from rigs.capture.session_folder import SESSION_NAME

@@ -4,10 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import CaptureError
+from data_schemas.frame_files import write_frame
 from data_schemas.provenance import provenance
-from data_schemas.rig import DeviceIdentity
-from data_schemas.storage import write_frame, write_record
+from data_schemas.storage import write_record
 from data_schemas.tactile import PlannedPress, TactileFrame, TactilePlan, TactileRig, TactileSession
 from rigs.capture.exposure import saturated_fraction
 from rigs.capture.frame_store import BYTES_PER_PIXEL, require_space

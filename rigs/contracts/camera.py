@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from data_schemas.devices import CameraSettings
 from data_schemas.errors import CaptureError, RefusedError
-from data_schemas.rig import CameraSettings
 from rigs.capture.exchange import CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL
 from rigs.protocols import Camera, RawFrame
 

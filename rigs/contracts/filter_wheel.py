@@ -7,8 +7,8 @@ import time
 
 import pytest
 
+from data_schemas.devices import FilterWheelSettings
 from data_schemas.errors import CaptureError, RefusedError
-from data_schemas.rig import FilterWheelSettings
 from rigs.capture.exchange import WHEEL_DEADLINE_S
 from rigs.protocols import FilterWheel
 

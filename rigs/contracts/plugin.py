@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from data_schemas.devices import CameraSettings, FilterWheelSettings
 from data_schemas.errors import FinrayError
-from data_schemas.rig import CameraSettings, FilterWheelSettings, RigFile
+from data_schemas.rig import RigFile
 from data_schemas.storage import read_toml
 from rigs.host import TerminalOperator
 from rigs.lone_devices import lone_camera, lone_lamp, lone_laser, lone_wheel

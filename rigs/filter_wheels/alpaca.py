@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
+from data_schemas.devices import DeviceIdentity, FilterWheelSettings
 from data_schemas.errors import RefusedError
-from data_schemas.rig import DeviceIdentity, FilterWheelSettings
 from rigs.filter_wheels.arrival import Arrival, require_slot, require_slots
 from rigs.protocols import FilterWheel, Operator
 from rigs.transports.alpaca_client import OPEN_WITHIN_S, AlpacaClient, alpaca_address, device_number

@@ -4,8 +4,8 @@ import time
 from collections.abc import Sequence
 from typing import Final
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.errors import RefusedError, WrongPositionError
-from data_schemas.rig import BandPassFilter
 
 POLLS_THERE: Final = 2
 

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
+from data_schemas.devices import DeviceIdentity, FilterWheelSettings
 from data_schemas.errors import TimedOutError
-from data_schemas.rig import DeviceIdentity, FilterWheelSettings
 from rigs.filter_wheels.arrival import Arrival, require_slot, require_slots
 from rigs.protocols import FilterWheel, Operator
 from rigs.transports.indi_client import OPEN_WITHIN_S, IndiClient

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from data_schemas.devices import DeviceIdentity, FilterWheelSettings
 from data_schemas.errors import RefusedError
-from data_schemas.rig import DeviceIdentity, FilterWheelSettings
 from rigs.protocols import FilterWheel, Operator
 
 

@@ -10,8 +10,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Final
 
+from data_schemas.band_pass_filter import BandPassFilter
+from data_schemas.devices import DeviceIdentity, FilterWheelSettings
 from data_schemas.errors import CaptureError, RefusedError, TimedOutError, WrongPositionError
-from data_schemas.rig import BandPassFilter, DeviceIdentity, FilterWheelSettings
 from rigs.filter_wheels.arrival import require_slot
 from rigs.filter_wheels.thorlabs_dialogue import Dialogue
 from rigs.protocols import FilterWheel, Operator

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import RefusedError
-from data_schemas.rig import DeviceIdentity
 from rigs.lights.server_light import LightRole, ServerLight
 from rigs.protocols import LightSwitch, Operator
 from rigs.transports.alpaca_client import OPEN_WITHIN_S, AlpacaClient, alpaca_address, device_number

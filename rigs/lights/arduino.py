@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final, Literal
 
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutError, UnsafeError
-from data_schemas.rig import DeviceIdentity
 from rigs.lights.arduino_lines import BAUD, LINE, Said, Word, parse
 from rigs.transports.serial_link import SerialLink, usb_serial_ports
 

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Literal
 
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import CaptureError, RefusedError, UnsafeError
-from data_schemas.rig import DeviceIdentity
 from rigs.protocols import LightSwitch, Operator
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Final
 
-from data_schemas.rig import DeviceIdentity
+from data_schemas.devices import DeviceIdentity
 from rigs.protocols import Light, LightSwitch
 
 SWITCH_DEADLINE_S: Final = 5.0

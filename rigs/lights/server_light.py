@@ -3,8 +3,8 @@
 import time
 from typing import Final, Literal, Protocol
 
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import CaptureError, LostError, UnsafeError
-from data_schemas.rig import DeviceIdentity
 
 LightRole = Literal["laser", "lamp"]
 ASK_WITHIN_S: Final = 5.0

@@ -7,18 +7,19 @@ with a pedestal. Nothing here may be imported by capture or by the calibration a
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.interpolate import PchipInterpolator
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.capture import LightState, Target
 from data_schemas.curves import DonaldsonMatrix, SpectralCurve
+from data_schemas.devices import LaserSettings
 from data_schemas.errors import CaptureError
-from data_schemas.rig import BandPassFilter, LaserSettings, RigFile
+from data_schemas.rig import RigFile
 from data_schemas.standard_curves import LAMP_TEMPERATURE_K, planck_relative
 from rigs.simulated.paints import hidden_paint_matrix, measured_material_matrix
 from rigs.simulated.scene import CLOTH_REFLECTANCE, colour_checker_reflectances, lay_out
@@ -39,7 +40,6 @@ PEAK_QUANTUM_EFFICIENCY = 0.6
 LAMP_LEVEL_E_PER_S_NM = 3.5e5
 LASER_LEVEL_NM_PER_MW = 5.0
 ROOM_LEVEL_REL = 0.05
-TRUTH_NM: Floats = np.arange(470.0, 781.0)
 
 
 def filter_transmission(
@@ -212,67 +212,3 @@ class Bench:
         frame = mosaic(rgb)
         frame.flags.writeable = False
         return frame
-
-
-@dataclass(frozen=True, slots=True)
-class BenchTruth:
-    """What a calibration of the simulated bench should find; for reports and tests only.
-
-    Attributes
-    ----------
-    emission
-        Emission per nm for light at the laser line (nm^-1), 470 to 780 nm in 1 nm steps.
-    mode_nm, fwhm_nm
-        Maximum and full width at half maximum of that emission (nm).
-    energy_yield
-        Emitted over incident energy at the laser line, up to 780 nm.
-    absorption
-        Photons that light of other wavelengths makes the paint emit, relative to the laser line.
-    reflectance
-        Non-fluorescent reflectance.
-    reflectance_at_laser
-        Its value at the laser line.
-    """
-
-    emission: SpectralCurve
-    mode_nm: float
-    fwhm_nm: float
-    energy_yield: float
-    absorption: SpectralCurve
-    reflectance: SpectralCurve
-    reflectance_at_laser: float
-
-
-def bench_truth(rig: RigFile, folder: Path) -> BenchTruth:
-    """Return the truth behind a simulated rig; never used by capture, radiometry or fit.
-
-    Mode and width of a hidden paint come from a cubic spline through its fine grid, those of a measured material
-    from the monotone cubic (PCHIP) through its bands, whose maximum always lies on a measured wavelength.
-    """
-    matrix = sample_matrix(rig, folder)
-    column = matrix.emission_at(rig.laser.wavelength_nm)
-    hidden = rig.simulated is not None and rig.simulated.paint is not None
-    through = (CubicSpline if hidden else PchipInterpolator)(column.wavelength_nm, column.values)
-    fine_nm = np.linspace(TRUTH_NM[0], TRUTH_NM[-1], 100 * (len(TRUTH_NM) - 1) + 1)
-    values = through(fine_nm)
-    above = fine_nm[values >= 0.5 * values.max()]
-    counted = column.wavelength_nm <= TRUTH_NM[-1]
-    # emitted energy over the excitation's wavelength counts photons, as far as the emission keeps its shape
-    photons = np.trapezoid(matrix.radiance_factor_per_nm, matrix.emission_nm, axis=0) / matrix.excitation_nm
-    at_laser = np.interp(rig.laser.wavelength_nm, matrix.excitation_nm, photons)
-    return BenchTruth(
-        emission=SpectralCurve(
-            name=column.name, wavelength_nm=TRUTH_NM, values=through(TRUTH_NM), source=column.source
-        ),
-        mode_nm=float(fine_nm[values.argmax()]),
-        fwhm_nm=float(above[-1] - above[0]),
-        energy_yield=float(np.trapezoid(column.values[counted], column.wavelength_nm[counted])),
-        absorption=SpectralCurve(
-            name=f"{column.name}, absorption",
-            wavelength_nm=matrix.excitation_nm,
-            values=photons / at_laser,
-            source=column.source,
-        ),
-        reflectance=matrix.reflectance,
-        reflectance_at_laser=float(matrix.reflectance(rig.laser.wavelength_nm)),
-    )

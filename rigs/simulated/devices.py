@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 
 from data_schemas.capture import LightState, Target
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import CaptureError, RefusedError, TimedOutError
-from data_schemas.rig import DeviceIdentity
 from rigs.protocols import RawFrame
 from rigs.simulated.bench import Bench
 from rigs.simulated.sensor import Sensor

@@ -13,8 +13,8 @@ from http.client import HTTPException
 from typing import Any, Final, Literal, NamedTuple
 from urllib.parse import urlencode, urlsplit
 
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import LostError, RefusedError, TimedOutError
-from data_schemas.rig import DeviceIdentity
 from rigs.transports.timed_http import TimedConnection
 
 OPEN_WITHIN_S: Final = 15.0

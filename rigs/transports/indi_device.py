@@ -4,8 +4,8 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import LostError, RefusedError
-from data_schemas.rig import DeviceIdentity
 from rigs.transports.indi_messages import IndiElement, IndiMessage, number
 
 LONGEST_TEXT: Final = 200

@@ -7,9 +7,10 @@ from typing import get_args
 
 import numpy as np
 
-from data_schemas.design import FingerDesign, Indenter
+from data_schemas.design import FingerDesign
 from data_schemas.errors import NoEquilibriumError, SimulateError
 from data_schemas.finger_stiffness import FingerStiffness, Measure, StiffnessOrder, StiffnessRow
+from data_schemas.indenter import Indenter
 from sim.experiments.changed_design import changed_design
 from sim.mechanics.force_control import press_to_force
 from sim.mechanics.loads import LoadedFinger

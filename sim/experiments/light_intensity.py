@@ -12,7 +12,8 @@ from data_schemas.errors import SimulateError
 from data_schemas.illumination import BrightestAngle, LightAngleIntensity
 from sim.experiments.painted_finger import PaintedFinger
 from sim.optics.angle_sweep import sweep_light_angle
-from sim.optics.curved_refraction import inner_face, refract_through
+from sim.optics.curved_refraction import refract_through
+from sim.optics.gel_face import inner_face
 from sim.optics.paint_bands import BAND_NAMES
 from sim.optics.panel_frame import panel_frame
 from sim.optics.render import Progress

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from data_schemas.capture import TactileCapture
 from data_schemas.simulate import SimulatedPress
-from sim.experiments.tactile_camera import ColourSpread, colour_spread, simulated_capture
+from sim.experiments.colour_spread import ColourSpread, colour_spread
+from sim.experiments.tactile_camera import simulated_capture
 from sim.optics.chain_images import mix
 from sim.optics.paint_bands import BAND_NAMES, PaintBands
 from sim.optics.pixel_maps import PixelMaps

@@ -7,12 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.curves import SpectralCurve
+from data_schemas.devices import LaserSettings
 from data_schemas.estimate import Estimate
 from data_schemas.paper_paints import BandFit, CurveFit
 from data_schemas.radiometry import Optics
 from data_schemas.reradiation import Reradiation
-from data_schemas.rig import BandPassFilter, LaserSettings, WhiteReference
+from data_schemas.rig import WhiteReference
 from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
 from finray_calib.fit.absorption_fit import ExcitationYield, fit_absorption
 from finray_calib.fit.absorption_prior import AbsorptionPrior

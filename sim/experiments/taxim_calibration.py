@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from data_schemas.design import FingerDesign, Indenter
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.indenter import Indenter
 from data_schemas.plain_sensor import PlainSensor
 from sim.optics.lit_scene import stream_seed
 from sim.optics.plain_sensor import plain_sensor_integrator, plain_sensor_scene

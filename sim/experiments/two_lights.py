@@ -5,8 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.design import FingerDesign, LightPanel
+from data_schemas.design import FingerDesign
 from data_schemas.illumination import TwoLights, Uniformity
+from data_schemas.optical_design import LightPanel
 from sim.experiments.painted_finger import PaintedFinger
 from sim.optics.finger_view import Window
 from sim.optics.paint_bands import BAND_NAMES

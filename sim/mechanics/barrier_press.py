@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from data_schemas.press_mechanics import ContactKind
-from sim.mechanics.assembly import State, Term
+from sim.mechanics.assembly import State
 from sim.mechanics.body_meshes import TriangleMesh
 from sim.mechanics.colliding_surfaces import Obstacle
 from sim.mechanics.contact_ipc import Barrier, BarrierContact
-from sim.mechanics.drive import Drive
+from sim.mechanics.driven_contact import DrivenContact
 from sim.mechanics.indenters import RigidIndenter
 from sim.mechanics.mesh import FingerMesh
 from sim.mechanics.newton import Supports
@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 _OUT_OF_REACH_MM = 3.0
 
 
-class BarrierPress:
+class BarrierPress(DrivenContact):
     """All surfaces of the finger among themselves and against the indenter's triangles.
 
     The push counts from where the gap to first touch is the barrier's reach. Surfaces rest at a gap a little below
@@ -52,11 +52,8 @@ class BarrierPress:
         start = indenter.vertices_mm(barrier.reach_mm)
         near = _within_reach(start, indenter.surface, mesh.nodes_mm, design.indenter.depth_mm)
         obstacle = Obstacle(near.vertices_mm, near.triangles, reference)
-        self.contact = BarrierContact(self.mesh.nodes_mm, outer_triangles(mesh), obstacle, barrier, threads=threads)
-        self._drive = Drive(reference, 1)
-        self.terms: tuple[Term, ...] = (self.contact, self._drive)
-        self._supports = Supports.at_rest(reference + 1, mesh.node_sets["fixed"])
-        self._supports.fixed[reference] = (True, False, True)
+        contact = BarrierContact(self.mesh.nodes_mm, outer_triangles(mesh), obstacle, barrier, threads=threads)
+        super().__init__(contact, Supports.at_rest(reference + 1, mesh.node_sets["fixed"]), reference)
         self._settled_mm = np.zeros_like(self.mesh.nodes_mm)
 
     @property
@@ -71,22 +68,9 @@ class BarrierPress:
             f"finger, none elsewhere; the ribs and other parts of the finger {parts}"
         )
 
-    def push(self, depth_mm: float) -> Supports:
-        """Aim at a depth and return the supports; slip counts from the last accepted state."""
-        self.contact.restart()
-        self._drive.target_mm = -depth_mm
-        return self._supports
-
-    def settle(self, state: State) -> bool:
-        """Renew lagged forces at an equilibrium; return whether it still is one, and then accept it."""
-        met, settled = self._drive.settle(state.u_mm), self.contact.settle(state.u_mm)
-        if met and settled:
-            self.accept(state)
-        return met and settled
-
     def accept(self, state: State) -> None:
         """Let the next increment begin at a state."""
-        self.contact.accept(state.u_mm)
+        super().accept(state)
         self._settled_mm = state.u_mm
 
     def force_n(self, u: FloatArray) -> FloatArray:

@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 from data_schemas.design import FingerDesign
 from data_schemas.errors import NoEquilibriumError, SimulateError
 from data_schemas.mechanical_design import Preset
-from data_schemas.press_mechanics import ContactKind
 from sim.mechanics.assembly import Assembly, State, Term
 from sim.mechanics.contact_analytic import PenaltyContact
 from sim.mechanics.elements import Elasticity
 from sim.mechanics.finger_mesh import STEPS, finger_mesh
 from sim.mechanics.finger_parts import finger_materials, finger_ties
+from sim.mechanics.increments import Extrapolation, load_increments
 from sim.mechanics.indenters import rigid_indenter
 from sim.mechanics.linear_solver import SymmetricSolver, linear_solver
 from sim.mechanics.loads import DeadForce
-from sim.mechanics.newton import Extrapolation, Supports, find_equilibrium, load_increments
-from sim.mechanics.press_contact import penalty_mpa_per_mm
+from sim.mechanics.newton import Supports, find_equilibrium
+from sim.mechanics.penalty_press import PenaltyTouch, penalty_mpa_per_mm
 from sim.mechanics.pressed_finger import PressedFinger, PressHistory
 
 FloatArray = NDArray[np.float64]
@@ -115,35 +115,31 @@ def check_force(design: FingerDesign, force_n: float) -> None:
         )
 
 
-class _DrivenIndenter:
+class _DrivenIndenter(PenaltyTouch):
     """The coat against exact distances of an indenter that is a node of its own, driven by a force."""
-
-    kind: ContactKind = "penalty"
 
     def __init__(self, design: FingerDesign, preset: Preset | None, folder: Path) -> None:
         indenter, finger = rigid_indenter(design, folder), finger_mesh(design, preset)
         if indenter.body is None:
             raise SimulateError("a press to a force needs a cylinder, ball or cuboid; press a mesh to a depth")
         self._node = len(finger.nodes_mm)
-        self.mesh = replace(finger, nodes_mm=np.concatenate([finger.nodes_mm, [indenter.touching.position_mm]]))
+        mesh = replace(finger, nodes_mm=np.concatenate([finger.nodes_mm, [indenter.touching.position_mm]]))
         step_mm = STEPS[preset or design.mesh.preset].pad_mm
-        self._contact = PenaltyContact(
-            self.mesh.nodes_mm, self.mesh.surfaces["coat"], indenter.body, indenter.pose(_TOUCH_MM),
+        contact = PenaltyContact(
+            mesh.nodes_mm, mesh.surfaces["coat"], indenter.body, indenter.pose(_TOUCH_MM),
             penalty_mpa_per_mm(design, step_mm), reference_node=self._node, curvature=False,
         )  # fmt: skip
+        super().__init__(mesh, contact)
         self._force = DeadForce(np.array([self._node]))
-        self.terms: tuple[Term, ...] = (self._contact, self._force)
-        self._held = Supports.at_rest(self._node + 1, np.append(self.mesh.node_sets["fixed"], self._node))
+        self.terms: tuple[Term, ...] = (contact, self._force)
+        self._held = Supports.at_rest(self._node + 1, np.append(mesh.node_sets["fixed"], self._node))
         self._free = self._held.fixed.copy()
         self._free[self._node, 1] = False
 
     @property
     def note(self) -> str:
-        """How it touches."""
-        return (
-            "contact by penalty: frictionless; the indenter's distance is exact; ribs do not see each other; the "
-            f"indenter is driven by a force of {-self._force.force_n[1]:g} N"
-        )
+        """How the surfaces touch, and what drives the indenter."""
+        return f"{super().note}; the indenter is driven by a force of {-self._force.force_n[1]:g} N"
 
     def first_touch(self, assembly: Assembly, solver: SymmetricSolver) -> State:
         """Return the equilibrium at a small push without the force."""
@@ -161,23 +157,3 @@ class _DrivenIndenter:
     def depth_mm(self, state: State) -> float:
         """Return the push from first touch."""
         return _TOUCH_MM - float(state.u_mm[self._node, 1])
-
-    def force_n(self, u: FloatArray) -> FloatArray:
-        """Return the force on the indenter (3,)."""
-        return self._contact.force_n(u)
-
-    def energy_n_mm(self, u: FloatArray) -> float:
-        """Return the energy of the contact."""
-        return self._contact.energy(u)
-
-    def friction_work_n_mm(self, u: FloatArray) -> float:
-        """Return 0: there is no friction."""
-        return 0.0
-
-    def pressures_mpa(self, u: FloatArray) -> FloatArray:
-        """Return the pressure at the q sampling points of the coat's f faces, (f, q)."""
-        return self._contact.pressures_mpa(u)
-
-    def touch_mm(self) -> FloatArray:
-        """Return where these lie in the undeformed pad, (f, q, 3)."""
-        return self._contact.points_mm(np.zeros_like(self.mesh.nodes_mm))

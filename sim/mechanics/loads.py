@@ -15,9 +15,10 @@ from sim.mechanics.assembly import Assembly
 from sim.mechanics.elements import Elasticity
 from sim.mechanics.finger_mesh import STEPS, finger_mesh
 from sim.mechanics.finger_parts import finger_materials, finger_ties
+from sim.mechanics.increments import Increment, load_increments
 from sim.mechanics.linear_solver import linear_solver
 from sim.mechanics.mesh import FingerMesh
-from sim.mechanics.newton import Increment, Supports, load_increments
+from sim.mechanics.newton import Supports
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_schemas.design import FingerDesign, GelPad
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.gel_pad import GelPad
 from sim.mechanics.structured_grid import Grid, divided, hexahedra_on_grid
 from sim.surface_meshes.pressed_pad import rest_height_mm
 from sim.surface_meshes.solid import (

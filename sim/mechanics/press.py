@@ -12,9 +12,10 @@ from sim.mechanics.assembly import Assembly, State
 from sim.mechanics.elements import Elasticity
 from sim.mechanics.finger_mesh import STEPS, finger_mesh
 from sim.mechanics.finger_parts import finger_materials, finger_ties
+from sim.mechanics.increments import load_increments
 from sim.mechanics.linear_solver import linear_solver
 from sim.mechanics.mesh import FingerMesh
-from sim.mechanics.newton import Supports, load_increments
+from sim.mechanics.newton import Supports
 from sim.mechanics.press_contact import ContactChoice, chosen_contact, press_contact
 from sim.mechanics.pressed_finger import PressedFinger, PressHistory
 from sim.mechanics.warm_start import CoarserPath

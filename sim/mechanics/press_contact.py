@@ -12,17 +12,14 @@ from data_schemas.errors import SimulateError
 from data_schemas.press_mechanics import ContactKind
 from sim.mechanics.assembly import State, Term
 from sim.mechanics.barrier_press import BarrierPress
-from sim.mechanics.contact_analytic import PenaltyContact
 from sim.mechanics.contact_ipc import Barrier
-from sim.mechanics.indenters import RigidIndenter, rigid_indenter
+from sim.mechanics.indenters import rigid_indenter
 from sim.mechanics.mesh import FingerMesh
 from sim.mechanics.newton import Supports
+from sim.mechanics.penalty_press import PenaltyPress, penalty_mpa_per_mm
 
 FloatArray = NDArray[np.float64]
 ContactChoice = Literal["auto", "penalty", "barrier"]
-
-# contact sinks in by pressure / stiffness: at a tenth of the gel's modulus by a thousandth of an element
-_CONTACT_MODULI_PER_STEP = 100.0
 
 
 class Touch(Protocol):
@@ -129,61 +126,6 @@ def press_contact(
     kind = chosen_contact(design, wanted)
     indenter = rigid_indenter(design, folder)
     if kind == "penalty":
-        return _PenaltyPress(mesh, indenter, penalty_mpa_per_mm(design, step_mm))
-    chosen = barrier or Barrier(stiffness_mpa=_shear_mpa(design))
+        return PenaltyPress(mesh, indenter, penalty_mpa_per_mm(design, step_mm))
+    chosen = barrier or Barrier(stiffness_mpa=2.0 * design.mechanics.gel.c10_mpa)
     return BarrierPress(design, mesh, indenter, replace(chosen, friction_ratio=design.indenter.friction), threads)
-
-
-def penalty_mpa_per_mm(design: FingerDesign, step_mm: float) -> float:
-    """Return the stiffness of a penalty on a coat with elements of this size."""
-    return _CONTACT_MODULI_PER_STEP * _shear_mpa(design) / step_mm
-
-
-def _shear_mpa(design: FingerDesign) -> float:
-    return 2.0 * design.mechanics.gel.c10_mpa
-
-
-class _PenaltyPress:
-    """The coat against exact distances of the indenter."""
-
-    kind: ContactKind = "penalty"
-
-    def __init__(self, mesh: FingerMesh, indenter: RigidIndenter, stiffness_mpa_per_mm: float) -> None:
-        if indenter.body is None:
-            raise SimulateError("a mesh of the user has no exact distances: use --contact barrier, or auto")
-        self.mesh, self._indenter = mesh, indenter
-        coat = mesh.surfaces["coat"]
-        self._contact = PenaltyContact(
-            mesh.nodes_mm, coat, indenter.body, indenter.touching, stiffness_mpa_per_mm, curvature=False
-        )
-        self.terms: tuple[Term, ...] = (self._contact,)
-        self._supports = Supports.at_rest(len(mesh.nodes_mm), mesh.node_sets["fixed"])
-
-    @property
-    def note(self) -> str:
-        return "contact by penalty: frictionless; the indenter's distance is exact; ribs do not see each other"
-
-    def push(self, depth_mm: float) -> Supports:
-        self._contact.place(self._indenter.pose(depth_mm))
-        return self._supports
-
-    def settle(self, state: State) -> bool:
-        return True
-
-    def accept(self, state: State) -> None:
-        return
-
-    def force_n(self, u: FloatArray) -> FloatArray:
-        return self._contact.force_n(u)
-
-    def energy_n_mm(self, u: FloatArray) -> float:
-        return self._contact.energy(u)
-
-    def friction_work_n_mm(self, u: FloatArray) -> float:
-        return 0.0
-
-    def pressures_mpa(self, u: FloatArray) -> FloatArray:
-        return self._contact.pressures_mpa(u)
-
-    def touch_mm(self) -> FloatArray:
-        return self._contact.points_mm(np.zeros_like(self.mesh.nodes_mm))

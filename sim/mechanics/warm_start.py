@@ -6,8 +6,8 @@ from scipy.spatial import cKDTree
 
 from data_schemas.errors import SimulateError
 from sim.mechanics.assembly import State
+from sim.mechanics.increments import Extrapolation
 from sim.mechanics.mesh import FingerMesh
-from sim.mechanics.newton import Extrapolation
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -66,7 +66,7 @@ class Interpolation:
 
 
 class CoarserPath:
-    """A predictor for :func:`sim.mechanics.newton.load_increments`: the coarser press's increment, interpolated.
+    """A predictor for :func:`sim.mechanics.increments.load_increments`: the coarser press's increment, interpolated.
 
     Parameters
     ----------

@@ -18,7 +18,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.design import FingerDesign, LightPanel
+from data_schemas.design import FingerDesign
+from data_schemas.optical_design import LightPanel
 from sim.optics.band_integrator import band_paths
 from sim.optics.curved_refraction import refract_through
 from sim.optics.even_points import even_points

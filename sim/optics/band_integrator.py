@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
-from sim.optics.curved_refraction import inner_face
+from sim.optics.gel_face import inner_face
 from sim.optics.mirror_guide import MirrorGuide, learn_guide
 from sim.optics.panel_light import panels_of
 from sim.optics.path_rules import MAX_DEPTH

@@ -11,8 +11,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.optics.curved_refraction import GelFace
 from sim.optics.fluorescent_paths import fluorescent_integrator, painted_bsdfs
+from sim.optics.gel_face import GelFace
 from sim.optics.panel_light import Panel
 from sim.optics.path_rules import MAX_DEPTH, ROULETTE_DEPTH
 from sim.optics.paths import BandPaths

@@ -8,16 +8,17 @@ where s is the inner face. Newton's method in two dimensions finds the crossing;
 gives the solid angle in the gel per panel area. One piece of arithmetic serves numpy's arrays and the renderer's.
 """
 
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.design import Film, FingerDesign, LightPanel
+from data_schemas.gel_pad import Film
+from data_schemas.optical_design import LightPanel
+from sim.optics.cubic_splines import Vector
+from sim.optics.gel_face import GelFace, film_transmittance, fresnel_transmittance
 from sim.optics.panel_frame import panel_frame, panel_quadrature
-from sim.optics.position_map import Evaluate, FacePoint, PositionMap, Vector
-from sim.surface_meshes.finger_shape import FingerShape
+from sim.optics.position_map import Evaluate, FacePoint
 
 START_STEPS = 4
 """Newton steps on Snell's law in the undeformed face; they only begin the search."""
@@ -30,45 +31,6 @@ _LARGEST_SINE_ERROR = 1e-3
 # a step across more than this share of the face is cut short: the face's own curvature is not known that far
 _LONGEST_STEP = 0.25
 _SHORTEST_MM = 1e-6
-
-
-# light that crosses the face nearer to its outline than this counts as that of the rim
-_RIM_MM = 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class GelFace:
-    """The inner face as light meets it: its map, its size at rest, the gel's index at the LED and the film on it.
-
-    ``part`` says which light counts: all of it, that of the middle, which fades out smoothly before the outline, or the
-    rest, that of the rim. Both together are all.
-    """
-
-    map: PositionMap
-    width_mm: float
-    length_mm: float
-    index: float
-    film: Film | None = None
-    part: Literal["all", "middle", "rim"] = "all"
-
-    def share(self, u: Any, v: Any, arithmetic: Any) -> Any:
-        """Return which share of the light that crosses the face at (u, v) counts; twice differentiable."""
-        if self.part == "all":
-            return 1.0
-        across, along = arithmetic.minimum(u, 1.0 - u), arithmetic.minimum(v, 1.0 - v)
-        middle = 1.0
-        for from_edge, size_mm in ((across, self.width_mm), (along, self.length_mm)):
-            x = arithmetic.clip(from_edge * (size_mm / _RIM_MM), 0.0, 1.0)
-            middle = middle * (x * x * x * (10.0 - x * (15.0 - 6.0 * x)))
-        return middle if self.part == "middle" else 1.0 - middle
-
-
-def inner_face(design: FingerDesign, shape: FingerShape) -> GelFace:
-    """Return the inner face of a finger, at rest or deformed, for the light of its panels."""
-    pad = design.pad
-    position_map = PositionMap.of(shape.surfaces["inner"], "inner face")
-    index = pad.index_at(design.light.peak_wavelength_nm)
-    return GelFace(position_map, pad.width_mm, pad.length_mm, index, pad.film)
 
 
 class RefractedPath(NamedTuple):
@@ -141,26 +103,6 @@ def refract_through(
         u, v = arithmetic.clip(u + step_u, 0.0, 1.0), arithmetic.clip(v + step_v, 0.0, 1.0)
     path = _path(evaluate(u, v), (u, v), point, panel_point, n, face.film, arithmetic)
     return path._replace(weight=path.weight * face.share(u, v, arithmetic))
-
-
-def fresnel_transmittance(cos_gel: Any, cos_air: Any, index: Any) -> Any:
-    """Return the unpolarised power transmittance of the bare gel face for angles that obey Snell's law."""
-    s_polarised, p_polarised = _reflectances(cos_gel, cos_air, index, 1.0)
-    return 1.0 - 0.5 * (s_polarised + p_polarised)
-
-
-def film_transmittance(cos_gel: Any, cos_air: Any, index: Any, film_index: float) -> Any:
-    r"""Return the unpolarised transmittance of gel, film and air relative to that of gel and air.
-
-    Incoherent slab, per polarisation :math:`T = (1 - R_1)(1 - R_2) / (1 - R_1 R_2)` with the reflectances of its two
-    faces; no absorption. Valid for films much thicker than the coherence length of the LED (0.01 mm).
-    """
-    sine2_film = (1.0 - cos_air * cos_air) / film_index**2
-    cos_film = (1.0 - sine2_film) ** 0.5
-    inner = _reflectances(cos_gel, cos_film, index, film_index)
-    outer = _reflectances(cos_film, cos_air, film_index, 1.0)
-    slab = [(1.0 - a) * (1.0 - b) / (1.0 - a * b) for a, b in zip(inner, outer, strict=True)]
-    return 0.5 * (slab[0] + slab[1]) / fresnel_transmittance(cos_gel, cos_air, index)
 
 
 def curved_irradiance(
@@ -277,13 +219,6 @@ def _path(
     return RefractedPath(
         found, s.position, gel, air, length_gel, length_air, cos_gel, cos_air, m.select(found, weight, 0.0)
     )
-
-
-def _reflectances(cos_1: Any, cos_2: Any, index_1: Any, index_2: Any) -> tuple[Any, Any]:
-    """Return Fresnel's s and p power reflectances for angles that obey Snell's law."""
-    s_polarised = (index_2 * cos_2 - index_1 * cos_1) / (index_2 * cos_2 + index_1 * cos_1)
-    p_polarised = (index_1 * cos_2 - index_2 * cos_1) / (index_1 * cos_2 + index_2 * cos_1)
-    return s_polarised * s_polarised, p_polarised * p_polarised
 
 
 def _determinant(symmetric: Any) -> Any:

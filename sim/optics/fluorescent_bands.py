@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import SimulateError
-from sim.optics.fluorescent_paths import PanelLight, check_variant, fluorescent_integrator, painted_bsdfs
+from sim.optics.fluorescent_paths import PanelLight, fluorescent_integrator, painted_bsdfs
 from sim.optics.path_rules import MAX_DEPTH, ROULETTE_DEPTH
+from sim.optics.variants import check_variant
 
 # a matrix from measured tables may exceed energy balance by rounding only
 _ENERGY_TOLERANCE = 1e-9

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.design import LightPanel
 from data_schemas.errors import SimulateError
+from data_schemas.optical_design import LightPanel
 from sim.optics.paint_bands import PaintOptics, led_band, led_upper_edge_nm
 
 # a paint fitted to data may exceed photon balance by rounding only

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import drjit as dr
 import mitsuba as mi
 
-from data_schemas.errors import MissingExtraError, SimulateError
+from data_schemas.errors import SimulateError
 from sim.optics.path_rules import LARGEST_SURVIVAL, MAX_DEPTH, ROULETTE_DEPTH
 from sim.optics.path_states import FROM_EYE, state_after
 
@@ -92,26 +92,6 @@ def fluorescent_integrator(
             )
 
     return FluorescentPaths(mi.Properties())
-
-
-def check_variant(colours: str, what: str) -> None:
-    """Check that the variant that is set has these colours ("rgb" or "spectral") and runs integrators of this kind.
-
-    Raises
-    ------
-    MissingExtraError
-        In a scalar variant, where integrators written in Python do not run.
-    SimulateError
-        When the variant has other colours.
-    """
-    variant = str(mi.variant())
-    if "scalar" in variant:
-        raise MissingExtraError(
-            f"the reference integrators (level c) do not run in {variant}; open the renderer with LLVM or a GPU "
-            "(Debian: apt-get install libllvm19)"
-        )
-    if not variant.endswith(f"_{colours}"):
-        raise SimulateError(f"{what} need a {colours} variant of the renderer, but {variant} is set")
 
 
 def painted_bsdfs(scene: Any, names: Sequence[str]) -> list[Any]:

@@ -33,8 +33,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.optics.fluorescent_paint import FluorescentPaint
-from sim.optics.fluorescent_paths import PanelLight, check_variant, fluorescent_integrator, painted_bsdfs
+from sim.optics.fluorescent_paths import PanelLight, fluorescent_integrator, painted_bsdfs
 from sim.optics.path_rules import MAX_DEPTH, ROULETTE_DEPTH
+from sim.optics.variants import check_variant
 
 RENDERED_NM = (360.0, 830.0)
 """Wavelengths the renderer can draw; tables are linear in steps of 1 nm between them."""

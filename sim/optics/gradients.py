@@ -7,49 +7,34 @@ path: what no connection finds (through the mirror, or the ends of the gel), and
 rim, whose outline cuts it off. They add finite differences with common random numbers.
 """
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
 from data_schemas.errors import MissingExtraError, SimulateError
-from sim.optics.lit_scene import check_paints, open_scene, stream_seed
-from sim.optics.paint_bands import BAND_NAMES, PaintBands, PaintOptics
-from sim.optics.probes import default_probe_points_mm, probes_on
+from sim.optics.differentiated_probes import (
+    CONVERSIONS,
+    PARAMETERS,
+    POSITION_AXES,
+    CountedLight,
+    DifferentiatedProbes,
+    Parameter,
+)
+from sim.optics.lit_scene import check_paints, stream_seed
+from sim.optics.paint_bands import PaintOptics
+from sim.optics.probes import default_probe_points_mm
 from sim.optics.variants import SCALAR_VARIANT
-from sim.optics.wall_emission import WALLS
 from sim.surface_meshes.finger_shape import FingerShape, pressed_shape
 
 Floats = NDArray[np.float64]
 
-Parameter = Literal[
-    "angle_deg", "position_x_mm", "position_y_mm", "position_z_mm", "red_conversion", "green_conversion"
-]
-"""Of the first light: its angle and the position of its centre; of a paint: the share of the LED's energy that it
-emits, its conversion of other bands growing in proportion."""
-
-PARAMETERS: tuple[Parameter, ...] = get_args(Parameter)
-_CONVERSIONS = ("red_conversion", "green_conversion")
-_POSITION_AXES = ("position_x_mm", "position_y_mm", "position_z_mm")
 # half steps of the differences: wide, because only paths that begin or cease to meet the panel count; curves of the
 # light's pose bend over 50 deg and 10 mm, so that the bias is below 0.3 %
 _HALF_STEP_DEG, _HALF_STEP_MM = 5.0, 1.0
-
-# probes are spots of this half size: a ray exactly along an edge between two triangles can slip through the mesh
-_SPOT_MM = 0.01
-
-_Light = Literal["all", "smooth", "rest"]
-# which light each path meets by connection (crossing which part of the inner face), and whether by chance too
-_PARTS: dict[_Light, tuple[Literal["all", "middle", "rim"], bool]] = {
-    "all": ("all", True),
-    "smooth": ("middle", False),
-    "rest": ("rim", True),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,11 +111,11 @@ def probe_gradient(
     _check(renderer, with_respect_to, repeats, samples)
     finger = pressed_shape(design) if shape is None else shape
     points = default_probe_points_mm(design, finger) if probe_points_mm is None else np.asarray(probe_points_mm, float)
-    probes = _Probes(design, finger, check_paints(design, paints), renderer, points, samples)
+    probes = DifferentiatedProbes(design, finger, check_paints(design, paints), renderer, points, samples)
     seeds = [stream_seed(seed, repeat) for repeat in range(repeats)]
     rest = np.stack([probes.trace(s, "rest")[0] for s in seeds])
     values = rest + np.stack([probes.trace(s, "smooth")[0] for s in seeds])
-    parts = [probes.gradient(name, seeds, automatic) for name in with_respect_to]
+    parts = [_parts(probes, name, seeds, automatic) for name in with_respect_to]
     differences, smooth = (np.array([p[k] for p in parts]).reshape(-1, *values.shape) for k in (0, 1))
     (value, value_error), (gradient, gradient_error) = (
         (of.mean(axis=-3), of.std(axis=-3, ddof=1) / np.sqrt(repeats)) for of in (values, differences + smooth)
@@ -170,143 +155,37 @@ def moved(design: FingerDesign, parameter: Parameter, step: float) -> FingerDesi
     if parameter == "angle_deg":
         changed = light.model_copy(update={"angle_deg": light.angle_deg + step})
     else:
-        position = np.array(light.position_mm) + step * np.array([name == parameter for name in _POSITION_AXES])
+        position = np.array(light.position_mm) + step * np.array([name == parameter for name in POSITION_AXES])
         changed = light.model_copy(update={"position_mm": tuple(position.tolist())})
     return design.model_copy(update={"light": changed})
 
 
-class _Probes:
-    """The scene of one design, and rays that meet its probe points along the pad's normal."""
-
-    def __init__(
-        self,
-        design: FingerDesign,
-        shape: FingerShape,
-        bands: PaintBands,
-        renderer: ModuleType,
-        points_xz_mm: Floats,
-        samples: int,
-    ) -> None:
-        self.design, self.shape, self.bands, self.renderer, self.samples = design, shape, bands, renderer, samples
-        self.points_xz_mm = points_xz_mm
-        self.scene = open_scene(design, shape, bands, renderer)
-        self.probes = probes_on(design, shape, points_xz_mm)
-        self.points_mm = self.probes.points_mm
-
-    def gradient(self, parameter: Parameter, seeds: Sequence[int], automatic: bool) -> tuple[Floats, Floats]:
-        """Return what differences and what automatic differentiation find, (repeat, probe, 3) each."""
-        none = np.zeros((len(seeds), len(self.points_mm), len(BAND_NAMES)))
-        if parameter in _CONVERSIONS:
-            return none, self.derivatives(parameter, seeds, "all")
-        if not automatic:
-            return self.differences(parameter, seeds, "all"), none
-        return self.differences(parameter, seeds, "rest"), self.derivatives(parameter, seeds, "smooth")
-
-    def derivatives(self, parameter: Parameter, seeds: Sequence[int], light: _Light) -> Floats:
-        """Return automatic derivatives (repeat, probe, 3)."""
-        return np.stack([self.trace(seed, light, parameter)[1] for seed in seeds])
-
-    def differences(self, parameter: Parameter, seeds: Sequence[int], light: _Light) -> Floats:
-        """Return central differences (repeat, probe, 3) by a parameter of the pose."""
-        half = _HALF_STEP_DEG if parameter == "angle_deg" else _HALF_STEP_MM
-        values = []
-        for step in (half, -half):
-            design = moved(self.design, parameter, step)
-            side = _Probes(design, self.shape, self.bands, self.renderer, self.points_xz_mm, self.samples)
-            values.append(np.stack([side.trace(seed, light)[0] for seed in seeds]))
-        return np.asarray((values[0] - values[1]) / (2.0 * half))
-
-    def trace(self, seed: int, light: _Light = "all", parameter: Parameter | None = None) -> tuple[Floats, Floats]:
-        """Return values and derivatives by one parameter (zero without), both (probe, 3 bands)."""
-        import drjit as dr
-
-        mi = self.renderer
-        change = mi.Float(0.0)
-        dr.make_opaque(change)
-        if parameter is not None:
-            dr.enable_grad(change)
-            dr.set_grad(change, 1.0)
-        # an integrator serves one differentiation only: a loop compiled before cannot be traversed again
-        integrator = self._integrator(change, parameter, light)
-        count = len(self.points_mm) * self.samples
-        middle, direction = (
-            np.repeat(v, self.samples, axis=0) for v in (self.probes.origins_mm, self.probes.directions)
-        )
-        middle += np.random.default_rng(seed).uniform(-_SPOT_MM, _SPOT_MM, middle.shape)
-        o, d = (np.ascontiguousarray(v.T, dtype=np.float32) for v in (middle, direction))
-        rays = mi.Ray3f(mi.Point3f(o), mi.Vector3f(d))
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed, count)
-        radiance = integrator.sample(self.scene, sampler, rays, None, mi.Bool(True))[0]
-        if parameter is None:
-            return self._means(radiance), np.zeros((len(self.points_mm), len(BAND_NAMES)))
-        dr.forward_to(radiance)
-        return self._means(dr.detach(radiance)), self._means(dr.grad(radiance))
-
-    def _means(self, of_rays: Any) -> Floats:
-        """Return the mean over the rays of each probe, (probe, 3)."""
-        values = of_rays.numpy().astype(np.float64).reshape(len(BAND_NAMES), len(self.points_mm), self.samples)
-        return np.asarray(values.mean(axis=2).T)
-
-    def _integrator(self, change: Any, parameter: Parameter | None, light: _Light) -> Any:
-        """Return a fresh path tracer of level c in which one parameter has moved by `change`."""
-        from sim.optics.band_integrator import band_paths  # these need the variant set
-        from sim.optics.fluorescent_paths import fluorescent_integrator, painted_bsdfs
-
-        panels = band_paths(self.scene, self.design, self.shape)
-        part, by_chance = _PARTS[light]
-        panels.face = replace(panels.face, part=part)
-        if parameter in ("angle_deg", *_POSITION_AXES):
-            self._move(panels.panels[0], change, parameter)
-        carrier = _carrier(self.bands, self.renderer, change, parameter)
-        connection = _Connection(panels, by_chance)
-        return fluorescent_integrator(carrier, painted_bsdfs(self.scene, list(WALLS)), panels=connection)
-
-    def _move(self, panel: Any, change: Any, parameter: Parameter | None) -> None:
-        """Turn or shift a panel of the integrator."""
-        import drjit as dr
-
-        mi, light = self.renderer, self.design.light
-        if parameter == "angle_deg":
-            sine, cosine = dr.sincos(math.radians(1.0) * (light.angle_deg + change))
-            panel.normal = mi.Vector3f(0.0, sine, cosine)
-            panel.along = mi.Vector3f(0.0, cosine, -sine) * (light.height_mm / 2.0)
-        else:
-            axis = mi.Vector3f(*[1.0 if name == parameter else 0.0 for name in _POSITION_AXES])
-            panel.centre = panel.centre + change * axis
+def _parts(
+    probes: DifferentiatedProbes, parameter: Parameter, seeds: Sequence[int], automatic: bool
+) -> tuple[Floats, Floats]:
+    """Return what differences and what automatic differentiation find, (repeat, probe, 3) each."""
+    none = np.zeros((len(seeds), *probes.values_shape))
+    if parameter in CONVERSIONS:
+        return none, _derivatives(probes, parameter, seeds, "all")
+    if not automatic:
+        return _differences(probes, parameter, seeds, "all"), none
+    return _differences(probes, parameter, seeds, "rest"), _derivatives(probes, parameter, seeds, "smooth")
 
 
-class _Connection:
-    """What the fluorescent paths ask of the panels; no object of the renderer, whose arrays a loop would carry along.
-
-    An object of the renderer becomes part of the loop's state, which can then not be differentiated.
-    """
-
-    def __init__(self, panels: Any, by_chance: bool) -> None:
-        self.face, self.inner, self.coat = panels.face, panels.inner, panels.coat
-        self.film_factor, self.connect, self.panel_met = panels.film_factor, panels.connect, panels.panel_met
-        if not by_chance:
-            self.panel_met = lambda *_: 0.0
+def _derivatives(
+    probes: DifferentiatedProbes, parameter: Parameter, seeds: Sequence[int], light: CountedLight
+) -> Floats:
+    """Return automatic derivatives (repeat, probe, 3)."""
+    return np.stack([probes.trace(seed, light, parameter)[1] for seed in seeds])
 
 
-def _carrier(bands: PaintBands, renderer: ModuleType, change: Any, parameter: Parameter | None) -> Any:
-    """Return the carrier of three bands, one paint's conversion of LED light grown by `change`."""
-    import drjit as dr
-
-    from sim.optics.fluorescent_bands import BandCarrier  # needs the variant set
-
-    class Carrier(BandCarrier):
-        """Roulette decides by numbers only: a path's chance of surviving is no function of the parameter."""
-
-        def largest(self, carried: list[Any]) -> Any:
-            return dr.detach(super().largest(carried))
-
-    carrier = Carrier([bands.matrix(wall) for wall in WALLS])
-    for number, wall in enumerate(WALLS):
-        if parameter == f"{wall}_conversion":
-            row = bands.conversion[wall] / bands.conversion[wall][BAND_NAMES.index("led")]
-            for k in range(len(BAND_NAMES)):
-                direction = np.zeros(len(WALLS) * len(BAND_NAMES), dtype=np.float32)
-                direction[len(BAND_NAMES) * number + BAND_NAMES.index(wall)] = row[k]
-                carrier.rows[k] = carrier.rows[k] + change * renderer.Float(direction)
-    return carrier
+def _differences(
+    probes: DifferentiatedProbes, parameter: Parameter, seeds: Sequence[int], light: CountedLight
+) -> Floats:
+    """Return central differences (repeat, probe, 3) by a parameter of the pose."""
+    half = _HALF_STEP_DEG if parameter == "angle_deg" else _HALF_STEP_MM
+    values = []
+    for step in (half, -half):
+        side = probes.of(moved(probes.design, parameter, step))
+        values.append(np.stack([side.trace(seed, light)[0] for seed in seeds]))
+    return np.asarray((values[0] - values[1]) / (2.0 * half))

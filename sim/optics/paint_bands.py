@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.design import LightPanel
 from data_schemas.errors import SimulateError
+from data_schemas.optical_design import LightPanel
 
 BAND_NAMES = ("red", "green", "led")
 

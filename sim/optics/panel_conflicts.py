@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from data_schemas.design import LightPanel
 from data_schemas.errors import SimulateError
+from data_schemas.optical_design import LightPanel
 from sim.optics.panel_frame import panel_frame
 from sim.surface_meshes.finger_shape import FingerShape
 from sim.surface_meshes.intersections import check_no_intersections

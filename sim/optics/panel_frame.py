@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.design import LightPanel
+from data_schemas.optical_design import LightPanel
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
-from sim.optics.curved_refraction import GelFace, curved_irradiance
+from sim.optics.curved_refraction import curved_irradiance
+from sim.optics.gel_face import GelFace
 from sim.optics.panel_frame import PanelFrame, panel_frame
 from sim.optics.scene import PANEL_RADIANCE_REL
 

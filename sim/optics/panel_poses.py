@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from data_schemas.design import LightPanel
+from data_schemas.optical_design import LightPanel
 from sim.optics.panel_frame import PanelFrame, panel_frame
 from sim.optics.scene import PANEL_RADIANCE_REL
 

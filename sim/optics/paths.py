@@ -12,7 +12,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.optics.curved_refraction import GelFace, film_transmittance, refract_through
+from sim.optics.curved_refraction import refract_through
+from sim.optics.gel_face import GelFace, film_transmittance
 from sim.optics.mirror_guide import GUIDE_CHANCE, MirrorGuide
 from sim.optics.panel_light import Panel, panel_point
 from sim.optics.path_rules import LARGEST_SURVIVAL, LIFT_MM, MAX_DEPTH, NEWTON_STEPS, ROULETTE_DEPTH, SMALLEST_COS_AIR

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from data_schemas.errors import SimulateError
 from data_schemas.plain_sensor import CHANNELS, ColouredLight, PlainSensor
-from sim.optics.curved_refraction import GelFace
+from sim.optics.gel_face import GelFace
 from sim.optics.lit_scene import stream_seed
 from sim.optics.panel_frame import PanelFrame
 from sim.optics.path_rules import MAX_DEPTH, ROULETTE_DEPTH

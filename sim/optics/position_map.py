@@ -10,10 +10,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array, diags_array, eye_array, kron, vstack
 from scipy.sparse.linalg import spsolve
 
 from data_schemas.errors import SimulateError
+from sim.optics.cubic_splines import (
+    Vector,
+    cell_and_fraction,
+    design_matrix,
+    spline_weights,
+    tensor_sum,
+    third_differences,
+)
 from sim.surface_meshes.surface import Surface
 
 # a face bends over the thickness of the gel (about 6 mm), which cells of this size follow to parts in a million
@@ -25,8 +32,6 @@ _SMOOTHNESS = 1e-7
 _PLANE_MM = 1e-5
 # a mesh that leaves its smooth map by more than this is crumpled, or its texture coordinates are wrong
 _LARGEST_GAP_MM = 0.3
-
-Vector = tuple[Any, Any, Any]
 
 
 class FacePoint(NamedTuple):
@@ -78,8 +83,8 @@ class PositionMap:
         """
         turn = _turn(surface, name)
         cells = _cells(surface)
-        fit = _design_matrix(surface.uv, cells)
-        rough = np.sqrt(_SMOOTHNESS) * _third_differences(cells)
+        fit = design_matrix(surface.uv, cells)
+        rough = np.sqrt(_SMOOTHNESS) * third_differences(cells)
         normal_matrix = (fit.T @ fit + rough.T @ rough).tocsc()
         solved = spsolve(normal_matrix, fit.T @ surface.vertices_mm)
         coefficients = solved.reshape(cells[0] + 3, cells[1] + 3, 3)
@@ -105,14 +110,14 @@ class PositionMap:
         """Return points of the face and their derivatives for arrays u, v of equal shape, within 0..1."""
         if self.is_plane:
             return self._plane(u, v)
-        i, s = _cell_and_fraction(np.asarray(u, dtype=np.float64), self.coefficients_mm.shape[0] - 3)
-        j, t = _cell_and_fraction(np.asarray(v, dtype=np.float64), self.coefficients_mm.shape[1] - 3)
+        i, s = cell_and_fraction(np.asarray(u, dtype=np.float64), self.coefficients_mm.shape[0] - 3)
+        j, t = cell_and_fraction(np.asarray(v, dtype=np.float64), self.coefficients_mm.shape[1] - 3)
 
         def gather(a: int, b: int) -> Vector:
             found = self.coefficients_mm[i + a, j + b]
             return found[..., 0], found[..., 1], found[..., 2]
 
-        return _sum(gather, _weights(s, self._cells[0]), _weights(t, self._cells[1]))
+        return FacePoint(*tensor_sum(gather, spline_weights(s, self._cells[0]), spline_weights(t, self._cells[1])))
 
     def positions_mm(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the positions (..., 3) at texture coordinates (..., 2)."""
@@ -148,7 +153,9 @@ class PositionMap:
                 found = dr.gather(renderer.Vector4f, flat, (i + a) * rows + (j + b))
                 return found.x, found.y, found.z
 
-            return _sum(gather, _weights(x - renderer.Float(i), cells_u), _weights(y - renderer.Float(j), cells_v))
+            weights_u = spline_weights(x - renderer.Float(i), cells_u)
+            weights_v = spline_weights(y - renderer.Float(j), cells_v)
+            return FacePoint(*tensor_sum(gather, weights_u, weights_v))
 
         return evaluate
 
@@ -218,62 +225,3 @@ def _cells(surface: Surface) -> tuple[int, int]:
         spacing = np.median(step_uv[along, axis])
         cells.append(int(np.clip(min(round(size_mm / _CELL_MM), round(1.0 / spacing)), 1, _MOST_CELLS)))
     return cells[0], cells[1]
-
-
-def _cell_and_fraction(u: NDArray[np.float64], cells: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the cell that holds u (the last one for u = 1) and the position within it."""
-    x = u * cells
-    i = np.clip(np.floor(x), 0, cells - 1).astype(np.int64)
-    return i, x - i
-
-
-def _weights(t: Any, cells: int) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[Any, ...]]:
-    """Return the four cubic B-splines at a fraction t of a cell, and their derivatives by the coordinate."""
-    s = 1.0 - t
-    value = (
-        s * s * s / 6.0,
-        (4.0 - t * t * (6.0 - 3.0 * t)) / 6.0,
-        (4.0 - s * s * (6.0 - 3.0 * s)) / 6.0,
-        t * t * t / 6.0,
-    )
-    half, square = 0.5 * cells, float(cells) ** 2
-    first = (-half * s * s, half * t * (3.0 * t - 4.0), half * s * (4.0 - 3.0 * s), half * t * t)
-    second = (square * s, square * (3.0 * t - 2.0), square * (3.0 * s - 2.0), square * t)
-    return value, first, second
-
-
-def _sum(gather: Callable[[int, int], Vector], weights_u: Any, weights_v: Any) -> FacePoint:
-    """Add up the 4 x 4 neighbouring coefficients with the weights of value and derivatives."""
-    orders = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
-    totals: list[list[Any]] = [[0.0] * 3 for _ in orders]
-    for a in range(4):
-        rows: list[list[Any]] = [[0.0] * 3 for _ in range(3)]
-        for b in range(4):
-            found = gather(a, b)
-            for row, weight in zip(rows, weights_v, strict=True):
-                for k in range(3):
-                    row[k] = row[k] + weight[b] * found[k]
-        for total, (in_u, in_v) in zip(totals, orders, strict=True):
-            for k in range(3):
-                total[k] = total[k] + weights_u[in_u][a] * rows[in_v][k]
-    return FacePoint(*((t[0], t[1], t[2]) for t in totals))
-
-
-def _design_matrix(uv: NDArray[np.float64], cells: tuple[int, int]) -> csr_array:
-    """Return the spline's values at the vertices as a matrix on the coefficients."""
-    (i, s), (j, t) = (_cell_and_fraction(uv[:, k], cells[k]) for k in (0, 1))
-    value_u, value_v = _weights(s, cells[0])[0], _weights(t, cells[1])[0]
-    columns = np.stack([(i + a) * (cells[1] + 3) + (j + b) for a in range(4) for b in range(4)], axis=1)
-    values = np.stack([value_u[a] * value_v[b] for a in range(4) for b in range(4)], axis=1)
-    rows = np.repeat(np.arange(len(uv)), 16)
-    size = (len(uv), (cells[0] + 3) * (cells[1] + 3))
-    return coo_array((values.ravel(), (rows, columns.ravel())), shape=size).tocsr()
-
-
-def _third_differences(cells: tuple[int, int]) -> csr_array:
-    """Return the third differences of the coefficients along both directions as one matrix."""
-    counts = (cells[0] + 3, cells[1] + 3)
-    along = [
-        diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(count - 3, count)).tocsr() for count in counts
-    ]
-    return vstack([kron(along[0], eye_array(counts[1])), kron(eye_array(counts[0]), along[1])]).tocsr()

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.camera_calibration import CameraCalibration
-from data_schemas.design import FingerDesign, LightPanel
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.optical_design import LightPanel
 from sim.optics.finger_view import Window, camera_pose
 from sim.optics.opencv_sensor import opencv_sensor
 from sim.optics.paint_bands import PaintBands

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.design import Coating, FingerDesign
+from data_schemas.design import FingerDesign
+from data_schemas.optical_design import Coating
 from sim.optics.paint_bands import PaintBands
 
 # evaporated aluminium, rounded handbook values: wavelength in nm, n, k

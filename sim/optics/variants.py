@@ -16,7 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Literal
 
-from data_schemas.errors import MissingExtraError
+from data_schemas.errors import MissingExtraError, SimulateError
 
 LLVM_VARIANT = "llvm_ad_rgb"
 SCALAR_VARIANT = "scalar_rgb"
@@ -170,3 +170,23 @@ def open_renderer(choice: RendererChoice, threads: int | None = None) -> ModuleT
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
     drjit.set_thread_count(threads if threads is not None else available)
     return mitsuba
+
+
+def check_variant(colours: str, what: str) -> None:
+    """Check that the variant that is set has these colours ("rgb" or "spectral") and runs integrators in Python.
+
+    Raises
+    ------
+    MissingExtraError
+        In a scalar variant, where integrators written in Python do not run.
+    SimulateError
+        When the variant has other colours.
+    """
+    variant = str(importlib.import_module("mitsuba").variant())
+    if "scalar" in variant:
+        raise MissingExtraError(
+            f"the reference integrators (level c) do not run in {variant}; open the renderer with LLVM or a GPU "
+            "(Debian: apt-get install libllvm19)"
+        )
+    if not variant.endswith(f"_{colours}"):
+        raise SimulateError(f"{what} need a {colours} variant of the renderer, but {variant} is set")

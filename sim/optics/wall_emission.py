@@ -10,8 +10,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.design import FingerDesign, LightPanel
-from sim.optics.curved_refraction import curved_irradiance, inner_face
+from data_schemas.design import FingerDesign
+from data_schemas.optical_design import LightPanel
+from sim.optics.curved_refraction import curved_irradiance
+from sim.optics.gel_face import inner_face
 from sim.optics.paint_bands import BAND_NAMES, PaintBands
 from sim.optics.position_map import PositionMap
 from sim.surface_meshes.finger_shape import FingerShape

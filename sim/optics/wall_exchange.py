@@ -7,7 +7,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.design import FingerDesign, LightPanel
+from data_schemas.design import FingerDesign
+from data_schemas.optical_design import LightPanel
 from sim.optics.paint_bands import BAND_NAMES, PaintBands
 from sim.optics.wall_baking import HIGHEST_ORDER, polynomial_basis
 from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP, WALLS, direct_irradiances, texel_uv

@@ -57,6 +57,19 @@ def grid_surface(
     return Surface(points_mm.reshape(-1, 3), triangles[:, ::-1] if flip else triangles, uv)
 
 
+def vertex_normals(surface: Surface) -> NDArray[np.float64]:
+    """Return the unit normals (n, 3) of the vertices: means of the faces around, weighted by their angles there."""
+    corners = surface.vertices_mm[surface.triangles]
+    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    face /= np.linalg.norm(face, axis=-1, keepdims=True)
+    normals = np.zeros_like(surface.vertices_mm)
+    for k in range(3):
+        a, b = (corners[:, (k + step) % 3] - corners[:, k] for step in (1, 2))
+        cosine = np.sum(a * b, axis=-1) / (np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1))
+        np.add.at(normals, surface.triangles[:, k], face * np.arccos(np.clip(cosine, -1.0, 1.0))[:, None])
+    return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
+
+
 def weld(surfaces: Mapping[str, Surface]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Join surfaces at equal vertices.
 

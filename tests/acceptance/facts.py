@@ -11,7 +11,7 @@ from data_schemas.check import (
     Revisit,
     WheelMove,
 )
-from data_schemas.rig import DeviceIdentity
+from data_schemas.devices import DeviceIdentity
 
 PLAN = CheckPlan(check_name="lab", region=RegionOfInterest(row_px=0, column_px=0, height_px=20, width_px=20))
 

@@ -6,7 +6,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.ndimage import gaussian_filter
 
-from data_schemas.rig import BandPassFilter, LaserSettings, RigFile
+from data_schemas.band_pass_filter import BandPassFilter
+from data_schemas.devices import LaserSettings
+from data_schemas.rig import RigFile
 from data_schemas.standard_curves import camera_response, halogen_lamp, planck_relative
 from rigs.simulated.bench import (
     FILTER_TOLERANCE_NM,

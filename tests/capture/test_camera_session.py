@@ -12,7 +12,7 @@ from data_schemas.camera import CameraPlan, CameraSession
 from data_schemas.capture import RegionOfInterest
 from data_schemas.errors import CaptureError, RecordError, SaturatedError
 from data_schemas.rig import RigFile
-from data_schemas.storage import sha256_of
+from data_schemas.whole_files import sha256_of
 from finray_calib.radiometry.camera_characterisation import characterise_camera
 from rigs.capture.camera_levels import level_exposures_s, level_notes, saturation_exposures_s
 from rigs.capture.camera_session import camera_step, capture_camera_session, capture_camera_with

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from data_schemas.check import CheckFacts, CheckPlan
+from data_schemas.devices import LaserSettings
 from data_schemas.errors import (
     BadFrameError,
     CaptureError,
@@ -20,7 +21,7 @@ from data_schemas.errors import (
     UnsafeError,
     WrongPositionError,
 )
-from data_schemas.rig import LaserSettings, RigFile
+from data_schemas.rig import RigFile
 from rigs.capture import check_session, laser_watch
 from rigs.capture.check_frames import CheckFrames
 from rigs.capture.check_session import check_filters, record_facts

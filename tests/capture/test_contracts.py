@@ -14,7 +14,7 @@ import pytest
 import tifffile
 
 from data_schemas.capture import Target
-from data_schemas.rig import CameraSettings, FilterWheelSettings, LampSettings
+from data_schemas.devices import CameraSettings, FilterWheelSettings, LampSettings
 from rigs.contracts.camera import CameraContract
 from rigs.contracts.filter_wheel import FilterWheelContract
 from rigs.contracts.light import LightContract

@@ -4,8 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.errors import CaptureError, CurveError
-from data_schemas.rig import BandPassFilter, RigFile
+from data_schemas.rig import RigFile
 from rigs.open_rig import OpenRig, open_rig
 from rigs.presets import simulated_rig
 from rigs.simulated.devices import BenchState, SimulatedClock, SimulatedFilterWheel

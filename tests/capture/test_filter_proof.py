@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from data_schemas.capture import PaintPlan
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import CaptureError, WrongPositionError
-from data_schemas.rig import DeviceIdentity, RigFile
+from data_schemas.rig import RigFile
 from rigs.capture.filter_proof import compare_with_last, judge_filters
 from rigs.capture.paint_session import capture_with
 from rigs.capture.plan import paint_steps

@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.capture import PaintPlan
 from data_schemas.curves import SpectralCurve
 from data_schemas.errors import CurveError
 from data_schemas.filter_curves import half_maximum_nm
-from data_schemas.rig import BandPassFilter, RigFile
-from data_schemas.storage import sha256_of
+from data_schemas.rig import RigFile
+from data_schemas.whole_files import sha256_of
 from finray_calib.radiometry.band_signals import optics_of
 from rigs.capture.paint_session import capture_paint_session
 from rigs.capture.read_session import read_session

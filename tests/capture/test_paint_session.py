@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from data_schemas.capture import CaptureSession, Frame, PaintPlan, Target
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import CaptureError, ChecksumError, RecordError, SaturatedError
-from data_schemas.rig import DeviceIdentity, RigFile
-from data_schemas.storage import sha256_of
+from data_schemas.rig import RigFile
+from data_schemas.whole_files import sha256_of
 from rigs.capture.paint_session import capture_paint_session, capture_with
 from rigs.capture.plan import paint_steps
 from rigs.capture.read_session import read_frame_of, read_session

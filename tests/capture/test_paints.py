@@ -9,7 +9,8 @@ from scipy.optimize import brentq, minimize_scalar
 from data_schemas.errors import CaptureError, CurveError
 from data_schemas.rig import HiddenPaint
 from rigs.presets import GREEN_PAINT, RED_PAINT, simulated_rig
-from rigs.simulated.bench import STEP_NM, WAVELENGTH_NM, bench_truth, sample_matrix
+from rigs.simulated.bench import STEP_NM, WAVELENGTH_NM, sample_matrix
+from rigs.simulated.bench_truth import bench_truth
 from rigs.simulated.paints import hidden_paint_matrix, measured_material_matrix, skew_cauchy_shape
 
 LASER_NM = 450.0

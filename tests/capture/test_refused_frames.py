@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import BadFrameError, LostError, RefusedError, TimedOutError
-from data_schemas.rig import DeviceIdentity, RigFile
+from data_schemas.rig import RigFile
 from rigs.capture.attempts import ATTEMPTS
 from rigs.capture.exchange import CheckedCamera
 from rigs.capture.plan import Step

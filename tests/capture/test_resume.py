@@ -14,7 +14,7 @@ import pytest
 from data_schemas.capture import CaptureSession, Frame, PaintPlan
 from data_schemas.errors import CaptureError
 from data_schemas.rig import RigFile
-from data_schemas.storage import sha256_of
+from data_schemas.whole_files import sha256_of
 from rigs.capture.paint_session import capture_paint_session, capture_with
 from rigs.capture.plan import paint_steps
 from rigs.capture.read_session import read_frame_of, read_session

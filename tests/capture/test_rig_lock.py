@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
+from data_schemas.devices import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings
 from data_schemas.errors import CaptureError
-from data_schemas.rig import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings, RigFile
+from data_schemas.rig import RigFile
 from rigs.capture.rig_lock import device_locked, rig_locked
 from rigs.presets import simulated_rig
 

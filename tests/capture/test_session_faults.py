@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from data_schemas.capture import CaptureSession, PaintPlan
+from data_schemas.devices import DeviceIdentity, FilterWheelSettings
 from data_schemas.errors import CaptureError, LostError, RefusedError, SaturatedError, TimedOutError, WrongPositionError
-from data_schemas.rig import DeviceIdentity, FilterWheelSettings, RigFile
-from data_schemas.storage import sha256_of
+from data_schemas.rig import RigFile
+from data_schemas.whole_files import sha256_of
 from rigs.capture import exchange, frame_store
 from rigs.capture.paint_session import capture_with
 from rigs.capture.plan import paint_steps

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from data_schemas.devices import CameraSettings
 from data_schemas.errors import BadFrameError, LostError, RefusedError
-from data_schemas.rig import CameraSettings
 from rigs.capture.tactile_camera import TactileCamera
 from rigs.protocols import RawFrame
 from tests.capture.finger_session import HEIGHT_PX, WIDTH_PX

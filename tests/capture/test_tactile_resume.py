@@ -9,7 +9,8 @@ import pytest
 
 from data_schemas.capture import TactileCapture
 from data_schemas.errors import CaptureError
-from data_schemas.storage import read_frame, read_record
+from data_schemas.frame_files import read_frame
+from data_schemas.storage import read_record
 from data_schemas.tactile import TactileSession
 from rigs.capture.tactile_resume import is_tactile, read_interrupted_presses
 from rigs.capture.tactile_session import capture_tactile_session

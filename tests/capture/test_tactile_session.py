@@ -12,9 +12,10 @@ import pytest
 
 from data_schemas.capture import TactileCapture
 from data_schemas.errors import CaptureError, RefusedError
+from data_schemas.frame_files import read_frame
 from data_schemas.provenance import provenance
 from data_schemas.simulate import SimulatedPress
-from data_schemas.storage import read_frame, read_record, write_record
+from data_schemas.storage import read_record, write_record
 from data_schemas.tactile import TactileRig, TactileSession
 from finray_calib.compare.comparison_record import compare_press
 from finray_calib.compare.linear_image import rgb_image

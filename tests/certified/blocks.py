@@ -4,9 +4,9 @@ import numpy as np
 
 from sim.mechanics.assembly import Assembly
 from sim.mechanics.elements import Elasticity
+from sim.mechanics.increments import load_increments
 from sim.mechanics.linear_solver import linear_solver
 from sim.mechanics.mesh import Block, FingerMesh
-from sim.mechanics.newton import load_increments
 
 
 class GridBlock:

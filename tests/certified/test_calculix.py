@@ -16,16 +16,13 @@ from sim.design_toml import design_toml
 from sim.mechanics.assembly import Assembly
 from sim.mechanics.contact_analytic import PenaltyContact
 from sim.mechanics.elements import Elasticity
+from sim.mechanics.increments import load_increments
 from sim.mechanics.linear_solver import linear_solver
 from sim.mechanics.materials import neo_hooke
 from sim.mechanics.mesh import Block, FingerMesh
-from sim.mechanics.newton import Supports, load_increments
-from sim.mechanics.other_engines.calculix import (
-    calculix_notes,
-    calculix_version,
-    press_finger_calculix,
-    press_mesh_calculix,
-)
+from sim.mechanics.newton import Supports
+from sim.mechanics.other_engines.calculix import calculix_notes, press_finger_calculix, press_mesh_calculix
+from sim.mechanics.other_engines.calculix_program import calculix_version
 from sim.mechanics.other_engines.deck import Push, deck_lines
 from sim.mechanics.other_engines.deck_indenter import indenter_surface
 from sim.mechanics.signed_distances import Cylinder, Pose

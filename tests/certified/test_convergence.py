@@ -7,8 +7,8 @@ from sim.mechanics.assembly import Assembly
 from sim.mechanics.elements import Elasticity
 from sim.mechanics.finger_mesh import MeshSteps, finger_mesh
 from sim.mechanics.finger_parts import finger_materials, finger_ties
+from sim.mechanics.increments import load_increments
 from sim.mechanics.linear_solver import linear_solver
-from sim.mechanics.newton import load_increments
 from sim.mechanics.press_contact import press_contact
 from sim.presets import preset_design
 

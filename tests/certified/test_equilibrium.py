@@ -9,10 +9,11 @@ import scipy.sparse as sp
 
 from data_schemas.errors import MissingExtraError, SimulateError
 from sim.mechanics.contact_analytic import PenaltyContact
+from sim.mechanics.increments import load_increments
 from sim.mechanics.linear_solver import linear_solver
 from sim.mechanics.materials import LinearElastic, Ogden, neo_hooke
 from sim.mechanics.mesh import Block, FingerMesh, Tie
-from sim.mechanics.newton import NewtonOptions, Supports, find_equilibrium, load_increments
+from sim.mechanics.newton import NewtonOptions, Supports, find_equilibrium
 from sim.mechanics.signed_distances import Cylinder, Pose
 from sim.mechanics.sparsity import UpperBlocks
 from sim.mechanics.ties import TiedNodes

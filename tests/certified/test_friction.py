@@ -3,34 +3,9 @@
 import numpy as np
 import pytest
 
-from sim.mechanics.colliding_surfaces import Obstacle
-from sim.mechanics.contact_ipc import Barrier, BarrierContact
-from sim.mechanics.drive import Drive
-from sim.mechanics.linear_solver import linear_solver
-from sim.mechanics.materials import neo_hooke
-from sim.mechanics.newton import Supports, load_increments
-from sim.surface_meshes.hexahedra import boundary_quads, split_quads
-from tests.certified.blocks import assemble, unit_cells
+from tests.certified.sliding_block import block_under_a_plate, drag
 
 RATIO = 0.3
-GEL = neo_hooke(0.1333, 20.0)
-REACH_MM = 0.02
-
-
-def plate(height_mm, reference):
-    """A rigid triangle far wider than the block, its face down."""
-    corners = np.array([[-40.0, height_mm, -40.0], [80.0, height_mm, -40.0], [0.0, height_mm, 80.0]])
-    return Obstacle(corners, np.array([[0, 1, 2]]), reference)
-
-
-def block_under_a_plate(ratio, project=True):
-    block = unit_cells(3, 2, 3, size=(6.0, 3.0, 6.0))
-    reference = len(block.nodes_mm)
-    nodes = np.vstack([block.nodes_mm, [0.0, 3.0, 0.0]])
-    surface = split_quads(boundary_quads(block.hexahedra).quads, block.nodes_mm)
-    barrier = Barrier(REACH_MM, 0.27, ratio)
-    contact = BarrierContact(nodes, surface, plate(3.0 + REACH_MM, reference), barrier, project=project)
-    return block, nodes, contact
 
 
 def differentiated(function, at, direction, step=1e-7):
@@ -61,29 +36,8 @@ def test_derivatives_of_friction_at_fixed_lag():
 
 def slide(ratio):
     """Press a plate 0.1 mm into a block, drag it 2 mm along x; forces on the plate at each step."""
-    block, nodes, contact = block_under_a_plate(ratio)
-    mesh = block.mesh("mean_dilatation", nodes)
-    drive = Drive(len(nodes) - 1, 1)
-    assembly = assemble(mesh, GEL, [contact, drive])
-    supports = Supports.at_rest(len(nodes), block.numbers[:, 0].ravel())
-    supports.fixed[-1] = (True, False, True)
-
-    def settle(state):
-        met, settled = drive.settle(state.u_mm), contact.settle(state.u_mm)
-        if met and settled:
-            contact.accept(state.u_mm)
-        return met and settled
-
-    def loading(share):
-        contact.restart()
-        drive.target_mm = -0.1 * min(share, 1.0)
-        displacement = np.zeros_like(nodes)
-        displacement[-1, 0] = max(share - 1.0, 0.0)
-        return Supports(supports.fixed, displacement)
-
     stops = [1.0, 1.05, 1.2, 1.4, 1.7, 2.0, 2.4, 3.0]
-    path = load_increments(assembly, linear_solver(), loading, stops, settle=settle)
-    forces = {round(i.fraction, 6): contact.force_n(i.equilibrium.state.u_mm) for i in path}
+    forces = {round(at.share, 6): at.contact.force_n(at.state.u_mm) for at in drag(ratio, stops)}
     return np.array([forces[stop] for stop in stops])
 
 

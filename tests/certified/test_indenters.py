@@ -5,8 +5,10 @@ import pytest
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-from data_schemas.design import FingerDesign, GelPad, Indenter
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.gel_pad import GelPad
+from data_schemas.indenter import Indenter
 from sim.mechanics.body_meshes import TriangleMesh, body_mesh, check_closed_body, read_body, rotation_matrix
 from sim.mechanics.height_over_pad import least_over_triangles, over_rectangle
 from sim.mechanics.indenters import rigid_indenter, side_outline_mm

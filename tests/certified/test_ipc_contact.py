@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign, Indenter
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.indenter import Indenter
 from sim.mechanics.body_meshes import body_mesh
 from sim.mechanics.colliding_surfaces import Obstacle
 from sim.mechanics.contact_analytic import PenaltyContact

@@ -14,9 +14,10 @@ from data_schemas.press_mechanics import PressIncrement, PressMechanics
 from data_schemas.storage import read_record
 from sim.experiments.mechanical_press import increment_record, stored_press
 from sim.mechanics.finger_mesh import MeshSteps, finger_mesh
+from sim.mechanics.increments import load_increments
 from sim.mechanics.linear_solver import linear_solver
 from sim.mechanics.materials import neo_hooke
-from sim.mechanics.newton import Supports, load_increments
+from sim.mechanics.newton import Supports
 from sim.mechanics.press import _first_on_coarse, press_finger
 from sim.mechanics.warm_start import Interpolation
 from sim.presets import preset_design

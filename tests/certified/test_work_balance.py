@@ -3,13 +3,9 @@
 import numpy as np
 import pytest
 
-from sim.mechanics.drive import Drive
-from sim.mechanics.linear_solver import linear_solver
-from sim.mechanics.newton import Supports, load_increments
 from sim.mechanics.press import press_finger
 from sim.presets import preset_design
-from tests.certified.blocks import assemble
-from tests.certified.test_friction import GEL, block_under_a_plate
+from tests.certified.sliding_block import drag
 
 
 def press_and_drag(ratio, stops):
@@ -17,32 +13,13 @@ def press_and_drag(ratio, stops):
 
     Returns share, force on the plate (x, y), stored energy and the work lost to friction in the increment, each stop.
     """
-    block, nodes, contact = block_under_a_plate(ratio)
-    # met more closely than in a press: the balance below is sharper than 1e-4 mm times the force
-    drive = Drive(len(nodes) - 1, 1, met_mm=1e-7)
-    assembly = assemble(block.mesh("mean_dilatation", nodes), GEL, [contact, drive])
-    fixed = Supports.at_rest(len(nodes), block.numbers[:, 0].ravel()).fixed
-    fixed[-1] = (True, False, True)
-
-    def settle(state):
-        met, settled = drive.settle(state.u_mm), contact.settle(state.u_mm)
-        if met and settled:
-            contact.accept(state.u_mm)
-        return met and settled
-
-    def loading(share):
-        contact.restart()
-        drive.target_mm = -0.1 * min(share, 1.0)
-        move = np.zeros_like(nodes)
-        move[-1, 0] = max(share - 1.0, 0.0)
-        return Supports(fixed, move)
-
     rows = []
-    for step in load_increments(assembly, linear_solver(), loading, stops, settle=settle):
-        state = step.equilibrium.state
-        stored = assembly.elasticity.energy(state.u_mm, state.modes) + contact.barrier_energy(state.u_mm)
-        force = contact.force_n(state.u_mm)
-        rows.append((step.fraction, force[0], force[1], stored, contact.friction_work_n_mm(state.u_mm)))
+    # the drive meets its depth more closely than in a press: the balance below is sharper than 1e-4 mm times the force
+    for at in drag(ratio, stops, met_mm=1e-7):
+        u = at.state.u_mm
+        stored = at.assembly.elasticity.energy(u, at.state.modes) + at.contact.barrier_energy(u)
+        force = at.contact.force_n(u)
+        rows.append((at.share, force[0], force[1], stored, at.contact.friction_work_n_mm(u)))
     return np.array(rows).T
 
 

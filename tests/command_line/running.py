@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from data_schemas.storage import sha256_of
+from data_schemas.whole_files import sha256_of
 from finray_calib.cli.main import main
 
 

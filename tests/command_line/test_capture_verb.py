@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.rig import LampSettings, LaserSettings, RigFile
+from data_schemas.devices import LampSettings, LaserSettings
+from data_schemas.rig import RigFile
 from data_schemas.storage import read_toml
 from rigs.capture.read_session import read_session
 from rigs.toml_text import write_rig

@@ -8,7 +8,8 @@ import pytest
 
 from data_schemas.check import AcceptanceReport
 from data_schemas.errors import LostError
-from data_schemas.storage import read_record, sha256_of
+from data_schemas.storage import read_record
+from data_schemas.whole_files import sha256_of
 from rigs.capture import check_session
 from rigs.presets import paint_plan, simulated_rig
 from tests.command_line.running import edit, finray, succeed, tree

@@ -11,10 +11,12 @@ import pytest
 from data_schemas.compare import PhotometricErrorReport
 from data_schemas.decide import LightAngleDecision
 from data_schemas.fit import PaintCalibration
+from data_schemas.frame_files import read_frame, write_frame
 from data_schemas.json_schemas import STORED, json_schema
 from data_schemas.provenance import package_version, provenance
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
-from data_schemas.storage import read_frame, read_record, sha256_of, write_frame, write_record
+from data_schemas.storage import read_record, write_record
+from data_schemas.whole_files import sha256_of
 from finray_calib.cli.main import VERBS
 from rigs.presets import RED_PAINT
 from tests.command_line.records import BEST_DEG, capture_of

@@ -10,11 +10,13 @@ import pytest
 
 from data_schemas.errors import NoEquilibriumError, RecordError
 from data_schemas.press_mechanics import PressIncrement, PressMechanics
-from data_schemas.storage import read_record, sha256_of
+from data_schemas.storage import read_record
 from data_schemas.surfaces import FingerSurfaces
+from data_schemas.whole_files import sha256_of
 from finray_calib.cli.simulate_mechanics import last_increment, mechanics_paths
 from sim.mechanics.finger_mesh import STEPS, MeshSteps
-from sim.mechanics.newton import Increment, NewtonOptions, load_increments
+from sim.mechanics.increments import Increment, load_increments
+from sim.mechanics.newton import NewtonOptions
 from sim.surface_meshes.intersections import check_no_intersections
 from sim.surface_meshes.stl import stl_bytes
 from sim.surface_meshes.stored_shape import restore_shapes

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import tifffile
 
+from data_schemas.frame_files import write_frame
 from data_schemas.pixel_scale import PixelScale
 from data_schemas.provenance import provenance
-from data_schemas.storage import read_record, write_frame, write_record
+from data_schemas.storage import read_record, write_record
 from data_schemas.tactile import CharucoBoard, TactileFrame, TactileSession
 from finray_calib.exchange.board_pictures import read_board_picture
 from sim.optics.opencv_file import read_calibration

@@ -11,16 +11,10 @@ import numpy as np
 import pytest
 import tifffile
 
+from data_schemas.band_pass_filter import BandPassFilter
+from data_schemas.devices import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings
 from data_schemas.errors import LostError, MissingExtraError
-from data_schemas.rig import (
-    BandPassFilter,
-    CameraSettings,
-    FilterWheelSettings,
-    LampSettings,
-    LaserSettings,
-    RigFile,
-    WhiteReference,
-)
+from data_schemas.rig import RigFile, WhiteReference
 from data_schemas.storage import read_toml
 from finray_calib.cli.choose_devices import choose
 from rigs import detect as detect_module

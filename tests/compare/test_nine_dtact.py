@@ -8,15 +8,9 @@ from skimage.metrics import structural_similarity as scikit_image_ssim
 from data_schemas.errors import ImportFormatError
 from finray_calib.compare.comparison_record import compare_press
 from finray_calib.compare.regions import disc
-from finray_calib.exchange.nine_dtact import (
-    ContactCircle,
-    contact_circle,
-    load_depth_table,
-    load_rectified_crop,
-    predict_press,
-    read_nine_dtact,
-)
+from finray_calib.exchange.nine_dtact_folder import load_depth_table, load_rectified_crop, read_nine_dtact
 from finray_calib.exchange.nine_dtact_records import table_prediction, tactile_capture
+from finray_calib.exchange.nine_dtact_table import ContactCircle, contact_circle, predict_press
 
 NO_CONTACT = np.full((60, 80, 3), 150, np.uint8)
 

@@ -7,8 +7,9 @@ from data_schemas.errors import CompareError
 from data_schemas.simulate import KnownInputs
 from finray_calib.compare import stopping_rule
 from finray_calib.compare.capture_noise import CaptureNoise
+from finray_calib.compare.comparison import prepare_comparison
 from finray_calib.compare.input_draws import WALLS, Inputs, generator_of, inputs_of
-from finray_calib.compare.photometric_error import best, prepare_comparison, propagated, resampled
+from finray_calib.compare.photometric_error import best, propagated, resampled
 from finray_calib.compare.prepared_images import prepare_images
 from finray_calib.compare.regions import Region
 from finray_calib.compare.skill import skill_score

@@ -6,10 +6,12 @@ from scipy.stats import binom
 
 from data_schemas.errors import CompareError
 from finray_calib.compare.board_corners import BoardView, find_board, require_plausible
+from finray_calib.compare.board_plane import Declared, seen_plane
 from finray_calib.compare.corner_refinement import refined_views
 from finray_calib.compare.lens_calibration import POSE, adjust, calibrate_lens
 from finray_calib.compare.pixel_scale import ScaleDraws, SeenPlane, plane_places_mm, plane_scale, scales_only
-from finray_calib.compare.pixel_scale_record import Declared, _widened, pixel_scale, seen_plane
+from finray_calib.compare.pixel_scale_record import pixel_scale
+from finray_calib.compare.scale_scatter import widened_factor
 from tests.compare.board_scenes import (
     BOARD,
     FISHEYE,
@@ -279,10 +281,10 @@ def draws_with(corners_u, lens_u):
 
 
 def test_corners_without_error_leave_nothing_to_widen():
-    assert _widened(0.0, draws_with(0.0, 0.0)) == 1.0
-    assert _widened(3e-3, draws_with(8e-4, 6e-4)) == pytest.approx(3.0)
+    assert widened_factor(0.0, draws_with(0.0, 0.0)) == 1.0
+    assert widened_factor(3e-3, draws_with(8e-4, 6e-4)) == pytest.approx(3.0)
 
 
 def test_a_scatter_beyond_all_bounds_is_refused():
     with pytest.raises(CompareError, match=r"scatters 2000 times as much .* up to 1000 times can be stated"):
-        _widened(2e-3, draws_with(8e-7, 6e-7))
+        widened_factor(2e-3, draws_with(8e-7, 6e-7))

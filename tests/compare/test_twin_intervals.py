@@ -10,10 +10,11 @@ from finray_calib.compare import stopping_rule
 from finray_calib.compare.blocks import block_mean
 from finray_calib.compare.brightness import brightness_draws, captured_share, ring_of
 from finray_calib.compare.capture_noise import NO_NOISE
-from finray_calib.compare.comparison_record import FACTORS, compare_press
+from finray_calib.compare.comparison import prepare_comparison
+from finray_calib.compare.comparison_record import compare_press
 from finray_calib.compare.input_draws import Inputs
-from finray_calib.compare.photometric_error import best, prepare_comparison
-from finray_calib.compare.regions import Region, strip_from_distance
+from finray_calib.compare.photometric_error import best
+from finray_calib.compare.regions import contact_regions
 from tests.compare.layered_scenes import captured_of, layers_of
 from tests.compare.twins import Twin, distance_map, twin
 
@@ -29,7 +30,7 @@ def truth(made: Twin, block_px: int):
     distance = block_mean(distance_map(), block_px)
     layers = layers_of(made.true_contact, made.true_no_contact, made.true_matrix).blocked(block_px)
     captured = captured_of(made.clean_contact, made.clean_no_contact, noise=NO_NOISE).blocked(block_px)
-    regions = [Region(name, strip_from_distance(distance, factor), factor) for name, factor in FACTORS.items()]
+    regions = contact_regions(distance)
     comparison = prepare_comparison(layers, captured, regions, None, True, True)
     result, inputs = best(comparison)[-1], Inputs(layers, {}, None, None)
     ring = ring_of(distance, np.ones(distance.shape, bool))

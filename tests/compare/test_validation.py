@@ -14,10 +14,10 @@ from finray_calib.compare.brightness import (
     objective_error,
     ring_of,
 )
-from finray_calib.compare.budget import uncertainty_budget
+from finray_calib.compare.budget import ALONE_DRAWS, uncertainty_budget
 from finray_calib.compare.capture_noise import CaptureNoise
+from finray_calib.compare.comparison import prepare_comparison
 from finray_calib.compare.input_draws import DRIFT, PIXELS, WALLS, Inputs
-from finray_calib.compare.photometric_error import ALONE_DRAWS, prepare_comparison
 from finray_calib.compare.region_draws import propagated_draws
 from finray_calib.compare.regions import Region
 from finray_calib.compare.validation import DRAWS, validation_cells

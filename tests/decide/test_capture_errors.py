@@ -8,10 +8,10 @@ from data_schemas.errors import DecideError
 from finray_calib.decide.capture_errors import (
     LEAST_SD_REL,
     NO_CAPTURES,
-    UNSTATED_ANGLE_SD_DEG,
     capture_errors,
     objective_log_error,
 )
+from finray_calib.decide.validating_captures import UNSTATED_ANGLE_SD_DEG
 from tests.command_line.records import sweep as sweep_record
 
 DRAWS = 500

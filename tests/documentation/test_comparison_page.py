@@ -18,8 +18,10 @@ from finray_calib.reports import comparison_words as words
 from finray_calib.reports.budget_figure import budget_figure
 from finray_calib.reports.comparison_images import LARGEST_PIXELS, touch_changes, touch_pictures
 from finray_calib.reports.comparison_page import comparison_page, write_comparison_page
-from finray_calib.reports.comparison_tables import budget_table, images_table, metric_table, validation_table
 from finray_calib.reports.demo_results import headline
+from finray_calib.reports.metric_tables import metric_table
+from finray_calib.reports.origin_tables import images_table
+from finray_calib.reports.uncertainty_tables import budget_table, validation_table
 from tests.command_line.running import finray
 
 RESULTS = example_results()

@@ -10,7 +10,8 @@ import pytest
 from data_schemas.camera import CameraPlan
 from data_schemas.capture import PaintPlan
 from data_schemas.check import CheckLimits, CheckPlan
-from data_schemas.rig import NO_ADDRESS, RigFile
+from data_schemas.devices import NO_ADDRESS
+from data_schemas.rig import RigFile
 from data_schemas.storage import read_toml
 from finray_calib.cli.main import build_parser
 from finray_calib.exchange.band_folder_file import BandFolder

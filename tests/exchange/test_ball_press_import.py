@@ -15,8 +15,9 @@ from data_schemas.provenance import provenance
 from data_schemas.sensing import NormalMapRecord
 from data_schemas.storage import read_record, write_record
 from finray_calib.compare.board_corners import BoardView
+from finray_calib.compare.board_plane import Declared
 from finray_calib.compare.normal_map_record import normal_map_record
-from finray_calib.compare.pixel_scale_record import Declared, pixel_scale
+from finray_calib.compare.pixel_scale_record import pixel_scale
 from finray_calib.exchange.ball_press_folder import read_ball_presses, read_circles
 from finray_calib.exchange.plain_arrays import read_npz, require_array
 from finray_calib.exchange.taxim_folder import read_taxim

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 from data_schemas.capture import TactileCapture
-from data_schemas.design import FingerDesign, GelPad, Indenter, LightPanel
+from data_schemas.design import FingerDesign
 from data_schemas.errors import RecordError
+from data_schemas.gel_pad import GelPad
+from data_schemas.indenter import Indenter
+from data_schemas.optical_design import LightPanel
 from data_schemas.storage import read_record, read_toml
 from data_schemas.tactile import TactilePlan
 from finray_calib.compare.normal_map_fit import MINIMUM_PRESSES

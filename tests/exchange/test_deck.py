@@ -7,8 +7,9 @@ import meshio
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign, Indenter
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.indenter import Indenter
 from data_schemas.mechanical_design import MechanicalMaterials, OgdenSolid
 from sim.design_toml import design_toml
 from sim.mechanics.finger_mesh import MeshSteps, finger_mesh

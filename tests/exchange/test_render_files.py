@@ -7,15 +7,17 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from data_schemas.design import FingerDesign, TactileCamera
+from data_schemas.design import FingerDesign
 from data_schemas.errors import MissingExtraError, RecordError, SimulateError
+from data_schemas.optical_design import TactileCamera
 from data_schemas.provenance import provenance
 from data_schemas.simulate import SimulatedPress
 from finray_calib.exchange import render_files
 from finray_calib.exchange.render_files import png, read_exr, spectral_channel, write_optics_folder
 from finray_calib.reports.denoised import denoised
+from sim.experiments.colour_spread import colour_spread
 from sim.experiments.optics_products import OpticsProducts
-from sim.experiments.tactile_camera import colour_spread, simulated_capture
+from sim.experiments.tactile_camera import simulated_capture
 from sim.optics.paint_bands import BAND_NAMES
 from sim.optics.pixel_maps import pixel_maps
 from sim.optics.variants import choose_variant, open_renderer

@@ -8,7 +8,7 @@ from data_schemas.capture import RegionOfInterest
 from data_schemas.estimate import Estimate
 from data_schemas.radiometry import PixelSignals
 from finray_calib.fit.nuisances import band_values
-from finray_calib.fit.pixel_maps import PixelSpread, RegionFit
+from finray_calib.fit.region_fit import PixelSpread, RegionFit
 from finray_calib.spectra.emission_families import family_named
 from finray_calib.spectra.rig_curves import weights_of
 

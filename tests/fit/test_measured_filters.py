@@ -6,19 +6,21 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.curves import SpectralCurve
+from data_schemas.devices import FilterWheelSettings
 from data_schemas.filter_curves import half_maximum_nm
 from data_schemas.radiometry import BandSignals, Optics
-from data_schemas.rig import BandPassFilter, FilterWheelSettings
 from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
 from finray_calib.fit.discrepancy import NO_DISCREPANCY
 from finray_calib.fit.emission import fit_emission
-from finray_calib.fit.paint_calibration import band_data
+from finray_calib.fit.measured_bands import band_data
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.spectra.band_tolerances import tolerances_of
 from finray_calib.spectra.rig_curves import WAVELENGTH_NM, measured_transmission, weights_of
 from rigs.presets import PAPER_FILTERS_NM, simulated_rig
-from rigs.simulated.bench import Bench, bench_truth
+from rigs.simulated.bench import Bench
+from rigs.simulated.bench_truth import bench_truth
 from tests.fit.synthetic_bands import QUICK, ZHENG
 
 SHARES = np.array([0.01, 0.09, 0.9])

@@ -21,7 +21,9 @@ from finray_calib.fit.calibration_warnings import absorption_warnings, fit_warni
 from finray_calib.fit.discrepancy import PAINT_DISCREPANCY
 from finray_calib.fit.emission import FitSettings, fit_emission
 from finray_calib.fit.family_choice import DEFAULT_FAMILY
-from finray_calib.fit.paint_calibration import FitOptions, band_data, calibrate_paint
+from finray_calib.fit.fit_options import FitOptions
+from finray_calib.fit.measured_bands import band_data
+from finray_calib.fit.paint_calibration import calibrate_paint
 from finray_calib.fit.pareto_smoothing import smooth_weights
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.fit.reflectance import reflectance
@@ -31,7 +33,8 @@ from finray_calib.spectra.emission_families import FAMILIES
 from finray_calib.spectra.rig_curves import WAVELENGTH_NM, filter_transmission, held_shares
 from finray_calib.spectra.skew_cauchy import SkewCauchy
 from rigs.presets import simulated_rig
-from rigs.simulated.bench import Bench, bench_truth
+from rigs.simulated.bench import Bench
+from rigs.simulated.bench_truth import bench_truth
 
 SHARES = np.array([0.01, 0.09, 0.9])
 

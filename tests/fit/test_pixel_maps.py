@@ -13,10 +13,12 @@ from data_schemas.provenance import provenance
 from data_schemas.radiometry import BandSignals
 from data_schemas.storage import read_record, write_record
 from finray_calib.cli.fit_map import run_map
-from finray_calib.fit import pixel_maps
-from finray_calib.fit.paint_calibration import FitOptions, calibrate_paint
+from finray_calib.fit.fit_options import FitOptions
+from finray_calib.fit.paint_calibration import calibrate_paint
 from finray_calib.fit.pixel_curves import CURVE_CONSTANTS, LANES, SHAPES, curve_constants, curve_slopes, logarithm
-from finray_calib.fit.pixel_maps import PixelSpread, map_paint, map_pixels, pixel_problem, region_fit
+from finray_calib.fit.pixel_maps import map_paint, map_pixels
+from finray_calib.fit.pixel_problem import pixel_problem
+from finray_calib.fit.region_fit import PixelSpread, RegionFit, region_fit
 from finray_calib.reports.paint_map_figure import paint_map_figure, spot_sentence, spread_sentence, thinned
 from finray_calib.spectra.emission_families import family_named
 from finray_calib.spectra.rig_curves import weights_of
@@ -153,7 +155,7 @@ def test_common_errors_of_the_bands_leave_no_trace(optics):
         fluorescence=made.pixels.fluorescence * per_pixel,
         fluorescence_sd=made.pixels.fluorescence_sd * per_pixel,
     )
-    region = pixel_maps.RegionFit(
+    region = RegionFit(
         made.region.family,
         made.region.theta,
         made.region.theta_sd,
@@ -192,7 +194,7 @@ def test_an_even_paint_is_called_even(optics):
     assert not spread.resolved
     assert spread.sd < spread.high
     assert found.worst_spots == ()
-    assert "no differences between pixels beyond their noise" in spread_sentence(found, "energy_yield")
+    assert "no differences between single pixels beyond their noise" in spread_sentence(found, "energy_yield")
 
 
 def test_pixels_too_noisy_to_tell(optics):

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from data_schemas.capture import CaptureSession, Frame, FrameType
+from data_schemas.frame_files import write_frame
 from data_schemas.provenance import provenance
-from data_schemas.storage import write_frame, write_record
+from data_schemas.storage import write_record
 from rigs.capture.session_folder import SESSION_NAME
 from rigs.presets import paint_plan, simulated_rig
 from tests.radiometry.sessions import frame, record

@@ -10,10 +10,10 @@ from pydantic import ValidationError
 
 from data_schemas.camera import CameraCharacterisation, PhotonTransferCurve
 from data_schemas.capture import Frame
+from data_schemas.devices import CameraSettings
 from data_schemas.errors import RadiometryError
 from data_schemas.fit import Estimate
 from data_schemas.provenance import provenance
-from data_schemas.rig import CameraSettings
 from data_schemas.storage import read_record, write_record
 from finray_calib.radiometry.camera_characterisation import characterise_camera
 from tests.radiometry.camera_sessions import (

@@ -5,7 +5,8 @@ import pytest
 
 from data_schemas.errors import ImportFormatError
 from finray_calib.exchange.raspberry_pi_images import read_tuning
-from finray_calib.radiometry.libcamera_tuning import LensShading, parse_tuning, shading_gains
+from finray_calib.radiometry.lens_shading import LensShading, shading_gains
+from finray_calib.radiometry.libcamera_tuning import parse_tuning
 from tests.radiometry.libcamera_documents import GAMMA, algorithms, version_2
 
 INSTALLED = Path("/usr/share/libcamera/ipa")

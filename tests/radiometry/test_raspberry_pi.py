@@ -4,7 +4,8 @@ import pytest
 
 from data_schemas.bayer import rggb_frame
 from data_schemas.errors import ImportFormatError
-from finray_calib.radiometry.libcamera_tuning import parse_tuning, shading_gains
+from finray_calib.radiometry.lens_shading import shading_gains
+from finray_calib.radiometry.libcamera_tuning import parse_tuning
 from finray_calib.radiometry.raspberry_pi import (
     JPEG_CODES,
     LUMA,

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.curve_files import read_filter_curve, read_filter_curves
 from data_schemas.curves import SpectralCurve
+from data_schemas.devices import LaserSettings
 from data_schemas.errors import CurveError, RecordError
 from data_schemas.filter_curves import coverage_notes, half_maximum_nm
 from data_schemas.radiometry import Optics
-from data_schemas.rig import BandPassFilter, LaserSettings, RigFile, WhiteReference
+from data_schemas.rig import RigFile, WhiteReference
 from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
 from data_schemas.storage import read_toml
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.design import GelPad, LightPanel
+from data_schemas.gel_pad import GelPad
+from data_schemas.optical_design import LightPanel
 from sim.optics.panel_frame import PanelFrame, panel_frame
 
 _NEWTON_STEPS = 8

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign, LightPanel, TactileCamera
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.optical_design import LightPanel, TactileCamera
 from sim.optics.angle_sweep import sweep_light_angle
 from sim.optics.even_points import even_points
 from sim.optics.lit_scene import lit_integrator, open_scene

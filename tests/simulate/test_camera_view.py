@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign, TactileCamera
+from data_schemas.design import FingerDesign
 from data_schemas.errors import ImportFormatError
+from data_schemas.optical_design import TactileCamera
 from finray_calib.reports.camera_view_figure import camera_view_png
 from sim.experiments.camera_view import camera_view
 from sim.optics.finger_view import coat_positions

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from data_schemas.curves import SpectralCurve
-from data_schemas.design import Coating, FingerDesign, LightPanel, TactileCamera
+from data_schemas.design import FingerDesign
 from data_schemas.errors import CurveError
+from data_schemas.optical_design import Coating, LightPanel, TactileCamera
 from data_schemas.standard_curves import assumed_camera_response
 from rigs.simulated.sensor import bayer_planes
 from sim.experiments import digital_twin, light_angle, press, tactile_camera

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from data_schemas.design import FingerDesign, Indenter, TactileCamera
+from data_schemas.design import FingerDesign
+from data_schemas.indenter import Indenter
+from data_schemas.optical_design import TactileCamera
 from data_schemas.press_mechanics import PressMechanics
 from finray_calib.reports.finger_figure import finger_page_png, finger_png
 from finray_calib.reports.finger_outline import finger_outline, outer_edges, side_polygons

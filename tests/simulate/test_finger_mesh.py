@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from data_schemas.design import Film, FingerDesign, GelPad, LightPanel, Mirror
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.gel_pad import Film, GelPad
 from data_schemas.mechanical_design import (
     Backing,
     ElasticSolid,
@@ -17,6 +18,7 @@ from data_schemas.mechanical_design import (
     OgdenSolid,
     Skeleton,
 )
+from data_schemas.optical_design import LightPanel, Mirror
 from sim.mechanics.finger_mesh import STEPS, MeshSteps, finger_mesh
 from sim.mechanics.mesh import Block, FingerMesh, Tie
 from sim.mechanics.pad_mesh import pad_mesh

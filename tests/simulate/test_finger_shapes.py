@@ -3,8 +3,11 @@ import tomllib
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign, GelPad, Indenter, LightPanel
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.gel_pad import GelPad
+from data_schemas.indenter import Indenter
+from data_schemas.optical_design import LightPanel
 from data_schemas.provenance import provenance
 from data_schemas.storage import read_record, write_record
 from data_schemas.surfaces import FingerSurfaces

@@ -15,7 +15,8 @@ from benchmarks.fluorescence_levels import (
     paints,
     windows_of_bands,
 )
-from data_schemas.design import Coating, Enclosure, FingerDesign, LightPanel, Mirror
+from data_schemas.design import FingerDesign
+from data_schemas.optical_design import Coating, Enclosure, LightPanel, Mirror
 from sim.optics.paint_bands import paint_bands
 from sim.surface_meshes.finger_shape import bent, pressed_shape
 

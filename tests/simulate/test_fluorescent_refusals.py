@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import LightPanel
 from data_schemas.errors import MissingExtraError, SimulateError
+from data_schemas.optical_design import LightPanel
 from sim.optics import variants
 from sim.optics.fluorescent_paint import FluorescentPaint, fluorescent_paint
 from sim.optics.paint_bands import PaintOptics, led_band, paint_bands

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import Enclosure, FingerDesign, LightPanel, Mirror
+from data_schemas.design import FingerDesign
 from data_schemas.errors import MissingExtraError, SimulateError
-from sim.optics import curved_refraction
+from data_schemas.optical_design import Enclosure, LightPanel, Mirror
+from sim.optics import gel_face
 from sim.optics.gradients import moved, probe_gradient
 from sim.optics.paint_bands import paint_bands
 from sim.surface_meshes.finger_shape import bent, pressed_shape
@@ -70,7 +71,7 @@ def test_the_outline_of_the_pad_is_differentiated(llvm, paints, monkeypatch):
     truth = red_and_led(automatic=False)
     # equal random numbers; 1 % was seen, the bias of the steps of 1 mm
     np.testing.assert_allclose(red_and_led(automatic=True), truth, rtol=0.03)
-    monkeypatch.setattr(curved_refraction, "_RIM_MM", 1e-3)
+    monkeypatch.setattr(gel_face, "_RIM_MM", 1e-3)
     assert np.abs(red_and_led(automatic=True) / truth - 1.0)[1, 0] > 0.15
 
 

@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign, TactileCamera
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
 from data_schemas.fit import PaintCalibration
+from data_schemas.optical_design import TactileCamera
 from data_schemas.standard_curves import assumed_camera_response
 from sim.experiments.known_inputs import DRAWS, known_inputs
 from sim.experiments.painted_finger import PaintedFinger

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign, LightPanel, TactileCamera
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.optical_design import LightPanel, TactileCamera
 from data_schemas.simulate import AngleConstraints, AngleObjective
 from data_schemas.standard_curves import assumed_camera_response
 from sim.experiments import facet_table as tables

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign, Indenter
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.indenter import Indenter
 from sim.experiments.mechanical_press import press_records
 from sim.mechanics.press import press_finger
 from sim.mechanics.pressed_finger import contact_distance

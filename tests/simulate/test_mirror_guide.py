@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign, LightPanel, TactileCamera
-from sim.optics.curved_refraction import inner_face
+from data_schemas.design import FingerDesign
+from data_schemas.optical_design import LightPanel, TactileCamera
+from sim.optics.gel_face import inner_face
 from sim.optics.guide_lobes import CELLS_ACROSS, CELLS_ALONG, ROUTES, fit_lobes
 from sim.optics.paint_bands import paint_bands
 from sim.optics.scene import finger_scene

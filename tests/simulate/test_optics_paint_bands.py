@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import LightPanel
 from data_schemas.errors import SimulateError
+from data_schemas.optical_design import LightPanel
 from sim.optics.paint_bands import PaintOptics, band_mean, camera_matrix, led_band, led_upper_edge_nm, paint_bands
 from tests.simulate.conftest import gaussian
 

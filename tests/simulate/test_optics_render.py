@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from data_schemas.design import FingerDesign, GelPad, Indenter, LightPanel, Mirror, TactileCamera
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.gel_pad import GelPad
+from data_schemas.indenter import Indenter
+from data_schemas.optical_design import LightPanel, Mirror, TactileCamera
 from sim.optics.angle_sweep import sweep_light_angle
 from sim.optics.paint_bands import paint_bands
 from sim.optics.render import render_press

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import Coating, Enclosure, FingerDesign, GelPad, LightPanel, Mirror, TactileCamera
+from data_schemas.design import FingerDesign
+from data_schemas.gel_pad import GelPad
+from data_schemas.optical_design import Coating, Enclosure, LightPanel, Mirror, TactileCamera
 from sim.optics import scene as scene_module
 from sim.optics.finger_view import camera_pose, coat_positions, pixel_directions
 from sim.optics.paint_bands import paint_bands

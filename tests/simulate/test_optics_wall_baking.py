@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_schemas.design import Coating, Enclosure, FingerDesign, GelPad, LightPanel, Mirror, TactileCamera
+from data_schemas.design import FingerDesign
+from data_schemas.gel_pad import GelPad
+from data_schemas.optical_design import Coating, Enclosure, LightPanel, Mirror, TactileCamera
 from sim.optics.lit_scene import open_scene
 from sim.optics.paint_bands import PaintOptics, paint_bands
 from sim.optics.variants import choose_variant, open_renderer

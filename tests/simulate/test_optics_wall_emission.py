@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad
 
-from data_schemas.design import FingerDesign, GelPad, LightPanel
+from data_schemas.design import FingerDesign
+from data_schemas.gel_pad import GelPad
+from data_schemas.optical_design import LightPanel
 from sim.optics.paint_bands import paint_bands
 from sim.optics.panel_frame import panel_frame
 from sim.optics.wall_emission import (

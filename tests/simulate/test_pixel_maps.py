@@ -7,13 +7,16 @@ import numpy as np
 import pytest
 
 from data_schemas.camera_calibration import CameraCalibration
-from data_schemas.design import FingerDesign, LightPanel, TactileCamera
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.optical_design import LightPanel, TactileCamera
 from sim.optics.finger_view import camera_pose, coat_positions, pixel_directions
+from sim.optics.lines_of_sight import NOTHING
 from sim.optics.paint_bands import paint_bands
-from sim.optics.pixel_maps import NOTHING, camera_rays, pixel_maps, vertex_normals
+from sim.optics.pixel_maps import camera_rays, pixel_maps
 from sim.optics.scene import finger_scene
 from sim.surface_meshes.finger_shape import FingerShape, bent, pressed_shape, rest_shape
+from sim.surface_meshes.surface import vertex_normals
 
 SMALL = FingerDesign(camera=TactileCamera(width_px=160, height_px=120))
 # the mirror's 241 facets and the coat's 0.1 mm grid against their smooth forms

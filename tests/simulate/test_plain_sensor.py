@@ -5,8 +5,9 @@ import pytest
 from pydantic import ValidationError
 from scipy.stats import t as student_t
 
-from data_schemas.design import Film, GelPad, Indenter
 from data_schemas.errors import SimulateError
+from data_schemas.gel_pad import Film, GelPad
+from data_schemas.indenter import Indenter
 from data_schemas.plain_sensor import CHANNELS, CameraBelow, ColouredLight, PlainSensor
 from sim.optics.plain_sensor import light_frame, plain_sensor_integrator, plain_sensor_scene, render_plain_sensor
 

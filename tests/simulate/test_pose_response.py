@@ -6,8 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign, TactileCamera
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.optical_design import TactileCamera
 from data_schemas.standard_curves import assumed_camera_response
 from finray_calib.compare.render_layers import render_layers
 from sim.experiments import pose_response as module

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign, TactileCamera
+from data_schemas.design import FingerDesign
 from data_schemas.errors import CompareError, SimulateError
+from data_schemas.optical_design import TactileCamera
 from data_schemas.provenance import provenance
 from data_schemas.simulate import KnownInputs, SimulatedPress
 from data_schemas.standard_curves import assumed_camera_response

@@ -7,8 +7,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign, TactileCamera
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.optical_design import TactileCamera
 from sim.mechanics.finger_mesh import finger_mesh
 from sim.mechanics.structured_grid import hexahedra_on_grid
 from sim.optics.pixel_maps import pixel_maps

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign, TactileCamera
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.optical_design import TactileCamera
 from data_schemas.simulate import SimulatedPress
 from finray_calib.compare.comparison_record import compare_press
 from finray_calib.compare.linear_image import rgb_image
-from sim.experiments.tactile_camera import BandImages, camera_capture, colour_spread, simulated_capture
+from sim.experiments.colour_spread import colour_spread
+from sim.experiments.tactile_camera import BandImages, camera_capture, simulated_capture
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=256, height_px=192, response_at_led_uncertainty_rel=0.2))
 MATRIX = np.array([[1.0, 0.0, 0.05], [0.0, 1.0, 0.2], [0.0, 0.1, 1.0]])

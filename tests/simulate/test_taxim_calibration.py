@@ -5,8 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign, GelPad, Indenter
+from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
+from data_schemas.gel_pad import GelPad
+from data_schemas.indenter import Indenter
 from data_schemas.plain_sensor import CameraBelow, PlainSensor
 from sim.experiments import taxim_finger
 from sim.experiments.taxim_calibration import (

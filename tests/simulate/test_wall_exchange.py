@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from data_schemas.design import Coating, Enclosure, FingerDesign, GelPad, Mirror, TactileCamera
+from data_schemas.design import FingerDesign
+from data_schemas.gel_pad import GelPad
+from data_schemas.optical_design import Coating, Enclosure, Mirror, TactileCamera
 from sim.optics.lit_scene import open_scene
 from sim.optics.paint_bands import BAND_NAMES, PaintBands, paint_bands
 from sim.optics.wall_baking import polynomial_basis

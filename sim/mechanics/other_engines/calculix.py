@@ -1,11 +1,5 @@
 """CalculiX as a second engine: the same finger and mesh, pressed by a program of its own in a process of its own."""
 
-import os
-import re
-import shutil
-import signal
-import subprocess
-import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
-from data_schemas.errors import MissingExtraError, SimulateError
+from data_schemas.errors import SimulateError
 from data_schemas.mechanical_design import Preset
 from sim.mechanics.contact_analytic import QUAD_CORNERS, quad_shapes
 from sim.mechanics.finger_mesh import finger_mesh
 from sim.mechanics.finger_parts import finger_materials
 from sim.mechanics.mesh import FingerMesh
+from sim.mechanics.other_engines.calculix_program import JOB, find_calculix, run_calculix
 from sim.mechanics.other_engines.calculix_results import read_convergence, read_frd, read_totals
 from sim.mechanics.other_engines.deck_materials import deck_materials
 from sim.mechanics.other_engines.deck_push import finger_deck
@@ -29,89 +24,9 @@ from sim.mechanics.pressed_finger import PressedFinger
 FloatArray = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 
-PROGRAM: Final = "ccx"
-_JOB: Final = "finger"
-_POLL_S = 0.2
-_ENDS_WITHIN_S = 5.0
 _CONTACT: Final = "faceted rigid indenter; contact surface to surface by penalty; ribs do not see each other"
 _SAME_TIME = 1e-4  # the .frd file holds six digits of it
 _PRESSURE = 3  # of the contact's COPEN, CSLIP1, CSLIP2, CPRESS
-
-
-def calculix_version() -> str:
-    """Return the version of the installed CalculiX, for example "2.20".
-
-    Raises
-    ------
-    MissingExtraError
-        When it is not installed.
-    """
-    said = subprocess.run([_program(), "-v"], capture_output=True, text=True, timeout=60.0, check=False).stdout
-    found = re.search(r"Version\s+(\S+)", said)
-    return found[1] if found else "of unknown version"
-
-
-def run_calculix(
-    lines: Iterable[str],
-    folder: Path,
-    threads: int = 1,
-    time_limit_s: float = 3600.0,
-    watch: Callable[[Path], None] | None = None,
-) -> str:
-    """Run CalculiX on a deck in a folder; its results are finger.frd, finger.dat and finger.sta there.
-
-    Parameters
-    ----------
-    lines
-        Of the deck.
-    folder
-        An empty folder.
-    threads
-        Of assembly and solver.
-    time_limit_s
-        After which the run is ended.
-    watch
-        Called several times a second with the folder.
-
-    Returns
-    -------
-    str
-        Why it ended early; empty when it did not.
-
-    Raises
-    ------
-    MissingExtraError
-        When CalculiX is not installed.
-    """
-    program = _program()
-    with (folder / f"{_JOB}.inp").open("w", encoding="ascii") as deck:
-        deck.writelines(f"{line}\n" for line in lines)
-    # unbuffered: the totals of a run that is ended are those of its last increment
-    count = str(threads)
-    limits = {"OMP_NUM_THREADS": count, "CCX_NPROC_EQUATION_SOLVER": count, "GFORTRAN_UNBUFFERED_ALL": "y"}
-    log = folder / f"{_JOB}.log"
-    end = time.monotonic() + time_limit_s
-    with log.open("wb") as out:
-        process = subprocess.Popen(
-            [program, "-i", _JOB],
-            cwd=folder,
-            env={**os.environ, **limits},
-            stdin=subprocess.DEVNULL,
-            stdout=out,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
-        try:
-            while process.poll() is None and time.monotonic() < end:
-                if watch is not None:
-                    watch(folder)
-                time.sleep(_POLL_S)
-            late = process.poll() is None
-        finally:
-            _end(process)
-    if late:
-        return f"CalculiX was ended after {time_limit_s:g} s; take a coarser mesh or a smaller push"
-    return _complaint(log.read_text(encoding="ascii", errors="replace"), process.returncode)
 
 
 def press_finger_calculix(
@@ -135,7 +50,7 @@ def press_finger_calculix(
     SimulateError
         When there is no push, or not even the first increment finds an equilibrium.
     """
-    _program()
+    find_calculix()
     mesh = finger_mesh(design, preset)
     lines = finger_deck(design, "calculix", preset, increments, mesh=mesh)
     depth_mm = design.indenter.depth_mm
@@ -166,7 +81,7 @@ def press_mesh_calculix(
     depth_mm
         The deck's push.
     threads, time_limit_s
-        See :func:`run_calculix`.
+        See :func:`~sim.mechanics.other_engines.calculix_program.run_calculix`.
     tell
         Called with the share of the push that is done.
 
@@ -202,53 +117,21 @@ def calculix_notes(design: FingerDesign) -> tuple[str, ...]:
     )
 
 
-def _program() -> str:
-    """Return the path of CalculiX."""
-    path = shutil.which(PROGRAM)
-    if path is None:
-        raise MissingExtraError(
-            f"CalculiX (the program {PROGRAM}) is not installed or not on the PATH; on Debian and Ubuntu: apt-get "
-            "install calculix-ccx. Without it, press with the engine in process"
-        )
-    return path
-
-
-def _end(process: "subprocess.Popen[bytes]") -> None:
-    """End a process that still runs, with what it has started."""
-    for ending in (signal.SIGTERM, signal.SIGKILL):
-        if process.poll() is not None:
-            return
-        os.killpg(process.pid, ending)
-        try:
-            process.wait(_ENDS_WITHIN_S)
-        except subprocess.TimeoutExpired:
-            continue
-
-
-def _complaint(log: str, status: int) -> str:
-    """Return why a run ended early."""
-    if "Job finished" in log:
-        return ""
-    said = re.search(r"\*ERROR[:\s]*(.*(?:\n {4,}\S.*)*)", log)
-    reason = " ".join(said[1].split()) if said else f"it ended with status {status}"
-    return f"CalculiX stopped: {reason}"
-
-
 def _reached(folder: Path) -> FloatArray:
     """Return the shares of the push that converged."""
-    path = folder / f"{_JOB}.sta"
+    path = folder / f"{JOB}.sta"
     return read_convergence(path).times if path.exists() else np.zeros(0)
 
 
 def _pressed(depth_mm: float, mesh: FingerMesh, folder: Path, unreached: str) -> PressedFinger:
     """Collect what CalculiX wrote about the increments of which everything is there."""
-    fields = read_frd(folder / f"{_JOB}.frd")
+    fields = read_frd(folder / f"{JOB}.frd")
     moved = [f for f in fields if f.name == "DISP"]
     pressed = [f for f in fields if f.name == "CONTACT"]
-    totals = read_totals(folder / f"{_JOB}.dat")
+    totals = read_totals(folder / f"{JOB}.dat")
     force = totals.get(("force", "INDENTER"), np.zeros((0, 4)))
     energies = [rows for (what, _), rows in totals.items() if what == "internal energy"]
-    convergence = read_convergence(folder / f"{_JOB}.sta")
+    convergence = read_convergence(folder / f"{JOB}.sta")
     count = min(len(moved), len(pressed), len(force), len(convergence.times), *map(len, energies))
     if not count:
         raise SimulateError("CalculiX has not written a whole increment; press with the engine in process")

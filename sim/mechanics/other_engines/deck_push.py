@@ -16,9 +16,7 @@ from sim.mechanics.mesh import FingerMesh
 from sim.mechanics.other_engines.deck import Push, deck_lines
 from sim.mechanics.other_engines.deck_indenter import deepest_ball_mm, indenter_surface
 from sim.mechanics.other_engines.deck_materials import Dialect
-
-CONTACT_MODULI_PER_STEP: Final = 100.0
-"""Contact stiffness in shear moduli of the gel per element: the same as that of the engine in process."""
+from sim.mechanics.penalty_press import penalty_mpa_per_mm
 
 _STEEPEST_DEG: Final = 30.0  # the facets of a turned indenter look this far round its side
 
@@ -59,7 +57,7 @@ def finger_push(design: FingerDesign, preset: Preset, increments: int) -> Push:
         indenter=indenter_surface(indenter.body, indenter.touching, length_mm),
         depth_mm=depth_mm,
         increments=increments,
-        stiffness_mpa_per_mm=CONTACT_MODULI_PER_STEP * 2.0 * design.mechanics.gel.c10_mpa / STEPS[preset].pad_mm,
+        stiffness_mpa_per_mm=penalty_mpa_per_mm(design, STEPS[preset].pad_mm),
         friction=design.indenter.friction,
     )
 

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import LostError, RefusedError, UnsafeError
-from data_schemas.rig import DeviceIdentity
 from rigs import drivers
 from rigs.protocols import Operator
 

@@ -1,6 +1,7 @@
 """Rig-file excerpts of INDI devices, shared by the tests of their drivers."""
 
-from data_schemas.rig import BandPassFilter, CameraSettings, FilterWheelSettings
+from data_schemas.band_pass_filter import BandPassFilter
+from data_schemas.devices import CameraSettings, FilterWheelSettings
 
 
 def wheel_settings(address: str, driver: str = "indi", count: int = 3) -> FilterWheelSettings:

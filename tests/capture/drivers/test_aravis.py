@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from data_schemas.devices import CameraSettings
 from data_schemas.errors import BadFrameError, LostError, MissingExtraError, RefusedError, TimedOutError
-from data_schemas.rig import CameraSettings
 from rigs.cameras import aravis, aravis_library
 from rigs.cameras.genicam_camera import GenicamCamera
 from rigs.capture.tactile_camera import TactileCamera

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from data_schemas.rig import CameraSettings, LampSettings
+from data_schemas.devices import CameraSettings, LampSettings
 from rigs import drivers
 from rigs.drivers import open_camera, open_lamp
 from rigs.host import TerminalOperator

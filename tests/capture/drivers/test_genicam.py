@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.errors import BadFrameError, LostError, RefusedError
-from data_schemas.rig import CameraSettings, DeviceIdentity
 from rigs.cameras.call_thread import CallThread, NoAnswerError
 from rigs.cameras.genicam import (
     ConnectionBrokenError,

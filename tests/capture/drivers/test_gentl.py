@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from data_schemas.devices import CameraSettings
 from data_schemas.errors import LostError, MissingExtraError, RefusedError
-from data_schemas.rig import CameraSettings
 from rigs.cameras import gentl
 from rigs.cameras.genicam import FeatureError, RawPixels, configure, set_exposure
 from rigs.cameras.genicam_device import image

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from data_schemas.bayer import rggb_frame
 from data_schemas.capture import CaptureSession
+from data_schemas.devices import CameraSettings
 from data_schemas.errors import BadFrameError, MissingExtraError, RefusedError
-from data_schemas.rig import CameraSettings
 from rigs.cameras.dng_file import read_dng
 from rigs.cameras.image_folder import open_camera
 from rigs.cameras.raw_files import BRCM_ORDERS, read_exposure_s, read_raw

@@ -11,7 +11,8 @@ import pytest
 from data_schemas.errors import BadFrameError, LostError, RefusedError, TimedOutError
 from rigs.cameras import indi
 from rigs.cameras.fits_image import CardValue, FitsImage
-from rigs.cameras.indi import IndiCamera, open_camera
+from rigs.cameras.indi import open_camera
+from rigs.cameras.indi_frames import IndiFrames
 from rigs.filter_wheels.indi import open_wheel
 from rigs.host import TerminalOperator
 from rigs.lights.indi import open_switch
@@ -75,12 +76,12 @@ def test_frames_that_are_not_as_asked_for(old: bytes, new: bytes, error: type[Ex
         exposed(altered(old, new))
 
 
-class Delivered(IndiCamera):
-    """A camera whose check of a frame is at hand."""
+class Delivered(IndiFrames):
+    """The check of a camera's frames, of counts and cards."""
 
     def check(self, counts: np.ndarray, exposure_s: float = 0.1, **cards: CardValue) -> RawFrame:
         header: Mapping[str, CardValue] = {"EXPTIME": 0.1, "DATE-OBS": "2026-01-01T00:00:00.100", **cards}
-        return self._checked(FitsImage(counts.astype(np.uint16), header), exposure_s, "2026-01-01T00:00:00.000+00:00")
+        return self.checked(FitsImage(counts.astype(np.uint16), header), exposure_s, "2026-01-01T00:00:00.000+00:00")
 
 
 def delivered(bit_depth: int = 10) -> Delivered:
@@ -108,24 +109,24 @@ def test_headers_that_contradict_what_was_asked_are_refused() -> None:
 
 
 def test_a_frame_that_comes_twice_is_bad() -> None:
-    camera = delivered()
-    first = camera.check(COUNTS)
+    frames = delivered()
+    first = frames.check(COUNTS)
     with pytest.raises(BadFrameError, match=r"sent the frame of 2026-01-01T00:00:00\.100 twice"):
-        camera.check(COUNTS)
-    later = camera.check(COUNTS, **{"DATE-OBS": "2026-01-01T00:00:00.350"})
+        frames.check(COUNTS)
+    later = frames.check(COUNTS, **{"DATE-OBS": "2026-01-01T00:00:00.350"})
     assert first.device_time_s is not None
     assert later.device_time_s == pytest.approx(first.device_time_s + 0.25, abs=1e-6)
-    assert camera.check(COUNTS, **{"DATE-OBS": "unknown"}).device_time_s is None
+    assert frames.check(COUNTS, **{"DATE-OBS": "unknown"}).device_time_s is None
 
 
 def test_left_aligned_counts_are_shifted_and_too_many_refused() -> None:
-    camera = delivered()
-    np.testing.assert_array_equal(camera.check(COUNTS << 6).counts, COUNTS)
+    frames = delivered()
+    np.testing.assert_array_equal(frames.check(COUNTS << 6).counts, COUNTS)
     with pytest.raises(BadFrameError, match="sent counts up to 1024 DN, 10 bits hold 1023 DN"):
-        camera.check(COUNTS + 25, **{"DATE-OBS": "2"})
+        frames.check(COUNTS + 25, **{"DATE-OBS": "2"})
     # Seen with its lowest bits in use once, it is never shifted again.
     flat = np.full_like(COUNTS, 64)
-    np.testing.assert_array_equal(camera.check(flat, **{"DATE-OBS": "3"}).counts, flat)
+    np.testing.assert_array_equal(frames.check(flat, **{"DATE-OBS": "3"}).counts, flat)
     np.testing.assert_array_equal(delivered(16).check(flat).counts, flat)
 
 

@@ -11,8 +11,8 @@ from statistics import median
 
 import pytest
 
+from data_schemas.devices import LampSettings
 from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutError, UnsafeError
-from data_schemas.rig import LampSettings
 from rigs.drivers import open_lamp
 from rigs.host import TerminalOperator
 from rigs.light_guard import GuardedLight, guarded_light

@@ -4,9 +4,10 @@ import io
 
 import pytest
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.capture import Target
+from data_schemas.devices import FilterWheelSettings, LampSettings
 from data_schemas.errors import CaptureError, RefusedError, UnsafeError
-from data_schemas.rig import BandPassFilter, FilterWheelSettings, LampSettings
 from rigs.drivers import open_lamp, open_wheel
 from rigs.host import TerminalOperator
 from rigs.lights.manual import open_switch

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from data_schemas.devices import CameraSettings
 from data_schemas.errors import BadFrameError, LostError, MissingExtraError, RefusedError, TimedOutError
-from data_schemas.rig import CameraSettings
 from finray_calib.radiometry.frame_stack import MONOCHROME, FrameStack, StackStatistics
 from finray_calib.radiometry.photon_transfer import photon_transfer
 from rigs.cameras.micro_manager import MicroManagerCamera, open_camera

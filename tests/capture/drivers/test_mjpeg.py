@@ -19,8 +19,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from data_schemas.devices import CameraSettings
 from data_schemas.errors import BadFrameError, CaptureError, LostError, RefusedError, TimedOutError
-from data_schemas.rig import CameraSettings
 from rigs.cameras.jpeg_picture import decoded_jpeg, jpeg_size_px
 from rigs.cameras.mjpeg import open_camera
 from rigs.capture.exchange import CheckedCamera

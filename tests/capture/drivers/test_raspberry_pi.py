@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from data_schemas.devices import CameraSettings
 from data_schemas.errors import BadFrameError, LostError, MissingExtraError, RefusedError, TimedOutError
-from data_schemas.rig import CameraSettings
 from rigs.cameras.raspberry_pi import found, open_camera
 from rigs.cameras.raspberry_pi_raw import RawLayout
 from tests.capture.drivers import picamera2_stand_in

@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from data_schemas.band_pass_filter import BandPassFilter
+from data_schemas.devices import FilterWheelSettings
 from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutError, WrongPositionError
-from data_schemas.rig import BandPassFilter, FilterWheelSettings
 from rigs.drivers import open_wheel
 from rigs.filter_wheels import thorlabs
 from rigs.filter_wheels.thorlabs import ANSWER_S

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from data_schemas.capture import CaptureSession, PaintPlan, RegionOfInterest, Target
-from data_schemas.rig import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings, RigFile
+from data_schemas.devices import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings
+from data_schemas.rig import RigFile
 from data_schemas.storage import read_toml
 from rigs.capture.paint_session import capture_paint_session
 from rigs.capture.read_session import read_frame_of, read_session

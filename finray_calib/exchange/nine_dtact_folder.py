@@ -1,9 +1,4 @@
-"""Read a 9DTact calibration folder, and predict its ball press with its own depth table.
-
-The sensor sees a black gel through a translucent layer: contact makes a dark blob whose darkness grows with
-depth. The maker's calibration is a table of depth against grey levels of darkening. Reproducing it gives a
-simulation by table, a reference that any physical model has to beat.
-"""
+"""Read a 9DTact calibration folder: the images of a ball press, the scale and the depth table."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,21 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import ImportFormatError
-from finray_calib.compare.regions import disc
+from finray_calib.exchange.nine_dtact_table import ContactCircle, contact_circle
 
 BALL_RADIUS_MM = 4.0
 _RAW_SHAPE = (480, 640, 3)
 _CROP_SHAPE = (345, 460, 3)
-#: Grey levels of darkening that the maker's own calibration takes as contact.
-_CONTACT_LEVELS_DN = 3
-
-
-@dataclass(frozen=True, slots=True)
-class ContactCircle:
-    """Hold the circle around a contact: centre as (row, column) and radius, px."""
-
-    center_px: tuple[int, int]
-    radius_px: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,86 +43,38 @@ class NineDTactSensor:
     circle: ContactCircle
 
 
-def contact_circle(no_contact_rgb: NDArray[np.uint8], sample_rgb: NDArray[np.uint8]) -> ContactCircle:
-    """Return the circle that encloses the largest region darkened by contact.
+def read_nine_dtact(sensor_folder: Path) -> NineDTactSensor:
+    """Read the ball press and the calibration of one 9DTact sensor.
 
-    A pixel is in contact where the mean over channels of max(0, no_contact - sample) exceeds 3 DN. Valid for a
-    press that leaves one blob, as a ball does.
+    The repeat of the no-contact image is ``camera_calibration/ref.png``, taken at an earlier step of the same
+    calibration. The maker names the scale "pixel per mm"; it is millimetres per pixel.
 
     Parameters
     ----------
-    no_contact_rgb, sample_rgb : ndarray of uint8, shape (H, W, 3)
+    sensor_folder : Path
+        The folder that holds ``camera_calibration`` and ``depth_calibration``.
 
     Returns
     -------
-    ContactCircle
-        Rounded down to whole pixels, as the maker's calibration does.
+    NineDTactSensor
 
     Raises
     ------
     ImportFormatError
-        If no pixel got darker by more than 3 DN.
+        If a file is missing, has the wrong shape, or would need unpickling.
     """
-    darkening = np.maximum(no_contact_rgb.astype(np.int16) - sample_rgb, 0).mean(axis=2)
-    contours, _ = cv2.findContours(
-        (darkening > _CONTACT_LEVELS_DN).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
+    depth = sensor_folder / "depth_calibration"
+    no_contact = _load_rgb(depth / "rectify_crop_ref.png", _CROP_SHAPE)
+    sample = _load_rgb(depth / "rectify_crop_sample.png", _CROP_SHAPE)
+    return NineDTactSensor(
+        no_contact_rgb=no_contact,
+        sample_rgb=sample,
+        repeat_no_contact_rgb=load_rectified_crop(sensor_folder, "camera_calibration/ref.png"),
+        mm_per_px=_load_position_scale(sensor_folder / "camera_calibration")[2],
+        ball_radius_mm=BALL_RADIUS_MM,
+        depth_table_mm=load_depth_table(depth / "Pixel_to_Depth.npy"),
+        circle=contact_circle(no_contact, sample),
     )
-    if not contours:
-        raise ImportFormatError(
-            f"No pixel of the sample is darker than the no-contact image by more than {_CONTACT_LEVELS_DN} DN, so "
-            "there is no contact. Check that the two images are not exchanged."
-        )
-    (column, row), radius = cv2.minEnclosingCircle(max(contours, key=cv2.contourArea))
-    return ContactCircle((int(row), int(column)), int(radius))
-
-
-def predict_press(
-    no_contact_rgb: NDArray[np.uint8],
-    circle: ContactCircle,
-    mm_per_px: float,
-    ball_radius_mm: float,
-    table_mm: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Predict the image of a pressed ball from a depth table.
-
-    Inside the circle (radius a) the gel follows a rigid ball, depth(r) = sqrt(R^2 - r^2) - sqrt(R^2 - a^2); the
-    grey level whose table entry has that depth, interpolated linearly, is subtracted from all channels. The
-    gel around the ball is left as it was, which is wrong: it bulges and gets brighter. Depths beyond the table
-    take its last level.
-
-    Parameters
-    ----------
-    no_contact_rgb : ndarray of uint8, shape (H, W, 3)
-    circle : ContactCircle
-    mm_per_px, ball_radius_mm : float
-    table_mm : ndarray, shape (levels,)
-        Depth at each grey level. Entries 0 and 1 are replaced by zero depth at level 0: the maker's entry 0 is
-        the result of an indexing mistake and entry 1 is noise of the threshold.
-
-    Returns
-    -------
-    ndarray, shape (H, W, 3)
-
-    Raises
-    ------
-    ImportFormatError
-        If the circle is as large as the ball.
-    """
-    contact_radius_mm = circle.radius_px * mm_per_px
-    if contact_radius_mm >= ball_radius_mm:
-        raise ImportFormatError(
-            f"The contact circle has radius {contact_radius_mm:.3f} mm, not less than the ball's "
-            f"{ball_radius_mm:.3f} mm. Check the scale (mm per px, not px per mm) and the ball radius."
-        )
-    inside = disc(no_contact_rgb.shape[:2], circle.center_px, circle.radius_px)
-    rows, columns = np.nonzero(inside)
-    distance_mm = mm_per_px * np.hypot(rows - circle.center_px[0], columns - circle.center_px[1])
-    depth_mm = np.sqrt(ball_radius_mm**2 - distance_mm**2) - np.sqrt(ball_radius_mm**2 - contact_radius_mm**2)
-    levels = np.arange(len(table_mm))
-    darkening = np.interp(depth_mm, np.r_[0.0, table_mm[2:]], np.r_[0.0, levels[2:]])
-    prediction = no_contact_rgb.astype(np.float64)
-    prediction[inside] -= darkening[:, None]
-    return prediction
 
 
 def load_depth_table(path: Path) -> NDArray[np.float64]:
@@ -210,40 +147,6 @@ def load_rectified_crop(sensor_folder: Path, image: str) -> NDArray[np.uint8]:
             f"{center_row:.0f}, column {center_column:.0f} leaves the image of {_RAW_SHAPE[0]} x {_RAW_SHAPE[1]} px."
         )
     return crop
-
-
-def read_nine_dtact(sensor_folder: Path) -> NineDTactSensor:
-    """Read the ball press and the calibration of one 9DTact sensor.
-
-    The repeat of the no-contact image is ``camera_calibration/ref.png``, taken at an earlier step of the same
-    calibration. The maker names the scale "pixel per mm"; it is millimetres per pixel.
-
-    Parameters
-    ----------
-    sensor_folder : Path
-        The folder that holds ``camera_calibration`` and ``depth_calibration``.
-
-    Returns
-    -------
-    NineDTactSensor
-
-    Raises
-    ------
-    ImportFormatError
-        If a file is missing, has the wrong shape, or would need unpickling.
-    """
-    depth = sensor_folder / "depth_calibration"
-    no_contact = _load_rgb(depth / "rectify_crop_ref.png", _CROP_SHAPE)
-    sample = _load_rgb(depth / "rectify_crop_sample.png", _CROP_SHAPE)
-    return NineDTactSensor(
-        no_contact_rgb=no_contact,
-        sample_rgb=sample,
-        repeat_no_contact_rgb=load_rectified_crop(sensor_folder, "camera_calibration/ref.png"),
-        mm_per_px=_load_position_scale(sensor_folder / "camera_calibration")[2],
-        ball_radius_mm=BALL_RADIUS_MM,
-        depth_table_mm=load_depth_table(depth / "Pixel_to_Depth.npy"),
-        circle=contact_circle(no_contact, sample),
-    )
 
 
 def _load_position_scale(camera_folder: Path) -> tuple[float, float, float]:
