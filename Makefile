@@ -55,7 +55,7 @@ bench-fit: $(VENV)/installed-bench
 	-for model in $(MODELS); do $(ONE) $(BIN)/python benchmarks/simulation_based_calibration.py --model $$model \
 	  --out bench-out/sbc-$$model.json; done
 	-$(PYTEST_BENCH) benchmarks/test_pixel_maps.py benchmarks/test_photon_transfer.py \
-	  benchmarks/test_radiometry_memory.py --junitxml=bench-out/pytest.xml
+	  benchmarks/test_radiometry_memory.py -o junit_family=xunit1 --junitxml=bench-out/pytest.xml
 	-$(BIN)/python benchmarks/table.py bench-out
 
 bench-compare: $(VENV)/installed-bench llvm

@@ -183,7 +183,8 @@ class PhotometricErrorReport(Record):
     """Comparison of one simulated press with one tactile capture.
 
     The headline is the skill score over the contact patch dilated to twice its half-width: 0 is doing nothing,
-    the floor row is what a repeat of the no-contact image costs, and no score above it says anything.
+    the floor row is what a repeat of the no-contact image costs. Where the camera's noise is taken out (linear light
+    with a repeat) a score may lie above it; elsewhere no score above it says anything.
     """
 
     simulated: str

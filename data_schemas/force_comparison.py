@@ -4,10 +4,17 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from data_schemas.compare import Interval
 from data_schemas.model import Model, Record
 
 NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class ForceEstimate(Model):
+    """Point estimate with a 95 % interval; without ends where the comparison withholds its intervals."""
+
+    estimate: float
+    low95: float | None
+    high95: float | None
 
 
 class ForcePoint(Model):
@@ -16,13 +23,13 @@ class ForcePoint(Model):
     displacement_mm: float = Field(description="as measured")
     depth_mm: float = Field(description="push from first touch, at which the simulation is read")
     force_n: float = Field(description="as measured")
-    simulated_n: Interval = Field(description="95 % over the design's inputs and the numerics, at this push")
+    simulated_n: ForceEstimate = Field(description="95 % over the design's inputs and the numerics, at this push")
     error_n: float
     u_numerical_n: NotNegative
     u_input_n: NotNegative
     u_data_n: NotNegative
     u_validation_n: NotNegative = Field(description="root of the sum of the three squares")
-    within: bool = Field(description="abs(error_n) <= 2 u_validation_n")
+    within: bool | None = Field(description="abs(error_n) <= 2 u_validation_n; None: withheld")
 
 
 class ForceInput(Model):
@@ -40,7 +47,7 @@ class ForceRow(Model):
     """A candidate curve against the measured one."""
 
     candidate: Literal["do nothing", "simulation"]
-    rms_rel: Interval = Field(
+    rms_rel: ForceEstimate = Field(
         description="root mean square of the error over that of the measured force, noise taken out of both; the "
         "interval holds the model's own error, whatever the inputs really are"
     )
@@ -58,13 +65,13 @@ class ForceThird(Model):
     u_input_n: NotNegative
     u_data_n: NotNegative
     u_validation_n: NotNegative
-    within: bool
+    within: bool | None = Field(description="None: withheld")
 
 
 class FirstTouch(Model):
     """Measured displacement at which the indenter first touches: the one nuisance, fitted by least squares."""
 
-    offset_mm: Interval
+    offset_mm: ForceEstimate
     u_mm: NotNegative
 
 
@@ -83,3 +90,6 @@ class ForceComparison(Record):
     budget: tuple[ForceInput, ...]
     draws: int
     not_included: tuple[str, ...] = Field(description="what the intervals do not know, in plain words")
+    withheld: str = Field(
+        default="", description="why there are no intervals and verdicts, and how to get them; empty where there are"
+    )

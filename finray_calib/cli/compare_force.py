@@ -62,7 +62,7 @@ def compare_force_verb(arguments: argparse.Namespace) -> None:
     write_record(comparison, out, provenance(command_line(), input_digests(read), arguments.seed))
     write_bytes(picture, force_figure_png(comparison))
     say(force_lines(comparison))
-    say(f"{out}: written\n{picture}: curve, band and points")
+    say(f"{out}: written\n{picture}: {'curve and points' if comparison.withheld else 'curve, band and points'}")
 
 
 def refuse_force_options(arguments: argparse.Namespace) -> None:

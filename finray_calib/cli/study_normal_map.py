@@ -45,13 +45,17 @@ def run(arguments: argparse.Namespace) -> None:
     from data_schemas.errors import CompareError
     from data_schemas.provenance import provenance
     from data_schemas.storage import read_record, write_record
-    from finray_calib.compare.normal_map_record import normal_map_record
+    from finray_calib.compare.normal_map_record import normal_map_record, require_ball_press
 
     out = require_new(arguments.out or Path("normal-map.json"))
     files: list[Path] = arguments.captures
     captures = _circled([read_record(path, TactileCapture) for path in files], files, arguments.circles)
     captures = _scaled(captures, arguments.scale)
-    with naming(CompareError, files[0].parent):
+    for path, capture in zip(files, captures, strict=True):
+        with naming(CompareError, path):
+            require_ball_press(capture)
+    others = "" if len(files) == 1 else f" and {len(files) - 1} more"
+    with naming(CompareError, Path(f"{files[0]}{others}")):
         record = normal_map_record(captures, out.name.removesuffix(".json"), arguments.seed)
     inputs = [*files, *(path for path in (arguments.circles, arguments.scale) if path)]
     write_record(record, out, provenance(command_line(), input_digests(inputs), arguments.seed))

@@ -12,6 +12,7 @@ from data_schemas.errors import CompareError
 from data_schemas.force_comparison import (
     FirstTouch,
     ForceComparison,
+    ForceEstimate,
     ForceInput,
     ForcePoint,
     ForceRow,
@@ -23,6 +24,7 @@ from finray_calib.compare.first_touch import check_reach, first_touch_weight, fi
 from finray_calib.compare.force_curve import ForceCurve
 from finray_calib.compare.force_inputs import ForceInputs, force_inputs
 from finray_calib.compare.measured_force import MeasuredForce
+from finray_calib.compare.withheld_force_verdicts import without_verdicts
 
 Floats = NDArray[np.float64]
 Candidate = Literal["do nothing", "simulation"]
@@ -69,6 +71,8 @@ def compare_force(
     that the uncertain inputs and the measurement's noise give E. Validation uncertainty u_val^2 = u_num^2 + u_input^2 +
     u_D^2, by draws in which the offset is fitted again (to first order).
 
+    Intervals and verdicts are withheld where neither the design's inputs nor the measurement have an uncertainty.
+
     Parameters
     ----------
     press
@@ -106,7 +110,7 @@ def compare_force(
     refitted = free.refitted(pull, slope) if fit_first_touch else free
     error = curve.at(depth) - measured.force_n
     simulated = curve.at(depth) + free.inputs + free.numerical
-    return ForceComparison(
+    comparison = ForceComparison(
         simulated=press.name,
         label=press.label,
         measured=measured.name,
@@ -124,6 +128,8 @@ def compare_force(
             *_ALWAYS_MISSING,
         ),
     )
+    # numerics alone say nothing of how far finger and measurement may be off
+    return comparison if inputs.names or free.data.any() else without_verdicts(comparison)
 
 
 def _curve_on_other_mesh(press: PressMechanics, other: PressMechanics) -> ForceCurve:
@@ -169,7 +175,7 @@ def _points(
             displacement_mm=float(measured.displacement_mm[i]),
             depth_mm=float(depth[i]),
             force_n=float(measured.force_n[i]),
-            simulated_n=Interval(estimate=float(force[i]), low95=float(low[i]), high95=float(high[i])),
+            simulated_n=ForceEstimate(estimate=float(force[i]), low95=float(low[i]), high95=float(high[i])),
             error_n=float(error[i]),
             u_numerical_n=u_numerical,
             u_input_n=u_input,
@@ -217,14 +223,14 @@ def _rows(measured: MeasuredForce, error: Floats, deviations: _Deviations, noise
     )
     for candidate, found in sizes:
         rms = {name: value / size for name, value in found.model_dump().items()}
-        yield ForceRow(candidate=candidate, rms_rel=Interval(**rms))
+        yield ForceRow(candidate=candidate, rms_rel=ForceEstimate(**rms))
 
 
 def _first_touch(offset_mm: float, moved_mm: Floats) -> FirstTouch:
     """Return the fitted first touch with what the deviations move it by."""
     low, high = offset_mm + np.percentile(moved_mm, _PERCENTILES)
     return FirstTouch(
-        offset_mm=Interval(estimate=offset_mm, low95=float(low), high95=float(high)), u_mm=float(moved_mm.std())
+        offset_mm=ForceEstimate(estimate=offset_mm, low95=float(low), high95=float(high)), u_mm=float(moved_mm.std())
     )
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from data_schemas.capture import TactileCapture
+from data_schemas.capture import ContactCircle, TactileCapture
 from data_schemas.errors import CompareError
 from data_schemas.sensing import NormalMapRecord
 from finray_calib.compare.linear_image import rgb_image
@@ -100,12 +100,7 @@ def calibration_press(capture: TactileCapture) -> CalibrationPress:
     CompareError
         When the capture is not of a ball, or its circle or scale is missing.
     """
-    circle = capture.contact_circle
-    if capture.indenter.shape != "ball" or circle is None:
-        raise CompareError(
-            f"{capture.name}: a normal map is taught by presses of a ball with a known contact circle; this is a "
-            f"{capture.indenter.shape} {'without' if circle is None else 'with'} one"
-        )
+    circle = require_ball_press(capture)
     cell = _cell_px(capture)
     return CalibrationPress(
         contact=rgb_image(capture.contact, capture),
@@ -115,6 +110,24 @@ def calibration_press(capture: TactileCapture) -> CalibrationPress:
         radius_px=circle.radius_px / cell,
         ball_radius_px=capture.indenter.radius_mm / _scale_mm(capture) / cell,
     )
+
+
+def require_ball_press(capture: TactileCapture) -> ContactCircle:
+    """Return the contact circle of a capture that can teach a normal map.
+
+    Raises
+    ------
+    CompareError
+        When the capture is not of a ball, or its circle or scale is missing.
+    """
+    circle = capture.contact_circle
+    if capture.indenter.shape != "ball" or circle is None:
+        raise CompareError(
+            f"{capture.name}: a normal map is taught by presses of a ball with a known contact circle; this is a "
+            f"{capture.indenter.shape} {'without' if circle is None else 'with'} one"
+        )
+    _scale_mm(capture)
+    return circle
 
 
 def _scale_mm(capture: TactileCapture) -> float:

@@ -11,12 +11,11 @@ from data_schemas.simulate import SimulatedPress
 from finray_calib.compare.blocks import block_mean
 from finray_calib.compare.capture_noise import NO_NOISE, capture_noise
 from finray_calib.compare.linear_image import rgb_image
+from finray_calib.compare.press_conditions import require_same_conditions
 from finray_calib.compare.region_sums import Captured
 from finray_calib.compare.render_layers import RenderLayers, render_layers
 
 Floats = NDArray[np.float64]
-# angles are set by hand: this near, they are meant to be one
-_SAME_ANGLE_DEG = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +60,8 @@ def prepare_images(press: SimulatedPress, capture: TactileCapture) -> PreparedIm
     Raises
     ------
     CompareError
-        The images differ in size, linear light would be compared with encoded values, or the render is not finite.
+        Light, indenter or push of both differ (see `require_same_conditions`), the images differ in size, linear light
+        would be compared with encoded values, or the render is not finite.
     """
     contact, no_contact = rgb_image(capture.contact, capture), rgb_image(capture.no_contact, capture)
     repeat = None if capture.repeat_no_contact is None else rgb_image(capture.repeat_no_contact, capture)
@@ -79,15 +79,8 @@ def prepare_images(press: SimulatedPress, capture: TactileCapture) -> PreparedIm
 
 
 def _require_comparable(press: SimulatedPress, capture: TactileCapture, shape: tuple[int, ...]) -> None:
-    """Refuse images of different size, encoding or light, with what to do."""
-    angles = (press.light_angle_deg, capture.light_angle_deg)
-    if angles[0] is not None and angles[1] is not None:
-        allowed_deg = max(_SAME_ANGLE_DEG, 3.0 * (capture.light_angle_uncertainty_deg or 0.0))
-        if abs(angles[0] - angles[1]) > allowed_deg:
-            raise CompareError(
-                f"{press.name} is lit at {angles[0]:g} deg, {capture.name} at {angles[1]:g} deg; up to "
-                f"{allowed_deg:.2g} deg apart are one light: simulate with the capture's light.angle_deg"
-            )
+    """Refuse images of another light, press, size or encoding, with what to do."""
+    require_same_conditions(press, capture)
     if press.contact.shape != shape:
         raise CompareError(
             f"{press.name} has {press.contact.shape[1]} x {press.contact.shape[0]} px, {capture.name} has {shape[1]} x "

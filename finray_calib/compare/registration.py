@@ -174,8 +174,7 @@ def _refined(moving: Floats, fixed: Floats, usable: Mask, matrix: Floats, factor
         )
     except cv2.error:
         raise CompareError(
-            "registration failed: the pictures have too few edges in common, or they are too far apart. Check that the "
-            "render has the camera, the design and the light angle of the capture; compare without --register otherwise"
+            "registration failed: the pictures have too few edges in common, or they are too far apart"
         ) from None
     return scaled_map(np.asarray(found, dtype=np.float64), factor)
 
@@ -249,7 +248,4 @@ def _require_trustworthy(found: Registration, side_px: int) -> None:
             f"{largest_residual_px:.1f} px are allowed"
         )
     if reasons:
-        raise CompareError(
-            f"registration is rejected: {'; '.join(reasons)}. Calibrate the camera with a ChArUco board and simulate "
-            "with that calibration, or compare without --register"
-        )
+        raise CompareError(f"registration is rejected: {'; '.join(reasons)}")

@@ -46,6 +46,7 @@ def require_one_finger(sweep: LightAngleSweep, reports: Sequence[PhotometricErro
             )
         if abs(report.finger.depth_mm - own.depth_mm) > _SAME_DEPTH_MM:
             notes.append(
-                f"{report.captured} was pressed {report.finger.depth_mm:g} mm deep, the sweep is of {own.depth_mm:g} mm"
+                f"the render compared with {report.captured} was pressed {report.finger.depth_mm:g} mm deep, the sweep "
+                f"is of {own.depth_mm:g} mm: the error is that of another depth"
             )
     return tuple(notes)

@@ -12,6 +12,8 @@ from finray_calib.compare.checked_comparison import NO_DRIFT
 UNSTATED_ANGLE_SD_DEG = 2.0
 #: A capture further than this beyond the sweep says nothing about the curve inside it.
 _BEYOND_DEG = 5.0
+#: In the labels of renders whose walls emit alike whatever the light's angle is.
+_PAPER_EMITTER = "level a"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +54,8 @@ def captures_within(
     Raises
     ------
     DecideError
-        A report carries no error of the objective or no angle, is on images that do not belong together, or two are on
-        one capture.
+        A report carries no error of the objective or no angle, is on images that do not belong together or on a render
+        by the paper's emitter, or two are on one capture.
     """
     _refuse_duplicates(reports)
     first, last = sweep.angles_deg[0], sweep.angles_deg[-1]
@@ -101,7 +103,19 @@ def _refuse_duplicates(reports: Sequence[PhotometricErrorReport]) -> None:
 
 
 def _capture_of(report: PhotometricErrorReport) -> ValidatingCapture:
-    """Return the capture of a report; refuse one without error or angle, or on images that do not belong together."""
+    """Return the capture of a report.
+
+    Raises
+    ------
+    DecideError
+        It has no error or angle, its images do not belong together, or its render is not one of the sweep's level.
+    """
+    if _PAPER_EMITTER in report.label:
+        raise DecideError(
+            f"the report on {report.captured} is of a render by level a ('{report.label}'), the sweep is of level b: "
+            "walls of level a emit alike at every angle of the light, so their error says nothing about the curve. "
+            "Simulate the press with --level b (the default) and compare again, or leave the report out"
+        )
     if report.forced_mismatch:
         raise DecideError(
             f"the report on {report.captured} was made despite a mismatch, so its brightness error says nothing about "

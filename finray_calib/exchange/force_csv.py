@@ -3,26 +3,32 @@
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from data_schemas.curve_files import read_table
-from data_schemas.errors import CurveError, ImportFormatError
+from data_schemas.errors import CompareError, CurveError, ImportFormatError
 from finray_calib.compare.measured_force import MeasuredForce
 
 NEEDED: Final = ("displacement_mm", "force_n")
+#: Of the range of displacements: less is the jitter of a gauge.
+_BACK_REL: Final = 0.05
 OPTIONAL: Final = ("force_uncertainty_n", "displacement_uncertainty_mm")
 
 
 def read_force_csv(path: Path) -> MeasuredForce:
     """Read a measured loading curve.
 
-    Columns in any order: displacement_mm of the indenter along the pad's normal and force_n that pushes it back; if
-    known, force_uncertainty_n and displacement_uncertainty_mm (standard uncertainties, independent between rows).
+    Rows in the order of the measurement, loading only. Columns in any order: displacement_mm of the indenter along the
+    pad's normal and force_n that pushes it back; if known, force_uncertainty_n and displacement_uncertainty_mm
+    (standard uncertainties, independent between rows).
 
     Raises
     ------
     ImportFormatError
         The file is missing or no table of finite numbers, or a column is missing, doubled or unknown.
     CompareError
-        There are too few points, an uncertainty is negative, or the force pulls.
+        There are too few points, an uncertainty is negative, the force pulls, or the indenter goes back.
     """
     try:
         header, table = read_table(path)
@@ -40,6 +46,7 @@ def read_force_csv(path: Path) -> MeasuredForce:
     if len(set(header)) < len(header):
         raise ImportFormatError(f"{path}: a column appears twice; {allowed}")
     columns = dict(zip(header, table.T, strict=True))
+    _require_loading(path, columns["displacement_mm"])
     return MeasuredForce(
         path.name,
         columns["displacement_mm"],
@@ -47,3 +54,16 @@ def read_force_csv(path: Path) -> MeasuredForce:
         columns.get("force_uncertainty_n"),
         columns.get("displacement_uncertainty_mm"),
     )
+
+
+def _require_loading(path: Path, displacement_mm: NDArray[np.float64]) -> None:
+    """Refuse rows in which the indenter goes back: rubber pushes less on the way out."""
+    deepest = np.maximum.accumulate(displacement_mm)
+    back = np.flatnonzero(deepest - displacement_mm > _BACK_REL * np.ptp(displacement_mm))
+    if back.size:
+        row = int(back[0])
+        raise CompareError(
+            f"{path}: in row {row + 1} under the header the displacement is {displacement_mm[row]:g} mm after "
+            f"{deepest[row]:g} mm: the indenter goes back, and unloading pushes less than loading. Leave out the rows "
+            "of unloading; if all rows are of loading, sort them by displacement_mm"
+        )

@@ -19,7 +19,7 @@ from finray_calib.reports.origin_tables import files_table, images_table, scale_
 from finray_calib.reports.page import render_page
 from finray_calib.reports.plain_json import Json, plain
 from finray_calib.reports.section import Content, Part
-from finray_calib.reports.statements import repeat_text, simulation_sentence
+from finray_calib.reports.statements import is_noise_taken_out, repeat_text, simulation_sentence
 from finray_calib.reports.touch_sections import grid_phrase
 
 TEMPLATE = "result_page.html.j2"
@@ -103,7 +103,10 @@ def _key_numbers(report: PhotometricErrorReport) -> tuple[tuple[str, str, str], 
     skill, floor = report.headline_skill, row_of(headline(report), "floor")
     repeated = ("not known", "no repeat of the no-contact image was captured")
     if floor is not None:
-        repeated = (repeat_text(floor.skill.estimate), "with its noise, which the simulation's score is free of")
+        noise = "with its noise, which the simulation's score is free of"
+        if not is_noise_taken_out(report):
+            noise = "with its noise, which is in the simulation's score too"
+        repeated = (repeat_text(floor.skill.estimate), noise)
     between = f"95 %: {fixed(skill.low95, 2)} to {fixed(skill.high95, 2)}"
     numbers = [
         ("Skill of the simulation", fixed(skill.estimate, 2), between),

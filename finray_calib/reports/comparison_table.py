@@ -1,5 +1,7 @@
 """The comparison as a plain text table for the terminal."""
 
+from textwrap import wrap
+
 from data_schemas.compare import ErrorRow, PhotometricErrorReport, RegionError
 from finray_calib.reports.number_text import fixed, significant, skill_text
 
@@ -36,7 +38,8 @@ def comparison_lines(report: PhotometricErrorReport) -> str:
     skill = report.headline_skill
     headline = skill_text(skill.estimate, skill.low95, skill.high95)
     lines += ["", _cut(f"headline: skill {headline} over {report.headline_region}", WIDTH_COLUMNS)]
-    lines += [_cut(f"withheld: {reason}", WIDTH_COLUMNS) for reason in report.withheld]
+    for reason in report.withheld:
+        lines += wrap(f"withheld: {reason}", WIDTH_COLUMNS, subsequent_indent="  ")
     return "\n".join(lines) + "\n"
 
 

@@ -60,15 +60,22 @@ def simulation_sentence(report: PhotometricErrorReport) -> str:
         # with the noise taken out an estimate may lie above 1
         share = "all" if skill.estimate >= 1 else percent(skill.estimate)
         meaning = f"The simulated touch explains {share} of the squared change in the image: skill {score}"
-    bound = "no repeat was captured, so the camera's noise is unknown and lowers the score"
+    bound, taken_out = "no repeat was captured, so the camera's noise is unknown and lowers the score", ""
     if floor is not None:
         repeated = repeat_text(floor.skill.estimate)
+        bound = f"a repeated capture in its place scores {repeated}; the noise of encoded values stays in both scores"
+    if floor is not None and is_noise_taken_out(report):
         bound = f"a repeated capture in its place, whose noise is not, scores {repeated}"
-    taken_out = "" if floor is None else " (the camera's noise is taken out)"
+        taken_out = " (the camera's noise is taken out)"
     return (
         f"{meaning} over the region \u201c{report.headline_region}\u201d. Doing nothing scores 0, a perfect simulation "
         f"1{taken_out}; {bound}."
     )
+
+
+def is_noise_taken_out(report: PhotometricErrorReport) -> bool:
+    """Return whether the scores are free of the camera's noise: linear light, and a repeat to tell its noise from."""
+    return report.values == "linear light" and row_of(headline(report), "floor") is not None
 
 
 def level_a_sentence(report: PhotometricErrorReport, report_level_a: PhotometricErrorReport) -> str:

@@ -9,7 +9,7 @@ from data_schemas.errors import SimulateError
 from data_schemas.mechanical_design import Preset
 from data_schemas.press_mechanics import ContactKind, PressIncrement, PressMechanics, PressSensitivities
 from data_schemas.surfaces import FingerSurfaces
-from sim.mechanics.finger_mesh import finger_mesh
+from sim.mechanics.finger_mesh import FORCE_EXCESS_REL, finger_mesh
 from sim.mechanics.mesh import FingerMesh
 from sim.mechanics.press_contact import ContactChoice, chosen_contact
 from sim.mechanics.pressed_finger import PressedFinger, contact_distance
@@ -198,6 +198,8 @@ def _mechanics(
         notes=(
             pressed.contact,
             f"gel: C10 = {gel.c10_mpa:g} MPa, K/mu = {gel.bulk_over_shear:g} (the paper gives no K)",
+            f"mesh: on the 70 x 35 finger this fineness gives {FORCE_EXCESS_REL[preset]:.0%} more force than an "
+            "infinitely fine one, extrapolated",
             "dimensions of the skeleton are assumed unless the design's origin says otherwise; forces are unvalidated",
             *notes,
         ),

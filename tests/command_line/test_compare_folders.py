@@ -103,3 +103,9 @@ def test_mistakes_are_told_and_nothing_is_written(folders: Path, arguments: str,
     assert outcome.status == 2
     assert message in outcome.err
     assert tree(folders) == before
+
+
+def test_the_help_says_where_a_score_may_lie_above_the_floor() -> None:
+    """The noise of linear captures is taken out of the score, not of the floor."""
+    told = " ".join(finray("compare --help").out.split())
+    assert "so that the score may lie above it; with encoded values both hold the noise" in told

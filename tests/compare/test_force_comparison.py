@@ -9,6 +9,8 @@ from finray_calib.compare.error_size import error_size
 from finray_calib.compare.force_comparison import compare_force
 from finray_calib.compare.force_curve import ForceCurve, log_sensitivity
 from finray_calib.compare.measured_force import MeasuredForce
+from finray_calib.reports.force_figure import force_figure_png
+from finray_calib.reports.force_table import force_lines
 from tests.compare.force_curves import (
     INCREMENTS_MM,
     POWERS,
@@ -74,6 +76,30 @@ def test_without_error_noise_and_inputs_nothing_is_left(rng):
     assert rows["do nothing"].estimate == pytest.approx(1.0)
     assert any("--sensitivities" in missing for missing in found.not_included)
     assert any("states no uncertainty" in missing for missing in found.not_included)
+
+
+def test_without_any_uncertainty_intervals_and_verdicts_are_withheld(rng):
+    depth = np.linspace(0.1, 2.0, 12)
+    bare = MeasuredForce("a tenth stiffer", depth, 1.1 * force_at(depth))
+    found = compare_force(without_uncertain_inputs(), bare, rng)
+    assert "--sensitivities" in found.withheld
+    assert "force_uncertainty_n" in found.withheld
+    assert {point.within for point in found.points} == {third.within for third in found.thirds} == {None}
+    ends = [*(row.rms_rel for row in found.rows), found.first_touch.offset_mm, *(p.simulated_n for p in found.points)]
+    assert all(value.low95 is None and value.high95 is None for value in ends)
+    told = force_lines(found)
+    assert "off by more than" not in told
+    assert "[" not in told
+    assert "withheld: intervals and verdicts" in told
+    assert force_figure_png(found).startswith(b"\x89PNG")
+    # either of both is enough to judge by
+    for press, measured in (
+        (power_law_press(), bare),
+        (without_uncertain_inputs(), MeasuredForce(bare.name, depth, bare.force_n, np.full(12, 0.01))),
+    ):
+        judged = compare_force(press, measured, rng)
+        assert not judged.withheld
+        assert all(third.within is not None for third in judged.thirds)
 
 
 def test_a_known_scale_error_is_the_relative_rms(rng):

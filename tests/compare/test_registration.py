@@ -95,9 +95,8 @@ def test_what_cannot_be_trusted_is_rejected_with_reasons():
     rng = np.random.default_rng(0)
     flat = np.full((*SHAPE, 3), 100.0)
     for other in (flat + rng.standard_normal(flat.shape), flat):
-        with pytest.raises(
-            CompareError, match=r"registration (failed: the pictures have too few|is rejected: ).*--register"
-        ):
+        # what to do depends on what was asked for: see the test of what is said about a failed registration
+        with pytest.raises(CompareError, match=r"registration (failed: the pictures have too few|is rejected: )"):
             register(shaded(rng), other)
     far = np.array([[1.0, 0.0, 26.0], [0.0, 1.0, 0.0]])
     with pytest.raises(CompareError, match=r"it moves the render by up to [23]\d\.\d px, 12 px are allowed"):
@@ -197,6 +196,38 @@ def test_registration_that_was_asked_for_and_fails_is_an_error_else_a_finding():
     )
     with pytest.raises(CompareError, match="on the images with no contact"):
         compare_checked(flat, capture, 1, CheckOptions(registered=True, despite_mismatch=True))
+
+
+def test_what_to_do_about_a_failed_registration_is_said_once_and_fits_the_command():
+    press = press_record()
+    capture = capture_of(press, 50.0)
+    flat = press.model_copy(
+        update={"no_contact": 0 * press.no_contact + 50, "contact": 50 * press.contact / press.contact}
+    )
+    report, _ = compare_checked(flat, capture, 1, CheckOptions(despite_mismatch=True))
+    (told,) = [finding for finding in report.findings if "cannot be told" in finding]
+    assert told.count("registration") == 2
+    assert told.count("Check that the render") == told.count("ChArUco") == 1
+    assert "--register" not in told
+    detailed = detailed_press()
+    far, seen = move_press(detailed, np.array([[1.0, 0.0, 26.0], [0.0, 1.0, 0.0]])), capture_of(detailed, 50.0)
+    for rendered, captured, reason in ((flat, capture, "failed: the pictures have"), (far, seen, "is rejected: ")):
+        with pytest.raises(CompareError, match=rf"registration {reason}.*, or compare without --register$") as refused:
+            compare_checked(rendered, captured, 1, CheckOptions(registered=True, despite_mismatch=True))
+        assert str(refused.value).count("Check that the render") == 1
+
+
+@pytest.mark.parametrize("registered", [False, True])
+def test_a_prediction_from_the_captures_own_picture_tells_no_drift(registered):
+    press = press_record("unknown")
+    capture = capture_of(press, 50.0, encoding="unknown")
+    own = capture.no_contact - np.float32(capture.black_level_dn)
+    predicted = press.model_copy(update={"no_contact": own, "contact": own * (press.contact / press.no_contact)})
+    report, shown = compare_checked(predicted, capture, 1, CheckOptions(registered=registered))
+    assert shown is predicted
+    (told,) = [finding for finding in report.findings if "drift" in finding]
+    assert "begins from the capture's own image without contact" in told
+    assert "px" not in told
 
 
 def test_a_mismatch_is_refused_or_told():

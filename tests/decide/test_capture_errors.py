@@ -32,6 +32,7 @@ def report(captured, angle_deg, error, angle_sd_deg=1.0, findings=(), forced_mis
     """Only what a decision reads."""
     return PhotometricErrorReport.model_construct(
         captured=captured,
+        label="rendered, level b, llvm_ad_rgb",
         values="encoded values, encoding unknown" if error is None else "linear light",
         light_angle_deg=angle_deg,
         light_angle_uncertainty_deg=angle_sd_deg,
@@ -139,6 +140,18 @@ def test_what_the_checks_found_and_other_paints_are_told():
         f"the green paint of the sweep (SHA-256 {green}) is not named by the reports on a, b: their renders may have "
         "another paint",
     )
+
+
+@pytest.mark.parametrize("emitter", ["paper's emitter", "paper's emitter, inverse square"])
+def test_an_error_of_the_papers_emitter_says_nothing_about_the_angle(emitter):
+    of_level_a = report("a", 10.0, objective_error(np.zeros(3))).model_copy(
+        update={"label": f"rendered, level a ({emitter}), llvm_ad_rgb"}
+    )
+    with pytest.raises(
+        DecideError, match=r"the report on a is of a render by level a \('rendered, .*\), the sweep is of level b: .* "
+        r"emit alike at every angle .* --level b",
+    ):  # fmt: skip
+        capture_errors(sweep_record(), [of_level_a])
 
 
 def test_reports_of_one_source_share_their_draws():

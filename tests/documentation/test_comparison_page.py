@@ -53,6 +53,17 @@ def page(html: str) -> Page:
     return Page(html)
 
 
+def test_the_page_says_that_noise_was_taken_out_only_where_it_was(html):
+    free, within = "which the simulation\u2019s score is free of", "which is in the simulation\u2019s score too"
+    encoded = page_of(REPORT.model_copy(update={"values": "encoded values, encoding unknown"}))
+    linear, encoded = (text.replace("&#39;", "\u2019").replace("'", "\u2019") for text in (html, encoded))
+    assert free in linear
+    assert within not in linear
+    assert within in encoded
+    assert free not in encoded
+    assert "noise is taken out" not in encoded.split('id="trust"')[0]
+
+
 def test_the_verdict_stands_before_trust_images_and_tables(html, page):
     assert page.open == []
     verdict = html.index("Better than no simulation</h2>")

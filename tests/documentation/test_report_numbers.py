@@ -172,6 +172,21 @@ def test_the_simulation_is_praised_only_as_far_as_its_interval(low: float, high:
     assert "a repeated capture in its place, whose noise is not, scores 0.998" in sentence
 
 
+def test_noise_is_said_to_be_taken_out_only_where_it_was() -> None:
+    """Encoded values keep the camera's noise, whatever the floor tells."""
+    encoded = RESULTS.report.model_copy(update={"values": "encoded values, encoding unknown"})
+    sentence = statements.simulation_sentence(encoded)
+    assert "taken out" not in sentence
+    assert "scores 0.998; the noise of encoded values stays in both scores" in sentence
+
+
+def test_the_console_gives_the_whole_reason_of_what_is_withheld() -> None:
+    reason = "relative RMS, " + "gradient and colour error, " * 8 + "are not given: the encoding of it is unknown"
+    text = comparison_lines(RESULTS.report.model_copy(update={"withheld": (reason,)}))
+    assert f"withheld: {reason}" in " ".join(text.split())
+    assert max(map(len, text.splitlines())) <= WIDTH_COLUMNS
+
+
 def test_a_missing_floor_is_said() -> None:
     regions = tuple(region.model_copy(update={"rows": region.rows[:2]}) for region in RESULTS.report.regions)
     report = RESULTS.report.model_copy(update={"regions": regions})

@@ -296,6 +296,7 @@ def test_from_a_taxim_folder_to_a_normal_map(tmp_path, monkeypatch):
     assert "exists already" in again.err
     few = finray(f"study normal-map {files.split()[0]} --out few.json")
     assert few.status == 2
+    assert f"{files.split()[0]}: a normal map needs" in few.err
     assert "needs at least 12 ball presses, got 1" in few.err
 
 
@@ -323,6 +324,7 @@ def test_circles_for_captures_that_have_none(tmp_path):
     named = " ".join(map(str, files))
     outcome = finray(f"study normal-map {named} --out {tmp_path}/m.json")
     assert outcome.status == 2
+    assert f"{files[0]}: " in outcome.err
     assert "press 1: a normal map is taught by presses of a ball with a known contact circle" in outcome.err
     (tmp_path / "circles.csv").write_text("\n".join(lines[:-1]) + "\n")
     outcome = finray(f"study normal-map {named} --circles {tmp_path}/circles.csv --out {tmp_path}/m.json")

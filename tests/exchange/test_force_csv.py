@@ -60,6 +60,18 @@ def test_bad_files(text, message, tmp_path):
         read_force_csv(path)
 
 
+def test_unloading_is_refused_with_its_row(tmp_path):
+    path = tmp_path / "bench.csv"
+    path.write_text(csv(rows=[*ROWS, (1.5, 2.6), (1.0, 1.5)]))
+    with pytest.raises(
+        CompareError, match=r"bench\.csv: in row 6 under the header .* 1\.5 mm after 2 mm: .* Leave out"
+    ):
+        read_force_csv(path)
+    # a gauge that jitters by 2 % of the range goes on loading
+    path.write_text(csv(rows=[*ROWS[:3], (0.96, 2.1), *ROWS[3:]]))
+    assert len(read_force_csv(path).force_n) == 6
+
+
 def test_a_missing_file_and_too_few_points(tmp_path):
     with pytest.raises(ImportFormatError, match="no such file"):
         read_force_csv(tmp_path / "none.csv")

@@ -20,8 +20,9 @@ ROOT = Path(__file__).resolve().parents[2]
 FILTERS = ("450", "560", "600", "660")
 EXPOSURE_S = 0.01
 DISTINCT = 4
+# getrusage would count the parent that it was forked from
 REDUCE = """
-import json, resource, sys, time
+import json, sys, time
 from pathlib import Path
 from finray_calib.radiometry.band_signals import band_signals
 from rigs.capture.read_session import read_frame_of, read_session
@@ -29,9 +30,10 @@ folder = Path(sys.argv[1])
 session = read_session(folder)
 start = time.perf_counter()
 bands = band_signals(session, lambda frame: read_frame_of(folder, frame))
+peak_kb = next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
 print(json.dumps({
     "frames": len(session.frames), "seconds": time.perf_counter() - start, "pixels": bands.region_pixels,
-    "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    "peak_mb": peak_kb / 1024,
 }))
 """
 
