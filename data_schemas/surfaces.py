@@ -21,6 +21,9 @@ class FingerSurfaces(Record):
 
     name: str
     label: str = Field(description="where the shape comes from, for example 'at rest'")
+    push_mm: float | None = Field(
+        default=None, description="how far the indenter was pushed from first touch; none where it is not known"
+    )
     parts: tuple[str, ...]
     vertex_counts: Counts
     triangle_counts: Counts

@@ -187,13 +187,23 @@ def _scene(arguments: argparse.Namespace, design: "FingerDesign") -> _Scene:
     calibrations = {colour: read_record(path, PaintCalibration) for colour, path in files.items()}
     digests = {colour: sha256_of(path) for colour, path in files.items()}
     meshes = [] if arguments.surfaces is None else [arguments.surfaces]
-    shapes = restore_shapes(read_record(meshes[0], FingerSurfaces)) if meshes else None
+    shapes = None
+    for file in meshes:
+        stored = read_record(file, FingerSurfaces)
+        shapes, design = restore_shapes(stored), _as_pressed(design, stored.push_mm)
     paints = {colour: paint_optics(calibration) for colour, calibration in calibrations.items()}
     finger = paint_finger(design, paints, arguments.design.parent, open_engine(arguments.engine))
     seed = DEFAULT_SEED if arguments.seed is None else arguments.seed
     inputs = [*design_inputs(design, arguments.design), *files.values(), *meshes]
     origin = provenance(command_line(), input_digests(inputs), seed)
     return _Scene(finger, calibrations, digests, shapes, seed, origin)
+
+
+def _as_pressed(design: "FingerDesign", push_mm: float | None) -> "FingerDesign":
+    """Return the design with the push that its surfaces had: less than its own where the press ended early."""
+    if push_mm is None:
+        return design
+    return design.model_copy(update={"indenter": design.indenter.model_copy(update={"depth_mm": push_mm})})
 
 
 def _render(arguments: argparse.Namespace, scene: _Scene, out: Path, progress: Progress) -> None:

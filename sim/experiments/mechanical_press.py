@@ -231,4 +231,4 @@ def _surfaces(design: FingerDesign, pressed: PressedFinger, engine: str) -> Fing
         contact_distance(pressed, nodes),
         label,
     )
-    return store_shapes(rest, deformed, f"{design.name}, pressed")
+    return store_shapes(rest, deformed, f"{design.name}, pressed", float(pressed.depth_mm[-1]))

@@ -7,12 +7,13 @@ from sim.surface_meshes.finger_shape import FingerShape
 from sim.surface_meshes.surface import Surface
 
 
-def store_shapes(rest: FingerShape, pressed: FingerShape, name: str) -> FingerSurfaces:
-    """Return a finger without and with contact, on the same meshes, as a record."""
+def store_shapes(rest: FingerShape, pressed: FingerShape, name: str, push_mm: float | None = None) -> FingerSurfaces:
+    """Return a finger without and with contact, on the same meshes, as a record; the indenter's push where known."""
     surfaces = list(pressed.surfaces.values())
     return FingerSurfaces(
         name=name,
         label=pressed.label,
+        push_mm=push_mm,
         parts=tuple(pressed.surfaces),
         vertex_counts=np.array([len(s.vertices_mm) for s in surfaces]),
         triangle_counts=np.array([len(s.triangles) for s in surfaces]),

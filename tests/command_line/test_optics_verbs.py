@@ -5,9 +5,13 @@ import numpy as np
 import pytest
 
 from data_schemas.capture import TactileCapture
+from data_schemas.design import FingerDesign
+from data_schemas.provenance import provenance
 from data_schemas.simulate import SimulatedPress
-from data_schemas.storage import read_record
+from data_schemas.storage import read_record, read_toml, write_record
 from finray_calib.exchange.render_files import read_exr
+from sim.surface_meshes.finger_shape import pressed_shape, rest_shape
+from sim.surface_meshes.stored_shape import store_shapes
 from tests.command_line.running import finray, succeed
 
 
@@ -89,3 +93,18 @@ def test_optics_writes_record_capture_and_images(design, paints, tmp_path):
     again = finray(run)
     assert again.status == 2
     assert "a.press.json: exists already" in again.err
+
+
+def test_render_of_stored_surfaces_has_the_push_that_they_had(design, paints, tmp_path):
+    finger = read_toml(design, FingerDesign)
+    early = finger.indenter.model_copy(update={"depth_mm": 0.75})
+    pressed = pressed_shape(finger.model_copy(update={"indenter": early}))
+    surfaces = store_shapes(rest_shape(finger), pressed, "ended early", push_mm=0.75)
+    write_record(surfaces, tmp_path / "early.surfaces.json", provenance("test", {}, 1))
+    files = f"--paint red={paints}/red/paint.json --paint green={paints}/green/paint.json"
+    run = f"simulate {design} {files} --surfaces {tmp_path}/early.surfaces.json --engine scalar --samples 2"
+    succeed(f"{run} --out {tmp_path}/early.press.json")
+    press = read_record(tmp_path / "early.press.json", SimulatedPress)
+    assert press.name == "small finger, press of 0.75 mm"
+    assert press.design is not None
+    assert press.design.indenter == early != finger.indenter

@@ -74,6 +74,7 @@ def test_the_surfaces_close_and_the_gel_keeps_its_volume(records):
     # K/mu = 20: a confined pad loses up to 1 % of its volume at this push
     assert check_closed(shape.gel) == pytest.approx(check_closed(rest.gel), rel=0.01)
     assert shape.label == "finite elements, push of 1 mm"
+    assert stored.push_mm == 1.0
     assert mechanics.label.startswith("finite elements, coarse mesh, ")
 
 
