@@ -60,7 +60,7 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         description=SHOW_DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    show.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML)")
+    show.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML), or the name of a preset")
     show.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
     show.add_argument(
         "--out", type=Path, metavar="FILE", help="drawing (.png) or interactive page (.html); must be new"
@@ -109,13 +109,19 @@ def run_init(arguments: argparse.Namespace) -> None:
 def run_show(arguments: argparse.Namespace) -> None:
     """Tell what the camera sees, and draw the finger."""
     from data_schemas.design import FingerDesign
+    from data_schemas.errors import SimulateError
     from data_schemas.storage import read_toml
     from data_schemas.whole_files import write_bytes
+    from finray_calib.reports.finger_outline import finger_outline
     from sim.experiments.camera_view import camera_view
+    from sim.presets import PRESETS, preset_design
 
-    design = read_toml(arguments.design, FingerDesign)
+    is_preset = not arguments.design.exists() and str(arguments.design) in PRESETS
+    design = preset_design(str(arguments.design)) if is_preset else read_toml(arguments.design, FingerDesign)
     out = None if arguments.out is None else _drawing_path(arguments.out)
-    view = camera_view(design, arguments.design.parent, open_engine(arguments.engine))
+    with naming(SimulateError, arguments.design):
+        finger_outline(design, arguments.design.parent)  # parts that do not fit are told before anything is shown
+        view = camera_view(design, arguments.design.parent, open_engine(arguments.engine))
     say(str(view))
     if out is not None:
         write_bytes(out, _drawing(view, arguments.design.parent, out.suffix.lower()))

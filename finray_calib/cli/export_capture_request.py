@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli.options import file_name, require_new, say
+from finray_calib.cli.options import file_name, open_engine, require_new, say
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -15,6 +15,8 @@ def run(arguments: argparse.Namespace) -> None:
     from finray_calib.cli.export_deck import refuse_options as refuse_deck
     from finray_calib.cli.export_taxim import refuse_options as refuse_taxim
     from finray_calib.exchange.capture_request import capture_request
+    from finray_calib.exchange.requested_presses import PlannedView
+    from sim.experiments.camera_view import camera_view
 
     refuse_deck(arguments)
     refuse_taxim(arguments)
@@ -26,7 +28,10 @@ def run(arguments: argparse.Namespace) -> None:
     path: Path = arguments.paint[1]
     design = read_toml(path, FingerDesign)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.request.md"))
-    request = capture_request(design, path.name, out.name.removesuffix(".md"))
+    seen = camera_view(design, path.parent, open_engine("auto"))
+    scale, u_rel = seen.mm_per_px
+    view = PlannedView(*seen.seen_mm, mm_per_px=scale, mm_per_px_u_rel=u_rel)
+    request = capture_request(design, path.name, out.name.removesuffix(".md"), view)
     plans = {require_new(out.with_name(name)): text for name, text in request.plans.items()}
     write_bytes(out, request.page.encode())
     for plan, text in plans.items():

@@ -118,8 +118,26 @@ def _sensor(arguments: argparse.Namespace, progress: Progress) -> "tuple[BallPre
     from sim.experiments.taxim_calibration import render_ball_presses
 
     path: Path = arguments.paint[1]
+    _refuse_finger(path)
     sensor = read_toml(path, PlainSensor)
     return render_ball_presses(sensor, open_engine("auto"), *_amounts(arguments), progress), [path]
+
+
+def _refuse_finger(path: Path) -> None:
+    """Refuse the design of a finger, whose walls need paints."""
+    from data_schemas.design import FingerDesign
+    from data_schemas.errors import FinrayError, RecordError
+    from data_schemas.storage import read_toml
+
+    try:
+        design = read_toml(path, FingerDesign)
+    except FinrayError:
+        return
+    raise RecordError(
+        f"{path}: is the design of a finger, '{design.name}', whose walls need paints: add "
+        "--paint red=PAINT.paint.json and --paint green=PAINT.paint.json; without paints a Taxim "
+        "folder is that of a classic sensor"
+    )
 
 
 def _finger(arguments: argparse.Namespace, progress: Progress) -> "tuple[BallPresses, list[Path]]":

@@ -52,13 +52,14 @@ def _add_format(
         name, help=help_line, description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of one sensor or one press")
-    add_out(parser, CAPTURE_OUT)
+    add_out(parser, CAPTURE_OUT if name == "9dtact" else "FOLDER.capture.json")
     parser.set_defaults(run=run, predict_from=None, tuning=None)
     return parser
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Import and report."""
+    from data_schemas.errors import ImportFormatError
     from data_schemas.provenance import provenance
     from data_schemas.storage import write_record
     from data_schemas.whole_files import sha256_of
@@ -67,6 +68,11 @@ def run(arguments: argparse.Namespace) -> None:
     out = require_new(arguments.out or Path(f"{folder.resolve().name}.capture.json"))
     press_out = out.with_name(f"{out.name.removesuffix('.json').removesuffix('.capture')}.press.json")
     if arguments.predict_from is not None:
+        if arguments.predict_from.resolve() == folder.resolve():
+            raise ImportFormatError(
+                f"--predict-from {arguments.predict_from}: a sensor's own table predicts what it was made from; give "
+                "the folder of another sensor"
+            )
         require_new(press_out)
     capture, press = _raspberry_pi(arguments) if arguments.format == "raspberry-pi" else _nine_dtact(arguments)
     sources = [f for f in (folder, arguments.predict_from) if f is not None]

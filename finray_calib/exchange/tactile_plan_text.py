@@ -4,7 +4,7 @@ import json
 from typing import Final
 
 from data_schemas.design import FingerDesign
-from finray_calib.exchange.requested_presses import IndenterPresses, Press
+from finray_calib.exchange.requested_presses import IndenterPresses, PlannedView, Press
 
 REPEATS: Final = 3
 NO_CONTACT_IMAGES: Final = 2
@@ -25,7 +25,7 @@ images = {BOARD_IMAGES}
 
 
 def tactile_plan_text(
-    design: FingerDesign, design_file: str, asked: IndenterPresses, angle_deg: float, board: bool
+    design: FingerDesign, design_file: str, asked: IndenterPresses, view: PlannedView, angle_deg: float, board: bool
 ) -> str:
     """Return a plan of presses at one panel angle.
 
@@ -37,19 +37,20 @@ def tactile_plan_text(
         Its file, as the plan names it.
     asked
         What to press.
+    view
+        Whose scale is planned.
     angle_deg
         Of the panel, deg.
     board
         Whether images of a ChArUco board come first.
     """
     tables = "".join(_press_table(press) for press in asked.presses)
-    return _head(design, design_file, asked, angle_deg) + (_BOARD if board else "") + tables
+    return _head(design, design_file, asked, view, angle_deg) + (_BOARD if board else "") + tables
 
 
-def _head(design: FingerDesign, design_file: str, asked: IndenterPresses, angle_deg: float) -> str:
+def _head(design: FingerDesign, design_file: str, asked: IndenterPresses, view: PlannedView, angle_deg: float) -> str:
     """Return what all presses of a plan share."""
     name = f"{design.name}, {asked.shape}, panel at {angle_deg:g} deg"
-    scale_mm = design.pad.length_mm / design.camera.width_px
     return f"""\
 # Written by finray. Lines with MEASURE hold what is planned: put in what you measured.
 kind = "tactile"
@@ -61,8 +62,8 @@ repeats = {REPEATS}                      # of each press, the indenter taken awa
 led_current_ma = {_LED_CURRENT_MA:.1f}            # MEASURE
 light_angle_deg = {_float(angle_deg)}           # MEASURE: the panel's normal from the pad plane
 light_angle_uncertainty_deg = {_ANGLE_U_DEG}  # MEASURE: standard uncertainty
-mm_per_px = {_float(scale_mm)}  # MEASURE: 'finray study pixel-scale' says it and the next line
-mm_per_px_u_rel = 0.2            # MEASURE: relative standard uncertainty
+mm_per_px = {_float(view.mm_per_px)}  # MEASURE: 'finray study pixel-scale' says it and the next line
+mm_per_px_u_rel = {_float(view.mm_per_px_u_rel)}  # MEASURE: relative standard uncertainty
 
 [indenter]
 shape = "{asked.shape}"

@@ -42,10 +42,26 @@ class CameraView:
         """Return the share of the picture that shows a part."""
         return float(self.maps.sees(part).mean())
 
+    @property
+    def seen_mm(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Lowest and highest place of the coat that is seen, along (z) and across (x) the pad."""
+        place = self.maps.coat_mm(self.design)
+        low, high = np.nanmin(place, axis=(0, 1)), np.nanmax(place, axis=(0, 1))
+        return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
+
+    @property
+    def mm_per_px(self) -> tuple[float, float]:
+        """Median size of a sensor pixel on the coat, along and across together, and its relative standard uncertainty.
+
+        Twice that uncertainty reaches as far as 95 % of the pixels.
+        """
+        both = 1.0 / np.concatenate([self.px_per_mm_along.ravel(), self.px_per_mm_across.ravel()])
+        low, middle, high = np.nanpercentile(both, (2.5, 50.0, 97.5))
+        return float(middle), float(max(middle - low, high - middle) / (2.0 * middle))
+
     def __str__(self) -> str:
         """Say it in a few lines."""
-        place = self.maps.coat_mm(self.design)
-        (z_low, x_low), (z_high, x_high) = np.nanmin(place, axis=(0, 1)), np.nanmax(place, axis=(0, 1))
+        (z_low, z_high), (x_low, x_high) = self.seen_mm
         pad, half = self.design.pad, self.design.pad.width_mm / 2.0
         walls = [self.picture_share(name) for name in ("red", "green")]
         return "\n".join(

@@ -367,8 +367,32 @@ CASES = (
     Case(
         "pad in metres",
         MECHANICS,
-        r"pad\.thickness_mm: 0\.006 mm is outside .* looks like a number in metres: write 6",
+        r"'pad\.thickness_mm' \(in mm\): 0\.006 mm is outside .* looks like a number in metres: write 6",
         design("[pad]\nthickness_mm = 0.006\n[indenter]\ndepth_mm = 0.001"),
+    ),
+    Case(
+        "pad's length in metres",
+        MECHANICS,
+        r"'pad\.length_mm' \(in mm\): 0\.07 mm is outside .* looks like a number in metres: write 70",
+        design("[pad]\nlength_mm = 0.07\n"),
+    ),
+    Case(
+        "depth in metres",
+        MECHANICS,
+        r"depth_mm = 0\.0015 mm is less than .* looks like a number in metres: write 1\.5",
+        design("[indenter]\ndepth_mm = 0.0015\n"),
+    ),
+    Case(
+        "9DTact sensor that predicts itself",
+        "import 9dtact {tmp}/s --predict-from {tmp}/./s",
+        r"a sensor's own table predicts what it was made from; give the folder of another sensor",
+        design(""),
+    ),
+    Case(
+        "finger without paints as a Taxim sensor",
+        "export taxim {tmp}/finger.toml --out {tmp}/t",
+        r"finger\.toml: is the design of a finger, .* add --paint red=",
+        design("[pad]\nlength_mm = 60.0\n"),
     ),
     Case(
         "film in metres",

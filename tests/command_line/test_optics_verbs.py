@@ -35,12 +35,18 @@ def test_view_is_told_and_drawn(design, tmp_path):
     assert "view.png: exists already" in again.err
 
 
-def test_parts_that_do_not_fit_are_told_where_they_are_drawn(design, tmp_path):
+def test_a_preset_is_shown_by_its_name():
+    assert succeed("design show flat-70x35 --engine scalar").startswith("flat-70x35: the camera sees 9")
+
+
+def test_parts_that_do_not_fit_are_told_before_anything_is_shown(design, tmp_path):
     design.write_text(design.read_text() + "[skeleton]\nrib_count = 40\nrib_thickness_mm = 1.8\n")
-    succeed(f"design show {design} --engine scalar")
-    outcome = finray(f"design show {design} --engine scalar --out {tmp_path}/view.png")
-    assert outcome.status == 2
-    assert "overlap or nearly touch" in outcome.err
+    for out in ("", f" --out {tmp_path}/view.png"):
+        outcome = finray(f"design show {design} --engine scalar{out}")
+        assert outcome.status == 2
+        assert outcome.out == ""
+        assert f"{design}: " in outcome.err
+        assert "overlap or nearly touch" in outcome.err
     assert not (tmp_path / "view.png").exists()
 
 

@@ -18,6 +18,7 @@ from finray_calib.compare.normal_map_fit import MINIMUM_PRESSES
 from finray_calib.compare.normal_map_record import calibration_press
 from finray_calib.exchange.ball_press_folder import read_circles
 from finray_calib.exchange.capture_request import ANGLES_DEG, capture_request
+from finray_calib.exchange.requested_presses import PlannedView, ball_presses
 from sim.design_toml import design_toml
 from tests.capture.drivers import picamera2_stand_in
 from tests.capture.finger_session import RIG as SMALL_RIG
@@ -36,6 +37,9 @@ bit_depth = 10
 shortest_exposure_s = 1e-4
 longest_exposure_s = 4.2
 """
+
+
+VIEW = PlannedView(along_mm=(0.1, 66.6), across_mm=(-17.5, 17.5), mm_per_px=0.154, mm_per_px_u_rel=0.49)
 
 
 @pytest.fixture
@@ -63,7 +67,7 @@ def test_the_capture_verb_accepts_every_plan(tmp_path, design_file):
 
 def test_plans_hold_what_the_design_needs(tmp_path):
     design = FingerDesign(indenter=Indenter(shape="cylinder", radius_mm=5.0, depth_mm=1.2, position_mm=30.0))
-    request = capture_request(design, "f.toml", "r", (10.0, 80.0))
+    request = capture_request(design, "f.toml", "r", VIEW, (10.0, 80.0))
     read = {}
     for name, text in request.plans.items():
         (tmp_path / name).write_text(text)
@@ -87,7 +91,7 @@ def test_plans_hold_what_the_design_needs(tmp_path):
     assert ball.board.on_pad
     for plan in (ball, *read.values()):
         assert plan.mm_per_px is not None
-        assert plan.mm_per_px_u_rel == 0.2
+        assert plan.mm_per_px_u_rel == VIEW.mm_per_px_u_rel
     for text in request.plans.values():
         assert text.count("MEASURE: 'finray study pixel-scale' says it") == 1
     for needed in (
@@ -101,7 +105,7 @@ def test_plans_hold_what_the_design_needs(tmp_path):
 def test_captures_of_the_ball_plan_teach_a_normal_map(tmp_path, monkeypatch):
     """The first two presses, at the exposures of a quick camera, with the circles that the page asks for."""
     monkeypatch.setitem(sys.modules, "picamera2", picamera2_stand_in.module())
-    request = capture_request(FingerDesign(), "f.toml", "r")
+    request = capture_request(FingerDesign(), "f.toml", "r", VIEW)
     plan = plan_of(tmp_path, request.plans["r.ball.toml"])
     rows = {int(k): files for k, files in re.findall(r"^\| (\d+) \| (press-\d+ to press-\d+) \|", request.page, re.M)}
     assert list(rows) == list(range(1, len(plan.presses) + 1))
@@ -120,14 +124,14 @@ def test_captures_of_the_ball_plan_teach_a_normal_map(tmp_path, monkeypatch):
             stored = read_record(tmp_path / "out" / file, TactileCapture)
             assert stored.indenter.depth_mm == press.depth_mm
             lesson = calibration_press(stored.model_copy(update={"contact_circle": circle}))
-            # 70 mm of pad on the 640 px of the design's camera, two raw pixels to a Bayer cell
-            assert lesson.ball_radius_px == pytest.approx(plan.indenter.radius_mm / (70.0 / 640.0) / 2.0, rel=1e-3)
+            # two raw pixels to a Bayer cell
+            assert lesson.ball_radius_px == pytest.approx(plan.indenter.radius_mm / VIEW.mm_per_px / 2.0, rel=1e-3)
     assert session.captures == tuple(f"press-{n:03d}.json" for n in range(1, 7))
 
 
 @pytest.mark.parametrize("name", ['finger "3" \\ a', "two\nlines\r\tand \x01", "Finger für Lötstellen 指"])
 def test_names_of_any_text_stay_toml(tmp_path, name):
-    request = capture_request(FingerDesign(name=name), 'my "f".toml', "r")
+    request = capture_request(FingerDesign(name=name), 'my "f".toml', "r", VIEW)
     for text in request.plans.values():
         (tmp_path / "p.toml").write_text(text, encoding="utf-8", newline="")
         plan = read_toml(tmp_path / "p.toml", TactilePlan)
@@ -138,7 +142,7 @@ def test_names_of_any_text_stay_toml(tmp_path, name):
 def test_angles_that_would_share_a_plan_are_refused():
     design = FingerDesign(light=LightPanel(angle_deg=30.00000001))
     with pytest.raises(RecordError, match=r"panel angle of 30\.00000001 deg: .* named r\.angle-30\.toml too; round"):
-        capture_request(design, "f.toml", "r")
+        capture_request(design, "f.toml", "r", VIEW)
 
 
 @pytest.mark.parametrize(
@@ -157,4 +161,26 @@ def test_angles_that_would_share_a_plan_are_refused():
 )
 def test_designs_that_nobody_can_capture_are_refused(design, message):
     with pytest.raises(RecordError, match=message):
-        capture_request(design, "f.toml", "r")
+        capture_request(design, "f.toml", "r", VIEW)
+
+
+def test_the_camera_sees_every_ball_press_whole():
+    design = FingerDesign()
+    asked = ball_presses(design, VIEW)
+    for press in asked.presses:
+        circle_mm = np.sqrt(2.0 * asked.radius_mm * press.depth_mm - press.depth_mm**2)
+        assert VIEW.along_mm[0] <= press.position_mm - circle_mm
+        assert press.position_mm + circle_mm <= VIEW.along_mm[1]
+        assert VIEW.across_mm[0] <= press.across_mm - circle_mm
+        assert press.across_mm + circle_mm <= VIEW.across_mm[1]
+
+
+def test_the_planned_scale_is_what_the_camera_of_the_design_sees(tmp_path, design_file):
+    succeed(f"export capture-request {design_file} --out {tmp_path}/ask.md")
+    told = succeed(f"design show {design_file} --engine scalar")
+    px_per_mm = [float(n) for pair in re.findall(r"([\d.]+) to ([\d.]+) px/mm", told) for n in pair]
+    for plan in (read_toml(path, TactilePlan) for path in tmp_path.glob("ask.*.toml")):
+        reach = 1.0 + 2.0 * plan.mm_per_px_u_rel
+        assert plan.mm_per_px / reach < 1.0 / max(px_per_mm) * 1.05
+        assert plan.mm_per_px * reach > 1.0 / min(px_per_mm) * 0.95
+        assert 1.0 / max(px_per_mm) < plan.mm_per_px < 1.0 / min(px_per_mm)
