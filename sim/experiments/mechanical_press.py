@@ -9,6 +9,7 @@ from data_schemas.errors import SimulateError
 from data_schemas.mechanical_design import Preset
 from data_schemas.press_mechanics import ContactKind, PressIncrement, PressMechanics, PressSensitivities
 from data_schemas.surfaces import FingerSurfaces
+from sim.mechanics.chord_error import chord_shortfall_rel
 from sim.mechanics.finger_mesh import FORCE_EXCESS_REL, finger_mesh
 from sim.mechanics.mesh import FingerMesh
 from sim.mechanics.press_contact import ContactChoice, chosen_contact
@@ -197,6 +198,7 @@ def _mechanics(
         design=design,
         notes=(
             pressed.contact,
+            *_chord_note(design, preset, pressed),
             f"gel: C10 = {gel.c10_mpa:g} MPa, K/mu = {gel.bulk_over_shear:g} (the paper gives no K)",
             f"mesh: on the 70 x 35 finger this fineness gives {FORCE_EXCESS_REL[preset]:.0%} more force than an "
             "infinitely fine one, extrapolated",
@@ -204,6 +206,14 @@ def _mechanics(
             *notes,
         ),
     )
+
+
+def _chord_note(design: FingerDesign, preset: Preset, pressed: PressedFinger) -> tuple[str, ...]:
+    """Say how much too low the penalty's force is on a round indenter."""
+    short = chord_shortfall_rel(design, preset, float(pressed.depth_mm[-1]))
+    if pressed.kind != "penalty" or not short:
+        return ()
+    return (f"between nodes the coat cuts into the indenter: the force is some {short:.0%} below the barrier's",)
 
 
 def _torques(design: FingerDesign, pressed: PressedFinger) -> tuple[float | None, float | None]:

@@ -224,3 +224,21 @@ def test_what_has_no_effect_is_refused(tmp_path: Path, tables: str, options: str
     (tmp_path / "finger.toml").write_text(BABY + tables)
     said = refused(f"simulate {tmp_path}/finger.toml {options} --out {tmp_path}/no.json")
     assert re.search(message, said), said
+
+
+@pytest.mark.parametrize(
+    ("radius_mm", "depth_mm", "message"),
+    [
+        (2.0, 0.1, "touches no node of the coat, whose elements are 2 mm wide: the force of 0 N is the mesh's"),
+        # barrier: 0.428 N, 15 % more
+        (2.0, 0.5, "the force is some 15% too low; press with --contact barrier"),
+    ],
+)
+def test_a_force_that_rests_on_few_nodes_is_told(tmp_path, radius_mm, depth_mm, message):
+    path = tmp_path / "ball.toml"
+    path.write_text(BABY + f'shape = "ball"\nradius_mm = {radius_mm}\ndepth_mm = {depth_mm}\nacross_mm = 0.0\n')
+    outcome = finray(f"simulate {path} --only mechanics --increments 1 --out {tmp_path}/ball.press.json")
+    assert outcome.status == (2 if "no node" in message else 0)
+    assert message in outcome.err
+    stored = read_record(tmp_path / "ball.mechanics.json", PressMechanics)
+    assert any("the coat cuts into the indenter" in note for note in stored.notes)
