@@ -116,9 +116,10 @@ class FingerDesign(Record):
     @model_validator(mode="after")
     def _press_on_the_pad(self) -> "FingerDesign":
         if not 0.0 <= self.indenter.position_mm <= self.pad.length_mm:
+            metres = f"; pad.length_mm looks like a number in metres: write {1e3 * self.pad.length_mm:g}"
             raise ValueError(
                 f"indenter.position_mm = {self.indenter.position_mm} mm must lie on the pad (0 to "
-                f"{self.pad.length_mm} mm)"
+                f"{self.pad.length_mm} mm){metres if self.pad.length_mm < 1.0 else ''}"
             )
         if abs(self.indenter.across_mm) > self.pad.width_mm / 2.0:
             raise ValueError(

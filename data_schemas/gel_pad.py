@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from data_schemas.mechanical_design import SizeMm, WallMm
 from data_schemas.model import Model
 from data_schemas.units import LengthMm
 
@@ -28,9 +27,9 @@ class GelPad(Model):
     """
 
     shape: Literal["flat", "cylindrical", "ellipsoidal"] = "flat"
-    length_mm: SizeMm = 70.0
-    width_mm: SizeMm = 35.0
-    thickness_mm: WallMm = 6.0
+    length_mm: LengthMm = 70.0
+    width_mm: LengthMm = 35.0
+    thickness_mm: LengthMm = 6.0
     radius_mm: LengthMm | None = Field(default=None, description="of a cylindrical pad")
     semi_axes_mm: tuple[LengthMm, LengthMm, LengthMm] | None = Field(
         default=None, description="a (across the pad), b (through it), c (along it) of an ellipsoidal pad"

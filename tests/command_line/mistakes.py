@@ -367,13 +367,13 @@ CASES = (
     Case(
         "pad in metres",
         MECHANICS,
-        r"'pad\.thickness_mm' \(in mm\): 0\.006 mm is outside .* looks like a number in metres: write 6",
-        design("[pad]\nthickness_mm = 0.006\n[indenter]\ndepth_mm = 0.001"),
+        r"pad\.thickness_mm: 0\.006 mm is outside .* looks like a number in metres: write 6",
+        design("[pad]\nthickness_mm = 0.006\n[indenter]\ndepth_mm = 0.02"),
     ),
     Case(
         "pad's length in metres",
         MECHANICS,
-        r"'pad\.length_mm' \(in mm\): 0\.07 mm is outside .* looks like a number in metres: write 70",
+        r"must lie on the pad \(0 to 0\.07 mm\); pad\.length_mm looks like a number in metres: write 70",
         design("[pad]\nlength_mm = 0.07\n"),
     ),
     Case(
