@@ -3,19 +3,20 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli.options import file_name, open_engine, require_new, say
+from finray_calib.cli.options import file_name, naming, open_engine, require_new, say
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Write page and plans, and report."""
     from data_schemas.design import FingerDesign
-    from data_schemas.errors import RecordError
+    from data_schemas.errors import RecordError, SimulateError
     from data_schemas.storage import read_toml
     from data_schemas.whole_files import write_bytes
     from finray_calib.cli.export_deck import refuse_options as refuse_deck
     from finray_calib.cli.export_taxim import refuse_options as refuse_taxim
     from finray_calib.exchange.capture_request import capture_request
     from finray_calib.exchange.requested_presses import PlannedView
+    from finray_calib.reports.finger_outline import finger_outline
     from sim.experiments.camera_view import camera_view
 
     refuse_deck(arguments)
@@ -28,7 +29,9 @@ def run(arguments: argparse.Namespace) -> None:
     path: Path = arguments.paint[1]
     design = read_toml(path, FingerDesign)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.request.md"))
-    seen = camera_view(design, path.parent, open_engine("auto"))
+    with naming(SimulateError, path):
+        finger_outline(design, path.parent)  # nobody can print, and then capture, parts that do not fit
+        seen = camera_view(design, path.parent, open_engine("auto"))
     scale, u_rel = seen.mm_per_px
     view = PlannedView(*seen.seen_mm, mm_per_px=scale, mm_per_px_u_rel=u_rel)
     request = capture_request(design, path.name, out.name.removesuffix(".md"), view)

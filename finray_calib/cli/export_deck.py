@@ -3,7 +3,15 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli.options import DEFAULT_INCREMENTS, command_line, file_name, increment_count, require_new, say
+from finray_calib.cli.options import (
+    DEFAULT_INCREMENTS,
+    command_line,
+    file_name,
+    increment_count,
+    naming,
+    require_new,
+    say,
+)
 
 DIALECTS = ("abaqus", "calculix")
 PRESETS = ("coarse", "medium", "fine")  # as in data_schemas, which is too slow to load for --help
@@ -37,6 +45,7 @@ def refuse_options(arguments: argparse.Namespace) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Write the deck and report."""
     from data_schemas.design import FingerDesign
+    from data_schemas.errors import SimulateError
     from data_schemas.storage import read_toml
     from data_schemas.whole_files import write_bytes
     from sim.mechanics.other_engines.deck_push import finger_deck
@@ -45,7 +54,8 @@ def run(arguments: argparse.Namespace) -> None:
     design = read_toml(path, FingerDesign)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.inp"))
     increments = arguments.increments or DEFAULT_INCREMENTS
-    lines = finger_deck(design, arguments.dialect, arguments.preset, increments, command_line())
+    with naming(SimulateError, path):
+        lines = finger_deck(design, arguments.dialect, arguments.preset, increments, command_line())
     write_bytes(out, "".join(f"{line}\n" for line in lines).encode("ascii", "replace"))
     say(f"{out}: {design.name}, {arguments.preset or design.mesh.preset} mesh, for {arguments.dialect}")
 

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
+from finray_calib.cli.force_on_few_nodes import tell_few_nodes
 from finray_calib.cli.mechanics_options import require_mechanics_only
 from finray_calib.cli.options import (
     DEFAULT_INCREMENTS,
@@ -11,15 +12,15 @@ from finray_calib.cli.options import (
     command_line,
     file_name,
     input_digests,
+    naming,
     progress_bar,
     require_new,
     say,
-    warn,
 )
 
 if TYPE_CHECKING:
     from data_schemas.design import FingerDesign
-    from data_schemas.press_mechanics import PressMechanics, PressSensitivities
+    from data_schemas.press_mechanics import PressSensitivities
     from data_schemas.provenance import Provenance
     from sim.mechanics.press_contact import ContactChoice
     from sim.mechanics.pressed_finger import PressedFinger
@@ -102,7 +103,7 @@ def run_mechanics(arguments: argparse.Namespace) -> None:
     read = [arguments.design, *([resume] if resume else []), *_indenter_file(design, folder)]
     origin = provenance(command_line(), input_digests(read), None)
     try:
-        with progress_bar("simulate") as progress:
+        with progress_bar("simulate") as progress, naming(SimulateError, arguments.design):
             pressed, said = _pressed(arguments, design, resume, files["increments"], origin, progress)
             unvaried = _vary(arguments, design, pressed, said, progress)
     except NoEquilibriumError as stuck:
@@ -228,40 +229,11 @@ def _store(
     say(f"{files['surfaces']}: for 'finray simulate DESIGN --only optics --surfaces {files['surfaces'].name}'")
     say(f"{files['mesh']}: the pressed mesh, for ParaView")
     say(f"{files['picture']}: the finger before and after, and its force")
-    _tell_few_nodes(design, pressed, mechanics)
+    tell_few_nodes(pressed, mechanics)
     if mechanics.unreached:
         reached = f"{mechanics.depth_mm[-1]:.4g} of {design.indenter.depth_mm:g} mm"
         if mechanics.wanted_force_n is not None:
             reached = f"{mechanics.force_n[-1, 1]:.4g} of {mechanics.wanted_force_n:g} N"
         raise SimulateError(
             f"the push ended early, at {reached}: {mechanics.unreached}. What was reached is stored and can be rendered"
-        )
-
-
-def _tell_few_nodes(design: "FingerDesign", pressed: "PressedFinger", mechanics: "PressMechanics") -> None:
-    """Warn of a force that rests on few nodes; refuse one that rests on none.
-
-    Raises
-    ------
-    SimulateError
-        When the indenter touches no node of the coat at the end of its push.
-    """
-    from data_schemas.errors import SimulateError
-    from sim.mechanics.chord_error import LARGEST_UNTOLD_REL, chord_shortfall_rel
-    from sim.mechanics.finger_mesh import STEPS
-
-    if pressed.kind != "penalty":
-        return
-    push_mm, step_mm = float(mechanics.depth_mm[-1]), STEPS[mechanics.preset].pad_mm
-    remedy = "press with --contact barrier, or with a finer [mesh] preset"
-    if not mechanics.force_n[-1, 1] > 0.0:
-        raise SimulateError(
-            f"at a push of {push_mm:g} mm the indenter touches no node of the coat, whose elements are {step_mm:g} mm "
-            f"wide: the force of 0 N is the mesh's, not the finger's; {remedy}. What was computed is stored"
-        )
-    short = chord_shortfall_rel(design, mechanics.preset, push_mm)
-    if short > LARGEST_UNTOLD_REL:
-        warn(
-            f"warning: the coat's elements of {step_mm:g} mm are wide for this indenter and push of {push_mm:g} mm: "
-            f"the force is some {short:.0%} too low; {remedy}"
         )

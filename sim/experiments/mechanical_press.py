@@ -213,7 +213,10 @@ def _chord_note(design: FingerDesign, preset: Preset, pressed: PressedFinger) ->
     short = chord_shortfall_rel(design, preset, float(pressed.depth_mm[-1]))
     if pressed.kind != "penalty" or not short:
         return ()
-    return (f"between nodes the coat cuts into the indenter: the force is some {short:.0%} below the barrier's",)
+    told = f"the force is some {short:.0%} below the barrier's"
+    if not pressed.force_n[-1, 1] > 0.0:
+        told = "it touches no node, or has passed between them, and the force is the mesh's, not the finger's"
+    return (f"between nodes the coat cuts into the indenter: {told}",)
 
 
 def _torques(design: FingerDesign, pressed: PressedFinger) -> tuple[float | None, float | None]:

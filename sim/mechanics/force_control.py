@@ -124,10 +124,10 @@ class _DrivenIndenter(PenaltyTouch):
             raise SimulateError("a press to a force needs a cylinder, ball or cuboid; press a mesh to a depth")
         self._node = len(finger.nodes_mm)
         mesh = replace(finger, nodes_mm=np.concatenate([finger.nodes_mm, [indenter.touching.position_mm]]))
-        step_mm = STEPS[preset or design.mesh.preset].pad_mm
+        self._step_mm = STEPS[preset or design.mesh.preset].pad_mm
         contact = PenaltyContact(
             mesh.nodes_mm, mesh.surfaces["coat"], indenter.body, indenter.pose(_TOUCH_MM),
-            penalty_mpa_per_mm(design, step_mm), reference_node=self._node, curvature=False,
+            penalty_mpa_per_mm(design, self._step_mm), reference_node=self._node, curvature=False,
         )  # fmt: skip
         super().__init__(mesh, contact)
         self._force = DeadForce(np.array([self._node]))
@@ -142,11 +142,23 @@ class _DrivenIndenter(PenaltyTouch):
         return f"{super().note}; the indenter is driven by a force of {-self._force.force_n[1]:g} N"
 
     def first_touch(self, assembly: Assembly, solver: SymmetricSolver) -> State:
-        """Return the equilibrium at a small push without the force."""
+        """Return the equilibrium at a small push without the force.
+
+        Raises
+        ------
+        NoEquilibriumError
+            When there is none, or the coat is not touched: nothing would hold the indenter under a force.
+        """
         touched = find_equilibrium(assembly, assembly.at_rest(), self._held, solver)
         if touched.failure:
             why = f"{touched.failure}; try a finer mesh"
             raise NoEquilibriumError(f"no equilibrium at a push of {_TOUCH_MM:g} mm: {why}")
+        if not self.force_n(touched.state.u_mm)[1] > 0.0:
+            raise NoEquilibriumError(
+                f"at a push of {_TOUCH_MM:g} mm, from which the force begins, the indenter touches no node of the "
+                f"coat, whose elements are {self._step_mm:g} mm wide: press with a finer [mesh] preset, or to a "
+                "depth with --contact barrier"
+            )
         return touched.state
 
     def push_with(self, force_n: float) -> Supports:

@@ -371,6 +371,36 @@ CASES = (
         design("[pad]\nthickness_mm = 0.006\n[indenter]\ndepth_mm = 0.02"),
     ),
     Case(
+        "film that no deck can hold",
+        "export deck {tmp}/finger.toml --dialect calculix --out {tmp}/f.inp",
+        r"finger\.toml: pad\.film\.thickness_mm: 100 mm is outside",
+        design("[pad]\nfilm.thickness_mm = 100.0\n"),
+    ),
+    Case(
+        "film that no press can hold",
+        MECHANICS,
+        r"finger\.toml: pad\.film\.thickness_mm: 100 mm is outside",
+        design("[pad]\nfilm.thickness_mm = 100.0\n"),
+    ),
+    Case(
+        "captures of parts that do not fit",
+        "export capture-request {tmp}/finger.toml --out {tmp}/ask.md",
+        r"finger\.toml: pad\.film\.thickness_mm: 100 mm is outside",
+        design("[pad]\nfilm.thickness_mm = 100.0\n"),
+    ),
+    Case(
+        "indenter's file is missing",
+        MECHANICS,
+        r"finger\.toml: .*no\.stl: the indenter's file cannot be read",
+        design('[indenter]\nshape = "mesh"\nfile = "no.stl"\n'),
+    ),
+    Case(
+        "indenter's radius in metres",
+        MECHANICS,
+        r"finger\.toml: indenter\.radius_mm: 0\.01 mm is outside .* in metres: write 10",
+        design("[indenter]\nradius_mm = 0.01\n"),
+    ),
+    Case(
         "pad's length in metres",
         MECHANICS,
         r"must lie on the pad \(0 to 0\.07 mm\); pad\.length_mm looks like a number in metres: write 70",

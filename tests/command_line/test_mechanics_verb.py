@@ -242,3 +242,32 @@ def test_a_force_that_rests_on_few_nodes_is_told(tmp_path, radius_mm, depth_mm, 
     assert message in outcome.err
     stored = read_record(tmp_path / "ball.mechanics.json", PressMechanics)
     assert any("the coat cuts into the indenter" in note for note in stored.notes)
+
+
+def small_ball(tmp_path: Path, radius_mm: float, depth_mm: float) -> Path:
+    """Write a finger with a ball of less than an element over a side of the mesh."""
+    path = tmp_path / "ball.toml"
+    path.write_text(BABY + f'shape = "ball"\nradius_mm = {radius_mm}\ndepth_mm = {depth_mm}\n')
+    return path
+
+
+def test_a_force_of_no_touch_is_noted_as_the_meshs(tmp_path):
+    finray(f"simulate {small_ball(tmp_path, 2.0, 0.1)} --only mechanics --increments 1 --out {tmp_path}/b.press.json")
+    stored = read_record(tmp_path / "b.mechanics.json", PressMechanics)
+    assert stored.force_n[-1, 1] == 0.0
+    assert any("touches no node, or has passed between them" in note for note in stored.notes)
+
+
+def test_an_indenter_that_has_passed_through_the_coat_is_refused(tmp_path):
+    path = small_ball(tmp_path, 1.0, 1.0)
+    outcome = finray(f"simulate {path} --only mechanics --increments 1 --out {tmp_path}/b.press.json")
+    assert outcome.status == 2
+    assert re.search(r"has passed through the coat, .* the force of -\d.* or with more --increments", outcome.err)
+
+
+def test_a_force_on_an_indenter_that_touches_no_node_is_refused(tmp_path):
+    path = small_ball(tmp_path, 2.0, 0.1)
+    outcome = finray(f"simulate {path} --only mechanics --force 0.05 --out {tmp_path}/b.press.json")
+    assert outcome.status == 2
+    assert "from which the force begins, the indenter touches no node of the coat" in outcome.err
+    assert (tmp_path / "b.mechanics.png").exists()
