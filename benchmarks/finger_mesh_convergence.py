@@ -6,8 +6,9 @@ One increment of 2 mm on each mesh, started from the mesh before it, by the pena
 unknowns) takes some GB and minutes on two cores. Bars: medium within 2 % of fine in force; fine below 8 GB, its
 increment below 4 minutes. Exit status 1 when one is missed.
 
-The force of an infinitely fine mesh is extrapolated: layers through fins and ribs, doubled twice, give the power by
-which the error falls (near 1 beside sharp inner corners); it is used for the lengths of elements and the pad too.
+What the presets leave: the finger's stiffness under its pad at a small force, with all edges of the coarse skeleton
+halved twice, is extrapolated to an infinitely fine skeleton. Stress is infinite at the sharp inner corners, where the
+error falls as the 1.09th power of the edges.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import os
 import resource
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,24 +26,23 @@ from data_schemas.design import FingerDesign
 from data_schemas.indenter import Indenter
 from sim.mechanics.assembly import Assembly
 from sim.mechanics.elements import Elasticity
-from sim.mechanics.finger_mesh import STEPS, MeshSteps, finger_mesh
+from sim.mechanics.finger_mesh import STEPS, finger_mesh
 from sim.mechanics.finger_parts import finger_materials, finger_ties
 from sim.mechanics.increments import load_increments
 from sim.mechanics.linear_solver import linear_solver
+from sim.mechanics.loads import LoadedFinger
 from sim.mechanics.press_contact import press_contact
 from sim.mechanics.warm_start import CoarserPath
 
 FORCE_BAR_REL, MEMORY_BAR_GB, TIME_BAR_S = 0.02, 8.0, 240.0
 MEDIUM = STEPS["medium"]
+SMALL_FORCE_N = 0.02
 MESHES = {
     "coarse": STEPS["coarse"],
-    "pad coarser": MeshSteps(2.0, 2.0, MEDIUM.skeleton_mm, MEDIUM.layers),
-    "skeleton coarser": MeshSteps(MEDIUM.pad_mm, MEDIUM.pad_layer_mm, 2.5, 1),
-    "one layer": MeshSteps(MEDIUM.pad_mm, MEDIUM.pad_layer_mm, MEDIUM.skeleton_mm, 1),
+    "skeleton coarser": replace(MEDIUM, skeleton_mm=2.5, across_mm=5.0, corners=STEPS["coarse"].corners),
+    "pad coarser": replace(MEDIUM, pad_mm=2.0, pad_layer_mm=2.0),
     "medium": MEDIUM,
-    "pad finer": MeshSteps(0.67, 0.67, MEDIUM.skeleton_mm, MEDIUM.layers),
-    "four layers": MeshSteps(MEDIUM.pad_mm, MEDIUM.pad_layer_mm, MEDIUM.skeleton_mm, 4),
-    "four, shorter": MeshSteps(MEDIUM.pad_mm, MEDIUM.pad_layer_mm, 1.0, 4),
+    "pad finer": replace(MEDIUM, pad_mm=0.67, pad_layer_mm=0.67),
     "fine": STEPS["fine"],
 }
 
@@ -69,19 +70,22 @@ def pressed(design, steps, before, threads):
     return (mesh, last.state.u_mm), found
 
 
-def extrapolated_n(force_n):
-    """Return the force of an infinitely fine mesh, N, as far as these meshes tell."""
-    one, two, four = (force_n[name] for name in ("one layer", "medium", "four layers"))
-    power = np.log2((one - two) / (two - four))
+def stiffnesses(design, threads):
+    """Return the finger's stiffness under its pad, N/mm, of all presets and of coarse with its edges halved."""
+    coarse, found = STEPS["coarse"], {}
+    halved = {f"halved {n}": replace(coarse, corners=replace(coarse.corners, halvings=n)) for n in (1, 2)}
+    for name, steps in (STEPS | halved).items():
+        # the pad only passes the force on
+        steps = replace(steps, pad_mm=coarse.pad_mm, pad_layer_mm=coarse.pad_layer_mm)
+        finger = LoadedFinger(design, threads=threads, steps=steps)
+        found[name] = finger.push("pad", (0.0, -SMALL_FORCE_N, 0.0)).stiffness_n_per_mm
+    return found
 
-    def whole_step(coarser_n, finer_n, refinement):
-        """Return the change from a mesh to an infinitely fine one, from that to a finer one."""
-        return (finer_n - coarser_n) / (1.0 - refinement**-power)
 
-    layers = whole_step(two, four, 2.0)
-    lengths = whole_step(four, force_n["four, shorter"], MEDIUM.skeleton_mm / MESHES["four, shorter"].skeleton_mm)
-    pad = whole_step(two, force_n["pad finer"], MEDIUM.pad_mm / MESHES["pad finer"].pad_mm)
-    return two + layers + lengths + pad
+def extrapolated(whole, half, quarter):
+    """Return the limit of three values of a mesh whose edges are halved twice, and the power of the error's fall."""
+    ratio = (whole - half) / (half - quarter)
+    return quarter - (half - quarter) / (ratio - 1.0), np.log2(ratio)
 
 
 def main() -> int:
@@ -97,7 +101,8 @@ def main() -> int:
         before, found = pressed(design, steps, before, threads)
         meshes[name] = found
         print(
-            f"{name:16} pad {steps.pad_mm:g} mm, skeleton {steps.skeleton_mm:g} mm / {steps.layers} layers: "
+            f"{name:16} pad {steps.pad_mm:g} mm, skeleton {steps.skeleton_mm:g} mm, {steps.across_mm:g} mm across, "
+            f"{steps.corners.thickness_share:g} of a thickness at corners: "
             f"{found['unknowns']} unknowns, {found['force_n']:.4f} N, {found['iterations']} iterations, "
             f"{found['wall_s']:.0f} s ({found['cpu_s']:.0f} CPU s), at most {found['largest_memory_gb']:.1f} GB",
             flush=True,
@@ -105,9 +110,11 @@ def main() -> int:
     medium = meshes["medium"]["force_n"]
     for name in MESHES:
         print(f"{name:16} {100 * (meshes[name]['force_n'] / medium - 1.0):+6.2f} % of medium")
-    limit = extrapolated_n({name: found["force_n"] for name, found in meshes.items()})
-    for name in STEPS:
-        print(f"{name:16} {100 * (meshes[name]['force_n'] / limit - 1.0):+6.2f} % of the extrapolated {limit:.3f} N")
+    stiffness = stiffnesses(design, threads)
+    limit, power = extrapolated(*(stiffness[name] for name in ("coarse", "halved 1", "halved 2")))
+    print(f"under the pad, of an infinitely fine skeleton: {limit:.4f} N/mm (error falls as power {power:.2f})")
+    for name, value in stiffness.items():
+        print(f"{name:16} {value:.4f} N/mm, {100 * (value / limit - 1.0):+6.2f} %")
     fine = meshes["fine"]
     judged = (
         ("medium against fine, force", abs(medium / fine["force_n"] - 1.0), FORCE_BAR_REL),
@@ -118,7 +125,12 @@ def main() -> int:
         print(f"{what:28} {value:8.4g}   bar {bar:g}   {'met' if value <= bar else 'MISSED'}")
     if arguments.out:
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
-        found = {"depth_mm": arguments.depth, "meshes": meshes, "extrapolated_n": limit}
+        found = {
+            "depth_mm": arguments.depth,
+            "meshes": meshes,
+            "stiffness_n_per_mm": stiffness,
+            "limit_n_per_mm": limit,
+        }
         arguments.out.write_text(json.dumps(found, indent=1))
     return int(any(value > bar for _, value, bar in judged))
 

@@ -56,8 +56,13 @@ class PressMechanics(Record):
     """Force against push of one finger under a rigid indenter; the surfaces stand in a record of their own."""
 
     name: str
-    label: str = Field(description="engine and mesh, for example 'finite elements, coarse mesh, 31947 unknowns'")
+    label: str = Field(description="engine and mesh, for example 'finite elements, coarse mesh, 38676 unknowns'")
     preset: Preset
+    mesh_excess_rel: Annotated[float, Field(ge=0.0)] | None = Field(
+        default=None,
+        description="by how much this preset's force exceeds that of an infinitely fine mesh, as extrapolated for the "
+        "70 x 35 finger; None in older versions",
+    )
     depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
         description="push of the indenter from first touch"
     )

@@ -23,6 +23,7 @@ from finray_calib.compare.error_size import error_size
 from finray_calib.compare.first_touch import check_reach, first_touch_weight, fitted_first_touch_mm
 from finray_calib.compare.force_curve import ForceCurve
 from finray_calib.compare.force_inputs import ForceInputs, force_inputs
+from finray_calib.compare.force_mesh_error import MeshError, mesh_error
 from finray_calib.compare.measured_force import MeasuredForce
 from finray_calib.compare.withheld_force_verdicts import without_verdicts
 
@@ -84,7 +85,9 @@ def compare_force(
     fit_first_touch
         Whether the displacement of first touch is fitted; otherwise displacements count from it.
     other_mesh
-        The same press on another mesh; their difference is taken for the standard uncertainty of the mesh.
+        The same press on another mesh, which tells the error of this finger's mesh, taken for its standard
+        uncertainty: their difference, extrapolated by what both exceed an infinitely fine mesh by on the 70 x 35
+        finger. Without it, that finger's excess is taken.
 
     Raises
     ------
@@ -98,13 +101,13 @@ def compare_force(
     """
     curve = ForceCurve(press.name, press.depth_mm, press.force_n[:, 1])
     measured.check_units(float(curve.depth_mm[-1]), float(curve.force_n.max()))
-    finer = None if other_mesh is None else _curve_on_other_mesh(press, other_mesh)
+    mesh = mesh_error(press, other_mesh)
     weight = first_touch_weight(curve, measured, force_inputs(press, measured.displacement_mm))
     offset = fitted_first_touch_mm(curve, measured, weight) if fit_first_touch else 0.0
     check_reach(curve, measured, offset)
     depth = measured.displacement_mm - offset
     inputs = force_inputs(press, depth)
-    free = _deviations(curve, finer, measured, inputs, depth, rng)
+    free = _deviations(curve, mesh, measured, inputs, depth, rng)
     slope = curve.slope_at(depth)
     pull = weight @ slope / (slope @ weight @ slope)
     refitted = free.refitted(pull, slope) if fit_first_touch else free
@@ -118,11 +121,11 @@ def compare_force(
         rows=tuple(_rows(measured, error, refitted, free.data)),
         first_touch=_first_touch(offset, free.total @ pull) if fit_first_touch else None,
         thirds=tuple(_thirds(measured, error, refitted)),
-        budget=_budget(curve, inputs, free, depth),
+        budget=_budget(curve, inputs, free, depth, mesh.source),
         draws=DRAWS,
         not_included=(
             *inputs.missing,
-            *(("the mesh: give the same press on another mesh (--other-mesh)",) if finer is None else ()),
+            *(("the mesh: give the same press on another mesh (--other-mesh)",) if not mesh.source else ()),
             *(("the measurement: its CSV states no uncertainty",) if not free.data.any() else ()),
             *((_FIT_MISSES,) if fit_first_touch else ()),
             *_ALWAYS_MISSING,
@@ -132,19 +135,9 @@ def compare_force(
     return comparison if inputs.names or free.data.any() else without_verdicts(comparison)
 
 
-def _curve_on_other_mesh(press: PressMechanics, other: PressMechanics) -> ForceCurve:
-    """Return the curve of the same finger on another mesh."""
-    own = press.design.model_dump(exclude={"mesh", "provenance", "uncertainty_rel"})
-    if own != other.design.model_dump(exclude={"mesh", "provenance", "uncertainty_rel"}):
-        raise CompareError(f"{other.name}: is a press of another design; give the same one on another mesh")
-    if other.preset == press.preset:
-        raise CompareError(f"{other.name}: is on the {other.preset} mesh too; give a press on another one")
-    return ForceCurve(other.name, other.depth_mm, other.force_n[:, 1])
-
-
 def _deviations(
     curve: ForceCurve,
-    finer: ForceCurve | None,
+    mesh: MeshError,
     measured: MeasuredForce,
     inputs: ForceInputs,
     depth: Floats,
@@ -153,8 +146,8 @@ def _deviations(
     """Draw what is uncertain at the points; numerical errors are taken as shared by all of them."""
     force, count = curve.at(depth), len(depth)
     numerical = np.outer(rng.standard_normal(DRAWS), curve.interpolation_error(depth))
-    if finer is not None:
-        numerical += np.outer(rng.standard_normal(DRAWS), finer.at(depth) - force)
+    if mesh.source:
+        numerical += np.outer(rng.standard_normal(DRAWS), mesh.at(depth, force))
     return _Deviations(
         numerical=numerical,
         inputs=force * (inputs.draw_ratios(DRAWS, rng) - 1.0),
@@ -234,7 +227,9 @@ def _first_touch(offset_mm: float, moved_mm: Floats) -> FirstTouch:
     )
 
 
-def _budget(curve: ForceCurve, inputs: ForceInputs, deviations: _Deviations, depth: Floats) -> tuple[ForceInput, ...]:
+def _budget(
+    curve: ForceCurve, inputs: ForceInputs, deviations: _Deviations, depth: Floats, mesh: str
+) -> tuple[ForceInput, ...]:
     """Return what each input does alone at the deepest point, the largest first."""
     deepest = int(np.argmax(depth))
     force_n = float(curve.at(depth[deepest]))
@@ -251,7 +246,7 @@ def _budget(curve: ForceCurve, inputs: ForceInputs, deviations: _Deviations, dep
         for name, source, u, effect in zip(inputs.names, inputs.sources, inputs.u_rel, effects, strict=True)
     ]
     others = (
-        ("numerics", "difference of two curves through the increments, and of two meshes where given", "numerical"),
+        ("numerics", "; ".join(["two curves through the increments differ", *([mesh] if mesh else [])]), "numerical"),
         ("measurement", "as its CSV states", "data"),
     )
     for name, source, kind in others:

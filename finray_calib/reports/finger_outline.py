@@ -96,7 +96,7 @@ def finger_outline(design: FingerDesign, folder: Path | None = None) -> FingerOu
     SimulateError
         When they do not fit together.
     """
-    mesh = skeleton_mesh(design, _STEP_MM, layers=1)
+    mesh = skeleton_mesh(design, _STEP_MM)
     outline, touch = side_outline_mm(design, folder=folder), _first_touch_mm(design, folder)
     return FingerOutline(design, skeleton_layout(design), mesh.nodes_mm, mesh.hexahedra, outline, touch)
 

@@ -73,7 +73,7 @@ def _parts(design: FingerDesign, folder: Path) -> Iterator[ScenePart]:
     ):
         yield ScenePart(name, colour, True, *_used(pad.nodes_mm, split_quads(quads, pad.nodes_mm)))
     sheet = "bond" if design.pad.film is None else "film"
-    body = skeleton_mesh(design, _SKELETON_STEP_MM, layers=1)
+    body = skeleton_mesh(design, _SKELETON_STEP_MM)
     colours = {sheet: "#e8c27a", **PART_COLOURS, "mirror": SKY}
     for mesh, name in ((pad, sheet), *((body, block.name) for block in body.blocks)):
         quads = boundary_quads(mesh.hexahedra[name]).quads

@@ -185,6 +185,7 @@ def _mechanics(
         name=f"{design.name}, push of {pressed.depth_mm[-1]:g} mm",
         label=f"{engine}, {preset} mesh, {pressed.displacement_mm[0].size} unknowns",
         preset=preset,
+        mesh_excess_rel=FORCE_EXCESS_REL[preset],
         depth_mm=pressed.depth_mm,
         force_n=pressed.force_n,
         energy_n_mm=pressed.energy_n_mm,

@@ -7,6 +7,7 @@ import numpy as np
 
 from data_schemas.design import FingerDesign
 from data_schemas.mechanical_design import Preset
+from sim.mechanics.corner_grading import CornerGrading
 from sim.mechanics.mesh import FingerMesh, Tie
 from sim.mechanics.pad_mesh import pad_mesh
 from sim.mechanics.skeleton_mesh import skeleton_mesh
@@ -14,26 +15,37 @@ from sim.mechanics.skeleton_mesh import skeleton_mesh
 
 @dataclass(frozen=True, slots=True)
 class MeshSteps:
-    """Largest edges in mm: along and across the pad, through the pad, elsewhere; and layers through fins and ribs."""
+    """Fineness of a finger.
+
+    Attributes
+    ----------
+    pad_mm, pad_layer_mm
+        Largest edges along and across the pad, and through it.
+    skeleton_mm, across_mm
+        Largest edges elsewhere: in the side view, and across.
+    corners
+        How elements shrink towards the inner corners of ribs and fins; None: one element through both.
+    """
 
     pad_mm: float
     pad_layer_mm: float
     skeleton_mm: float
-    layers: int
+    across_mm: float
+    corners: CornerGrading | None = None
 
 
 # Through the fine pad two thirds of a mm in place of the paper's 0.4 mm: 600 000 unknowns, which is what 8 GB hold.
 STEPS: Final[dict[Preset, MeshSteps]] = {
-    "coarse": MeshSteps(2.0, 2.0, 2.5, 1),
-    "medium": MeshSteps(1.0, 1.0, 1.5, 2),
-    "fine": MeshSteps(0.4, 0.67, 1.2, 2),
+    "coarse": MeshSteps(2.0, 2.0, 2.5, 5.0, CornerGrading(0.15, 8.0)),
+    "medium": MeshSteps(1.0, 1.0, 1.5, 3.0, CornerGrading(0.15, 4.0)),
+    "fine": MeshSteps(0.4, 0.67, 1.2, 2.5, CornerGrading(0.15, 3.0)),
 }
 
-FORCE_EXCESS_REL: Final[dict[Preset, float]] = {"coarse": 0.23, "medium": 0.12, "fine": 0.10}
-"""By how much the force of the 70 x 35 finger, pushed by 2 mm, exceeds that of an infinitely fine mesh, extrapolated.
+FORCE_EXCESS_REL: Final[dict[Preset, float]] = {"coarse": 0.09, "medium": 0.05, "fine": 0.04}
+"""By how much a preset's force exceeds that of an infinitely fine mesh, for the 70 x 35 finger.
 
-The inner corners between ribs and fins are sharp: the error falls only as the 1.1th power of the layers through them.
-Measured by ``benchmarks/finger_mesh_convergence.py``.
+Of the skeleton by its stiffness under the pad at a small force, extrapolated, and of the pad by presses of 2 mm:
+``benchmarks/finger_mesh_convergence.py``.
 """
 
 
@@ -64,7 +76,7 @@ def finger_mesh(design: FingerDesign, preset: Preset | None = None, steps: MeshS
     """
     sizes = steps or STEPS[preset or design.mesh.preset]
     pad = pad_mesh(design, sizes.pad_mm, sizes.pad_layer_mm)
-    return joined(pad, skeleton_mesh(design, sizes.skeleton_mm, sizes.layers))
+    return joined(pad, skeleton_mesh(design, sizes.skeleton_mm, sizes.across_mm, sizes.corners))
 
 
 def joined(pad: FingerMesh, skeleton: FingerMesh) -> FingerMesh:

@@ -11,6 +11,8 @@ from sim.mechanics.assembly import Assembly, State
 from sim.mechanics.linear_solver import SymmetricSolver
 from sim.mechanics.newton import Equilibrium, NewtonOptions, Supports, find_equilibrium
 
+_MODE_STEPS = 4  # element by element; the second one usually changes nothing any more
+_MODES_SETTLED_REL = 1e-3  # of the energy; Newton's method does the rest
 _MOST_ROUNDS = 12  # renewals of lagged forces; each takes the change down to about the coefficient of friction
 
 
@@ -54,7 +56,26 @@ def _allowed(assembly: Assembly, state: State, guess: State | None, supports: Su
     there = State(u, guess.modes)
     if assembly.max_step(state, u - state.u_mm) < 1.0 or not math.isfinite(assembly.energy(there)):
         return None
-    return there
+    return _with_own_modes(assembly, there)
+
+
+def _with_own_modes(assembly: Assembly, state: State) -> State:
+    """Return a state with the incompatible modes that belong to its displacements, as nearly as a few steps tell.
+
+    A guess from another mesh has none: its bent elements are too stiff, and Newton's method goes astray on all
+    unknowns where each element could have found its own modes.
+    """
+    energy, still = assembly.energy(state), np.zeros_like(state.u_mm)
+    for _ in range(_MODE_STEPS):
+        assembly.assemble(state, project=False)
+        there = state.moved(1.0, still, assembly.elasticity.mode_step(still))
+        new = assembly.energy(there)
+        if not new < energy:
+            break
+        state, fallen, energy = there, energy - new, new
+        if fallen < _MODES_SETTLED_REL * abs(energy):
+            break
+    return state
 
 
 def _settled(

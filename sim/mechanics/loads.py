@@ -13,7 +13,7 @@ from data_schemas.errors import SimulateError
 from data_schemas.mechanical_design import Preset
 from sim.mechanics.assembly import Assembly
 from sim.mechanics.elements import Elasticity
-from sim.mechanics.finger_mesh import STEPS, finger_mesh
+from sim.mechanics.finger_mesh import STEPS, MeshSteps, finger_mesh
 from sim.mechanics.finger_parts import finger_materials, finger_ties
 from sim.mechanics.increments import Increment, load_increments
 from sim.mechanics.linear_solver import linear_solver
@@ -136,13 +136,17 @@ class LoadedFinger:
         Fineness of the mesh; the design's own by default.
     threads
         Of elements and factorisation.
+    steps
+        Sizes in place of a preset, for studies of convergence.
     """
 
-    def __init__(self, design: FingerDesign, preset: Preset | None = None, threads: int = 1) -> None:
-        fineness = preset or design.mesh.preset
-        self.mesh = finger_mesh(design, fineness)
+    def __init__(
+        self, design: FingerDesign, preset: Preset | None = None, threads: int = 1, steps: MeshSteps | None = None
+    ) -> None:
+        sizes = steps or STEPS[preset or design.mesh.preset]
+        self.mesh = finger_mesh(design, steps=sizes)
         self._middle_mm = design.pad.length_mm / 2.0
-        self._ties = finger_ties(design, self.mesh, STEPS[fineness].skeleton_mm)
+        self._ties = finger_ties(design, self.mesh, sizes.skeleton_mm)
         elasticity = Elasticity(self.mesh, finger_materials(design), threads)
         self._assembly = Assembly(elasticity, self._ties)
         self._held = Supports.at_rest(len(self.mesh.nodes_mm), self.mesh.node_sets["fixed"])

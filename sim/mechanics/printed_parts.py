@@ -46,7 +46,7 @@ def part_solid(design: FingerDesign, part: Part = "skeleton") -> Solid:
 
 def _boundary(design: FingerDesign, part: Part) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return nodes and outward quadrilaterals of a part; skeleton and base share theirs, so as one piece they join."""
-    mesh = skeleton_mesh(design, _STEP_MM, layers=1)
+    mesh = skeleton_mesh(design, _STEP_MM)
     names = _ONE_PIECE if part == "skeleton_and_base" else (part,)
     if not set(names) <= set(mesh.hexahedra):
         raise SimulateError(f"the design '{design.name}' has no part {part}; it has {', '.join(mesh.hexahedra)}")

@@ -1,55 +1,22 @@
 """Hexahedra of skeleton, base plate, backing and mirror: one structured grid bent into shape, all parts conforming.
 
-Grid lines: i across (x), j from the back of the finger to its front, k from base to tip along lines that run from the
-back fin to the front fin, parallel to the ribs where ribs are.
+Grid lines: i across (x), j and k as in :mod:`sim.mechanics.skeleton_side_view`.
 """
-
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
-from data_schemas.mechanical_design import Backing
+from sim.mechanics.corner_grading import CornerGrading
 from sim.mechanics.mesh import Block, FingerMesh
 from sim.mechanics.skeleton import SkeletonLayout, back_curve_mm, skeleton_layout
+from sim.mechanics.skeleton_side_view import SideView, skeleton_side_view
 from sim.mechanics.structured_grid import Grid, divided, hexahedra_on_grid, quads_of_layer
 
-# an end of window, mirror or backing this near to a grid line moves onto it: no slivers
-_SNAP_MM = 0.1
-_FEWEST_ALONG_A_RIB = 6
-# the base plate is stiff and fixed from below
-_COARSER_BASE = 2.0
 
-RowKind = Literal["base", "gap", "rib", "tip"]
-
-
-@dataclass(frozen=True, slots=True)
-class _Rows:
-    """Grid lines k: z on the front fin, s on the back fin, and the kind of the row above each but the last."""
-
-    front_z_mm: NDArray[np.float64]
-    along_mm: NDArray[np.float64]
-    kinds: NDArray[np.str_]
-
-
-@dataclass(frozen=True, slots=True)
-class _Levels:
-    """Number of element layers from back to front: backing, back fin, between the fins, front fin."""
-
-    backing: int
-    back: int
-    between: int
-    front: int
-
-    @property
-    def ends(self) -> NDArray[np.int64]:
-        """First level of backing, back fin, room between the fins and front fin, and the last level."""
-        return np.cumsum([0, self.backing, self.back, self.between, self.front])
-
-
-def skeleton_mesh(design: FingerDesign, step_mm: float, layers: int) -> FingerMesh:
+def skeleton_mesh(
+    design: FingerDesign, step_mm: float, across_mm: float | None = None, corners: CornerGrading | None = None
+) -> FingerMesh:
     """Mesh skeleton, base plate, backing and mirror.
 
     Parameters
@@ -57,9 +24,11 @@ def skeleton_mesh(design: FingerDesign, step_mm: float, layers: int) -> FingerMe
     design
         Finger.
     step_mm
-        Largest edge of the elements, in mm; twice that in the base plate.
-    layers
-        Elements through fins and ribs.
+        Largest edge of the elements in the side view, in mm; twice that in the base plate.
+    across_mm
+        Largest edge across the finger, in mm; None: as in the side view.
+    corners
+        How elements shrink towards the inner corners between ribs and fins; None: one element through both.
 
     Returns
     -------
@@ -72,91 +41,14 @@ def skeleton_mesh(design: FingerDesign, step_mm: float, layers: int) -> FingerMe
     SimulateError
         When the parts do not fit together.
     """
-    layout, skeleton = skeleton_layout(design), design.skeleton
-    rows = _rows(design, layout, step_mm, layers)
-    deepest = layout.front_inner_mm - float(back_curve_mm(layout.mirror, layout.base_line[1], 0.0)[0])
-    levels = _Levels(
-        backing=0 if skeleton.backing is None else max(1, layers // 2),
-        back=layers,
-        between=max(_FEWEST_ALONG_A_RIB, int(np.ceil(deepest / step_mm))),
-        front=layers,
-    )
-    side_view, kinds = _with_base_and_tip(design, _side_view(design, layout, rows, levels), rows, step_mm)
-    x = _across(design, layout, step_mm)
-    points = np.empty((len(x), *side_view.shape[:2], 3))
+    layout = skeleton_layout(design)
+    view = skeleton_side_view(design, layout, step_mm, corners)
+    x = _across(design, layout, across_mm or step_mm)
+    points = np.empty((len(x), *view.points_mm.shape[:2], 3))
     points[..., 0] = x[:, None, None]
-    points[..., 1:] = side_view
-    below = int((kinds == "base").sum())
-    along = np.full(side_view.shape[1], np.nan)
-    along[below : below + len(rows.along_mm)] = rows.along_mm
-    grid = hexahedra_on_grid(points, _used(design, layout, levels, x, side_view, kinds))
-    return _assembled(layout, levels, grid, x, along, kinds)
-
-
-def _rows(design: FingerDesign, layout: SkeletonLayout, step_mm: float, layers: int) -> _Rows:
-    """Return the grid lines of the hollow: through all edges of ribs, window, mirror and backing."""
-    lines = np.concatenate([[layout.base_line], layout.ribs.reshape(-1, 2), [layout.tip_line]])
-    wanted = [0.0, design.pad.length_mm, *np.interp(layout.mirror_along_mm, lines[:, 1], lines[:, 0])]
-    if design.skeleton.backing is not None:
-        wanted += _backing_ends(design.skeleton.backing, design, layout, lines)
-    front = lines[:, 0]
-    for z in wanted:
-        if front[0] < z < front[-1] and np.abs(front - z).min() > _SNAP_MM:
-            front = np.sort(np.append(front, z))
-    along = np.interp(front, lines[:, 0], lines[:, 1])
-    rib = np.searchsorted(lines[:, 0], (front[1:] + front[:-1]) / 2.0) % 2 == 0
-    fine = design.skeleton.rib_thickness_mm / np.cos(np.radians(design.skeleton.rib_angle_deg)) / layers
-    z_parts, s_parts, kinds = [front[:1]], [along[:1]], []
-    for k, is_rib in enumerate(rib):
-        longer = max(front[k + 1] - front[k], 0.0 if is_rib else along[k + 1] - along[k])
-        share = divided([0.0, 1.0], (fine if is_rib else step_mm) / longer)[1:]
-        z_parts.append(front[k] + share * (front[k + 1] - front[k]))
-        s_parts.append(along[k] + share * (along[k + 1] - along[k]))
-        kinds += ["rib" if is_rib else "gap"] * len(share)
-    return _Rows(np.concatenate(z_parts), np.concatenate(s_parts), np.array(kinds))
-
-
-def _backing_ends(
-    backing: Backing, design: FingerDesign, layout: SkeletonLayout, lines: NDArray[np.float64]
-) -> list[float]:
-    """Return z on the front fin of the grid lines that meet the ends of the backing."""
-    s = np.linspace(lines[0, 1], lines[-1, 1], 1001)
-    behind = design.skeleton.mirror_thickness_mm + design.skeleton.back_fin_thickness_mm
-    ends = np.interp([backing.from_z_mm, backing.to_z_mm], back_curve_mm(layout.mirror, s, behind)[:, 1], s)
-    return [float(z) for z in np.interp(ends, lines[:, 1], lines[:, 0])]
-
-
-def _side_view(design: FingerDesign, layout: SkeletonLayout, rows: _Rows, levels: _Levels) -> NDArray[np.float64]:
-    """Return the points (y, z) of the grid over the hollow, shape (levels + 1, rows + 1, 2)."""
-    skeleton = design.skeleton
-    inner = skeleton.mirror_thickness_mm
-    outer = inner + skeleton.back_fin_thickness_mm
-    behind = np.linspace(outer, inner, levels.back + 1)
-    if skeleton.backing is not None:
-        last = np.linspace(outer + skeleton.backing.thickness_mm, outer, levels.backing + 1)
-        behind = np.concatenate([last[:-1], behind])
-    back = back_curve_mm(layout.mirror, rows.along_mm[None, :], behind[:, None])
-    y_front = np.linspace(layout.front_inner_mm, layout.front_outer_mm, levels.front + 1)
-    front = np.stack(np.broadcast_arrays(y_front[:, None], rows.front_z_mm[None, :]), axis=-1)
-    share = np.linspace(0.0, 1.0, levels.between + 1)[1:-1, None, None]
-    return np.concatenate([back, (1.0 - share) * back[-1] + share * front[0], front])
-
-
-def _with_base_and_tip(
-    design: FingerDesign, side_view: NDArray[np.float64], rows: _Rows, step_mm: float
-) -> tuple[NDArray[np.float64], NDArray[np.str_]]:
-    """Return the side view with the rows of base plate and tip, and the kinds of all rows."""
-    bottom, top = side_view[:, 0].copy(), side_view[:, -1].copy()
-    bottom[:, 1] = rows.front_z_mm[0] - design.skeleton.base_thickness_mm
-    top[:, 1] = rows.front_z_mm[-1] + design.skeleton.tip_length_mm
-    below = divided([0.0, design.skeleton.base_thickness_mm], _COARSER_BASE * step_mm)[:-1]
-    above = divided([0.0, design.skeleton.tip_length_mm], step_mm)[1:]
-    share = (below / design.skeleton.base_thickness_mm)[None, :, None]
-    base = (1.0 - share) * bottom[:, None] + share * side_view[:, :1]
-    share = (above / design.skeleton.tip_length_mm)[None, :, None]
-    tip = (1.0 - share) * side_view[:, -1:] + share * top[:, None]
-    kinds = np.concatenate([np.full(len(below), "base"), rows.kinds, np.full(len(above), "tip")])
-    return np.concatenate([base, side_view, tip], axis=1), kinds
+    points[..., 1:] = view.points_mm
+    grid = hexahedra_on_grid(points, _used(design, layout, view, x))
+    return _assembled(layout, view, grid, x)
 
 
 def _across(design: FingerDesign, layout: SkeletonLayout, step_mm: float) -> NDArray[np.float64]:
@@ -165,19 +57,12 @@ def _across(design: FingerDesign, layout: SkeletonLayout, step_mm: float) -> NDA
     return divided([-x for x in reversed(half)] + half, step_mm)
 
 
-def _used(
-    design: FingerDesign,
-    layout: SkeletonLayout,
-    levels: _Levels,
-    x: NDArray[np.float64],
-    side_view: NDArray[np.float64],
-    kinds: NDArray[np.str_],
-) -> NDArray[np.bool_]:
+def _used(design: FingerDesign, layout: SkeletonLayout, view: SideView, x: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which cells of the grid hold material."""
-    pad, backing = design.pad, design.skeleton.backing
+    pad, backing, side_view, kinds = design.pad, design.skeleton.backing, view.points_mm, view.kinds
     x_middle = np.abs(x[1:] + x[:-1]) / 2.0
     front_z = (side_view[-1, 1:, 1] + side_view[-1, :-1, 1]) / 2.0
-    _, back, between, front, end = levels.ends
+    _, back, between, front, end = view.ends
     used = np.zeros((len(x) - 1, end, len(kinds)), dtype=np.bool_)
     used[:, back:between] = used[:, front:end] = True
     window = (x_middle < pad.width_mm / 2.0)[:, None, None] & (front_z > 0.0) & (front_z < pad.length_mm)
@@ -191,23 +76,17 @@ def _used(
     return used
 
 
-def _assembled(
-    layout: SkeletonLayout,
-    levels: _Levels,
-    grid: Grid,
-    x: NDArray[np.float64],
-    along: NDArray[np.float64],
-    kinds: NDArray[np.str_],
-) -> FingerMesh:
+def _assembled(layout: SkeletonLayout, view: SideView, grid: Grid, x: NDArray[np.float64]) -> FingerMesh:
     """Return blocks, sets and surfaces of the grid, with the mirror on the back fin."""
-    in_base, in_backing = kinds[grid.cells[:, 2]] == "base", grid.cells[:, 1] < levels.ends[1]
+    kinds, along = view.kinds, view.along_mm
+    in_base, in_backing = kinds[grid.cells[:, 2]] == "base", grid.cells[:, 1] < view.ends[1]
     parts = {"skeleton": ~in_base & ~in_backing, "base_plate": in_base, "backing": ~in_base & in_backing}
     blocks = [
         Block(name, grid.hexahedra[own], "skeleton" if name == "skeleton" else "onyx", "incompatible_modes")
         for name, own in parts.items()
         if own.any()
     ]
-    face = grid.numbers[:, levels.ends[2], :].T
+    face = grid.numbers[:, view.ends[2], :].T
     middle = (along[1:] + along[:-1]) / 2.0
     first, last = layout.mirror_along_mm
     # rows of base and tip have no place on the mirror: NaN, which compares false
@@ -223,7 +102,7 @@ def _assembled(
     outer = grid.numbers[:, -1, :].T
     corners = np.stack([outer[:-1, :-1], outer[1:, :-1], outer[1:, 1:], outer[:-1, 1:]])
     used_front = np.zeros(corners.shape[1:], dtype=np.bool_)
-    on_front = grid.cells[grid.cells[:, 1] == levels.ends[4] - 1]
+    on_front = grid.cells[grid.cells[:, 1] == view.ends[4] - 1]
     used_front[on_front[:, 2], on_front[:, 0]] = True
     return FingerMesh(
         nodes_mm=np.concatenate([grid.nodes_mm, front]),

@@ -3,7 +3,6 @@
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from data_schemas.errors import SimulateError
 from sim.mechanics.contact_analytic import node_blocks, quad_shapes
@@ -12,7 +11,8 @@ from sim.mechanics.mesh import Tie
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_CANDIDATES = 8  # faces with the nearest centres that a node is projected on
+_CANDIDATES = 8  # faces with the nearest boxes that a node is projected on; a corner of a grid has four
+_AT_ONCE = 256  # nodes whose distances from all boxes are held at once
 _PROJECTION_STEPS = 8  # Gauss-Newton on a bilinear face converges in three or four
 _REACH = 0.05  # a tied node may lie this share of a face's diagonal off the faces
 _DIAGONAL = np.array([0, 2])
@@ -82,8 +82,7 @@ class TiedNodes:
 def _project(nodes: FloatArray, slaves: IntArray, quads: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return for each slave node its nearest face, the weights of the face's corners (s, 4) and the distance."""
     points = nodes[slaves]
-    _, near = cKDTree(nodes[quads].mean(axis=1)).query(points, k=min(_CANDIDATES, len(quads)))
-    near = near.reshape(len(slaves), -1)
+    near = _nearest_boxes(points, nodes[quads])
     corners = nodes[quads[near]]
     local = np.zeros((*near.shape, 2))
     for _ in range(_PROJECTION_STEPS):
@@ -98,3 +97,18 @@ def _project(nodes: FloatArray, slaves: IntArray, quads: IntArray) -> tuple[IntA
     row = np.arange(len(slaves))
     best = distance.argmin(axis=1)
     return near[row, best], shapes[row, best], distance[row, best]
+
+
+def _nearest_boxes(points: FloatArray, corners: FloatArray) -> IntArray:
+    """Return the faces (s, c) whose boxes are nearest to each point, of faces with corners (f, 4, 3).
+
+    Centres would not do: of long and narrow faces the nearest centre may be that of another row.
+    """
+    low, high, count = corners.min(axis=1), corners.max(axis=1), min(_CANDIDATES, len(corners))
+    near = [
+        np.argpartition(
+            (np.maximum(0.0, np.maximum(low - some[:, None], some[:, None] - high)) ** 2).sum(axis=2), count - 1
+        )[:, :count]
+        for some in np.array_split(points, max(1, len(points) // _AT_ONCE))
+    ]
+    return np.concatenate(near)

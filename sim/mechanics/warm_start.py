@@ -15,12 +15,14 @@ IntArray = NDArray[np.int64]
 _CORNERS = np.array(
     [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], dtype=float
 )
-_CANDIDATES = (2, 8, 64)  # hexahedra with the nearest centres that a node is looked for in, more for who lies in none
+_NEAREST_CENTRES = 64  # hexahedra whose boxes are looked at
+_CANDIDATES = (2, 16)  # nearest of these boxes that a node is looked for in, more for who lies in none
 _INVERSION_STEPS = 5  # Newton's method in a convex hexahedron converges in three or four
 _TOGETHER = 20_000  # pairs of node and hexahedron inverted at a time: 60 MB
+_BOXES_TOGETHER = 1_000_000  # pairs of node and box looked at at a time: 70 MB
 # curved walls have other chords on another mesh: a node may lie this share of a hexahedron's half-size outside
 _OUTSIDE = 0.5
-_SLIGHTLY = 0.05  # beyond this a better hexahedron is looked for among more candidates
+_SLIGHTLY = 1e-6  # beyond this a better hexahedron is looked for among more candidates
 
 
 class Interpolation:
@@ -106,28 +108,43 @@ class CoarserPath:
 
 def _located(nodes: FloatArray, hexahedra: IntArray, points: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return for each point the nodes (n, 8) and weights of its hexahedron, and how far outside it lies."""
-    tree = cKDTree(nodes[hexahedra].mean(axis=1))
+    near = _nearest_boxes(nodes[hexahedra], points)
     owner, local = np.zeros(len(points), np.int64), np.full((len(points), 3), np.inf)
     left = np.arange(len(points))
     for candidates in _CANDIDATES:
-        wanted = min(candidates, len(hexahedra))
-        _, near = tree.query(points[left], k=wanted)
-        near = near.reshape(len(left), wanted)
+        tried = near[left, :candidates]
         found = np.concatenate(
             [
-                _local_coordinates(nodes[hexahedra[near[rows]]], points[left[rows]])
-                for rows in np.array_split(np.arange(len(left)), max(1, near.size // _TOGETHER))
+                _local_coordinates(nodes[hexahedra[tried[rows]]], points[left[rows]])
+                for rows in np.array_split(np.arange(len(left)), max(1, tried.size // _TOGETHER))
             ]
         )
         excess = np.where(np.isfinite(found).all(axis=2), np.abs(found).max(axis=2), np.inf) - 1.0
         best = excess.argmin(axis=1)
         row = np.arange(len(left))
-        owner[left], local[left] = near[row, best], found[row, best]
+        owner[left], local[left] = tried[row, best], found[row, best]
         left = left[excess[row, best] > _SLIGHTLY]
         if not len(left):
             break
     shapes, _ = _shapes(local)
     return hexahedra[owner], shapes, np.abs(local).max(axis=1) - 1.0
+
+
+def _nearest_boxes(corners: FloatArray, points: FloatArray) -> IntArray:
+    """Return for each point the hexahedra whose boxes are nearest, those with nearer centres first among equals.
+
+    Centres alone would not do: of long and thin hexahedra the nearest centre may be that of another layer.
+    """
+    _, near = cKDTree(corners.mean(axis=1)).query(points, k=min(_NEAREST_CENTRES, len(corners)))
+    near = near.reshape(len(points), -1)
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    found = []
+    for rows in np.array_split(np.arange(len(points)), max(1, near.size // _BOXES_TOGETHER)):
+        place, cells = points[rows, None], near[rows]
+        off = np.maximum(0.0, np.maximum(low[cells] - place, place - high[cells])).max(axis=2)
+        order = np.argsort(off, axis=1, kind="stable")[:, : _CANDIDATES[-1]]
+        found.append(np.take_along_axis(cells, order, axis=1))
+    return np.concatenate(found)
 
 
 def _local_coordinates(corners: FloatArray, points: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from sim.mechanics.press_contact import press_contact
 from sim.presets import preset_design
 
 SMALL = preset_design("baby-48x18")
-ROUGH = MeshSteps(3.0, 2.0, 4.0, 1)
+ROUGH = MeshSteps(3.0, 2.0, 4.0, 4.0)
 DEPTH_MM = 0.5
 
 
@@ -54,7 +54,7 @@ def test_a_released_finger_returns(press_and_release):
 
 def test_the_force_converges_with_the_pad_s_elements():
     # each pad's hexahedra are those of the one before in eight
-    pads = [pressed(MeshSteps(3.0 * f, 4.0 * f, 4.0, 1))[1][0, 1] for f in (1.0, 0.5, 0.25)]
+    pads = [pressed(MeshSteps(3.0 * f, 4.0 * f, 4.0, 4.0))[1][0, 1] for f in (1.0, 0.5, 0.25)]
     first, second = np.diff(pads)
     # fewer elements are stiffer. Linear elements beside a re-entrant right angle (the flange on the fin) converge in
     # energy with twice the exponent 0.545 of its singularity: a halving leaves 2^-1.09 = 0.47 of the difference

@@ -13,6 +13,7 @@ from data_schemas.errors import SimulateError
 from data_schemas.press_mechanics import PressIncrement, PressMechanics
 from data_schemas.storage import read_record
 from sim.experiments.mechanical_press import increment_record, stored_press
+from sim.mechanics.corner_grading import CornerGrading
 from sim.mechanics.finger_mesh import MeshSteps, finger_mesh
 from sim.mechanics.increments import load_increments
 from sim.mechanics.linear_solver import linear_solver
@@ -92,7 +93,10 @@ def test_iterations_are_solved_systems_that_end_with_old_factors():
 
 
 def test_displacements_move_to_another_mesh():
-    coarse, other = finger_mesh(SMALL, "coarse"), finger_mesh(SMALL, steps=MeshSteps(2.6, 1.4, 1.9, 2))
+    coarse, other = (
+        finger_mesh(SMALL, "coarse"),
+        finger_mesh(SMALL, steps=MeshSteps(2.6, 1.4, 1.9, 1.9, CornerGrading(0.4, 1.5))),
+    )
     slope = np.array([[0.1, 0.2, 0.0], [0.0, 0.3, 0.1], [0.2, 0.0, -0.1]])
     moved = Interpolation(coarse, other)(coarse.nodes_mm @ slope)
     # trilinear hexahedra hold a linear field exactly

@@ -38,7 +38,7 @@ FINGER = BABY + "depth_mm = 0.2\nfriction = 0.3\n"
 @pytest.fixture
 def rough_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
     """Mesh half as finely as coarse: what is shown does not hang on it."""
-    monkeypatch.setitem(STEPS, "coarse", MeshSteps(pad_mm=3.0, pad_layer_mm=3.0, skeleton_mm=4.0, layers=1))
+    monkeypatch.setitem(STEPS, "coarse", MeshSteps(pad_mm=3.0, pad_layer_mm=3.0, skeleton_mm=4.0, across_mm=4.0))
 
 
 def impatient(

@@ -211,6 +211,22 @@ def test_another_mesh_adds_its_difference(rng):
     assert not any("the mesh" in missing for missing in both.not_included)
 
 
+def test_the_known_excess_of_a_mesh_is_its_uncertainty(rng):
+    press = changed(power_law_press(), mesh_excess_rel=0.08)
+    # by what an infinitely fine mesh's force is known to be exceeded: 8 and 3 %
+    finer = changed(press, preset="medium", mesh_excess_rel=0.03, force_n=1.03 / 1.08 * press.force_n)
+    alone = compare_force(press, measure(rng, 0.0, 0.0, NOISE_N), rng, fit_first_touch=False)
+    both = compare_force(press, measure(rng, 0.0, 0.0, NOISE_N), rng, False, finer)
+    # 2000 draws: 4.7 % at three sigma
+    assert alone.points[-1].u_numerical_n == pytest.approx(0.08 * alone.points[-1].simulated_n.estimate, rel=0.05)
+    assert both.points[-1].u_numerical_n == pytest.approx(
+        (1.0 - 1.0 / 1.08) * both.points[-1].simulated_n.estimate, rel=0.05
+    )
+    assert not any("the mesh" in missing for missing in alone.not_included)
+    numerics = next(line for line in alone.budget if line.input == "numerics")
+    assert "70 x 35 finger (--other-mesh tells this one's)" in numerics.source
+
+
 def test_the_uncertainty_of_the_displacement_goes_through_the_slope(rng):
     depth = np.linspace(0.2, 1.9, 8)
     measured = MeasuredForce("bench", depth, force_at(depth), None, np.full(8, 0.02))

@@ -26,7 +26,7 @@ DESIGN = FingerDesign()
 
 @pytest.fixture(scope="module")
 def mesh():
-    return finger_mesh(DESIGN, steps=MeshSteps(5.0, 3.0, 5.0, 1))
+    return finger_mesh(DESIGN, steps=MeshSteps(5.0, 3.0, 5.0, 5.0))
 
 
 @pytest.fixture(scope="module")

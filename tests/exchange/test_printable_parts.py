@@ -38,7 +38,7 @@ def step_of(preset: str, part: str) -> bytes:
 
 
 def mesh_volume_mm3(preset: str, *parts: str) -> float:
-    mesh = skeleton_mesh(preset_design(preset), 1.0, 1)
+    mesh = skeleton_mesh(preset_design(preset), 1.0)
     return sum(hexahedra_volume_mm3(mesh.nodes_mm, mesh.hexahedra[part]).sum() for part in parts)
 
 

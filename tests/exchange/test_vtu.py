@@ -12,7 +12,7 @@ from sim.mechanics.finger_mesh import MeshSteps, finger_mesh
 
 @pytest.fixture(scope="module")
 def mesh():
-    return finger_mesh(FingerDesign(), steps=MeshSteps(5.0, 3.0, 5.0, 1))
+    return finger_mesh(FingerDesign(), steps=MeshSteps(5.0, 3.0, 5.0, 5.0))
 
 
 def test_another_program_reads_mesh_displacement_and_parts(mesh, tmp_path):

@@ -85,13 +85,15 @@ def test_finer_presets_keep_to_their_steps(preset, most):
     assert np.linalg.norm(coat - np.roll(coat, 1, axis=1), axis=2).max() < 1.01 * steps.pad_mm
     front = mesh.nodes_mm[mesh.surfaces["front"]]
     front = front[front[:, :, 2].min(axis=1) > skeleton_layout(DESIGN).base_line[0] - ROUNDING_MM]
-    assert np.linalg.norm(front - np.roll(front, 1, axis=1), axis=2).max() < 1.01 * steps.skeleton_mm
+    edges = np.abs(front - np.roll(front, 1, axis=1))
+    assert edges[:, :, 2].max() < 1.01 * steps.skeleton_mm
+    assert edges[:, :, 0].max() < 1.01 * steps.across_mm
 
 
 def test_the_preset_comes_from_the_design_or_the_caller():
     medium = DESIGN.model_copy(update={"mesh": MeshPreset(preset="medium")})
     assert len(finger_mesh(medium).nodes_mm) == len(meshed(preset="medium").nodes_mm)
-    coarser = finger_mesh(DESIGN, steps=MeshSteps(4.0, 3.0, 5.0, 1))
+    coarser = finger_mesh(DESIGN, steps=MeshSteps(4.0, 3.0, 5.0, 5.0))
     assert len(coarser.nodes_mm) < len(finger_mesh(DESIGN).nodes_mm) == len(meshed().nodes_mm)
 
 
@@ -151,7 +153,7 @@ def test_the_mirror_of_the_mesh_is_the_sheet_that_light_meets(name):
 
 @pytest.mark.parametrize("ribs", [0, 1, 5])
 def test_handles_of_the_skeleton_count_its_ribs(ribs):
-    mesh = skeleton_mesh(with_skeleton(rib_count=ribs), 3.0, 1)
+    mesh = skeleton_mesh(with_skeleton(rib_count=ribs), 3.0)
     # openings: the window, and the room between neighbouring ribs, base and tip on both sides; one less than openings
     # are handles
     assert quality(mesh, conforming(mesh)).euler_number == 2 - 2 * (2 * (ribs + 1))
@@ -168,7 +170,7 @@ def test_ribs_have_their_thickness_angle_and_spacing(angle_deg):
     apart = front[:, 1] - front[:, 0]
     np.testing.assert_allclose(np.abs(apart[:, 0] * direction[:, 0, 1] - apart[:, 1] * direction[:, 0, 0]), 1.4)
     np.testing.assert_allclose(np.diff(layout.ribs[:, 0, 0]), 12.0)
-    mesh = skeleton_mesh(design, 2.5, 1)
+    mesh = skeleton_mesh(design, 2.5)
     for height, along in layout.ribs.reshape(-1, 2):
         on_front = (mesh.nodes_mm[:, 1] == layout.front_inner_mm) & (np.abs(mesh.nodes_mm[:, 2] - height) < ROUNDING_MM)
         on_back = np.abs(mesh.nodes_mm[:, 1:] - back_curve_mm(layout.mirror, along, 0.15)).max(axis=1) < ROUNDING_MM
@@ -363,7 +365,7 @@ def read_stl(data):
 @pytest.mark.parametrize("part", ["skeleton", "base_plate", "backing"])
 def test_printed_parts_are_closed_and_hold_their_volume(part):
     normals, triangles, vertices = read_stl(part_stl(DESIGN, part))
-    mesh = skeleton_mesh(DESIGN, 1.0, 1)
+    mesh = skeleton_mesh(DESIGN, 1.0)
     found = surface_quality(triangles, vertices, np.zeros((0, 8), np.int64))
     assert found.is_closed
     # single precision of coordinates up to 80 mm
