@@ -21,8 +21,8 @@ def add_force(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--other-mesh", type=Path, metavar="FILE",
-        help="with --force: the same press on another mesh, which tells the error of this finger's mesh (without it, "
-        "that of the 70 x 35 finger is taken)",
+        help="with --force: the same press on another mesh; where they differ by more than the mesh of the 70 x 35 "
+        "finger is known to be off by, that is its uncertainty",
     )  # fmt: skip
 
 

@@ -85,9 +85,8 @@ def compare_force(
     fit_first_touch
         Whether the displacement of first touch is fitted; otherwise displacements count from it.
     other_mesh
-        The same press on another mesh, which tells the error of this finger's mesh, taken for its standard
-        uncertainty: their difference, extrapolated by what both exceed an infinitely fine mesh by on the 70 x 35
-        finger. Without it, that finger's excess is taken.
+        The same press on another mesh; their difference is the standard uncertainty of the mesh where it is more than
+        what the mesh is known to be off by on the 70 x 35 finger.
 
     Raises
     ------

@@ -18,42 +18,40 @@ class MeshError:
 
     Attributes
     ----------
-    share
-        Of the force, or of its difference from another mesh's curve.
+    excess_rel
+        By how much the force exceeds that of an infinitely fine mesh.
     other
-        That curve.
+        Curve of another mesh, if there is one.
     source
         In words where it is known from; empty where nothing is known.
     """
 
-    share: float
+    excess_rel: float
     other: ForceCurve | None
     source: str
 
     def at(self, depth: Floats, force: Floats) -> Floats:
-        """Return the standard uncertainty at pushes (n,) with the force that the press has there."""
-        return self.share * (force if self.other is None else self.other.at(depth) - force)
+        """Return the standard uncertainty, N, at pushes (n,) with the force that the press has there."""
+        known = self.excess_rel / (1.0 + self.excess_rel) * force
+        return known if self.other is None else np.maximum(known, np.abs(self.other.at(depth) - force))
 
 
 def mesh_error(press: PressMechanics, other: PressMechanics | None) -> MeshError:
-    """Return what is known of the error of a press's mesh.
+    """Return what is known of the error of a press's mesh, taken for its standard uncertainty.
 
-    With the excess e of the press's preset and e' of the other one's over an infinitely fine mesh (on the 70 x 35
-    finger), forces F and F': e F, or with another mesh |F' - F| e / |e - e'|, this finger's own.
+    F e / (1 + e) with the force F and the excess e of the press's preset on the 70 x 35 finger; |F' - F| where the
+    force F' on another mesh differs by more.
 
     Raises
     ------
     CompareError
         When the other press is of another design, or on the same preset.
     """
-    excess = press.mesh_excess_rel
-    if other is None:
-        known = "the mesh's excess on the 70 x 35 finger (--other-mesh tells this one's)"
-        return MeshError(0.0, None, "") if excess is None else MeshError(excess, None, known)
-    curve, share = _curve_on_other_mesh(press, other), 1.0
-    if excess is not None and other.mesh_excess_rel is not None and excess != other.mesh_excess_rel:
-        share = excess / abs(excess - other.mesh_excess_rel)
-    return MeshError(share, curve, "its difference from the other mesh, extrapolated")
+    sources = [] if press.mesh_excess_rel is None else ["the mesh's excess on the 70 x 35 finger"]
+    curve = None if other is None else _curve_on_other_mesh(press, other)
+    if curve is not None:
+        sources.append("the other mesh's difference")
+    return MeshError(press.mesh_excess_rel or 0.0, curve, " or ".join(sources))
 
 
 def _curve_on_other_mesh(press: PressMechanics, other: PressMechanics) -> ForceCurve:

@@ -101,7 +101,9 @@ def _draw_before(axes: Axes, rest: FingerShape) -> None:
     for name in _farthest_first(rest):
         polygons = _polygons(rest.surfaces[name], _facing(rest.surfaces[name]))
         colour = PART_COLOURS.get(name, PART_COLOURS["gel"])
-        axes.add_collection(PolyCollection(list(polygons), facecolors=colour, edgecolors="face", linewidths=0.7))
+        axes.add_collection(
+            PolyCollection(list(polygons), facecolors=colour, edgecolors="face", linewidths=0.7, snap=False)
+        )
     _draw_lines(axes, rest)
 
 
@@ -117,7 +119,12 @@ def _draw_after(axes: Axes, rest: FingerShape, pressed: FingerShape) -> PolyColl
         moved_mm.append(distance[after.triangles[facing]].mean(axis=1))
     values = np.concatenate(moved_mm)
     shown = PolyCollection(
-        list(np.concatenate(polygons)), array=values, cmap="viridis", edgecolors="face", linewidths=0.7
+        list(np.concatenate(polygons)),
+        array=values,
+        cmap="viridis",
+        edgecolors="face",
+        linewidths=0.7,
+        snap=False,
     )
     shown.set_clim(0.0, float(values.max()))
     axes.add_collection(shown)

@@ -21,9 +21,11 @@ class CornerGrading:
     thickness_share
         First edge over the thickness of the thinnest of ribs and fins.
     growth
-        An edge is at most this many times longer than its neighbour nearer to the corner.
+        An edge is at most this many times longer than its neighbour nearer to the corner, up to the next line that
+        the grid has to meet.
     halvings
-        How often all edges are halved afterwards, for studies of convergence.
+        How often edges in the side view are halved afterwards, but those of base plate and backing; for studies of
+        convergence.
     """
 
     thickness_share: float

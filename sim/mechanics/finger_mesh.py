@@ -24,7 +24,7 @@ class MeshSteps:
     skeleton_mm, across_mm
         Largest edges elsewhere: in the side view, and across.
     corners
-        How elements shrink towards the inner corners of ribs and fins; None: one element through both.
+        How elements shrink towards the inner corners of ribs and fins; None: even ones.
     """
 
     pad_mm: float
@@ -41,11 +41,12 @@ STEPS: Final[dict[Preset, MeshSteps]] = {
     "fine": MeshSteps(0.4, 0.67, 1.2, 2.5, CornerGrading(0.15, 3.0)),
 }
 
-FORCE_EXCESS_REL: Final[dict[Preset, float]] = {"coarse": 0.09, "medium": 0.05, "fine": 0.04}
+FORCE_EXCESS_REL: Final[dict[Preset, float]] = {"coarse": 0.10, "medium": 0.06, "fine": 0.05}
 """By how much a preset's force exceeds that of an infinitely fine mesh, for the 70 x 35 finger.
 
-Of the skeleton by its stiffness under the pad at a small force, extrapolated, and of the pad by presses of 2 mm:
-``benchmarks/finger_mesh_convergence.py``.
+Of the skeleton by its stiffness under the pad at a small force, extrapolated (7.8, 4.6 and 4.1 %), and of the pad by
+presses of 2 mm (1.3, 0.1 and 0 %): ``benchmarks/finger_mesh_convergence.py``. One per cent more for the base plate,
+whose rows that study leaves as they are.
 """
 
 

@@ -62,8 +62,8 @@ def _allowed(assembly: Assembly, state: State, guess: State | None, supports: Su
 def _with_own_modes(assembly: Assembly, state: State) -> State:
     """Return a state with the incompatible modes that belong to its displacements, as nearly as a few steps tell.
 
-    A guess from another mesh has none: its bent elements are too stiff, and Newton's method goes astray on all
-    unknowns where each element could have found its own modes.
+    A guess from another mesh brings displacements only: bent elements are too stiff without their modes, and Newton's
+    method goes astray on all unknowns. Steps of all elements together, as long as they lower the energy.
     """
     energy, still = assembly.energy(state), np.zeros_like(state.u_mm)
     for _ in range(_MODE_STEPS):

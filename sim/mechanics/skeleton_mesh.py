@@ -28,7 +28,7 @@ def skeleton_mesh(
     across_mm
         Largest edge across the finger, in mm; None: as in the side view.
     corners
-        How elements shrink towards the inner corners between ribs and fins; None: one element through both.
+        How elements shrink towards the inner corners between ribs and fins; None: even ones.
 
     Returns
     -------

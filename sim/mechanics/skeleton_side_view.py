@@ -15,7 +15,7 @@ from sim.mechanics.corner_grading import CornerGrading, fitted_between, graded
 from sim.mechanics.skeleton import SkeletonLayout, back_curve_mm
 from sim.mechanics.structured_grid import divided
 
-# an end of window, mirror or backing this near to a grid line moves onto it: no slivers
+# an end of window, mirror or backing this near to a grid line is taken to lie on it: no slivers
 _SNAP_MM = 0.1
 _FEWEST_ALONG_A_RIB = 6
 # the base plate is stiff and fixed from below
@@ -84,7 +84,7 @@ def skeleton_side_view(
     step_mm
         Largest edge of the elements; twice that in the base plate.
     corners
-        How elements shrink towards inner corners; None: one element through fins and ribs.
+        How elements shrink towards inner corners; None: even ones.
     """
     skeleton = design.skeleton
     thinnest = min(skeleton.rib_thickness_mm, skeleton.front_fin_thickness_mm, skeleton.back_fin_thickness_mm)

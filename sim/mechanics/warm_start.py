@@ -19,7 +19,7 @@ _NEAREST_CENTRES = 64  # hexahedra whose boxes are looked at
 _CANDIDATES = (2, 16)  # nearest of these boxes that a node is looked for in, more for who lies in none
 _INVERSION_STEPS = 5  # Newton's method in a convex hexahedron converges in three or four
 _TOGETHER = 20_000  # pairs of node and hexahedron inverted at a time: 60 MB
-_BOXES_TOGETHER = 1_000_000  # pairs of node and box looked at at a time: 70 MB
+_BOXES_TOGETHER = 500_000  # pairs of node and box looked at at a time: 100 MB
 # curved walls have other chords on another mesh: a node may lie this share of a hexahedron's half-size outside
 _OUTSIDE = 0.5
 _SLIGHTLY = 1e-6  # beyond this a better hexahedron is looked for among more candidates

@@ -14,7 +14,7 @@ from data_schemas.storage import read_record
 from data_schemas.surfaces import FingerSurfaces
 from data_schemas.whole_files import sha256_of
 from finray_calib.cli.simulate_mechanics import last_increment, mechanics_paths
-from sim.mechanics.finger_mesh import STEPS, MeshSteps
+from sim.mechanics.finger_mesh import FORCE_EXCESS_REL, STEPS, MeshSteps
 from sim.mechanics.increments import Increment, load_increments
 from sim.mechanics.newton import NewtonOptions
 from sim.surface_meshes.intersections import check_no_intersections
@@ -76,6 +76,7 @@ def test_a_push_that_ends_early_is_kept_and_gone_on_with(tmp_path: Path, monkeyp
     assert "push  0.100 mm" in outcome.out
     early = read_record(tmp_path / "early.mechanics.json", PressMechanics)
     assert early.unreached
+    assert early.mesh_excess_rel == FORCE_EXCESS_REL["coarse"]
     assert early.depth_mm[-1] == pytest.approx(0.1)
     assert any("friction 0.3 between indenter and finger" in note for note in early.notes)
     assert (tmp_path / "early.mechanics.png").read_bytes().startswith(b"\x89PNG")

@@ -5,8 +5,10 @@ import pytest
 
 from data_schemas.design import FingerDesign
 from sim.mechanics.corner_grading import CornerGrading, fitted_between, graded
+from sim.mechanics.mesh import Tie
 from sim.mechanics.skeleton import skeleton_layout
 from sim.mechanics.skeleton_side_view import skeleton_side_view
+from sim.mechanics.ties import TiedNodes
 
 DESIGN = FingerDesign()
 
@@ -60,3 +62,15 @@ def test_a_graded_skeleton_has_short_edges_at_the_inner_corners():
     assert through[front, :-1].max() == pytest.approx(0.15 * thickness)
     assert through[between, :-1][ribs].max() < 0.15 * thickness * 1.01
     assert through[front - 1, :-1][ribs].max() < 0.15 * thickness * 1.01
+
+
+def test_a_node_on_a_long_narrow_face_is_tied_to_it():
+    """Its own face's centre is further away than that of ten faces beside it."""
+    edges = np.concatenate([[0.0], 4.0 + 0.1 * np.arange(12)])
+    nodes = np.array([(10.0 * x, y, 0.0) for y in edges for x in (0.0, 1.0)])
+    quads = np.array([(2 * k, 2 * k + 1, 2 * k + 3, 2 * k + 2) for k in range(12)])
+    place = np.array([[9.9, 3.9, 0.0]])
+    tied = TiedNodes(np.concatenate([nodes, place]), Tie(np.array([len(nodes)]), quads), 1.0)
+    u = np.concatenate([nodes, place]) @ np.array([[0.1, 0.0, 0.2], [0.0, 0.3, 0.1], [0.0, 0.0, 0.0]])
+    # of a linear field nothing is left, on the face itself only
+    np.testing.assert_allclose(tied.gaps_mm(u), 0.0, atol=1e-12)
