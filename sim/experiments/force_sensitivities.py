@@ -84,7 +84,7 @@ def press_sensitivities(
     for done, (field, change_rel) in enumerate(changes):
         try:
             changed = _changed(design, field, change_rel)
-            again = press_finger(changed, PRESET, increments, threads, None, start, contact=contact, folder=folder)
+            again = _pressed(changed, increments, threads, start, contact, folder)
             depth, force, failure = again.depth_mm, again.force_n[:, 1], again.unreached
         except SimulateError as failed:
             depth, force, failure = np.empty(0), np.empty(0), str(failed)
@@ -94,6 +94,23 @@ def press_sensitivities(
     return PressSensitivities(
         preset=PRESET, depth_mm=before.depth_mm, force_n=before.force_n[:, 1], varied=tuple(varied)
     )
+
+
+def _pressed(
+    design: FingerDesign,
+    increments: int,
+    threads: int,
+    start: PressedFinger | None,
+    contact: ContactChoice,
+    folder: Path,
+) -> PressedFinger:
+    """Press a changed design from a start, or from rest where its mesh is too different for that."""
+    try:
+        return press_finger(design, PRESET, increments, threads, None, start, contact=contact, folder=folder)
+    except SimulateError:
+        if start is None:
+            raise
+    return press_finger(design, PRESET, increments, threads, contact=contact, folder=folder)
 
 
 def _uncertain(design: FingerDesign) -> tuple[str, ...]:

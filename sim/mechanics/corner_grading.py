@@ -20,7 +20,7 @@ class CornerGrading:
     ----------
     thickness_share
         First edge over the thickness of the thinnest of ribs and fins.
-    growth
+    growth_ratio
         An edge is at most this many times longer than its neighbour nearer to the corner, up to the next line that
         the grid has to meet.
     halvings
@@ -29,12 +29,12 @@ class CornerGrading:
     """
 
     thickness_share: float
-    growth: float
+    growth_ratio: float
     halvings: int = 0
 
 
 def graded(
-    length_mm: float, first_mm: float, growth: float, longest_mm: float, corners: tuple[bool, bool] = (True, True)
+    length_mm: float, first_mm: float, growth_ratio: float, longest_mm: float, corners: tuple[bool, bool] = (True, True)
 ) -> NDArray[np.float64]:
     """Return positions from 0 to a length whose steps grow from the ends that are corners.
 
@@ -44,7 +44,7 @@ def graded(
         Last position.
     first_mm
         Step at a corner.
-    growth
+    growth_ratio
         Largest ratio of a step to its neighbour nearer to the corner.
     longest_mm
         Largest step.
@@ -59,7 +59,7 @@ def graded(
     ends, steps, reached, step = sum(corners), [], 0.0, first_mm
     while ends and step < longest_mm and length_mm - ends * (reached + step) >= step:
         steps.append(step)
-        reached, step = reached + step, step * growth
+        reached, step = reached + step, step * growth_ratio
     from_end = np.cumsum([0.0, *steps])
     low, high = (from_end if is_corner else from_end[:1] for is_corner in corners)
     middle = divided([low[-1], length_mm - high[-1]], min(step, longest_mm) if steps else longest_mm)

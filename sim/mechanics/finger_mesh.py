@@ -37,14 +37,14 @@ class MeshSteps:
 # Through the fine pad two thirds of a mm in place of the paper's 0.4 mm: 600 000 unknowns, which is what 8 GB hold.
 STEPS: Final[dict[Preset, MeshSteps]] = {
     "coarse": MeshSteps(2.0, 2.0, 2.5, 5.0, CornerGrading(0.15, 8.0)),
-    "medium": MeshSteps(1.0, 1.0, 1.5, 3.0, CornerGrading(0.15, 4.0)),
+    "medium": MeshSteps(1.0, 1.0, 1.5, 2.5, CornerGrading(0.1, 4.0)),
     "fine": MeshSteps(0.4, 0.67, 1.2, 2.5, CornerGrading(0.15, 3.0)),
 }
 
 FORCE_EXCESS_REL: Final[dict[Preset, float]] = {"coarse": 0.10, "medium": 0.06, "fine": 0.05}
 """By how much a preset's force exceeds that of an infinitely fine mesh, for the 70 x 35 finger.
 
-Of the skeleton by its stiffness under the pad at a small force, extrapolated (7.8, 4.6 and 4.1 %), and of the pad by
+Of the skeleton by its stiffness under the pad at a small force, extrapolated (7.8, 4.8 and 4.1 %), and of the pad by
 presses of 2 mm (1.3, 0.1 and 0 %): ``benchmarks/finger_mesh_convergence.py``. One per cent more for the base plate,
 whose rows that study leaves as they are.
 """

@@ -62,12 +62,12 @@ class _Edges:
 
     longest_mm: float
     first_mm: float
-    growth: float
+    growth_ratio: float
     halvings: int
 
     def over(self, length_mm: float, corners: tuple[bool, bool] = (True, True)) -> Floats:
         """Return positions over a length."""
-        places = graded(length_mm, self.first_mm, self.growth, self.longest_mm, corners)
+        places = graded(length_mm, self.first_mm, self.growth_ratio, self.longest_mm, corners)
         whole, parts = np.arange(len(places)), 2**self.halvings
         return np.asarray(np.interp(np.arange(parts * (len(places) - 1) + 1) / parts, whole, places))
 
@@ -91,7 +91,7 @@ def skeleton_side_view(
     edges = (
         _Edges(step_mm, step_mm, 1.0, 0)
         if corners is None
-        else _Edges(step_mm, corners.thickness_share * thinnest, corners.growth, corners.halvings)
+        else _Edges(step_mm, corners.thickness_share * thinnest, corners.growth_ratio, corners.halvings)
     )
     rows = _rows(design, layout, edges)
     hollow, ends = _hollow(design, layout, rows, edges)

@@ -28,7 +28,8 @@ _SLIGHTLY = 1e-6  # beyond this a better hexahedron is looked for among more can
 class Interpolation:
     """Takes displacements of one mesh of a finger to the nodes of another one, block by block at rest coordinates.
 
-    Trilinear in the hexahedron that a node lies in; just beyond the surface the hexahedron's field is continued.
+    Trilinear in the hexahedron that a node lies in; just beyond the surface the hexahedron's field is continued. Where
+    both meshes have the same hexahedra (a dimension has changed a little), node to node.
 
     Parameters
     ----------
@@ -50,6 +51,9 @@ class Interpolation:
             )
         count = len(target.nodes_mm)
         self._cells, self._weights = np.zeros((count, 8), np.int64), np.zeros((count, 8))
+        if all(np.array_equal(cells, source.hexahedra[name]) for name, cells in target.hexahedra.items()):
+            self._cells[:, 0], self._weights[:, 0] = np.arange(count), 1.0
+            return
         for name, hexahedra in target.hexahedra.items():
             nodes = np.unique(hexahedra)
             cells, weights, outside = _located(source.nodes_mm, source.hexahedra[name], target.nodes_mm[nodes])
