@@ -151,7 +151,9 @@ class CaptureSession(Record):
     lamp: SpectralCurve
     frames: tuple[Frame, ...]
     devices: tuple[DeviceIdentity, ...] = Field(default=(), description="what the devices said they are")
-    filter_proof: FilterProof | None = Field(default=None, description="judged from the lamp-lit white frames")
+    filter_proof: FilterProof | None = Field(
+        default=None, description="judged from the white frames under the lamp and the laser's line"
+    )
     white_rates_dn_per_s: tuple[tuple[float, float, float], ...] = Field(
         default=(), description="red, green, blue rates of the white tile behind each filter: the session's fingerprint"
     )

@@ -11,6 +11,7 @@ The tree (the command line prints the message and ends with status 2; no traceba
     ├── CaptureError           a capture could not be done as planned
     │   ├── SaturatedError     no allowed exposure avoids saturation
     │   ├── RefusedError       a device refuses what was asked, or cannot do it
+    │   │   └── FrameSizeError a frame has another size than the rig file says
     │   ├── TimedOutError      a device did not answer or finish before its deadline
     │   ├── LostError          the connection to a device broke
     │   ├── WrongPositionError a filter wheel stands somewhere else than it should
@@ -63,6 +64,10 @@ class SaturatedError(CaptureError):
 
 class RefusedError(CaptureError):
     """A device refuses what was asked, or cannot do it."""
+
+
+class FrameSizeError(RefusedError):
+    """A frame has another size than the rig file says; one that was just changing may be right at the next attempt."""
 
 
 class TimedOutError(CaptureError):

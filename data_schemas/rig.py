@@ -74,13 +74,20 @@ class RigFile(Record):
         return self
 
     @model_validator(mode="after")
-    def _one_light_each(self) -> "RigFile":
+    def _one_address_each(self) -> "RigFile":
         laser, lamp = ((light.driver, light.address) for light in (self.laser, self.lamp))
         if laser == lamp and self.laser.address:
             raise ValueError(
                 f"laser and lamp are both driver '{laser[0]}' at {laser[1]}: one switch cannot be both; correct the "
                 "address of one of them"
             )
+        wheel = self.filter_wheel
+        for role, light in (("laser", self.laser), ("lamp", self.lamp)):
+            if (wheel.driver, light.driver) == ("thorlabs", "arduino") and wheel.address == light.address:
+                raise ValueError(
+                    f"filter_wheel and {role} are both at {wheel.address}: a serial port holds one device; correct the "
+                    "address of one of them"
+                )
         return self
 
     @property

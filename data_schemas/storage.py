@@ -24,6 +24,8 @@ from data_schemas.provenance import Provenance
 from data_schemas.whole_files import refuse_taken, sha256_of, write_bytes
 
 INLINE_VALUES = 512
+LONGEST_TOML_BYTES = 1 << 20
+"""More than a person writes: /dev/zero has no end."""
 R = TypeVar("R", bound=Record)
 
 
@@ -179,11 +181,15 @@ def read_toml(path: Path, record_type: type[R]) -> R:
     Raises
     ------
     RecordError
-        The file is missing, not TOML, or a field is unknown, missing, out of range or without effect.
+        The file is missing, longer than a person writes or not TOML, or a field is unknown, missing, out of range or
+        without effect.
     """
     try:
         with path.open("rb") as file:
-            loaded = tomllib.load(file)
+            text = file.read(LONGEST_TOML_BYTES + 1)
+        if len(text) > LONGEST_TOML_BYTES:
+            raise RecordError(f"{path}: is longer than {LONGEST_TOML_BYTES} bytes; give the path of a TOML file")
+        loaded = tomllib.loads(text.decode())
     except FileNotFoundError:
         raise RecordError(f"{path}: no such file; give the path of a TOML file") from None
     except IsADirectoryError:

@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import Final, Literal
 
 from data_schemas.devices import NO_ADDRESS
-from rigs.cameras.call_thread import CallThread, NoAnswerError
+from rigs.call_thread import CallThread, NoAnswerError
 from rigs.drivers import CAMERAS, FILTER_WHEELS, LIGHTS
 
 Kind = Literal["camera", "filter wheel", "light"]

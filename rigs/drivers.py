@@ -4,6 +4,7 @@ A camera's module has ``open_camera(settings, folder)``, a filter wheel's ``open
 ``open_switch(address, role, operator)``; each returns a context manager.
 """
 
+import math
 from contextlib import AbstractContextManager
 from importlib import import_module
 from pathlib import Path
@@ -60,9 +61,12 @@ def open_wheel(settings: FilterWheelSettings, operator: Operator) -> AbstractCon
     return cast(AbstractContextManager[FilterWheel], wheel)
 
 
-def open_laser(settings: LaserSettings) -> AbstractContextManager[GuardedLight]:
-    """Return the laser of a rig behind its guard process, open for a ``with`` block."""
-    return guarded_light("laser", settings.driver, settings.address)
+def open_laser(settings: LaserSettings, patience_s: float = math.inf) -> AbstractContextManager[GuardedLight]:
+    """Return the laser of a rig behind its guard process, open for a ``with`` block.
+
+    It goes off when the program asks nothing for `patience_s` seconds while it is lit.
+    """
+    return guarded_light("laser", settings.driver, settings.address, patience_s)
 
 
 def open_lamp(settings: LampSettings, operator: Operator) -> AbstractContextManager[Light]:

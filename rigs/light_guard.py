@@ -6,6 +6,7 @@ without one have two layers only.
 """
 
 import contextlib
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final, Literal
@@ -24,13 +25,15 @@ class GuardedLight:
     ----------
     role, driver, address
         What the light is, the name of its driver and where its controller is.
+    patience_s
+        The light goes off when nothing is asked for so long in a lit block: the program hangs.
     """
 
-    def __init__(self, role: Literal["laser", "lamp"], driver: str, address: str) -> None:
+    def __init__(self, role: Literal["laser", "lamp"], driver: str, address: str, patience_s: float = math.inf) -> None:
         # rigs.drivers names this module; the table of lights is looked up when it is there.
         from rigs.drivers import LIGHTS
 
-        self._guard = GuardClient(role, LIGHTS[driver], address)
+        self._guard = GuardClient(role, LIGHTS[driver], address, patience_s)
         self._depth = 0
 
     def open(self) -> None:
@@ -119,7 +122,9 @@ class GuardedLight:
 
 
 @contextmanager
-def guarded_light(role: Literal["laser", "lamp"], driver: str, address: str) -> Iterator[GuardedLight]:
+def guarded_light(
+    role: Literal["laser", "lamp"], driver: str, address: str, patience_s: float = math.inf
+) -> Iterator[GuardedLight]:
     """Open a light behind a guard process of its own, for a ``with`` block; it is off before and after.
 
     Parameters
@@ -128,6 +133,8 @@ def guarded_light(role: Literal["laser", "lamp"], driver: str, address: str) -> 
         "laser" or "lamp", for messages.
     driver, address
         As in the rig file.
+    patience_s
+        The light goes off when nothing is asked for so long in a lit block.
 
     Raises
     ------
@@ -136,7 +143,7 @@ def guarded_light(role: Literal["laser", "lamp"], driver: str, address: str) -> 
     UnsafeError
         The light is not confirmed off.
     """
-    light = GuardedLight(role, driver, address)
+    light = GuardedLight(role, driver, address, patience_s)
     try:
         light.open()
         yield light

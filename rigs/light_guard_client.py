@@ -1,6 +1,7 @@
 """The owner's end of a light's guard process: starting it, asking it, and what follows when it is gone."""
 
 import contextlib
+import math
 import signal
 import socket
 import subprocess
@@ -37,13 +38,15 @@ class GuardClient:
     ----------
     role, module, address
         What the light is, the module of its driver and where its controller is.
+    patience_s
+        An owner that asks nothing for so long hangs, though its heart beats: a lit light goes off.
     """
 
-    def __init__(self, role: Literal["laser", "lamp"], module: str, address: str) -> None:
+    def __init__(self, role: Literal["laser", "lamp"], module: str, address: str, patience_s: float = math.inf) -> None:
         self.name = f"{role} at {address}"
         self.has_dead_man = False
         self._role, self._module, self._address = role, module, address
-        self._number = 0
+        self._number, self._asked_s, self._patience_s = 0, time.monotonic(), patience_s
         self._is_on_unanswered = False
         self._ending: FinrayError | None = None
         self._end_once, self._send_once = threading.Lock(), threading.Lock()
@@ -108,6 +111,7 @@ class GuardClient:
         UnsafeError
             The guard process is gone, and the light is not confirmed off.
         """
+        self._asked_s = time.monotonic()
         with self._send_once:
             self._number += 1
             number = self._number
@@ -162,6 +166,8 @@ class GuardClient:
     def _beat(self) -> None:
         """Tell the guard that we live; when it is gone, switch the light off ourselves, at once."""
         while not self._closing.wait(HEARTBEAT_S):
+            if time.monotonic() - self._asked_s > self._patience_s:
+                continue
             try:
                 with self._send_once:
                     send(self._channel, sent_s=time.monotonic())

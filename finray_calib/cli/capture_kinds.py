@@ -21,6 +21,7 @@ from rigs.capture.plan import paint_steps
 from rigs.capture.read_session import read_session
 from rigs.capture.resume import Interrupted, read_interrupted
 from rigs.capture.rig_lock import rig_locked
+from rigs.capture.session_folder import lacks_manifest, write_manifest
 from rigs.capture.tactile_resume import is_tactile
 from rigs.open_rig import open_rig
 
@@ -70,6 +71,10 @@ KINDS: dict[str, Callable[[argparse.Namespace], None]] = {
 
 def resume(folder: Path, like: Path | None) -> None:
     """Go on with an interrupted session."""
+    if lacks_manifest(folder):
+        write_manifest(folder)
+        say(f"{folder}: was finished but for its checksums, which are written now; nothing else is left to resume")
+        return
     tactile = is_tactile(folder)
     interrupted = None if tactile else read_interrupted(folder)
     if like is not None and (interrupted is None or interrupted.kind != "paint"):

@@ -9,7 +9,7 @@ from types import FrameType
 from data_schemas.errors import FinrayError
 from finray_calib.cli.options import warn
 from rigs.capture.journal import JOURNAL_NAME
-from rigs.capture.session_folder import SESSION_NAME
+from rigs.capture.session_folder import SESSION_NAME, lacks_manifest
 
 
 @contextmanager
@@ -23,7 +23,7 @@ def interruptible(out: Path) -> Iterator[None]:
     try:
         yield
     except (KeyboardInterrupt, FinrayError, OSError):
-        if (out / JOURNAL_NAME).exists() and not (out / SESSION_NAME).exists():
+        if (out / JOURNAL_NAME).exists() and (not (out / SESSION_NAME).exists() or lacks_manifest(out)):
             warn(f"{out}: holds what was captured so far; go on with: finray capture --resume {out}")
         raise
     finally:

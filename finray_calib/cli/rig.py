@@ -101,8 +101,11 @@ def _has_a_wheel(path: Path) -> bool:
     """Whether a rig file is that of a paint rig; what is no TOML at all is left to its reader, which says why."""
     import tomllib
 
+    from data_schemas.storage import LONGEST_TOML_BYTES
+
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as file:
+            tables = tomllib.loads(file.read(LONGEST_TOML_BYTES).decode())
     except (OSError, ValueError):
         return True
     return tables.keys() != {"name", "camera"}

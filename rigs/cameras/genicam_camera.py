@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.errors import BadFrameError, LostError, RefusedError, TimedOutError
-from rigs.cameras.call_thread import CallThread, NoAnswerError
+from rigs.call_thread import CallThread, NoAnswerError
 from rigs.cameras.genicam import (
     ConnectionBrokenError,
     FeatureError,
@@ -39,6 +39,8 @@ THERE_S: Final = 0.6
 # From the end of the exposure to the last packet; 24 MB take 0.25 s on a gigabit line.
 TRANSFER_S: Final = 1.0
 FIRST_FRAME: Final = "FirstFrameAfterChange"
+TRANSPORT: Final = "TransportStatus"
+"""Not a setting of the camera: what the transport says of the frame."""
 
 
 @dataclass(slots=True)
@@ -135,7 +137,7 @@ class GenicamCamera:
             self._exposure_s = exposure_s
         started_utc = datetime.now(UTC).isoformat(timespec="milliseconds")
         delivered = self._grab(actual_s, end_s)
-        settings = self._ask(read_settings)
+        settings = {**self._ask(read_settings), TRANSPORT: delivered.fault or "success"}
         if kept:
             settings[FIRST_FRAME] = "kept: no time for two"
         timed = delivered.device_time_s > 0.0

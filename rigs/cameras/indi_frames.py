@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.devices import CameraSettings
-from data_schemas.errors import BadFrameError, RefusedError
+from data_schemas.errors import BadFrameError, FrameSizeError, RefusedError
 from rigs.cameras.fits_image import CardValue, FitsImage
 from rigs.protocols import RawFrame
 from rigs.transports.indi_client import IndiClient
@@ -47,14 +47,16 @@ class IndiFrames:
 
         Raises
         ------
+        FrameSizeError
+            Its size is another.
         RefusedError
-            Its size, exposure, gain or colour pattern is another, or its header does not tell.
+            Its exposure, gain or colour pattern is another, or its header does not tell.
         BadFrameError
             It was delivered before, or holds more counts than its bits allow.
         """
         header, name = image.header, self._client.name
         if image.counts.shape != (self._settings.height_px, self._settings.width_px):
-            raise RefusedError(
+            raise FrameSizeError(
                 f"{name}: sent {image.counts.shape[1]} x {image.counts.shape[0]} px, {self._settings.width_px} x "
                 f"{self._settings.height_px} px were asked for; check the frame and binning in the camera's driver"
             )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.errors import BadFrameError, CaptureError, LostError, MissingExtraError, RefusedError, TimedOutError
-from rigs.cameras.call_thread import CallThread, NoAnswerError
+from rigs.call_thread import CallThread, NoAnswerError
 from rigs.cameras.genicam import CLOCK_REL, LINE_S
 from rigs.cameras.genicam_device import name_of
 from rigs.protocols import RawFrame

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.devices import CameraSettings, DeviceIdentity
-from data_schemas.errors import BadFrameError, CaptureError, RefusedError, TimedOutError
+from data_schemas.errors import BadFrameError, CaptureError, FrameSizeError, RefusedError, TimedOutError
 from rigs.cameras.jpeg_picture import decoded_jpeg, jpeg_size_px
 from rigs.protocols import RawFrame
 from rigs.transports.multipart_stream import MultipartStream, Part
@@ -103,8 +103,10 @@ class MjpegCamera:
         ------
         BadFrameError
             The picture is torn, was delivered before, or stands in for a missing camera.
+        FrameSizeError
+            The picture has another size than the rig file says.
         RefusedError
-            The picture has another size than the rig file says, or its server hides whether a camera is there.
+            Its server hides whether a camera is there.
         LostError
             The stream broke; the next exposure opens it again.
         TimedOutError
@@ -165,7 +167,7 @@ class MjpegCamera:
         """Refuse a picture of another size, before it is decoded: a few bytes can claim any."""
         asked = (self._settings.height_px, self._settings.width_px)
         if (height_px, width_px) != asked:
-            raise RefusedError(
+            raise FrameSizeError(
                 f"{self._name}: sends pictures of {height_px} x {width_px} px, the rig file says "
                 f"{asked[0]} x {asked[1]} px (height x width); correct the rig file or the server's resolution"
             )

@@ -6,7 +6,7 @@ Not hardware-verified: written after picamera2's source and manual, and tested w
 import contextlib
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from importlib import import_module
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.errors import BadFrameError, LostError, MissingExtraError, RefusedError, TimedOutError
+from rigs.call_thread import CallThread, NoAnswerError
 from rigs.cameras.raspberry_pi_raw import RawLayout, chosen_mode
 from rigs.protocols import RawFrame
 
@@ -31,6 +32,9 @@ BUFFERS: Final = 2
 """As few as possible: each that waits is a frame with the settings before."""
 LEVELS: Final = 65536
 """libcamera gives black levels on a 16-bit scale whatever the sensor delivers."""
+OPEN_WITHIN_S: Final = 20.0
+CLOSE_WITHIN_S: Final = 5.0
+"""libcamera has no deadlines of its own."""
 GAINS_OF_WHITE_BALANCE: Final = (1.0, 1.0)
 """Raw counts do not depend on them; fixed, they say that nothing was automatic."""
 
@@ -55,18 +59,21 @@ def open_camera(settings: CameraSettings, folder: Path) -> Iterator["RaspberryPi
     """
     camera_class = _picamera2()
     number = _camera_number(settings.address, camera_class.global_camera_info())
+    calls = CallThread("picamera2")
     try:
-        device = camera_class(number)
+        device = calls.call(lambda: camera_class(number), OPEN_WITHIN_S)
+    except NoAnswerError:
+        raise _mute(f"camera {number}", OPEN_WITHIN_S) from None
     except RuntimeError as error:  # IndexError is excluded by the number
         raise RefusedError(
             f"camera {number}: cannot be opened ({error}); end the program that uses it (rpicam-vid, uStreamer)"
         ) from None
     try:
-        yield RaspberryPiCamera(device, settings)
+        yield RaspberryPiCamera(device, settings, calls)
     finally:
-        with contextlib.suppress(RuntimeError):  # a dead camera cannot be stopped
-            device.stop()
-        device.close()
+        with contextlib.suppress(NoAnswerError):  # what hangs is left to the end of the program
+            calls.call(lambda: _close(device), CLOSE_WITHIN_S)
+        calls.close(lambda: None, 0.0)
 
 
 def found() -> list[tuple[str, str]]:
@@ -87,14 +94,19 @@ class RaspberryPiCamera:
         The open ``Picamera2``.
     settings
         The camera of the rig file; its size is that of the frame after the cut that makes it begin with red.
+    calls
+        Makes the calls that may hang.
 
     Raises
     ------
     RefusedError
         The camera has no such raw mode.
+    LostError
+        It does not answer.
     """
 
-    def __init__(self, device: Any, settings: CameraSettings) -> None:
+    def __init__(self, device: Any, settings: CameraSettings, calls: CallThread) -> None:
+        self._calls = calls
         self._device, self._settings, self._name = device, settings, f"camera {settings.address} (picamera2)"
         self._asked: dict[str, object] = {}
         self._layout = self._configured()
@@ -103,11 +115,9 @@ class RaspberryPiCamera:
         """Configure the raw stream; the first exposure starts it."""
         device = self._device
         mode = chosen_mode(self._settings, device.sensor_modes, self._name)
-        device.configure(
-            device.create_still_configuration(
-                raw={"format": mode["unpacked"], "size": mode["size"]}, buffer_count=BUFFERS, queue=False
-            )
-        )
+        raw = {"format": mode["unpacked"], "size": mode["size"]}
+        still = device.create_still_configuration(raw=raw, buffer_count=BUFFERS, queue=False)
+        self._within(OPEN_WITHIN_S, lambda: device.configure(still))
         return RawLayout.of(device.camera_configuration()["raw"], mode, self._settings, self._name)
 
     def identity(self) -> DeviceIdentity:
@@ -128,7 +138,7 @@ class RaspberryPiCamera:
             No such frame came in time; the camera stopped.
         """
         began_ns, end_s = time.monotonic_ns(), time.monotonic() + deadline_s
-        self._set(exposure_s)
+        self._set(exposure_s, end_s)
         metadata: dict[str, Any] = {}
         for _ in range(MOST_REQUESTS):
             request = self._next_request(end_s)
@@ -147,7 +157,7 @@ class RaspberryPiCamera:
             f"{MOST_REQUESTS} frames; ask for settings that it can take, and end other programs that use it"
         )
 
-    def _set(self, exposure_s: float) -> None:
+    def _set(self, exposure_s: float, end_s: float) -> None:
         """Ask for exposure, gain and white balance, with all automatics off, if they are not asked for already.
 
         The stream is started anew: settings that change on the way wait behind frames of the exposure before.
@@ -177,12 +187,23 @@ class RaspberryPiCamera:
         if asked != self._asked:
             self._asked = {}
             try:
-                self._device.stop()
-                self._device.set_controls(asked)
-                self._device.start()
+                self._within(end_s - time.monotonic(), lambda: self._start_with(asked))
             except RuntimeError as error:
                 raise self._lost(error) from None
             self._asked = asked
+
+    def _start_with(self, asked: dict[str, object]) -> None:
+        """Start the stream anew."""
+        self._device.stop()
+        self._device.set_controls(asked)
+        self._device.start()
+
+    def _within(self, limit_s: float, function: Callable[[], object]) -> None:
+        """Make a call of libcamera that may hang."""
+        try:
+            self._calls.call(function, limit_s)
+        except NoAnswerError:
+            raise _mute(self._name, limit_s) from None
 
     def _next_request(self, end_s: float) -> Any:
         """Return the next finished request; it must be released."""
@@ -223,6 +244,21 @@ class RaspberryPiCamera:
             device_time_s=metadata["SensorTimestamp"] * 1e-9,
             settings={"pixel_format": self._layout.pixel_format, **_plain_settings(metadata, self._settings.bit_depth)},
         )
+
+
+def _close(device: Any) -> None:
+    """Stop and close the camera."""
+    with contextlib.suppress(RuntimeError):  # a dead camera cannot be stopped
+        device.stop()
+    device.close()
+
+
+def _mute(name: str, limit_s: float) -> LostError:
+    """Return the error of a camera whose library hangs."""
+    return LostError(
+        f"{name}: libcamera did not answer within {limit_s:.3g} s; check the ribbon cable, and restart the Pi if it "
+        "goes on"
+    )
 
 
 def _picamera2() -> Any:

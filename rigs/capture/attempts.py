@@ -3,10 +3,12 @@
 from collections.abc import Callable
 from typing import Final, TypeVar
 
-from data_schemas.errors import BadFrameError, LostError, TimedOutError
+from data_schemas.errors import BadFrameError, FrameSizeError, LostError, TimedOutError
 from rigs.protocols import Camera, RawFrame
 
 T = TypeVar("T")
+RETAKEN: Final = (BadFrameError, FrameSizeError, LostError)
+"""What another attempt may mend."""
 ATTEMPTS: Final = 4
 """Exposures before a frame that is refused every time ends the capture."""
 
@@ -39,15 +41,15 @@ def within_attempts(once: Callable[[int], T], on_refusal: Callable[[str], None],
 
     Raises
     ------
-    BadFrameError, LostError
+    BadFrameError, FrameSizeError, LostError
         Every attempt failed.
     """
     for attempt in range(1, ATTEMPTS):
         try:
             return once(attempt), attempt
-        except (BadFrameError, LostError) as error:
+        except RETAKEN as error:
             on_refusal(f"{what}, attempt {attempt}: {error}")
     try:
         return once(ATTEMPTS), ATTEMPTS
-    except (BadFrameError, LostError) as error:
+    except RETAKEN as error:
         raise type(error)(f"{error} ({ATTEMPTS} attempts at {what})") from error

@@ -15,8 +15,9 @@ from rigs.capture.exposure import exposure_ladder, meter_exposure
 from rigs.capture.frame_store import FrameStore, Shot, numbered
 from rigs.capture.journal import Journal
 from rigs.capture.plan import Step, require_region_inside
-from rigs.capture.resume import Interrupted, require_same_inputs, resume_notes, take_over
+from rigs.capture.resume import Interrupted, resume_notes, take_over
 from rigs.capture.rig_lock import rig_locked
+from rigs.capture.same_as_begun import require_same_camera, require_same_inputs
 from rigs.capture.session_folder import curve_files, require_empty, write_manifest, write_session, write_start
 from rigs.open_rig import OpenRig, open_rig
 from rigs.protocols import Operator
@@ -104,12 +105,14 @@ def capture_camera_with(
 ) -> CameraSession:
     """Capture a camera session with devices that are open already."""
     out.mkdir(parents=True, exist_ok=True)
+    camera = opened.camera.identity()
     if interrupted is not None:
+        require_same_camera(interrupted, camera)
         opened = replace(opened, clock=interrupted.clock_after(opened.clock))
     whole_cells = RegionOfInterest.model_validate({k: v & ~1 for k, v in plan.region.model_dump().items()})
     with Journal(out, opened.clock, resumed=interrupted is not None) as journal:
         if interrupted is None:
-            write_start(journal, plan, rig, rig_folder, inputs, command)
+            write_start(journal, plan, rig, rig_folder, inputs, command, camera)
         else:
             take_over(out, interrupted)
             journal.append("resume", frames=len(interrupted.frames))

@@ -9,7 +9,7 @@ import numpy as np
 
 from data_schemas.capture import LightState
 from data_schemas.devices import CameraSettings
-from data_schemas.errors import BadFrameError, CaptureError, RefusedError, WrongPositionError
+from data_schemas.errors import BadFrameError, CaptureError, FrameSizeError, RefusedError, WrongPositionError
 from rigs.capture.attempts import exposed, within_attempts
 from rigs.capture.plan import Step
 from rigs.open_rig import OpenRig
@@ -89,10 +89,10 @@ class CheckedCamera:
         ------
         WrongPositionError
             The wheel is or was at another slot.
-        BadFrameError, LostError
+        BadFrameError, FrameSizeError, LostError
             Every attempt failed.
         CaptureError
-            A light is not as planned, or the camera used another exposure or frame size.
+            A light is not as planned, or the camera used another exposure.
         """
 
         def once(attempt: int) -> CheckedFrame:
@@ -125,7 +125,7 @@ class CheckedCamera:
                 "counts: choose a raw pixel format, or another driver"
             )
         if shape != asked:
-            raise RefusedError(
+            raise FrameSizeError(
                 f"camera: delivered a frame of {' x '.join(map(str, shape))} px, the rig file says {asked[0]} x "
                 f"{asked[1]} px (height x width); correct the rig file"
             )

@@ -10,7 +10,7 @@ one filter in the beam at all slots (a wheel that counts and does not turn). An 
 well cannot be told from the claimed order, and is named.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -58,7 +58,7 @@ def predicted_rates(
         Relative response of red, green and blue.
     """
     light = lamp(GRID_NM) * np.array([curve(GRID_NM) for curve in response])
-    return np.array([light @ _transmission(f, filter_curves.get(f.name)) for f in filters])
+    return np.array([light @ transmission(f, filter_curves.get(f.name)) for f in filters])
 
 
 def judge_filters(
@@ -66,6 +66,7 @@ def judge_filters(
     measured: FloatArray,
     predicted: FloatArray,
     lamp_off: Callable[[], Sequence[float]] = lambda: (0.0, 0.0, 0.0),
+    apart: Collection[frozenset[str]] = (),
 ) -> FilterProof:
     """Return whether the measured rates show the filters in the claimed order.
 
@@ -83,6 +84,8 @@ def judge_filters(
     lamp_off
         Returns the 3 rates behind the first filter with the lamp off, DN/s. Asked only when all slots look alike: a
         camera that shows a picture of its own looks so, too.
+    apart
+        Pairs of filters that are known not to be exchanged, from the laser's line.
     """
     if measured.max() < LEAST_RATE_DN_PER_S:
         return FilterProof(
@@ -96,13 +99,14 @@ def judge_filters(
     if stuck is not None:
         still_lit = bool(sum(lamp_off()) > LIT_SHARE * measured[0].sum())
         return _alike_at_every_slot(names[stuck], still_lit)
-    better, unclear = _exchanges(names, ln_measured, ln_predicted)
+    better, unclear_pairs = _exchanges(names, ln_measured, ln_predicted)
     if better:
         return FilterProof(
             verdict="contradicted",
             text=f"the frames fit much better with filters {max(better)[1]} exchanged; look into the wheel and "
             "correct the slots of the rig file, or put the filters right",
         )
+    unclear = [" and ".join(pair) for pair in unclear_pairs if frozenset(pair) not in apart]
     if unclear:
         return FilterProof(
             verdict="cannot tell",
@@ -128,21 +132,21 @@ def _alike_at_every_slot(name: str, still_lit: bool) -> FilterProof:
 
 def _exchanges(
     names: Sequence[str], measured: FloatArray, predicted: FloatArray
-) -> tuple[list[tuple[float, str]], list[str]]:
+) -> tuple[list[tuple[float, str]], list[tuple[str, str]]]:
     """Return the exchanges of two filters that explain the frames clearly better, and those that do so about as well.
 
     The former with what chi-square falls by.
     """
     order = np.arange(len(names))
     better: list[tuple[float, str]] = []
-    unclear: list[str] = []
+    unclear: list[tuple[str, str]] = []
     for first, second in combinations(range(len(names)), 2):
         exchanged = order.copy()
         exchanged[[first, second]] = exchanged[[second, first]]
         gain = _chi_square(measured, predicted) - _chi_square(measured, predicted[exchanged])
-        pair = f"{names[first]} and {names[second]}"
+        pair = names[first], names[second]
         if gain > CLEAR_DIFFERENCE:
-            better.append((gain, pair))
+            better.append((gain, " and ".join(pair)))
         elif gain > -CLEAR_DIFFERENCE:
             unclear.append(pair)
     return better, unclear
@@ -221,8 +225,8 @@ def _chi_square(measured: FloatArray, predicted: FloatArray) -> float:
     return float(np.square((apart - apart.mean()) / MODEL_SD_LN).sum())
 
 
-def _transmission(band: BandPassFilter, curve: SpectralCurve | None) -> FloatArray:
-    """Return the transmission of a filter on the grid."""
+def transmission(band: BandPassFilter, curve: SpectralCurve | None) -> FloatArray:
+    """Return the transmission of a filter on the grid: the measured one where there is a curve."""
     floor = 10.0**-band.blocking_od
     if curve is not None:
         inside = (curve.wavelength_nm[0] <= GRID_NM) & (curve.wavelength_nm[-1] >= GRID_NM)

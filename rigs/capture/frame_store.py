@@ -3,7 +3,7 @@
 import re
 import shutil
 from collections.abc import Callable, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -14,7 +14,7 @@ from data_schemas.frame_files import write_frame
 from data_schemas.rig import RigFile
 from rigs.capture.exchange import CheckedCamera, CheckedFrame
 from rigs.capture.exposure import saturated_fraction
-from rigs.capture.journal import Journal
+from rigs.capture.journal import DISK_WITHIN_S, Journal, disk_hangs
 from rigs.capture.laser_dose import LaserDose
 from rigs.capture.plan import Step
 from rigs.capture.resume import Interrupted
@@ -24,6 +24,7 @@ from rigs.protocols import RawFrame
 BYTES_PER_PIXEL = 2
 SPACE_FACTOR = 1.1  # of the frames: room for TIFF headers, journal and record
 MOST_WAITING = 4  # frames in memory that are not on the disk yet
+WRITE_WITHIN_S = 2.0 * DISK_WITHIN_S  # a frame, then its line of the journal
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +155,16 @@ class FrameStore:
     def _wait(self, most: int) -> None:
         """Wait until at most so many frames are waiting; an error of the writer comes out here."""
         while len(self._waiting) > most:
-            self._waiting.pop(0).result()
+            oldest = self._waiting.pop(0)
+            wait((oldest,), WRITE_WITHIN_S)
+            if (failed := self._failure(oldest)) is not None:
+                raise failed
+
+    def _failure(self, written: Future[None]) -> BaseException | None:
+        """Return why a frame is not on the disk by now; None where it is."""
+        if not written.done() or written.cancelled():
+            return disk_hangs(self._out, self._out)
+        return written.exception()
 
     def __enter__(self) -> "FrameStore":
         return self
@@ -162,11 +172,12 @@ class FrameStore:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self._writer.shutdown(wait=True)
+        hangs = bool(wait(self._waiting, WRITE_WITHIN_S).not_done)
+        self._writer.shutdown(wait=not hangs, cancel_futures=True)
         if error is None:
             self._wait(0)
             return
-        unwritten = [failed for waiting in self._waiting if (failed := waiting.exception()) is not None]
+        unwritten = [failed for waiting in self._waiting if (failed := self._failure(waiting)) is not None]
         if unwritten and isinstance(error, CaptureError):
             raise type(error)(f"{error}. Besides: {unwritten[0]}") from error
         if unwritten:

@@ -1,18 +1,21 @@
 """The journal of a session: one JSON object per line, on disk before the next step begins."""
 
-import contextlib
 import fcntl
 import json
 import os
 import threading
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Final
 
 from data_schemas.errors import CaptureError
+from rigs.call_thread import CallThread, NoAnswerError
 from rigs.protocols import Clock
 
 JOURNAL_NAME = "journal.jsonl"
+DISK_WITHIN_S: Final = 60.0
+"""A disk that hangs (a network folder whose server is gone) must not keep a capture waiting with its lights on."""
+CLOSE_WITHIN_S: Final = 1.0
 
 
 class Journal:
@@ -59,6 +62,7 @@ class Journal:
             self._file.truncate(0)
         elif not _ends_with_newline(self._path):
             self._file.write("\n")  # an interrupted line stays as it is; readers pass over it
+        self._disk, self._is_closed = CallThread("journal"), False
 
     def append(self, event: str, **what: Any) -> None:
         """Write one line (start, step, frame, note or stop) and wait until it is on the disk.
@@ -69,21 +73,29 @@ class Journal:
             The disk does not take it.
         """
         with self._turn:
+            if self._is_closed:  # a thread that the disk held back
+                raise CaptureError(f"{self._path}: is closed, the capture has ended")
             time_s = round(self._clock.monotonic_s(), 3)
             line = {"event": event, "utc": self._clock.utc(), "monotonic_s": time_s, **what}
             try:
-                self._file.write(json.dumps(line, ensure_ascii=False) + "\n")
-                self._file.flush()
-                os.fsync(self._file.fileno())
-                if self._nameless is not None:
-                    self._nameless.rename(self._path)
-                    self._nameless = None
-                    _sync_folder(self._path.parent)
+                self._disk.call(lambda: self._write(json.dumps(line, ensure_ascii=False) + "\n"), DISK_WITHIN_S)
+            except NoAnswerError:
+                raise disk_hangs(self._path, self._path.parent) from None
             except OSError as error:
                 raise CaptureError(
                     f"{self._path}: cannot be written ({error.strerror}); free space or mend the disk, then "
                     f"finray capture --resume {self._path.parent}"
                 ) from None
+
+    def _write(self, line: str) -> None:
+        """Have a line on the disk."""
+        self._file.write(line)
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        if self._nameless is not None:
+            self._nameless.rename(self._path)
+            self._nameless = None
+            _sync_folder(self._path.parent)
 
     def __enter__(self) -> "Journal":
         return self
@@ -100,8 +112,9 @@ class Journal:
                 raise
             # what ended the capture says more than a last line that finds no space
         finally:
-            with contextlib.suppress(OSError):  # what is left of a line that found no space
-                self._file.close()
+            self._is_closed = True
+            # an error is passed over: what is left of a line that found no space
+            self._disk.close(self._file.close, CLOSE_WITHIN_S)
 
     def _require_new(self) -> None:
         """Refuse a folder that has a journal."""
@@ -109,6 +122,14 @@ class Journal:
             raise CaptureError(
                 f"{self._path}: exists already, so that another capture writes into this folder; choose another --out"
             )
+
+
+def disk_hangs(path: Path, session: Path) -> CaptureError:
+    """Return the error of a file of a session that the disk does not take, and does not refuse either."""
+    return CaptureError(
+        f"{path}: the disk hangs, nothing was written for {DISK_WITHIN_S:g} s or more; look at the disk, or at the "
+        f"server of the network folder, then finray capture --resume {session}"
+    )
 
 
 def read_journal(folder: Path) -> list[dict[str, Any]]:

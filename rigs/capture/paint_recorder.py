@@ -1,6 +1,6 @@
 """The frames of a paint session: meter, prove the filters, dark frames, every step at every exposure, dark frames."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from itertools import groupby
@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.capture import CaptureSession, FilterProof, LightState, PaintPlan, Target
 from data_schemas.errors import CaptureError, WrongPositionError
 from data_schemas.rig import RigFile
@@ -17,6 +18,7 @@ from rigs.capture.exposure import exposure_ladder, meter_exposure, rung_at_or_be
 from rigs.capture.filter_proof import compare_with_last, judge_filters, predicted_rates
 from rigs.capture.frame_store import FrameStore, Shot, numbered
 from rigs.capture.journal import Journal
+from rigs.capture.laser_line_proof import LaserLine
 from rigs.capture.plan import Step, with_repeat
 from rigs.capture.resume import Interrupted
 from rigs.open_rig import OpenRig
@@ -180,7 +182,7 @@ class PaintRecorder:
         return float(red) / exposure_s, float(green) / exposure_s, float(blue) / exposure_s
 
     def _prove(self, steps: tuple[Step, ...]) -> None:
-        """Judge from the white frames whether the wheel holds the filters that the rig file names."""
+        """Judge from the metered rates whether the wheel holds the filters that the rig file names."""
         self._white = tuple(step for step in steps if step.frame_type == "white")
         measured = np.array(self.white_rates())
         known = {f.name: f for f in self._rig.filter_wheel.filters}
@@ -188,7 +190,20 @@ class PaintRecorder:
         opened = self._opened
         predicted = predicted_rates(filters, opened.filter_curves, opened.lamp_spectrum, opened.camera_response)
         names = [f.name for f in filters]
-        self.proof = judge_filters(names, measured, predicted, lambda: self._rates_in_the_dark(self._white[0]))
+        line = self._laser_line(steps, filters)
+        excitation = self._plan.excitation_filter
+        self.proof = judge_filters(
+            names,
+            measured,
+            predicted,
+            lambda: self._rates_in_the_dark(self._white[0]),
+            [frozenset((excitation, other)) for other in line.not_exchanged()],
+        )
+        if self.proof.verdict != "contradicted":
+            under_laser = {str(s.filter_name): s for s in steps if s.frame_type == "fluorescence"}
+            shown = line.judge(lambda name: self._rates_in_the_dark(under_laser[name]))
+            verdict = shown.verdict if shown.verdict == "contradicted" else self.proof.verdict
+            self.proof = FilterProof(verdict=verdict, text=f"{self.proof.text}; {shown.text}")
         if self._last_good is not None and self.proof.verdict != "contradicted":
             repeated = compare_with_last(names, measured, self._last_good)
             if repeated.verdict == "cannot tell":
@@ -197,6 +212,20 @@ class PaintRecorder:
         self._journal.append("filter proof", verdict=self.proof.verdict, text=self.proof.text)
         if self.proof.verdict == "contradicted":
             raise WrongPositionError(f"filter wheel: {self.proof.text}")
+
+    def _laser_line(self, steps: tuple[Step, ...], filters: Sequence[BandPassFilter]) -> LaserLine:
+        """Return what the metered rates under the laser say, in the order of the filters."""
+        rates = {(s.frame_type, s.filter_name): self._rates[s] for s in steps if s.light == "laser"}
+        excitation = self._plan.excitation_filter
+        return LaserLine(
+            filters,
+            excitation,
+            self._rig.laser.wavelength_nm,
+            self._opened.filter_curves,
+            self._opened.camera_response,
+            rates["laser white", excitation],
+            [rates["fluorescence", f.name] for f in filters],
+        )
 
     def _rates_in_the_dark(self, lit: Step) -> Rates:
         """Return the rates of a step with its light off (DN/s)."""

@@ -198,22 +198,6 @@ def resume_notes(interrupted: Interrupted | None) -> tuple[str, ...]:
     )
 
 
-def require_same_inputs(interrupted: Interrupted, inputs: dict[str, str]) -> None:
-    """Refuse to go on with other curves than the session began with.
-
-    Raises
-    ------
-    CaptureError
-        A curve file changed.
-    """
-    before: dict[str, str] = interrupted.start["inputs"]
-    changed = sorted(name for name in before.keys() | inputs.keys() if before.get(name) != inputs.get(name))
-    if changed:
-        raise CaptureError(
-            f"{changed[0]}: changed since the session began; restore the file, or capture the session again"
-        )
-
-
 def _good_frames(folder: Path, lines: list[dict[str, Any]]) -> Iterable[tuple[int, Frame]]:
     """Yield number and record of every frame whose file is there and unchanged."""
     for line in lines:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from data_schemas.camera import CameraSession
 from data_schemas.capture import CaptureSession
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import CaptureError, CurveError
 from data_schemas.model import Record
 from data_schemas.provenance import provenance
@@ -50,7 +51,13 @@ def curve_files(rig: RigFile, rig_folder: Path) -> dict[str, str]:
 
 
 def write_start(
-    journal: Journal, plan: Record, rig: RigFile, rig_folder: Path, inputs: dict[str, str], command: str
+    journal: Journal,
+    plan: Record,
+    rig: RigFile,
+    rig_folder: Path,
+    inputs: dict[str, str],
+    command: str,
+    camera: DeviceIdentity,
 ) -> None:
     """Write the first line of a journal: everything that a resumed session needs."""
     journal.append(
@@ -61,6 +68,7 @@ def write_start(
         rig=rig.model_dump(mode="json"),
         rig_folder=str(rig_folder.resolve()),
         inputs=inputs,
+        camera=camera.model_dump(mode="json"),
     )
 
 
@@ -75,3 +83,8 @@ def write_manifest(out: Path) -> None:
     files = sorted(path for path in out.rglob("*") if path.is_file())
     lines = [f"{sha256_of(path)}  {path.relative_to(out).as_posix()}\n" for path in files]
     write_bytes(out / MANIFEST_NAME, "".join(lines).encode())
+
+
+def lacks_manifest(out: Path) -> bool:
+    """Whether a session was interrupted when it was finished but for its checksums."""
+    return (out / SESSION_NAME).is_file() and not (out / MANIFEST_NAME).exists()

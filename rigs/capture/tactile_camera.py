@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Final
 
 from data_schemas.devices import CameraSettings
-from data_schemas.errors import RefusedError
+from data_schemas.errors import FrameSizeError, RefusedError
 from rigs.capture.attempts import exposed, within_attempts
 from rigs.capture.exchange import CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL, require_new
 from rigs.protocols import Camera, RawFrame
@@ -39,10 +39,10 @@ class TactileCamera:
 
         Raises
         ------
-        BadFrameError, LostError
+        BadFrameError, FrameSizeError, LostError
             Every attempt failed.
         RefusedError
-            The camera used another exposure or frame size, or delivers what a tactile capture cannot hold.
+            The camera used another exposure, or delivers what a tactile capture cannot hold.
         """
         return within_attempts(lambda attempt: self._once(exposure_s), self._on_refusal, f"{exposure_s:g} s")
 
@@ -70,7 +70,7 @@ class TactileCamera:
         asked = (self._settings.height_px, self._settings.width_px)
         counts, pixels = raw.counts, str(raw.settings.get("pixel_format", ""))
         if counts.shape not in (asked, (*asked, 3)):
-            raise RefusedError(
+            raise FrameSizeError(
                 f"camera: delivered a frame of {' x '.join(map(str, counts.shape))}, the rig file says {asked[0]} x "
                 f"{asked[1]} px (height x width); correct the rig file"
             )

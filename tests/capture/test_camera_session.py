@@ -10,6 +10,7 @@ import pytest
 
 from data_schemas.camera import CameraPlan, CameraSession
 from data_schemas.capture import RegionOfInterest
+from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import CaptureError, RecordError, SaturatedError
 from data_schemas.rig import RigFile
 from data_schemas.whole_files import sha256_of
@@ -234,6 +235,9 @@ def test_levels_of_three_channels(rig: RigFile) -> None:
 class LostCamera:
     camera: Camera
     frames_left: int
+
+    def identity(self) -> DeviceIdentity:
+        return self.camera.identity()
 
     def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
         self.frames_left -= 1

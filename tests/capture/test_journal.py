@@ -2,6 +2,8 @@
 
 import json
 import os
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -23,6 +25,24 @@ def test_full_disk_is_a_capture_error_that_tells_the_way_on(tmp_path: Path, monk
             patch.setattr(journal_module.os, "fsync", full_disk)
             with pytest.raises(CaptureError, match=r"journal\.jsonl: cannot be written \(No space left.*--resume"):
                 journal.append("frame")
+
+
+def test_disk_that_hangs_keeps_nobody_waiting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A network folder whose server is gone neither takes a line nor refuses it; a light may be on meanwhile."""
+    back = threading.Event()
+    with Journal(tmp_path, SystemClock()) as journal:
+        journal.append("start")
+        with monkeypatch.context() as patch:
+            patch.setattr(journal_module, "DISK_WITHIN_S", 0.2)
+            patch.setattr(journal_module.os, "fsync", lambda handle: back.wait(30.0))
+            began_s = time.monotonic()
+            with pytest.raises(CaptureError, match=r"journal\.jsonl: the disk hangs.* 0\.2 s or more.*--resume"):
+                journal.append("frame")
+            assert time.monotonic() - began_s < 5.0
+        back.set()
+    assert [line["event"] for line in read_journal(tmp_path)] == ["start", "frame", "stop"]
+    with pytest.raises(CaptureError, match="is closed"):  # by a thread that the disk held back
+        journal.append("frame")
 
 
 def test_what_ended_the_capture_is_not_hidden_by_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

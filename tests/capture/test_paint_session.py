@@ -209,6 +209,9 @@ class FaultyCamera:
     after: int
     taken: int = 0
 
+    def identity(self) -> DeviceIdentity:
+        return self.camera.identity()
+
     def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
         self.taken += 1
         frame = self.camera.expose(exposure_s, deadline_s)

@@ -119,6 +119,21 @@ def test_number_that_wraps_and_constant_frames_are_no_repeats(rig: RigFile) -> N
             assert [taken.camera.expose(DARK, 0.01).attempts for _ in range(2)] == [1, 1]
 
 
+def test_frame_of_another_size_is_taken_again_and_refused_at_last(rig: RigFile) -> None:
+    """A server that changes its resolution, or another program that cut the frame, may be right the next time."""
+
+    def cut(until: int) -> Callable[[int, RawFrame], RawFrame]:
+        return lambda number, frame: replace(frame, counts=frame.counts[:-2]) if number < until else frame
+
+    with open_rig(rig, Path()) as opened:
+        taken = over(rig, opened, cut(3))
+        assert taken.camera.expose(DARK, 0.01).attempts == 3
+        assert all("delivered a frame of" in text for text in taken.refused)
+        message = rf"the rig file says .* px.*\({ATTEMPTS} attempts at dark"
+        with pytest.raises(RefusedError, match=message):
+            over(rig, opened, cut(99)).camera.expose(DARK, 0.01)
+
+
 def test_colour_pictures_are_refused(rig: RigFile) -> None:
     def colour(number: int, frame: RawFrame) -> RawFrame:
         return replace(frame, counts=np.dstack([frame.counts] * 3))

@@ -203,6 +203,24 @@ def test_reading_touches_nothing_and_a_session_that_went_on_is_left_alone(
     assert sorted(path.name for path in (stopped / "frames").iterdir()) == whole
 
 
+def test_another_camera_is_refused(rig: RigFile, small: PaintPlan, stopped: Path) -> None:
+    """Behind an IP address or a model's name another camera may answer after the interruption."""
+    text = (stopped / "journal.jsonl").read_text()
+    (stopped / "journal.jsonl").write_text(text.replace('"model": "simulated bench"', '"model": "another"', 1))
+    before = sorted(stopped.rglob("*"))
+    with pytest.raises(CaptureError, match=r"camera: simulated bench .* answers now; the session began with another "):
+        resumed(rig, small, stopped)
+    assert sorted(stopped.rglob("*")) == before
+
+
+def test_session_that_does_not_name_its_camera_goes_on(rig: RigFile, small: PaintPlan, stopped: Path) -> None:
+    first, *others = (stopped / "journal.jsonl").read_text().splitlines(keepends=True)
+    start = json.loads(first)
+    del start["camera"]
+    (stopped / "journal.jsonl").write_text(json.dumps(start) + "\n" + "".join(others))
+    assert resumed(rig, small, stopped).frames
+
+
 def test_changed_curve_file_is_refused(rig: RigFile, small: PaintPlan, stopped: Path) -> None:
     text = (stopped / "journal.jsonl").read_text()
     (stopped / "journal.jsonl").write_text(text.replace('"inputs": {}', '"inputs": {"red.csv": "00"}', 1))

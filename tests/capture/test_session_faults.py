@@ -192,6 +192,39 @@ def test_frame_that_could_not_be_written_is_told_beside_what_ended_the_capture(
     assert str(ending) in told
 
 
+def test_disk_that_hangs_ends_the_session_in_the_dark_and_it_can_be_resumed(
+    rig: RigFile, small: PaintPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A frame of the laser is neither taken nor refused by the disk: the laser must not wait for it."""
+    back, written, lit = threading.Event(), threading.Event(), []
+    write = frame_store.write_frame
+
+    def hangs(path: Path, counts: np.ndarray, title: str) -> str:
+        if "fluorescence" in path.name:
+            lit.append(opened.laser.state())
+            back.wait(30.0)
+        try:
+            return write(path, counts, title)
+        finally:
+            if "fluorescence" in path.name:
+                written.set()
+
+    with open_rig(rig, Path()) as opened, monkeypatch.context() as patch:
+        patch.setattr(frame_store, "write_frame", hangs)
+        patch.setattr(frame_store, "WRITE_WITHIN_S", 0.3)
+        try:
+            with pytest.raises(CaptureError, match=r"the disk hangs, nothing was written .*--resume"):
+                capture(opened, rig, small, tmp_path)
+            assert dark(opened)
+            assert lit == [True]
+        finally:
+            back.set()
+            assert written.wait(10.0)
+    with open_rig(rig, Path()) as opened:
+        session = capture(opened, rig, small, tmp_path, read_interrupted(tmp_path))
+    assert read_session(tmp_path).frames == session.frames
+
+
 def test_camera_without_colours_is_noted(rig: RigFile, small: PaintPlan, tmp_path: Path) -> None:
     def mono(number: int, raw: RawFrame) -> RawFrame:
         return replace(raw, settings={"pixel_format": "Mono16"})

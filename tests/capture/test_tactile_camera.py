@@ -66,15 +66,24 @@ def test_same_frame_twice_is_refused(same):
     assert "the same frame twice" in refused[0]
 
 
+def test_frame_of_another_size_is_taken_again_and_refused_at_last():
+    other = frame(counts=np.zeros((10, 10), np.uint16))
+    with checked(other, other, frame()) as (camera, refused):
+        assert camera.expose(0.01)[1] == 3
+    assert len(refused) == 2
+    message = r"delivered a frame of 10 x 10, the rig file says 64 x 96.*\(4 attempts at 0\.01 s\)"
+    with checked(*[other] * 4) as (camera, _), pytest.raises(RefusedError, match=message):
+        camera.expose(0.01)
+
+
 @pytest.mark.parametrize(
     ("delivered", "message"),
     [
         (frame(exposure_s=0.02), r"0\.01 s were asked for, it reads back 0\.02 s"),
-        (frame(counts=np.zeros((10, 10), np.uint16)), "delivered a frame of 10 x 10, the rig file says 64 x 96"),
         (frame(settings={"pixel_format": "Mono16"}), "delivers Mono16, and a tactile capture needs colours"),
         (frame(1024), r"a count of 1024 DN.*bit_depth = 10 allows \(1023 DN\)"),
     ],
-    ids=["exposure", "size", "no colours", "bits"],
+    ids=["exposure", "no colours", "bits"],
 )
 def test_frame_that_is_not_as_asked_is_refused(delivered, message):
     with checked(delivered) as (camera, _), pytest.raises(RefusedError, match=message):

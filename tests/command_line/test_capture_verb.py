@@ -1,6 +1,7 @@
 """``finray capture``: dry run, interruption by signals, resuming, a session like an earlier one."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,7 +15,9 @@ from data_schemas.rig import RigFile
 from data_schemas.storage import read_toml
 from rigs.capture.read_session import read_session
 from rigs.toml_text import write_rig
-from tests.capture.drivers.programs import free_port
+from tests.capture.drivers import file_switch
+from tests.capture.drivers.programs import free_port, require_module
+from tests.capture.drivers.thorlabs_wheel import emulated_wheel
 from tests.command_line.running import finray, succeed
 
 
@@ -31,6 +34,26 @@ def test_dry_run_tells_time_and_disk_and_stores_nothing(lab: Path, tmp_path: Pat
     assert "min" in said
     assert "nothing was moved, lit or stored" in said
     assert list(tmp_path.iterdir()) == []
+
+
+def test_dry_run_moves_no_wheel(lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A move would set the target of lewis' FW212C, which is another than its slot."""
+    require_module("lewis", "lewis")
+    file_switch.install(monkeypatch)
+    rig, laser = real_rig(lab), {"driver": "indi", "address": str(tmp_path / "laser")}
+    lamp = LampSettings(driver="indi", address=str(tmp_path / "lamp"))
+    for name in ("laser", "lamp"):
+        (tmp_path / name).mkdir()
+    with emulated_wheel() as wheel:
+        named = rig.filter_wheel.model_copy(update={"driver": "thorlabs", "address": wheel.address})
+        update = {"filter_wheel": named, "laser": rig.laser.model_copy(update=laser), "lamp": lamp}
+        camera = rig.camera.model_copy(update={"address": str(lab / "session")})
+        write_rig(rig.model_copy(update={**update, "camera": camera}), tmp_path / "rig.toml")
+        wheel.control.put(pos=4, target=9)
+        said = succeed(f"capture {lab}/plan.toml --rig {tmp_path}/rig.toml --dry-run")
+        assert "nothing was moved, lit or stored" in said
+        assert (wheel.control.get("pos"), wheel.control.get("target")) == (4, 9)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["lamp", "laser", "rig.toml"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
@@ -64,6 +87,17 @@ def test_resume_takes_everything_from_the_session(lab: Path, tmp_path: Path) -> 
     assert "--dry-run is for a session that is to begin" in mistake(f"capture --resume {tmp_path} --dry-run")
     assert "journal.jsonl: cannot be read" in mistake(f"capture --resume {tmp_path}")
     assert "give a PLAN and its --rig" in mistake(f"capture {lab}/plan.toml")
+
+
+def test_session_that_lacks_its_checksums_only_gets_them(lab: Path, tmp_path: Path) -> None:
+    """The capture was killed between ``session.json`` and the checksums of all files."""
+    out = tmp_path / "out"
+    shutil.copytree(lab / "session", out)
+    whole = (out / "manifest-sha256.txt").read_text()
+    (out / "manifest-sha256.txt").unlink()
+    assert "was finished but for its checksums" in succeed(f"capture --resume {out}")
+    assert (out / "manifest-sha256.txt").read_text() == whole
+    assert "is finished already" in mistake(f"capture --resume {out}")
 
 
 def test_session_like_an_earlier_one_says_so(lab: Path, tmp_path: Path) -> None:

@@ -263,6 +263,10 @@ class TestFilesPeopleWrite:
         with pytest.raises(RecordError, match=r"center_nm' \(in nm\): input should be greater than or equal to 200"):
             read_toml(path, RigFile)
 
+    def test_file_without_end(self):
+        with pytest.raises(RecordError, match="/dev/zero: is longer than 1048576 bytes"):
+            read_toml(Path("/dev/zero"), RigFile)
+
     def test_filter_named_twice(self, tmp_path):
         one = '[[filter_wheel.filters]]\nslot = {}\nname = "405"\ncenter_nm = {}\n'
         text = 'name = "r"\n[filter_wheel]\n' + one.format(1, 405) + one.format(2, 450)

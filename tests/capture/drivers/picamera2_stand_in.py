@@ -5,6 +5,7 @@ first frame, controls set while running hold a few frames later, exposures come 
 the first pixel's readout.
 """
 
+import threading
 import time
 from types import ModuleType
 from typing import Any, ClassVar
@@ -28,6 +29,7 @@ class Sensor:
         self.answers_format: str | None = None
         self.silent = self.broken = self.cannot_start = False
         self.cameras = [{"Model": "imx219", "Location": 2, "Rotation": 180, "Id": "/base/i2c/imx219@10", "Num": 0}]
+        self.hangs: threading.Event | None = None  # until it is set
         self.log: list[str] = []
 
 
@@ -118,6 +120,8 @@ class Picamera2:
         self.sensor.log.append("start")
 
     def stop(self) -> None:
+        if self.sensor.hangs is not None:
+            self.sensor.hangs.wait(30.0)
         self.started = False
 
     def close(self) -> None:

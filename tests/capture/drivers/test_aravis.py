@@ -61,6 +61,7 @@ def test_frame_is_raw_new_and_what_was_asked(camera: GenicamCamera) -> None:
     assert 0 < first.counts.max() <= 255
     assert first.settings["pixel_format"] == "BayerRG8"
     assert first.settings["GainAuto"] == "Off"
+    assert first.settings["TransportStatus"] == "success"
     assert first.exposure_s == pytest.approx(EXPOSURE_S, abs=1e-6)
     assert first.frame_id is not None
     assert second.frame_id is not None

@@ -6,11 +6,14 @@ from typing import Any
 
 import pytest
 
-from data_schemas.devices import CameraSettings, LampSettings
+from data_schemas.devices import CameraSettings, LampSettings, LaserSettings
+from data_schemas.errors import RefusedError
+from data_schemas.rig import RigFile
 from rigs import drivers
 from rigs.drivers import open_camera, open_lamp
 from rigs.host import TerminalOperator
 from rigs.light_guard import GuardedLight
+from rigs.open_rig import open_rig
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.rig_excerpts import wheel_settings
 
@@ -48,3 +51,26 @@ def test_a_lamp_with_a_controller_has_a_guard(tmp_path: Path, monkeypatch: pytes
         with lamp.lit():
             assert (tmp_path / "on").exists()
         assert not (tmp_path / "on").exists()
+
+
+def test_a_laser_waits_for_a_capture_that_hangs_only_so_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Longer than two of the longest exposures, which a camera may need for one frame, and no more than minutes."""
+    file_switch.install(monkeypatch)
+    patience_s: list[float] = []
+
+    def record(settings: LaserSettings, given_s: float) -> nullcontext[None]:
+        patience_s.append(given_s)
+        raise RefusedError("seen")
+
+    monkeypatch.setattr("rigs.open_rig.open_laser", record)
+    laser = {"wavelength_nm": 450.0, "power_mw": 4.5, "laser_class": "3R"}
+    rig = RigFile(
+        name="rig",
+        camera=CameraSettings(driver="folder", address="images", longest_exposure_s=30.0),
+        filter_wheel=wheel_settings("", driver="manual"),
+        laser=LaserSettings(driver="indi", address=str(tmp_path), **laser),
+        lamp=LampSettings(driver="manual"),
+    )
+    with pytest.raises(RefusedError, match="seen"), open_rig(rig, tmp_path):
+        pytest.fail("opened")
+    assert 2 * 30.0 + 60.0 < patience_s[0] < 10 * 60.0

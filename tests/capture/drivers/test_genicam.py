@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.errors import BadFrameError, LostError, RefusedError
-from rigs.cameras.call_thread import CallThread, NoAnswerError
+from rigs.call_thread import CallThread, NoAnswerError
 from rigs.cameras.genicam import (
     ConnectionBrokenError,
     FeatureError,

@@ -365,6 +365,26 @@ class TestLightInAFile:
                 work(light)
             assert not (folder / "on").exists()
 
+    def test_owner_that_hangs_while_its_heart_beats(self, folder):
+        """A terminal that takes no output (Ctrl-S) or a library that never returns holds the main thread only."""
+
+        def work(light):
+            with light.lit():
+                end_s = time.monotonic() + 2.5
+                while time.monotonic() < end_s:
+                    assert light.state()  # as the capture asks before and after every exposure
+                    time.sleep(0.2)
+                hung_s = time.monotonic()
+                wait_until(lambda: not guards(str(folder)), "the end of the guard")
+                assert 1.0 < time.monotonic() - hung_s < 1.0 + 2.0 * OFF_WITHIN_S
+                assert not (folder / "on").exists()
+
+        with (
+            guarded_light("laser", "indi", str(folder), patience_s=1.5) as light,
+            pytest.raises(LostError, match=r"its owner was frozen.*confirmed off.*--resume"),
+        ):
+            work(light)
+
     def test_opening_that_is_refused(self, folder):
         (folder / "refuse_opening").touch()
         with (

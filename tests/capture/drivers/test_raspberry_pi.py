@@ -2,6 +2,7 @@
 
 import importlib.util
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -150,6 +151,19 @@ def test_broken_camera_is_lost(sensor):
         sensor.broken = True
         with pytest.raises(LostError, match="frontend has timed out"):
             camera.expose(0.01, 1.0)
+
+
+def test_library_that_hangs_is_left_alone(sensor):
+    """libcamera's calls have no deadline: what hangs must not keep a capture, and its laser, waiting."""
+    sensor.hangs = threading.Event()
+    with opened() as camera:
+        began_s = time.monotonic()
+        with pytest.raises(LostError, match=r"libcamera did not answer within 0\.\d+ s; check the ribbon cable"):
+            camera.expose(0.01, 0.5)
+        assert time.monotonic() - began_s < 2.0
+        sensor.hangs.set()
+        assert camera.expose(0.01, 5.0).exposure_s == pytest.approx(0.01, rel=0.01)
+    assert sensor.log[-1] == "close"
 
 
 def test_stream_of_a_camera_that_failed_is_started_anew(sensor):
