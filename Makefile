@@ -76,6 +76,7 @@ bench-optics: $(VENV)/installed-bench llvm
 bench-mechanics: $(VENV)/installed-bench
 	-$(BIN)/python benchmarks/mechanics_engines.py --out bench-out/mechanics-engines.json
 	-$(BIN)/python benchmarks/finger_mesh_convergence.py --out bench-out/finger-mesh-convergence.json
+	-$(BIN)/python benchmarks/finger_press_times.py --out bench-out/finger-press-times.json
 	-$(BIN)/python benchmarks/published_fin_ray.py --out bench-out/published-fin-ray.json
 	-$(BIN)/python benchmarks/table.py bench-out
 

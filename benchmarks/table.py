@@ -167,6 +167,7 @@ def _mechanics_rows() -> list[Row]:
     """Return the rows of the pressed finger."""
     engines = ("mechanics_engines.py", "mechanics-engines.json")
     meshes = ("finger_mesh_convergence.py", "finger-mesh-convergence.json")
+    presses = ("finger_press_times.py", "finger-press-times.json")
     return [
         Row(
             "force, coarse finger, 3 mm",
@@ -188,7 +189,28 @@ def _mechanics_rows() -> list[Row]:
             unit=" GB",
         ),
         Row("one increment, fine mesh", "-", *meshes, lambda r: r["meshes"]["fine"]["wall_s"], high=240.0, unit=" s"),
+        Row("coarse press to 2 mm", "-", *presses, _of_press("coarse, 2 mm", "wall_s"), high=25.0, unit=" s"),
+        Row("medium press to 5 mm", "-", *presses, _of_press("medium, 5 mm", "wall_s"), high=150.0, unit=" s"),
+        Row(
+            "largest memory, medium press to 5 mm",
+            "-",
+            *presses,
+            _of_press("medium, 5 mm", "largest_memory_gb"),
+            high=1.5,
+            unit=" GB",
+        ),
+        Row("presses to 10 mm that get there, of 5", "-", *presses, _reached_10_mm, low=5.0, high=5.0),
     ]
+
+
+def _of_press(name: str, number: str) -> Callable[[Any], float]:
+    return lambda record: float(record["presses"][name][number])
+
+
+def _reached_10_mm(record: Any) -> float:
+    """Return how many pushes to 10 mm ended there, without the medium one with friction, which is shown only."""
+    coarse = [f"coarse, 10 mm, {body}{rough}" for body in ("cylinder", "cuboid") for rough in ("", ", friction 0.3")]
+    return float(sum(record["presses"][name]["reached"] for name in [*coarse, "medium, 10 mm, cylinder"]))
 
 
 def _medium_to_fine(record: Any) -> float:

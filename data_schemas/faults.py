@@ -4,6 +4,7 @@ import difflib
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
 LARGEST_NUMBER_OF_FAULTS = 5
 OUT_OF_BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
@@ -73,15 +74,30 @@ def _fields_at(model: type[BaseModel], location: list[str]) -> set[str]:
 
 
 def _unit_at(model: type[BaseModel], location: list[str]) -> str | None:
-    """Return the unit of the field at a location, or None."""
+    """Return the unit of the field at a location, or of its entries, or None."""
     models = [model]
     unit = None
     for part in location:
         for m in models:
             if part in m.model_fields:
-                extra = m.model_fields[part].json_schema_extra
-                unit = str(extra["unit"]) if isinstance(extra, dict) and "unit" in extra else None
+                unit = _unit_of(m.model_fields[part])
         models = [
             n for m in models if part in m.model_fields for n in _models_in(m.model_fields[part].annotation)
         ] or models
     return unit
+
+
+def _unit_of(field: FieldInfo) -> str | None:
+    """Return the unit that a field or, in a tuple, all its entries are declared with."""
+    extra = field.json_schema_extra
+    if isinstance(extra, dict) and "unit" in extra:
+        return str(extra["unit"])
+    units = {_unit_of(part) for part in _fields_in(field.annotation)}
+    return units.pop() if len(units) == 1 else None
+
+
+def _fields_in(annotation: Any) -> list[FieldInfo]:
+    """Return the pydantic fields inside an annotation (unions, tuples)."""
+    if isinstance(annotation, FieldInfo):
+        return [annotation]
+    return [field for inner in get_args(annotation) for field in _fields_in(inner)]

@@ -23,7 +23,8 @@ class GelPad(Model):
     """A gel pad; sizes are always length x width, the thickness is that of the crown in the middle.
 
     Shapes of the coated face: flat; cylindrical with its axis along the pad; a section of an ellipsoid with its
-    centre under the middle of the pad. More shapes as ``crown_drops``.
+    centre under the middle of the pad. Another shape is one more case of :meth:`drop_mm`, the height function
+    that mesh and optics take; the mould's STEP file and the first touch of an STL have cases of their own.
     """
 
     shape: Literal["flat", "cylindrical", "ellipsoidal"] = "flat"

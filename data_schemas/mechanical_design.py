@@ -42,6 +42,8 @@ def _field(unit: str, low: float, high: float) -> Any:
 
 SheetMm = Annotated[float, _field("mm", 0.02, 2.0), _within(0.02, 2.0, "mm")]
 WallMm = Annotated[float, _field("mm", 0.2, 20.0), _within(0.2, 20.0, "mm")]
+# of a skeleton, from a soft silicone to a stiff plastic
+_SHEAR_MPA = (0.05, 1e3)
 SizeMm = Annotated[float, _field("mm", 1.0, 500.0), _within(1.0, 500.0, "mm")]
 SoftMpa = Annotated[float, _field("MPa", 0.01, 10.0), _within(0.01, 10.0, "MPa")]
 StiffMpa = Annotated[float, _field("MPa", 50.0, 1e5), _within(50.0, 1e5, "MPa")]
@@ -147,6 +149,10 @@ class OgdenSolid(Model):
                 f"mu_mpa: the initial shear modulus, their sum, is {sum(self.mu_mpa):g} MPa and must be positive; "
                 "constants of the form mu / alpha (...) must be multiplied by alpha / 2"
             )
+        try:
+            check_magnitude(sum(self.mu_mpa), *_SHEAR_MPA, "MPa")
+        except ValueError as outside:
+            raise ValueError(f"mu_mpa: the initial shear modulus, their sum: {outside}") from None
         return self
 
 

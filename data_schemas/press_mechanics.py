@@ -78,7 +78,9 @@ class PressMechanics(Record):
         default=None, description="work lost to friction from first touch on; each increment's last force on its slip"
     )
     iterations: Annotated[NDArray[np.int64], ArraySpec("<i8", ("increment",))]
-    largest_pressure_mpa: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "MPa"})]
+    largest_pressure_mpa: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "MPa"})] = Field(
+        description="at one point of the coat; a value of the mesh where the patch is not several elements wide"
+    )
     unreached: str = Field(description="why the push ended early; empty when it did not")
     wanted_force_n: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "N"})] | None = Field(
         default=None, description="of a press to a force, in place of design.indenter.depth_mm; None of one to a depth"

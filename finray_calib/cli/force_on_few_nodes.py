@@ -29,7 +29,8 @@ def tell_few_nodes(pressed: "PressedFinger", mechanics: "PressMechanics") -> Non
     remedy = f"press with {finer if mechanics.wanted_force_n is not None else f'--contact barrier, or with {finer}'}"
     if force_n <= 0.0:
         what, more = "touches no node of", ""
-        if force_n < 0.0:
+        # a push deeper than an element that touches nothing has left the coat behind, too
+        if force_n < 0.0 or push_mm > step_mm:
             what, more = "has passed through", ", or with more --increments"
         raise SimulateError(
             f"at a push of {push_mm:.4g} mm the indenter {what} the coat, whose elements are {step_mm:g} mm wide: the "

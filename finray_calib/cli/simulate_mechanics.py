@@ -210,11 +210,13 @@ def _store(
     from finray_calib.exchange.vtu import vtu_bytes
     from finray_calib.reports.pressed_finger_figure import pressed_finger_png
     from sim.experiments.mechanical_press import press_records
+    from sim.mechanics.pressed_finger import contact_pressure_mpa
 
     mechanics, surfaces = press_records(design, pressed, **said)
     write_record(mechanics, files["mechanics"], origin)
     write_record(surfaces, files["surfaces"], origin)
-    write_bytes(files["mesh"], vtu_bytes(pressed.mesh, pressed.displacement_mm[-1]))
+    touched = contact_pressure_mpa(pressed)
+    write_bytes(files["mesh"], vtu_bytes(pressed.mesh, pressed.displacement_mm[-1], touched))
     write_bytes(files["picture"], pressed_finger_png(mechanics, surfaces, folder))
     say(f"{files['mechanics']}: {mechanics.label}")
     for depth, force in zip(mechanics.depth_mm, mechanics.force_n, strict=True):

@@ -157,11 +157,19 @@ def _draw_curve(axes: Axes, mechanics: PressMechanics) -> None:
     force = np.concatenate([[0.0], mechanics.force_n[:, 1]])
     axes.plot(depth, force, "-o", color=BLUE, markersize=4)
     if mechanics.unreached:
-        wanted = mechanics.design.indenter.depth_mm
-        axes.axvline(wanted, color=VERMILLION, ls=":", label=f"the push that was wanted, {wanted:g} mm")
+        if mechanics.wanted_force_n is not None:
+            label = f"the force that was wanted, {mechanics.wanted_force_n:g} N"
+            axes.axhline(mechanics.wanted_force_n, color=VERMILLION, ls=":", label=label)
+        else:
+            wanted = mechanics.design.indenter.depth_mm
+            axes.axvline(wanted, color=VERMILLION, ls=":", label=f"the push that was wanted, {wanted:g} mm")
         axes.legend(loc="lower right")
     axes.set(xlabel="push of the indenter from first touch (mm)", ylabel="force along the pad's normal (N)")
-    axes.set(xlim=(0.0, None), ylim=(0.0, None), title=f"{force[-1]:.2f} N at {depth[-1]:.2f} mm")
+    title = f"{force[-1]:.2f} N at {depth[-1]:.2f} mm"
+    if not force[-1] > 0.0:
+        title += ":\nnot the finger's: it touches no node or has been passed through"
+    # a little room below a force that pulls, none below nought
+    axes.set(xlim=(0.0, None), ylim=(min(0.0, 1.1 * force.min()), None), title=title)
 
 
 def _farthest_first(shape: FingerShape) -> list[str]:

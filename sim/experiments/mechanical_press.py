@@ -212,10 +212,11 @@ def _mechanics(
 def _chord_note(design: FingerDesign, preset: Preset, pressed: PressedFinger) -> tuple[str, ...]:
     """Say how much too low the penalty's force is on a round indenter."""
     short = chord_shortfall_rel(design, preset, float(pressed.depth_mm[-1]))
-    if pressed.kind != "penalty" or not short:
+    touched = pressed.force_n[-1, 1] > 0.0
+    if pressed.kind != "penalty" or (touched and not short):
         return ()
     told = f"the force is some {short:.0%} below the barrier's"
-    if not pressed.force_n[-1, 1] > 0.0:
+    if not touched:
         told = "it touches no node, or has passed between them, and the force is the mesh's, not the finger's"
     return (f"between nodes the coat cuts into the indenter: {told}",)
 
@@ -223,9 +224,11 @@ def _chord_note(design: FingerDesign, preset: Preset, pressed: PressedFinger) ->
 def _torques(design: FingerDesign, pressed: PressedFinger) -> tuple[float | None, float | None]:
     """Return the torques that the contact holds: by friction over its coefficient, and by its width.
 
-    None without contact, and of a press with friction: they rest on frictionless pressures.
+    None without contact, with a force that pulls (the indenter has passed through the coat), and of a press with
+    friction: they rest on frictionless pressures.
     """
-    if design.indenter.friction > 0.0 or not (pressed.pressure_mpa > 0.0).any():
+    touches = (pressed.pressure_mpa > 0.0).any() and pressed.force_n[-1, 1] > 0.0
+    if design.indenter.friction > 0.0 or not touches:
         return None, None
     places, forces = contact_forces_n(pressed)
     return slip_torque_n_mm(places, forces, 1.0), frictionless_torque_n_mm(places, forces, design.pad.width_mm)

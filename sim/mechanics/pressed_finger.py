@@ -137,6 +137,27 @@ class PressHistory:
         return np.concatenate([before, now + before[-1] if goes_on else now])
 
 
+def coat_areas_mm2(mesh: FingerMesh) -> FloatArray:
+    """Return the areas at rest of the coat's f faces, (f,)."""
+    corners = mesh.nodes_mm[mesh.surfaces["coat"]]
+    return np.asarray(
+        np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]), axis=1) / 2.0
+    )
+
+
+def contact_pressure_mpa(pressed: PressedFinger) -> FloatArray:
+    """Return the contact pressure of the last increment at the mesh's n nodes, (n,); 0 away from the coat.
+
+    p_a = sum_f A_f p_f / sum_f A_f over the faces f at node a, with p_f the mean of a face's points and A_f its area
+    at rest: pressure times the coat's area is the same at the nodes as on the faces.
+    """
+    faces, areas = pressed.mesh.surfaces["coat"], coat_areas_mm2(pressed.mesh)
+    count = len(pressed.mesh.nodes_mm)
+    held = np.bincount(faces.ravel(), np.repeat(areas * pressed.pressure_mpa.mean(axis=1), 4), count)
+    area = np.bincount(faces.ravel(), np.repeat(areas, 4), count)
+    return np.asarray(np.divide(held, area, out=np.zeros(count), where=area > 0.0))
+
+
 def contact_distance(pressed: PressedFinger, nodes: NDArray[np.int64]) -> FloatArray:
     """Return the distance of coat nodes from the middle of the contact in units of its half-width; <= 1 in contact.
 

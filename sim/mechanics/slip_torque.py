@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from data_schemas.errors import SimulateError
-from sim.mechanics.pressed_finger import PressedFinger
+from sim.mechanics.pressed_finger import PressedFinger, coat_areas_mm2
 
 FloatArray = NDArray[np.float64]
 
@@ -16,9 +16,7 @@ def contact_forces_n(pressed: PressedFinger) -> tuple[FloatArray, FloatArray]:
     The pressures times their areas, made to add up to the size of the force on the indenter; places at rest: the
     patch's own stretch, a few per cent, is left out.
     """
-    corners = pressed.mesh.nodes_mm[pressed.mesh.surfaces["coat"]]
-    area = np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]), axis=1) / 2.0
-    pushes = pressed.pressure_mpa * area[:, None]
+    pushes = pressed.pressure_mpa * coat_areas_mm2(pressed.mesh)[:, None]
     touching = pushes > 0.0
     whole = float(pushes.sum())
     if whole <= 0.0:

@@ -359,6 +359,18 @@ CASES = (
         design("[mechanics.skeleton]\nmu_mpa = [6.279, -1.639]"),
     ),
     Case(
+        "skeleton in GPa",
+        MECHANICS,
+        r"'mechanics\.skeleton': mu_mpa: the initial shear modulus, their sum: 0\.007918 MPa .* in GPa: write 7\.918",
+        design("[mechanics.skeleton]\nmu_mpa = [0.006279, 0.001639]"),
+    ),
+    Case(
+        "cuboid in micrometres",
+        MECHANICS,
+        r"'indenter\.size_mm \(entry 1\)' \(in mm\): .* less than or equal to 1000, got 50000\.0; is it in mm\?",
+        design('[indenter]\nshape = "cuboid"\nsize_mm = [50000.0, 15.0, 15.0]'),
+    ),
+    Case(
         "gel in kPa",
         MECHANICS,
         r"finger\.toml: 'mechanics\.gel\.c10_mpa' \(in MPa\): .* looks like a number in kPa: write 0\.1333",

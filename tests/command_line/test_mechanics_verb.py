@@ -264,6 +264,18 @@ def test_an_indenter_that_has_passed_through_the_coat_is_refused(tmp_path):
     outcome = finray(f"simulate {path} --only mechanics --increments 1 --out {tmp_path}/b.press.json")
     assert outcome.status == 2
     assert re.search(r"has passed through the coat, .* the force of -\d.* or with more --increments", outcome.err)
+    assert "torque at slip" not in outcome.out
+
+
+def test_a_cuboid_that_jumps_over_the_coat_is_refused_and_noted(tmp_path):
+    path = tmp_path / "plate.toml"
+    path.write_text(BABY + 'shape = "cuboid"\nsize_mm = [30.0, 3.0, 10.0]\ndepth_mm = 3.0\n')
+    outcome = finray(f"simulate {path} --only mechanics --increments 1 --out {tmp_path}/b.press.json")
+    assert outcome.status == 2
+    assert re.search(r"has passed through the coat, .* the force of 0 N .* or with more --increments", outcome.err)
+    stored = read_record(tmp_path / "b.mechanics.json", PressMechanics)
+    assert any("touches no node, or has passed between them" in note for note in stored.notes)
+    assert stored.slip_torque_per_friction_n_mm is None
 
 
 def test_a_force_on_an_indenter_that_touches_no_node_is_refused(tmp_path):

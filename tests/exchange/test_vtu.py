@@ -29,6 +29,16 @@ def test_another_program_reads_mesh_displacement_and_parts(mesh, tmp_path):
         np.testing.assert_array_equal(cells.data[number == read.field_data[name][0]], hexahedra)
 
 
+def test_another_program_reads_the_contact_pressure(mesh, tmp_path):
+    pressure = np.random.default_rng(4).uniform(0.0, 0.1, len(mesh.nodes_mm))
+    (tmp_path / "finger.vtu").write_bytes(vtu_bytes(mesh, np.zeros_like(mesh.nodes_mm), pressure))
+    read = meshio.read(tmp_path / "finger.vtu")
+    assert set(read.point_data) == {"displacement_mm", "contact_pressure_mpa"}
+    np.testing.assert_array_equal(read.point_data["contact_pressure_mpa"], pressure)
+    with pytest.raises(SimulateError, match=r"contact_pressure_mpa must be finite, of shape \(\d+,\) as the nodes"):
+        vtu_bytes(mesh, None, pressure[1:])
+
+
 def test_a_finger_at_rest_has_no_displacement(mesh, tmp_path):
     (tmp_path / "rest.vtu").write_bytes(vtu_bytes(mesh))
     read = meshio.read(tmp_path / "rest.vtu")

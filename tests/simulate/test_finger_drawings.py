@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy.optimize import minimize
 
 from data_schemas.design import FingerDesign
@@ -14,7 +15,7 @@ from data_schemas.press_mechanics import PressMechanics
 from finray_calib.reports.finger_figure import finger_page_png, finger_png
 from finray_calib.reports.finger_outline import finger_outline, outer_edges, side_polygons
 from finray_calib.reports.labelled_parts import spread
-from finray_calib.reports.pressed_finger_figure import pressed_finger_png
+from finray_calib.reports.pressed_finger_figure import _draw_curve, pressed_finger_png
 from finray_calib.reports.touch_sections import compare_section, simulate_section
 from sim.experiments.camera_view import camera_view
 from sim.presets import preset_design
@@ -178,3 +179,27 @@ def test_a_deeper_press_is_seen_and_a_push_that_ended_early_is_marked():
     early = pixels(pressed_finger_png(*press_records(3.0, "no equilibrium")))
     assert marked(deep) == 0
     assert marked(early) > 50
+
+
+def curve(mechanics):
+    axes = Figure().subplots()
+    _draw_curve(axes, mechanics)
+    return axes
+
+
+def test_the_curve_of_a_press_to_a_force_marks_the_force_that_was_wanted():
+    mechanics, _ = press_records(3.0, "no equilibrium")
+    of_force = curve(mechanics.model_copy(update={"wanted_force_n": 9.0}))
+    for axes, said in ((curve(mechanics), "the push that was wanted, 3 mm"), (of_force, "force that was wanted, 9 N")):
+        (label,) = (text.get_text() for text in axes.get_legend().get_texts())
+        assert said in label
+    assert list(of_force.lines[-1].get_ydata()) == [9.0, 9.0]
+
+
+def test_the_curve_shows_a_force_that_is_not_the_finger_s():
+    mechanics, _ = press_records(3.0)
+    assert curve(mechanics).get_ylim()[0] == 0.0
+    assert curve(mechanics).get_title() == "6.00 N at 3.00 mm"
+    pulled = curve(mechanics.model_copy(update={"force_n": -mechanics.force_n}))
+    assert pulled.get_ylim()[0] < -6.0
+    assert "it touches no node or has been passed through" in pulled.get_title()

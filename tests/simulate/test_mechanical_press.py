@@ -8,7 +8,7 @@ from data_schemas.errors import SimulateError
 from data_schemas.indenter import Indenter
 from sim.experiments.mechanical_press import press_records
 from sim.mechanics.press import press_finger
-from sim.mechanics.pressed_finger import contact_distance
+from sim.mechanics.pressed_finger import contact_distance, contact_pressure_mpa
 from sim.surface_meshes.intersections import check_no_intersections
 from sim.surface_meshes.stored_shape import restore_shapes
 from sim.surface_meshes.surface import check_closed
@@ -65,6 +65,19 @@ def test_the_contact_lies_under_the_indenter(pressed):
     assert len(inside) > 0
     # the chord of the cylinder at the whole push is more than the patch of a finger that gives way
     assert np.abs(inside[:, 2] - 35.0).max() <= np.sqrt(2 * 10.0 * 1.0)
+
+
+def test_the_pressure_at_the_nodes_holds_the_force(pressed):
+    pressure, coat = contact_pressure_mpa(pressed), pressed.mesh.surfaces["coat"]
+    corners = pressed.mesh.nodes_mm[coat]
+    # elements of the flat coat are rectangles
+    areas = np.abs((corners[:, 2] - corners[:, 0])[:, 0] * (corners[:, 2] - corners[:, 0])[:, 2])
+    whole = (areas * pressure[coat].mean(axis=1)).sum()
+    # elements at the pad's edges are narrower, so that the nodes' mean is no quadrature; the coat leans by degrees
+    assert whole == pytest.approx(np.linalg.norm(pressed.force_n[-1]), rel=0.02)
+    assert not pressure[np.setdiff1d(np.arange(len(pressure)), coat)].any()
+    assert 0.0 < pressure.max() <= pressed.pressure_mpa.max()
+    assert np.abs(pressed.mesh.nodes_mm[pressure > 0.0, 2] - 35.0).max() <= np.sqrt(2 * 10.0 * 1.0) + 2.5
 
 
 def test_the_surfaces_close_and_the_gel_keeps_its_volume(records):
