@@ -200,6 +200,14 @@ def _mechanics_rows() -> list[Row]:
             unit=" GB",
         ),
         Row("presses to 10 mm that get there, of 5", "-", *presses, _reached_10_mm, low=5.0, high=5.0),
+        Row(
+            "stiff over soft finger, least over dimensions",
+            "-",
+            "finray study finger-stiffness",
+            "finger-stiffness.json",
+            lambda r: min(order["smallest_ratio"] for order in r["record"]["orders"]),
+            low=1.0,
+        ),
     ]
 
 

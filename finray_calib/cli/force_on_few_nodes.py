@@ -15,7 +15,7 @@ def tell_few_nodes(pressed: "PressedFinger", mechanics: "PressMechanics") -> Non
     Raises
     ------
     SimulateError
-        When the indenter touches no node of the coat at the end of its push, or has passed through it.
+        When the indenter touches no node of the coat at the end of its push.
     """
     from data_schemas.errors import SimulateError
     from sim.mechanics.chord_error import LARGEST_UNTOLD_REL, chord_shortfall_rel
@@ -28,13 +28,10 @@ def tell_few_nodes(pressed: "PressedFinger", mechanics: "PressMechanics") -> Non
     finer = "a finer [mesh] preset"
     remedy = f"press with {finer if mechanics.wanted_force_n is not None else f'--contact barrier, or with {finer}'}"
     if force_n <= 0.0:
-        what, more = "touches no node of", ""
-        # a push deeper than an element that touches nothing has left the coat behind, too
-        if force_n < 0.0 or push_mm > step_mm:
-            what, more = "has passed through", ", or with more --increments"
         raise SimulateError(
-            f"at a push of {push_mm:.4g} mm the indenter {what} the coat, whose elements are {step_mm:g} mm wide: the "
-            f"force of {force_n:.3g} N is the mesh's, not the finger's; {remedy}{more}. What was computed is stored"
+            f"at a push of {push_mm:.4g} mm the indenter touches no node of the coat, whose elements are {step_mm:g} "
+            f"mm wide: the force of {force_n:.3g} N is the mesh's, not the finger's; {remedy}. What was computed is "
+            "stored"
         )
     short = chord_shortfall_rel(mechanics.design, mechanics.preset, push_mm)
     if short > LARGEST_UNTOLD_REL:

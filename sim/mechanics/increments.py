@@ -106,6 +106,7 @@ def load_increments(
     options: NewtonOptions | None = None,
     predict: Predictor | None = None,
     settle: Callable[[State], bool] | None = None,
+    refuse: Callable[[State, float], str] | None = None,
 ) -> Iterator[Increment]:
     """Yield equilibria at the given shares of the load, and between them where smaller increments are needed.
 
@@ -127,6 +128,9 @@ def load_increments(
     settle
         Renews at an equilibrium what terms have lagged (friction) and tells whether it still is one; else the search
         goes on from there.
+    refuse
+        Tells why an equilibrium at a share of the load is none of this load's path (an indenter that has passed through
+        the coat), or nothing; a smaller increment is tried then.
 
     Raises
     ------
@@ -149,6 +153,8 @@ def load_increments(
                 reached = find_equilibrium(assembly, state, supports, solver, options)
             if settle is not None:
                 reached = _settled(reached, settle, assembly, supports, solver, options)
+            if refuse is not None and not reached.failure:
+                reached = replace(reached, failure=refuse(reached.state, aim))
             if reached.failure:
                 part /= 2.0
                 if part < shortest_share:

@@ -84,6 +84,12 @@ def press_finger(
     def loading(fraction: float) -> Supports:
         return touch.push(fraction * depth)
 
+    def passed_through(state: State, fraction: float) -> str:
+        pushed = float(touch.force_n(state.u_mm)[1])
+        # a round indenter may stand between the nodes of one element
+        between = pushed == 0.0 and fraction * depth <= steps.pad_mm
+        return "" if pushed > 0.0 or between else "the indenter has passed through the coat"
+
     begin, rest = (0.0, None) if resume is None else resumed(resume, mesh, depth)
     if rest is not None:
         touch.accept(rest)
@@ -95,7 +101,15 @@ def press_finger(
     history = PressHistory(assembly, ties, touch, resume)
     try:
         for step in load_increments(
-            assembly, linear_solver(threads=threads), loading, stops, rest, begin, predict=predict, settle=touch.settle
+            assembly,
+            linear_solver(threads=threads),
+            loading,
+            stops,
+            rest,
+            begin,
+            predict=predict,
+            settle=touch.settle,
+            refuse=passed_through,
         ):
             history.add(step.fraction * depth, step.equilibrium)
             if store is not None:

@@ -259,23 +259,34 @@ def test_a_force_of_no_touch_is_noted_as_the_meshs(tmp_path):
     assert any("touches no node, or has passed between them" in note for note in stored.notes)
 
 
-def test_an_indenter_that_has_passed_through_the_coat_is_refused(tmp_path):
-    path = small_ball(tmp_path, 1.0, 1.0)
-    outcome = finray(f"simulate {path} --only mechanics --increments 1 --out {tmp_path}/b.press.json")
-    assert outcome.status == 2
-    assert re.search(r"has passed through the coat, .* the force of -\d.* or with more --increments", outcome.err)
-    assert "torque at slip" not in outcome.out
+@pytest.mark.parametrize(
+    ("indenter", "depth_mm"),
+    [('shape = "cuboid"\nsize_mm = [30.0, 3.0, 10.0]', 3.0), ('shape = "ball"\nradius_mm = 1.0', 1.0)],
+)
+def test_an_indenter_that_would_jump_through_the_coat_takes_smaller_increments(tmp_path, indenter, depth_mm):
+    """A push of its own height, or radius, in one increment finds an equilibrium behind the coat, too."""
+    path, reached = tmp_path / "jump.toml", {}
+    path.write_text(BABY + f"{indenter}\ndepth_mm = {depth_mm}\n")
+    for increments in (1, 4):
+        out = tmp_path / f"{increments}.press.json"
+        assert finray(f"simulate {path} --only mechanics --increments {increments} --out {out}").status == 0
+        reached[increments] = read_record(tmp_path / f"{increments}.mechanics.json", PressMechanics)
+    assert len(reached[1].depth_mm) > 1
+    assert reached[1].depth_mm[-1] == depth_mm
+    # the same equilibrium by another way
+    assert reached[1].force_n[-1, 1] == pytest.approx(reached[4].force_n[-1, 1], rel=1e-5)
 
 
-def test_a_cuboid_that_jumps_over_the_coat_is_refused_and_noted(tmp_path):
-    path = tmp_path / "plate.toml"
-    path.write_text(BABY + 'shape = "cuboid"\nsize_mm = [30.0, 3.0, 10.0]\ndepth_mm = 3.0\n')
-    outcome = finray(f"simulate {path} --only mechanics --increments 1 --out {tmp_path}/b.press.json")
+def test_an_indenter_that_passes_between_the_nodes_is_refused(tmp_path):
+    outcome = finray(
+        f"simulate {small_ball(tmp_path, 0.5, 3.0)} --only mechanics --increments 1 --out {tmp_path}/b.press.json"
+    )
     assert outcome.status == 2
-    assert re.search(r"has passed through the coat, .* the force of 0 N .* or with more --increments", outcome.err)
+    assert re.search(r"at a push of 1\.\d+ mm the indenter touches no node of the coat", outcome.err)
     stored = read_record(tmp_path / "b.mechanics.json", PressMechanics)
-    assert any("touches no node, or has passed between them" in note for note in stored.notes)
+    assert "the indenter has passed through the coat" in stored.unreached
     assert stored.slip_torque_per_friction_n_mm is None
+    assert "torque at slip" not in outcome.out
 
 
 def test_a_force_on_an_indenter_that_touches_no_node_is_refused(tmp_path):
