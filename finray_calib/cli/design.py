@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli.design_file import read_design
 from finray_calib.cli.options import file_name, naming, open_engine, require_new, say
 
 if TYPE_CHECKING:
@@ -108,16 +109,14 @@ def run_init(arguments: argparse.Namespace) -> None:
 
 def run_show(arguments: argparse.Namespace) -> None:
     """Tell what the camera sees, and draw the finger."""
-    from data_schemas.design import FingerDesign
     from data_schemas.errors import SimulateError
-    from data_schemas.storage import read_toml
     from data_schemas.whole_files import write_bytes
     from finray_calib.reports.finger_outline import finger_outline
     from sim.experiments.camera_view import camera_view
     from sim.presets import PRESETS, preset_design
 
     is_preset = not arguments.design.exists() and str(arguments.design) in PRESETS
-    design = preset_design(str(arguments.design)) if is_preset else read_toml(arguments.design, FingerDesign)
+    design = preset_design(str(arguments.design)) if is_preset else read_design(arguments.design)
     out = None if arguments.out is None else _drawing_path(arguments.out)
     with naming(SimulateError, arguments.design):
         finger_outline(design, arguments.design.parent)  # parts that do not fit are told before anything is shown
@@ -151,13 +150,11 @@ def _drawing(view: "CameraView", folder: Path, suffix: str) -> bytes:
 
 def run_export(arguments: argparse.Namespace) -> None:
     """Write the printed parts and the mould."""
-    from data_schemas.design import FingerDesign
     from data_schemas.errors import SimulateError
-    from data_schemas.storage import read_toml
     from data_schemas.whole_files import write_bytes
     from finray_calib.exchange.printable_parts import PrintFormat, printable_parts
 
-    design = read_toml(arguments.design, FingerDesign)
+    design = read_design(arguments.design)
     folder = require_new(arguments.out or Path(f"{file_name(design.name)}.print"))
     formats: tuple[PrintFormat, ...] = ("stl", "step") if arguments.format == "both" else (arguments.format,)
     with naming(SimulateError, arguments.design):

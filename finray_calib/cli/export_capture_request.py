@@ -3,14 +3,13 @@
 import argparse
 from pathlib import Path
 
+from finray_calib.cli.design_file import read_design
 from finray_calib.cli.options import file_name, naming, open_engine, require_new, say
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Write page and plans, and report."""
-    from data_schemas.design import FingerDesign
     from data_schemas.errors import RecordError, SimulateError
-    from data_schemas.storage import read_toml
     from data_schemas.whole_files import write_bytes
     from finray_calib.cli.export_deck import refuse_options as refuse_deck
     from finray_calib.cli.export_taxim import refuse_options as refuse_taxim
@@ -27,7 +26,7 @@ def run(arguments: argparse.Namespace) -> None:
     if len(arguments.paint) != 2:  # the word and the file
         raise RecordError("a capture request needs one design: finray export capture-request DESIGN.toml")
     path: Path = arguments.paint[1]
-    design = read_toml(path, FingerDesign)
+    design = read_design(path)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.request.md"))
     with naming(SimulateError, path):
         finger_outline(design, path.parent)  # nobody can print, and then capture, parts that do not fit

@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from finray_calib.cli.design_file import read_design
 from finray_calib.cli.options import (
     DEFAULT_INCREMENTS,
     command_line,
@@ -44,14 +45,12 @@ def refuse_options(arguments: argparse.Namespace) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the deck and report."""
-    from data_schemas.design import FingerDesign
     from data_schemas.errors import SimulateError
-    from data_schemas.storage import read_toml
     from data_schemas.whole_files import write_bytes
     from sim.mechanics.other_engines.deck_push import finger_deck
 
     path = _one_design(arguments)
-    design = read_toml(path, FingerDesign)
+    design = read_design(path)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.inp"))
     increments = arguments.increments or DEFAULT_INCREMENTS
     with naming(SimulateError, path):

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli.design_file import read_design
 from finray_calib.cli.options import (
     Progress,
     add_paint,
@@ -125,12 +126,10 @@ def _sensor(arguments: argparse.Namespace, progress: Progress) -> "tuple[BallPre
 
 def _refuse_finger(path: Path) -> None:
     """Refuse the design of a finger, whose walls need paints."""
-    from data_schemas.design import FingerDesign
     from data_schemas.errors import FinrayError, RecordError
-    from data_schemas.storage import read_toml
 
     try:
-        design = read_toml(path, FingerDesign)
+        design = read_design(path)
     except FinrayError:
         return
     raise RecordError(
@@ -142,15 +141,14 @@ def _refuse_finger(path: Path) -> None:
 
 def _finger(arguments: argparse.Namespace, progress: Progress) -> "tuple[BallPresses, list[Path]]":
     """Render a finger with its paints."""
-    from data_schemas.design import FingerDesign
     from data_schemas.fit import PaintCalibration
-    from data_schemas.storage import read_record, read_toml
+    from data_schemas.storage import read_record
     from sim.experiments.painted_finger import paint_finger, paint_optics
     from sim.experiments.taxim_finger import render_finger_presses
 
     path: Path = arguments.paint[1]
     files = paint_files(arguments, dest=PAINTS)
-    design = read_toml(path, FingerDesign)
+    design = read_design(path)
     paints = {colour: paint_optics(read_record(file, PaintCalibration)) for colour, file in files.items()}
     finger = paint_finger(design, paints, path.parent, open_engine("auto"))
     return render_finger_presses(finger, *_amounts(arguments), progress), [

@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from finray_calib.cli.design_file import read_design
 from finray_calib.cli.options import add_out, command_line, file_name, input_digests, naming, require_new, say
 
 HELP = "import the results file of a deck that Abaqus has run"
@@ -27,15 +28,14 @@ def add_parser(formats: "argparse._SubParsersAction[argparse.ArgumentParser]") -
 
 def run(arguments: argparse.Namespace) -> None:
     """Import and report."""
-    from data_schemas.design import FingerDesign
     from data_schemas.errors import ImportFormatError
     from data_schemas.provenance import provenance
-    from data_schemas.storage import read_toml, write_record
+    from data_schemas.storage import write_record
     from sim.experiments.mechanical_press import press_records
     from sim.mechanics.other_engines.abaqus_press import pressed_by_abaqus
     from sim.mechanics.other_engines.abaqus_results import read_fil
 
-    design = read_toml(arguments.design, FingerDesign)
+    design = read_design(arguments.design)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.surfaces.json"))
     stem = out.name.removesuffix(".json").removesuffix(".surfaces")
     forces_out = require_new(out.with_name(f"{stem}.mechanics.json"))

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from finray_calib.cli.design_file import read_design
 from finray_calib.cli.mechanics_options import add_mechanics_options, require_optics_only
 from finray_calib.cli.options import (
     DEFAULT_SEED,
@@ -153,11 +154,9 @@ class _Scene(NamedTuple):
 
 def _run_optics(arguments: argparse.Namespace) -> None:
     """Render or sweep."""
-    from data_schemas.design import FingerDesign
-    from data_schemas.storage import read_toml
     from finray_calib.cli.simulate_optics import simulate_optics
 
-    design = read_toml(arguments.design, FingerDesign)
+    design = read_design(arguments.design)
     kind = "press" if arguments.angles is None else "sweep"
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.{kind}.json"))
     scene = _scene(arguments, design)

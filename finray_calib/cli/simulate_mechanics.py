@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
+from finray_calib.cli.design_file import read_design
 from finray_calib.cli.force_on_few_nodes import tell_few_nodes
 from finray_calib.cli.mechanics_options import require_mechanics_only
 from finray_calib.cli.options import (
@@ -91,13 +92,11 @@ def run_mechanics(arguments: argparse.Namespace) -> None:
         has been stored, and at least a picture.
     """
     require_mechanics_only(arguments)
-    from data_schemas.design import FingerDesign
     from data_schemas.errors import NoEquilibriumError, SimulateError
     from data_schemas.provenance import provenance
-    from data_schemas.storage import read_toml
     from data_schemas.whole_files import write_bytes
 
-    design, folder = read_toml(arguments.design, FingerDesign), arguments.design.parent
+    design, folder = read_design(arguments.design), arguments.design.parent
     resume = None if arguments.resume is None else last_increment(arguments.resume)
     files = mechanics_paths(arguments.out or Path(f"{file_name(design.name)}.press.json"), resume)
     read = [arguments.design, *([resume] if resume else []), *_indenter_file(design, folder)]

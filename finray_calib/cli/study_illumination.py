@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from finray_calib.cli.design_file import read_design
 from finray_calib.cli.options import (
     add_out,
     add_paint,
@@ -107,13 +108,11 @@ def run_study(study: _Study, arguments: argparse.Namespace) -> None:
 
 def _finger(study: _Study, arguments: argparse.Namespace) -> "tuple[PaintedFinger, dict[str, str]]":
     """Return the finger, and by colour where its paint comes from."""
-    from data_schemas.design import FingerDesign
-    from data_schemas.storage import read_toml
     from sim.experiments.painted_finger import paint_finger
     from sim.presets import preset_design
 
     files = paint_files(arguments, without="the simulated rig's paints")
-    design = preset_design(study.preset) if arguments.design is None else read_toml(arguments.design, FingerDesign)
+    design = preset_design(study.preset) if arguments.design is None else read_design(arguments.design)
     folder = Path() if arguments.design is None else arguments.design.parent
     paints, sources = _calibrated(files) if files else _stand_ins()
     return paint_finger(design, paints, folder, open_engine(arguments.engine)), sources

@@ -341,6 +341,11 @@ CASES = (
         design('[indenter]\nshape = "mesh"\nfile = "no.stl"'),
     ),
     Case(
+        "name of a ready-made finger for its file",
+        "simulate flat-70x35 --only mechanics",
+        r"flat-70x35: no such file; write it first: finray design init flat-70x35, then give flat-70x35\.toml",
+    ),
+    Case(
         "friction with the penalty",
         MECHANICS + " --contact penalty",
         r"--contact penalty cannot serve indenter\.friction = 0\.3: use --contact barrier, or auto",
