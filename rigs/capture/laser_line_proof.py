@@ -18,7 +18,7 @@ import numpy as np
 from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.capture import FilterProof
 from data_schemas.curves import SpectralCurve
-from rigs.capture.filter_proof import CLEAR_DIFFERENCE, GRID_NM, LIT_SHARE, MODEL_SD_LN, transmission
+from rigs.capture.filter_proof import CLEAR_DIFFERENCE, GRID_NM, LEAST_RELATIVE, LIT_SHARE, MODEL_SD_LN, transmission
 
 CLEAR_FACTOR = float(np.exp(np.sqrt(2.0 * CLEAR_DIFFERENCE) * MODEL_SD_LN))
 """By which a ratio of two rates differs from its prediction before it decides."""
@@ -68,7 +68,7 @@ class LaserLine:
         self._excitation, self._others = excitation, [f.name for _, f in others]
         sent = np.array([(passed[f.name] * curves[channel])[line:].max() for _, f in others])
         # what a filter should not pass at all may still be stray light: never more than the line itself
-        self._most = np.maximum(sent / (through * curves[channel, line]), 1.0)
+        self._most = np.maximum(sent / max(through * curves[channel, line], LEAST_RELATIVE), 1.0)
         leaks = np.array([passed[f.name][line] * 10.0**f.blocking_uncertainty_od for _, f in others])
         self._if_exchanged = LEAST_REFLECTANCE * through / leaks
         self._rates = np.array([sample_dn_per_s[k][channel] for k, _ in others])
