@@ -77,8 +77,8 @@ bench-mechanics: $(VENV)/installed-bench
 	-$(BIN)/python benchmarks/mechanics_engines.py --out bench-out/mechanics-engines.json
 	-$(BIN)/python benchmarks/finger_mesh_convergence.py --out bench-out/finger-mesh-convergence.json
 	-$(BIN)/python benchmarks/finger_press_times.py --out bench-out/finger-press-times.json
-	rm -f bench-out/finger-stiffness.json
-	-$(BIN)/finray study finger-stiffness flat-70x35 flat-70x35-soft --out bench-out/finger-stiffness.json
+	rm -rf bench-out/finger-stiffness
+	-$(BIN)/finray study finger-stiffness flat-70x35 flat-70x35-soft --out bench-out/finger-stiffness
 	-$(BIN)/python benchmarks/published_fin_ray.py --out bench-out/published-fin-ray.json
 	-$(BIN)/python benchmarks/table.py bench-out
 

@@ -204,7 +204,7 @@ def _mechanics_rows() -> list[Row]:
             "stiff over soft finger, least over dimensions",
             "-",
             "finray study finger-stiffness",
-            "finger-stiffness.json",
+            "finger-stiffness/finger-stiffness.json",
             lambda r: min(order["smallest_ratio"] for order in r["record"]["orders"]),
             low=1.0,
         ),
