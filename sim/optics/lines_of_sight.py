@@ -140,8 +140,10 @@ def _meet(scene: Any, origin: Floats, direction: Floats, renderer: ModuleType) -
     else:
         rays = renderer.Ray3f(*(renderer.Vector3f(v.T.astype(np.float32)) for v in (origin, direction)))
         found = scene.ray_intersect_preliminary(rays, coherent=True)
-        triangle = np.where(found.is_valid().numpy(), found.prim_index.numpy().astype(np.int64), NOTHING)
-        uv = found.prim_uv.numpy().T.astype(np.float64)
+        met = found.is_valid().numpy()
+        triangle = np.where(met, found.prim_index.numpy().astype(np.int64), NOTHING)
+        # what is not met has a place that was never written
+        uv = np.where(met[:, None], found.prim_uv.numpy().T, np.float32(0.0)).astype(np.float64)
     return triangle, np.column_stack([1.0 - uv.sum(axis=-1), uv])
 
 

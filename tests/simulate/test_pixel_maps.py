@@ -1,6 +1,7 @@
 """What each pixel sees: against the closed form of a flat finger, and against the renderer's own surfaces when bent."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import drjit as dr
 import numpy as np
@@ -11,7 +12,7 @@ from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
 from data_schemas.optical_design import LightPanel, TactileCamera
 from sim.optics.finger_view import camera_pose, coat_positions, pixel_directions
-from sim.optics.lines_of_sight import NOTHING
+from sim.optics.lines_of_sight import NOTHING, _meet
 from sim.optics.paint_bands import paint_bands
 from sim.optics.pixel_maps import camera_rays, pixel_maps
 from sim.optics.scene import finger_scene
@@ -164,3 +165,27 @@ def test_depth_needs_the_same_mesh(scalar):
     other = FingerShape({**shape.surfaces, "coat": turned}, shape.contact_distance, "turned")
     with pytest.raises(SimulateError, match=r"the coat 'turned' has .* the same mesh, deformed and at rest"):
         maps_of(SMALL, scalar, other)
+
+
+@dataclass
+class Lanes:
+    """An array of the renderer."""
+
+    values: np.ndarray
+
+    def numpy(self):
+        return self.values
+
+
+def test_place_of_a_ray_that_meets_nothing_is_not_read(llvm):
+    """The renderer never writes it: it holds what was in the memory before, at times a number that cannot be cast."""
+    never_written = np.array([0x7FA00000], np.uint32).view(np.float32)[0]
+    found = SimpleNamespace(
+        is_valid=lambda: Lanes(np.array([True, False])),
+        prim_index=Lanes(np.array([5, 77], np.uint32)),
+        prim_uv=Lanes(np.array([[0.25, never_written], [0.5, never_written]], np.float32)),
+    )
+    scene = SimpleNamespace(ray_intersect_preliminary=lambda rays, coherent: found)
+    triangle, barycentric = _meet(scene, np.zeros((2, 3)), np.ones((2, 3)), llvm)
+    assert triangle.tolist() == [5, NOTHING]
+    np.testing.assert_array_equal(barycentric, [[0.25, 0.25, 0.5], [1.0, 0.0, 0.0]])
