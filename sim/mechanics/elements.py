@@ -65,13 +65,21 @@ class Elasticity:
         self._solved = [np.zeros((len(c) if m else 0, 9, 25)) for c, m in zip(self.cells, mode_counts, strict=True)]
         self._mode_force = [np.zeros((len(s), 9)) for s in self._solved]
         self._energies = [np.zeros(len(c)) for c in self.cells]
+        # displacements and modes that the energies belong to
+        self._evaluated: tuple[FloatArray, ...] = ()
         self.no_modes: Modes = tuple(np.zeros((len(c), m, 3)) for c, m in zip(self.cells, mode_counts, strict=True))
 
     def energy(self, u: FloatArray, modes: Modes) -> float:
         """Return the elastic energy in N mm; infinity where an element is inside out."""
-        for _ in self._evaluate(u, modes, 0):
-            pass
+        if not self._is_evaluated(u, modes):
+            for _ in self._evaluate(u, modes, 0):
+                pass
         return math.fsum(float(e.sum()) for e in self._energies)
+
+    def _is_evaluated(self, u: FloatArray, modes: Modes) -> bool:
+        """Whether the energies of the last evaluation, of whatever level, are those of this state."""
+        asked = (u, *modes)
+        return len(asked) == len(self._evaluated) and all(map(np.array_equal, asked, self._evaluated))
 
     def matrices(self, u: FloatArray, modes: Modes, project: bool = False) -> Iterator[ElementMatrices]:
         """Yield forces and tangents by u with the modes eliminated, a part of the elements at a time.
@@ -123,12 +131,14 @@ class Elasticity:
             self._evaluate_part(displacement, modes[block], level, out)
             return out
 
+        self._evaluated = ()
         if self._threads == 1:
             yield from map(evaluate, range(len(jobs)))
-            return
-        with ThreadPoolExecutor(self._threads) as pool:
-            for first in range(0, len(jobs), self._threads):
-                yield from pool.map(evaluate, range(first, min(first + self._threads, len(jobs))))
+        else:
+            with ThreadPoolExecutor(self._threads) as pool:
+                for first in range(0, len(jobs), self._threads):
+                    yield from pool.map(evaluate, range(first, min(first + self._threads, len(jobs))))
+        self._evaluated = (displacement.copy(), *(m.copy() for m in modes))
 
     def _evaluate_part(self, u: FloatArray, modes: FloatArray, level: int, out: ElementMatrices) -> None:
         block, part, material = out.block, out.elements, self._materials[out.block]
