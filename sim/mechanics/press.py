@@ -16,7 +16,7 @@ from sim.mechanics.increments import load_increments
 from sim.mechanics.linear_solver import linear_solver
 from sim.mechanics.mesh import FingerMesh
 from sim.mechanics.newton import Supports
-from sim.mechanics.press_contact import ContactChoice, chosen_contact, press_contact
+from sim.mechanics.press_contact import ContactChoice, PressContact, chosen_contact, press_contact
 from sim.mechanics.pressed_finger import PressedFinger, PressHistory
 from sim.mechanics.warm_start import CoarserPath
 
@@ -84,12 +84,6 @@ def press_finger(
     def loading(fraction: float) -> Supports:
         return touch.push(fraction * depth)
 
-    def passed_through(state: State, fraction: float) -> str:
-        pushed = float(touch.force_n(state.u_mm)[1])
-        # a round indenter may stand between the nodes of one element
-        between = pushed == 0.0 and fraction * depth <= steps.pad_mm
-        return "" if pushed > 0.0 or between else "the indenter has passed through the coat"
-
     begin, rest = (0.0, None) if resume is None else resumed(resume, mesh, depth)
     if rest is not None:
         touch.accept(rest)
@@ -109,7 +103,7 @@ def press_finger(
             begin,
             predict=predict,
             settle=touch.settle,
-            refuse=passed_through,
+            refuse=lambda state, fraction: _passed_through(touch, state, fraction * depth, steps.pad_mm),
         ):
             history.add(step.fraction * depth, step.equilibrium)
             if store is not None:
@@ -123,6 +117,14 @@ def press_finger(
         touch.push(history.depth_mm)
         return history.pressed(str(stuck))
     return history.pressed()
+
+
+def _passed_through(touch: PressContact, state: State, pushed_mm: float, pad_mm: float) -> str:
+    """Return that an equilibrium is one behind the coat, or nothing."""
+    force_n = float(touch.force_n(state.u_mm)[1])
+    # a round indenter may stand between the nodes of one element
+    between = force_n == 0.0 and pushed_mm <= pad_mm
+    return "" if force_n > 0.0 or between else "the indenter has passed through the coat"
 
 
 def _first_on_coarse(
