@@ -17,7 +17,7 @@ _NOISE = 1e-13  # relative rounding of a sum of energies; differences below say 
 _SHORTEST = 1e-4  # share of a step below which the line search gives up
 # where a step has lowered the residual by this factor, the tangent hardly changes any more: the factors are used again
 _NEARLY_LINEAR = 0.01
-_MOST_REFINEMENTS = 10  # each costs a twelfth of a factorisation at 120 000 unknowns
+_MOST_REFINEMENTS = 10  # each costs a twentieth of a factorisation at 140 000 unknowns
 _OVERSHOOT = 4.0  # the energy may rise this many times more than foreseen while supports move
 
 
