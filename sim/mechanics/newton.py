@@ -15,9 +15,12 @@ FloatArray = NDArray[np.float64]
 _SUFFICIENT = 1e-4  # share of the linear decrease of energy that a step must reach (Armijo)
 _NOISE = 1e-13  # relative rounding of a sum of energies; differences below say nothing
 _SHORTEST = 1e-4  # share of a step below which the line search gives up
-# where a step has lowered the residual by this factor, the tangent hardly changes any more: the factors are used again
-_NEARLY_LINEAR = 0.01
-_MOST_REFINEMENTS = 10  # each costs a twentieth of a factorisation at 140 000 unknowns
+# where a step has lowered the residual by this factor, the tangent changes little: the factors are used again
+_NEARLY_LINEAR = 0.3
+# a factorisation takes the time of 14, 21 and 57 solutions at 39 000, 142 000 and 618 000 unknowns, about as their
+# root: no more than its worth is spent on avoiding one
+_REFINEMENTS_PER_ROOT = 0.07
+_FEWEST_REFINEMENTS = 10
 _OVERSHOOT = 4.0  # the energy may rise this many times more than foreseen while supports move
 
 
@@ -169,13 +172,18 @@ class _Search:
         return du.reshape(-1, 3), slope
 
     def _with_old_factors(self, right: FloatArray) -> FloatArray | None:
-        """Return the solution to what Newton's method needs, if the last step was nearly linear."""
+        """Return the solution to what Newton's method needs, if the last step was nearly linear.
+
+        What it needs (Eisenstat and Walker 1996, their second choice): no more digits than the step before has won
+        twice, since the next residual is quadratic in this one, and no more than a tenth of what is still to be done.
+        """
         matrix, residuals = self.assembly.matrix, self.residuals
         if self.factors != matrix.version or len(residuals) < 2 or residuals[-1] > _NEARLY_LINEAR * residuals[-2]:
             return None
-        # a tenth of what is still to be done, so that this step can be the last one
-        needed = min(max(0.1 * self.bar_n / max(residuals[-1], 1e-300), 1e-8), 1e-3)
-        return refined(matrix.times, self.solver, right, needed, _MOST_REFINEMENTS)
+        last, before = max(residuals[-1], 1e-300), max(residuals[-2], 1e-300)
+        needed = min(max(0.1 * self.bar_n / last, (last / before) ** 2, 1e-8), 1e-3)
+        most = max(_FEWEST_REFINEMENTS, round(_REFINEMENTS_PER_ROOT * math.sqrt(right.size)))
+        return refined(matrix.times, self.solver, right, needed, most)
 
     def _line_search(
         self, state: State, energy: float, du: FloatArray, rise: float, moving: bool
