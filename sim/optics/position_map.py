@@ -21,6 +21,7 @@ from sim.optics.cubic_splines import (
     tensor_sum,
     third_differences,
 )
+from sim.optics.lookup_tables import LookupTable, cell_at
 from sim.surface_meshes.surface import Surface
 
 # a face bends over the thickness of the gel (about 6 mm), which cells of this size follow to parts in a million
@@ -134,23 +135,18 @@ class PositionMap:
 
         Written out instead of the renderer's cubic texture, whose derivatives cannot be differentiated again.
         """
-        import drjit as dr
-
         if self.is_plane:
             return self._plane_in_renderer(renderer)
         padded = np.pad(self.coefficients_mm, ((0, 0), (0, 0), (0, 1)))  # four numbers are fetched as one packet
-        flat = renderer.Float(padded.astype(np.float32).ravel())
-        rows = self.coefficients_mm.shape[1]
-        dr.make_opaque(flat)
+        table, along = LookupTable(padded.reshape(-1, 4), renderer), self.coefficients_mm.shape[1]
         cells_u, cells_v = self._cells
 
         def evaluate(u: Any, v: Any) -> FacePoint:
             x, y = u * cells_u, v * cells_v
-            i = renderer.UInt32(dr.clip(dr.floor(x), 0, cells_u - 1))
-            j = renderer.UInt32(dr.clip(dr.floor(y), 0, cells_v - 1))
+            i, j = cell_at(x, cells_u), cell_at(y, cells_v)
 
             def gather(a: int, b: int) -> Vector:
-                found = dr.gather(renderer.Vector4f, flat, (i + a) * rows + (j + b))
+                found = table.row((i + a) * along + (j + b))
                 return found.x, found.y, found.z
 
             weights_u = spline_weights(x - renderer.Float(i), cells_u)

@@ -1,0 +1,62 @@
+"""Tables that lanes of the renderer read and add to by computed places: no lane reaches outside, whatever it holds.
+
+A lane that met nothing still computes places, from numbers that were never written. A comparison is false for NaN,
+where the renderer's clip lets NaN pass and a cast to an integer of NaN, infinity or 1e30 is undefined: 4294967295 with
+AVX-512, 2147483648 without. Every gather, scatter and cast of :mod:`sim.optics` therefore comes through this module.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def cell_at(place: Any, cells: int) -> Any:
+    """Return the number, 0 to cells - 1, of the cell that holds a place.
+
+    Cell k holds k <= place < k + 1. Valid for every float: what lies below, and NaN, is in the first cell and what
+    lies above in the last one.
+
+    Parameters
+    ----------
+    place
+        The renderer's floats, in cells.
+    cells
+        Number of cells, 1 to 2^24 (beyond it single precision has no whole numbers).
+
+    Returns
+    -------
+    array
+        The renderer's unsigned integers.
+    """
+    import drjit as dr
+
+    above = dr.select(place > 0.0, place, 0.0)
+    return dr.uint32_array_t(type(place))(dr.minimum(above, cells - 1.0))
+
+
+class LookupTable:
+    """Rows of 1, 2 or 4 numbers in single precision; a row number past the end reads the last row.
+
+    Parameters
+    ----------
+    rows
+        Shape (rows, 1), (rows, 2) or (rows, 4).
+    renderer
+        From :func:`sim.optics.variants.open_renderer`, a compiled variant.
+    """
+
+    def __init__(self, rows: NDArray[np.floating], renderer: Any) -> None:
+        import drjit as dr
+
+        self._kind = {1: renderer.Float, 2: renderer.Vector2f, 4: renderer.Vector4f}[rows.shape[1]]
+        self._values = renderer.Float(np.ascontiguousarray(rows, dtype=np.float32).ravel())
+        # numbers that vary between scenes must not become constants of the compiled kernel
+        dr.make_opaque(self._values)
+        self._last = dr.opaque(renderer.UInt32, len(rows) - 1)
+
+    def row(self, number: Any, active: Any = True) -> Any:
+        """Return the rows of these numbers (unsigned integers), zero where not active."""
+        import drjit as dr
+
+        return dr.gather(self._kind, self._values, dr.minimum(number, self._last), active)
