@@ -4,9 +4,10 @@
 
 Needs CalculiX (Debian: calculix-ccx). A neo-Hookean skeleton of the shear modulus of the paper's TPU, so that both
 engines have the same law, the coarse mesh, a cylinder of 10 mm radius pushed 3 mm in by three increments without
-friction. Bars: force within 3 %, displacement of the pad within 2 % rms of its largest, CPU time a fifth of
-CalculiX'. What is left over: C3D8R has one point and hourglass control where the engine in process has mean dilatation
-at eight; CalculiX touches facets at points of its own.
+friction. Bars: force within 3 %, displacement of the pad within 2 % rms of its largest, CPU time of the whole command
+``finray simulate DESIGN --only mechanics`` (start, meshes, press, records, picture) a fifth of CalculiX' own; the press
+alone is shown beside it. What is left over: C3D8R has one point and hourglass control where the engine in process has
+mean dilatation at eight; CalculiX touches facets at points of its own.
 """
 
 import os
@@ -16,7 +17,9 @@ os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", NUMBA_NUM_THREADS="1
 import argparse
 import json
 import resource
+import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -24,6 +27,7 @@ import numpy as np
 
 from data_schemas.design import FingerDesign
 from data_schemas.mechanical_design import OgdenSolid
+from sim.design_toml import design_toml
 from sim.mechanics.other_engines.calculix import press_finger_calculix
 from sim.mechanics.other_engines.calculix_program import calculix_version
 from sim.mechanics.press import PressedFinger, press_finger
@@ -54,6 +58,21 @@ def cpu_s() -> float:
     return sum(u.ru_utime + u.ru_stime for u in used)
 
 
+def command_cpu_s(design: FingerDesign) -> float:
+    """CPU time of the whole command, one thread, with compiled code in its cache."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "finger.toml").write_text(design_toml(design))
+        command = [sys.executable, "-m", "finray_calib.cli.main", "simulate", str(folder / "finger.toml")]
+        start = cpu_s()
+        subprocess.run(
+            [*command, "--only", "mechanics", "--increments", str(INCREMENTS), "--out", str(folder / "press.json")],
+            check=True,
+            capture_output=True,
+        )
+        return cpu_s() - start
+
+
 def pad_difference(ours: PressedFinger, theirs: PressedFinger) -> float:
     """Rms of the difference of the gel's displacement at the last increment, as a share of the largest."""
     nodes = np.unique(ours.mesh.hexahedra["gel"])
@@ -74,6 +93,7 @@ def main() -> int:
         seconds.append(cpu_s() - start)
         wall.append(time.perf_counter() - clock)
     ours, theirs = pressed
+    command_s = command_cpu_s(design)
     found = {
         "depth_mm": ours.depth_mm.tolist(),
         "force_n": ours.force_n[:, 1].tolist(),
@@ -83,7 +103,9 @@ def main() -> int:
         "cpu_s": seconds,
         "wall_s": wall,
         "iterations": [int(p.iterations.sum()) for p in pressed],
-        "speed_ratio": seconds[1] / seconds[0],
+        "command_cpu_s": command_s,
+        "press_speed_ratio": seconds[1] / seconds[0],
+        "speed_ratio": seconds[1] / command_s,
         "reached": bool(not ours.unreached and not theirs.unreached),
         "calculix": calculix_version(),
     }
@@ -93,14 +115,15 @@ def main() -> int:
     names = ("in process", f"CalculiX {found['calculix']}")
     for name, cpu, clock, count in zip(names, seconds, wall, found["iterations"], strict=True):
         print(f"{name}: {count} iterations, {cpu:.1f} s of CPU, {clock:.1f} s on the clock")
+    print(f"the whole command: {command_s:.1f} s of CPU; the press alone {found['press_speed_ratio']:.2f} times faster")
     rows = (
         ("force", found["force_difference_rel"], FORCE_BAR_REL, found["force_difference_rel"] <= FORCE_BAR_REL),
         ("pad, rms", found["pad_difference_rel"], FIELD_BAR_REL, found["pad_difference_rel"] <= FIELD_BAR_REL),
-        ("times faster", found["speed_ratio"], SPEED_BAR, found["speed_ratio"] >= SPEED_BAR),
+        ("command, times faster", found["speed_ratio"], SPEED_BAR, found["speed_ratio"] >= SPEED_BAR),
         ("push reached", float(found["reached"]), 1.0, found["reached"]),
     )
     for what, value, bar, met in rows:
-        print(f"{what:13} {value:8.4f}   bar {bar:g}   {'met' if met else 'MISSED'}")
+        print(f"{what:22} {value:8.4f}   bar {bar:g}   {'met' if met else 'MISSED'}")
     if arguments.out:
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
         arguments.out.write_text(json.dumps(found, indent=1))

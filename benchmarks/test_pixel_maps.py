@@ -1,4 +1,7 @@
-"""Paint maps beside a loop of scipy's least squares, in the same run: pixels per second; time and memory at 1.3 MP."""
+"""Paint maps beside a loop of scipy's least squares, in the same run; time and memory at 1.3 MP.
+
+Both are counted in pixels per second of processor time: maps run on all cores, the loop on one.
+"""
 
 import resource
 import time
@@ -55,13 +58,13 @@ def frame(name: str) -> PixelScene:
 
 
 def scipy_rate(made: PixelScene) -> float:
-    """Pixels per second of scipy (MINPACK): same priors and bands, Gauss nodes as a numpy product, same start."""
+    """Pixels per processor second of scipy (MINPACK): same priors and bands, Gauss nodes as a product, same start."""
     problem, _ = pixel_problem(made.region, weights_of(made.optics, made.pixels.channel_weights), SPREAD)
     curve = made.region.family.curves
     nodes, weights = whole_rule(problem)
     precision = np.sqrt(problem.precision)
     chosen = np.random.default_rng(2).integers((0, 0), (TILE, TILE), (SCIPY_PIXELS, 2))
-    start = time.perf_counter()
+    start = time.process_time()
     for row, column in chosen:
         y = made.pixels.fluorescence[:, row, column].astype(float)
         sd = made.pixels.fluorescence_sd[:, row, column].astype(float)
@@ -72,26 +75,28 @@ def scipy_rate(made: PixelScene) -> float:
             return np.concatenate([(mu - y) / sd, (theta - problem.mean) * precision])
 
         least_squares(residual, problem.mean, method="lm", x_scale=1 / precision)
-    return SCIPY_PIXELS / (time.perf_counter() - start)
+    return SCIPY_PIXELS / (time.process_time() - start)
 
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_pixels_per_second(name, record_property):
     made = frame(name)
     map_pixels(made.pixels, made.region, SPREAD)  # compiled code is loaded, or made once
-    seconds, rivals = [], []
+    seconds, processor, rivals = [], [], []
     for _ in range(ROUNDS):
-        start = time.perf_counter()
+        start, spent = time.perf_counter(), time.process_time()
         found = map_pixels(made.pixels, made.region, SPREAD)
         seconds.append(time.perf_counter() - start)
+        processor.append(time.process_time() - spent)
         rivals.append(scipy_rate(made))
     clock_s, rival = float(np.median(seconds)), float(np.median(rivals))
-    rate, peak_mb = found.mode_nm.size / clock_s, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    rate = found.mode_nm.size / float(np.median(processor))
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     for key, value in (("ratio", rate / rival), ("seconds", clock_s), ("peak_mb", peak_mb)):
         record_property(key, value)
     print(
-        f"\n{name}: {found.mode_nm.size} pixels in {clock_s:.1f} s, {rate:.0f} px/s; scipy {rival:.0f} px/s; "
-        f"ratio {rate / rival:.0f}; largest memory {peak_mb:.0f} MB"
+        f"\n{name}: {found.mode_nm.size} pixels in {clock_s:.1f} s; per processor second {rate:.0f}, "
+        f"scipy {rival:.0f}; ratio {rate / rival:.0f}; largest memory {peak_mb:.0f} MB"
     )
     assert found.unconverged_pixels < 1e-3 * found.mode_nm.size
     assert rate / rival > LEAST_RATIO
