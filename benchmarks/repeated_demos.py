@@ -49,27 +49,25 @@ def run_once(folder: Path, number: int, load: str) -> dict[str, object]:
     out = folder / f"{load}-{number}"
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
-    before, start = os.times(), time.perf_counter()
+    command = [sys.executable, "-X", "faulthandler", "-m", "finray_calib.cli.main", "demo", "--out", str(out / "demo")]
     with busy_cores((os.cpu_count() or 1) if load == "busy" else 0), (out / "printed.txt").open("wb") as printed:
-        done = subprocess.run(
-            [sys.executable, "-X", "faulthandler", "-m", "finray_calib.cli.main", "demo", "--out", str(out / "demo")],
-            stdout=printed,
-            stderr=subprocess.STDOUT,
-            timeout=LONGEST_S,
-            check=False,
-        )
-    clock_s, after = time.perf_counter() - start, os.times()
+        before, start = os.times(), time.perf_counter()
+        try:
+            status = subprocess.run(command, stdout=printed, stderr=printed, timeout=LONGEST_S, check=False).returncode
+        except subprocess.TimeoutExpired:
+            status = None
+        clock_s, after = time.perf_counter() - start, os.times()
     report = next(iter((out / "demo").rglob("*.html")), None)
     row = {
         "load": load,
-        "status": done.returncode,
+        "status": status,
         "report": report is not None,
         "clock_s": round(clock_s, 1),
-        "processor_s": round(after.children_user + after.children_system - before[2] - before[3], 1),
+        "processor_s": round(sum(after[2:4]) - sum(before[2:4]), 1),
         "commit": commit(),
         "python": sys.version.split()[0],
     }
-    if done.returncode == 0 and report is not None:
+    if status == 0 and report is not None:
         shutil.rmtree(out)
     return row
 
