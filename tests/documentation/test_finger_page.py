@@ -182,7 +182,7 @@ def test_a_browser_shows_the_viewer_where_it_can(html, tmp_path, options):
     (tmp_path / "finger.html").write_text(html, encoding="utf-8")
     command = [browser, "--headless=new", "--no-sandbox", f"--user-data-dir={tmp_path}/profile", *options]
     command += ["--virtual-time-budget=3000", "--dump-dom", f"file://{tmp_path}/finger.html"]
-    dom = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
+    dom = subprocess.run(command, capture_output=True, text=True, check=True, timeout=600).stdout
     assert re.findall(r'<(div|p) id="(?:viewer|no-viewer)"[^>]* hidden', dom) == (
         ["div"] if "--disable-3d-apis" in options else ["p"]
     )

@@ -39,7 +39,7 @@ def page(request, tmp_path) -> Path:
 def chromium(folder: Path, *options: str) -> str:
     """Run the browser without a window and return what it wrote."""
     command = [require("chromium", "chromium"), "--headless=new", "--no-sandbox", f"--user-data-dir={folder}/profile"]
-    done = subprocess.run([*command, *options], capture_output=True, text=True, check=True, timeout=120)
+    done = subprocess.run([*command, *options], capture_output=True, text=True, check=True, timeout=600)
     return done.stdout
 
 
@@ -77,7 +77,7 @@ def test_it_prints_on_a4_with_its_folds_open(page, tmp_path):
     sheets = len(re.findall(rb"/Type /Page\b", content))
     assert 2 <= sheets <= 8
     text = subprocess.run(
-        [require("pdftotext", "poppler-utils"), str(paper), "-"], capture_output=True, text=True, check=True, timeout=60
+        [require("pdftotext", "poppler-utils"), str(paper), "-"], capture_output=True, text=True, check=True, timeout=600
     ).stdout
     wanted = {
         "comparison": ("Better than no simulation", "area too bright", "finray compare"),

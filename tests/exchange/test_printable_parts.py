@@ -213,7 +213,7 @@ for path in sorted(pathlib.Path(sys.argv[1]).glob("*.step")):
 print(json.dumps(found))
 """
     command = [others_python("gmsh"), "-c", script, str(tmp_path)]
-    found = json.loads(subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout)
+    found = json.loads(subprocess.run(command, capture_output=True, text=True, check=True, timeout=600).stdout)
     for name, volume in wanted.items():
         ((dimension, mass),) = found[name]
         assert dimension == 3

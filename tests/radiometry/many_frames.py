@@ -75,7 +75,7 @@ def reduce_apart(folder: Path) -> dict[str, float]:
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(
         [sys.executable, "-c", REDUCE, str(folder)],
-        capture_output=True, text=True, check=True, cwd=ROOT, env=environment, timeout=300,
+        capture_output=True, text=True, check=True, cwd=ROOT, env=environment, timeout=900,
     )  # fmt: skip
     found: dict[str, float] = json.loads(done.stdout)
     return found
