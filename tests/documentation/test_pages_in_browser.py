@@ -77,7 +77,7 @@ def test_it_prints_on_a4_with_its_folds_open(page, tmp_path):
     sheets = len(re.findall(rb"/Type /Page\b", content))
     assert 2 <= sheets <= 8
     text = subprocess.run(
-        [require("pdftotext", "poppler-utils"), str(paper), "-"], capture_output=True, text=True, check=True, timeout=600
+        [require("pdftotext", "poppler-utils"), str(paper), "-"], capture_output=True, text=True, check=True
     ).stdout
     wanted = {
         "comparison": ("Better than no simulation", "area too bright", "finray compare"),

@@ -376,7 +376,7 @@ def test_real_presses_of_a_gelsight_teach_a_map(tmp_path):
     """The 48 presses that Taxim's port ships (MIT): the score on unseen ones that the how-to states."""
     python = others_python("taxim[jax-cpu]")
     where = "import importlib.util as u; s = u.find_spec('taxim'); print(s.submodule_search_locations[0] if s else '')"
-    found = subprocess.run([python, "-c", where], capture_output=True, text=True, timeout=600, check=True).stdout.strip()
+    found = subprocess.run([python, "-c", where], capture_output=True, text=True, check=True).stdout.strip()
     if not found:
         pytest.skip("TAXIM ABSENT: pip install 'taxim[jax-cpu]==1.4.1' into that environment; NO real presses tested")
     captures = read_taxim(Path(found) / "calib" / "gelsight").captures
