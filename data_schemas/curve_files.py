@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.curves import DonaldsonMatrix, SpectralCurve
 from data_schemas.errors import CurveError
+from data_schemas.foreign_files import finite_number, read_csv
 
 Floats = NDArray[np.float64]
 CAMERA_COLUMNS = ["wavelength_nm", "red_percent", "green_percent", "blue_percent"]
@@ -34,31 +35,20 @@ def read_table(path: Path) -> tuple[list[str], Floats]:
     CurveError
         The file is missing, has no rows, a row of another length, or something that is not a finite number.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise CurveError(f"{path}: no such file; give the path of a CSV file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise CurveError(f"{path}: cannot be read as UTF-8 text ({error})") from None
-    lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
-    if len(lines) < 3:
+    header, rows = read_csv(path, "a CSV file", CurveError, comments=True)
+    if len(rows) < 2:
         raise CurveError(f"{path}: needs a header row and at least two rows of numbers")
-    header = [name.strip() for name in lines[0][1].split(",")]
-    return header, np.array([_row(path, n, line, len(header)) for n, line in lines[1:]])
+    return header, np.array([_row(path, n, cells, len(header)) for n, cells in rows])
 
 
-def _row(path: Path, number: int, line: str, columns: int) -> list[float]:
+def _row(path: Path, number: int, cells: list[str], columns: int) -> list[float]:
     """Parse one row of finite numbers."""
-    cells = line.split(",")
     if len(cells) != columns:
         raise CurveError(f"{path}, line {number}: has {len(cells)} columns, the header has {columns}")
     try:
-        values = [float(cell) for cell in cells]
-    except ValueError:
-        raise CurveError(f"{path}, line {number}: '{line.strip()[:60]}' holds something that is not a number") from None
-    if not np.isfinite(values).all():
-        raise CurveError(f"{path}, line {number}: NaN or infinite value; remove or measure the row again")
-    return values
+        return [finite_number(cell) for cell in cells]
+    except ValueError as error:
+        raise CurveError(f"{path}, line {number}: {error}; correct or remove the row, or measure it again") from None
 
 
 def read_camera_response(path: Path) -> tuple[SpectralCurve, SpectralCurve, SpectralCurve]:
@@ -133,7 +123,7 @@ def read_donaldson_matrix(path: Path) -> DonaldsonMatrix:
     if header[0] != "emission_nm":
         raise CurveError(f"{path}: the first column is '{header[0]}'; a re-radiation matrix needs 'emission_nm'")
     try:
-        excitation = np.array([float(name) for name in header[1:]])
+        excitation = np.array([finite_number(name) for name in header[1:]])
     except ValueError:
         raise CurveError(f"{path}: the header must hold excitation wavelengths in nm after 'emission_nm'") from None
     emission, values = table[:, 0], table[:, 1:]

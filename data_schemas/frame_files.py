@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import ChecksumError
+from data_schemas.foreign_files import digest_as_read, read_bytes
 from data_schemas.whole_files import write_bytes
 
 
@@ -38,11 +39,10 @@ def read_frame(path: Path, sha256: str) -> NDArray[np.uint16]:
     """
     import tifffile
 
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise ChecksumError(f"{path}: frame is missing; restore it from a copy or capture the session again") from None
-    if hashlib.sha256(content).hexdigest() != sha256:
+    if not path.exists():
+        raise ChecksumError(f"{path}: frame is missing; restore it from a copy or capture the session again")
+    content = read_bytes(path, "a frame of the session", ChecksumError)
+    if digest_as_read(path) != sha256:
         raise ChecksumError(f"{path}: SHA-256 differs from the session's record; the frame was changed, restore it")
     frame: NDArray[np.uint16] = tifffile.imread(io.BytesIO(content))
     return frame

@@ -8,8 +8,6 @@ file is written first and the JSON gets its name last, so a record is either who
 import hashlib
 import io
 import json
-import tomllib
-import zipfile
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,15 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from data_schemas.array_files import DeclaredArray, read_declared_arrays
 from data_schemas.errors import ChecksumError, NewerSchemaError, RecordError
 from data_schemas.faults import explain
+from data_schemas.foreign_files import LARGEST_ARRAY_FILE_BYTES, digest_as_read, read_bytes, read_json, read_toml_tables
 from data_schemas.model import Record
 from data_schemas.provenance import Provenance
 from data_schemas.whole_files import refuse_taken, sha256_of, write_bytes
 
 INLINE_VALUES = 512
-LONGEST_TOML_BYTES = 1 << 20
-"""More than a person writes: /dev/zero has no end."""
+A_RECORD = "a stored record (.json)"
 R = TypeVar("R", bound=Record)
 
 
@@ -117,30 +116,43 @@ def read_record(path: Path, record_type: type[R]) -> R:
             f"{path}: was written by version {version} of the {kind} record, which differs from today's version "
             f"{record_type.schema_version}; run {record_type.written_by} again"
         )
-    arrays = _load_arrays(path, envelope.get("array_file"))
+    body = envelope.get("record")
+    arrays = _load_arrays(path, envelope.get("array_file"), _declared_arrays(path, body))
     try:
-        return record_type.model_validate(_from_json(path, envelope.get("record"), arrays))
+        return record_type.model_validate(_with_arrays(path, body, arrays))
     except ValidationError as error:
         raise RecordError(f"{path}: {explain(error, record_type)}") from None
 
 
 def _load_json(path: Path) -> dict[str, Any]:
     """Read a JSON object."""
-    if path.is_dir():
-        raise RecordError(f"{path}: is a folder; give the .json file of the record")
-    try:
-        loaded = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise RecordError(f"{path}: no such file; give the path of a stored record (.json)") from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise RecordError(f"{path}: cannot be read as JSON ({error}); was it edited or cut off?") from None
+    loaded = read_json(path, A_RECORD)
     if not isinstance(loaded, dict):
         raise RecordError(f"{path}: is not a stored record (a JSON object with 'kind' and 'record')")
     return loaded
 
 
-def _load_arrays(path: Path, array_file: Any) -> dict[str, NDArray[Any]]:
-    """Read the array file of a record after checking its name and checksum; pickles are never loaded."""
+def _is_reference(value: dict[str, Any]) -> bool:
+    """Return whether an object stands for an array of the array file."""
+    return value.keys() == {"array", "shape", "dtype"}
+
+
+def _declared_arrays(path: Path, value: Any) -> dict[str, DeclaredArray]:
+    """Return name -> shape and type of the arrays that a record refers to."""
+    found: dict[str, DeclaredArray] = {}
+    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        found |= _declared_arrays(path, inner)
+    if isinstance(value, dict) and _is_reference(value):
+        name, shape, dtype = value["array"], value["shape"], value["dtype"]
+        whole = isinstance(shape, list) and all(type(length) is int and length >= 0 for length in shape)
+        if not (isinstance(name, str) and whole and isinstance(dtype, str)):
+            raise RecordError(f"{path}: {str(value)[:80]} must name an array, its shape and its type")
+        found[name] = DeclaredArray(tuple(shape), dtype)
+    return found
+
+
+def _load_arrays(path: Path, array_file: Any, declared: dict[str, DeclaredArray]) -> dict[str, NDArray[Any]]:
+    """Read what a record declares from its array file, after checking the file's name and checksum."""
     if array_file is None:
         return {}
     try:
@@ -150,28 +162,24 @@ def _load_arrays(path: Path, array_file: Any) -> dict[str, NDArray[Any]]:
     if not name or name == ".." or Path(name).name != name:
         raise RecordError(f"{path}: array_file.file = {name!r} must be a plain file name beside the record")
     source = path.with_name(name)
-    if not source.is_file():
+    if not source.exists():
         raise ChecksumError(f"{source}: is missing; it holds the arrays of {path.name}: keep the two files together")
-    if sha256_of(source) != digest:
+    content = read_bytes(source, f"the arrays of {path.name}", RecordError, LARGEST_ARRAY_FILE_BYTES)
+    if digest_as_read(source) != digest:
         raise ChecksumError(f"{source}: its SHA-256 differs from the one in {path.name}; the file was changed")
-    try:
-        with np.load(source, allow_pickle=False) as stored:
-            return {key: stored[key] for key in stored.files}
-    except (ValueError, OSError, zipfile.BadZipFile) as error:
-        raise RecordError(f"{source}: cannot be read as numpy arrays ({error})") from None
+    return read_declared_arrays(content, declared, source)
 
 
-def _from_json(path: Path, value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
+def _with_arrays(path: Path, value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
     """Replace array references by the arrays."""
     if isinstance(value, dict):
-        if value.keys() == {"array", "shape", "dtype"}:
-            array = arrays.get(str(value["array"]))
-            if array is None or list(array.shape) != value["shape"]:
-                raise RecordError(f"{path}: array '{value['array']}' is missing in its array file or has another shape")
-            return array
-        return {key: _from_json(path, v, arrays) for key, v in value.items()}
+        if _is_reference(value):
+            if value["array"] not in arrays:
+                raise RecordError(f"{path}: array {value['array']!r} is in no array_file of the record")
+            return arrays[value["array"]]
+        return {key: _with_arrays(path, v, arrays) for key, v in value.items()}
     if isinstance(value, list):
-        return [_from_json(path, v, arrays) for v in value]
+        return [_with_arrays(path, v, arrays) for v in value]
     return value
 
 
@@ -184,18 +192,7 @@ def read_toml(path: Path, record_type: type[R]) -> R:
         The file is missing, longer than a person writes or not TOML, or a field is unknown, missing, out of range or
         without effect.
     """
-    try:
-        with path.open("rb") as file:
-            text = file.read(LONGEST_TOML_BYTES + 1)
-        if len(text) > LONGEST_TOML_BYTES:
-            raise RecordError(f"{path}: is longer than {LONGEST_TOML_BYTES} bytes; give the path of a TOML file")
-        loaded = tomllib.loads(text.decode())
-    except FileNotFoundError:
-        raise RecordError(f"{path}: no such file; give the path of a TOML file") from None
-    except IsADirectoryError:
-        raise RecordError(f"{path}: is a folder; give the path of a TOML file") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise RecordError(f"{path}: cannot be read as TOML ({error})") from None
+    loaded = read_toml_tables(path)
     try:
         read = record_type.model_validate(loaded)
     except ValidationError as error:

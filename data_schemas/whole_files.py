@@ -10,6 +10,7 @@ import secrets
 from pathlib import Path
 
 from data_schemas.errors import RecordError
+from data_schemas.foreign_files import open_regular
 
 # What os.link says on file systems without hard links (FAT, some network and container mounts).
 NO_HARD_LINKS = frozenset({errno.EPERM, errno.EACCES, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS})
@@ -17,7 +18,7 @@ NO_HARD_LINKS = frozenset({errno.EPERM, errno.EACCES, errno.ENOTSUP, errno.EOPNO
 
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a file's bytes as 64 hex digits."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

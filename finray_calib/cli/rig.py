@@ -99,13 +99,11 @@ def run_show(arguments: argparse.Namespace) -> None:
 
 def _has_a_wheel(path: Path) -> bool:
     """Whether a rig file is that of a paint rig; what is no TOML at all is left to its reader, which says why."""
-    import tomllib
-
-    from data_schemas.storage import LONGEST_TOML_BYTES
+    from data_schemas.errors import RecordError
+    from data_schemas.foreign_files import read_toml_tables
 
     try:
-        with path.open("rb") as file:
-            tables = tomllib.loads(file.read(LONGEST_TOML_BYTES).decode())
-    except (OSError, ValueError):
+        tables = read_toml_tables(path)
+    except RecordError:
         return True
     return tables.keys() != {"name", "camera"}

@@ -34,8 +34,7 @@ def read_force_csv(path: Path) -> MeasuredForce:
         header, table = read_table(path)
     except CurveError as error:
         raise ImportFormatError(str(error)) from None
-    # spreadsheets write a byte order mark
-    header = [name.removeprefix("\ufeff").lower() for name in header]
+    header = [name.lower() for name in header]
     allowed = f"needed are {', '.join(NEEDED)}, allowed also {', '.join(OPTIONAL)}"
     unknown = [name for name in header if name not in {*NEEDED, *OPTIONAL}]
     if unknown:

@@ -197,7 +197,7 @@ CASES = (
     Case(
         "NaN in a curve",
         BAD_RIG,
-        r"camera\.csv, line 3: NaN or infinite value; remove or measure the row again",
+        r"camera\.csv, line 3: '\S+' is no finite number; correct or remove the row, or measure it again",
         curve("400,1,2,3\n500,1,nan,3\n700,1,2,3\n"),
     ),
     Case(
