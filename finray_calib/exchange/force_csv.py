@@ -34,7 +34,8 @@ def read_force_csv(path: Path) -> MeasuredForce:
         header, table = read_table(path)
     except CurveError as error:
         raise ImportFormatError(str(error)) from None
-    header = [name.lower() for name in header]
+    # a byte order mark that came under a comment
+    header = [name.removeprefix("\ufeff").lower() for name in header]
     allowed = f"needed are {', '.join(NEEDED)}, allowed also {', '.join(OPTIONAL)}"
     unknown = [name for name in header if name not in {*NEEDED, *OPTIONAL}]
     if unknown:

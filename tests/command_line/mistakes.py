@@ -267,7 +267,7 @@ CASES = (
         "fit {lab}/bands.json --paint {paints}/red/paint.json",
         r"--paint: is the fit of the region that --map starts from",
     ),
-    Case("record is a folder", "fit {lab}/session", r"session: is a folder; give the \.json file of the record"),
+    Case("record is a folder", "fit {lab}/session", r"session: is a folder; give the path of a stored record \(\.json\)"),
     Case(
         "wrong kind",
         "fit {paints}/red/paint.json",
@@ -289,7 +289,7 @@ CASES = (
     Case(
         "NaN in a record",
         "decide {tmp}/sweep.json",
-        r"sweep\.json: 'angles_deg': must be finite, got 1 NaN",
+        r"sweep\.json: cannot be read as JSON \(NaN is no number; missing values are null\)",
         edited("sweep.json", "0.0,", "NaN,"),
     ),
     # simulate
@@ -565,7 +565,7 @@ CASES = (
     Case(
         "NaN in a material",
         "demo --engine scalar --red {tmp}/ink.csv --out {tmp}/demo",
-        r"ink\.csv, line 3: NaN or infinite value; remove or measure the row again",
+        r"ink\.csv, line 3: 'nan' is no finite number; correct or remove the row, or measure it again",
         file("ink.csv", MATRIX + "450,0.1,0\n460,nan,0.1\n470,0,0\n"),
     ),
     Case(
