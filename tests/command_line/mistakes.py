@@ -267,7 +267,11 @@ CASES = (
         "fit {lab}/bands.json --paint {paints}/red/paint.json",
         r"--paint: is the fit of the region that --map starts from",
     ),
-    Case("record is a folder", "fit {lab}/session", r"session: is a folder; give the path of a stored record \(\.json\)"),
+    Case(
+        "record is a folder",
+        "fit {lab}/session",
+        r"session: is a folder; give the path of a stored record \(\.json\)",
+    ),
     Case(
         "wrong kind",
         "fit {paints}/red/paint.json",
