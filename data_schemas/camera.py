@@ -4,7 +4,7 @@ The quantities are those of EMVA Standard 1288, release 4.0. Quantum efficiency 
 not part of it. The standard gives its gain K in DN/e; here it is e/DN, as in the rig file.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,9 @@ class CameraSession(Record):
     Frames of type "white" show the tile under the lamp, frames of type "dark" the closed box. Those of one type and
     exposure time form a stack of two or more.
     """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray capture'"
 
     plan: CameraPlan
     rig: RigFile
@@ -128,6 +131,9 @@ class ChannelCharacterisation(Model):
 
 class CameraCharacterisation(Record):
     """A camera characterised by photon transfer; :meth:`applied_to` gives the rest of the chain its numbers."""
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray radiometry'"
 
     camera_name: str
     camera: CameraSettings = Field(description="as the rig file described it")

@@ -1,6 +1,6 @@
 """Capture plans, what a capture session stores, and tactile captures."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,6 +142,9 @@ class FilterProof(Model):
 class CaptureSession(Record):
     """A finished paint session: plan, rig, response curves and the list of frames (a folder on disk)."""
 
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray capture'"
+
     plan: PaintPlan
     rig: RigFile
     camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
@@ -192,6 +195,9 @@ class TactileCapture(Record):
     Images are raw counts (DN). Layout "Bayer RGGB" has shape (H, W, 1); "RGB" has (H, W, 3). With encoding
     "unknown" the values went through an unknown camera curve and are not proportional to light.
     """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray capture'"
 
     name: str
     contact: Annotated[NDArray[np.uint16], ArraySpec("<u2", ("row", "column", "sample"), "DN")]

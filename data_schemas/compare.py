@@ -1,6 +1,6 @@
 """Photometric error report: how far a render is from a capture, beside doing nothing and repeating."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -186,6 +186,9 @@ class PhotometricErrorReport(Record):
     the floor row is what a repeat of the no-contact image costs. Where the camera's noise is taken out (linear light
     with a repeat) a score may lie above it; elsewhere no score above it says anything.
     """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray compare'"
 
     simulated: str
     captured: str

@@ -28,6 +28,7 @@ class ComparisonBatch(Record):
     what other presses of this kind would give, which the intervals of single reports do not know.
     """
 
+    schema_version: ClassVar[int] = 2
     written_by: ClassVar[str] = "'finray compare' with folders"
 
     pairs: tuple[ComparedPair, ...]

@@ -1,6 +1,6 @@
 """Decision on the angle of the blue light."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +67,9 @@ class LightAngleDecision(Record):
 
     Without captures (`validated` is False) every pair of fields holds the same: that of the simulation alone.
     """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray decide'"
 
     objective: str
     angle_deg: AngleDeg

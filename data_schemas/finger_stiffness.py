@@ -49,6 +49,7 @@ class StiffnessOrder(Model):
 class FingerStiffness(Record):
     """Stiffnesses of some designs, and of each with its assumed dimensions changed one at a time."""
 
+    schema_version: ClassVar[int] = 2
     written_by: ClassVar[str] = "'finray study finger-stiffness'"
 
     label: str

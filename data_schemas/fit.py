@@ -121,7 +121,7 @@ class PaintCalibration(Record):
     location_nm = lambda_0 (not the peak), scale_nm = gamma, skewness = omega, amplitude_nm = h.
     """
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray fit'"
 
     paint_name: str

@@ -78,6 +78,7 @@ class FirstTouch(Model):
 class ForceComparison(Record):
     """A measured force over displacement against a simulated press."""
 
+    schema_version: ClassVar[int] = 2
     written_by: ClassVar[str] = "'finray compare PRESS.mechanics.json --force CSV'"
 
     simulated: str

@@ -48,6 +48,7 @@ class LevelDifference(Model):
 class FluorescentRendering(_Study):
     """The paper's emitter (level a, by the distance from the light) beside baked walls (level b)."""
 
+    schema_version: ClassVar[int] = 2
     written_by: ClassVar[str] = "'finray study fluorescent-rendering'"
 
     levels: tuple[str, ...]
@@ -96,6 +97,7 @@ class Uniformity(Model):
 class TwoLights(_Study):
     """One panel at the base against panels at base and tip."""
 
+    schema_version: ClassVar[int] = 2
     written_by: ClassVar[str] = "'finray study two-lights'"
 
     lights: tuple[str, ...]
@@ -138,6 +140,7 @@ class BrightestAngle(Model):
 class LightAngleIntensity(_Study):
     """Brightness beside the indenter over the angle of the panel, with and without the mirror."""
 
+    schema_version: ClassVar[int] = 2
     written_by: ClassVar[str] = "'finray study light-angle'"
 
     mirrors: tuple[str, ...]

@@ -90,8 +90,13 @@ def json_schema(record_type: type[Record]) -> dict[str, Any]:
             "schema_version": {"const": record_type.schema_version},
             "array_file": {"anyOf": [array_file, {"type": "null"}]},
             "record": schema,
+            "content_sha256": {
+                "type": "string",
+                "pattern": "^[0-9a-f]{64}$",
+                "description": "seal: SHA-256 of the other four as canonical JSON (sorted keys, no spaces, UTF-8)",
+            },
         },
-        "required": ["kind", "schema_version", "array_file", "record"],
+        "required": ["kind", "schema_version", "array_file", "record", "content_sha256"],
         "additionalProperties": False,
         "$defs": definitions,
     }

@@ -31,7 +31,7 @@ class Record(Model):
     Attributes
     ----------
     schema_version
-        Raised when files of the version before can no longer be read.
+        Raised whenever the schema changes; see :mod:`data_schemas.record_versions`.
     written_by
         The command that writes the record, for whoever holds a file of an earlier version.
     provenance

@@ -1,6 +1,6 @@
 """Paint map: the emission of a paint pixel by pixel, and how uniform the paint is."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,9 @@ class PaintMap(Record):
     are value * exp(+-1.96 sd / value). NaN where a pixel could not be fitted. The reflectance at the laser is linear
     in the signals and may scatter below 0.
     """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray fit --map'"
 
     paint_name: str
     family: str

@@ -1,6 +1,6 @@
 """The paper's statements on its paints, tested on measured materials."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,6 +104,9 @@ class PaperStatement(Model):
 
 class PaperPaints(Record):
     """The paper's statements on its two paints, and ours on measured stand-ins."""
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray study paper-paints'"
 
     laser_nm: WavelengthNm
     stand_ins: tuple[PaintStandIn, ...]

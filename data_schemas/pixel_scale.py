@@ -67,6 +67,7 @@ class PixelScale(Record):
     in mm), in this order; every ``u_rel`` follows from it, the board's tolerance and where the coat lies.
     """
 
+    schema_version: ClassVar[int] = 2
     written_by: ClassVar[str] = "'finray study pixel-scale'"
 
     board: CharucoBoard

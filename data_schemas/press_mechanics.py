@@ -55,6 +55,9 @@ class PressSensitivities(Model):
 class PressMechanics(Record):
     """Force against push of one finger under a rigid indenter; the surfaces stand in a record of their own."""
 
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray simulate'"
+
     name: str
     label: str = Field(description="engine and mesh, for example 'finite elements, coarse mesh, 38676 unknowns'")
     preset: Preset
@@ -108,6 +111,7 @@ class PressMechanics(Record):
 class PressIncrement(Record):
     """The state of a finger at one increment of a press, from which the press can go on."""
 
+    schema_version: ClassVar[int] = 2
     written_by: ClassVar[str] = "'finray simulate --only mechanics'"
 
     preset: Preset

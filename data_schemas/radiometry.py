@@ -1,6 +1,6 @@
 """Band signals: what radiometry makes of a paint session, and what the fitter reads."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +89,9 @@ class BandSignals(Record):
     The covariances are over the flattened (filter, channel) index, filter-major; :attr:`notes` list what they hold.
     """
 
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray radiometry'"
+
     paint_name: str
     optics: Optics
     fluorescence: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))]
@@ -138,6 +141,9 @@ class PixelSignals(Record):
     profile
         Laser over lamp irradiance relative to the region's mean, smoothed.
     """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray radiometry --pixels'"
 
     paint_name: str
     optics: Optics

@@ -22,6 +22,7 @@ class NormalMapRecord(Record):
     on the half that did not teach it, and the mean angle of its normals.
     """
 
+    schema_version: ClassVar[int] = 2
     written_by: ClassVar[str] = "'finray study normal-map'"
 
     name: str

@@ -1,6 +1,6 @@
 """What the simulation writes: a rendered press, or a sweep of the light angle."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +88,9 @@ class SimulatedPress(Record):
     chains below half a per cent of their band were left out. A recoloured press keeps the chains as they were rendered,
     with ``rendered_light``; all its other images are those of ``shown_light``.
     """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray simulate'"
 
     name: str
     label: str = Field(description="how the images came about, for example 'rendered, level b, llvm_ad_rgb'")
@@ -182,6 +185,9 @@ class LightAngleSweep(Record):
     ``values[:, r]`` shares every random draw (paint, noise seed) across angles, so that a common scale cannot
     change the ranking of angles.
     """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray simulate --angles'"
 
     name: str
     objective: str = Field(description="name and meaning of the objective")

@@ -1,13 +1,16 @@
-"""The only reader and writer of records: JSON plus arrays, atomic, hashed, versioned; TOML where a person writes.
+"""The only reader and writer of records: JSON plus arrays, atomic, sealed, versioned; TOML where a person writes.
 
-A stored record is one JSON file (an envelope with kind, schema version and the record); arrays of more than
+A stored record is one JSON file (an envelope with kind, schema version, the record and its seal); arrays of more than
 :data:`INLINE_VALUES` values stand in one ``.npz`` file beside it, whose name carries its SHA-256. The array
-file is written first and the JSON gets its name last, so a record is either whole or absent.
+file is written first and the JSON gets its name last, so a record is either whole or absent. The seal is the SHA-256
+of the rest of the envelope, checked when the record is read: it detects accidents and edits, not forgery, as whoever
+changes a record on purpose can compute it anew.
 """
 
 import hashlib
 import io
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,11 +19,12 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from data_schemas.array_files import DeclaredArray, read_declared_arrays
-from data_schemas.errors import ChecksumError, NewerSchemaError, RecordError
+from data_schemas.errors import ChecksumError, RecordError
 from data_schemas.faults import explain
 from data_schemas.foreign_files import LARGEST_ARRAY_FILE_BYTES, digest_as_read, read_bytes, read_json, read_toml_tables
 from data_schemas.model import Record
 from data_schemas.provenance import Provenance
+from data_schemas.record_versions import is_sealed, migrate, refuse_newer
 from data_schemas.whole_files import refuse_taken, sha256_of, write_bytes
 
 INLINE_VALUES = 512
@@ -62,8 +66,20 @@ def write_record(record: Record, path: Path, provenance: Provenance) -> Path:
         "array_file": array_file,
         "record": body,
     }
+    envelope["content_sha256"] = content_sha256(envelope)
     write_bytes(path, (json.dumps(envelope, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode())
     return path
+
+
+def content_sha256(envelope: Mapping[str, Any]) -> str:
+    """Return the seal of an envelope: SHA-256 of its kind, version, array file and record as canonical JSON.
+
+    Canonical is: UTF-8, keys sorted, no spaces, numbers as Python writes them (the shortest decimal that reads back as
+    the same number). Indentation and the order of keys do not matter, every value does.
+    """
+    content = {key: envelope.get(key) for key in ("kind", "schema_version", "array_file", "record")}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()
 
 
 def _to_json(value: Any, name: str, arrays: dict[str, NDArray[Any]]) -> Any:
@@ -93,35 +109,60 @@ def read_record(path: Path, record_type: type[R]) -> R:
     Raises
     ------
     RecordError
-        The file is missing, not JSON, of another kind or an earlier version, or a field is not what it must be.
+        The file is missing, not JSON, of another kind or a version that cannot be migrated, or a field is not what it
+        must be.
     NewerSchemaError
         The record was written by a newer version.
     ChecksumError
-        The array file is missing or was changed.
+        The record was changed after it was written, or its array file is missing or was changed.
     """
     envelope = _load_json(path)
     kind = envelope.get("kind")
     if kind != record_type.__name__:
         raise RecordError(f"{path}: is a {kind or 'file of unknown kind'}, a {record_type.__name__} is needed here")
-    version = envelope.get("schema_version")
-    if not isinstance(version, int) or version < 1:
-        raise RecordError(f"{path}: schema_version is {version!r}; it must be a whole number from 1")
-    if version > record_type.schema_version:
-        raise NewerSchemaError(
-            f"{path}: schema_version {version} was written by a newer finray; this one reads up to "
-            f"{record_type.schema_version}: update with 'pip install -U finray-calib'"
-        )
-    if version < record_type.schema_version:
-        raise RecordError(
-            f"{path}: was written by version {version} of the {kind} record, which differs from today's version "
-            f"{record_type.schema_version}; run {record_type.written_by} again"
-        )
+    version = _required_version(path, envelope.get("schema_version"))
+    refuse_newer(path, version, record_type)
+    _check_seal(path, envelope, record_type)
     body = envelope.get("record")
+    if not isinstance(body, dict):
+        raise RecordError(f"{path}: 'record' must be a JSON object")
     arrays = _load_arrays(path, envelope.get("array_file"), _declared_arrays(path, body))
     try:
-        return record_type.model_validate(_with_arrays(path, body, arrays))
+        return record_type.model_validate(migrate(path, record_type, version, _with_arrays(path, body, arrays)))
     except ValidationError as error:
-        raise RecordError(f"{path}: {explain(error, record_type)}") from None
+        raise RecordError(f"{path}: {explain(error, record_type)}{_older_hint(envelope, version)}") from None
+
+
+def _required_version(path: Path, version: Any) -> int:
+    """Return the number of a version, or refuse what is none."""
+    if type(version) is not int or version < 1:
+        raise RecordError(f"{path}: schema_version is {version!r}; it must be a whole number from 1")
+    return version
+
+
+def _check_seal(path: Path, envelope: dict[str, Any], record_type: type[Record]) -> None:
+    """Refuse a record that was changed after it was written; records of versions before seals have none."""
+    seal, kind = envelope.get("content_sha256"), record_type.__name__
+    if seal is None and not is_sealed(kind, envelope["schema_version"]):
+        return
+    if seal != content_sha256(envelope):
+        what = "carries no seal" if seal is None else "does not agree with its seal"
+        raise ChecksumError(
+            f"{path}: {what} (content_sha256), so that it was changed after it was written; restore the file, or run "
+            f"{record_type.written_by} again"
+        )
+
+
+def _older_hint(envelope: dict[str, Any], version: int) -> str:
+    """Return what may explain that a record of the time before frozen schemas does not fit."""
+    if is_sealed(str(envelope.get("kind")), version):
+        return ""
+    origin = envelope["record"].get("provenance")
+    commit = origin.get("git_commit") if isinstance(origin, dict) else None
+    return (
+        f". Several schemas were stored as version {version} before versions rose with them; this file was written by "
+        f"{f'commit {commit}' if commit else 'an unknown commit'}: read it with that one, or make the record again"
+    )
 
 
 def _load_json(path: Path) -> dict[str, Any]:
@@ -186,15 +227,21 @@ def _with_arrays(path: Path, value: Any, arrays: dict[str, NDArray[Any]]) -> Any
 def read_toml(path: Path, record_type: type[R]) -> R:
     """Read a plan, rig or design file that a person wrote (TOML).
 
+    It may name the version of its kind as ``schema_version`` above its first table, as files that finray writes do;
+    without it the file is of today's version.
+
     Raises
     ------
     RecordError
         The file is missing, longer than a person writes or not TOML, or a field is unknown, missing, out of range or
         without effect.
+    NewerSchemaError
+        The file is of a newer version.
     """
     loaded = read_toml_tables(path)
+    version = _required_version(path, loaded.pop("schema_version", record_type.schema_version))
     try:
-        read = record_type.model_validate(loaded)
+        read = record_type.model_validate(migrate(path, record_type, version, loaded))
     except ValidationError as error:
         raise RecordError(f"{path}: {explain(error, record_type)}") from None
     for field, why in read.idle_fields().items():

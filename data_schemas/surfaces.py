@@ -1,6 +1,6 @@
 """Surfaces of a finger, at rest or deformed: what the mechanics writes and the optics renders."""
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ class FingerSurfaces(Record):
     Part k owns the next ``vertex_counts[k]`` vertices and ``triangle_counts[k]`` triangles, whose corners are counted
     within the part. Names and texture coordinates are those of :class:`sim.surface_meshes.finger_shape.FingerShape`.
     """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray simulate'"
 
     name: str
     label: str = Field(description="where the shape comes from, for example 'at rest'")

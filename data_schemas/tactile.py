@@ -1,6 +1,6 @@
 """Tactile sessions: presses on a finished finger. The rig is a camera alone; the finger brings its own light."""
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import Field, model_validator
 
@@ -162,6 +162,9 @@ class TactileFrame(Model):
 
 class TactileSession(Record):
     """A finished tactile session (a folder on disk): plan, rig, frames, and a ``TactileCapture`` of each contact."""
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray capture'"
 
     plan: TactilePlan
     rig: TactileRig

@@ -106,4 +106,4 @@ def _has_a_wheel(path: Path) -> bool:
         tables = read_toml_tables(path)
     except RecordError:
         return True
-    return tables.keys() != {"name", "camera"}
+    return tables.keys() - {"schema_version"} != {"name", "camera"}

@@ -17,6 +17,7 @@ from types import ModuleType
 from typing import Literal
 
 from data_schemas.errors import MissingExtraError, SimulateError
+from data_schemas.provenance import note_renderer
 
 LLVM_VARIANT = "llvm_ad_rgb"
 SCALAR_VARIANT = "scalar_rgb"
@@ -167,6 +168,7 @@ def open_renderer(choice: RendererChoice, threads: int | None = None) -> ModuleT
     drjit = importlib.import_module("drjit")
     if mitsuba.variant() != choice.variant:
         mitsuba.set_variant(choice.variant)
+    note_renderer(choice.variant)
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
     drjit.set_thread_count(threads if threads is not None else available)
     return mitsuba

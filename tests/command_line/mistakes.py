@@ -250,8 +250,8 @@ CASES = (
     Case(
         "newer session",
         "radiometry {tmp}/session",
-        rf"session\.json: schema_version 9 was written by a newer finray; this one reads up to 1: update with {NEW}",
-        session(lambda folder: edit(folder / "session.json", '"schema_version": 1', '"schema_version": 9')),
+        rf"session\.json: schema_version 9 was written by a newer finray; this one reads up to 2: update with {NEW}",
+        session(lambda folder: edit(folder / "session.json", '"schema_version": 2', '"schema_version": 9')),
     ),
     # stored records
     Case(
@@ -281,8 +281,8 @@ CASES = (
     Case(
         "newer record",
         "decide {tmp}/sweep.json",
-        rf"sweep\.json: schema_version 2 was written by a newer finray; .* update with {NEW}",
-        edited("sweep.json", '"schema_version": 1', '"schema_version": 2'),
+        rf"sweep\.json: schema_version 9 was written by a newer finray; .* update with {NEW}",
+        edited("sweep.json", '"schema_version": 2', '"schema_version": 9'),
     ),
     Case(
         "record without its arrays",

@@ -13,6 +13,7 @@ from unittest.mock import patch
 
 from data_schemas.whole_files import sha256_of
 from finray_calib.cli.main import main
+from tests.schemas.stored_files import seal_again
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +59,8 @@ def load(path: Path) -> dict[str, Any]:
 
 
 def edit(path: Path, old: str, new: str) -> None:
-    """Replace a text that stands in a file at least once, at its first place."""
+    """Replace a text that stands in a file at least once, at its first place; a sealed record is sealed anew."""
     text = path.read_text(encoding="utf-8")
     assert old in text, f"{path} holds no {old!r}"
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    seal_again(path)

@@ -23,6 +23,7 @@ from data_schemas.radiometry import BandSignals
 from data_schemas.rig import RigFile
 from data_schemas.storage import INLINE_VALUES, read_record, read_toml, write_record
 from data_schemas.whole_files import sha256_of, write_bytes
+from tests.schemas.stored_files import write_sealed
 
 ORIGIN = provenance("pytest", {"input.csv": "0" * 64}, seed=3)
 
@@ -154,8 +155,10 @@ def test_newer_version_is_refused_with_what_to_do(tmp_path):
 def test_earlier_version_is_refused_with_the_command_to_run_again(tmp_path):
     path = tmp_path / "paint.json"
     envelope = {"kind": "PaintCalibration", "schema_version": 1, "array_file": None, "record": {"mode_nm": 600.0}}
-    path.write_text(json.dumps(envelope))
-    with pytest.raises(RecordError, match=r"by version 1 of the PaintCalibration .* version 2; run 'finray fit' again"):
+    write_sealed(path, envelope)
+    with pytest.raises(
+        RecordError, match=r"by version 1 of the PaintCalibration .* version 3 .*; run 'finray fit' again"
+    ):
         read_record(path, PaintCalibration)
 
 
@@ -163,7 +166,7 @@ def test_earlier_version_is_refused_with_the_command_to_run_again(tmp_path):
 def test_nonsense_version_is_refused(tmp_path, version):
     path = write_record(FingerDesign(), tmp_path / "design.json", ORIGIN)
     envelope = json.loads(path.read_text()) | {"schema_version": version}
-    path.write_text(json.dumps(envelope))
+    write_sealed(path, envelope)
     with pytest.raises(RecordError, match="whole number from 1"):
         read_record(path, FingerDesign)
 
@@ -212,13 +215,13 @@ class TestArrayFile:
         path, _ = stored
         envelope = json.loads(path.read_text())
         envelope["array_file"]["file"] = name
-        path.write_text(json.dumps(envelope))
+        write_sealed(path, envelope)
         with pytest.raises(RecordError, match="must be a plain file name"):
             read_record(path, TactileCapture)
 
     def test_without_its_keys(self, stored):
         path, _ = stored
-        path.write_text(json.dumps(json.loads(path.read_text()) | {"array_file": {}}))
+        write_sealed(path, json.loads(path.read_text()) | {"array_file": {}})
         with pytest.raises(RecordError, match="must hold 'file' and 'sha256'"):
             read_record(path, TactileCapture)
 
@@ -227,7 +230,7 @@ class TestArrayFile:
         np.savez(array_file, contact=np.array([{"a": 1}], dtype=object))
         envelope = json.loads(path.read_text())
         envelope["array_file"]["sha256"] = sha256_of(array_file)
-        path.write_text(json.dumps(envelope))
+        write_sealed(path, envelope)
         with pytest.raises(RecordError, match="cannot be read as numpy arrays"):
             read_record(path, TactileCapture)
 
@@ -236,7 +239,7 @@ class TestArrayFile:
         np.savez(array_file, contact=np.ones((40, 40, 1), np.uint16))
         envelope = json.loads(path.read_text())
         envelope["array_file"]["sha256"] = sha256_of(array_file)
-        path.write_text(json.dumps(envelope))
+        write_sealed(path, envelope)
         with pytest.raises(RecordError, match="array 'no_contact' is missing in it"):
             read_record(path, TactileCapture)
 
