@@ -24,6 +24,9 @@ class AngleStatement(Model):
     equivalent_deg: tuple[tuple[AngleDeg, AngleDeg], ...] = Field(
         description="angles whose loss stays within the tolerance with 95 % probability"
     )
+    p_within_tolerance: Fraction | None = Field(
+        default=None, description="that the loss is within the tolerance; none in records of older versions"
+    )
 
 
 class DecidingCapture(Model):
@@ -63,9 +66,10 @@ class OtherObjective(Model):
 
 
 class LightAngleDecision(Record):
-    """The angle to mount the light at, the probability and the risk, with captures and without.
+    """The angle to mount the light at, the probability and the risk, on the real finger and by simulation alone.
 
-    Without captures (`validated` is False) every pair of fields holds the same: that of the simulation alone.
+    Without captures (`validated` is False) the sim-to-real error has its prior and the verdict is never "decided" or
+    "tie". Records written before that rule carry no `discrepancy_rel` then, and claim what the simulation alone does.
     """
 
     schema_version: ClassVar[int] = 2
@@ -80,14 +84,15 @@ class LightAngleDecision(Record):
     tolerance_rel: Fraction
     validated: bool = Field(description="False: not validated against a capture")
     discrepancy_rel: float | None = Field(
-        description="sim-to-real error of the objective at an angle without capture, one standard deviation: median"
+        description="sim-to-real error of the objective at an angle without capture, one standard deviation: median; "
+        "assumed where no capture tells it"
     )
     discrepancy_95_rel: tuple[float, float] | None = Field(default=None, description="its central 95 % interval")
     captures: tuple[DecidingCapture, ...] = ()
-    statement: AngleStatement = Field(description="with the sim-to-real error where there is one")
+    statement: AngleStatement = Field(description="of the real finger, with the sim-to-real error")
     statement_simulation_only: AngleStatement
     grid_deg: Annotated[Floats, ArraySpec("<f8", ("angle",), "deg")]
-    mean: Curve = Field(description="of the real finger, as simulation and captures tell together")
+    mean: Curve = Field(description="of the real finger, as simulation and captures (or the prior) tell together")
     low95: Curve
     high95: Curve
     mean_simulation_only: Curve

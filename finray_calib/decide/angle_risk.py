@@ -30,12 +30,16 @@ class AngleRisk:
         stays below with 95 % probability.
     equivalent_deg : tuple of (float, float)
         Intervals of angles whose loss is within the tolerance with 95 % probability; may be empty.
+    p_within_tolerance : float
+        Probability that the loss of the chosen angle is within the tolerance. Where the curve is flat this is the
+        probability that counts: the optimum may lie anywhere on a plateau.
     """
 
     p_within_5deg: float
     expected_regret_rel: float
     regret_95_rel: float
     equivalent_deg: tuple[tuple[float, float], ...]
+    p_within_tolerance: float
 
 
 def angle_risk(
@@ -73,32 +77,34 @@ def angle_risk(
         expected_regret_rel=float(regret.mean()),
         regret_95_rel=float(np.quantile(regret, CONFIDENCE)),
         equivalent_deg=_intervals(grid_deg, equivalent & open_),
+        p_within_tolerance=float((regret <= tolerance_rel).mean()),
     )
 
 
-def verdict_of(simulation_only: AngleRisk, with_captures: AngleRisk | None, tolerance_rel: float) -> Verdict:
+def verdict_of(simulation_only: AngleRisk, risk: AngleRisk, tolerance_rel: float, validated: bool) -> Verdict:
     """Return the first verdict that applies.
 
     "undecided": regret from render noise alone exceeds the tolerance. "model-limited": regret with the
-    sim-to-real error does. "tie": the loss is small over an interval wider than 10 deg. Else "decided".
+    sim-to-real error does, or no capture has shown that error. "tie": the loss is small over an interval wider than
+    10 deg. Else "decided".
 
     Parameters
     ----------
-    simulation_only : AngleRisk
-    with_captures : AngleRisk or None
-        None where no sim-to-real error is known; the rule then looks at the simulation alone.
+    simulation_only, risk : AngleRisk
+        Without and with the sim-to-real error.
     tolerance_rel : float
+    validated : bool
+        Whether captures tell of the sim-to-real error. A small loss that rests on its prior decides nothing.
 
     Returns
     -------
     str
     """
-    final = with_captures or simulation_only
     if simulation_only.regret_95_rel > tolerance_rel:
         return "undecided"
-    if final.regret_95_rel > tolerance_rel:
+    if risk.regret_95_rel > tolerance_rel or not validated:
         return "model-limited"
-    widest_deg = max((high - low for low, high in final.equivalent_deg), default=0.0)
+    widest_deg = max((high - low for low, high in risk.equivalent_deg), default=0.0)
     return "tie" if widest_deg > WIDE_SET_DEG else "decided"
 
 

@@ -18,6 +18,7 @@ from finray_calib.decide.proposals import Proposal, propose_capture, propose_ren
 TOLERANCE_REL = 0.02
 #: Half-width of a central 95 % interval of a normal distribution, in standard deviations.
 _BAND_QUANTILE = 1.959964
+_ERROR_CURVE = "a random curve over the angle, with kinks or without, with a correlation length between 8 and 120 deg"
 
 
 def decide(sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport], seed: int) -> LightAngleDecision:
@@ -29,7 +30,7 @@ def decide(sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport], se
         Objective over angle and repeat; where it holds constraints, only angles that meet them are chosen.
     reports
         Comparisons with captures, one for each; they carry the error of the sweep's own objective with covariance.
-        Without any, the decision is not validated against a capture.
+        Without any, the sim-to-real error has its prior and the decision is not validated.
     seed
         Seed of the posterior draws.
 
@@ -46,10 +47,7 @@ def decide(sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport], se
     decision = decide_angle(sweep.angles_deg, sweep.values, rng, TOLERANCE_REL, captures, allowed)
     others = other_optima(sweep, decision.best_deg, TOLERANCE_REL, rng)
     next_render, next_capture = propose_render(decision), propose_capture(decision, captures)
-    discrepancy_rel, discrepancy_95_rel = None, None
-    if captures.names:
-        low_rel, discrepancy_rel, high_rel = decision.discrepancy.amplitude_quantiles_rel
-        discrepancy_95_rel = (low_rel, high_rel)
+    low_rel, discrepancy_rel, high_rel = decision.discrepancy.amplitude_quantiles_rel
     scale = float(sweep.values.mean())
     curve = decision.simulated.posterior
     half, half_alone = _BAND_QUANTILE * decision.sd_rel, _BAND_QUANTILE * curve.standard_deviation
@@ -61,9 +59,9 @@ def decide(sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport], se
         at_range_end=decision.at_range_end,
         sentence=decision_sentence(decision, captures.angles_deg, TOLERANCE_REL, next_render, next_capture, others),
         tolerance_rel=TOLERANCE_REL,
-        validated=decision.with_captures is not None,
+        validated=decision.validated,
         discrepancy_rel=discrepancy_rel,
-        discrepancy_95_rel=discrepancy_95_rel,
+        discrepancy_95_rel=(low_rel, high_rel),
         captures=_captures(decision, captures, scale),
         statement=_statement(decision.risk),
         statement_simulation_only=_statement(decision.simulation_only),
@@ -121,6 +119,7 @@ def _statement(risk: AngleRisk) -> AngleStatement:
         expected_regret=risk.expected_regret_rel,
         regret_95=risk.regret_95_rel,
         equivalent_deg=risk.equivalent_deg,
+        p_within_tolerance=risk.p_within_tolerance,
     )
 
 
@@ -155,7 +154,13 @@ def _notes(sweep: LightAngleSweep, decision: AngleDecision, captures: CaptureErr
     ]
     if not decision.choices.all():
         notes.append("angles at which pixels clip or the panel does not fit were left out of the choice")
-    if captures.names:
+    if not captures.names:
+        notes.append(
+            "no capture shows how far the finger differs from the simulation; until one does, the error is taken to be "
+            f"{_ERROR_CURVE} and an assumed size (10 %, 95 % between 2.5 % and 39 %). The odds are as good as this "
+            "assumption"
+        )
+    else:
         compared = (
             "relative to the no-contact image of each capture, so an error that contact and no-contact image share is "
             "not seen"
@@ -163,9 +168,9 @@ def _notes(sweep: LightAngleSweep, decision: AngleDecision, captures: CaptureErr
             else "by exposure and LED current, up to one unknown scale for each rig"
         )
         notes.append(
-            f"captures are compared {compared}; how the sim-to-real error depends on the angle elsewhere is a random "
-            "curve with a correlation length of 35 deg, whose size (prior: 10 %, 95 % between 2.5 % and 39 %) the "
-            "captures tell; they see the image beside the indenter, the sweep its probe points"
+            f"captures are compared {compared}; how the sim-to-real error depends on the angle elsewhere is "
+            f"{_ERROR_CURVE}, whose size (prior: 10 %, 95 % between 2.5 % and 39 %) the captures tell; they see the "
+            "image beside the indenter, the sweep its probe points"
         )
         notes += _unseen_channels(sweep)
     return tuple(notes)

@@ -15,6 +15,7 @@ _CONSEQUENCE: dict[Verdict, str] = {
     "undecided": "undecided, more renders are needed",
     "model-limited": "the sim-to-real error exceeds the advantage, so more renders will not decide",
 }
+_UNPROVEN = "not decided, only captures can tell how far the finger differs from the simulation"
 
 
 def decision_sentence(
@@ -46,6 +47,8 @@ def decision_sentence(
     parts = [*_claim(decision.best_deg, decision.risk, tolerance_rel)]
     if decision.at_range_end:
         parts.append("the best angle is at the end of the sweep, so the optimum may lie outside it: widen the sweep")
+    elif decision.verdict == "model-limited" and not decision.validated:
+        parts.append(_UNPROVEN)
     elif decision.verdict in _CONSEQUENCE:
         parts.append(_CONSEQUENCE[decision.verdict])
     parts += _captures(decision, captures_deg)
@@ -63,10 +66,11 @@ def decision_sentence(
 
 
 def _claim(best_deg: float, risk: AngleRisk, tolerance_rel: float) -> tuple[str, ...]:
-    """Return angle, probability, loss and equivalent angles."""
+    """Return angle, probabilities, loss and equivalent angles."""
     intervals = " and ".join(f"{low:.0f}-{high:.0f} deg" for low, high in risk.equivalent_deg)
     return (
-        f"{best_deg:.0f} deg: true optimum within {NEARBY_DEG:.0f} deg with probability {risk.p_within_5deg:.2f}",
+        f"{best_deg:.0f} deg: within {_percent(tolerance_rel)} of the best with probability "
+        f"{risk.p_within_tolerance:.2f}, true optimum within {NEARBY_DEG:.0f} deg with {risk.p_within_5deg:.2f}",
         f"expected loss {_percent(risk.expected_regret_rel)}, at most {_percent(risk.regret_95_rel)} with "
         f"{_percent(CONFIDENCE)} probability",
         f"{intervals} are equivalent within {_percent(tolerance_rel)}"
@@ -76,17 +80,20 @@ def _claim(best_deg: float, risk: AngleRisk, tolerance_rel: float) -> tuple[str,
 
 
 def _captures(decision: AngleDecision, captures_deg: NDArray[np.float64]) -> tuple[str, ...]:
-    """Return what captures changed, or that there are none."""
+    """Return what captures changed, or what is assumed because there are none."""
+    low_rel, amplitude_rel, high_rel = decision.discrepancy.amplitude_quantiles_rel
+    alone = _percent(decision.simulation_only.regret_95_rel)
     if not len(captures_deg):
-        return ("not validated against a capture",)
+        return (
+            f"not validated against a capture, a sim-to-real error of {_percent(amplitude_rel)} (95 %: "
+            f"{_percent(low_rel)} to {_percent(high_rel)}) is assumed; if the simulation were exact, at most {alone}",
+        )
     angles = [f"{angle:.0f}" for angle in sorted(set(captures_deg.tolist()))]
     listed = " and ".join([*([", ".join(angles[:-1])] if len(angles) > 1 else []), angles[-1]])
-    _, amplitude_rel, _ = decision.discrepancy.amplitude_quantiles_rel
     number = "a capture" if len(captures_deg) == 1 else f"{len(captures_deg)} captures"
     return (
         f"{number} at {listed} deg included, with a sim-to-real error of {_percent(amplitude_rel)}",
-        f"by simulation alone {decision.best_simulation_only_deg:.0f} deg, at most "
-        f"{_percent(decision.simulation_only.regret_95_rel)}",
+        f"by simulation alone {decision.best_simulation_only_deg:.0f} deg, at most {alone}",
     )
 
 

@@ -101,6 +101,33 @@ def fit_kernel(
     return Matern52(float(_LENGTHS_DEG[length]), float(_AMPLITUDES_REL[amplitude]))
 
 
+def matern_correlation(
+    first_deg: NDArray[np.float64], second_deg: NDArray[np.float64], length_deg: float, nu: float
+) -> NDArray[np.float64]:
+    """Return the Matern correlation of two sets of angles (N,), (M,) as an (N, M) array.
+
+    With q = sqrt(2 nu) d / l: exp(-q) for nu = 1/2, (1 + q) exp(-q) for 3/2, (1 + q + q^2 / 3) exp(-q) for 5/2.
+
+    Parameters
+    ----------
+    first_deg, second_deg : ndarray, shapes (N,) and (M,)
+    length_deg : float
+        Length scale l.
+    nu : float
+        Smoothness: 1/2 for curves that are continuous with kinks everywhere, 3/2 for one derivative, 5/2 for two.
+
+    Raises
+    ------
+    ValueError
+        For another nu.
+    """
+    q = np.sqrt(2 * nu) * np.abs(first_deg[:, None] - second_deg) / length_deg
+    polynomials = {0.5: 1.0, 1.5: 1 + q, 2.5: 1 + q + q * q / 3}
+    if nu not in polynomials:
+        raise ValueError(f"smoothness nu = {nu:g} has no closed form here; must be 0.5, 1.5 or 2.5")
+    return np.asarray(polynomials[nu] * np.exp(-q))
+
+
 def _correlation(distance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the Matern-5/2 correlation at distances in units of the length scale."""
     q = np.sqrt(5) * distance
@@ -154,10 +181,17 @@ def condition(
 
 def draw_normal(covariance: NDArray[np.float64], draws: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """Return zero-mean normal draws of shape (draws, G) with a covariance (G, G) that may be singular."""
+    root = normal_root(covariance)
+    return np.asarray(rng.standard_normal((draws, root.shape[1])) @ root.T)
+
+
+def normal_root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a root (G, E) of a covariance (G, G) that may be singular: root root' is the covariance."""
+    if not len(covariance):
+        return np.zeros((0, 0))
     eigenvalues, vectors = np.linalg.eigh(covariance)
     kept = eigenvalues > _LEAST_EIGENVALUE * eigenvalues.max(initial=0.0)
-    scale = np.sqrt(eigenvalues[kept])
-    return np.asarray((rng.standard_normal((draws, scale.size)) * scale) @ _upright(vectors[:, kept]).T)
+    return np.asarray(_upright(vectors[:, kept]) * np.sqrt(eigenvalues[kept]))
 
 
 def _upright(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -60,8 +60,10 @@ class AngleDecision:
         "decided", "tie", "undecided" or "model-limited", see `verdict_of`.
     simulation_only : AngleRisk
         Risk of `best_simulation_only_deg` if the simulation were exact: only the noise of the renders.
-    with_captures : AngleRisk or None
-        Risk of `best_deg` with the sim-to-real error; None without captures.
+    risk : AngleRisk
+        Risk of `best_deg` on the real finger, with the sim-to-real error; the verdict rests on it.
+    validated : bool
+        Whether captures tell of that error; else it has its prior.
     simulated : SimulatedCurve
     discrepancy : Discrepancy
         Sim-to-real error of the curve; its prior without captures.
@@ -77,17 +79,13 @@ class AngleDecision:
     at_range_end: bool
     verdict: Verdict
     simulation_only: AngleRisk
-    with_captures: AngleRisk | None
+    risk: AngleRisk
+    validated: bool
     simulated: SimulatedCurve
     discrepancy: Discrepancy
     choices: NDArray[np.bool_]
     mean_rel: Floats
     sd_rel: Floats
-
-    @property
-    def risk(self) -> AngleRisk:
-        """The risk that the verdict rests on."""
-        return self.with_captures or self.simulation_only
 
 
 def decide_angle(
@@ -104,9 +102,10 @@ def decide_angle(
     Each repeat is divided by its own mean over the angles, which removes the scale that all its values share. The
     remaining scatter is pooled, a Gaussian process (Matern-5/2) is fitted to the means, and its joint draws f on a
     grid of 1 deg give the probability that the optimum is near and the relative regret (max f - f(best)) / max f.
-    With captures the curve that is decided on is f exp(-t), t the sim-to-real error less its mean over the grid (see
-    `discrepancy_posterior`); its expected value is that of f times exp(-E t): the spread of t is left out, because
-    E exp(-t) would favour angles for being far from any capture. See `verdict_of` for the rules of the verdict.
+    The curve that is decided on is f exp(-t), t the sim-to-real error less its mean over the grid: what captures tell
+    of it, and its prior without any (see `discrepancy_posterior`). Its expected value is that of f times exp(-E t): the
+    spread of t is left out, because E exp(-t) would favour angles for being far from any capture. See `verdict_of` for
+    the rules of the verdict.
 
     Valid for a smooth objective sampled finely enough to see its peak (10 deg for the light angle), and for
     repeats whose mean is wanted: renders with different seeds, or draws of the paint posterior shared by all
@@ -148,21 +147,21 @@ def decide_angle(
     curves = curve.mean + draw_normal(curve.covariance, draws, rng)
     alone = _best(curve.mean, choices)
     simulation_only = angle_risk(curves, curve.grid_deg, alone, tolerance_rel, choices)
-    best, with_captures, mean, sd = alone, None, curve.mean, curve.standard_deviation
-    if captures.names:
-        mean, sd = _real_curve(curve, discrepancy)
-        best = _best(mean, choices)
-        curves *= np.exp(-discrepancy.shape_draws(draws, rng))
-        with_captures = angle_risk(curves, curve.grid_deg, best, tolerance_rel, choices)
+    mean, sd = _real_curve(curve, discrepancy)
+    best = _best(mean, choices)
+    curves *= np.exp(-discrepancy.shape_draws(draws, rng))
+    risk = angle_risk(curves, curve.grid_deg, best, tolerance_rel, choices)
+    validated = bool(captures.names)
     at_range_end = best in (0, len(curve.grid_deg) - 1)
     return AngleDecision(
         best_deg=float(curve.grid_deg[best]),
         best_simulation_only_deg=float(curve.grid_deg[alone]),
         at_range_end=at_range_end,
         # an optimum at the end of the sweep may lie outside it: no risk inside the range says anything
-        verdict="undecided" if at_range_end else verdict_of(simulation_only, with_captures, tolerance_rel),
+        verdict="undecided" if at_range_end else verdict_of(simulation_only, risk, tolerance_rel, validated),
         simulation_only=simulation_only,
-        with_captures=with_captures,
+        risk=risk,
+        validated=validated,
         simulated=simulated,
         discrepancy=discrepancy,
         choices=choices,

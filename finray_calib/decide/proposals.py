@@ -45,8 +45,7 @@ def propose_render(decision: AngleDecision) -> Proposal | None:
     curve = simulated.posterior
     noise_rel = simulated.noise_rel / np.sqrt(simulated.repeats)
     noise_variance = np.full(len(curve.grid_deg), noise_rel**2)
-    real_over_simulated = np.exp(-decision.discrepancy.shape_mean) if decision.with_captures else np.ones(1)
-    response = np.reshape(real_over_simulated, (-1, 1)) * curve.covariance
+    response = np.exp(-decision.discrepancy.shape_mean)[:, None] * curve.covariance
     return _best(decision, response, np.diag(curve.covariance), noise_variance)
 
 

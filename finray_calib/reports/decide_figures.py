@@ -38,13 +38,13 @@ def on_curve_scale(sweep: LightAngleSweep, decision: LightAngleDecision) -> Floa
 def angle_figure(decision: LightAngleDecision, sweep: LightAngleSweep, true_sweep: LightAngleSweep | None) -> str:
     """Draw the objective relative to the best of the mean curve, over the angle of the light.
 
-    With captures: the curve of renders and captures together with its band, the one of the renders alone (dashed), and
-    the captures as points with their standard uncertainties, doubled.
+    The curve of the real finger with its band, the one of the renders alone (dashed where captures moved the former),
+    and captures as points with their standard uncertainties, doubled.
     """
     figure = new_figure(5.8, 4.1)
     axes = figure.subplots()
     grid, best = decision.grid_deg, float(decision.mean.max())
-    if decision.validated:
+    if decision.discrepancy_rel is not None:
         axes.fill_between(
             grid,
             decision.low95 / best,
@@ -53,7 +53,7 @@ def angle_figure(decision: LightAngleDecision, sweep: LightAngleSweep, true_swee
             alpha=0.28,
             edgecolor=BLUE,
             linestyle=":",
-            label="95 % with captures",
+            label="95 % with captures" if decision.validated else "95 % with the assumed error",
         )
     low, high = decision.low95_simulation_only / best, decision.high95_simulation_only / best
     axes.fill_between(grid, low, high, facecolor=BLUE, alpha=0.35, linewidth=0, label="95 % of the renders alone")

@@ -14,6 +14,8 @@ def verdict_title(decision: LightAngleDecision) -> str:
         return f"Several angles do equally well; take {angle} if nothing speaks against it"
     if decision.verdict == "undecided":
         return f"Not decided yet; {angle} is the best guess so far"
+    if not decision.validated:
+        return f"{angle} is the best guess of the simulation; a capture has to confirm it"
     return f"{angle} is the best guess; the simulation is not good enough to decide"
 
 
@@ -42,18 +44,22 @@ def mounting_sentence(decision: LightAngleDecision) -> str:
 def risk_sentence(decision: LightAngleDecision) -> str:
     """Say what may go wrong, in how many cases."""
     claim = decision.statement
+    within = ""
+    if claim.p_within_tolerance is not None:
+        odds = probability(claim.p_within_tolerance)
+        within = f" At most {percent(decision.tolerance_rel)} is lost with probability {odds}."
     return (
         f"Risk: on average {percent(claim.expected_regret)} of the signal is lost against the best possible angle, and "
-        f"in 19 of 20 cases not more than {percent(claim.regret_95)}. The best angle itself lies within 5 deg of "
-        f"{decision.angle_deg:.0f} deg with probability {probability(claim.p_within_5deg)}."
+        f"in 19 of 20 cases not more than {percent(claim.regret_95)}.{within} The best angle itself lies within 5 deg "
+        f"of {decision.angle_deg:.0f} deg with probability {probability(claim.p_within_5deg)}."
     )
 
 
 def capture_sentence(decision: LightAngleDecision) -> str:
     """Say whether the simulation was checked against captures, and what that changed."""
-    if not decision.validated:
-        return "The decision is not validated against a capture: it holds only if the simulation is right."
     alone, both = decision.statement_simulation_only, decision.statement
+    if not decision.validated:
+        return validation_sentence(decision)
     count = len(decision.captures)
     part = "One capture is part" if count == 1 else f"{count} captures are part"
     return (
@@ -63,17 +69,35 @@ def capture_sentence(decision: LightAngleDecision) -> str:
     )
 
 
+def validation_sentence(decision: LightAngleDecision) -> str:
+    """Say of a decision without captures what it assumes, and what the renders alone would claim."""
+    start = "The decision is not validated against a capture"
+    if decision.discrepancy_rel is None:
+        return f"{start}: it holds only if the simulation is right."
+    alone = decision.statement_simulation_only
+    return (
+        f"{start}. How far the finger differs from the simulation is assumed: "
+        f"{percent(decision.discrepancy_rel)}{_range_text(decision)} at each angle. If the simulation were exact, the "
+        f"loss would stay below {percent(alone.regret_95)} with 95 % probability."
+    )
+
+
+def _range_text(decision: LightAngleDecision) -> str:
+    """Return the interval of the sim-to-real error in brackets, where it is known."""
+    if decision.discrepancy_95_rel is None:
+        return ""
+    low, high = decision.discrepancy_95_rel
+    return f" (95 %: {percent(low)} to {percent(high)})"
+
+
 def discrepancy_sentence(decision: LightAngleDecision) -> str | None:
-    """Say how far the simulation may be off at an angle without a capture; None without captures."""
+    """Say how far the simulation may be off at an angle without a capture; None where the record does not say."""
     if decision.discrepancy_rel is None:
         return None
-    range_text = ""
-    if decision.discrepancy_95_rel is not None:
-        low, high = decision.discrepancy_95_rel
-        range_text = f" (95 %: {percent(low)} to {percent(high)})"
+    source = "after what the captures have shown" if decision.validated else "assumed until a capture shows it"
     return (
-        f"At an angle without a capture the simulation may be off by {percent(decision.discrepancy_rel)}{range_text}, "
-        "as one standard deviation, after what the captures have shown."
+        f"At an angle without a capture the simulation may be off by {percent(decision.discrepancy_rel)}"
+        f"{_range_text(decision)}, as one standard deviation, {source}."
     )
 
 

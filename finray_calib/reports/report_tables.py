@@ -143,21 +143,30 @@ def _error_cells(row: ErrorRow) -> tuple[str, ...]:
 
 
 def decision_table(decision: LightAngleDecision) -> ReportTable:
-    """List what is claimed with captures, beside what the renders alone would claim; the latter only without any."""
+    """List what is claimed of the real finger, beside what the renders alone would claim."""
     claims = {"renders alone": decision.statement_simulation_only}
     angle = f"Light at {decision.angle_deg:.0f} deg"
     if decision.validated:
         claims = {"with captures": decision.statement, **claims}
     else:
         angle += ", not validated against a capture"
+        if decision.discrepancy_rel is not None:
+            claims = {"with the assumed sim-to-real error": decision.statement, **claims}
     shown = claims.values()
+    tolerance = percent(decision.tolerance_rel)
     rows: list[tuple[str, ...]] = [
+        (f"loss within {tolerance}, probability", *(_known_probability(s.p_within_tolerance) for s in shown)),
         ("true optimum within 5 deg, probability", *(probability(s.p_within_5deg) for s in shown)),
         ("expected loss", *(percent(s.expected_regret) for s in shown)),
         ("loss not exceeded with 95 % probability", *(percent(s.regret_95) for s in shown)),
-        (f"angles equivalent within {percent(decision.tolerance_rel)}", *(equivalent_text(s) for s in shown)),
+        (f"angles equivalent within {tolerance}", *(equivalent_text(s) for s in shown)),
     ]
     return one_group(angle, ("claim", *claims), rows, is_words=True)
+
+
+def _known_probability(value: float | None) -> str:
+    """Return a probability; records of older versions hold none."""
+    return "not stored" if value is None else probability(value)
 
 
 def provenance_table(origin: Provenance) -> ReportTable:

@@ -33,6 +33,12 @@ def verdict_meaning(decision: LightAngleDecision) -> str:
             f"The renders alone do not yet show a choice that loses at most {tolerance}: {alone_angle} is their best "
             f"guess so far, and may lose {alone}.{moved} More angles or more repeats would help."
         )
+    if not decision.validated:
+        return (
+            f"By the renders alone {alone_angle} loses at most {alone}, but no capture has shown how far the finger "
+            f"differs from the simulation. With what is assumed until one does, {angle} is the best guess and may lose "
+            f"{loss}. More renders will not help; a capture would."
+        )
     return (
         f"By the renders alone {alone_angle} loses at most {alone}; with the difference between simulation and capture "
         f"{angle} is the best guess and may lose {loss}, more than the {tolerance} that count as equal. More renders "

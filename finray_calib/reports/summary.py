@@ -104,6 +104,7 @@ def _statement(statement: AngleStatement) -> Json:
     """Return probability, loss and equivalent angles."""
     return {
         "p_within_5deg": statement.p_within_5deg,
+        "p_within_tolerance": statement.p_within_tolerance,
         "expected_regret": statement.expected_regret,
         "regret_95": statement.regret_95,
         "equivalent_deg": [list(interval) for interval in statement.equivalent_deg],

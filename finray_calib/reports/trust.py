@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from data_schemas.decide import LightAngleDecision
+from finray_calib.reports.decision_words import validation_sentence
 from finray_calib.reports.demo_results import COLOURS, DemoResults, PaintResult
 from finray_calib.reports.fit_statements import model_statement
 from finray_calib.reports.number_text import percent
@@ -29,7 +30,7 @@ def limits(results: DemoResults) -> tuple[str, ...]:
 def validation_statement(decision: LightAngleDecision) -> str:
     """Say whether the sim-to-real error entered the decision."""
     if not decision.validated or decision.discrepancy_rel is None:
-        return "The decision is not validated against a capture: it holds only if the simulation is right."
+        return validation_sentence(decision)
     return (
         f"The decision carries a sim-to-real error of {percent(decision.discrepancy_rel)} (standard deviation of "
         "the objective), taken from the comparison with one capture at one light angle; that it holds at other "

@@ -57,6 +57,8 @@ EXCEPTIONS = {
     "p95": "95th percentile of another quantity, in its unit",
     "half_width": "of an interval, in the unit of its value",
     "p_within_5deg": "probability",
+    "p_within_tolerance": "probability",
+    "nu": "smoothness of a Matern covariance, a number",
     **dict.fromkeys(("probability", "posterior_predictive_p", "p_conform"), "probability"),
     **dict.fromkeys(("guard", "process_sd"), "of a quantity under test, in its unit"),
     "reflected_laser": "share of the laser's light that the sample reflects",

@@ -6,11 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from finray_calib.decide.capture_errors import CaptureErrors
-from finray_calib.decide.discrepancy import PRIOR_ERROR_LOG_SD, PRIOR_ERROR_REL
-from finray_calib.decide.gaussian_process import PRIOR_LENGTH_DEG, Matern52, draw_normal
+from finray_calib.decide.discrepancy import (
+    PRIOR_ERROR_LENGTH_DEG,
+    PRIOR_ERROR_LENGTH_LOG_SD,
+    PRIOR_ERROR_LOG_SD,
+    PRIOR_ERROR_REL,
+)
+from finray_calib.decide.gaussian_process import draw_normal, matern_correlation
 
 Floats = NDArray[np.float64]
 Family = Literal["model", "tilt", "bump"]
+Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 FINE_DEG = np.arange(0, 91.0)
 SWEEP_DEG = np.arange(0, 91.0, 10)
@@ -41,12 +47,14 @@ def regret_of(curve: Floats, angle_deg: float) -> float:
 def log_discrepancy(family: Family, rng: np.random.Generator) -> Floats:
     """Return ln(simulated / real) on FINE_DEG, apart from a common scale.
 
-    "model" is a draw of the prior of the decision. Its length scale or its shape are wrong for the others: a tilt (sd
+    "model" is a draw of the prior of the decision. Its shape is wrong for the others: a tilt (sd
     15 % from the middle to the ends), or a bump (sd 20 %) of half-width 15 deg anywhere.
     """
     if family == "model":
         amplitude = PRIOR_ERROR_REL * np.exp(PRIOR_ERROR_LOG_SD * rng.standard_normal())
-        return draw_normal(Matern52(PRIOR_LENGTH_DEG, amplitude).covariance(FINE_DEG, FINE_DEG), 1, rng)[0]
+        length_deg = PRIOR_ERROR_LENGTH_DEG * np.exp(PRIOR_ERROR_LENGTH_LOG_SD * rng.standard_normal())
+        correlation = matern_correlation(FINE_DEG, FINE_DEG, length_deg, rng.choice([0.5, 1.5, 2.5]))
+        return draw_normal(amplitude**2 * correlation, 1, rng)[0]
     if family == "tilt":
         return np.asarray(0.15 * rng.standard_normal() * (FINE_DEG / 45 - 1))
     center = rng.uniform(0, 90)
@@ -74,3 +82,44 @@ def honest_captures(
         noise_rel**2 * np.eye(angles.size),
         np.zeros(angles.size, dtype=np.int64) if absolute else None,
     )
+
+
+def shadow_edge(rng: np.random.Generator) -> Pair:
+    """A broad lobe behind an edge: beyond some angle a part of the light is shadowed, in the finger elsewhere."""
+    simulated, real = (np.cos(np.radians(FINE_DEG - top)) ** 2 for top in rng.uniform(20, 60) + rng.normal(0, 5, 2))
+    at_deg, width_deg, depth = rng.uniform(15, 80), rng.uniform(2, 8), rng.uniform(0.1, 0.5)
+    moved_deg, other_depth = at_deg + rng.normal(0, 6), np.clip(depth + rng.normal(0, 0.1), 0, 0.9)
+    return (
+        (0.2 + simulated) * (1 - depth / (1 + np.exp(-(FINE_DEG - at_deg) / width_deg))),
+        (0.2 + real) * (1 - other_depth / (1 + np.exp(-(FINE_DEG - moved_deg) / width_deg))),
+    )
+
+
+def triangle(rng: np.random.Generator) -> Pair:
+    """Two straight slopes that meet in a kink, which the finger has some degrees elsewhere."""
+    top_deg, rise, fall = rng.uniform(15, 75), *rng.uniform(0.003, 0.012, 2)
+
+    def curve(at_deg: float) -> Floats:
+        return np.maximum(1 - np.where(at_deg > FINE_DEG, rise * (at_deg - FINE_DEG), fall * (FINE_DEG - at_deg)), 0.05)
+
+    return curve(top_deg), curve(top_deg + rng.normal(0, 4))
+
+
+def plateau(rng: np.random.Generator) -> Pair:
+    """A lobe cut off flat, whose top leans in the finger."""
+    top_deg, cut = rng.uniform(20, 60), rng.uniform(0.75, 0.95)
+    curve = 0.2 + np.minimum(np.cos(np.radians(FINE_DEG - top_deg)) ** 2, cut)
+    return curve, curve * (1 + rng.normal(0, 0.08) * (FINE_DEG - top_deg) / 60)
+
+
+def glint(rng: np.random.Generator) -> Pair:
+    """A lobe on which the finger has a narrow reflection, or a narrow shadow, that the simulation does not know."""
+    top_deg = rng.uniform(15, 60)
+    curve = 0.2 + np.cos(np.radians(FINE_DEG - top_deg)) ** rng.uniform(1, 6)
+    at_deg, width_deg = top_deg + rng.normal(0, 25), rng.uniform(3, 9)
+    size = rng.uniform(0.03, 0.25) * rng.choice([1, 1, -1])
+    return curve, curve * (1 + size * np.exp(-0.5 * ((FINE_DEG - at_deg) / width_deg) ** 2))
+
+
+FOREIGN = (shadow_edge, triangle, plateau, glint)
+"""Simulated and real curves that no Gaussian process drew: with kinks, edges, flat tops and narrow peaks."""

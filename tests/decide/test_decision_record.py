@@ -17,13 +17,19 @@ def capture(angle_deg, log_error, log_exposure=None):
     return report(f"capture at {angle_deg:g} deg", angle_deg, error, 0.5)
 
 
-def test_without_a_report_it_is_not_validated_and_both_answers_agree():
+def test_without_a_report_it_carries_the_prior_of_the_error_and_decides_nothing():
     decision = decide(sweep_record(), [], 1)
     assert not decision.validated
-    assert decision.discrepancy_rel is None
+    assert decision.verdict == "model-limited"
+    assert decision.discrepancy_rel == pytest.approx(0.10, rel=0.02)
+    assert decision.discrepancy_95_rel == pytest.approx((0.0245, 0.40), rel=0.05)
     assert decision.captures == ()
-    assert decision.statement == decision.statement_simulation_only
-    assert (decision.mean == decision.mean_simulation_only).all()
+    assert decision.statement_simulation_only.p_within_tolerance > 0.99 > 0.8 > decision.statement.p_within_tolerance
+    assert decision.statement.regret_95 > 10 * decision.statement_simulation_only.regret_95
+    assert decision.mean == pytest.approx(decision.mean_simulation_only, rel=1e-12)
+    assert (decision.high95 - decision.low95 > decision.high95_simulation_only - decision.low95_simulation_only).all()
+    assert any("until one does, the error is taken to be a random curve" in note for note in decision.notes)
+    assert "not decided, only captures can tell how far the finger differs from the simulation" in decision.sentence
     assert decision.angle_deg == decision.angle_simulation_only_deg == pytest.approx(BEST_DEG, abs=2)
     assert "not validated against a capture" in decision.sentence
     assert decision.next_capture is not None

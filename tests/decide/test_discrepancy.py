@@ -2,12 +2,19 @@
 
 import numpy as np
 import pytest
+from scipy.special import gamma, kv
 from scipy.stats import multivariate_normal
 
 from finray_calib.decide import discrepancy as module
 from finray_calib.decide.capture_errors import NO_CAPTURES, CaptureErrors
-from finray_calib.decide.discrepancy import PRIOR_ERROR_LOG_SD, PRIOR_ERROR_REL, discrepancy_posterior
-from finray_calib.decide.gaussian_process import Matern52
+from finray_calib.decide.discrepancy import (
+    PRIOR_ERROR_LENGTH_DEG,
+    PRIOR_ERROR_LENGTH_LOG_SD,
+    PRIOR_ERROR_LOG_SD,
+    PRIOR_ERROR_REL,
+    discrepancy_posterior,
+)
+from finray_calib.decide.gaussian_process import matern_correlation
 
 GRID = np.linspace(0, 90, 31)
 ANGLES = np.array([12.0, 30.0, 71.0])
@@ -19,6 +26,20 @@ def captures(log_error, scale_of=None, sd=0.02, angles=ANGLES):
     names = tuple(map(str, range(size)))
     groups = None if scale_of is None else np.array(scale_of)
     return CaptureErrors(names, np.asarray(angles[:size]), np.full(size, 1.0), np.array(log_error), shared, groups)
+
+
+def matern_by_bessel_functions(angles, length, smoothness):
+    """The Matern correlation of any smoothness, from its definition."""
+    q = np.maximum(np.sqrt(2 * smoothness) * np.abs(np.subtract.outer(angles, angles)) / length, 1e-10)
+    return 2 ** (1 - smoothness) / gamma(smoothness) * q**smoothness * kv(smoothness, q)
+
+
+def test_correlations_agree_with_bessel_functions():
+    for smoothness in (0.5, 1.5, 2.5):
+        expected = matern_by_bessel_functions(GRID, 20.0, smoothness)
+        assert matern_correlation(GRID, GRID, 20.0, smoothness) == pytest.approx(expected, abs=1e-9)
+    with pytest.raises(ValueError, match=r"smoothness nu = 2 has no closed form here; must be 0\.5, 1\.5 or 2\.5"):
+        matern_correlation(GRID, GRID, 20.0, 2.0)
 
 
 def posterior(errors, slope=0.0):
@@ -39,17 +60,19 @@ def test_without_captures_it_is_the_prior():
 
 @pytest.mark.parametrize("scale_of", [None, [0, 0, 0], [0, 0, 1]])
 def test_posterior_agrees_with_a_dense_joint_normal(scale_of, monkeypatch):
-    """The scales as normal variables of huge variance, then plain conditioning; for two amplitudes, with weights."""
-    amplitudes = np.array([0.05, 0.2])
-    monkeypatch.setattr(module, "_NODES_REL", amplitudes)
+    """The scales as normal variables of huge variance, then plain conditioning; two amplitudes and two kernels."""
+    nodes = [(a, kernel) for a in (0.05, 0.2) for kernel in ((35.0, 2.5), (12.0, 2.5), (35.0, 0.5), (12.0, 0.5))]
+    monkeypatch.setattr(module, "_NODES_REL", np.array([0.05, 0.2]))
+    monkeypatch.setattr(module, "_LENGTHS_DEG", np.array([35.0, 12.0]))
+    monkeypatch.setattr(module, "_SMOOTHNESSES", (0.5, 2.5))
     errors = captures([0.31, 0.2, 0.28], scale_of)
     found = posterior(errors, slope=0.03)
     vague = 1e4
     noise = errors.covariance + (0.03 * 1.0) ** 2 * np.eye(3)
     log_weights, means, covariances = [], [], []
-    for amplitude in amplitudes:
-        everything = np.concatenate([ANGLES, GRID])
-        joint = Matern52(35.0, amplitude).covariance(everything, everything)
+    everything = np.concatenate([ANGLES, GRID])
+    for amplitude, (length, smoothness) in nodes:
+        joint = amplitude**2 * matern_by_bessel_functions(everything, length, smoothness)
         groups = np.array([-1] * 3 if scale_of is None else scale_of)
         # t on the grid has the scale of the first rig
         rig = np.concatenate([groups, np.full(31, groups[0])])
@@ -58,6 +81,7 @@ def test_posterior_agrees_with_a_dense_joint_normal(scale_of, monkeypatch):
         gain = np.linalg.solve(whole, joint[:3, 3:]).T
         log_weights.append(multivariate_normal.logpdf(errors.log_error, np.zeros(3), whole))
         log_weights[-1] -= 0.5 * (np.log(amplitude / PRIOR_ERROR_REL) / PRIOR_ERROR_LOG_SD) ** 2
+        log_weights[-1] -= 0.5 * (np.log(length / PRIOR_ERROR_LENGTH_DEG) / PRIOR_ERROR_LENGTH_LOG_SD) ** 2
         means.append(gain @ errors.log_error)
         covariances.append(joint[3:, 3:] - gain @ joint[:3, 3:])
     weights = np.exp(np.array(log_weights) - max(log_weights))
@@ -105,10 +129,14 @@ def test_captures_at_several_angles_correct_the_shape_and_shrink_its_uncertainty
     tilt = 0.3 * (GRID / 45 - 1)
     angles = np.array([5.0, 30.0, 60.0, 85.0])
     found = posterior(captures(np.interp(angles, GRID, tilt), [0] * 4, sd=0.005, angles=angles))
-    assert found.shape_mean == pytest.approx(tilt, abs=0.03)
+    between = (GRID >= 5) & (GRID <= 85)
+    assert found.shape_mean[between] == pytest.approx(tilt[between], abs=0.03)
+    # beyond the last captures the error may have a kink, so the tilt is not continued in full
+    assert (np.abs(found.shape_mean - tilt) < 2 * found.shape_sd).all()
     ratio = found.shape_sd / posterior(NO_CAPTURES).shape_sd
-    assert ratio.max() < 0.7
-    assert np.interp(angles, GRID, ratio).max() < 0.3
+    # this error of 30 % is larger than the prior's 10 %, and half-way between captures a short one may hide
+    assert ratio.max() < 1.0
+    assert np.interp(angles, GRID, ratio).max() < 0.4
 
 
 def test_an_uncertain_angle_counts_by_the_slope():

@@ -67,6 +67,8 @@ def test_render_gain_agrees_with_simulated_renders():
 def test_capture_gain_agrees_with_simulated_captures(absolute, monkeypatch):
     """One amplitude of the sim-to-real error, so that a capture's effect is linear and the belief stays normal."""
     monkeypatch.setattr("finray_calib.decide.discrepancy._NODES_REL", np.array([0.1]))
+    monkeypatch.setattr("finray_calib.decide.discrepancy._LENGTHS_DEG", np.array([35.0]))
+    monkeypatch.setattr("finray_calib.decide.discrepancy._SMOOTHNESSES", (2.5,))
     rng = np.random.default_rng(4)
     values = sweep(PEAK, rng, 0.003, 4)
     angles, log_error = np.array([20.0, 60.0]), np.array([0.05, -0.08])

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from benchmarks.light_angle_decision import CASES, LARGEST_MISS, LEAST_OVER_MEANS, LEAST_OVER_SINGLE, run
+from benchmarks.light_angle_decision import CASES, LARGEST_MISS, LEAST_OVER_MEANS, LEAST_OVER_SINGLE, Case, run
 from data_schemas.errors import DecideError
 from finray_calib.decide.capture_errors import CaptureErrors
 from finray_calib.decide.light_angle import decide_angle
-from tests.decide.curves import FINE_DEG, SWEEP_DEG, regret_of, sweep
+from tests.decide.curves import FINE_DEG, FOREIGN, SWEEP_DEG, regret_of, sweep
 
 PEAK = 0.5 + np.exp(-0.5 * ((FINE_DEG - 33) / 20) ** 2)
 
@@ -28,9 +28,9 @@ def captures(angles_deg, log_error, absolute=True):
     )
 
 
-def test_a_clear_peak_is_decided_off_the_rendered_angles():
+def test_a_clear_peak_is_found_off_the_rendered_angles():
     decision = decide(sweep(PEAK, np.random.default_rng(0), noise=0.003, repeats=5))
-    assert decision.verdict == "decided"
+    assert decision.verdict == "model-limited"
     assert decision.best_deg == pytest.approx(33, abs=2)
     assert not decision.at_range_end
     risk = decision.simulation_only
@@ -50,6 +50,8 @@ def test_the_band_holds_the_curve():
     assert decision.simulated.posterior.grid_deg.tolist() == FINE_DEG.tolist()
     assert (np.abs(decision.mean_rel - relative) < 1.96 * decision.sd_rel).mean() > 0.8
     assert decision.mean_rel == pytest.approx(relative, rel=0.1)
+    alone = decision.simulated.posterior
+    assert (np.abs(alone.mean - relative) < 1.96 * alone.standard_deviation).mean() > 0.8
     # Noise is 2 % of the maximum; relative to the mean, within the chi-square of 27 degrees of freedom (4 sigma).
     assert decision.simulated.noise_rel == pytest.approx(0.02 * relative.max(), rel=0.5)
 
@@ -90,15 +92,34 @@ def test_each_verdict_is_reached():
     limited = decide(clear, captures=captures([30], 0.3, absolute=False))
     assert limited.verdict == "model-limited"
     assert limited.simulation_only.regret_95_rel < 0.02 < limited.risk.regret_95_rel
-    assert decide(sweep(1 + 0.004 * PEAK, rng, noise=0.005, repeats=5)).verdict == "tie"
+    flat = sweep(1 + 0.004 * PEAK, rng, noise=0.005, repeats=5)
+    exact = captures([0, 5, 15, 25, 30, 35, 45, 55, 65, 75, 85, 90], 0.0)
+    assert decide(flat, captures=exact).verdict == "tie"
+    assert decide(flat).verdict == "model-limited"
 
 
-def test_without_captures_both_answers_are_the_same():
+def test_without_captures_the_error_has_its_prior():
     decision = decide(sweep(PEAK, np.random.default_rng(6), noise=0.01, repeats=4))
-    assert decision.with_captures is None
-    assert decision.risk == decision.simulation_only
+    assert not decision.validated
     assert decision.best_deg == decision.best_simulation_only_deg
-    assert decision.mean_rel is decision.simulated.posterior.mean
+    assert decision.mean_rel == pytest.approx(decision.simulated.posterior.mean, rel=1e-12)
+    assert decision.risk.regret_95_rel > 5 * decision.simulation_only.regret_95_rel
+    assert decision.risk.p_within_tolerance < 0.7 < 0.99 < decision.simulation_only.p_within_tolerance
+    assert decision.risk.equivalent_deg == ()
+
+
+@pytest.mark.parametrize("family", FOREIGN, ids=lambda family: family.__name__)
+def test_claims_without_captures_hold_on_curves_of_another_kind(family):
+    """Kinks, shadow edges, flat tops and glints that no Gaussian process drew; benchmarks do 600 of each.
+
+    Binomial standard errors of 100 curves: 0.05 of the odds and, at 0.95, 0.022 of the bound.
+    """
+    outcome = run(Case(family.__name__, 0.02, family), 100, seed=21, draws=400)
+    assert outcome.claimed_within_tolerance - outcome.actual_within_tolerance <= LARGEST_MISS + 0.1
+    assert outcome.coverage_of_95 >= 0.92
+    # what was claimed before: that the simulation is exact
+    assert outcome.claimed_simulation_only - outcome.actual_within_tolerance > 0.15
+    assert outcome.coverage_simulation_only < 0.75
 
 
 def test_captures_at_several_angles_move_the_decision_to_the_real_optimum():
@@ -162,7 +183,7 @@ def test_claims_are_calibrated_at_8_percent_noise():
     assert outcome.ratio_single >= LEAST_OVER_SINGLE
 
 
-@pytest.mark.parametrize("case", CASES[3:], ids=lambda case: case.name)
+@pytest.mark.parametrize("case", [c for c in CASES if len(c.captures_deg) > 1], ids=lambda case: case.name)
 def test_claims_hold_with_captures(case):
     """Truth from the prior of the sim-to-real error, and from other families; the standard error is 0.05."""
     outcome = run(case, 60, seed=12, draws=500)
@@ -170,7 +191,8 @@ def test_claims_hold_with_captures(case):
     assert outcome.claimed_within_5deg - outcome.actual_within_5deg <= LARGEST_MISS + 0.1
     # Binomial(60, 0.95): below 52 with probability 6e-3.
     assert outcome.coverage_of_95 >= 52 / 60
-    assert outcome.regret < 0.6 * outcome.regret_simulation_only
+    # of the prior's own errors two thirds have no second derivative: three captures see less of them
+    assert outcome.regret < (0.8 if case.truth == "model" else 0.6) * outcome.regret_simulation_only
 
 
 @pytest.mark.parametrize(

@@ -673,9 +673,22 @@ def example_decision(verdict: str, validated: bool = True) -> LightAngleDecision
     grid_deg = np.arange(0.0, 121.0)
     mean = _hill(grid_deg, 32.0)
     statement = AngleStatement(
-        p_within_5deg=0.71, expected_regret=0.0031, regret_95=0.0142, equivalent_deg=((25.0, 39.0),)
+        p_within_5deg=0.71,
+        expected_regret=0.0031,
+        regret_95=0.0142,
+        equivalent_deg=((25.0, 39.0),),
+        p_within_tolerance=0.97,
     )
-    alone = AngleStatement(p_within_5deg=0.93, expected_regret=0.0008, regret_95=0.0041, equivalent_deg=((27.0, 37.0),))
+    assumed = AngleStatement(
+        p_within_5deg=0.62, expected_regret=0.057, regret_95=0.24, equivalent_deg=(), p_within_tolerance=0.51
+    )
+    alone = AngleStatement(
+        p_within_5deg=0.93,
+        expected_regret=0.0008,
+        regret_95=0.0041,
+        equivalent_deg=((27.0, 37.0),),
+        p_within_tolerance=1.0,
+    )
     captures = (
         DecidingCapture(
             captured="cylinder press, simulated twin",
@@ -697,10 +710,10 @@ def example_decision(verdict: str, validated: bool = True) -> LightAngleDecision
             "with 95 % probability; 25-39 deg are equivalent within 2 %.",
             "tolerance_rel": 0.02,
             "validated": validated,
-            "discrepancy_rel": 0.018 if validated else None,
-            "discrepancy_95_rel": (0.006, 0.06) if validated else None,
+            "discrepancy_rel": 0.018 if validated else 0.1,
+            "discrepancy_95_rel": (0.006, 0.06) if validated else (0.025, 0.4),
             "captures": captures if validated else (),
-            "statement": statement if validated else alone,
+            "statement": statement if validated else assumed,
             "statement_simulation_only": alone,
             "grid_deg": grid_deg,
             "mean": mean,

@@ -101,20 +101,44 @@ def test_at_the_end_of_the_sweep_nothing_is_promised():
 
 def test_without_a_capture_it_is_said_at_once():
     html = page_of(ALONE)
-    assert "not validated against a capture: it holds only if the simulation is right" in plain(
-        html[: html.index("trust")]
-    )
+    assert (
+        "not validated against a capture. How far the finger differs from the simulation is assumed: 10 % (95 %: 2.5 % "
+        "to 40 %) at each angle. If the simulation were exact, the loss would stay below 0.4 %"
+    ) in plain(html[: html.index("trust")])
     text = plain(html)
+    assert "At an angle without a capture the simulation may be off by 10 %" in text
+    assert "assumed until a capture shows it" in text
+    assert "At most 2 % is lost with probability 0.51" in text
     assert "Next capture: none is expected to change the decision." in text
     assert "Another objective may prefer another angle." in text
-    assert "Light at 32 deg, not validated against a capture claim renders alone" in text
+    assert (
+        "Light at 32 deg, not validated against a capture claim with the assumed sim-to-real error renders alone"
+        in text
+    )
     for absent in (
         "with captures",
         "Captures in this decision",
         "Other objectives of the sweep",
-        "At an angle without a capture",
     ):
         assert absent not in text
+
+
+def test_a_record_of_before_the_prior_says_that_it_rests_on_the_simulation():
+    """Such a record of a decision without captures holds no sim-to-real error and no odds of a small loss."""
+    bare = {"discrepancy_rel": None, "discrepancy_95_rel": None}
+    claim = ALONE.statement_simulation_only.model_copy(update={"p_within_tolerance": None})
+    text = plain(page_of(ALONE.model_copy(update={**bare, "statement": claim, "statement_simulation_only": claim})))
+    assert "not validated against a capture: it holds only if the simulation is right" in text
+    assert "loss within 2 %, probability not stored" in text
+    for absent in ("assumed sim-to-real error", "At an angle without a capture", "is lost with probability"):
+        assert absent not in text
+
+
+def test_a_simulation_that_no_capture_confirms_asks_for_one():
+    limited = ALONE.model_copy(update={"verdict": "model-limited"})
+    text = plain(page_of(limited))
+    assert "32 deg is the best guess of the simulation; a capture has to confirm it" in text
+    assert "but no capture has shown how far the finger differs from the simulation" in text
 
 
 def test_no_tolerance_is_promised_where_none_is_known():

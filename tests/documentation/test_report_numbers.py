@@ -205,7 +205,9 @@ def test_true_loss_of_a_known_curve() -> None:
 def test_tables_name_what_is_not_used() -> None:
     cells = {cell for group in signals_table(RESULTS.paints["red"].fitted).groups for row in group.rows for cell in row}
     assert "weak" in cells
-    assert decision_table(RESULTS.decision).groups[0].rows[3] == (
+    rows = decision_table(RESULTS.decision).groups[0].rows
+    assert rows[0] == ("loss within 2 %, probability", "0.97", "above 0.99")
+    assert rows[4] == (
         "angles equivalent within 2 %",
         "25 to 39 deg",
         "27 to 37 deg",
