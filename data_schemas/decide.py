@@ -72,7 +72,7 @@ class LightAngleDecision(Record):
     "tie". Records written before that rule carry no `discrepancy_rel` then, and claim what the simulation alone does.
     """
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray decide'"
 
     objective: str

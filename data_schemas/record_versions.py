@@ -37,6 +37,8 @@ def _as_it_is(body: Body) -> Body:
 MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     # provenance may name packages, processor, renderer and changed sources; the envelope carries a seal
     **dict.fromkeys(LAST_UNSEALED.items(), _as_it_is),
+    # the probability that the loss is within the tolerance
+    ("LightAngleDecision", 2): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

@@ -185,14 +185,15 @@ def _part(kernel: _Kernel, errors: CaptureErrors, noise: Floats, scales: Floats,
     precision = np.linalg.inv(whole)
     ln_weight = kernel.ln_weight - 0.5 * (np.log(_NODES_REL / PRIOR_ERROR_REL) / PRIOR_ERROR_LOG_SD) ** 2
     ln_weight -= 0.5 * np.linalg.slogdet(whole)[1]
-    scale_gain, scale_covariance = np.zeros((len(whole), len(scales))), np.zeros((len(whole), grid_deg.size))
+    scale_gain: Floats = np.zeros((len(whole), len(scales)))
+    scale_covariance: Floats = np.zeros((len(whole), grid_deg.size))
     ln_scale_variance: Floats = np.zeros(len(whole))
     if scales.shape[1]:
         information = scales.T @ precision @ scales
         spread = np.linalg.inv(information)
         estimators = spread @ scales.T @ precision
         ln_weight -= 0.5 * np.linalg.slogdet(information)[1]
-        scale_gain, ln_scale_variance = estimators[:, 0], spread[:, 0, 0]
+        scale_gain, ln_scale_variance = estimators[:, 0], np.asarray(spread[:, 0, 0])
         scale_covariance = -(cross @ estimators[:, 0, :, None])[..., 0]
         precision = precision - precision @ scales @ estimators
     ln_weight -= 0.5 * (precision @ errors.log_error) @ errors.log_error

@@ -44,9 +44,9 @@ def test_captures_are_shown_beside_what_the_simulation_alone_says():
     found = decision_sentence(decision(5.0, risk, "tie", False, alone, 9.0, True), np.array([70.0, 10, 40]), 0.025)
     assert found == (
         "5 deg: within 2.5 % of the best with probability 0.99, true optimum within 5 deg with 0.50; expected loss "
-        "0.037 %, at most 0.12 % with 95 % probability; 3-8 deg and 60-75 deg are equivalent within "
-        "2.5 %; a tie, any of these angles will do; 3 captures at 10, 40 and 70 deg included, with a sim-to-real error of 10 %; by simulation alone 9 deg, at "
-        "most 0.044 %."
+        "0.037 %, at most 0.12 % with 95 % probability; 3-8 deg and 60-75 deg are equivalent within 2.5 %; a tie, any "
+        "of these angles will do; 3 captures at 10, 40 and 70 deg included, with a sim-to-real error of 10 %; by "
+        "simulation alone 9 deg, at most 0.044 %."
     )
 
 
