@@ -2,7 +2,7 @@
 
 A stored record is one JSON file (an envelope with kind, schema version, the record and its seal); arrays of more than
 :data:`INLINE_VALUES` values stand in one ``.npz`` file beside it, whose name carries its SHA-256. The array
-file is written first and the JSON gets its name last, so a record is either whole or absent. The seal is the SHA-256
+file gets its name first and the JSON last, so a record is either whole or absent. The seal is the SHA-256
 of the rest of the envelope, checked when the record is read: it detects accidents and edits, not forgery, as whoever
 changes a record on purpose can compute it anew.
 """
@@ -22,34 +22,39 @@ from data_schemas.array_files import DeclaredArray, read_declared_arrays
 from data_schemas.errors import ChecksumError, RecordError
 from data_schemas.faults import explain
 from data_schemas.foreign_files import LARGEST_ARRAY_FILE_BYTES, digest_as_read, read_bytes, read_json, read_toml_tables
+from data_schemas.leftovers import refuse_unfinished
 from data_schemas.model import Record
+from data_schemas.product_set import ProductSet
 from data_schemas.provenance import Provenance
 from data_schemas.record_versions import is_sealed, migrate, refuse_newer
-from data_schemas.whole_files import refuse_taken, sha256_of, write_bytes
+from data_schemas.whole_files import refuse_taken
 
 INLINE_VALUES = 512
 A_RECORD = "a stored record (.json)"
 R = TypeVar("R", bound=Record)
 
 
-def _write_arrays(path: Path, content: bytes, sha256: str) -> None:
-    """Write an array file; one with the same content, left by an earlier or simultaneous writer, serves as well."""
-    try:
-        write_bytes(path, content)
-    except RecordError:
-        if not path.is_file() or sha256_of(path) != sha256:
-            raise
-
-
-def write_record(record: Record, path: Path, provenance: Provenance) -> Path:
+def write_record(record: Record, path: Path, provenance: Provenance, products: ProductSet | None = None) -> Path:
     """Store a record at `path` (a new ``.json`` file) and return the path.
+
+    Parameters
+    ----------
+    record, path
+        The record and its file.
+    provenance
+        Its origin.
+    products
+        The set that it is stored with; alone (with its array file) where left out.
 
     Raises
     ------
     RecordError
         The file exists already: a stored record is never overwritten.
     """
-    refuse_taken(path)
+    if products is None:
+        refuse_taken(path)
+        with ProductSet(path) as alone:
+            return write_record(record, path, provenance, alone)
     content = record.model_copy(update={"provenance": provenance}).model_dump(mode="python")
     arrays: dict[str, NDArray[Any]] = {}
     body = _to_json(content, "", arrays)
@@ -59,7 +64,8 @@ def write_record(record: Record, path: Path, provenance: Provenance) -> Path:
         np.savez(buffer, allow_pickle=False, **arrays)
         digest = hashlib.sha256(buffer.getvalue()).hexdigest()
         array_file = {"file": f"{path.stem}.{digest[:12]}.npz", "sha256": digest}
-        _write_arrays(path.with_name(array_file["file"]), buffer.getvalue(), digest)
+        # One with the same content, left where its record was moved away, serves as well.
+        products.add(path.with_name(array_file["file"]), buffer.getvalue(), same_serves=True)
     envelope = {
         "kind": type(record).__name__,
         "schema_version": record.schema_version,
@@ -67,8 +73,7 @@ def write_record(record: Record, path: Path, provenance: Provenance) -> Path:
         "record": body,
     }
     envelope["content_sha256"] = content_sha256(envelope)
-    write_bytes(path, (json.dumps(envelope, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode())
-    return path
+    return products.add(path, (json.dumps(envelope, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode())
 
 
 def content_sha256(envelope: Mapping[str, Any]) -> str:
@@ -116,6 +121,7 @@ def read_record(path: Path, record_type: type[R]) -> R:
     ChecksumError
         The record was changed after it was written, or its array file is missing or was changed.
     """
+    refuse_unfinished(path)
     envelope = _load_json(path)
     kind = envelope.get("kind")
     if kind != record_type.__name__:

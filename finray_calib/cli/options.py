@@ -121,7 +121,10 @@ def file_name(name: str) -> str:
 
 
 def require_new(path: Path) -> Path:
-    """Return `path` if nothing is there yet; found before any work is done."""
+    """Return `path` if nothing is there yet, found before any work is done; what dead writers left there is removed."""
+    from data_schemas.leftovers import clear_leftovers
+
+    clear_leftovers(path.parent)
     if path.exists():
         raise RecordError(f"{path}: exists already and is not overwritten; choose another --out or move it away")
     return require_place(path)

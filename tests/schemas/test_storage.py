@@ -84,28 +84,45 @@ def test_existing_record_is_not_overwritten(tmp_path):
     assert path.read_bytes() == before
 
 
-def test_of_two_writers_at_the_same_moment_one_wins_whole(tmp_path, monkeypatch):
+def test_of_two_writers_of_a_file_at_the_same_moment_one_wins_whole(tmp_path, monkeypatch):
     both_ready, link = threading.Barrier(2, timeout=20), os.link
 
-    def link_together(source: str, target: Path) -> None:
+    def link_together(source: Path, target: Path) -> None:
         both_ready.wait()
         link(source, target)
 
     monkeypatch.setattr("os.link", link_together)
-    images = [np.full((30, 30, 1), value, np.uint16) for value in (1, 2)]
 
-    def write(image: np.ndarray) -> str:
+    def write(content: bytes) -> str:
         try:
-            write_record(capture(image), tmp_path / "press.json", ORIGIN)
+            write_bytes(tmp_path / "page.html", content)
         except RecordError as error:
             return str(error)
         return "won"
 
     with ThreadPoolExecutor(2) as pool:
-        outcomes = list(pool.map(write, images))
+        outcomes = list(pool.map(write, (b"one", b"two")))
     winner = outcomes.index("won")
     assert "exists already and is not overwritten" in outcomes[1 - winner]
-    np.testing.assert_array_equal(read_record(tmp_path / "press.json", TactileCapture).contact, images[winner])
+    assert (tmp_path / "page.html").read_bytes() == (b"one", b"two")[winner]
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_second_writer_of_a_record_is_told_that_one_is_at_work(tmp_path, monkeypatch):
+    outcomes, link = [], os.link
+
+    def link_while_another_tries(source: Path, target: Path) -> None:
+        if not outcomes:
+            try:
+                write_record(capture(np.full((30, 30, 1), 2, np.uint16)), tmp_path / "press.json", ORIGIN)
+            except RecordError as error:
+                outcomes.append(str(error))
+        link(source, target)
+
+    monkeypatch.setattr("os.link", link_while_another_tries)
+    write_record(capture(np.ones((30, 30, 1), np.uint16)), tmp_path / "press.json", ORIGIN)
+    assert "another process is writing it now" in outcomes[0]
+    np.testing.assert_array_equal(read_record(tmp_path / "press.json", TactileCapture).contact, 1)
     assert not list(tmp_path.glob(".*"))
 
 

@@ -1,0 +1,297 @@
+"""Products of several files with one commit point: all of them are stored or none, whatever ends the writer.
+
+::
+
+    with ProductSet(record) as products:            # nothing has a name yet
+        products.add(page, html)
+        write_record(decision, record, origin, products)
+    # here all of them have their names
+
+What is added is written under hidden names (``.NAME.TOKEN.finray.part``; a new folder as a hidden folder). When the
+block ends, the names are given in the order of :meth:`ProductSet.add`, the commit last: until it has its name, the set
+does not count. A hidden set file (``.NAME.finray.set``) in each folder says what is being named; it is locked as long
+as the writer lives. What a dead writer left, :mod:`data_schemas.leftovers` removes.
+"""
+
+import contextlib
+import errno
+import hashlib
+import json
+import os
+import shutil
+from pathlib import Path
+from types import TracebackType
+from typing import Final, NamedTuple
+
+from data_schemas.errors import RecordError
+from data_schemas.leftovers import SET_ENDING, clear_leftovers
+from data_schemas.whole_files import (
+    give_name,
+    is_ours,
+    new_token,
+    part_name,
+    sha256_of,
+    short_name,
+    sync_folder,
+    taken,
+    write_all,
+)
+
+# What os.rename says of a folder where the file system cannot rename folders.
+NO_FOLDER_RENAME: Final = frozenset(
+    {errno.EXDEV, errno.EPERM, errno.EACCES, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS}
+)
+_TAKEN_FOLDER: Final = frozenset({errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR, errno.EISDIR})
+
+
+class _Added(NamedTuple):
+    """A file of a set: its hidden name, the name that it gets, and its SHA-256."""
+
+    part: Path
+    path: Path
+    sha256: str
+
+
+class ProductSet:
+    """Several new files that are stored together; a ``with`` block at whose end they get their names.
+
+    Where the block fails, or giving the names, nothing of the set is left.
+
+    Parameters
+    ----------
+    commit
+        What makes the set whole: the file that gets its name last (a record), or a new folder that holds all of it.
+
+    Raises
+    ------
+    RecordError
+        At the beginning: another process writes the same product now. Later: a name is taken; nothing stored is
+        overwritten.
+    """
+
+    def __init__(self, commit: Path):
+        self._commit, self._home, self._token = commit, commit.parent, new_token()
+        self._added: list[_Added] = []
+        self._set_files: dict[Path, tuple[Path, int]] = {}  # by folder
+        self._staged: dict[Path, Path] = {}  # new folder -> its hidden name
+        self._given: list[tuple[Path, Path]] = []  # names, and the hidden names before, as they were begun
+        self._last: Path | None = None
+        self._made: list[Path] = []
+
+    def __enter__(self) -> "ProductSet":
+        self._home.mkdir(parents=True, exist_ok=True)
+        try:
+            self._open_set_file(self._commit)
+        except BaseException:
+            self._sweep(True)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        is_settled = True
+        try:
+            if error is None:
+                try:
+                    self._store()
+                except BaseException:
+                    is_settled = self._take_back()
+                    raise
+        finally:
+            self._sweep(is_settled)
+
+    def add(self, path: Path, content: bytes, *, same_serves: bool = False) -> Path:
+        """Write a file of the set under a hidden name and return the name that it will get.
+
+        Parameters
+        ----------
+        path
+            Its name. A file below the folder that is the commit, or below a folder beside the commit that does not
+            exist yet, gets its name together with that folder.
+        content
+            Its bytes.
+        same_serves
+            Whether a file of this name that holds the same bytes serves as well (names that carry a checksum).
+
+        Raises
+        ------
+        RecordError
+            The name is taken.
+        """
+        sha256 = hashlib.sha256(content).hexdigest()
+        if path.exists() or path.is_symlink():
+            if same_serves and path.is_file() and sha256_of(path) == sha256:
+                return path
+            raise taken(path)
+        part = self._part_of(path)
+        handle = os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+        self._added.append(_Added(part, path, sha256))
+        try:
+            write_all(handle, content)
+        finally:
+            os.close(handle)
+        return path
+
+    def _part_of(self, path: Path) -> Path:
+        """Return the hidden name of a file; the folders that it needs are made."""
+        top = self._new_folder_of(path)
+        if top is not None:
+            if top not in self._staged:
+                staged = top.with_name(part_name(top.name, self._token))
+                staged.mkdir()
+                self._staged[top] = staged
+            part = self._staged[top] / path.relative_to(top)
+            part.parent.mkdir(parents=True, exist_ok=True)
+            return part
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.parent not in self._set_files:
+            self._open_set_file(path)
+        return path.with_name(part_name(path.name, self._token))
+
+    def _new_folder_of(self, path: Path) -> Path | None:
+        """Return the folder beside the commit, or the commit itself, that gets its name with `path` in it."""
+        below = path.relative_to(self._home).parts if path.is_relative_to(self._home) else ()
+        if len(below) < 2 or ".." in below:
+            return None
+        top = self._home / below[0]
+        if top.exists():
+            if top == self._commit:
+                raise taken(top)
+            return None
+        return top
+
+    def _open_set_file(self, path: Path) -> None:
+        """Create and lock the set file of a folder."""
+        set_file = path.with_name(f".{short_name(path.name)}{SET_ENDING}")
+        while True:
+            clear_leftovers(path.parent)
+            try:
+                handle = os.open(set_file, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666)
+            except FileExistsError:
+                raise RecordError(
+                    f"{path}: another process is writing it now; wait until it ends. If there is none, delete "
+                    f"{set_file}, which was left where leftovers cannot be told from work (no file locks)"
+                ) from None
+            if is_ours(handle):
+                break
+            os.close(handle)
+        self._set_files[path.parent] = set_file, handle
+        os.write(handle, json.dumps({"token": self._token}).encode() + b"\n")
+
+    def _store(self) -> None:
+        """Give the names, the commit last; what comes before is on the disk by then."""
+        commits = [a for a in self._added if a.path.is_relative_to(self._commit)]
+        if not commits:
+            raise ValueError(f"{self._commit}: is the commit of a set and was not added")
+        commit = commits[-1]
+        self._last = commit.path
+        self._declare(commit)
+        for added in self._added:
+            if added not in commits:
+                self._name(added)
+        for folder in self._set_files:
+            sync_folder(folder)
+        self._name(commit)
+        sync_folder(self._home)
+
+    def _declare(self, commit: _Added) -> None:
+        """Say in the set files what is going to be named, and have all that was written on the disk."""
+        for staged in self._staged.values():
+            for folder in sorted((staged, *_folders_in(staged)), reverse=True):
+                sync_folder(folder)
+        for folder, (_, handle) in self._set_files.items():
+            files = [a for a in self._added if self._folder_of(a) == folder]
+            told = {
+                "commit": _path_from(folder, commit.path),
+                "commit_part": _path_from(folder, commit.part),
+                "commit_sha256": commit.sha256,
+                "files": [{"file": a.path.relative_to(folder).as_posix(), "sha256": a.sha256} for a in files],
+                "others": [_path_from(folder, other) for at, (other, _) in self._set_files.items() if at != folder],
+            }
+            write_all(handle, json.dumps(told).encode() + b"\n")
+            sync_folder(folder)
+
+    def _folder_of(self, added: _Added) -> Path:
+        """Return the folder whose set file tells of a file."""
+        return self._home if self._top_of(added) is not None else added.path.parent
+
+    def _top_of(self, added: _Added) -> Path | None:
+        """Return the new folder that a file gets its name with."""
+        return next((top for top in self._staged if added.path.is_relative_to(top)), None)
+
+    def _name(self, added: _Added) -> None:
+        """Give a file its name, or the new folder that holds it."""
+        top = self._top_of(added)
+        if top is None:
+            self._name_file(added)
+        elif not any(path.is_relative_to(top) for path, _ in self._given):
+            self._name_folder(top, [a for a in self._added if a.path.is_relative_to(top)])
+
+    def _name_file(self, added: _Added) -> None:
+        """Give a file its name."""
+        self._given.append((added.path, added.part))
+        give_name(added.part, added.path)
+
+    def _name_folder(self, top: Path, inside: list[_Added]) -> None:
+        """Give a new folder its name with all that is in it; file by file where folders cannot be renamed."""
+        self._given.append((top, self._staged[top]))
+        try:
+            os.rename(self._staged[top], top)
+            return
+        except OSError as error:
+            if error.errno in _TAKEN_FOLDER or top.exists():
+                raise taken(top) from None
+            if error.errno not in NO_FOLDER_RENAME:
+                raise
+        for folder in (top, *(top / f.relative_to(self._staged[top]) for f in sorted(_folders_in(self._staged[top])))):
+            folder.mkdir()
+            self._made.append(folder)
+        for added in inside:
+            if added is inside[-1]:
+                for folder in reversed(self._made):
+                    sync_folder(folder)
+                sync_folder(self._home)
+            self._name_file(added)
+        sync_folder(inside[-1].path.parent)
+
+    def _take_back(self) -> bool:
+        """Take back the names that were given, the commit's first; return whether no half set is left."""
+        for path, part in reversed(self._given):
+            try:
+                if not part.exists():
+                    path.rename(part)
+                elif path.exists() and path.samefile(part):  # it was linked
+                    path.unlink()
+            except OSError:
+                return path in (self._commit, self._last)
+        for folder in sorted(self._made, reverse=True):
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        return True
+
+    def _sweep(self, is_settled: bool) -> None:
+        """Remove parts, then set files; where something stays, so does what tells the next run of it."""
+        if is_settled:
+            with contextlib.suppress(OSError):
+                # The commit's part first: without it the set counts as committed, whatever becomes of the rest.
+                for added in sorted(self._added, key=lambda a: a.path != self._last):
+                    added.part.unlink(missing_ok=True)
+                for staged in self._staged.values():
+                    if staged.exists():
+                        shutil.rmtree(staged)
+                # The first one, which knows the others, last.
+                for set_file, _ in reversed(self._set_files.values()):
+                    set_file.unlink(missing_ok=True)
+        for _, handle in self._set_files.values():
+            os.close(handle)
+
+
+def _folders_in(folder: Path) -> list[Path]:
+    """Return the folders below a folder."""
+    return [path for path in folder.rglob("*") if path.is_dir()]
+
+
+def _path_from(folder: Path, path: Path) -> str:
+    """Return a path as seen from a folder, with both at their real places."""
+    return os.path.relpath(path.parent.resolve() / path.name, folder.resolve())
