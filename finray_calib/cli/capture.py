@@ -56,13 +56,12 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _plan_kind(path: Path, known: tuple[str, ...]) -> str:
     """Return the kind of a plan; what is no TOML at all is left to the reader of plans, which says why."""
-    import tomllib
-
     from data_schemas.errors import RecordError
+    from data_schemas.foreign_files import read_toml_tables
 
     try:
-        kind = tomllib.loads(path.read_text(encoding="utf-8")).get("kind", "paint")
-    except (OSError, ValueError):
+        kind = read_toml_tables(path).get("kind", "paint")
+    except RecordError:
         return "paint"
     if kind not in known:
         raise RecordError(f"{path}: 'kind' is {kind!r}; it must be one of {', '.join(map(repr, known))}")

@@ -2,6 +2,7 @@
 
 import argparse
 import csv
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -81,11 +82,10 @@ def _pairs(arguments: argparse.Namespace) -> tuple[dict[str, tuple[Path, Path]],
 
 def _rows(path: Path) -> list[dict[str, str | None]]:
     """Return the rows of a CSV file with header."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            return list(csv.DictReader(file))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise CompareError(f"{path}: not a CSV file in UTF-8 ({error}); save it as CSV with a header row") from None
+    from data_schemas.foreign_files import read_csv
+
+    header, rows = read_csv(path, "a CSV file in UTF-8 with a header row", CompareError)
+    return [dict(zip_longest(header, cells[: len(header)])) for _, cells in rows]
 
 
 def _compare_pair(name: str, files: tuple[Path, Path], out: Path, seed: int, options: "CheckOptions") -> "ComparedPair":

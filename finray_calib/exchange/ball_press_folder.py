@@ -4,16 +4,14 @@ Two layouts: that of gs_sdk (``catalog.csv`` names a folder per press, with ``ge
 and radius), and plain images with ``circles.csv`` (image, column_px, row_px, radius_px).
 """
 
-import csv
-import io
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path, PurePosixPath
 from typing import Final
 
-import numpy as np
-
 from data_schemas.capture import ContactCircle, TactileCapture
 from data_schemas.errors import ImportFormatError
+from data_schemas.foreign_files import finite_number, read_csv
 from finray_calib.exchange.ball_press_records import BallPress, press_captures, read_rgb, require_length
 from finray_calib.exchange.plain_arrays import read_npz, require_array
 
@@ -127,17 +125,8 @@ def _circled(folder: Path, ball_diameter_mm: float | None) -> list[BallPress]:
 
 def _rows(path: Path, needed: tuple[str, ...]) -> list[tuple[int, dict[str, str]]]:
     """Return (line, values by column) of a CSV file."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ImportFormatError(f"{path}: cannot be read as text ({error})") from None
-    reader = csv.DictReader(io.StringIO(text), skipinitialspace=True, restval="", strict=True)
-    try:
-        columns, rows = reader.fieldnames or (), [(reader.line_num, row) for row in reader if any(row.values())]
-    except csv.Error as error:
-        raise ImportFormatError(
-            f"{path}, line {reader.line_num + 1}: cannot be read as CSV ({error}); close or remove its quotes"
-        ) from None
+    columns, cells = read_csv(path, "a CSV file", ImportFormatError, skip_space=True)
+    rows = [(line, dict(zip_longest(columns, row[: len(columns)], fillvalue=""))) for line, row in cells]
     missing = [name for name in needed if name not in columns]
     if missing:
         raise ImportFormatError(
@@ -159,7 +148,7 @@ def _diameter(stated: str | None, given_mm: float | None, where: str) -> float:
     if not stated:
         return require_length(given_mm, "the ball's diameter", "--ball-diameter-mm")
     try:
-        diameter = float(stated)
+        diameter = finite_number(stated)
     except ValueError:
         raise ImportFormatError(f"{where}: {_DIAMETER} must be a number of mm, got {stated!r}") from None
     require_length(diameter, f"{where}: {_DIAMETER}", "--ball-diameter-mm")
@@ -174,9 +163,6 @@ def _diameter(stated: str | None, given_mm: float | None, where: str) -> float:
 def _number(text: str, name: str, path: Path, line: int) -> float:
     """Return a finite number of a CSV file."""
     try:
-        value = float(text)
+        return finite_number(text)
     except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise ImportFormatError(f"{path}, line {line}: {name} must be a number, got {text!r}")
-    return value
+        raise ImportFormatError(f"{path}, line {line}: {name} must be a number, got {text!r}") from None

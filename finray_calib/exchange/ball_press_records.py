@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from data_schemas.capture import ContactCircle, IndenterPose, TactileCapture
 from data_schemas.errors import ImportFormatError
+from rigs.cameras.picture_files import read_picture
 
 Bytes = NDArray[np.uint8]
 LARGEST_BALL_MM = 100.0
@@ -122,12 +123,11 @@ def read_rgb(path: Path) -> Bytes:
     ImportFormatError
         When the file is missing or holds something else.
     """
-    import cv2
-
     if not path.is_file():
         raise ImportFormatError(f"{path}: no such file; the folder must hold it")
-    bgr = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if bgr is None or bgr.ndim != 3 or bgr.shape[2] != 3 or bgr.dtype != np.uint8:
-        found = "an unreadable file" if bgr is None else f"{bgr.dtype} of shape {bgr.shape}"
-        raise ImportFormatError(f"{path}: expected an 8-bit colour image (PNG, JPEG), got {found}; convert it")
+    bgr = read_picture(path, "an 8-bit colour image (PNG, JPEG)", ImportFormatError)
+    if bgr.ndim != 3 or bgr.shape[2] != 3 or bgr.dtype != np.uint8:
+        raise ImportFormatError(
+            f"{path}: expected an 8-bit colour image (PNG, JPEG), got {bgr.dtype} of shape {bgr.shape}; convert it"
+        )
     return np.asarray(bgr[..., ::-1], dtype=np.uint8)

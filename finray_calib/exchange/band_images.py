@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-import tifffile
 from numpy.typing import NDArray
 
 from data_schemas.capture import FrameType
 from data_schemas.errors import ImportFormatError
+from data_schemas.foreign_files import read_bytes
+from data_schemas.frame_files import tiff_image
 from finray_calib.exchange.band_folder_file import BandFolder, ImportedCamera, Layout
 
 Counts = NDArray[np.uint16]
@@ -76,17 +77,14 @@ def read_image(path: Path, camera: ImportedCamera) -> Counts:
     ImportFormatError
         The file is no single image of the declared layout, not 8 or 16 bits deep, or brighter than its bit depth.
     """
-    try:
-        stored = tifffile.imread(path)
-    except Exception as error:  # of a broken file the TIFF reader raises nearly anything
-        raise ImportFormatError(f"{path}: cannot be read as TIFF ({error})") from None
+    stored = tiff_image(read_bytes(path, "a band image (TIFF)", ImportFormatError), path, ImportFormatError)
     wanted = 3 if camera.layout == "RGB" else 2
     if stored.ndim != wanted or (wanted == 3 and stored.shape[2] != 3) or stored.dtype not in (np.uint8, np.uint16):
         raise ImportFormatError(
             f"{path}: holds {stored.dtype} of shape {stored.shape}; camera.layout = '{camera.layout}' needs one 8- or "
             f"16-bit image of {'rows x columns x 3' if wanted == 3 else 'rows x columns'} per file"
         )
-    counts = stored.astype(np.uint16) >> camera.left_aligned_bits
+    counts: Counts = stored.astype(np.uint16) >> camera.left_aligned_bits
     full_scale_dn = 2**camera.bit_depth - 1
     if counts.max() > full_scale_dn:
         raise ImportFormatError(

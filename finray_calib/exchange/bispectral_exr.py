@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import ImportFormatError, MissingExtraError
+from data_schemas.foreign_files import read_bytes
+from data_schemas.limited_parsing import parse_in_child
 from data_schemas.provenance import Provenance
 from finray_calib.exchange.paint_spectra import PaintSpectra
 
@@ -166,14 +168,21 @@ def _channel_name(wavelength_nm: Floats, row: int, column: int) -> str:
 
 def _channels(path: Path) -> dict[str, NDArray[Any]]:
     """Return the channels of an image, or say why it cannot be read."""
-    open_exr = _open_exr()
-    if not path.is_file():
-        raise ImportFormatError(f"{path}: no such file; give the path of an OpenEXR image")
-    try:
-        with open_exr.File(str(path), separate_channels=True) as file:
-            return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-    except (RuntimeError, ValueError, TypeError) as error:
-        raise ImportFormatError(f"{path}: cannot be read as OpenEXR ({error})") from None
+    _open_exr()
+    content = read_bytes(path, "an OpenEXR image", ImportFormatError)
+    return parse_in_child(f"{__name__}:exr_channels", content, path, "OpenEXR", ImportFormatError)[1]
+
+
+def exr_channels(content: bytes, where: str) -> tuple[None, dict[str, NDArray[Any]]]:
+    """Return the channels of an OpenEXR image; it runs in a child process, for the reader is C++ and files lie."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "image.exr"
+        file.write_bytes(content)
+        try:
+            with _open_exr().File(str(file), separate_channels=True) as image:
+                return None, {name: np.array(channel.pixels) for name, channel in image.channels().items()}
+        except (RuntimeError, ValueError, TypeError) as error:
+            raise ImportFormatError(f"{where}: cannot be read as OpenEXR ({error})") from None
 
 
 def _open_exr() -> ModuleType:

@@ -1,7 +1,6 @@
 """Pictures of a calibration board as grey levels, and the calibration that OpenCV's programs read."""
 
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -9,9 +8,12 @@ from numpy.typing import NDArray
 
 from data_schemas.camera_calibration import CameraCalibration
 from data_schemas.errors import BadFrameError, ImportFormatError
+from data_schemas.frame_files import tiff_image
+from rigs.cameras.picture_files import decoded_picture
 from rigs.cameras.raw_files import read_content, read_raw
 
 RAW_SUFFIXES = (".dng",)
+TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
 def read_board_picture(path: Path, monochrome: bool = False) -> NDArray[np.uint8]:
@@ -58,8 +60,9 @@ def calibration_yaml(calibration: CameraCalibration) -> bytes:
 
 def _decoded(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
     """Return the numbers of a TIFF, PNG or JPEG."""
-    content = np.frombuffer(read_content(path), dtype=np.uint8)
-    image: Any = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
-    if image is None or image.dtype not in (np.uint8, np.uint16):
+    content = read_content(path)
+    tiff = content[:4] in TIFF_STARTS
+    image = tiff_image(content, path, ImportFormatError) if tiff else decoded_picture(content, path, ImportFormatError)
+    if image.dtype not in (np.uint8, np.uint16):
         raise ImportFormatError(f"{path}: is no picture of 8 or 16 bits; give DNG, TIFF, PNG or JPEG")
     return np.asarray(image)

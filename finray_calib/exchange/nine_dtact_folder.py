@@ -4,12 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.array_files import read_npy
 from data_schemas.errors import ImportFormatError
 from finray_calib.exchange.nine_dtact_table import ContactCircle, contact_circle
+from rigs.cameras.picture_files import read_picture
 
 BALL_RADIUS_MM = 4.0
 _RAW_SHAPE = (480, 640, 3)
@@ -165,14 +166,7 @@ def _load_array(path: Path) -> NDArray[Any]:
     """Load a plain numeric .npy file; a pickled one could run a stranger's code."""
     if not path.is_file():
         raise ImportFormatError(f"{path}: no such file. Give the folder of one sensor as the maker's code wrote it.")
-    try:
-        with path.open("rb") as file:
-            array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
-    except ValueError as error:
-        raise ImportFormatError(
-            f"{path}: not a plain numeric .npy file ({error}). Pickled files are refused, since loading one can run "
-            "code; save it again with numpy.save from a numeric array."
-        ) from error
+    array = read_npy(path, "an array of numbers (.npy)", ImportFormatError)
     if array.dtype.kind not in "iuf":
         raise ImportFormatError(f"{path}: expected real numbers, got {array.dtype}. Save it again from numbers.")
     return array
@@ -182,8 +176,9 @@ def _load_rgb(path: Path, shape: tuple[int, int, int]) -> NDArray[np.uint8]:
     """Load an 8-bit colour image in RGB order."""
     if not path.is_file():
         raise ImportFormatError(f"{path}: no such file. Give the folder of one sensor as the maker's code wrote it.")
-    bgr = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if bgr is None or bgr.shape != shape or bgr.dtype != np.uint8:
-        found = "an unreadable file" if bgr is None else f"{bgr.dtype} of shape {bgr.shape}"
-        raise ImportFormatError(f"{path}: expected an 8-bit colour image of {shape[0]} x {shape[1]} px, got {found}.")
+    bgr = read_picture(path, "an 8-bit colour image", ImportFormatError)
+    if bgr.shape != shape or bgr.dtype != np.uint8:
+        raise ImportFormatError(
+            f"{path}: expected an 8-bit colour image of {shape[0]} x {shape[1]} px, got {bgr.dtype} of {bgr.shape}."
+        )
     return np.asarray(bgr[..., ::-1], dtype=np.uint8)

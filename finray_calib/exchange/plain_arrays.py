@@ -7,12 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas import array_files
 from data_schemas.errors import ImportFormatError
 
 Arrays = dict[str, NDArray[Any]]
-
-# numpy tells a pickled array from a damaged one by words alone
-_PICKLED = "allow_pickle=False"
 
 
 def read_npz(path: Path) -> tuple[Arrays, tuple[str, ...]]:
@@ -25,28 +23,9 @@ def read_npz(path: Path) -> tuple[Arrays, tuple[str, ...]]:
     ImportFormatError
         When the file is missing, damaged or no npz file.
     """
-    if not path.is_file():
+    if not path.exists():
         raise ImportFormatError(f"{path}: no such file; the folder must hold it")
-    arrays: Arrays = {}
-    pickled = []
-    try:
-        # numpy leaves a file that it opened and cannot read open
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            for name in file.files:
-                try:
-                    array = file[name]
-                except ValueError as error:
-                    if _PICKLED not in str(error):
-                        raise
-                    pickled.append(name)
-                    continue
-                if isinstance(array, np.ndarray):
-                    arrays[name] = array
-    except Exception as error:  # of a damaged file numpy and zipfile raise nearly anything
-        raise ImportFormatError(
-            f"{path}: cannot be read as npz ({error}); copy it again, or have its owner save it again (numpy.savez)"
-        ) from None
-    return arrays, tuple(pickled)
+    return array_files.read_npz(path, "an npz file", ImportFormatError)
 
 
 def require_array(

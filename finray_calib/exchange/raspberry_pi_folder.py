@@ -5,8 +5,6 @@ The folder holds ``contact``, ``no_contact`` and, if there is one, ``repeat_no_c
 metadata under the same name (``contact.json``), and ``press.toml`` says what was pressed.
 """
 
-import json
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ from data_schemas.bayer import FIRST_RED, BayerOrder, rggb_frame
 from data_schemas.capture import ContactCircle, IndenterPose, PixelLayout, TactileCapture
 from data_schemas.errors import ImportFormatError
 from data_schemas.faults import explain
+from data_schemas.foreign_files import read_json, read_toml_tables
 from data_schemas.model import Model
 from data_schemas.units import AngleDeg, LengthMm
 from finray_calib.exchange.raspberry_pi_images import (
@@ -222,15 +221,12 @@ def _image_path(folder: Path, name: str) -> Path | None:
 def _metadata(image: Path) -> dict[str, Any]:
     """Read the metadata beside an image."""
     path = image.with_suffix(".json")
-    try:
-        metadata = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if not path.exists():
         raise ImportFormatError(
             f"{image}: has no metadata beside it ({path.name}), so nothing says whether exposure and white balance "
             "were locked; write it with rpicam-still --metadata"
-        ) from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise ImportFormatError(f"{path}: is not a JSON file ({error})") from None
+        )
+    metadata = read_json(path, "what rpicam-still --metadata wrote", ImportFormatError)
     if not isinstance(metadata, dict):
         raise ImportFormatError(f"{path}: is a {type(metadata).__name__}; metadata is one JSON object per image")
     return metadata
@@ -239,14 +235,11 @@ def _metadata(image: Path) -> dict[str, Any]:
 def _press(folder: Path) -> PressDescription:
     """Read what was pressed."""
     path = folder / PRESS_NAME
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if not path.exists():
         raise ImportFormatError(
             f"{path}: no such file; write it with a name and an [indenter] table (shape, radius_mm, depth_mm)"
-        ) from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise ImportFormatError(f"{path}: is not a TOML file ({error})") from None
+        )
+    table = read_toml_tables(path, "a TOML file with a name and an [indenter] table", ImportFormatError)
     if isinstance(table.get("indenter"), dict):
         table["indenter"] = {"depth_mm": None, "position_mm": None, **table["indenter"]}  # TOML has no null
     try:

@@ -1,19 +1,19 @@
 """Raspberry Pi files: raw Bayer counts (DNG, 16-bit TIFF), processed 8-bit images (PNG, JPEG), libcamera tunings."""
 
-import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.bayer import BayerOrder
 from data_schemas.errors import BadFrameError, ImportFormatError
+from data_schemas.foreign_files import LARGEST_TOML_BYTES, parse_json, read_bytes
 from finray_calib.radiometry.libcamera_tuning import LibcameraTuning, parse_tuning
 from rigs.cameras.dng_file import read_dng
+from rigs.cameras.picture_files import read_picture
 from rigs.cameras.raw_files import read_content, read_plain_counts
 
 BitDepth = Literal[8, 10, 12, 14, 16]
@@ -60,10 +60,11 @@ def read_image(path: Path, order: BayerOrder | None, bit_depth: BitDepth | None)
         return _read_dng(path)
     if path.suffix.lower() in RAW_SUFFIXES:
         return _read_bayer_tiff(path, order, bit_depth)
-    bgr = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if bgr is None or bgr.dtype != np.uint8 or bgr.ndim != 3 or bgr.shape[2] != 3:
-        found = "an unreadable file" if bgr is None else f"{bgr.dtype} of shape {bgr.shape}"
-        raise ImportFormatError(f"{path}: is {found}; a processed image is an 8-bit colour PNG or JPEG")
+    bgr = read_picture(path, "a processed image (PNG, JPEG)", ImportFormatError)
+    if bgr.dtype != np.uint8 or bgr.ndim != 3 or bgr.shape[2] != 3:
+        raise ImportFormatError(
+            f"{path}: is {bgr.dtype} of shape {bgr.shape}; a processed image is an 8-bit colour PNG or JPEG"
+        )
     return ProcessedImage(np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8), path.suffix.lower() != ".png")
 
 
@@ -75,15 +76,11 @@ def read_tuning(path: Path) -> LibcameraTuning:
     ImportFormatError
         The file is missing, is not JSON, or is no Raspberry Pi tuning.
     """
-    try:
-        # libcamera's own parser allows a comma after the last entry, and shipped files have some.
-        document = json.loads(re.sub(r",(\s*[}\]])", r"\1", path.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        raise ImportFormatError(
-            f"{path}: no such file; give the tuning file of the camera (libcamera's .json)"
-        ) from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise ImportFormatError(f"{path}: is not a JSON file ({error})") from None
+    content = read_bytes(
+        path, "the tuning file of the camera (libcamera's .json)", ImportFormatError, LARGEST_TOML_BYTES
+    )
+    # libcamera's own parser allows a comma after the last entry, and shipped files have some.
+    document = parse_json(re.sub(rb",(\s*+[}\]])", rb"\1", content), path, ImportFormatError)
     try:
         return parse_tuning(document)
     except ImportFormatError as error:

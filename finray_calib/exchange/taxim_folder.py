@@ -3,7 +3,6 @@
 Nothing pickled is loaded: shadowTable.npz is left out as a whole, of dataPack.npz whatever is pickled.
 """
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from data_schemas.capture import TactileCapture
 from data_schemas.errors import ImportFormatError
+from data_schemas.foreign_files import read_json
 from finray_calib.exchange.ball_press_records import BallPress, press_captures, require_length
 from finray_calib.exchange.plain_arrays import Arrays, read_npz, require_array
 
@@ -113,9 +113,11 @@ def _pixel_mm(folder: Path) -> float | None:
     if not path.is_file():
         return None
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))["sensor"]["pixmm"]
+        found = read_json(path, "Taxim's parameters", ImportFormatError)["sensor"]["pixmm"]
+        if isinstance(found, bool) or not isinstance(found, int | float):
+            raise TypeError(f"is {found!r}, no number")
         return float(found)
-    except (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError) as error:
+    except (KeyError, TypeError) as error:
         raise ImportFormatError(
             f"{path}: 'sensor' 'pixmm' (mm per px) cannot be read ({type(error).__name__}: {error}); correct it, or "
             "give --mm-per-px"

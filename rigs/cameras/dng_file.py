@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from data_schemas.bayer import FIRST_RED, BayerOrder
 from data_schemas.errors import BadFrameError, MissingExtraError
+from data_schemas.frame_files import require_decoded_size
+from data_schemas.limited_parsing import parse_in_child
 
 COLOUR_FILTER_ARRAY: Final = 32803
 ORDER_OF_PATTERN: Final[dict[str, BayerOrder]] = {
@@ -70,6 +72,7 @@ def read_dng(content: bytes, path: Path) -> DngImage:
 
 def _plain_counts(page: Any) -> NDArray[np.uint16] | None:
     """Return the active area of an uncompressed page of one or two whole bytes a count; None of another."""
+    require_decoded_size(page)
     if page.compression != 1 or page.bitspersample not in (8, 16) or np.dtype(page.dtype).kind != "u":
         return None
     counts = np.asarray(page.asarray(), dtype=np.uint16)
@@ -80,17 +83,26 @@ def _plain_counts(page: Any) -> NDArray[np.uint16] | None:
 def _by_libraw(content: bytes, path: Path) -> tuple[NDArray[np.uint16], list[int]]:
     """Return counts and the colours of the first 2 x 2 pixels (red 0, green 1, blue 2)."""
     try:
-        import rawpy
+        import rawpy  # the child needs it; without it there is no need for one
     except ImportError as error:
         raise MissingExtraError(
             f"{path}: reading a packed or compressed DNG needs rawpy ({error}); install it with pip install "
             "'finray-calib[dng]'"
         ) from None
+    del rawpy
+    value, arrays = parse_in_child(f"{__name__}:unpacked_dng", content, path, "DNG", BadFrameError)
+    return arrays["counts"], list(value)
+
+
+def unpacked_dng(content: bytes, where: str) -> tuple[list[int], dict[str, NDArray[np.uint16]]]:
+    """Decode a packed or compressed DNG by LibRaw; it runs in a child process, for LibRaw is C++ and files lie."""
+    import rawpy
+
     try:
         with rawpy.imread(io.BytesIO(content)) as raw:
             counts = np.array(raw.raw_image_visible, dtype=np.uint16)
             colours = raw.color_desc.decode()  # "RGBG": LibRaw tells the two greens apart
             sites = ["RGB".find(colours[site]) for site in np.ravel(raw.raw_colors_visible[:2, :2])]
-    except (rawpy.LibRawError, ValueError) as error:
-        raise BadFrameError(f"{path}: cannot be read as DNG ({error}); is the file whole?") from error
-    return counts, sites
+    except (rawpy.LibRawError, ValueError, TypeError) as error:
+        raise BadFrameError(f"{where}: cannot be read as DNG ({error}); is the file whole?") from error
+    return sites, {"counts": counts}

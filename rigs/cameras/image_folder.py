@@ -1,6 +1,5 @@
 """A folder of images in place of a camera: a stored session again, or raw images that something else took."""
 
-import csv
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from data_schemas.devices import CameraSettings, DeviceIdentity
 from data_schemas.errors import BadFrameError, RecordError, RefusedError
+from data_schemas.foreign_files import finite_number, read_csv
 from rigs.cameras.genicam_device import name_of
 from rigs.cameras.raw_files import SUFFIXES, read_exposure_s, read_raw
 from rigs.capture.read_session import read_camera_session, read_frame_of, read_session, session_kind
@@ -159,14 +159,15 @@ def _listed_exposures(path: Path, where: str) -> dict[str, float]:
     """Read the exposures (s) of images by name; nothing where there is no list."""
     if not path.is_file():
         return {}
+    header, rows = read_csv(path, f"{EXPOSURES_NAME} (columns file,exposure_s)", RefusedError)
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            listed = {row["file"]: float(row["exposure_s"]) for row in csv.DictReader(file)}
-    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
+        at_file, at_time = header.index("file"), header.index("exposure_s")
+        listed = {cells[at_file]: finite_number(cells[at_time]) for _, cells in rows}
+    except (ValueError, IndexError) as error:
         raise RefusedError(
-            f"{where}: {path} cannot be read ({error!r}); it needs the header file,exposure_s and seconds as numbers"
+            f"{where}: {path} cannot be read ({error}); it needs the header file,exposure_s and seconds as numbers"
         ) from None
-    wrong = [name for name, exposure_s in listed.items() if not (math.isfinite(exposure_s) and exposure_s > 0.0)]
+    wrong = [name for name, exposure_s in listed.items() if not exposure_s > 0.0]
     if wrong:
         raise RefusedError(
             f"{where}: {path} gives {wrong[0]} an exposure of {listed[wrong[0]]:g} s; it must be above 0"

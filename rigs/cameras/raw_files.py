@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 
 from data_schemas.bayer import BayerOrder, rggb_frame
 from data_schemas.errors import BadFrameError
+from data_schemas.foreign_files import read_bytes
+from data_schemas.frame_files import tiff_image
 from rigs.cameras.dng_file import read_dng
+from rigs.cameras.picture_files import decoded_picture
 
 JPEG_SUFFIXES: Final = (".jpeg", ".jpg")
 SUFFIXES: Final = (".dng", ".png", ".tif", ".tiff", *JPEG_SUFFIXES)
@@ -58,7 +61,8 @@ def read_plain_counts(path: Path) -> NDArray[np.uint16]:
         The file is unreadable, or holds a processed picture.
     """
     content = read_content(path)
-    counts = _png(content, path) if path.suffix.lower() == ".png" else _tiff(content, path)
+    png = path.suffix.lower() == ".png"
+    counts = decoded_picture(content, path) if png else tiff_image(content, path, BadFrameError)
     if counts.ndim != 2 or counts.dtype not in (np.uint8, np.uint16):
         raise BadFrameError(
             f"{path}: is {counts.dtype} of shape {counts.shape}; raw Bayer counts are one number of 8 or 16 bits per "
@@ -93,10 +97,7 @@ def read_content(path: Path) -> bytes:
     BadFrameError
         It is missing or cannot be read.
     """
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise BadFrameError(f"{path}: cannot be read ({error.strerror}); restore the file") from None
+    return read_bytes(path, "an image (DNG, TIFF, PNG, JPEG)", BadFrameError)
 
 
 def _exposure_in_tiff_s(content: bytes) -> float | None:
@@ -118,27 +119,6 @@ def _seconds(value: Any) -> float | None:
         return None
     seconds = float(value[0] / value[1]) if isinstance(value, tuple) else float(value)
     return seconds if np.isfinite(seconds) and seconds > 0.0 else None
-
-
-def _tiff(content: bytes, path: Path) -> NDArray[Any]:
-    """Read a TIFF."""
-    try:
-        return np.asarray(tifffile.imread(io.BytesIO(content)))
-    except Exception as error:  # of a broken file the TIFF reader raises nearly anything
-        raise BadFrameError(f"{path}: cannot be read as TIFF ({error}); is the file whole?") from error
-
-
-def _png(content: bytes, path: Path) -> NDArray[Any]:
-    """Read a PNG."""
-    import cv2
-
-    try:
-        found = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        found = None
-    if found is None:
-        raise BadFrameError(f"{path}: cannot be read as PNG; is the file whole?")
-    return np.asarray(found)
 
 
 def _appended_raw(content: bytes, path: Path) -> NDArray[np.uint16]:

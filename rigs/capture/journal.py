@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Any, Final
 
 from data_schemas.errors import CaptureError
+from data_schemas.foreign_files import LARGEST_TEXT_BYTES, parse_json, read_bytes
 from rigs.call_thread import CallThread, NoAnswerError
 from rigs.protocols import Clock
 
@@ -141,17 +142,12 @@ def read_journal(folder: Path) -> list[dict[str, Any]]:
         There is no journal.
     """
     path = folder / JOURNAL_NAME
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise CaptureError(
-            f"{path}: cannot be read ({error.strerror}); give the folder of an interrupted 'finray capture'"
-        ) from None
+    text = read_bytes(path, f"{JOURNAL_NAME} of an interrupted 'finray capture'", CaptureError, LARGEST_TEXT_BYTES)
     lines = []
     for line in text.splitlines():
         try:
-            entry = json.loads(line)
-        except ValueError:
+            entry = parse_json(line, path, CaptureError)
+        except CaptureError:
             continue
         if isinstance(entry, dict) and "event" in entry:
             lines.append(entry)
@@ -169,4 +165,4 @@ def _sync_folder(folder: Path) -> None:
 
 def _ends_with_newline(path: Path) -> bool:
     """Whether the file ends a line (or is empty)."""
-    return path.read_bytes()[-1:] in (b"", b"\n")
+    return read_bytes(path, JOURNAL_NAME, CaptureError, LARGEST_TEXT_BYTES)[-1:] in (b"", b"\n")

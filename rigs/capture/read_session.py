@@ -1,6 +1,5 @@
 """Read a stored session, paint or camera, and its frames."""
 
-import json
 from pathlib import Path
 from typing import Literal
 
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 from data_schemas.camera import CameraSession
 from data_schemas.capture import CaptureSession, Frame
 from data_schemas.errors import RecordError
+from data_schemas.foreign_files import read_json
 from data_schemas.frame_files import read_frame
 from data_schemas.storage import read_record
 from rigs.capture.journal import JOURNAL_NAME
@@ -28,10 +28,7 @@ def session_kind(folder: Path) -> SessionKind:
         The folder is missing, holds no session or one of another kind, or the capture was not finished.
     """
     path = _session_file(folder)
-    try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise RecordError(f"{path}: cannot be read as JSON ({error}); was it edited or cut off?") from None
+    stored = read_json(path, "a capture session (.json)")
     kind = stored.get("kind") if isinstance(stored, dict) else None
     if kind not in KINDS:
         raise RecordError(f"{path}: is a {kind or 'file of unknown kind'}, a {' or '.join(KINDS)} is needed here")

@@ -1,6 +1,5 @@
 """The presses and the frames of a tactile session, in the order in which they are captured."""
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +8,7 @@ from pydantic import ValidationError
 from data_schemas.devices import CameraSettings
 from data_schemas.errors import CaptureError, RecordError
 from data_schemas.faults import explain
+from data_schemas.foreign_files import finite_number, read_csv
 from data_schemas.tactile import PlannedPress, TactileFrameType, TactilePlan
 
 MOST_PRESSES = 10_000
@@ -52,30 +52,32 @@ def planned_presses(plan: TactilePlan, folder: Path) -> tuple[PlannedPress, ...]
     if plan.poses_csv is None:
         return plan.presses
     path = folder / plan.poses_csv
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file, strict=True))
-    except FileNotFoundError:
-        raise RecordError(f"{path}: no such file; poses_csv is relative to the plan") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise RecordError(f"{path}: cannot be read as CSV ({error})") from None
+    header, rows = read_csv(path, "the poses that poses_csv of the plan names, relative to the plan", RecordError)
     if not 0 < len(rows) <= MOST_PRESSES:
         raise RecordError(
             f"{path}: holds {len(rows)} poses; give 1 to {MOST_PRESSES} rows below the header "
             f"{','.join(PlannedPress.model_fields)}"
         )
-    return tuple(_pose(path, number, row) for number, row in enumerate(rows, 2))
+    return tuple(_pose(path, line, header, cells) for line, cells in rows)
 
 
-def _pose(path: Path, line: int, row: dict[str | None, str | None]) -> PlannedPress:
+def _pose(path: Path, line: int, header: list[str], cells: list[str]) -> PlannedPress:
     """Read one row; an empty cell is a value that is not given."""
-    if None in row or None in row.values():
+    if len(cells) != len(header):
         raise RecordError(f"{path}, line {line}: has another number of columns than the header")
-    given = {str(name).strip(): text for name, text in row.items() if text is not None and text.strip()}
+    texts = {name: cell.strip() for name, cell in zip(header, cells, strict=True) if cell.strip()}
     try:
-        return PlannedPress.model_validate(given)
+        return PlannedPress.model_validate({name: _value(text) for name, text in texts.items()})
     except ValidationError as error:
         raise RecordError(f"{path}, line {line}: {explain(error, PlannedPress)}") from None
+
+
+def _value(text: str) -> float | str:
+    """Return a cell as a number, where it is one."""
+    try:
+        return finite_number(text)
+    except ValueError:
+        return text
 
 
 def tactile_shots(plan: TactilePlan, camera: CameraSettings, presses: int) -> tuple[TactileShot, ...]:

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import SimulateError
+from data_schemas.foreign_files import finite_number, read_bytes
 from sim.mechanics.signed_distances import Body, Cylinder, RoundedBox
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _HEADER_BYTES = 80
+_LARGEST_STL_BYTES = 64 << 20  # a million triangles: far more than a contact search takes
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _SAME_SHARE = 1e-6  # corners closer than this share of the body's size are one
 _LEAST_VOLUME = 1e-9  # of the cube of its size; what rounding leaves of two sides that lie on each other
@@ -137,12 +139,17 @@ def read_body(path: Path) -> TriangleMesh:
         raise SimulateError(f"{path}: has no triangles; an indenter must be a closed body")
     mesh = _welded(vertices, triangles)
     check_closed_body(mesh, str(path))
+    if not len(mesh.triangles):
+        raise SimulateError(f"{path}: all its triangles are needles without area; an indenter must be a closed body")
     corners = mesh.vertices_mm[mesh.triangles]
     volume = float(np.einsum("ki,ki->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6.0
     if abs(volume) < _LEAST_VOLUME * float(np.ptp(mesh.vertices_mm, axis=0).max()) ** 3:
         raise SimulateError(f"{path}: encloses no volume; an indenter must be a closed body")
     if volume < 0.0:
-        return TriangleMesh(mesh.vertices_mm, mesh.triangles[:, ::-1])
+        raise SimulateError(
+            f"{path}: is inside out: its triangles face inward, so that it encloses {volume:.4g} mm3; let a modelling "
+            "program turn its normals outward and export it again"
+        )
     return mesh
 
 
@@ -179,12 +186,7 @@ def check_closed_body(mesh: TriangleMesh, name: str) -> None:
 
 def _stl(path: Path) -> tuple[FloatArray, IntArray]:
     """Return the corners of an STL file's triangles, three vertices each."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise SimulateError(
-            f"{path}: the indenter's file cannot be read ({error.strerror}); check indenter.file"
-        ) from error
+    data = read_bytes(path, "an STL file, which indenter.file names", SimulateError, _LARGEST_STL_BYTES)
     count = struct.unpack_from("<I", data, _HEADER_BYTES)[0] if len(data) >= _HEADER_BYTES + 4 else -1
     if len(data) == _HEADER_BYTES + 4 + count * _RECORD.itemsize:
         corners = np.frombuffer(data, _RECORD, count, _HEADER_BYTES + 4)["corners"].astype(np.float64)
@@ -203,7 +205,7 @@ def _text_stl(data: bytes, path: Path) -> FloatArray:
         if words[0] != "solid":
             raise ValueError
         at = [k for k, word in enumerate(words) if word == "vertex"]
-        corners = np.array([[float(number) for number in words[k + 1 : k + 4]] for k in at])
+        corners = np.array([[finite_number(number) for number in words[k + 1 : k + 4]] for k in at])
         return corners.reshape(-1, 9)
     except (ValueError, IndexError) as error:
         raise SimulateError(

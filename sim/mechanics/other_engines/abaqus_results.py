@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import ImportFormatError
+from data_schemas.foreign_files import read_bytes
 from sim.mechanics.other_engines.calculix_results import NodalField
 
 FIELDS: Final = {101: "U", 104: "RF"}
@@ -43,7 +44,7 @@ def read_fil(path: Path) -> list[NodalField]:
 
     Source: Abaqus Output Reference, "Results file": records for any request, and once per increment.
     """
-    content = path.read_bytes()
+    content = read_bytes(path, "an Abaqus results file in ASCII (.fil)", ImportFormatError)
     if not content.startswith(b"*I"):
         raise ImportFormatError(
             f"{path}: not an Abaqus results file in ASCII, which begins with *I; ask for one by *FILE FORMAT, ASCII in "

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from data_schemas.errors import MissingExtraError
+from data_schemas.foreign_files import read_bytes
 
 PROGRAM: Final = "ccx"
 JOB: Final = "finger"
@@ -110,7 +111,7 @@ def run_calculix(
             _end(process)
     if late:
         return f"CalculiX was ended after {time_limit_s:g} s; take a coarser mesh or a smaller push"
-    return _complaint(log.read_text(encoding="ascii", errors="replace"), process.returncode)
+    return _complaint(read_bytes(log, "the log of CalculiX").decode("ascii", "replace"), process.returncode)
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:

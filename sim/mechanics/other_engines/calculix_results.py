@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import ImportFormatError
+from data_schemas.foreign_files import read_bytes
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -62,7 +63,7 @@ def read_frd(path: Path, names: tuple[str, ...] = ("DISP", "CONTACT")) -> list[N
 
     Source: CalculiX CGX manual, "Result Format", short format (key 0).
     """
-    text = path.read_bytes()
+    text = read_bytes(path, "a results file of CalculiX (.frd)", ImportFormatError)
     frames = [(m.start(), float(m[1])) for m in _FRAME.finditer(text)]
     found = []
     for field in _FIELD.finditer(text):
@@ -100,6 +101,11 @@ def _field(path: Path, name: str, time: float, block: bytes) -> NodalField:
         raise ImportFormatError(f"{path}: a value of the field {name} at time {time:g} is no number: {error}") from None
 
 
+def _lines(path: Path) -> list[str]:
+    """Return the lines of a text that CalculiX wrote."""
+    return read_bytes(path, "a text that CalculiX wrote", ImportFormatError).decode("ascii", "replace").splitlines()
+
+
 def read_totals(path: Path) -> Mapping[tuple[str, str], FloatArray]:
     """Read the totals of sets from a .dat file.
 
@@ -114,7 +120,7 @@ def read_totals(path: Path) -> Mapping[tuple[str, str], FloatArray]:
     ImportFormatError
         When there is no total in the file.
     """
-    lines = path.read_text(encoding="ascii", errors="replace").splitlines()
+    lines = _lines(path)
     found: dict[tuple[str, str], list[list[float]]] = {}
     for number, line in enumerate(lines):
         head = _TOTAL.match(line)
@@ -133,7 +139,7 @@ def read_totals(path: Path) -> Mapping[tuple[str, str], FloatArray]:
 
 def read_convergence(path: Path) -> Convergence:
     """Read the iterations of the converged increments from a .sta file."""
-    rows = [line.split() for line in path.read_text(encoding="ascii", errors="replace").splitlines()]
+    rows = [line.split() for line in _lines(path)]
     # an attempt that did not converge has a U behind its number
     done = [r for r in rows if len(r) == _STA_COLUMNS and all(cell.isdigit() for cell in r[:4])]
     return Convergence(

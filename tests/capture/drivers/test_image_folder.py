@@ -119,7 +119,7 @@ def test_changed_frame_of_a_session_is_refused(
     ("table", "message"),
     [
         ("file,exposure_s\na.tiff,-1\n", r"gives a\.tiff an exposure of -1 s; it must be above 0"),
-        ("file,exposure_s\na.tiff,nan\n", r"gives a\.tiff an exposure of nan s"),
+        ("file,exposure_s\na.tiff,nan\n", r"frames\.csv cannot be read \('nan' is no finite number\)"),
         ("file,exposure_s\na.tiff,long\n", r"frames\.csv cannot be read .*needs the header file,exposure_s"),
         ("name,time\na.tiff,1\n", r"frames\.csv cannot be read .*needs the header file,exposure_s"),
         ("file,exposure_s\nz.tiff,1\n", r"frames\.csv names z\.tiff, which is not in"),
