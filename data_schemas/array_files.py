@@ -33,6 +33,10 @@ class DeclaredArray:
     dtype: str
 
 
+class _NoArrayError(ValueError):
+    """A member of an archive that is called an array and is none."""
+
+
 class _PickledError(ValueError):
     """An array of objects: loading it could run a stranger's code."""
 
@@ -94,6 +98,8 @@ def read_npz(
                     array = _member(archive, entry, room)
                 except _PickledError:
                     pickled.append(name)
+                    continue
+                except _NoArrayError:
                     continue
                 if array.dtype.kind in "fiub":
                     arrays[name] = array
@@ -166,7 +172,10 @@ def _member(
 
 def _header(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     """Return shape, order and type that an npy header states, without reading the numbers."""
-    version = np.lib.format.read_magic(file)
+    try:
+        version = np.lib.format.read_magic(file)
+    except ValueError as fault:
+        raise _NoArrayError(str(fault)) from None
     if version == (1, 0):
         header: Any = np.lib.format.read_array_header_1_0(file, max_header_size=_LONGEST_HEADER)
     elif version == (2, 0):

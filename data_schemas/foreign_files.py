@@ -182,7 +182,9 @@ def read_text(
     try:
         return read_bytes(path, what, error, largest_bytes).decode(encoding)
     except UnicodeDecodeError as fault:
-        raise error(f"{path}: cannot be read as {encoding.upper()} text ({fault}); give {what}") from None
+        raise error(
+            f"{path}: cannot be read as {encoding.upper().removesuffix('-SIG')} text ({fault}); give {what}"
+        ) from None
 
 
 def parse_json(

@@ -97,9 +97,16 @@ def parse_file(function: str, folder: str, where: str) -> dict[str, Any]:
     return {"value": value, "arrays": {key: (array.shape, array.dtype.str) for key, array in arrays.items()}}
 
 
+def end_child() -> None:
+    """End this thread's child, if there is one; the next file that needs it starts another."""
+    if _OWN.child is not None and _OWN.parent == os.getpid():
+        _OWN.child.end()
+
+
 def _child() -> Child:
     """Return this thread's child; a process that was forked has its own."""
     if _OWN.child is None or _OWN.parent != os.getpid():
+        if _OWN.child is None:
+            atexit.register(end_child)
         _OWN.child, _OWN.parent = Child(), os.getpid()
-        atexit.register(_OWN.child.end)
     return _OWN.child

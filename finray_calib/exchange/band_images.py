@@ -84,7 +84,7 @@ def read_image(path: Path, camera: ImportedCamera) -> Counts:
             f"{path}: holds {stored.dtype} of shape {stored.shape}; camera.layout = '{camera.layout}' needs one 8- or "
             f"16-bit image of {'rows x columns x 3' if wanted == 3 else 'rows x columns'} per file"
         )
-    counts: Counts = stored.astype(np.uint16) >> camera.left_aligned_bits
+    counts: Counts = stored.astype(np.uint16) >> np.uint16(camera.left_aligned_bits)
     full_scale_dn = 2**camera.bit_depth - 1
     if counts.max() > full_scale_dn:
         raise ImportFormatError(

@@ -154,7 +154,7 @@ def test_finished_session_is_not_resumed(rig: RigFile, small: PaintPlan, stopped
 
 
 def test_folder_without_a_beginning_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match=r"journal\.jsonl: cannot be read .*interrupted 'finray capture'"):
+    with pytest.raises(CaptureError, match=r"journal\.jsonl: no such file; .*interrupted 'finray capture'"):
         read_interrupted(tmp_path)
     (tmp_path / "journal.jsonl").write_text('{"event": "start", "utc": "", "monotonic_s": 0}\n')
     with pytest.raises(CaptureError, match=r"does not say how the session began"):

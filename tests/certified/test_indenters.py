@@ -98,12 +98,11 @@ def test_an_upright_cylinder_never_touches():
 
 
 def test_a_closed_file_is_an_indenter(tmp_path):
-    turned = CUBE.triangles[:, ::-1]
-    (tmp_path / "cube.stl").write_bytes(stl_bytes(turned, CUBE.vertices_mm, "cube"))
+    (tmp_path / "cube.stl").write_bytes(stl_bytes(CUBE.triangles, CUBE.vertices_mm, "cube"))
     design = FingerDesign(indenter=Indenter(shape="mesh", file="cube.stl", across_mm=2.0, rotation_deg=(0, 0, 0)))
     indenter = rigid_indenter(design, tmp_path)
     assert indenter.body is None
-    # inward triangles are turned round; the cube stands on the pad
+    # the cube stands on the pad
     assert volume_mm3(indenter.surface) == pytest.approx(96.0)
     assert indenter.vertices_mm()[:, 1].min() == pytest.approx(6.0)
     assert indenter.vertices_mm()[:, 0].max() == pytest.approx(5.0)
@@ -131,8 +130,10 @@ def test_a_text_file_is_read_too(tmp_path):
         (CUBE.triangles[:0], 1.0, "has no triangles"),
         (np.vstack([CUBE.triangles[:1], CUBE.triangles[:1, ::-1]]), 1.0, "encloses no volume"),
         (CUBE.triangles, np.nan, "corners that are no numbers"),
+        (CUBE.triangles[:, ::-1], 1.0, "is inside out: its triangles face inward, so that it encloses -96 mm3"),
+        (CUBE.triangles[:, [0, 0, 0]], 1.0, "needles without area"),
     ],
-    ids=["open", "twisted", "metres", "micrometres", "empty", "flat", "not a number"],
+    ids=["open", "twisted", "metres", "micrometres", "empty", "flat", "not a number", "inside out", "needles"],
 )
 def test_unusable_files_are_refused(tmp_path, triangles, scale, message):
     (tmp_path / "body.stl").write_bytes(stl_bytes(triangles, scale * CUBE.vertices_mm, "body"))
@@ -144,7 +145,7 @@ def test_files_that_are_no_stl_or_missing_are_refused(tmp_path):
     (tmp_path / "body.stl").write_text("not a mesh")
     with pytest.raises(SimulateError, match="neither a binary nor a text STL"):
         read_body(tmp_path / "body.stl")
-    with pytest.raises(SimulateError, match="cannot be read"):
+    with pytest.raises(SimulateError, match="no such file; give the path of an STL file"):
         read_body(tmp_path / "absent.stl")
 
 

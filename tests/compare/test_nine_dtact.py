@@ -141,10 +141,10 @@ def test_a_broken_image_or_map_is_refused(sensor_copy):
     image = sensor_copy / "depth_calibration" / "rectify_crop_sample.png"
     original = image.read_bytes()
     cv2.imwrite(str(image), np.zeros((345, 459, 3), np.uint8))
-    with pytest.raises(ImportFormatError, match=r"345 x 460 px, got uint8 of shape \(345, 459, 3\)"):
+    with pytest.raises(ImportFormatError, match=r"345 x 460 px, got uint8 of \(345, 459, 3\)"):
         read_nine_dtact(sensor_copy)
     image.write_bytes(b"not a picture")
-    with pytest.raises(ImportFormatError, match=r"345 x 460 px, got an unreadable file"):
+    with pytest.raises(ImportFormatError, match=r"rectify_crop_sample.png: is neither PNG nor JPEG"):
         read_nine_dtact(sensor_copy)
     image.write_bytes(original)
     np.save(camera / "row_index.npy", np.full((480, 640), 480, np.int32))
@@ -174,7 +174,9 @@ def test_a_file_that_is_no_array_is_refused(tmp_path, content):
 def test_a_table_of_words_or_one_that_does_not_grow_is_refused(tmp_path):
     path = tmp_path / "Pixel_to_Depth.npy"
     np.save(path, np.array(["deep", "deeper"]))
-    with pytest.raises(ImportFormatError, match=r"Pixel_to_Depth.npy: expected real numbers, got <U6"):
+    with pytest.raises(
+        ImportFormatError, match=r"Pixel_to_Depth.npy: not a plain numeric .npy file .holds <U6, not real numbers"
+    ):
         load_depth_table(path)
     np.save(path, np.array([-0.9, 0.1, 0.3, 0.2]))
     with pytest.raises(ImportFormatError, match="one depth in mm per grey level, growing from entry 1 on"):

@@ -95,7 +95,7 @@ def test_wrong_taxim_folders_are_refused(tmp_path):
     with pytest.raises(ImportFormatError, match="no such folder; give a Taxim calibration folder"):
         read_taxim(tmp_path / "none")
     folder = write_taxim(tmp_path / "t")
-    for text, message in (("{", "'pixmm' .* cannot be read"), ('{"sensor": {}}', "KeyError"), ("[]", "TypeError")):
+    for text, message in (("{", "cannot be read as JSON"), ('{"sensor": {}}', "KeyError"), ("[]", "TypeError")):
         (folder / "params.json").write_text(text)
         with pytest.raises(ImportFormatError, match=message):
             read_taxim(folder)
@@ -150,9 +150,9 @@ def write_member(path, content):
     ("content", "message"),
     [
         (npy(np.ones(10))[:-20], "cannot be read as npz .*; copy it again, or have its owner save it again"),
-        (npy_header((10**15,)), "cannot be read as npz .*Unable to allocate"),
-        (npy_header((10**30,)), "cannot be read as npz .*too large"),
-        (npy_header((-5,)), "cannot be read as npz .*negative dimensions"),
+        (npy_header((10**15,)), "cannot be read as npz .*more than the 512 MB allowed"),
+        (npy_header((10**30,)), "cannot be read as npz .*more than the 512 MB allowed"),
+        (npy_header((-5,)), r"cannot be read as npz .*shape \(-5,\) is none"),
         (b"\x93NUMPY\x01\x00\x05\x00(((((", "cannot be read as npz"),
     ],
 )
@@ -218,17 +218,17 @@ def test_plain_images_with_circles(tmp_path):
         ("catalog.csv", "experiment_reldir\n/etc\n", "must be a path within the folder"),
         ("catalog.csv", "experiment_reldir\nC:\\x\n", "must be a path within the folder"),
         ("catalog.csv", "experiment_reldir\nnone\n", "no labelled press in it"),
-        ("catalog.csv", b"\xff\xfe\x00", "cannot be read as text"),
+        ("catalog.csv", b"\xff\xfe\x00", "cannot be read as UTF-8 text"),
         (
             "catalog.csv",
             'experiment_reldir\n"4.000mm/0\n',
             r"catalog\.csv, line 2: cannot be read as CSV \(unexpected end",
         ),
-        ("catalog.csv", '"experiment_reldir\n4.000mm/0\n', r"catalog\.csv, line 1: .* close or remove its quotes"),
+        ("catalog.csv", '"experiment_reldir\n4.000mm/0\n', r"catalog\.csv, line 2: .* close or remove its quotes"),
         ("catalog.csv", "experiment_reldir,diameter(mm)\n4.000mm/0,four\n", "line 2: .* must be a number of mm"),
         ("catalog.csv", "experiment_reldir,diameter(mm)\n4.000mm/0,0\n", "0 mm must be above 0"),
-        ("4.000mm/0/gelsight.png", b"", "expected an 8-bit colour image .* got an unreadable file"),
-        ("background.png", b"", "expected an 8-bit colour image"),
+        ("4.000mm/0/gelsight.png", b"", "is neither PNG nor JPEG"),
+        ("background.png", b"", "is neither PNG nor JPEG"),
     ],
 )
 def test_wrong_gs_sdk_folders_are_refused(tmp_path, file, content, message):
@@ -366,7 +366,7 @@ def test_the_measured_scale_takes_the_place_of_the_stated_one(tmp_path):
 def test_an_image_that_is_none_is_refused(tmp_path):
     folder = write_circles(tmp_path / "c", 1)
     (folder / "0.png").write_bytes((folder / "circles.csv").read_bytes())
-    with pytest.raises(ImportFormatError, match=r"0\.png: expected an 8-bit colour image"):
+    with pytest.raises(ImportFormatError, match=r"0\.png: is neither PNG nor JPEG"):
         read_ball_presses(folder, MM_PER_PX, BALL_DIAMETER_MM)
 
 

@@ -201,13 +201,13 @@ def spoil(folder, kind):
         ("auto white balance", r"no_contact.dng: auto white balance was on"),
         ("exposure changed", r"ExposureTime differs: 0.01 s in contact.dng, 0.02 s in no_contact.dng"),
         ("no metadata", r"contact.dng: has no metadata beside it \(contact.json\)"),
-        ("metadata broken", r"contact.json: is not a JSON file"),
-        ("metadata too deep", r"contact.json: is not a JSON file"),
+        ("metadata broken", r"contact.json: cannot be read as JSON"),
+        ("metadata too deep", r"contact.json: cannot be read as JSON"),
         ("metadata list", r"contact.json: is a list; metadata is one JSON object per image"),
         ("no contact image", r"holds no image 'contact' \(.dng"),
         ("two contact images", r"holds contact.dng and contact.png; keep one"),
         ("no press", r"press.toml: no such file; write it with a name and an \[indenter\]"),
-        ("press broken", r"press.toml: is not a TOML file"),
+        ("press broken", r"press.toml: cannot be read as TOML"),
         ("press incomplete", r"press.toml: 'indenter.radius_mm': is missing"),
         ("mixed", r"mixes raw and processed images"),
         ("sizes differ", r"differ in Bayer order, bits or size"),
@@ -265,7 +265,7 @@ def test_tuning_files_that_are_none_are_refused(tmp_path):
     with pytest.raises(ImportFormatError, match=r"imx219.json: no such file"):
         read_tuning(path)
     path.write_text("{")
-    with pytest.raises(ImportFormatError, match=r"imx219.json: is not a JSON file"):
+    with pytest.raises(ImportFormatError, match=r"imx219.json: cannot be read as JSON"):
         read_tuning(path)
     path.write_text("{}")
     with pytest.raises(ImportFormatError, match=r"imx219.json: tuning: holds no 'rpi.' algorithm"):
