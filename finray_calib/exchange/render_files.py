@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from data_schemas.errors import MissingExtraError, RecordError
 from data_schemas.provenance import Provenance
+from finray_calib.exchange.bispectral_exr import exr_image
 from sim.experiments.optics_products import OpticsProducts
 from sim.optics.paint_bands import BAND_NAMES
 from sim.optics.pixel_maps import PixelMaps
@@ -119,9 +120,16 @@ def write_exr(path: Path, channels: Mapping[str, NDArray[Any]], attributes: Mapp
 
 
 def read_exr(path: Path) -> dict[str, NDArray[np.float32]]:
-    """Return the channels of an OpenEXR image."""
-    with require_exr().File(str(path), separate_channels=True) as file:
-        return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+    """Return the channels of an OpenEXR image, which is parsed in a child process with limits.
+
+    Raises
+    ------
+    ImportFormatError
+        It is missing, or no OpenEXR image.
+    MissingExtraError
+        The OpenEXR package is not installed.
+    """
+    return exr_image(path)
 
 
 def png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:

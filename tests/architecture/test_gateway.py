@@ -1,0 +1,104 @@
+"""No reader opens a file around the gateway of `data_schemas.foreign_files`."""
+
+import ast
+import re
+from collections.abc import Iterator
+
+from tests.architecture.test_conventions import MODULES, ROOT
+
+# What opens a file for reading, by its last name; `Image.open`, `path.open` and `open` are all "open".
+READERS = {
+    "open", "fdopen", "read_text", "read_bytes", "load", "imread", "fromfile", "memmap", "loadtxt", "genfromtxt",
+    "TiffFile", "ZipFile", "FileStorage", "load_file", "Bitmap", "InputFile", "File", "parse", "open_dataset",
+    "imdecode", "loads",
+}  # fmt: skip
+GATEWAY = {"read_bytes", "read_text", "parse"}
+"""Imported by name from the gateway; `parse` is the line reader of the Arduino."""
+# (module, call) -> why it may: it writes, reads what this package made itself, or is the gateway or its child.
+ALLOWED = {
+    ("data_schemas/foreign_files.py", "os.open"): "the gateway",
+    ("data_schemas/foreign_files.py", "os.fdopen"): "the gateway",
+    ("data_schemas/foreign_files.py", "json.loads"): "the gateway",
+    ("data_schemas/foreign_files.py", "tomllib.loads"): "the gateway",
+    ("data_schemas/array_files.py", "zipfile.ZipFile"): "bytes of the gateway",
+    ("data_schemas/array_files.py", "archive.open"): "bytes of the gateway",
+    ("data_schemas/frame_files.py", "tifffile.TiffFile"): "bytes of the gateway",
+    ("rigs/cameras/raw_files.py", "tifffile.TiffFile"): "bytes of the gateway",
+    ("rigs/cameras/dng_file.py", "tifffile.TiffFile"): "bytes of the gateway",
+    ("rigs/cameras/dng_file.py", "rawpy.imread"): "bytes of the gateway, in a limited child",
+    ("rigs/cameras/picture_files.py", "cv2.imdecode"): "bytes of the gateway",
+    ("rigs/cameras/jpeg_picture.py", "cv2.imdecode"): "a stream of a camera, whose length and size are limited",
+    ("sim/optics/opencv_file.py", "cv2.FileStorage"): "bytes of the gateway, in a limited child",
+    ("finray_calib/exchange/bispectral_exr.py", "_open_exr().File"): "bytes of the gateway, in a limited child",
+    **dict.fromkeys(
+        (
+            ("finray_calib/exchange/bispectral_exr.py", "file.read_bytes"),
+            ("finray_calib/exchange/inference_data.py", "file.read_bytes"),
+            ("finray_calib/exchange/spectral_distribution.py", "file.read_bytes"),
+        ),
+        "what a library has just written into a temporary folder",
+    ),
+    **dict.fromkeys(
+        (
+            ("finray_calib/exchange/bispectral_exr.py", "open_exr.File"),
+            ("finray_calib/exchange/render_files.py", "open_exr.File"),
+            ("data_schemas/whole_files.py", "os.open"),
+            ("rigs/capture/journal.py", "os.open"),
+            ("rigs/capture/rig_lock.py", "os.open"),
+        ),
+        "writes, syncs or locks",
+    ),
+    **dict.fromkeys(
+        (
+            ("data_schemas/child_process.py", "Path('/proc/self/statm').read_text"),
+            ("data_schemas/child_process.py", "Path('/proc/vmstat').read_text"),
+            ("data_schemas/provenance.py", "Path('/proc/cpuinfo').read_text"),
+        ),
+        "the kernel's own",
+    ),
+    **dict.fromkeys(
+        (
+            ("data_schemas/child_process.py", "json.loads"),
+            ("data_schemas/child_process.py", "os.fdopen"),
+            ("data_schemas/child_process.py", "os.open"),
+            ("rigs/light_guard_messages.py", "json.loads"),
+        ),
+        "pipes and logs between processes of finray",
+    ),
+    **dict.fromkeys(
+        (
+            ("rigs/transports/alpaca_client.py", "json.loads"),
+            ("rigs/transports/alpaca_discovery.py", "json.loads"),
+        ),
+        "an answer of a device, whose length is limited",
+    ),
+    ("finray_calib/spectra/compiled.py", "path.read_bytes"): "sources of this package, as the key of a cache",
+}
+# Devices, too, are opened.
+DEVICES = re.compile(r"(camera|light|self|self\._guard|self\._light|CameraWatch\(.*\))\.open")
+
+
+def calls() -> Iterator[tuple[str, str, ast.Call]]:
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call):
+                yield str(path.relative_to(ROOT)), ast.unparse(node.func), node
+
+
+def test_every_file_is_read_through_the_gateway():
+    around = {
+        (module, called)
+        for module, called, node in calls()
+        if called.rpartition(".")[2] in READERS
+        and not _writes(node)
+        and called not in GATEWAY
+        and not DEVICES.fullmatch(called)
+    }
+    assert not around - ALLOWED.keys()
+    assert not ALLOWED.keys() - around, "stands here without need"
+
+
+def _writes(call: ast.Call) -> bool:
+    """Whether a call of open says a mode that only writes."""
+    words = [a.value for a in (*call.args, *(k.value for k in call.keywords)) if isinstance(a, ast.Constant)]
+    return any(isinstance(word, str) and word[:1] in "wxa" and len(word) <= 3 for word in words)
