@@ -42,11 +42,14 @@ ALLOWED = {
         (
             ("finray_calib/exchange/bispectral_exr.py", "open_exr.File"),
             ("finray_calib/exchange/render_files.py", "open_exr.File"),
+            ("data_schemas/leftovers.py", "os.open"),
+            ("data_schemas/leftovers.py", "json.loads"),
+            ("data_schemas/product_set.py", "os.open"),
             ("data_schemas/whole_files.py", "os.open"),
             ("rigs/capture/journal.py", "os.open"),
             ("rigs/capture/rig_lock.py", "os.open"),
         ),
-        "writes, syncs or locks",
+        "writes, syncs or locks, and reads what a dead writer of finray left",
     ),
     **dict.fromkeys(
         (
@@ -94,8 +97,8 @@ def test_every_file_is_read_through_the_gateway():
         and called not in GATEWAY
         and not DEVICES.fullmatch(called)
     }
-    assert not around - ALLOWED.keys()
-    assert not ALLOWED.keys() - around, "stands here without need"
+    assert sorted(around - ALLOWED.keys()) == [], "read through data_schemas.foreign_files, or say here why not"
+    assert sorted(ALLOWED.keys() - around) == [], "stands here without need"
 
 
 def _writes(call: ast.Call) -> bool:
