@@ -23,6 +23,7 @@ from data_schemas.optical_design import LightPanel
 from sim.optics.band_integrator import band_paths
 from sim.optics.curved_refraction import refract_through
 from sim.optics.even_points import even_points
+from sim.optics.lookup_tables import Tally
 from sim.optics.panel_poses import PosedPanel
 from sim.optics.path_rules import LARGEST_SURVIVAL, LIFT_MM, MAX_DEPTH, NEWTON_STEPS, ROULETTE_DEPTH, SMALLEST_COS_AIR
 from sim.optics.path_states import DIRECT, FROM_EYE, FROM_START, FROM_SURFACE, STRAIGHT_OUT, state_after
@@ -82,10 +83,10 @@ class AnglePaths:
             Rays start on a wall: direct light of the panels through the inner face is left out.
         """
         groups = len(origins_mm) // per_group
-        led = dr.zeros(mi.Float, groups * self.count)
+        led = Tally(groups * self.count, mi)
         texels = (2, TEXELS_ALONG, TEXELS_UP)
-        by_wall = dr.zeros(mi.Float, groups * math.prod(texels))
-        kept_away = dr.zeros(mi.Float, groups * self.count * math.prod(texels))
+        by_wall = Tally(groups * math.prod(texels), mi)
+        kept_away = Tally(groups * self.count * math.prod(texels), mi)
         rng = np.random.default_rng(seed)
         # the first bounce decides whether a path meets the panel by the mirror, which is most of the noise
         spread = np.concatenate([even_points(per_group, 3, rng) for _ in range(groups)])
@@ -103,12 +104,12 @@ class AnglePaths:
                 self, sampler, mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), first, walls, state
             )
             for k, radiance in enumerate(found):
-                dr.scatter_add(led, radiance, group * self.count + k)
-            dr.eval(led, by_wall, kept_away)
-        free = np.array(by_wall, dtype=np.float64).reshape(groups, 1, *texels)
-        lost = np.array(kept_away, dtype=np.float64).reshape(groups, self.count, *texels)
+                led.add(radiance, group * self.count + k)
+            dr.eval(led.sums, by_wall.sums, kept_away.sums)
+        free = np.array(by_wall.sums, dtype=np.float64).reshape(groups, 1, *texels)
+        lost = np.array(kept_away.sums, dtype=np.float64).reshape(groups, self.count, *texels)
         return Received(
-            np.array(led, dtype=np.float64).reshape(groups, self.count) / per_group, (free - lost) / per_group
+            np.array(led.sums, dtype=np.float64).reshape(groups, self.count) / per_group, (free - lost) / per_group
         )
 
     def arriving(
@@ -135,8 +136,8 @@ class AnglePaths:
             walls = WallGlow(emitted, o.shape[1])
             ray, first = mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), mi.Point3f(0.0)
             led = _follow(self, sampler, ray, first, walls, FROM_SURFACE)  # type: ignore[no-untyped-call]
-            dr.eval(led, walls.radiance)
-            light[chunk, :, :2] = np.array(walls.radiance).reshape(-1, self.count, 2)
+            dr.eval(led, walls.radiance.sums)
+            light[chunk, :, :2] = np.array(walls.radiance.sums).reshape(-1, self.count, 2)
             light[chunk, :, 2] = np.stack([np.array(radiance) for radiance in led], axis=1)
         return light
 
@@ -192,7 +193,7 @@ class AnglePaths:
         paths, aim = self.paths, panel.aim
         point = aim.centre + (2.0 * sample.x - 1.0) * aim.across + (2.0 * sample.y - 1.0) * aim.along
         path = refract_through(
-            paths.evaluate_face, (si.p.x, si.p.y, si.p.z), paths.foot(si), (point.x, point.y, point.z), paths.face, dr,
+            paths.evaluate_face, *paths.point_and_foot(si, active), (point.x, point.y, point.z), paths.face, dr,
             NEWTON_STEPS, paths.index,
         )  # fmt: skip
         in_gel, in_air = mi.Vector3f(*path.to_crossing), mi.Vector3f(*path.to_panel)

@@ -17,7 +17,8 @@ Vector = tuple[Any, Any, Any]
 def cell_and_fraction(u: NDArray[np.float64], cells: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the cell that holds u (the last one for u = 1) and the position within it."""
     x = u * cells
-    i = np.clip(np.floor(x), 0, cells - 1).astype(np.int64)
+    # a comparison is false for NaN, which clip lets pass
+    i = np.where(x > 0.0, np.minimum(np.floor(x), cells - 1), 0.0).astype(np.int64)
     return i, x - i
 
 

@@ -170,5 +170,5 @@ def _carrier(bands: PaintBands, renderer: ModuleType, change: Any, parameter: Pa
             for k in range(len(BAND_NAMES)):
                 direction = np.zeros(len(WALLS) * len(BAND_NAMES), dtype=np.float32)
                 direction[len(BAND_NAMES) * number + BAND_NAMES.index(wall)] = row[k]
-                carrier.rows[k] = carrier.rows[k] + change * renderer.Float(direction)
+                carrier.columns[k].add(change * renderer.Float(direction))
     return carrier

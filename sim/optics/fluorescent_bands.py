@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from data_schemas.errors import SimulateError
 from sim.optics.fluorescent_paths import PanelLight, fluorescent_integrator, painted_bsdfs
+from sim.optics.lookup_tables import LookupTable
 from sim.optics.path_rules import MAX_DEPTH, ROULETTE_DEPTH
 from sim.optics.variants import check_variant
 
@@ -28,7 +29,7 @@ class BandCarrier:
 
     def __init__(self, matrices: Sequence[NDArray[np.float64]]) -> None:
         rows = np.array(matrices, dtype=np.float64).reshape(-1, 3)
-        self.rows = [mi.Float(np.ascontiguousarray(rows[:, k], dtype=np.float32)) for k in range(3)]
+        self.columns = [LookupTable(rows[:, k : k + 1], mi) for k in range(3)]
 
     def start(self) -> list[Any]:
         """Return the unit matrix."""
@@ -44,9 +45,7 @@ class BandCarrier:
 
     def reradiated(self, carried: list[Any], si: Any, sampler: Any, paint: Any, painted: Any) -> list[Any]:
         """Return T M of the paint."""
-        matrix = [
-            mi.Color3f(*[dr.gather(mi.Float, column, 3 * paint + k, painted) for column in self.rows]) for k in range(3)
-        ]
+        matrix = [mi.Color3f(*[column.row(3 * paint + k, painted) for column in self.columns]) for k in range(3)]
         changed = [row.x * matrix[0] + row.y * matrix[1] + row.z * matrix[2] for row in carried]
         return [dr.select(painted, new, old) for new, old in zip(changed, carried, strict=True)]
 

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from sim.optics.fluorescent_paint import FluorescentPaint
 from sim.optics.fluorescent_paths import PanelLight, fluorescent_integrator, painted_bsdfs
+from sim.optics.lookup_tables import LookupTable, cell_at
 from sim.optics.path_rules import MAX_DEPTH, ROULETTE_DEPTH
 from sim.optics.variants import check_variant
 
@@ -54,10 +55,10 @@ class SpectralCarrier:
     def __init__(self, paints: Sequence[FluorescentPaint], lights_per_nm: NDArray[np.float64]) -> None:
         tables = [_paint_tables(paint, paints, lights_per_nm) for paint in paints]
         self.surface, self.choice, self.excitation = (
-            mi.Float(np.concatenate([t[k] for t in tables]).astype(np.float32).ravel()) for k in range(3)
+            LookupTable(np.concatenate([t[k] for t in tables]), mi) for k in range(3)
         )
-        self.lights = mi.Float(lights_per_nm.astype(np.float32))
-        self.yields = mi.Float(np.array([np.trapezoid(_on_grid(p)[1]) for p in paints], dtype=np.float32))
+        self.lights = LookupTable(lights_per_nm[:, None], mi)
+        self.yields = LookupTable(np.array([[np.trapezoid(_on_grid(p)[1])] for p in paints]), mi)
 
     def start(self) -> Any:
         """Return full throughput."""
@@ -80,8 +81,8 @@ class SpectralCarrier:
         light = mi.Spectrum(0)
         for k in range(len(light)):
             position = dr.clip(si.wavelengths[k] - RENDERED_NM[0], 0.0, _CELLS - 1e-3)
-            cell = mi.UInt32(position)
-            low, high = (dr.gather(mi.Float, self.lights, cell + j) for j in (0, 1))
+            cell = cell_at(position, _CELLS)
+            low, high = (self.lights.row(cell + j) for j in (0, 1))
             light[k] = radiance * dr.lerp(low, high, position - cell)
         return light
 
@@ -100,24 +101,24 @@ class SpectralCarrier:
     def _event(self, wavelength_nm: Any, paint: Any, painted: Any, decision: Any, place: Any) -> tuple[Any, Any]:
         """Return the next wavelength and its weight, where one decision and one place have been drawn."""
         position = dr.clip(wavelength_nm - RENDERED_NM[0], 0.0, _CELLS - 1e-3)
-        cell = mi.UInt32(position)
-        row = dr.gather(mi.Vector4f, self.surface, paint * _CELLS + cell, painted)
+        cell = cell_at(position, _CELLS)
+        row = self.surface.row(paint * _CELLS + cell, painted)
         within = position - cell
         reflectance, emission = dr.lerp(row.x, row.y, within), dr.lerp(row.z, row.w, within)
-        fluorescence = emission * dr.gather(mi.Float, self.yields, paint, painted)
+        fluorescence = emission * self.yields.row(paint, painted)
         share = reflectance / (reflectance + _BRIGHTER_AT_EXCITATION * fluorescence)
         # at least the reflectance itself, so that the second moment of a chain of reflections shrinks
         p_reflect = dr.select(fluorescence > 0, dr.maximum(share, reflectance), 1.0)
         reflects = decision < p_reflect
 
         scaled = dr.minimum(place * _CELLS, _CELLS - 1e-3)
-        drawn = mi.UInt32(scaled)
+        drawn = cell_at(scaled, _CELLS)
         rest = scaled - drawn
-        choice = dr.gather(mi.Vector2f, self.choice, paint * _CELLS + drawn, painted)
+        choice = self.choice.row(paint * _CELLS + drawn, painted)
         kept = rest < choice.x
         rest = dr.select(kept, rest / choice.x, (rest - choice.x) / (1 - choice.x))
-        drawn = dr.select(kept, drawn, mi.UInt32(choice.y))
-        excitation = dr.gather(mi.Vector4f, self.excitation, paint * _CELLS + drawn, painted)
+        drawn = dr.select(kept, drawn, cell_at(choice.y, _CELLS))
+        excitation = self.excitation.row(paint * _CELLS + drawn, painted)
         weight = emission * dr.lerp(excitation.x, excitation.y, rest) * excitation.z / (1 - p_reflect)
         return (
             dr.select(reflects, wavelength_nm, RENDERED_NM[0] + mi.Float(drawn) + rest),

@@ -55,8 +55,36 @@ class LookupTable:
         dr.make_opaque(self._values)
         self._last = dr.opaque(renderer.UInt32, len(rows) - 1)
 
+    def add(self, change: Any) -> None:
+        """Add the renderer's floats (rows * numbers,) to the table; derivatives by them pass through."""
+        self._values = self._values + change
+
     def row(self, number: Any, active: Any = True) -> Any:
         """Return the rows of these numbers (unsigned integers), zero where not active."""
         import drjit as dr
 
         return dr.gather(self._kind, self._values, dr.minimum(number, self._last), active)
+
+
+class Tally:
+    """Sums that lanes add to by number, in single precision; a number past the end adds nothing.
+
+    Parameters
+    ----------
+    count
+        Number of sums, at most 2^32 - 1.
+    renderer
+        From :func:`sim.optics.variants.open_renderer`, a compiled variant.
+    """
+
+    def __init__(self, count: int, renderer: Any) -> None:
+        import drjit as dr
+
+        self.sums = dr.zeros(renderer.Float, count)
+        self._count = dr.opaque(renderer.UInt32, count)
+
+    def add(self, value: Any, number: Any, active: Any = True) -> None:
+        """Add values to the sums of these numbers (unsigned integers) where active."""
+        import drjit as dr
+
+        dr.scatter_add(self.sums, value, number, active & (number < self._count))

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.optics.guide_lobes import CELLS_ACROSS, CELLS_ALONG, NUMBERS, ROUTES, fit_lobes
+from sim.optics.lookup_tables import LookupTable, cell_at
 from sim.optics.panel_light import Panel, panel_point
 
 Floats = NDArray[np.float64]
@@ -55,19 +56,17 @@ class MirrorGuide:
     """
 
     def __init__(self, lobes: Floats) -> None:
-        self.table = mi.Float(np.ascontiguousarray(lobes, dtype=np.float32).ravel())
-        dr.make_opaque(self.table)
+        self.table = LookupTable(lobes.reshape(-1, 4), mi)
 
     def lobes(self, si: Any, active: Any) -> list[Lobe]:
         """Return the routes at points of the coating."""
         u, v = si.uv.x * CELLS_ACROSS, si.uv.y * CELLS_ALONG
-        i = mi.UInt32(dr.clip(u, 0.0, CELLS_ACROSS - 1.0))
-        j = mi.UInt32(dr.clip(v, 0.0, CELLS_ALONG - 1.0))
+        i, j = cell_at(u, CELLS_ACROSS), cell_at(v, CELLS_ALONG)
         x, y = u - mi.Float(i) - 0.5, v - mi.Float(j) - 0.5
         found = []
         for route in range(ROUTES):
             first = ((i * CELLS_ALONG + j) * ROUTES + route) * (NUMBERS // 4)
-            a, b, c = (dr.gather(mi.Vector4f, self.table, first + k, active) for k in range(3))
+            a, b, c = (self.table.row(first + k, active) for k in range(3))
             mean = (a.y + x * a.w + y * b.y, a.z + x * b.x + y * b.z)
             found.append(Lobe(a.x, mean, (b.w, c.x, c.y)))
         return found

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sim.optics.curved_refraction import refract_through
 from sim.optics.gel_face import GelFace, film_transmittance
+from sim.optics.lookup_tables import LookupTable
 from sim.optics.mirror_guide import GUIDE_CHANCE, MirrorGuide
 from sim.optics.panel_light import Panel, panel_point
 from sim.optics.path_rules import LARGEST_SURVIVAL, LIFT_MM, MAX_DEPTH, NEWTON_STEPS, ROULETTE_DEPTH, SMALLEST_COS_AIR
@@ -66,8 +67,7 @@ class BandPaths:
         for k, wall in enumerate(WALLS):
             for channel, chain in enumerate(self.of_wall[wall]):
                 texels[k, ..., channel] = emission.get(chain, 0.0)
-        self.texels = mi.Float(texels.ravel())
-        dr.make_opaque(self.texels)
+        self.texels = LookupTable(texels.reshape(-1, _PACKET), mi)
 
     def wall_radiance(self, si: Any, is_green: Any, active: Any) -> list[Any]:
         """Return the emission at wall points, bilinear between texel centres, one value per chain of the wall."""
@@ -75,7 +75,7 @@ class BandPaths:
         radiance: list[Any] = []
         for packet in range(self.packets):
             corner = [
-                dr.gather(mi.Vector4f, self.texels, (first + (b * TEXELS_UP + a)) * self.packets + packet, active)
+                self.texels.row((first + (b * TEXELS_UP + a)) * self.packets + packet, active)
                 for b in (0, 1)
                 for a in (0, 1)
             ]
@@ -87,13 +87,20 @@ class BandPaths:
         """Return the coordinates of the inner face below points of coat and painted walls."""
         return dr.select(si.shape == self.red, 0.0, dr.select(si.shape == self.green, 1.0, si.uv.x)), si.uv.y
 
+    def point_and_foot(self, si: Any, active: Any) -> tuple[tuple[Any, Any, Any], tuple[Any, Any]]:
+        """Return points of coat and painted walls and the coordinates of the inner face below them.
+
+        Lanes that are not active hold numbers that were never written; they get any place on the face.
+        """
+        point, (u, v) = dr.select(active, si.p, 0.0), self.foot(si)
+        return (point.x, point.y, point.z), (dr.select(active, u, 0.5), dr.select(active, v, 0.5))
+
     def connect(self, scene: Any, si: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return (visible, direction in the gel, LED radiance x solid angle) of a panel point seen through the face."""
         point, (normal, exponent), weight = panel_point(self.panels, sample)
         path = refract_through(
             self.evaluate_face,
-            (si.p.x, si.p.y, si.p.z),
-            self.foot(si),
+            *self.point_and_foot(si, active),
             (point.x, point.y, point.z),
             self.face,
             dr,

@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.optics.lookup_tables import LookupTable, Tally, cell_at
 from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP
 
 Floats = NDArray[np.float64]
@@ -23,7 +24,7 @@ def first_texel(si: Any, is_green: Any) -> tuple[Any, Any, Any]:
     """
     x = dr.clip(si.uv.x * TEXELS_UP - 0.5, 0.0, TEXELS_UP - 1.0)
     y = dr.clip(si.uv.y * TEXELS_ALONG - 0.5, 0.0, TEXELS_ALONG - 1.0)
-    i, j = (dr.minimum(mi.UInt32(t), most - 2) for t, most in ((x, TEXELS_UP), (y, TEXELS_ALONG)))
+    i, j = cell_at(x, TEXELS_UP - 1), cell_at(y, TEXELS_ALONG - 1)
     first = (dr.select(is_green, mi.UInt32(TEXELS_ALONG), mi.UInt32(0)) + j) * TEXELS_UP + i
     return first, x - mi.Float(i), y - mi.Float(j)
 
@@ -31,7 +32,7 @@ def first_texel(si: Any, is_green: Any) -> tuple[Any, Any, Any]:
 class WallTexels:
     """Adds up, per group, what paths carry to the texels of the walls, and what the panels keep away from them."""
 
-    def __init__(self, by_wall: Any, kept_away: Any, group: Any, count: int) -> None:
+    def __init__(self, by_wall: Tally, kept_away: Tally, group: Any, count: int) -> None:
         self.by_wall, self.kept_away, self.group, self.count = by_wall, kept_away, group, count
 
     def met(self, si: Any, is_green: Any, throughput: Any, free: Sequence[Any], active: Any) -> None:
@@ -47,10 +48,9 @@ class WallGlow:
 
     def __init__(self, emitted: Floats, paths: int) -> None:
         self.count = len(emitted)
-        self.texels = mi.Float(np.ascontiguousarray(emitted, dtype=np.float32).ravel())
-        self.radiance = dr.zeros(mi.Float, paths * self.count * 2)
+        self.texels = LookupTable(emitted.reshape(-1, 1), mi)
+        self.radiance = Tally(paths * self.count * 2, mi)
         self.path = dr.arange(mi.UInt32, paths)
-        dr.make_opaque(self.texels)
 
     def met(self, si: Any, is_green: Any, throughput: Any, free: Sequence[Any], active: Any) -> None:
         """Add the emission where paths have met a wall, as :meth:`BandPaths.wall_radiance` reads it."""
@@ -61,15 +61,15 @@ class WallGlow:
             here = active & free[k]
             glow = mi.Float(0)
             for weight, texel in around:
-                glow += weight * dr.gather(mi.Float, self.texels, texel + k * per_angle, here)
+                glow += weight * self.texels.row(texel + k * per_angle, here)
             band = (self.path * self.count + k) * 2 + dr.select(is_green, mi.UInt32(1), mi.UInt32(0))
-            dr.scatter_add(self.radiance, carried * glow, band, here)
+            self.radiance.add(carried * glow, band, here)
 
 
-def _note_wall(by_wall: Any, si: Any, group: Any, is_green: Any, carried: Any, active: Any) -> None:
+def _note_wall(by_wall: Tally, si: Any, group: Any, is_green: Any, carried: Any, active: Any) -> None:
     """Add what a path carries to the texels around a wall point, as :meth:`BandPaths.wall_radiance` reads them."""
     for weight, texel in _texels_around(si, group, is_green):
-        dr.scatter_add(by_wall, carried * weight, texel, active)
+        by_wall.add(carried * weight, texel, active)
 
 
 def _texels_around(si: Any, group: Any, is_green: Any) -> list[tuple[Any, Any]]:

@@ -228,3 +228,45 @@ def test_nothing_names_a_particular_machine():
         path = ROOT / name
         if path.suffix in {".py", ".md", ".toml", ".j2", ".yml"} and path != Path(__file__):
             assert not pattern.search(path.read_text(encoding="utf-8")), name
+
+
+LOOKUP_DOOR = ROOT / "sim" / "optics" / "lookup_tables.py"
+# what reads or writes by a computed place, and what makes an integer of a float
+BY_PLACE = re.compile(
+    r"(packet_)?gather|scatter(_\w+)?|eval_(1|3|cubic|fetch)\w*|U?Int(8|16|32|64)?|u?int\w*_array_t|slice"
+)
+WITHOUT_LANES = re.compile(r"\d+|[A-Z_]+|[A-Z_]+ if [\w.]+ else [A-Z_]+")
+# call, and why no lane can leave anything by it
+SAFE_CALLS = {
+    "mi.UInt32(start)": "a constant of sim.optics.path_states",
+    "self.scatter(si, si.bsdf(ray), sampler, direction, on_coat, active)": "scatters light at a surface",
+    "mi.UInt32(k)": "the number of a paint, counted by Python",
+    "self.rays.eval_cubic(place, active, force_nonaccel=True)": "the renderer's own texture holds its places within",
+}
+
+
+def calls_by_place(source: str) -> Iterator[str]:
+    """Look-ups of the renderer's lanes, and casts to integers of what may differ from lane to lane."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and BY_PLACE.fullmatch(node.func.attr):
+            arguments = ", ".join(ast.unparse(argument) for argument in node.args)
+            if "nt" not in node.func.attr or not WITHOUT_LANES.fullmatch(arguments):
+                yield ast.unparse(node)
+
+
+def test_lanes_look_up_by_one_door_only():
+    found = {
+        path.relative_to(ROOT): set(calls_by_place(path.read_text(encoding="utf-8")))
+        for path in MODULES
+        if re.search("drjit|mitsuba", path.read_text(encoding="utf-8"))
+    }
+    assert found.pop(LOOKUP_DOOR.relative_to(ROOT))
+    around = {f"{path}: {call}" for path, calls in found.items() for call in calls - set(SAFE_CALLS)}
+    assert not around, f"read and write by sim.optics.lookup_tables, which no lane can leave: {sorted(around)}"
+    assert set(SAFE_CALLS) == {call for calls in found.values() for call in calls}
+
+
+def test_a_way_around_the_door_of_lookups_is_found():
+    calls = "dr.gather(mi.Float, t, i)", "dr.scatter_add(t, v, i)", "mi.UInt32(x)", "mi.Int32(dr.floor(x))"
+    assert list(calls_by_place("\n".join(calls))) == list(calls)
+    assert not list(calls_by_place("mi.UInt32(0)\nmi.UInt32(FROM_EYE)\nmi.UInt32(ONE if self.wall else OTHER)\nint(x)"))

@@ -1,6 +1,6 @@
 """No lane reads or writes outside a table, whatever it holds: a ray that met nothing carries coordinates never written.
 
-Each look-up runs in a child process (an error is a segmentation fault), with the renderer's own bounds check on, for
+The look-ups run in a child process (an error is a segmentation fault), with the renderer's own bounds check on, for
 this processor and for one without AVX-512: a cast of NaN gives 4294967295 there and 2147483648 here.
 """
 
@@ -9,26 +9,46 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.simulate.poisoned_lanes import LOOKUPS
+from sim.optics.cubic_splines import cell_and_fraction
+from sim.optics.lookup_tables import LookupTable, Tally, cell_at
 
 HERE = Path(__file__).parents[2]
-PROCESSORS = [[], ["x86-64-v3"]] if platform.machine() == "x86_64" else [[]]
+OTHER_PROCESSOR = [("rgb", "x86-64-v3"), ("spectral", "x86-64-v3")] if platform.machine() == "x86_64" else []
 
 
 @pytest.mark.renderer
-@pytest.mark.parametrize("processor", PROCESSORS, ids=lambda processor: processor[0] if processor else "this-processor")
-@pytest.mark.parametrize("lookup", LOOKUPS)
-def test_poisoned_lanes_stay_inside_the_tables(llvm_choice, lookup, processor):
+@pytest.mark.parametrize("arguments", [("rgb",), ("spectral",), ("paths",), *OTHER_PROCESSOR], ids=" ".join)
+def test_poisoned_lanes_stay_inside_the_tables(llvm_choice, arguments):
     child = subprocess.run(
-        [sys.executable, "-X", "faulthandler", "-m", "tests.simulate.poisoned_lanes", lookup, *processor],
+        [sys.executable, "-X", "faulthandler", "-m", "tests.simulate.poisoned_lanes", *arguments],
         cwd=HERE,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=900,
         check=False,
     )
     assert child.returncode == 0, child.stderr
     assert "out-of-bounds" not in child.stderr, child.stderr[:2000]
     assert child.stdout.endswith("ended well\n")
+
+
+@pytest.mark.renderer
+def test_every_float_has_a_cell_and_every_number_a_row(llvm):
+    places = [np.nan, np.inf, -np.inf, 1e30, -1e30, -0.5, 0.0, 0.99, 1.0, 4.0, 4.99, 5.0]
+    cells = np.array(cell_at(llvm.Float(places), 5))
+    np.testing.assert_array_equal(cells, [0, 4, 0, 4, 0, 0, 0, 0, 1, 4, 4, 4])
+    table = LookupTable(np.arange(10.0).reshape(5, 2), llvm)
+    row = table.row(llvm.UInt32([0, 4, 5, 2**31, 2**32 - 1]), llvm.Bool([True, True, True, True, False]))
+    np.testing.assert_array_equal(np.array(row), [[0, 8, 8, 8, 0], [1, 9, 9, 9, 0]])
+    tally = Tally(3, llvm)
+    tally.add(llvm.Float([1, 2, 4, 8, np.nan]), llvm.UInt32([0, 2, 3, 2**32 - 1, 1]), llvm.Bool([True] * 4 + [False]))
+    np.testing.assert_array_equal(np.array(tally.sums), [1, 0, 2])
+
+
+def test_the_same_map_in_numpy_has_a_cell_for_every_float():
+    places = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, -0.1, 0.0, 0.99, 1.0])
+    cells, _ = cell_and_fraction(places, 5)
+    np.testing.assert_array_equal(cells, [0, 4, 0, 4, 0, 0, 0, 4, 4])
