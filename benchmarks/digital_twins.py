@@ -39,7 +39,7 @@ from sim.experiments.pose_response import pose_response
 from sim.experiments.press import press_record
 from sim.experiments.tactile_camera import BandImages, camera_capture
 from sim.optics.render import PressRender, render_press
-from sim.optics.variants import choose_variant, open_renderer
+from sim.optics.variants import choose_variant
 
 Floats = NDArray[np.float64]
 POSE_SD_MM = {"depth_mm": 0.05, "position_mm": 0.3}
@@ -58,7 +58,7 @@ class Hidden:
 
 def calibrated_finger(folder: Path, width_px: int) -> tuple[PaintedFinger, Demo]:
     """Capture and fit both paints on the simulated rig, and return the finger that is believed in."""
-    demo = Demo(DemoSettings(folder, {}, None, 1, "digital twins"), open_renderer(choose_variant()))
+    demo = Demo(DemoSettings(folder, {}, None, 1, "digital twins"), choose_variant())
     for colour in ("red", "green"):
         demo.capture(colour, lambda *_: None)
         demo.radiometry(colour)

@@ -8,6 +8,7 @@ handler writes where it was when it crashed. It never outlives its parent.
 import contextlib
 import ctypes
 import faulthandler
+import gc
 import importlib
 import json
 import os
@@ -33,6 +34,8 @@ Hear = Callable[[Json], None]
 
 GRACE_S: Final = 2.0
 """How long a child that is told to end may take to tidy up, before it is killed."""
+OBJECTS_PER_COLLECTION: Final = 300_000
+"""Loading packages makes few cycles: looking for them took a tenth of a short verb."""
 _LOOK_S: Final = 0.25  # between looks at a child whose pipe a grandchild may keep open
 _DIE_WITH_PARENT: Final = 1  # PR_SET_PDEATHSIG of Linux
 _MESSAGE_BYTES: Final = 1 << 16
@@ -230,14 +233,13 @@ class Child:
         status, peak_bytes = self._reap()
         if not cause:
             cause = _cause(status, _kills_for_want_of_memory() > kills_before)
+        memory = f"; it had taken {peak_bytes / 2**30:.2f} GiB of memory" if peak_bytes else ""
+        self._early_log.seek(0)
         if log is not None:
-            self._early_log.seek(0)
-            early = self._early_log.read()
             with contextlib.suppress(OSError), log.open("ab") as file:
-                file.write(early)
+                file.write(self._early_log.read() + f"The process {cause}{memory}\n".encode())
         self._early_log.seek(0)
         self._early_log.truncate()
-        memory = f"; it had taken {peak_bytes / 2**30:.2f} GiB of memory" if peak_bytes else ""
         return f"{cause}{memory}"
 
 
@@ -275,6 +277,7 @@ def serve(jobs: int, messages: int, parent: int) -> None:
     _channel = messages
     for pipe in (jobs, messages):
         os.set_inheritable(pipe, False)
+    gc.set_threshold(OBJECTS_PER_COLLECTION)
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background inherits that it is ignored
     _die_with(parent)
     try:

@@ -1,8 +1,9 @@
 """``finray demo``: all six stages on a simulated rig."""
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from finray_calib.cli.options import add_out, add_seed, command_line, progress_bar, require_place, say
 
@@ -12,7 +13,8 @@ Run capture, radiometry, fit, simulate, compare and decide on a simulated rig wi
 write report.html, summary.json and every stage's records. The rig's paints are hidden from the fitter, and the
 capture that the render is compared with comes from a digital twin that the simulation does not know.
 
-Give measured re-radiation matrices and a camera response to run it on real materials."""
+Give measured re-radiation matrices and a camera response to run it on real materials. A demo that was interrupted, or
+of which a stage died, goes on with the same command; what is stored and whole is not computed again."""
 
 
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -26,7 +28,7 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     )
     parser.add_argument("--sensor", type=Path, metavar="FILE", help="camera response (CSV) of both cameras")
     parser.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
-    add_out(parser, "finray-demo/, or the next free finray-demo-N/")
+    add_out(parser, "finray-demo/, or the next free finray-demo-N/, or the last one if it was interrupted")
     add_seed(parser)
     parser.set_defaults(run=run)
 
@@ -34,19 +36,20 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
 def run(arguments: argparse.Namespace) -> None:
     """Run and report."""
     from finray_calib.demo.run_demo import run_demo
-    from finray_calib.demo.stages import COMPILED_EFFORT, SCALAR_EFFORT, DemoSettings
+    from finray_calib.demo.stages import COMPILED_EFFORT, SCALAR_EFFORT, DemoSettings, settings_json
     from sim.optics.variants import choose_variant
 
     materials = {c: f for c, f in (("red", arguments.red), ("green", arguments.green)) if f is not None}
-    out = require_place(arguments.out or _next_free(Path("finray-demo")))
     _require_usable_curves(materials.values(), arguments.sensor)
     engine = choose_variant(arguments.engine)
     effort = SCALAR_EFFORT if engine.llvm_library is None else COMPILED_EFFORT
-    settings = DemoSettings(out, materials, arguments.sensor, arguments.seed, command_line(), effort)
-    results = run_demo(settings, engine, progress_bar)
-    say(f"{results.decision.verdict.upper()}: {results.decision.sentence}")
-    say(f"renderer: {results.renderer_note}")
-    say(f"time: {sum(results.stage_wall_times_s.values()):.0f} s")
+    settings = DemoSettings(Path(), materials, arguments.sensor, arguments.seed, command_line(), effort)
+    as_json = settings_json(settings, engine)
+    out = require_place(arguments.out or _where_to_go_on(Path("finray-demo"), as_json))
+    said = run_demo({**as_json, "out": str(out)}, progress_bar, say)
+    say(f"{said['verdict'].upper()}: {said['sentence']}")
+    say(f"renderer: {engine.note}")
+    say(f"time: {said['seconds']:.0f} s")
     say(f"report: {(out / 'report.html').resolve()}")
 
 
@@ -61,10 +64,12 @@ def _require_usable_curves(materials: Iterable[Path], sensor: Path | None) -> No
             pass
 
 
-def _next_free(path: Path) -> Path:
-    """Return the path, or the first of path-2, path-3 ... that does not exist."""
-    number, free = 1, path
+def _where_to_go_on(path: Path, settings: Mapping[str, Any]) -> Path:
+    """Return the last of path, path-2 ... if an interrupted demo with these settings is in it, else the next one."""
+    from finray_calib.demo.demo_folder import can_go_on
+
+    number, last, free = 1, path, path
     while free.exists():
-        number += 1
+        number, last = number + 1, free
         free = path.with_name(f"{path.name}-{number}")
-    return free
+    return last if can_go_on(last, settings) else free

@@ -6,7 +6,8 @@ import gc
 import sys
 from collections.abc import Sequence
 
-from data_schemas.errors import FinrayError
+from data_schemas.child_process import OBJECTS_PER_COLLECTION
+from data_schemas.errors import DiedError, FinrayError
 from finray_calib.cli import (
     capture,
     check,
@@ -25,8 +26,8 @@ from finray_calib.cli import (
 )
 
 USER_MISTAKE = 2
+DIED = 3
 INTERRUPTED = 130
-OBJECTS_PER_COLLECTION = 300_000  # loading packages makes few cycles: looking for them took a tenth of a short verb
 VERBS = (
     capture,
     radiometry,
@@ -66,7 +67,8 @@ def build_parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status.
 
-    0, 1 for a rig that is not accepted, 2 for a user's mistake, 130 when interrupted.
+    0, 1 for a rig that is not accepted, 2 for a user's mistake, 3 when a process of a long stage
+    died, 130 when interrupted.
     """
     gc.set_threshold(OBJECTS_PER_COLLECTION)
     parser = build_parser()
@@ -83,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = parsed.run(parsed)
     except (FinrayError, OSError) as error:
         sys.stderr.write(f"finray {parsed.verb}: error: {_one_line(error)}\n")
-        return USER_MISTAKE
+        return DIED if isinstance(error, DiedError) else USER_MISTAKE
     except KeyboardInterrupt:
         sys.stderr.write(f"finray {parsed.verb}: interrupted; what was stored is whole\n")
         return INTERRUPTED

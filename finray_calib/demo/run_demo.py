@@ -1,129 +1,202 @@
-"""Run the whole way on a simulated rig and write the report."""
+"""Run the whole way on a simulated rig: each stage in a process of its own, from where an earlier run was stopped."""
 
-import json
+import contextlib
 import time
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from data_schemas.capture import CaptureSession
-from data_schemas.errors import CaptureError, RecordError
-from data_schemas.provenance import provenance
-from data_schemas.whole_files import write_bytes
-from finray_calib.demo.stages import Demo, DemoSettings
-from finray_calib.reports.demo_report import demo_report
-from finray_calib.reports.demo_results import COLOURS, Colour, DemoResults, PaintResult
-from finray_calib.reports.fitted_paint import PaintTruth
-from finray_calib.reports.images import to_display
-from finray_calib.reports.summary import summary
-from rigs.capture.read_session import read_frame_of
-from rigs.simulated.scene import lay_out
-from rigs.simulated.sensor import bayer_planes
-from sim.optics.variants import RendererChoice, open_renderer
+from data_schemas.child_process import Child
+from data_schemas.errors import DiedError
+from finray_calib.demo.demo_folder import LOGS, Product, Stage, held, note_time, noted_times, whole_stages
+from finray_calib.demo.stages import CAPTURE, COLOURS, DECISION, MECHANICS, PRESS, REPORT, SURFACES, SWEEP, TRUE_SWEEP
 
 Count = Callable[[int, int, str], None]
 OpenBar = Callable[[str], AbstractContextManager[Count]]
-PREVIEW_STEP = 2
-WHITE_PATCH = 19  # of the ColorChecker
+Say = Callable[[str], None]
+
+RUN_STAGE = "finray_calib.demo.stages:run_stage"
+PAINTS = tuple(f"{colour}/paint.json" for colour in COLOURS)
+# what a process loads while the stage before it computes
+IMPORTS: Mapping[str, tuple[str, ...]] = {
+    "paints": (
+        "finray_calib.demo.stages",
+        "rigs.capture.paint_session",
+        "rigs.presets",
+        "finray_calib.radiometry.band_signals",
+        "finray_calib.fit.paint_calibration",
+    ),
+    "press": ("finray_calib.demo.stages", "sim.mechanics.press", "sim.experiments.mechanical_press"),
+    "renders": (
+        "finray_calib.demo.stages",
+        "mitsuba",
+        "sim.experiments.press",
+        "sim.experiments.light_angle",
+        "sim.experiments.digital_twin",
+        "rigs.simulated.bench_truth",
+    ),
+    "verdict": (
+        "finray_calib.demo.stored_results",
+        "finray_calib.compare.comparison_record",
+        "finray_calib.decide.decision_record",
+    ),
+}
 
 
-@dataclass
-class StageTimes:
-    """Wall time of each stage (s), added up over its parts, with a progress bar while it runs."""
-
-    open_bar: OpenBar
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def of(self, stage: str) -> Iterator[Count]:
-        """Time a block as part of a stage."""
-        start = time.monotonic()
-        with self.open_bar(stage) as count:
-            yield count
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.monotonic() - start
+def _paint_stages(colour: str) -> tuple[Stage, ...]:
+    """Return the stages of one paint."""
+    session, bands = f"{colour}/session/session.json", f"{colour}/bands.json"
+    products = (
+        Product(session, "data_schemas.capture:CaptureSession", is_session=True),
+        Product(bands, "data_schemas.radiometry:BandSignals", (session,)),
+        Product(f"{colour}/paint.json", "data_schemas.fit:PaintCalibration", (bands,)),
+    )
+    return tuple(
+        _stage(kind, f"the {kind} of the {colour} paint", kind, "paints", product, colour=colour)
+        for kind, product in zip(("capture", "radiometry", "fit"), products, strict=True)
+    )
 
 
-def run_demo(settings: DemoSettings, engine: RendererChoice, open_bar: OpenBar) -> DemoResults:
+def _stage(kind: str, words: str, what: str, process: str, *products: Product, **arguments: Any) -> Stage:
+    """Return a stage that is a method of the demo."""
+    return Stage(kind, words, RUN_STAGE, {"what": what, "arguments": arguments}, products, process)
+
+
+def _product(file: str, record_type: str, *inputs: str) -> Product:
+    return Product(file, f"data_schemas.{record_type}", inputs)
+
+
+STAGES: tuple[Stage, ...] = (
+    *(stage for colour in COLOURS for stage in _paint_stages(colour)),
+    _stage(
+        "simulate", "the press by finite elements", "press", "press",
+        _product(MECHANICS, "press_mechanics:PressMechanics"), _product(SURFACES, "surfaces:FingerSurfaces"),
+    ),
+    _stage(
+        "simulate", "the render of the press", "simulate", "renders",
+        _product(PRESS["b"], "simulate:SimulatedPress", SURFACES, *PAINTS),
+    ),
+    _stage(
+        "simulate", "the render with the paper's emitter", "simulate", "renders",
+        _product(PRESS["a"], "simulate:SimulatedPress", SURFACES, *PAINTS), level="a",
+    ),
+    _stage(
+        "simulate", "the sweep of the light angle", "sweep", "renders",
+        _product(SWEEP, "simulate:LightAngleSweep", SURFACES, *PAINTS),
+    ),
+    _stage(
+        "simulate", "the sweep of the true finger", "true_sweep", "renders",
+        _product(TRUE_SWEEP, "simulate:LightAngleSweep", SURFACES),
+    ),
+    _stage(
+        "capture", "the capture of the digital twin", "twin", "renders",
+        _product(CAPTURE, "capture:TactileCapture", SURFACES),
+    ),
+    *(
+        _stage(
+            "compare", f"the comparison of {what} with the capture", "compare", "verdict",
+            _product(REPORT[level], "compare:PhotometricErrorReport", PRESS[level], CAPTURE), level=level,
+        )
+        for level, what in (("b", "the render"), ("a", "the paper's emitter"))
+    ),
+    _stage(
+        "decide", "the decision on the light angle", "decide", "verdict",
+        _product(DECISION, "decide:LightAngleDecision", SWEEP, REPORT["b"]),
+    ),
+)  # fmt: skip
+REPORT_STAGE = Stage("", "the report", "finray_calib.demo.stored_results:write_report", {}, (), "verdict")
+
+
+def run_demo(
+    settings: Mapping[str, Any],
+    open_bar: OpenBar,
+    say: Say,
+    stages: Sequence[Stage] = STAGES,
+    report: Stage = REPORT_STAGE,
+) -> dict[str, Any]:
     """Run capture, radiometry, fit, simulate, compare and decide; write all products, summary and report.
+
+    A folder that holds an interrupted demo with the same settings is gone on with: what is whole there, as records and
+    checksums prove, is not computed again.
 
     Parameters
     ----------
     settings
-        Where to write and what to run on.
-    engine
-        Renderer.
+        As :func:`finray_calib.demo.stages.settings_json` returns them.
     open_bar
         Opens a progress bar for a stage.
+    say
+        Tells the user where the demo goes on.
+    stages, report
+        What to run.
+
+    Returns
+    -------
+    dict
+        What the report says: verdict, sentence; and `seconds`, the wall time of all stages.
 
     Raises
     ------
     RecordError
-        The output folder exists and is not empty.
+        The folder holds something else, a finished demo or one with other settings, or a product was changed.
+    DiedError
+        The process of a stage died; the message names the stage, its log and what to do.
+    FinrayError
+        What a stage refuses.
     """
-    if settings.out.exists() and (not settings.out.is_dir() or any(settings.out.iterdir())):
-        raise RecordError(f"{settings.out}: exists already and is not empty; choose another --out or move it away")
-    demo = Demo(settings, open_renderer(engine))
-    times = StageTimes(open_bar)
-    paints = {colour: _paint(demo, colour, times) for colour in COLOURS}
-    with times.of("simulate") as count:
-        mechanics, surfaces = demo.press(count)
-        press = demo.simulate(count)
-        demo.simulate(count, "a")
-        sweep = demo.sweep(count)
-        true_sweep = demo.true_sweep(count)
-    with times.of("capture") as count:
-        capture = demo.twin(count)
-    with times.of("compare"):
-        report, report_level_a = demo.compare(), demo.compare("a")
-    with times.of("decide"):
-        decision = demo.decide()
-    results = DemoResults(
-        paints=paints, mechanics=mechanics, surfaces=surfaces,
-        press=press, capture=capture, report=report, sweep=sweep, decision=decision,
-        stage_wall_times_s=times.seconds, renderer_note=engine.note, command=settings.command,
-        provenance=provenance(settings.command, {}, settings.seed), true_sweep=true_sweep,
-        report_level_a=report_level_a,
-    )  # fmt: skip
-    text = json.dumps(summary(results), indent=1, allow_nan=False, ensure_ascii=False)
-    write_bytes(settings.out / "summary.json", (text + "\n").encode())
-    write_bytes(settings.out / "report.html", demo_report(results).encode())
-    return results
+    out = Path(settings["out"])
+    with held(out, settings), contextlib.ExitStack() as stack:
+        whole = whole_stages(out, stages)
+        if whole:
+            say(f"{out}: goes on after {len(whole)} of {len(stages)} stages, which are whole")
+        left = [stage for number, stage in enumerate(stages) if number not in whole]
+        processes = _Processes(stack)
+        for stage, following in zip(left, [*left[1:], report], strict=True):
+            start = time.monotonic()
+            with open_bar(stage.kind) as count:
+                processes.run(stage, {"settings": settings, **stage.arguments}, out, count, following)
+            note_time(out, stage, time.monotonic() - start)
+        seconds = noted_times(out, stages)
+        said = processes.run(report, {"settings": settings, "seconds": seconds}, out, None, None)
+    return {**said, "seconds": sum(seconds.values())}
 
 
-def _paint(demo: Demo, colour: Colour, times: StageTimes) -> PaintResult:
-    """Calibrate one paint: capture, radiometry, fit."""
-    with times.of("capture") as count:
-        session = demo.capture(colour, count)
-    with times.of("radiometry"):
-        bands = demo.radiometry(colour)
-    with times.of("fit"):
-        calibration = demo.fit(colour)
-    truth, material = demo.truth(colour), demo.settings.materials.get(colour)
-    return PaintResult(
-        colour=colour,
-        session=session,
-        bands=bands,
-        calibration=calibration,
-        truth=PaintTruth(
-            emission=truth.emission,
-            mode_nm=truth.mode_nm,
-            fwhm_nm=truth.fwhm_nm,
-            energy_yield=truth.energy_yield,
-            kind="hidden paper-family paint" if material is None else f"measured material {material.name}",
-        ),
-        room_light_rgb8=_room_light_preview(demo, colour, session),
-    )
+class _Processes:
+    """The processes of the stages: the next one starts, and loads its packages, while the present one computes."""
 
+    def __init__(self, stack: contextlib.ExitStack) -> None:
+        self._stack = stack
+        self._children: dict[str, Child] = {}
 
-def _room_light_preview(demo: Demo, colour: Colour, session: CaptureSession) -> NDArray[np.uint8]:
-    """Return the room-light frame as a small picture, balanced so that the ColorChecker's white patch is white."""
-    frame = next((f for f in session.frames if f.frame_type == "room light"), None)
-    if frame is None:
-        raise CaptureError(f"session of the {colour} paint: holds no room-light frame")
-    planes = bayer_planes(read_frame_of(demo.path(colour) / "session", frame)) - session.rig.camera.black_level_dn
-    height, width = planes.shape[:2]
-    white = planes[lay_out(height, width, seed=0).patch == WHITE_PATCH].mean(axis=0)
-    return to_display(planes[::PREVIEW_STEP, ::PREVIEW_STEP], white, linear=True)
+    def _of(self, stage: Stage) -> Child:
+        """Return the process of a stage."""
+        if stage.process not in self._children:
+            child = Child(IMPORTS.get(stage.process, ()))
+            self._children[stage.process] = self._stack.enter_context(child)
+        return self._children[stage.process]
+
+    def run(
+        self, stage: Stage, arguments: Mapping[str, Any], out: Path, count: Count | None, following: Stage | None
+    ) -> Any:
+        """Run a stage, with its log in the folder of logs, which stays only where something was written."""
+        child, log = self._of(stage), out / LOGS / f"{stage.words.replace(' ', '-')}.log"
+        if following is not None:
+            self._of(following)
+        log.parent.mkdir(exist_ok=True)
+        try:
+            said = child.call(
+                stage.function, arguments, log=log, hear=None if count is None else lambda message: count(*message)
+            )
+        except DiedError as died:
+            raise DiedError(
+                f"{stage.words} {died}. Its log is {log}. What is finished is kept: the same command goes on there; "
+                "if that fails again, 'finray doctor' tells what this machine lacks"
+            ) from None
+        if following is None or following.process != stage.process:
+            child.end()
+        with contextlib.suppress(OSError):
+            if log.stat().st_size == 0:
+                log.unlink()
+            log.parent.rmdir()
+        return said

@@ -1,14 +1,19 @@
-"""The six stages of the demo, each from stored records to stored records."""
+"""The six stages of the demo, each from stored records to stored records.
 
+A stage imports what it needs when it runs: each group of stages has a process of its own, which loads its own packages.
+"""
+
+import shutil
+import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from types import ModuleType
-from typing import TypeVar
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from data_schemas.capture import CaptureSession, TactileCapture
+from data_schemas.child_process import tell
 from data_schemas.compare import PhotometricErrorReport
 from data_schemas.decide import LightAngleDecision
 from data_schemas.design import FingerDesign
@@ -20,31 +25,17 @@ from data_schemas.provenance import provenance
 from data_schemas.radiometry import BandSignals
 from data_schemas.rig import RigFile
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
-from data_schemas.standard_curves import camera_response
 from data_schemas.storage import read_record, write_record
 from data_schemas.surfaces import FingerSurfaces
-from data_schemas.whole_files import sha256_of
-from finray_calib.compare.comparison_record import compare_press
-from finray_calib.decide.decision_record import decide
-from finray_calib.fit.fit_options import FitOptions
-from finray_calib.fit.paint_calibration import calibrate_paint
-from finray_calib.radiometry.band_signals import band_signals
-from finray_calib.spectra.compiled import machine_threads
-from rigs.capture.paint_session import capture_paint_session
-from rigs.capture.read_session import read_frame_of, read_session
-from rigs.presets import paint_plan, simulated_rig
-from rigs.simulated.bench_truth import BenchTruth, bench_truth
-from rigs.toml_text import write_plan, write_rig
-from sim.experiments.digital_twin import capture_twin, hidden_design
-from sim.experiments.light_angle import light_angle_sweep
-from sim.experiments.mechanical_press import press_records
-from sim.experiments.painted_finger import PaintedFinger, paint_optics
-from sim.experiments.press import simulate_press
-from sim.mechanics.press import press_finger
-from sim.optics.paint_bands import PaintOptics
-from sim.optics.wall_emission import Level
-from sim.surface_meshes.finger_shape import FingerShape
-from sim.surface_meshes.stored_shape import restore_shapes
+from data_schemas.whole_files import sha256_of, write_bytes
+from sim.optics.variants import RendererChoice, open_renderer
+
+if TYPE_CHECKING:
+    from rigs.simulated.bench_truth import BenchTruth
+    from sim.experiments.painted_finger import PaintedFinger
+    from sim.optics.paint_bands import PaintOptics
+    from sim.optics.wall_emission import Level
+    from sim.surface_meshes.finger_shape import FingerShape
 
 COLOURS = ("red", "green")
 ANGLES_DEG = tuple(float(a) for a in range(0, 121, 10))
@@ -54,7 +45,11 @@ PUSH_MM, PUSH_INCREMENTS = 4.0, 2
 TWIN_SEED = 1000
 PRESS = {"a": "press-level-a.json", "b": "press.json"}
 SURFACES, MECHANICS = "pressed-finger.surfaces.json", "pressed-finger.mechanics.json"
+CAPTURE, SWEEP, TRUE_SWEEP = "tactile-capture.json", "sweep.json", "true-sweep.json"
 REPORT = {"a": "photometric-error-level-a.json", "b": "photometric-error.json"}
+DECISION = "light-angle-decision.json"
+WITH_PROGRESS = frozenset({"capture", "press", "simulate", "sweep", "true_sweep", "twin"})
+TELL_AGAIN_S = 0.05  # between messages on how far a stage is
 Progress = Callable[[int, int, str], None]
 R = TypeVar("R", bound=Record)
 
@@ -104,9 +99,14 @@ class DemoSettings:
 class Demo:
     """Run the stages in order; every product is stored and the next stage reads it back from its file."""
 
-    def __init__(self, settings: DemoSettings, renderer: ModuleType) -> None:
+    def __init__(self, settings: DemoSettings, engine: RendererChoice) -> None:
         self.settings = settings
-        self.renderer = renderer
+        self.engine = engine
+
+    @cached_property
+    def renderer(self) -> ModuleType:
+        """Return the renderer, which is opened when the first stage asks for it."""
+        return open_renderer(self.engine)
 
     def path(self, name: str) -> Path:
         """Return the path of a product."""
@@ -114,33 +114,49 @@ class Demo:
 
     def rig(self, colour: str) -> RigFile:
         """Return the simulated rig with the sample of one colour."""
+        from rigs.presets import simulated_rig
+
         material = self.settings.materials.get(colour)
         sensor = None if self.settings.sensor is None else str(self.settings.sensor.resolve())
         sample = colour if material is None else str(material.resolve())
         return simulated_rig(sample, sensor, seed=self.settings.seed + COLOURS.index(colour))
 
     def capture(self, colour: str, progress: Progress) -> CaptureSession:
-        """Capture a paint session on the simulated rig."""
+        """Capture a paint session on the simulated rig; one that was interrupted begins again, for the same noise."""
+        from rigs.capture.paint_session import capture_paint_session
+        from rigs.presets import paint_plan
+        from rigs.toml_text import plan_toml, rig_toml
+
         rig, folder = self.rig(colour), self.path(colour)
         plan = paint_plan(f"{colour} paint", rig.camera)
-        write_rig(rig, folder / "rig.toml")
-        write_plan(plan, folder / "plan.toml")
+        for name, text in {"rig.toml": rig_toml(rig), "plan.toml": plan_toml(plan)}.items():
+            _write_once(folder / name, text.encode())
+        if (folder / "session").is_dir():
+            shutil.rmtree(folder / "session")
         return capture_paint_session(rig, plan, folder, folder / "session", self.settings.command, progress)
 
     def radiometry(self, colour: str) -> BandSignals:
         """Reduce the stored session to band signals."""
+        from finray_calib.radiometry.band_signals import band_signals
+        from rigs.capture.read_session import read_frame_of, read_session
+
         folder = self.path(colour) / "session"
         bands = band_signals(read_session(folder), lambda frame: read_frame_of(folder, frame))
         return self._store(bands, f"{colour}/bands.json", [f"{colour}/session/session.json"])
 
     def fit(self, colour: str) -> PaintCalibration:
         """Fit the emission spectrum to the stored band signals, with emcee as the independent check."""
+        from finray_calib.fit.fit_options import FitOptions
+        from finray_calib.fit.paint_calibration import calibrate_paint
+
         bands = read_record(self.path(f"{colour}/bands.json"), BandSignals)
         paint = calibrate_paint(bands, self.settings.seed, FitOptions(check_by_emcee=True))
         return self._store(paint, f"{colour}/paint.json", [f"{colour}/bands.json"])
 
-    def truth(self, colour: str) -> BenchTruth:
+    def truth(self, colour: str) -> "BenchTruth":
         """Return what the bench hid; it enters the digital twin and the report, never a stage."""
+        from rigs.simulated.bench_truth import bench_truth
+
         return bench_truth(self.rig(colour), self.path(colour))
 
     def calibrations(self) -> dict[str, PaintCalibration]:
@@ -158,17 +174,26 @@ class Demo:
 
     def press(self, progress: Progress) -> tuple[PressMechanics, FingerSurfaces]:
         """Press the finger by finite elements; everything rendered afterwards has its shape."""
+        from finray_calib.spectra.compiled import machine_threads
+        from sim.experiments.mechanical_press import press_records
+        from sim.mechanics.press import press_finger
+
         design = self.design()
         pressed = press_finger(design, MESH, PUSH_INCREMENTS, machine_threads(), progress)
         mechanics, surfaces = press_records(design, pressed, MESH)
         return self._store(mechanics, MECHANICS, []), self._store(surfaces, SURFACES, [])
 
-    def shapes(self) -> tuple[FingerShape, FingerShape]:
+    def shapes(self) -> "tuple[FingerShape, FingerShape]":
         """Return the stored shapes of the finger, without and with contact."""
+        from sim.surface_meshes.stored_shape import restore_shapes
+
         return restore_shapes(read_record(self.path(SURFACES), FingerSurfaces))
 
-    def simulate(self, progress: Progress, level: Level = "b") -> SimulatedPress:
+    def simulate(self, progress: Progress, level: "Level" = "b") -> SimulatedPress:
         """Render the press with the fitted paints; level "a" is the paper's emitter, for comparison."""
+        from sim.experiments.painted_finger import paint_optics
+        from sim.experiments.press import simulate_press
+
         finger = self._finger(self.design(), {c: paint_optics(p) for c, p in self.calibrations().items()})
         samples = self.settings.effort.samples_per_pixel // (1 if level == "b" else 2)
         press = simulate_press(
@@ -178,60 +203,75 @@ class Demo:
 
     def sweep(self, progress: Progress) -> LightAngleSweep:
         """Sweep the light angle with the fitted paints."""
+        from sim.experiments.painted_finger import paint_optics
+
         calibrations = self.calibrations()
         finger = self._finger(self.design(), {c: paint_optics(p) for c, p in calibrations.items()})
         sweep = self._swept(finger, calibrations, SWEEP_REPEATS, self.settings.seed, progress)
-        return self._store(sweep, "sweep.json", [SURFACES, *(f"{c}/paint.json" for c in COLOURS)])
+        return self._store(sweep, SWEEP, [SURFACES, *(f"{c}/paint.json" for c in COLOURS)])
 
     def true_sweep(self, progress: Progress) -> LightAngleSweep:
         """Sweep the light angle of the hidden true finger: what the decision is worth, for the report only."""
         sweep = self._swept(self.true_finger(), {}, TRUE_SWEEP_REPEATS, self.settings.seed + TWIN_SEED, progress)
-        return self._store(sweep, "true-sweep.json", [SURFACES])
+        return self._store(sweep, TRUE_SWEEP, [SURFACES])
 
-    def true_finger(self) -> PaintedFinger:
+    def true_finger(self) -> "PaintedFinger":
         """Return the finger as it was really built: true paints, light and coating a little off."""
+        from sim.experiments.digital_twin import hidden_design
+
         paints = {colour: true_paint_optics(colour, self.truth(colour)) for colour in COLOURS}
         return self._finger(hidden_design(self.design()), paints)
 
     def twin(self, progress: Progress) -> TactileCapture:
         """Capture the digital twin: hidden true paints, another light angle, coating and seed."""
+        from sim.experiments.digital_twin import capture_twin
+
         capture = capture_twin(
             self.true_finger(), self.design().light.angle_deg, self.settings.seed + TWIN_SEED,
             self.settings.effort.twin_samples_per_pixel, progress, self.shapes(),
             self.settings.effort.twin_samples_per_pixel,
         )  # fmt: skip
-        return self._store(capture, "tactile-capture.json", [SURFACES])
+        return self._store(capture, CAPTURE, [SURFACES])
 
-    def compare(self, level: Level = "b") -> PhotometricErrorReport:
+    def compare(self, level: "Level" = "b") -> PhotometricErrorReport:
         """Compare the stored render of a level with the stored capture."""
+        from finray_calib.compare.comparison_record import compare_press
+
         press = read_record(self.path(PRESS[level]), SimulatedPress)
-        capture = read_record(self.path("tactile-capture.json"), TactileCapture)
+        capture = read_record(self.path(CAPTURE), TactileCapture)
         report = compare_press(press, capture, self.settings.seed)
-        return self._store(report, REPORT[level], [PRESS[level], "tactile-capture.json"])
+        return self._store(report, REPORT[level], [PRESS[level], CAPTURE])
 
     def decide(self) -> LightAngleDecision:
         """Decide on the light angle from the stored sweep and report."""
-        sweep = read_record(self.path("sweep.json"), LightAngleSweep)
-        report = read_record(self.path("photometric-error.json"), PhotometricErrorReport)
+        from finray_calib.decide.decision_record import decide
+
+        sweep = read_record(self.path(SWEEP), LightAngleSweep)
+        report = read_record(self.path(REPORT["b"]), PhotometricErrorReport)
         decision = decide(sweep, [report], self.settings.seed)
-        return self._store(decision, "light-angle-decision.json", ["sweep.json", "photometric-error.json"])
+        return self._store(decision, DECISION, [SWEEP, REPORT["b"]])
 
     def _swept(
         self,
-        finger: PaintedFinger,
+        finger: "PaintedFinger",
         calibrations: Mapping[str, PaintCalibration],
         repeats: int,
         seed: int,
         progress: Progress,
     ) -> LightAngleSweep:
         """Sweep the light angle of a finger."""
+        from sim.experiments.light_angle import light_angle_sweep
+
         digests = self._digests() if calibrations else {}
         samples = self.settings.effort.probe_samples
         shape = self.shapes()[1]
         return light_angle_sweep(finger, calibrations, ANGLES_DEG, repeats, samples, seed, digests, progress, shape)
 
-    def _finger(self, design: FingerDesign, paints: Mapping[str, PaintOptics]) -> PaintedFinger:
+    def _finger(self, design: FingerDesign, paints: "Mapping[str, PaintOptics]") -> "PaintedFinger":
         """Join design, paints, the tactile camera's response and the renderer."""
+        from data_schemas.standard_curves import camera_response
+        from sim.experiments.painted_finger import PaintedFinger
+
         return PaintedFinger(design, paints, camera_response(design.camera.response, self.settings.out), self.renderer)
 
     def _digests(self) -> dict[str, str]:
@@ -244,8 +284,12 @@ class Demo:
         return read_record(write_record(record, self.path(name), origin), type(record))
 
 
-def true_paint_optics(colour: str, truth: BenchTruth) -> PaintOptics:
+def true_paint_optics(colour: str, truth: "BenchTruth") -> "PaintOptics":
     """Return the optics of the paint that really lies on the bench (measurement noise below zero is cut)."""
+    import numpy as np
+
+    from sim.optics.paint_bands import PaintOptics
+
     emission, reflectance = truth.emission, truth.reflectance
     wavelength_nm = emission.wavelength_nm
     blue_nm = np.arange(380.0, wavelength_nm[0])
@@ -257,3 +301,54 @@ def true_paint_optics(colour: str, truth: BenchTruth) -> PaintOptics:
         reflectance=np.clip(reflectance(grid_nm), 0.0, 1.0),
         absorption_rel=np.maximum(truth.absorption(grid_nm), 0.0),
     )
+
+
+def _write_once(path: Path, content: bytes) -> None:
+    """Write a file that a run before may have written already.
+
+    Raises
+    ------
+    RecordError
+        It holds something else.
+    """
+    if not (path.is_file() and path.read_bytes() == content):
+        write_bytes(path, content)
+
+
+def settings_json(settings: DemoSettings, engine: RendererChoice) -> dict[str, Any]:
+    """Return settings and renderer as JSON, for the processes of the stages."""
+    return {
+        **{name: getattr(settings, name) for name in ("seed", "command")},
+        "out": str(settings.out),
+        "materials": {colour: str(path) for colour, path in settings.materials.items()},
+        "sensor": None if settings.sensor is None else str(settings.sensor),
+        "effort": asdict(settings.effort),
+        "engine": asdict(engine),
+    }
+
+
+def demo_of(stored: Mapping[str, Any]) -> Demo:
+    """Return the demo of settings as :func:`settings_json` wrote them."""
+    settings = DemoSettings(
+        out=Path(stored["out"]),
+        materials={colour: Path(path) for colour, path in stored["materials"].items()},
+        sensor=None if stored["sensor"] is None else Path(stored["sensor"]),
+        seed=stored["seed"],
+        command=stored["command"],
+        effort=RenderEffort(**stored["effort"]),
+    )
+    return Demo(settings, RendererChoice(**stored["engine"]))
+
+
+def run_stage(settings: Mapping[str, Any], what: str, arguments: Mapping[str, Any]) -> None:
+    """Run a stage in a process of its own: a method of :class:`Demo` that stores its product."""
+    last_s = -TELL_AGAIN_S
+
+    def progress(done: int, total: int, text: str) -> None:
+        nonlocal last_s
+        if time.monotonic() - last_s >= TELL_AGAIN_S or done == total:
+            last_s = time.monotonic()
+            tell([done, total, text])
+
+    method = getattr(demo_of(settings), what)
+    method(**arguments, **({"progress": progress} if what in WITH_PROGRESS else {}))

@@ -1,0 +1,282 @@
+"""``finray demo``: a stage that dies is one sentence, and the same command goes on where it stopped."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from data_schemas.errors import DiedError, RecordError, RefusedError
+from finray_calib.demo.demo_folder import can_go_on, whole_stages
+from finray_calib.demo.run_demo import STAGES as REAL_STAGES
+from tests.command_line import small_demo
+from tests.command_line.running import tree
+from tests.schemas.test_child_process import gone_within
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def poison(out: Path, stage: str, **how: object) -> None:
+    out.with_name(f"{out.name}.{stage}.poison").write_text(json.dumps(how))
+
+
+def computed(out: Path) -> list[str]:
+    return [line.split()[0] for line in out.with_name(f"{out.name}.computed").read_text().splitlines()]
+
+
+def test_stages_run_in_order_in_their_processes(tmp_path):
+    out, bar = tmp_path / "d", small_demo.Bar()
+    report, said = small_demo.run(out, bar=bar)
+    lines = (tmp_path / "d.computed").read_text().split()
+    assert lines[::2] == ["one", "two", "three"]
+    first, second, third = lines[1::2]
+    assert first == second != third
+    assert str(os.getpid()) not in lines
+    assert said == []
+    assert report["verdict"] == "done"
+    assert report["seconds"] > 0.0
+    assert bar.told == [("simulate", 1, 1, f"stored {name}") for name in ("one", "two", "three")]
+    left = {path.name for path in out.iterdir() if path.suffix != ".npz"}
+    assert left == {"demo.json", "stage-times.jsonl", "one.json", "two.json", "three.json", "report.html"}
+
+
+@pytest.mark.parametrize(
+    ("how", "message"),
+    [
+        (
+            {"number": signal.SIGSEGV},
+            r"^stage two was ended by SIGSEGV \(it touched memory that is not its own: a fault",
+        ),
+        ({"number": signal.SIGILL}, r"^stage two was ended by SIGILL \(a compiled library uses instructions that this"),
+        (
+            {"number": signal.SIGKILL},
+            r"^stage two was killed \(SIGKILL\) from outside: .*; it had taken 0\.\d\d GiB of",
+        ),
+        ({"memory_bytes": 1 << 31}, r"^stage two ran out of memory; it had taken 0\.\d\d GiB"),
+    ],
+)
+def test_a_stage_that_dies_is_named_and_the_same_command_goes_on(tmp_path, how, message):
+    out = tmp_path / "d"
+    poison(out, "two", **how)
+    with pytest.raises(DiedError, match=message) as died:
+        small_demo.run(out)
+    log = out / "logs" / "stage-two.log"
+    assert f"Its log is {log}. What is finished is kept: the same command goes on there; " in str(died.value)
+    assert "'finray doctor'" in str(died.value)
+    assert computed(out) == ["one"]
+    if how.get("number") == signal.SIGKILL:  # which leaves no time to write
+        assert log.read_text().startswith("The process was killed (SIGKILL)")
+    else:
+        assert re.search(r"(Fatal Python error|MemoryError)", log.read_text())
+        assert "small_demo.py" in log.read_text()
+    before = tree(out)
+    report, said = small_demo.run(out)
+    assert said == [f"{out}: goes on after 1 of 3 stages, which are whole"]
+    assert computed(out) == ["one", "two", "three"]
+    assert report["verdict"] == "done"
+    after = tree(out)
+    changed = {path for path in before if before[path] != after.get(path)}
+    assert {Path(path).name for path in changed} <= {"stage-times.jsonl"}
+
+
+def test_what_a_stage_refuses_comes_through_in_its_words(tmp_path):
+    poison(tmp_path / "d", "three", refuses="wheel at 2 of 8: turn it to 1")
+    with pytest.raises(RefusedError) as refused:
+        small_demo.run(tmp_path / "d")
+    assert str(refused.value) == "wheel at 2 of 8: turn it to 1"
+    assert small_demo.run(tmp_path / "d")[0]["verdict"] == "done"
+    assert computed(tmp_path / "d") == ["one", "two", "three"]
+
+
+def test_a_stage_that_hangs_ends_with_ctrl_c_and_the_demo_goes_on(tmp_path):
+    out = tmp_path / "d"
+    poison(out, "three", hangs_s=600.0)
+    code = f"from tests.command_line.small_demo import main; main({str(out)!r})"
+    parent = subprocess.Popen(
+        [sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONPATH": os.fspath(ROOT)},
+    )  # fmt: skip
+    log, deadline = out / "logs" / "stage-three.log", time.monotonic() + 60.0
+    while not (log.exists() and "hangs" in log.read_text()):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    children = children_of(parent.pid)
+    assert children
+    with pytest.raises(RecordError, match="another 'finray demo' is writing into it; wait, or choose another --out"):
+        small_demo.run(out)
+    assert not can_go_on(out, small_demo.settings(out))
+    parent.send_signal(signal.SIGINT)
+    assert "KeyboardInterrupt" in parent.communicate(timeout=30.0)[1]
+    assert gone_within(children, 5.0)
+    assert can_go_on(out, small_demo.settings(out))
+    assert small_demo.run(out)[0]["verdict"] == "done"
+    assert computed(out) == ["one", "two", "three"]
+
+
+def children_of(pid: int) -> list[int]:
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if int(fields[1]) == pid:
+            found.append(int(stat.parent.name))
+    return found
+
+
+def begun(out: Path) -> None:
+    """Leave a demo of which stage three died."""
+    poison(out, "three", number=signal.SIGKILL)
+    with pytest.raises(DiedError):
+        small_demo.run(out)
+
+
+def without_arrays(out: Path) -> None:
+    next(out.glob("two.*.npz")).unlink()
+
+
+def other_input(out: Path) -> None:
+    stored = (out / "one.json").read_text()
+    (out / "one.json").write_text(stored + "\n")
+
+
+def cut_off(out: Path) -> None:
+    (out / "two.json").write_text((out / "two.json").read_text()[:100])
+
+
+def without_input(out: Path) -> None:
+    (out / "one.json").unlink()
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (without_arrays, r"two\.\w+\.npz: is missing; it holds the arrays of two\.json"),
+        (
+            other_input,
+            r"two\.json: was made from another one\.json than the one that is there; move it away to have it",
+        ),
+        (without_input, r"two\.json: was made from another one\.json than the one that is there; move it away"),
+        (cut_off, r"two\.json: cannot be read as JSON"),
+    ],
+)
+def test_a_product_that_was_changed_is_not_gone_on_from(tmp_path, harm: Callable[[Path], None], message):
+    out = tmp_path / "d"
+    begun(out)
+    harm(out)
+    before = tree(out)
+    with pytest.raises(RecordError, match=message):
+        small_demo.run(out)
+    assert tree(out) == before
+    assert computed(out) == ["one", "two"]
+
+
+def test_settings_are_not_mixed(tmp_path):
+    out = tmp_path / "d"
+    begun(out)
+    before = tree(out)
+    with pytest.raises(
+        RecordError, match=r"holds an unfinished demo with another seed 1 \(now 2\), which would be mixed"
+    ):
+        small_demo.run(out, seed=2)
+    assert not can_go_on(out, small_demo.settings(out, seed=2))
+    (out / "demo.json").write_text((out / "demo.json").read_text().replace('"version": "', '"version": "9.'))
+    with pytest.raises(RecordError, match=r"with another version 9\..*; choose another --out"):
+        small_demo.run(out)
+    (out / "demo.json").write_text("{}")
+    with pytest.raises(RecordError, match=r"demo\.json was written by another version of finray"):
+        small_demo.run(out)
+    assert {path: digest for path, digest in tree(out).items() if not path.endswith("demo.json")} == {
+        path: digest for path, digest in before.items() if not path.endswith("demo.json")
+    }
+
+
+def test_a_finished_demo_is_told_where_it_is(tmp_path):
+    small_demo.run(tmp_path / "d")
+    before = tree(tmp_path)
+    with pytest.raises(
+        RecordError, match=r"holds a finished demo already, whose report is \S+report\.html; choose ano"
+    ):
+        small_demo.run(tmp_path / "d")
+    assert tree(tmp_path) == before
+
+
+def test_what_a_killed_stage_was_writing_is_cleared(tmp_path):
+    out = tmp_path / "d"
+    begun(out)
+    (out / ".three.json.0a1b2c3d.part").write_text("half")
+    small_demo.run(out)
+    assert not list(out.glob(".*"))
+
+
+def test_every_stage_of_the_demo_names_its_inputs_before_they_are_needed():
+    made: set[str] = set()
+    for stage in REAL_STAGES:
+        assert stage.products
+        for product in stage.products:
+            assert set(product.inputs) <= made
+        made |= {product.file for product in stage.products}
+    assert whole_stages(Path("/nowhere"), REAL_STAGES) == set()
+
+
+@pytest.mark.renderer
+def test_the_demo_itself_goes_on_after_a_fit_that_crashed(tmp_path):
+    """The real demo, whose fit of the red paint is killed by SIGSEGV; then interrupted when that paint is fitted."""
+    out = tmp_path / "demo"
+    first = Demo(out)
+    first.wait_for(out / "red" / "bands.json")
+    for child in first.children():
+        os.kill(child, signal.SIGSEGV)
+    status, said = first.end()
+    assert status == 3
+    assert re.search(
+        r"^finray demo: error: the fit of the red paint was ended by SIGSEGV .* memory\. Its log is ", said
+    )
+    assert said.count("\n") == 1
+    assert "Fatal Python error: Segmentation fault" in (out / "logs" / "the-fit-of-the-red-paint.log").read_text()
+    kept = tree(out / "red")
+
+    again = Demo(out)
+    again.wait_for(out / "red" / "paint.json")
+    children = again.children()
+    again.process.send_signal(signal.SIGINT)
+    status, said = again.end()
+    assert status == 130
+    assert said.endswith("interrupted; what was stored is whole\n")
+    assert gone_within(children, 5.0)
+    after = tree(out / "red")
+    assert all(after[path] == digest for path, digest in kept.items())
+    assert f"{out}: goes on after 2 of 15 stages" in again.out
+
+
+class Demo:
+    """``finray demo`` as a program."""
+
+    def __init__(self, out: Path) -> None:
+        self.out = ""
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "finray_calib.cli.main", *f"demo --engine scalar --out {out}".split()],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=out.parent,
+            env={**os.environ, "PYTHONPATH": os.fspath(ROOT)},
+        )  # fmt: skip
+
+    def wait_for(self, path: Path) -> None:
+        deadline = time.monotonic() + 240.0
+        while not path.exists():
+            assert self.process.poll() is None, self.end()
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+
+    def children(self) -> list[int]:
+        return children_of(self.process.pid)
+
+    def end(self) -> tuple[int, str]:
+        self.out, said = self.process.communicate(timeout=60.0)
+        return self.process.returncode, said
