@@ -10,7 +10,7 @@ OTHERS := .venv-others
         bench bench-fit bench-compare bench-optics bench-mechanics
 
 demo: $(VENV)/installed llvm
-	$(BIN)/finray demo
+	@$(BIN)/finray demo || { status=$$?; echo "If this machine may be the cause: $(BIN)/finray doctor"; exit $$status; }
 
 test: $(VENV)/installed-dev llvm lint check-types contracts pytest
 

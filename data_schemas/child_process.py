@@ -11,6 +11,7 @@ import faulthandler
 import gc
 import importlib
 import json
+import math
 import os
 import resource
 import select
@@ -37,6 +38,7 @@ GRACE_S: Final = 2.0
 OBJECTS_PER_COLLECTION: Final = 300_000
 """Loading packages makes few cycles: looking for them took a tenth of a short verb."""
 _LOOK_S: Final = 0.25  # between looks at a child whose pipe a grandchild may keep open
+_TELL_AGAIN_S: Final = 0.05
 _DIE_WITH_PARENT: Final = 1  # PR_SET_PDEATHSIG of Linux
 _MESSAGE_BYTES: Final = 1 << 16
 
@@ -163,6 +165,12 @@ class Child:
         finally:  # also when Ctrl-C is pressed again
             self._reap()
 
+    def kill(self) -> None:
+        """Kill the child from another thread than the one that calls it, which gets a DiedError."""
+        if (process := self._process) is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+
     def _start(self) -> None:
         """Start the interpreter; it imports and waits."""
         jobs, self_jobs = os.pipe()
@@ -269,6 +277,19 @@ def tell(message: Json) -> None:
     """Send a message to the parent; in a process that is no child it goes nowhere."""
     if _channel is not None:
         _write({"told": message})
+
+
+def progress_teller() -> Callable[[int, int, str], None]:
+    """Return what sends ``[done, total, what]`` to the parent, not more often than an eye can follow."""
+    last_s = -math.inf
+
+    def progress(done: int, total: int, what: str) -> None:
+        nonlocal last_s
+        if time.monotonic() - last_s >= _TELL_AGAIN_S or done == total:
+            last_s = time.monotonic()
+            tell([done, total, what])
+
+    return progress
 
 
 def serve(jobs: int, messages: int, parent: int) -> None:

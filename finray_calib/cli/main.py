@@ -15,6 +15,7 @@ from finray_calib.cli import (
     decide,
     demo,
     design,
+    doctor,
     export,
     fit,
     import_captures,
@@ -42,6 +43,7 @@ VERBS = (
     check,
     design,
     study,
+    doctor,
     demo,
 )
 DESCRIPTION = """\
@@ -64,11 +66,11 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit status.
+def main(arguments: Sequence[str] | None = None, in_own_process: bool = False) -> int:
+    """Run the command line, a long verb in a process of its own if that is wanted, and return its exit status.
 
-    0, 1 for a rig that is not accepted, 2 for a user's mistake, 3 when a process of a long stage
-    died, 130 when interrupted.
+    0, 1 for a rig that is not accepted or a machine that cannot run the demo, 2 for a user's mistake, 3 when the
+    process of a long stage died, 130 when interrupted.
     """
     gc.set_threshold(OBJECTS_PER_COLLECTION)
     parser = build_parser()
@@ -82,6 +84,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.print_help()
         return USER_MISTAKE
     try:
+        describe = getattr(parsed, "long_work", None)
+        if in_own_process and describe is not None:
+            from finray_calib.cli.own_process import run_in_own_process
+
+            return run_in_own_process(describe(parsed), sys.argv[1:] if arguments is None else arguments)
         status = parsed.run(parsed)
     except (FinrayError, OSError) as error:
         sys.stderr.write(f"finray {parsed.verb}: error: {_one_line(error)}\n")
@@ -103,7 +110,7 @@ def _one_line(error: Exception) -> str:
 def program() -> int:
     """Run :func:`main` as a process of its own, which ends without a last search for cycles: a tenth of a fit."""
     atexit.register(gc.freeze)
-    return main()
+    return main(in_own_process=True)
 
 
 if __name__ == "__main__":

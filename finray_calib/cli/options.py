@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from data_schemas.child_process import is_child, progress_teller, tell
 from data_schemas.errors import FinrayError, RecordError, SimulateError
 
 if TYPE_CHECKING:
@@ -175,6 +176,11 @@ def input_digests(paths: Iterable[Path]) -> dict[str, str]:
 @contextmanager
 def progress_bar(title: str) -> Iterator[Progress]:
     """Show a progress bar on standard error while the block runs; in a log file or a pipe, a line now and then."""
+    if is_child():  # its parent shows it
+        tell({"bar": title})
+        yield progress_teller()
+        tell({"bar": None})
+        return
     if not sys.stderr.isatty():
         yield _lines_now_and_then(title)
         return

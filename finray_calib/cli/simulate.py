@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from data_schemas.design import FingerDesign
     from data_schemas.fit import PaintCalibration
     from data_schemas.provenance import Provenance
+    from finray_calib.cli.own_process import LongWork
     from sim.experiments.painted_finger import PaintedFinger
     from sim.surface_meshes.finger_shape import FingerShape
 
@@ -86,7 +87,20 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     add_out(parser, "DESIGN.press.json or DESIGN.sweep.json")
     add_seed(parser)
     # none, so that a seed without effect is told from none given
-    parser.set_defaults(run=run, seed=None)
+    parser.set_defaults(run=run, long_work=_long_work, seed=None)
+
+
+def _long_work(arguments: argparse.Namespace) -> "LongWork":
+    """Return what is about to be done, and what of it is kept if its process dies."""
+    from finray_calib.cli.own_process import LongWork
+
+    if arguments.only != "mechanics":
+        words = "the render" if arguments.angles is None else "the sweep of the light angle"
+        return LongWork(words, "Nothing is stored before its end: the same command begins again", arguments.out)
+    words = "the press by finite elements"
+    if arguments.force is not None or arguments.engine == "calculix":
+        return LongWork(words, "Nothing is stored before its end: the same command begins again", arguments.out)
+    return LongWork(words, "Finished increments are kept: the same command goes on after the last one", arguments.out)
 
 
 def _even(text: str) -> int:

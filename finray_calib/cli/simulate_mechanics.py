@@ -17,6 +17,7 @@ from finray_calib.cli.options import (
     progress_bar,
     require_new,
     say,
+    warn,
 )
 
 if TYPE_CHECKING:
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
     from data_schemas.provenance import Provenance
     from sim.mechanics.press_contact import ContactChoice
     from sim.mechanics.pressed_finger import PressedFinger
+
+
+# an increment at the whole push, but for rounding
+_SAME_DEPTH = 1e-9
 
 
 class _Said(TypedDict, total=False):
@@ -42,10 +47,11 @@ def _indenter_file(design: "FingerDesign", folder: Path) -> list[Path]:
     return [path] if path.is_file() else []
 
 
-def mechanics_paths(out: Path, resume: Path | None = None) -> dict[str, Path]:
+def mechanics_paths(out: Path, resume: Path | None = None, goes_on: bool = False) -> dict[str, Path]:
     """Return the records of the press and of its surfaces, the mesh and the picture; all must be new.
 
-    So must be the folder of the increments, but for a press that goes on from an increment in it.
+    So must be the folder of the increments, but for a press that goes on from an increment in it, or that the same
+    command has begun.
     """
     stem = out.name.removesuffix(".json").removesuffix(".press")
     endings = {
@@ -57,12 +63,19 @@ def mechanics_paths(out: Path, resume: Path | None = None) -> dict[str, Path]:
     files = {what: require_new(out.with_name(stem + ending)) for what, ending in endings.items()}
     from data_schemas.errors import RecordError
 
-    increments = out.with_name(stem + ".increments")
+    increments = increments_of(out)
+    if goes_on:
+        return {**files, "increments": increments}
     if resume is None or resume.parent.absolute() != increments.absolute():
         require_new(increments)
     elif any(_number(stored) > _number(resume) for stored in increments.glob("*.json")):
         raise RecordError(f"{resume}: later increments stand beside it; give another --out to leave them as they are")
     return {**files, "increments": increments}
+
+
+def increments_of(out: Path) -> Path:
+    """Return the folder of the increments of a press."""
+    return out.with_name(out.name.removesuffix(".json").removesuffix(".press") + ".increments")
 
 
 def _number(increment: Path) -> int:
@@ -82,6 +95,38 @@ def last_increment(resume: Path) -> Path:
     return stored[-1]
 
 
+def interrupted_increments(increments: Path, depth_mm: float, origin: "Provenance") -> tuple[bool, Path | None]:
+    """Return whether the same command has begun this press, and the increment after which it goes on (none: the start).
+
+    Parameters
+    ----------
+    increments
+        Folder of the increments.
+    depth_mm
+        The whole push; an increment at it is computed again, as its press was not stored.
+    origin
+        Of the press that is to be: command, version and inputs must be those of the stored increments.
+    """
+    from data_schemas.press_mechanics import PressIncrement
+    from data_schemas.storage import read_record
+
+    last = None
+    stored = sorted(increments.glob("*.json"), key=_number)
+    for path in stored:
+        record = read_record(path, PressIncrement)
+        if record.provenance is None or _same_run(record.provenance) != _same_run(origin):
+            return False, None
+        if record.depth_mm[-1] < depth_mm * (1.0 - _SAME_DEPTH):
+            last = path
+    return bool(stored), last
+
+
+def _same_run(origin: "Provenance") -> tuple[object, ...]:
+    """Return what two runs of one command have in common, whichever increment they went on from."""
+    inputs = {name: digest for name, digest in origin.input_sha256.items() if ".increments/" not in name}
+    return origin.command, origin.package_version, origin.git_commit, inputs
+
+
 def run_mechanics(arguments: argparse.Namespace) -> None:
     """Press the design's indenter in, store forces, surfaces, mesh and picture, and tell the curve.
 
@@ -98,9 +143,19 @@ def run_mechanics(arguments: argparse.Namespace) -> None:
 
     design, folder = read_design(arguments.design), arguments.design.parent
     resume = None if arguments.resume is None else last_increment(arguments.resume)
-    files = mechanics_paths(arguments.out or Path(f"{file_name(design.name)}.press.json"), resume)
-    read = [arguments.design, *([resume] if resume else []), *_indenter_file(design, folder)]
-    origin = provenance(command_line(), input_digests(read), None)
+    out = arguments.out or Path(f"{file_name(design.name)}.press.json")
+    read = [arguments.design, *_indenter_file(design, folder)]
+    goes_on = False
+    if resume is None:
+        begun = increments_of(out)
+        goes_on, resume = interrupted_increments(
+            begun, design.indenter.depth_mm, provenance(command_line(), input_digests(read), None)
+        )
+    files = mechanics_paths(out, resume, goes_on)
+    if goes_on:
+        where = "begins again" if resume is None else f"goes on after increment {resume.stem}"
+        warn(f"{files['increments']}: this press was interrupted; it {where}")
+    origin = provenance(command_line(), input_digests([*read, *([resume] if resume else [])]), None)
     try:
         with progress_bar("simulate") as progress, naming(SimulateError, arguments.design):
             pressed, said = _pressed(arguments, design, resume, files["increments"], origin, progress)
@@ -187,7 +242,9 @@ def _pressed_to_depth(
 
     def store(pressed: "PressedFinger") -> None:
         record = increment_record(design, pressed, indenter_sha256=digest)
-        write_record(record, kept / f"{len(pressed.depth_mm):03d}.json", origin)
+        path = kept / f"{len(pressed.depth_mm):03d}.json"
+        if not path.exists():  # the last one of an interrupted press is computed again
+            write_record(record, path, origin)
 
     return press_finger(
         design, None, count, machine_threads(), progress, resume=before, store=store, contact=contact, folder=folder

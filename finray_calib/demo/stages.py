@@ -4,7 +4,6 @@ A stage imports what it needs when it runs: each group of stages has a process o
 """
 
 import shutil
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -13,7 +12,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from data_schemas.capture import CaptureSession, TactileCapture
-from data_schemas.child_process import tell
+from data_schemas.child_process import progress_teller
 from data_schemas.compare import PhotometricErrorReport
 from data_schemas.decide import LightAngleDecision
 from data_schemas.design import FingerDesign
@@ -49,7 +48,6 @@ CAPTURE, SWEEP, TRUE_SWEEP = "tactile-capture.json", "sweep.json", "true-sweep.j
 REPORT = {"a": "photometric-error-level-a.json", "b": "photometric-error.json"}
 DECISION = "light-angle-decision.json"
 WITH_PROGRESS = frozenset({"capture", "press", "simulate", "sweep", "true_sweep", "twin"})
-TELL_AGAIN_S = 0.05  # between messages on how far a stage is
 Progress = Callable[[int, int, str], None]
 R = TypeVar("R", bound=Record)
 
@@ -342,13 +340,5 @@ def demo_of(stored: Mapping[str, Any]) -> Demo:
 
 def run_stage(settings: Mapping[str, Any], what: str, arguments: Mapping[str, Any]) -> None:
     """Run a stage in a process of its own: a method of :class:`Demo` that stores its product."""
-    last_s = -TELL_AGAIN_S
-
-    def progress(done: int, total: int, text: str) -> None:
-        nonlocal last_s
-        if time.monotonic() - last_s >= TELL_AGAIN_S or done == total:
-            last_s = time.monotonic()
-            tell([done, total, text])
-
     method = getattr(demo_of(settings), what)
-    method(**arguments, **({"progress": progress} if what in WITH_PROGRESS else {}))
+    method(**arguments, **({"progress": progress_teller()} if what in WITH_PROGRESS else {}))

@@ -295,3 +295,65 @@ def test_a_force_on_an_indenter_that_touches_no_node_is_refused(tmp_path):
     assert outcome.status == 2
     assert "from which the force begins, the indenter touches no node of the coat" in outcome.err
     assert (tmp_path / "b.mechanics.png").exists()
+
+
+@pytest.mark.usefixtures("rough_mesh")
+def test_an_interrupted_press_goes_on_with_the_same_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The process dies while the last product is written; before that, while the second increment is sought."""
+    (tmp_path / "finger.toml").write_text(BABY + "depth_mm = 0.3\n")
+    press = f"simulate {tmp_path}/finger.toml --only mechanics --increments 3 --out {tmp_path}"
+    assert finray(f"{press}/whole.press.json").status == 0
+
+    def dies(*_: Any, **__: Any) -> Iterator[Increment]:
+        raise KeyboardInterrupt
+
+    def dies_after_one(*place: Any, **more: Any) -> Iterator[Increment]:
+        yield next(load_increments(*place, **more))
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("sim.mechanics.press.load_increments", dies_after_one)
+        assert finray(f"{press}/cut.press.json").status == 130
+    increments = tmp_path / "cut.increments"
+    assert [path.name for path in sorted(increments.glob("*.json"))] == ["001.json"]
+    first = sha256_of(increments / "001.json")
+    with monkeypatch.context() as patched:
+        patched.setattr("finray_calib.exchange.vtu.vtu_bytes", dies)
+        outcome = finray(f"{press}/cut.press.json")
+    assert (outcome.status, outcome.err.splitlines()[0]) == (
+        130,
+        f"{increments}: this press was interrupted; it goes on after increment 001",
+    )
+    for left in ("cut.mechanics.json", "cut.surfaces.json"):  # of a set that was cut off
+        for path in tmp_path.glob(f"{left.removesuffix('.json')}.*"):
+            path.unlink()
+    third = sha256_of(increments / "003.json")
+    again = finray(f"{press}/cut.press.json")
+    assert again.status == 0
+    assert again.err.startswith(f"{increments}: this press was interrupted; it goes on after increment 002\n")
+    assert (sha256_of(increments / "001.json"), sha256_of(increments / "003.json")) == (first, third)
+    whole, cut = (read_record(tmp_path / f"{name}.mechanics.json", PressMechanics) for name in ("whole", "cut"))
+    np.testing.assert_allclose(cut.force_n, whole.force_n, rtol=1e-6)
+    assert len(cut.depth_mm) == 3
+
+
+@pytest.mark.usefixtures("rough_mesh")
+@pytest.mark.parametrize(
+    ("options", "depth_mm"),
+    [("--increments 3", 0.2), ("--increments 2 --contact penalty", 0.2), ("--increments 2", 0.3)],
+)
+def test_an_interrupted_press_is_not_mixed_with_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: str, depth_mm: float
+) -> None:
+    def dies_after_one(*place: Any, **more: Any) -> Iterator[Increment]:
+        yield next(load_increments(*place, **more))
+        raise KeyboardInterrupt
+
+    (tmp_path / "finger.toml").write_text(BABY + "depth_mm = 0.2\n")
+    press = f"simulate {tmp_path}/finger.toml --only mechanics"
+    with monkeypatch.context() as patched:
+        patched.setattr("sim.mechanics.press.load_increments", dies_after_one)
+        assert finray(f"{press} --increments 2 --out {tmp_path}/cut.press.json").status == 130
+    (tmp_path / "finger.toml").write_text(BABY + f"depth_mm = {depth_mm}\n")
+    said = refused(f"{press} {options} --out {tmp_path}/cut.press.json")
+    assert "cut.increments: exists already and is not overwritten" in said
