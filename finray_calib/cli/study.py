@@ -13,6 +13,7 @@ from finray_calib.cli.study_stiffness import add_stiffness_study
 
 if TYPE_CHECKING:
     from data_schemas.paper_paints import PaperStatement
+    from finray_calib.cli.own_process import LongWork
 
 HELP = "run a ready-made study of the paper: paints, fluorescent rendering, two lights, light angle, stiffness, normals"
 WIDTH = 110
@@ -37,6 +38,7 @@ example:
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb and its studies."""
     parser = verbs.add_parser("study", help=HELP, description=HELP)
+    parser.set_defaults(long_work=_long_work)
     studies = parser.add_subparsers(dest="study", metavar="STUDY", title="studies", required=True)
     paints = studies.add_parser(
         "paper-paints",
@@ -57,6 +59,14 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     add_stiffness_study(studies)
     add_normal_map_study(studies)
     add_pixel_scale_study(studies)
+
+
+def _long_work(arguments: argparse.Namespace) -> "LongWork":
+    """Return which study is about to be made."""
+    from finray_calib.cli.own_process import LongWork
+
+    kept = "Nothing is stored before its end: the same command begins again"
+    return LongWork(f"the study {arguments.study}", kept, arguments.out)
 
 
 def run_paper_paints(arguments: argparse.Namespace) -> None:

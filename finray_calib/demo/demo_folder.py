@@ -1,7 +1,6 @@
 """The folder of a demo: whose it is, which stages are whole in it, and how an interrupted demo goes on."""
 
 import contextlib
-import fcntl
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,10 +10,12 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from data_schemas.errors import RecordError
+from data_schemas.foreign_files import open_regular, parse_json, read_json, read_text
+from data_schemas.leftovers import clear_leftovers
 from data_schemas.model import Record
 from data_schemas.provenance import provenance
 from data_schemas.storage import read_record
-from data_schemas.whole_files import sha256_of, write_bytes
+from data_schemas.whole_files import lock, sha256_of, write_bytes
 
 SETTINGS, TIMES = "demo.json", "stage-times.jsonl"
 LOGS = "logs"
@@ -83,6 +84,7 @@ def identity(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "version": made_now.package_version,
         "source": made_now.git_commit,
+        "packages": made_now.packages,
         "seed": settings["seed"],
         "files_sha256": {name: sha256_of(Path(path)) for name, path in files.items() if path is not None},
         "renderer": settings["engine"]["variant"],
@@ -104,13 +106,13 @@ def held(out: Path, settings: Mapping[str, Any]) -> Iterator[None]:
         write_bytes(out / SETTINGS, (json.dumps(mine, indent=1) + "\n").encode())
     if not (out / SETTINGS).is_file():
         raise RecordError(f"{out}: exists already and is not empty; choose another --out or move it away")
-    with (out / SETTINGS).open("rb") as lock:
-        if not _is_free(lock):
+    with open_regular(out / SETTINGS) as file:
+        if not _is_free(file):
             raise RecordError(f"{out}: another 'finray demo' is writing into it; wait, or choose another --out")
         if (why := _why_not(out, mine)) is not None:
             raise RecordError(f"{out}: {why}; choose another --out")
-        for part in out.rglob(".*.part"):  # files that a killed stage was writing
-            part.unlink(missing_ok=True)
+        for folder in (out, *(path for path in out.iterdir() if path.is_dir())):
+            clear_leftovers(folder)  # what a killed stage was writing
         yield
 
 
@@ -118,17 +120,13 @@ def can_go_on(out: Path, settings: Mapping[str, Any]) -> bool:
     """Return whether the folder holds an interrupted demo with these settings which nobody is running."""
     if not (out / SETTINGS).is_file() or _why_not(out, identity(settings)) is not None:
         return False
-    with (out / SETTINGS).open("rb") as lock:
-        return _is_free(lock)
+    with open_regular(out / SETTINGS) as file:
+        return _is_free(file)
 
 
 def _is_free(file: BinaryIO) -> bool:
     """Lock an open file until it is closed; False where another process has locked it."""
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+    return lock(file.fileno()) is not False
 
 
 def _why_not(out: Path, mine: Mapping[str, Any]) -> str | None:
@@ -136,13 +134,21 @@ def _why_not(out: Path, mine: Mapping[str, Any]) -> str | None:
     if (out / REPORT_PAGE).exists():
         return f"holds a finished demo already, whose report is {out / REPORT_PAGE}"
     try:
-        theirs = json.loads((out / SETTINGS).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        return f"{SETTINGS}, which says how its demo began, cannot be read ({error})"
+        theirs = read_json(out / SETTINGS)
+    except RecordError as error:
+        return f"does not say how its demo began ({error})"
     if not isinstance(theirs, dict) or theirs.keys() != mine.keys():
         return f"{SETTINGS} was written by another version of finray"
-    other = [f"{name} {theirs[name]} (now {mine[name]})" for name in mine if theirs[name] != mine[name]]
+    other = [text for name in mine for text in _differences(name, theirs[name], mine[name])]
     return f"holds an unfinished demo with another {', another '.join(other)}, which would be mixed" if other else None
+
+
+def _differences(name: str, theirs: Any, mine: Any) -> list[str]:
+    """Return in words what differs in a setting, or in the entries of a table of them."""
+    if isinstance(theirs, dict) and isinstance(mine, dict):
+        names = sorted(theirs.keys() | mine.keys())
+        return [text for key in names for text in _differences(key, theirs.get(key), mine.get(key))]
+    return [] if theirs == mine else [f"{name} {theirs} (now {mine})"]
 
 
 def whole_stages(out: Path, stages: Sequence[Stage]) -> set[int]:
@@ -183,7 +189,7 @@ def _is_whole(out: Path, product: Product, missing: set[str]) -> bool:
 
 def _check_manifest(folder: Path) -> None:
     """Check the frames of a session against its checksums."""
-    for line in (folder / MANIFEST).read_text(encoding="utf-8").splitlines():
+    for line in read_text(folder / MANIFEST).splitlines():
         digest, _, name = line.partition("  ")
         path = folder / name
         if not path.is_file() or sha256_of(path) != digest:
@@ -203,9 +209,9 @@ def note_time(out: Path, stage: Stage, seconds: float) -> None:
 def noted_times(out: Path, stages: Sequence[Stage]) -> dict[str, float]:
     """Return the wall time (s) of each of the six stages; 0 where a demo was cut off before it was noted."""
     seconds = {stage.kind: 0.0 for stage in stages if stage.kind}
-    with contextlib.suppress(FileNotFoundError):
-        for line in (out / TIMES).read_text(encoding="utf-8").splitlines():
-            with contextlib.suppress(ValueError, KeyError, TypeError):  # a line that was cut off
-                noted = json.loads(line)
-                seconds[noted["kind"]] += float(noted["seconds"])
+    lines = read_text(out / TIMES).splitlines() if (out / TIMES).is_file() else []
+    for line in lines:
+        with contextlib.suppress(RecordError, KeyError, TypeError):  # a line that was cut off
+            noted = parse_json(line.encode(), out / TIMES)
+            seconds[noted["kind"]] += float(noted["seconds"])
     return seconds

@@ -17,6 +17,7 @@ from data_schemas.compare import PhotometricErrorReport
 from data_schemas.decide import LightAngleDecision
 from data_schemas.design import FingerDesign
 from data_schemas.fit import PaintCalibration
+from data_schemas.foreign_files import read_bytes
 from data_schemas.mechanical_design import Preset
 from data_schemas.model import Record
 from data_schemas.press_mechanics import PressMechanics
@@ -309,7 +310,7 @@ def _write_once(path: Path, content: bytes) -> None:
     RecordError
         It holds something else.
     """
-    if not (path.is_file() and path.read_bytes() == content):
+    if not (path.is_file() and read_bytes(path) == content):
         write_bytes(path, content)
 
 

@@ -14,12 +14,12 @@ from data_schemas.decide import LightAngleDecision
 from data_schemas.errors import CaptureError
 from data_schemas.fit import PaintCalibration
 from data_schemas.press_mechanics import PressMechanics
+from data_schemas.product_set import ProductSet
 from data_schemas.provenance import provenance
 from data_schemas.radiometry import BandSignals
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
 from data_schemas.storage import read_record
 from data_schemas.surfaces import FingerSurfaces
-from data_schemas.whole_files import write_bytes
 from finray_calib.demo.demo_folder import REPORT_PAGE, SUMMARY
 from finray_calib.demo.stages import (
     CAPTURE,
@@ -59,9 +59,9 @@ def write_report(settings: Mapping[str, Any], seconds: Mapping[str, float]) -> d
     demo = demo_of(settings)
     results = stored_results(demo, seconds)
     text = json.dumps(summary(results), indent=1, allow_nan=False, ensure_ascii=False)
-    demo.path(SUMMARY).unlink(missing_ok=True)  # of a run that was cut off before its report
-    write_bytes(demo.path(SUMMARY), (text + "\n").encode())
-    write_bytes(demo.path(REPORT_PAGE), demo_report(results).encode())
+    with ProductSet(demo.path(REPORT_PAGE)) as products:
+        products.add(demo.path(SUMMARY), (text + "\n").encode())
+        products.add(demo.path(REPORT_PAGE), demo_report(results).encode())
     return {"verdict": results.decision.verdict, "sentence": results.decision.sentence}
 
 

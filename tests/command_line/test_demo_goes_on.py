@@ -190,6 +190,10 @@ def test_settings_are_not_mixed(tmp_path):
     (out / "demo.json").write_text((out / "demo.json").read_text().replace('"version": "', '"version": "9.'))
     with pytest.raises(RecordError, match=r"with another version 9\..*; choose another --out"):
         small_demo.run(out)
+    stored = (out / "demo.json").read_text().replace('"version": "9.', '"version": "')
+    (out / "demo.json").write_text(re.sub(r'"numpy": "[^"]+"', '"numpy": "0.9"', stored))
+    with pytest.raises(RecordError, match=r"with another numpy 0\.9 \(now \d[\d.]+\), which would be mixed"):
+        small_demo.run(out)
     (out / "demo.json").write_text("{}")
     with pytest.raises(RecordError, match=r"demo\.json was written by another version of finray"):
         small_demo.run(out)
@@ -211,7 +215,7 @@ def test_a_finished_demo_is_told_where_it_is(tmp_path):
 def test_what_a_killed_stage_was_writing_is_cleared(tmp_path):
     out = tmp_path / "d"
     begun(out)
-    (out / ".three.json.0a1b2c3d.part").write_text("half")
+    (out / ".three.json.0a1b2c3d.finray.part").write_text("half")
     small_demo.run(out)
     assert not list(out.glob(".*"))
 

@@ -1,0 +1,115 @@
+"""A long verb in a process of its own: the same words and status as before, and a sentence when that process dies."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_schemas.press_mechanics import PressMechanics
+from data_schemas.storage import read_record
+from tests.command_line.running import finray, tree
+from tests.command_line.test_demo_goes_on import children_of
+from tests.schemas.test_child_process import gone_within
+
+ROOT = Path(__file__).resolve().parents[2]
+FINGER = """
+name = "small"
+[pad]
+length_mm = 48.0
+width_mm = 18.0
+film = {}
+[indenter]
+position_mm = 24.0
+depth_mm = 0.6
+"""
+
+
+class Program:
+    """``finray`` as a user runs it."""
+
+    def __init__(self, arguments: str, folder: Path) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "finray_calib.cli.main", *arguments.split()], cwd=folder, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": os.fspath(ROOT)},
+        )  # fmt: skip
+
+    def wait_for(self, path: Path) -> None:
+        deadline = time.monotonic() + 240.0
+        while not path.exists():
+            assert self.process.poll() is None, self.end()
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+
+    def end(self) -> tuple[int, str, str]:
+        out, err = self.process.communicate(timeout=280.0)
+        return self.process.returncode, out, err
+
+
+def without_progress(err: str) -> list[str]:
+    return [line for line in err.splitlines() if not line.startswith("simulate: ")]
+
+
+def test_a_mistake_is_told_in_the_same_words_and_leaves_no_log(tmp_path):
+    (tmp_path / "f.toml").write_text(FINGER)
+    for arguments in ("simulate f.toml --only mechanics --seed 1", "simulate none.toml", "simulate f.toml --level x"):
+        apart = Program(arguments, tmp_path).end()
+        before = os.getcwd()
+        os.chdir(tmp_path)
+        try:
+            here = finray(arguments)
+        finally:
+            os.chdir(before)
+        assert apart == (2, here.out, here.err.replace("__main__.py", "finray"))
+    assert [path.name for path in tmp_path.iterdir()] == ["f.toml"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGKILL])
+def test_a_press_that_dies_is_one_sentence_and_goes_on(tmp_path, number):
+    (tmp_path / "f.toml").write_text(FINGER)
+    press = "simulate f.toml --only mechanics --increments 3 --out "
+    first = Program(press + "a.press.json", tmp_path)
+    first.wait_for(tmp_path / "a.increments" / "001.json")
+    (child,) = children_of(first.process.pid)
+    os.kill(child, number)
+    status, out, err = first.end()
+    assert (status, out) == (3, "")
+    (said,) = without_progress(err)
+    assert re.search(
+        rf"^finray simulate: error: the press by finite elements was (ended by|killed \() ?{number.name}.*"
+        r"; it had taken \d\.\d\d GiB of memory\. Its log is \S+a\.log\. Finished increments are kept: the same "
+        r"command goes on after the last one; if that fails again, 'finray doctor' tells what this machine lacks$",
+        said,
+    ), said
+    assert "The process was " in (tmp_path / "a.log").read_text()
+    kept = tree(tmp_path / "a.increments")
+
+    status, out, err = Program(press + "a.press.json", tmp_path).end()
+    assert status == 0, err
+    assert re.search(r"a\.increments: this press was interrupted; it goes on after increment 00\d$", err, re.MULTILINE)
+    assert "push  0.600 mm" in out
+    assert kept.items() <= tree(tmp_path / "a.increments").items()
+    status, _, err = Program(press + "b.press.json", tmp_path).end()
+    assert status == 0, err
+    gone_on, whole = (read_record(tmp_path / f"{name}.mechanics.json", PressMechanics) for name in "ab")
+    np.testing.assert_allclose(gone_on.force_n, whole.force_n, rtol=1e-6)
+    assert not (tmp_path / "b.log").exists()
+
+
+def test_ctrl_c_ends_it_and_its_process(tmp_path):
+    (tmp_path / "f.toml").write_text(FINGER)
+    running = Program("simulate f.toml --only mechanics --increments 6 --out a.press.json", tmp_path)
+    running.wait_for(tmp_path / "a.increments" / "001.json")
+    children = children_of(running.process.pid)
+    running.process.send_signal(signal.SIGINT)
+    status, _, err = running.end()
+    assert status == 130
+    assert without_progress(err) == ["finray simulate: interrupted; what was stored is whole"]
+    assert len(children) == 1
+    assert gone_within(children, 5.0)
+    assert not (tmp_path / "a.log").exists()
