@@ -120,6 +120,8 @@ class ProductSet:
             The name is taken.
         """
         sha256 = hashlib.sha256(content).hexdigest()
+        if any(added.path == path for added in self._added):
+            raise RecordError(f"{path}: is to hold two products of one command; give each a name of its own")
         if path.exists() or path.is_symlink():
             if same_serves and path.is_file() and sha256_of(path) == sha256:
                 return path

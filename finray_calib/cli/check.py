@@ -54,10 +54,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Check, store the report and return the exit status."""
     from data_schemas.check import CheckPlan
     from data_schemas.errors import CaptureError
+    from data_schemas.product_set import ProductSet
     from data_schemas.provenance import provenance
     from data_schemas.rig import RigFile
     from data_schemas.storage import read_toml, write_record
-    from data_schemas.whole_files import write_bytes
     from finray_calib.acceptance.acceptance_report import judge
     from finray_calib.acceptance.result_text import result_line
     from finray_calib.cli.interruption import interruptible
@@ -73,9 +73,10 @@ def run(arguments: argparse.Namespace) -> int:
         facts, notes = record_facts(rig, plan, arguments.rig.parent, progress)
     origin = provenance(command_line(), input_digests([arguments.plan, arguments.rig]), plan.seed)
     report = judge(facts, plan, rig, notes).model_copy(update={"provenance": origin})
-    write_record(report, out / "check.json", origin)
-    write_bytes(out / "junit.xml", junit_xml(report, origin))
-    write_bytes(out / "report.html", check_report(report).encode())
+    with ProductSet(out) as products:
+        products.add(out / "junit.xml", junit_xml(report, origin))
+        products.add(out / "report.html", check_report(report).encode())
+        write_record(report, out / "check.json", origin, products)
     for result in report.results:
         say(result_line(result))
     for note in report.notes:

@@ -98,12 +98,13 @@ def _compare_one(arguments: argparse.Namespace) -> None:
     from data_schemas.capture import TactileCapture
     from data_schemas.errors import CompareError
     from data_schemas.pixel_scale import PixelScale
+    from data_schemas.product_set import ProductSet
     from data_schemas.provenance import provenance
     from data_schemas.sensing import NormalMapRecord
     from data_schemas.simulate import SimulatedPress
     from data_schemas.storage import read_record, write_record
     from finray_calib.compare.checked_comparison import CheckOptions, compare_checked
-    from finray_calib.reports.comparison_page import write_comparison_page
+    from finray_calib.reports.comparison_page import comparison_page
     from finray_calib.reports.comparison_table import comparison_lines
 
     out = require_new(arguments.out or Path("photometric-error.json"))
@@ -119,8 +120,9 @@ def _compare_one(arguments: argparse.Namespace) -> None:
     inputs = input_digests(
         [arguments.simulated, arguments.capture, *maps, *([arguments.scale] if arguments.scale else [])]
     )
-    write_record(report, out, provenance(command_line(), inputs, arguments.seed))
-    write_comparison_page(report, shown, capture, page, command_line(), inputs)
+    with ProductSet(out) as products:
+        products.add(page, comparison_page(report, shown, capture, command_line(), inputs).encode())
+        write_record(report, out, provenance(command_line(), inputs, arguments.seed), products)
     say(comparison_lines(report))
     for finding in report.findings:
         say(f"{finding}\n")

@@ -40,9 +40,9 @@ def compare_force_verb(arguments: argparse.Namespace) -> None:
     import numpy as np
 
     from data_schemas.press_mechanics import PressMechanics
+    from data_schemas.product_set import ProductSet
     from data_schemas.provenance import provenance
     from data_schemas.storage import read_record, write_record
-    from data_schemas.whole_files import write_bytes
     from finray_calib.compare.force_comparison import compare_force
     from finray_calib.exchange.force_csv import read_force_csv
     from finray_calib.reports.force_figure import force_figure_png
@@ -60,8 +60,9 @@ def compare_force_verb(arguments: argparse.Namespace) -> None:
             press, measured, np.random.default_rng(arguments.seed), not arguments.known_first_touch, other
         )
     read = [arguments.simulated, arguments.force, *([] if arguments.other_mesh is None else [arguments.other_mesh])]
-    write_record(comparison, out, provenance(command_line(), input_digests(read), arguments.seed))
-    write_bytes(picture, force_figure_png(comparison))
+    with ProductSet(out) as products:
+        products.add(picture, force_figure_png(comparison))
+        write_record(comparison, out, provenance(command_line(), input_digests(read), arguments.seed), products)
     say(force_lines(comparison))
     say(f"{out}: written\n{picture}: {'curve and points' if comparison.withheld else 'curve, band and points'}")
 

@@ -42,11 +42,12 @@ def run(arguments: argparse.Namespace) -> None:
     """Decide and report."""
     from data_schemas.compare import PhotometricErrorReport
     from data_schemas.errors import DecideError
+    from data_schemas.product_set import ProductSet
     from data_schemas.provenance import provenance
     from data_schemas.simulate import LightAngleSweep
     from data_schemas.storage import read_record, write_record
     from finray_calib.decide.decision_record import decide
-    from finray_calib.reports.decision_page import write_decision_page
+    from finray_calib.reports.decision_page import decision_page
 
     out = require_new(arguments.out or Path("light-angle-decision.json"))
     page = new_page_beside(out)
@@ -56,8 +57,9 @@ def run(arguments: argparse.Namespace) -> None:
     with naming(DecideError, *paths):
         decision = decide(sweep, reports, arguments.seed)
     inputs = input_digests(paths)
-    write_record(decision, out, provenance(command_line(), inputs, arguments.seed))
-    write_decision_page(decision, sweep, page, command_line(), inputs)
+    with ProductSet(out) as products:
+        products.add(page, decision_page(decision, sweep, command_line(), inputs).encode())
+        write_record(decision, out, provenance(command_line(), inputs, arguments.seed), products)
     say(f"{out}: {decision.verdict.upper()}")
     say(f"  {decision.sentence}")
     say(f"{page}: written, for whoever mounts the light")

@@ -151,7 +151,7 @@ def _drawing(view: "CameraView", folder: Path, suffix: str) -> bytes:
 def run_export(arguments: argparse.Namespace) -> None:
     """Write the printed parts and the mould."""
     from data_schemas.errors import SimulateError
-    from data_schemas.whole_files import write_bytes
+    from data_schemas.product_set import ProductSet
     from finray_calib.exchange.printable_parts import PrintFormat, printable_parts
 
     design = read_design(arguments.design)
@@ -159,9 +159,11 @@ def run_export(arguments: argparse.Namespace) -> None:
     formats: tuple[PrintFormat, ...] = ("stl", "step") if arguments.format == "both" else (arguments.format,)
     with naming(SimulateError, arguments.design):
         parts = printable_parts(design, formats, arguments.one_piece, arguments.lining_mm)
+    with ProductSet(folder) as products:
+        for part in parts:
+            for suffix, content in part.files.items():
+                products.add(folder / f"{part.name}.{suffix}", content)
     for part in parts:
         x, y, z = part.size_mm
-        for suffix, content in part.files.items():
-            write_bytes(folder / f"{part.name}.{suffix}", content)
         names = " and ".join(f"{part.name}.{suffix}" for suffix in part.files)
         say(f"{folder}: {names}: {x:.1f} x {y:.1f} x {z:.1f} mm (x, y, z)" + (f"; {part.note}" if part.note else ""))

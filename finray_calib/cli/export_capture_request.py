@@ -10,7 +10,7 @@ from finray_calib.cli.options import file_name, naming, open_engine, require_new
 def run(arguments: argparse.Namespace) -> None:
     """Write page and plans, and report."""
     from data_schemas.errors import RecordError, SimulateError
-    from data_schemas.whole_files import write_bytes
+    from data_schemas.product_set import ProductSet
     from finray_calib.cli.export_deck import refuse_options as refuse_deck
     from finray_calib.cli.export_taxim import refuse_options as refuse_taxim
     from finray_calib.exchange.capture_request import capture_request
@@ -35,9 +35,10 @@ def run(arguments: argparse.Namespace) -> None:
     view = PlannedView(*seen.seen_mm, mm_per_px=scale, mm_per_px_u_rel=u_rel)
     request = capture_request(design, path.name, out.name.removesuffix(".md"), view)
     plans = {require_new(out.with_name(name)): text for name, text in request.plans.items()}
-    write_bytes(out, request.page.encode())
-    for plan, text in plans.items():
-        write_bytes(plan, text.encode())
+    with ProductSet(out) as products:
+        for plan, text in plans.items():
+            products.add(plan, text.encode())
+        products.add(out, request.page.encode())
     say(f"{out}: what to capture of {design.name}")
     for plan in plans:
         say(f"{plan}: plan for 'finray capture'")

@@ -80,8 +80,8 @@ def refuse_options(arguments: argparse.Namespace) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Render, write the folder and report."""
     from data_schemas.errors import RecordError
+    from data_schemas.product_set import ProductSet
     from data_schemas.provenance import provenance
-    from data_schemas.whole_files import write_bytes
     from finray_calib.cli.export_deck import refuse_options as refuse_deck
     from finray_calib.exchange.taxim_export import taxim_files
     from finray_calib.exchange.taxim_table import FEWEST_PRESSES
@@ -103,8 +103,9 @@ def run(arguments: argparse.Namespace) -> None:
         presses, inputs = _finger(arguments, progress) if getattr(arguments, PAINTS) else _sensor(arguments, progress)
     origin = provenance(command_line(), input_digests(inputs), arguments.seed)
     files, table = taxim_files(presses, arguments.seed, origin.model_dump(mode="json"))
-    for name, content in files.items():
-        write_bytes(out / name, content)
+    with ProductSet(out) as products:
+        for name, content in files.items():
+            products.add(out / name, content)
     median, least, most = table.explained_median_range()
     say(f"{out}: Taxim calibration folder of {table.presses} presses, {presses.mm_per_px:.4g} mm per px")
     say(f"  {presses.label}")

@@ -80,10 +80,10 @@ def run(arguments: argparse.Namespace) -> None:
         run_map(arguments)
         return
     from data_schemas.errors import FitError
+    from data_schemas.product_set import ProductSet
     from data_schemas.provenance import provenance
     from data_schemas.radiometry import BandSignals
     from data_schemas.storage import read_record, write_record
-    from data_schemas.whole_files import write_bytes
     from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
     from finray_calib.fit.fit_options import FitOptions
     from finray_calib.fit.paint_calibration import calibrate_paint
@@ -106,12 +106,14 @@ def run(arguments: argparse.Namespace) -> None:
         from rigs.capture.session_folder import SESSION_NAME
 
         files.append(arguments.room_light / SESSION_NAME)
-    write_record(paint, out, provenance(command_line(), input_digests(files), arguments.seed))
+    with ProductSet(out) as products:
+        if arguments.report is not None:
+            from finray_calib.reports.paint_report import paint_report
+
+            products.add(arguments.report, paint_report(paint, bands).encode())
+        write_record(paint, out, provenance(command_line(), input_digests(files), arguments.seed), products)
     _say_result(paint, out)
     if arguments.report is not None:
-        from finray_calib.reports.paint_report import paint_report
-
-        write_bytes(arguments.report, paint_report(paint, bands).encode())
         say(f"{arguments.report}: open it in a browser")
 
 

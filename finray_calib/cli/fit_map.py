@@ -25,10 +25,10 @@ def run_map(arguments: argparse.Namespace) -> None:
     """
     from data_schemas.errors import FitError
     from data_schemas.fit import PaintCalibration
+    from data_schemas.product_set import ProductSet
     from data_schemas.provenance import provenance
     from data_schemas.radiometry import PixelSignals
     from data_schemas.storage import read_record, write_record
-    from data_schemas.whole_files import write_bytes
     from finray_calib.fit.pixel_maps import map_paint
     from finray_calib.reports.paint_map_figure import paint_map_figure
 
@@ -45,8 +45,9 @@ def run_map(arguments: argparse.Namespace) -> None:
         fitted = map_paint(pixels, paint)
     drawn = paint_map_figure(fitted).encode()
     digests = input_digests([arguments.bands, arguments.paint])
-    write_record(fitted, out, provenance(command_line(), digests))
-    write_bytes(picture, drawn)
+    with ProductSet(out) as products:
+        products.add(picture, drawn)
+        write_record(fitted, out, provenance(command_line(), digests), products)
     say(f"{out}: '{fitted.paint_name}' in {fitted.fitted_pixels} pixels ({fitted.family}); figure {picture}")
     _report(fitted)
 

@@ -29,6 +29,7 @@ def add_parser(formats: "argparse._SubParsersAction[argparse.ArgumentParser]") -
 def run(arguments: argparse.Namespace) -> None:
     """Import and report."""
     from data_schemas.errors import ImportFormatError
+    from data_schemas.product_set import ProductSet
     from data_schemas.provenance import provenance
     from data_schemas.storage import write_record
     from sim.experiments.mechanical_press import press_records
@@ -44,8 +45,9 @@ def run(arguments: argparse.Namespace) -> None:
         pressed = pressed_by_abaqus(design, fields, arguments.preset)
     mechanics, surfaces = press_records(design, pressed, arguments.preset, "Abaqus")
     origin = provenance(command_line(), input_digests([arguments.design, arguments.results]), None)
-    write_record(mechanics, forces_out, origin)
-    write_record(surfaces, out, origin)
+    with ProductSet(out) as products:
+        write_record(mechanics, forces_out, origin, products)
+        write_record(surfaces, out, origin, products)
     say(f"{forces_out}: {mechanics.label}")
     for depth, force in zip(mechanics.depth_mm, mechanics.force_n, strict=True):
         say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")

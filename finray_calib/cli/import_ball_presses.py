@@ -75,12 +75,14 @@ def _new_folder(arguments: argparse.Namespace) -> Path:
 
 def _store(captures: "Sequence[TactileCapture]", files: list[Path], out: Path) -> None:
     """Write a capture of each press and say so."""
+    from data_schemas.product_set import ProductSet
     from data_schemas.provenance import provenance
     from data_schemas.storage import write_record
 
     origin = provenance(command_line(), input_digests(files))
-    for number, capture in enumerate(captures, start=1):
-        write_record(capture, out / f"press-{number:03d}.capture.json", origin)
+    with ProductSet(out) as products:
+        for number, capture in enumerate(captures, start=1):
+            write_record(capture, out / f"press-{number:03d}.capture.json", origin, products)
     rows, columns = captures[0].contact.shape[:2]
     say(f"{out}: {len(captures)} captures, {columns} x {rows} px, encoding {captures[0].encoding}")
     say(f"  {captures[0].source}; a normal map of them: {NEXT} {out}/*.capture.json")

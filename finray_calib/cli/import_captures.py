@@ -60,6 +60,7 @@ def _add_format(
 def run(arguments: argparse.Namespace) -> None:
     """Import and report."""
     from data_schemas.errors import ImportFormatError
+    from data_schemas.product_set import ProductSet
     from data_schemas.provenance import provenance
     from data_schemas.storage import write_record
     from data_schemas.whole_files import sha256_of
@@ -81,12 +82,14 @@ def run(arguments: argparse.Namespace) -> None:
     origin = provenance(
         command_line(), {f"{f.parent.parent.name}/{f.parent.name}/{f.name}": sha256_of(f) for f in files}
     )
-    write_record(capture, out, origin)
+    with ProductSet(out) as products:
+        if press is not None:
+            write_record(press, press_out, origin, products)
+        write_record(capture, out, origin, products)
     rows, columns = capture.contact.shape[:2]
     say(f"{out}: {capture.name}, {columns} x {rows} px, encoding {capture.encoding}")
     say(f"  {capture.source}")
     if press is not None:
-        write_record(press, press_out, origin)
         say(f"{press_out}: {press.name} ({press.label})")
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from data_schemas.camera import CameraCharacterisation
 from data_schemas.capture import CaptureSession
 from data_schemas.errors import RadiometryError
+from data_schemas.product_set import ProductSet
 from data_schemas.provenance import provenance
 from data_schemas.radiometry import BandSignals
 from data_schemas.storage import read_record, write_record
@@ -41,10 +42,12 @@ def reduce_paint(folder: Path, out: Path | None, camera: Path | None, pixels: bo
         bands = bands_of_steps(session, steps)
         if map_out is not None:
             mapped = pixel_signals(session, lambda frame: read_frame_of(folder, frame), steps, bands, whole_frame)
-    write_record(bands, out, origin)
+    with ProductSet(out) as products:
+        if map_out is not None:
+            write_record(mapped, map_out, origin, products)
+        write_record(bands, out, origin, products)
     _report(bands, out)
     if map_out is not None:
-        write_record(mapped, map_out, origin)
         say(f"{map_out}: {int(mapped.usable.sum())} usable of {mapped.usable.size} pixels")
 
 

@@ -261,19 +261,20 @@ def _store(
 ) -> None:
     """Write records, mesh and picture, and tell the curve."""
     from data_schemas.errors import SimulateError
+    from data_schemas.product_set import ProductSet
     from data_schemas.storage import write_record
-    from data_schemas.whole_files import write_bytes
     from finray_calib.exchange.vtu import vtu_bytes
     from finray_calib.reports.pressed_finger_figure import pressed_finger_png
     from sim.experiments.mechanical_press import press_records
     from sim.mechanics.pressed_finger import contact_pressure_mpa
 
     mechanics, surfaces = press_records(design, pressed, **said)
-    write_record(mechanics, files["mechanics"], origin)
-    write_record(surfaces, files["surfaces"], origin)
     touched = contact_pressure_mpa(pressed)
-    write_bytes(files["mesh"], vtu_bytes(pressed.mesh, pressed.displacement_mm[-1], touched))
-    write_bytes(files["picture"], pressed_finger_png(mechanics, surfaces, folder))
+    with ProductSet(files["mechanics"]) as products:
+        products.add(files["mesh"], vtu_bytes(pressed.mesh, pressed.displacement_mm[-1], touched))
+        products.add(files["picture"], pressed_finger_png(mechanics, surfaces, folder))
+        write_record(surfaces, files["surfaces"], origin, products)
+        write_record(mechanics, files["mechanics"], origin, products)
     say(f"{files['mechanics']}: {mechanics.label}")
     for depth, force in zip(mechanics.depth_mm, mechanics.force_n, strict=True):
         say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")

@@ -74,9 +74,9 @@ def run_paper_paints(arguments: argparse.Namespace) -> None:
     import numpy as np
 
     from data_schemas.curve_files import read_donaldson_matrix
+    from data_schemas.product_set import ProductSet
     from data_schemas.provenance import provenance
     from data_schemas.storage import write_record
-    from data_schemas.whole_files import write_bytes
     from finray_calib.reports.paper_paints_figure import paper_paints_png
     from sim.experiments.paper_paints import reproduce_paper_paints
 
@@ -85,8 +85,9 @@ def run_paper_paints(arguments: argparse.Namespace) -> None:
     study = reproduce_paper_paints(red, green, np.random.default_rng(arguments.seed))
     inputs = input_digests([*arguments.red, *arguments.green])
     picture = paper_paints_png(study)
-    write_record(study, out / "paper-paints.json", provenance(command_line(), inputs, arguments.seed))
-    write_bytes(out / "paper-paints.png", picture)
+    with ProductSet(out) as products:
+        products.add(out / "paper-paints.png", picture)
+        write_record(study, out / "paper-paints.json", provenance(command_line(), inputs, arguments.seed), products)
     say(f"{out}: paper-paints.json, paper-paints.png")
     for statement in study.statements:
         say(_in_words(statement))

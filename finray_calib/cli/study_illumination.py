@@ -85,8 +85,8 @@ def add_illumination_studies(studies: "argparse._SubParsersAction[argparse.Argum
 def run_study(study: _Study, arguments: argparse.Namespace) -> None:
     """Make a study; write its record and figure; tell its numbers."""
     from data_schemas.provenance import provenance
+    from data_schemas.product_set import ProductSet
     from data_schemas.storage import write_record
-    from data_schemas.whole_files import write_bytes
 
     out = require_new(arguments.out or Path(study.name))
     finger, paints = _finger(study, arguments)
@@ -96,8 +96,9 @@ def run_study(study: _Study, arguments: argparse.Namespace) -> None:
     with progress_bar(study.name) as progress:
         record = study.make(finger, arguments.seed, arguments.samples, paints, progress)
     picture = _draw(record)
-    write_record(record, out / f"{study.name}.json", origin)
-    write_bytes(out / f"{study.name}.png", picture)
+    with ProductSet(out) as products:
+        products.add(out / f"{study.name}.png", picture)
+        write_record(record, out / f"{study.name}.json", origin, products)
     say(f"{out}: {study.name}.json, {study.name}.png")
     for colour, paint in paints.items():
         say(f"{colour} paint: {paint}")

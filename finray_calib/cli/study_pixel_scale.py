@@ -54,9 +54,9 @@ def add_pixel_scale_study(studies: "argparse._SubParsersAction[argparse.Argument
 def run(arguments: argparse.Namespace) -> None:
     """Calibrate, store and report."""
     from data_schemas.errors import CompareError
+    from data_schemas.product_set import ProductSet
     from data_schemas.provenance import provenance
     from data_schemas.storage import write_record
-    from data_schemas.whole_files import write_bytes
     from finray_calib.compare.board_corners import find_board, require_plausible
     from finray_calib.compare.board_plane import Declared
     from finray_calib.compare.pixel_scale_record import pixel_scale
@@ -83,8 +83,9 @@ def run(arguments: argparse.Namespace) -> None:
         views[0], views[1:], (width, height), board, declared, arguments.seed, arguments.lens_model, pictures
     )
     inputs = input_digests([*files, *([arguments.plan] if arguments.plan else [])])
-    write_record(record, out, provenance(command_line(), inputs, arguments.seed))
-    write_bytes(lens_file, calibration_yaml(record.calibration))
+    with ProductSet(out) as products:
+        products.add(lens_file, calibration_yaml(record.calibration))
+        write_record(record, out, provenance(command_line(), inputs, arguments.seed), products)
     say(_in_words(record, out, lens_file))
 
 

@@ -54,9 +54,9 @@ def _percent(text: str) -> float:
 
 def run_stiffness_study(arguments: argparse.Namespace) -> None:
     """Load the fingers, write record and table, and tell the order."""
+    from data_schemas.product_set import ProductSet
     from data_schemas.provenance import provenance
     from data_schemas.storage import write_record
-    from data_schemas.whole_files import write_bytes
     from finray_calib.spectra.compiled import machine_threads
     from sim.experiments.finger_stiffness import study_finger_stiffness
 
@@ -66,8 +66,9 @@ def run_stiffness_study(arguments: argparse.Namespace) -> None:
     origin = provenance(command_line(), input_digests(files), None)
     with progress_bar(NAME) as progress:
         study = study_finger_stiffness(designs, arguments.vary / _PERCENT, machine_threads(), progress)
-    write_record(study, out / f"{NAME}.json", origin)
-    write_bytes(out / f"{NAME}.csv", _table(study).encode())
+    with ProductSet(out) as products:
+        products.add(out / f"{NAME}.csv", _table(study).encode())
+        write_record(study, out / f"{NAME}.json", origin, products)
     say(f"{out}: {NAME}.json, {NAME}.csv")
     for row in study.rows:
         if not row.changed:

@@ -1,13 +1,11 @@
 """The page of one comparison: one HTML file with everything inside, the verdict first, readable without scripts."""
 
 from collections.abc import Mapping
-from pathlib import Path
 
 from data_schemas.capture import TactileCapture
 from data_schemas.compare import PhotometricErrorReport, SensingError
 from data_schemas.provenance import package_version
 from data_schemas.simulate import SimulatedPress
-from data_schemas.whole_files import write_bytes
 from finray_calib.reports import comparison_words as words
 from finray_calib.reports.comparison_images import require_one_grid
 from finray_calib.reports.comparison_images_part import images_part
@@ -23,32 +21,6 @@ from finray_calib.reports.statements import is_noise_taken_out, repeat_text, sim
 from finray_calib.reports.touch_sections import grid_phrase
 
 TEMPLATE = "result_page.html.j2"
-
-
-def write_comparison_page(
-    report: PhotometricErrorReport,
-    press: SimulatedPress,
-    capture: TactileCapture,
-    path: Path,
-    command: str,
-    digests: Mapping[str, str],
-) -> Path:
-    """Write the page of a comparison to a new file and return its path.
-
-    Parameters
-    ----------
-    report, press, capture, command, digests
-        As for :func:`comparison_page`.
-    path
-        The HTML file; it must be new.
-
-    Raises
-    ------
-    RecordError
-        The file exists already, or render and capture are not on one grid.
-    """
-    write_bytes(path, comparison_page(report, press, capture, command, digests).encode("utf-8"))
-    return path
 
 
 def comparison_page(

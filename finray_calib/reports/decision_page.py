@@ -1,12 +1,10 @@
 """The page of one decision on the light angle: one HTML file with everything inside, for whoever mounts the light."""
 
 from collections.abc import Mapping
-from pathlib import Path
 
 from data_schemas.decide import LightAngleDecision
 from data_schemas.provenance import package_version
 from data_schemas.simulate import LightAngleSweep
-from data_schemas.whole_files import write_bytes
 from finray_calib.reports import decision_words as words
 from finray_calib.reports.decide_figures import angle_figure
 from finray_calib.reports.mounting_figure import mounting_figure
@@ -20,27 +18,6 @@ from finray_calib.reports.section import Content, Part, Picture, drawing
 from finray_calib.reports.statements import equivalent_text, verdict_meaning
 
 TEMPLATE = "result_page.html.j2"
-
-
-def write_decision_page(
-    decision: LightAngleDecision, sweep: LightAngleSweep, path: Path, command: str, digests: Mapping[str, str]
-) -> Path:
-    """Write the page of a decision to a new file and return its path.
-
-    Parameters
-    ----------
-    decision, sweep, command, digests
-        As for :func:`decision_page`.
-    path
-        The HTML file; it must be new.
-
-    Raises
-    ------
-    RecordError
-        The file exists already.
-    """
-    write_bytes(path, decision_page(decision, sweep, command, digests).encode("utf-8"))
-    return path
 
 
 def decision_page(
