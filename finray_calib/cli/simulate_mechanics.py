@@ -107,9 +107,13 @@ def interrupted_increments(increments: Path, depth_mm: float, origin: "Provenanc
     origin
         Of the press that is to be: command, version and inputs must be those of the stored increments.
     """
+    from data_schemas.leftovers import clear_leftovers
     from data_schemas.press_mechanics import PressIncrement
     from data_schemas.storage import read_record
 
+    clear_leftovers(increments)
+    if increments.is_dir() and not any(increments.iterdir()):
+        return True, None  # interrupted before its first increment was stored
     last = None
     stored = sorted(increments.glob("*.json"), key=_number)
     for path in stored:

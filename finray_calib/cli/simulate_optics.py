@@ -41,6 +41,7 @@ def simulate_optics(
     with_pose_response: bool,
 ) -> None:
     """Render a press and write its record, its capture and the folder of its images."""
+    from data_schemas.product_set import ProductSet
     from data_schemas.storage import write_record
     from finray_calib.exchange.render_files import require_exr, write_optics_folder
     from finray_calib.reports.denoised import require_denoiser
@@ -65,9 +66,10 @@ def simulate_optics(
     press = press_record(finger, render, paint_sha256, calibrations, pose)
     products = optics_products(render, press, seed)
     press = press.model_copy(update={"notes": (*press.notes, str(products.colours))})
-    write_optics_folder(folder, products, _views(press, samples, denoise), origin)
-    write_record(products.capture, capture, origin)
-    write_record(press, out, origin)
+    with ProductSet(out) as stored:
+        write_optics_folder(folder, products, _views(press, samples, denoise), origin, stored)
+        write_record(products.capture, capture, origin, stored)
+        write_record(press, out, origin, stored)
     say(f"{out}: {press.label}")
     say(f"{capture}: raw counts of {press.design.camera.bit_depth if press.design else 0} bit, for 'finray compare'")
     say(f"{folder}/: images; README.txt there says what each one is")

@@ -84,8 +84,8 @@ def add_illumination_studies(studies: "argparse._SubParsersAction[argparse.Argum
 
 def run_study(study: _Study, arguments: argparse.Namespace) -> None:
     """Make a study; write its record and figure; tell its numbers."""
-    from data_schemas.provenance import provenance
     from data_schemas.product_set import ProductSet
+    from data_schemas.provenance import provenance
     from data_schemas.storage import write_record
 
     out = require_new(arguments.out or Path(study.name))

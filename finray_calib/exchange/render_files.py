@@ -1,11 +1,10 @@
 """The optics of a press as files that image programs open: OpenEXR for numbers, PNG for raw frames and pictures."""
 
 import json
-import shutil
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any
 
@@ -13,8 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.errors import MissingExtraError, RecordError
+from data_schemas.errors import MissingExtraError
+from data_schemas.product_set import ProductSet
 from data_schemas.provenance import Provenance
+from data_schemas.whole_files import refuse_taken
 from finray_calib.exchange.bispectral_exr import exr_image
 from sim.experiments.optics_products import OpticsProducts
 from sim.optics.paint_bands import BAND_NAMES
@@ -56,9 +57,9 @@ def require_exr() -> ModuleType:
 
 
 def write_optics_folder(
-    folder: Path, products: OpticsProducts, views: Mapping[str, ByteImage], origin: Provenance
-) -> Path:
-    """Write all products of a press into a new folder, which is either whole or absent, and return its path.
+    folder: Path, products: OpticsProducts, views: Mapping[str, ByteImage], origin: Provenance, stored: ProductSet
+) -> None:
+    """Write all products of a press into a new folder, which is stored with a set.
 
     Parameters
     ----------
@@ -70,6 +71,8 @@ def write_optics_folder(
         Pictures for the eye by file name without suffix, (rows, columns, 3) sRGB.
     origin
         Provenance of the press, stored in the header of each EXR image.
+    stored
+        The set that the folder belongs to.
 
     Raises
     ------
@@ -78,26 +81,19 @@ def write_optics_folder(
     MissingExtraError
         The OpenEXR package is not installed.
     """
-    if folder.exists():
-        raise RecordError(f"{folder}: exists already and is not overwritten; choose another --out or move it away")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    try:
-        _write_exr_files(part, products, f"{products.press.label}; made by {origin.command}")
-        for name in ("contact", "no_contact"):
-            counts: NDArray[np.uint16] = getattr(products.capture, name)[..., 0]
-            (part / f"{name}-raw.png").write_bytes(png(counts))
-        for name, image in {**geometry_pictures(products.maps), **views}.items():
-            (part / f"{name}.png").write_bytes(png(image))
-        timings = {"seconds": dict(products.timings_s), "label": products.press.label}
-        (part / "timings.json").write_text(json.dumps(timings, indent=1) + "\n", encoding="utf-8")
-        (part / "README.txt").write_text(README, encoding="utf-8")
-        part.chmod(0o755)
-        part.rename(folder)
-    except BaseException:
-        shutil.rmtree(part, ignore_errors=True)
-        raise
-    return folder
+    refuse_taken(folder)
+    with TemporaryDirectory() as name:
+        _write_exr_files(Path(name), products, f"{products.press.label}; made by {origin.command}")
+        for file in sorted(Path(name).iterdir()):
+            stored.add(folder / file.name, file.read_bytes())
+    for name in ("contact", "no_contact"):
+        counts: NDArray[np.uint16] = getattr(products.capture, name)[..., 0]
+        stored.add(folder / f"{name}-raw.png", png(counts))
+    for name, picture in {**geometry_pictures(products.maps), **views}.items():
+        stored.add(folder / f"{name}.png", png(picture))
+    timings = {"seconds": dict(products.timings_s), "label": products.press.label}
+    stored.add(folder / "timings.json", (json.dumps(timings, indent=1) + "\n").encode())
+    stored.add(folder / "README.txt", README.encode())
 
 
 def write_exr(path: Path, channels: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> None:

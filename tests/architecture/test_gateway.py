@@ -34,6 +34,7 @@ ALLOWED = {
         (
             ("finray_calib/exchange/bispectral_exr.py", "file.read_bytes"),
             ("finray_calib/exchange/inference_data.py", "file.read_bytes"),
+            ("finray_calib/exchange/render_files.py", "file.read_bytes"),
             ("finray_calib/exchange/spectral_distribution.py", "file.read_bytes"),
         ),
         "what a library has just written into a temporary folder",

@@ -17,7 +17,7 @@ from data_schemas.storage import write_record
 from finray_calib.reports import comparison_words as words
 from finray_calib.reports.budget_figure import budget_figure
 from finray_calib.reports.comparison_images import LARGEST_PIXELS, touch_changes, touch_pictures
-from finray_calib.reports.comparison_page import comparison_page, write_comparison_page
+from finray_calib.reports.comparison_page import comparison_page
 from finray_calib.reports.demo_results import headline
 from finray_calib.reports.metric_tables import metric_table
 from finray_calib.reports.origin_tables import images_table
@@ -370,13 +370,6 @@ def test_noise_does_not_hide_what_the_touch_changes():
     assert changes.captured.shape == tuple(n // 4 for n in touch_changes(PRESS, CAPTURE, (1.0,)).captured.shape)
     middle = changes.simulated[:, changes.simulated.shape[1] // 2]
     assert middle.mean() < -0.1
-
-
-def test_the_page_is_written_once_and_never_over_another(tmp_path, html):
-    path = write_comparison_page(REPORT, PRESS, CAPTURE, tmp_path / "comparison.html", COMMAND, DIGESTS)
-    assert path.read_text(encoding="utf-8") == html
-    with pytest.raises(RecordError, match="exists already and is not overwritten"):
-        write_comparison_page(REPORT, PRESS, CAPTURE, path, COMMAND, DIGESTS)
 
 
 def test_an_interval_that_is_cut_to_nothing_means_disagreement():

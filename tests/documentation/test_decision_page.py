@@ -9,11 +9,10 @@ from example_records import example_decision, example_results
 from html_page import Page
 
 from data_schemas.decide import AngleStatement
-from data_schemas.errors import RecordError
 from data_schemas.storage import write_record
 from finray_calib.reports import decision_words as words
 from finray_calib.reports.decide_figures import angle_figure
-from finray_calib.reports.decision_page import decision_page, write_decision_page
+from finray_calib.reports.decision_page import decision_page
 from finray_calib.reports.mounting_figure import mounting_figure
 from finray_calib.reports.other_objectives_figure import other_objectives_figure
 from finray_calib.reports.statements import verdict_meaning
@@ -249,10 +248,3 @@ def test_the_verb_writes_record_and_page_or_neither(tmp_path, monkeypatch):
     outcome = finray("decide sweep.json --out page.html")
     assert outcome.status == 2
     assert "page.html: is to be a record; choose an --out that ends in .json" in outcome.err
-
-
-def test_the_page_is_written_once_and_never_over_another(tmp_path, html):
-    path = write_decision_page(DECISION, SWEEP, tmp_path / "decision.html", COMMAND, DIGESTS)
-    assert path.read_text(encoding="utf-8") == html
-    with pytest.raises(RecordError, match="exists already and is not overwritten"):
-        write_decision_page(DECISION, SWEEP, path, COMMAND, DIGESTS)

@@ -10,6 +10,7 @@ import pytest
 from data_schemas.design import FingerDesign
 from data_schemas.errors import MissingExtraError, RecordError, SimulateError
 from data_schemas.optical_design import TactileCamera
+from data_schemas.product_set import ProductSet
 from data_schemas.provenance import provenance
 from data_schemas.simulate import SimulatedPress
 from finray_calib.exchange import render_files
@@ -53,11 +54,15 @@ def products() -> OpticsProducts:
     )
 
 
+def written(folder, products, views):
+    with ProductSet(folder) as stored:
+        write_optics_folder(folder, products, views, provenance("x", {}, 1), stored)
+    return folder
+
+
 def test_every_number_comes_back(tmp_path, products):
     view = np.random.default_rng(1).integers(0, 255, (*SHAPE, 3), dtype=np.uint8)
-    folder = write_optics_folder(
-        tmp_path / "new" / "press.optics", products, {"contact-view": view}, provenance("x", {}, 1)
-    )
+    folder = written(tmp_path / "new" / "press.optics", products, {"contact-view": view})
     assert sorted(p.name for p in folder.iterdir()) == [
         "README.txt", "bands.exr", "contact-raw.png", "contact-view.png", "contact.png", "depth.png", "geometry.exr",
         "no_contact-raw.png", "normal.png", "spectral.exr", "timings.json",
@@ -84,7 +89,7 @@ def test_every_number_comes_back(tmp_path, products):
 
 
 def test_spectra_follow_the_layout_of_fichet(tmp_path, products):
-    folder = write_optics_folder(tmp_path / "press.optics", products, {}, provenance("x", {}, 1))
+    folder = written(tmp_path / "press.optics", products, {})
     assert spectral_channel(450.0) == "S0.450,000000nm"
     spectral = read_exr(folder / "spectral.exr")
     assert set(spectral) == {"S0.450,000000nm", "S0.537,500000nm"}
@@ -100,7 +105,7 @@ def test_a_folder_is_never_overwritten_and_never_half_written(tmp_path, products
     target = tmp_path / "press.optics"
     target.mkdir()
     with pytest.raises(RecordError, match=r"press\.optics: exists already"):
-        write_optics_folder(target, products, {}, provenance("x", {}, 1))
+        written(target, products, {})
     target.rmdir()
 
     def fail(image):
@@ -108,7 +113,7 @@ def test_a_folder_is_never_overwritten_and_never_half_written(tmp_path, products
 
     monkeypatch.setattr(render_files, "png", fail)
     with pytest.raises(OSError, match="disk full"):
-        write_optics_folder(target, products, {}, provenance("x", {}, 1))
+        written(target, products, {})
     assert list(tmp_path.iterdir()) == []
 
 
