@@ -1,5 +1,6 @@
 """Paint calibration: the fitted emission spectrum with its uncertainty."""
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -8,6 +9,7 @@ from pydantic import Field, model_validator
 
 from data_schemas.arrays import ArraySpec, check_dimensions
 from data_schemas.colour_checker import ColourCheckerMatch
+from data_schemas.emission_detection import NO_SPECTRUM, EmissionDetection
 from data_schemas.estimate import Estimate
 from data_schemas.model import Model, Record
 from data_schemas.radiometry import Optics
@@ -121,10 +123,14 @@ class PaintCalibration(Record):
     location_nm = lambda_0 (not the peak), scale_nm = gamma, skewness = omega, amplitude_nm = h.
     """
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray fit'"
+    other_kinds: ClassVar[Mapping[str, str]] = {"PaintWithoutEmission": NO_SPECTRUM}
 
     paint_name: str
+    detection: EmissionDetection | None = Field(
+        default=None, description="that there is emission, and how sure that is; none: not judged, by an older version"
+    )
     family: str
     family_title: str
     family_choice: str = Field(description="why this family, and how sure that is")

@@ -11,6 +11,7 @@ from data_schemas.compare import PhotometricErrorReport
 from data_schemas.comparison_batch import ComparisonBatch
 from data_schemas.decide import LightAngleDecision
 from data_schemas.design import FingerDesign
+from data_schemas.emission_detection import PaintWithoutEmission
 from data_schemas.finger_stiffness import FingerStiffness
 from data_schemas.fit import PaintCalibration
 from data_schemas.force_comparison import ForceComparison
@@ -48,6 +49,7 @@ STORED: tuple[type[Record], ...] = (
     BandSignals,
     PixelSignals,
     PaintCalibration,
+    PaintWithoutEmission,
     PaintMap,
     PaperPaints,
     FingerStiffness,

@@ -1,5 +1,6 @@
 """The base of every model that crosses a file or the command line: frozen, and unknown keys are errors."""
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 from pydantic import BaseModel, ConfigDict
@@ -34,10 +35,13 @@ class Record(Model):
         Raised whenever the schema changes; see :mod:`data_schemas.record_versions`.
     written_by
         The command that writes the record, for whoever holds a file of an earlier version.
+    other_kinds
+        Kinds that a user may give in place of this one, each with the reason why it cannot serve.
     provenance
         Who, when, with what and from which inputs; filled by the storage when the record is written.
     """
 
     schema_version: ClassVar[int] = 1
     written_by: ClassVar[str] = "the command that wrote it"
+    other_kinds: ClassVar[Mapping[str, str]] = {}
     provenance: Provenance | None = None

@@ -39,6 +39,8 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     **dict.fromkeys(LAST_UNSEALED.items(), _as_it_is),
     # the probability that the loss is within the tolerance
     ("LightAngleDecision", 2): _as_it_is,
+    # whether there is emission at all; none: not judged
+    ("PaintCalibration", 3): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

@@ -125,7 +125,10 @@ def read_record(path: Path, record_type: type[R]) -> R:
     envelope = _load_json(path)
     kind = envelope.get("kind")
     if kind != record_type.__name__:
-        raise RecordError(f"{path}: is a {kind or 'file of unknown kind'}, a {record_type.__name__} is needed here")
+        why = f": {record_type.other_kinds[str(kind)]}" if str(kind) in record_type.other_kinds else ""
+        raise RecordError(
+            f"{path}: is a {kind or 'file of unknown kind'}, a {record_type.__name__} is needed here{why}"
+        )
     version = _required_version(path, envelope.get("schema_version"))
     refuse_newer(path, version, record_type)
     _check_seal(path, envelope, record_type)

@@ -18,6 +18,7 @@ from finray_calib.cli.options import (
 
 if TYPE_CHECKING:
     from data_schemas.colour_checker import ColourCheckerMatch
+    from data_schemas.emission_detection import PaintWithoutEmission
     from data_schemas.fit import PaintCalibration
     from data_schemas.radiometry import BandSignals
 
@@ -25,8 +26,9 @@ HELP = "fit the emission spectrum of a paint, with uncertainty"
 DESCRIPTION = """\
 Fit the emission spectrum of a paint to band signals. Four families of curves are fitted, each with a Gaussian
 process for what a real paint does beyond its family; the bands and measured paints decide which one is reported, and
-the paper's skew-Cauchy is always shown beside it. Writes posterior draws, the spectrum with its 95 % band, how well
-each filter is explained, and how far the draws can be trusted."""
+the paper's skew-Cauchy is always shown beside it. A sample without emission beyond reflected laser, leak and stray
+light gets a limit of its yield in place of a spectrum. Writes posterior draws, the spectrum with its 95 % band, how
+well each filter is explained, and how far the draws can be trusted."""
 FAMILY_NAMES = ("auto", "log_normal_wavenumber", "zheng2014", "skew_t", "gaussian_mixture")
 
 
@@ -79,6 +81,7 @@ def run(arguments: argparse.Namespace) -> None:
 
         run_map(arguments)
         return
+    from data_schemas.emission_detection import PaintWithoutEmission
     from data_schemas.errors import FitError
     from data_schemas.product_set import ProductSet
     from data_schemas.provenance import provenance
@@ -108,13 +111,29 @@ def run(arguments: argparse.Namespace) -> None:
         files.append(arguments.room_light / SESSION_NAME)
     with ProductSet(out) as products:
         if arguments.report is not None:
-            from finray_calib.reports.paint_report import paint_report
-
-            products.add(arguments.report, paint_report(paint, bands).encode())
+            products.add(arguments.report, _page(paint, bands, input_digests(files)).encode())
         write_record(paint, out, provenance(command_line(), input_digests(files), arguments.seed), products)
-    _say_result(paint, out)
+    if isinstance(paint, PaintWithoutEmission):
+        say(f"{out}: NO EMISSION of '{paint.paint_name}', no spectrum")
+        say(f"  {paint.detection.statement}")
+        say("  is this the fluorescent sample, and was the laser on? --report PAGE shows it beside a blank")
+    else:
+        _say_result(paint, out)
     if arguments.report is not None:
         say(f"{arguments.report}: open it in a browser")
+
+
+def _page(paint: "PaintCalibration | PaintWithoutEmission", bands: "BandSignals", digests: "dict[str, str]") -> str:
+    """Return the page of a fit, or of a sample without emission."""
+    from data_schemas.emission_detection import PaintWithoutEmission
+
+    if isinstance(paint, PaintWithoutEmission):
+        from finray_calib.reports.no_emission_page import no_emission_page
+
+        return no_emission_page(paint, command_line(), digests)
+    from finray_calib.reports.paint_report import paint_report
+
+    return paint_report(paint, bands)
 
 
 def _refuse_ignored(arguments: argparse.Namespace) -> None:
@@ -173,6 +192,8 @@ def _say_result(paint: "PaintCalibration", out: Path) -> None:
     say(f"  {'Stokes shift':26s} {stokes.estimate:.0f} [{stokes.low95:.0f}, {stokes.high95:.0f}] nm (95 %{belief})")
     say(f"  family: {paint.family_choice}")
     trust = "trusted" if paint.diagnostics.trusted else "NOT trusted"
+    if paint.detection is not None:
+        say(f"  {paint.detection.statement}")
     say(f"  draws: {paint.diagnostics.method}, {trust} (Pareto k {pareto_text(paint.diagnostics.pareto_k)})")
     for warning in paint.warnings:
         say(f"  warning: {warning}")

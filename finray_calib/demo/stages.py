@@ -16,6 +16,8 @@ from data_schemas.child_process import progress_teller
 from data_schemas.compare import PhotometricErrorReport
 from data_schemas.decide import LightAngleDecision
 from data_schemas.design import FingerDesign
+from data_schemas.emission_detection import PaintWithoutEmission
+from data_schemas.errors import FitError
 from data_schemas.fit import PaintCalibration
 from data_schemas.foreign_files import read_bytes
 from data_schemas.mechanical_design import Preset
@@ -150,6 +152,11 @@ class Demo:
 
         bands = read_record(self.path(f"{colour}/bands.json"), BandSignals)
         paint = calibrate_paint(bands, self.settings.seed, FitOptions(check_by_emcee=True))
+        if isinstance(paint, PaintWithoutEmission):
+            raise FitError(
+                f"the {colour} sample of the demo ({paint.paint_name}) shows {paint.detection.statement}: there is "
+                "nothing to paint the finger with; give the matrix of a fluorescent material"
+            )
         return self._store(paint, f"{colour}/paint.json", [f"{colour}/bands.json"])
 
     def truth(self, colour: str) -> "BenchTruth":

@@ -4,40 +4,15 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_schemas.fit import BandResidual, ChainCheck
-from data_schemas.radiometry import BandSignals
 from data_schemas.reradiation import Reradiation
 from finray_calib.fit.calibration_records import LARGEST_CHAIN_SHIFT_SD, SMALLEST_P
 from finray_calib.fit.emission import EmissionPosterior
 
-Floats = NDArray[np.float64]
-
-SMALLEST_SIGNAL_SD: Final = 3.0
 LARGEST_SHARE_BELOW_LASER: Final = 0.05
 LARGEST_VIOLATING_SHARE: Final = 0.01
 _CLOSE_MAXIMA_NATS: Final = 5.0
-
-
-def signal_warnings(bands: BandSignals, measured_sd: Floats) -> tuple[str, ...]:
-    """Say where no filter but the laser's shows any light.
-
-    Parameters
-    ----------
-    bands
-        Band signals of the paint.
-    measured_sd
-        (B, 3) standard deviations of its fluorescence.
-    """
-    emission = bands.usable() & ~bands.at_excitation()[:, None]
-    strongest = (bands.fluorescence[emission] / measured_sd[emission]).max(initial=-np.inf)
-    if strongest >= SMALLEST_SIGNAL_SD:
-        return ()
-    return (
-        "no filter shows emission above three standard deviations of its noise: is the laser on, is this the "
-        "fluorescent sample? the spectrum is the prior's",
-    )
 
 
 def fit_warnings(

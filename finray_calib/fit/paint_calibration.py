@@ -7,12 +7,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from data_schemas.colour_checker import ColourCheckerMatch
+from data_schemas.emission_detection import EmissionDetection, PaintWithoutEmission
+from data_schemas.estimate import Estimate
 from data_schemas.fit import PaintCalibration
 from data_schemas.radiometry import BandSignals
 from finray_calib.fit import calibration_records as records
 from finray_calib.fit.band_data import BandData
-from finray_calib.fit.calibration_warnings import absorption_warnings, fit_warnings, signal_warnings
+from finray_calib.fit.calibration_warnings import absorption_warnings, fit_warnings
 from finray_calib.fit.chain_check import check_by_chain
+from finray_calib.fit.detection import blank_model, detect_emission
 from finray_calib.fit.emission import EmissionPosterior
 from finray_calib.fit.family_fits import FamilyFits, fit_families
 from finray_calib.fit.fit_options import FitOptions
@@ -34,8 +37,11 @@ def calibrate_paint(
     options: FitOptions | None = None,
     other_lights: Sequence[BandSignals] = (),
     colour_match: ColourCheckerMatch | None = None,
-) -> PaintCalibration:
+) -> PaintCalibration | PaintWithoutEmission:
     """Fit all families of emission curves to band signals and return the calibration record.
+
+    Where the signals hold no emission beyond reflected laser, leak and stray light there is nothing to fit: the record
+    then holds the limit of the yield in place of a spectrum, see :func:`~finray_calib.fit.detection.detect_emission`.
 
     Parameters
     ----------
@@ -60,20 +66,48 @@ def calibrate_paint(
     if options.family is not None:
         family_named(options.family)
     refuse_unfit_lights(bands, other_lights)
+    data = band_data(bands)
+    detection = detect_emission(bands, data, options.prior, seed)
+    if not detection.measured:
+        return _without_emission(bands, data, detection, options)
     # of the whole process: two fits at the same time in threads of one process would hold each other up
     with threadpool_limits(limits=1, user_api="blas"):  # its matrices are small, and the families fill the cores
-        return _calibrate(bands, np.random.default_rng(seed), options, other_lights, colour_match)
+        return _calibrate(bands, data, detection, np.random.default_rng(seed), options, other_lights, colour_match)
+
+
+def _without_emission(
+    bands: BandSignals, data: BandData, detection: EmissionDetection, options: FitOptions
+) -> PaintWithoutEmission:
+    """Return the record of a sample without emission."""
+    blank = blank_model(bands, data, options.prior.ln_blocking_sd)
+    expected, sd = np.zeros(data.y.size), np.zeros(data.y.size)
+    expected[blank.rows], sd[blank.rows] = blank.mean, np.sqrt(np.diag(blank.covariance))
+    rho = min(blank.reflectance_at_laser, 1.0)
+    at_laser = Estimate(estimate=rho, sd=0.0, low68=rho, high68=rho, low95=rho, high95=rho)
+    return PaintWithoutEmission(
+        paint_name=bands.paint_name,
+        detection=detection,
+        reflectance_at_laser=blank.reflectance_at_laser,
+        reflectance=reflectance(bands, np.zeros(WAVELENGTH_NM.size), at_laser),
+        optics=bands.optics,
+        usable=data.usable,
+        measured=bands.fluorescence,
+        measured_sd=np.sqrt(np.diag(data.covariance)).reshape(-1, 3),
+        blank=expected.reshape(-1, 3),
+        blank_sd=sd.reshape(-1, 3),
+    )
 
 
 def _calibrate(
     bands: BandSignals,
+    data: BandData,
+    detection: EmissionDetection,
     rng: np.random.Generator,
     options: FitOptions,
     other_lights: Sequence[BandSignals],
     colour_match: ColourCheckerMatch | None,
 ) -> PaintCalibration:
     """Return the calibration record."""
-    data = band_data(bands)
     fits = fit_families(data, options, PAPER_FAMILY, rng)
     posterior = fits.posterior
     independent = options.check_by_emcee and posterior.sampling.chain is None
@@ -85,6 +119,7 @@ def _calibrate(
     reradiation = paint_absorption(bands, drawn, reflected, lights, rng)
     residuals, measured_sd = records.residuals(bands, posterior), np.sqrt(np.diag(data.covariance)).reshape(-1, 3)
     return PaintCalibration(
+        detection=detection,
         **_family_fields(fits, options),
         **_posterior_fields(posterior, curve, bands, rng),
         reflectance=reflected,
@@ -96,7 +131,6 @@ def _calibrate(
         bands=residuals,
         diagnostics=records.diagnostics(posterior, check),
         warnings=(
-            *signal_warnings(bands, measured_sd),
             *fit_warnings(posterior, residuals, check, options.check_by_emcee),
             *absorption_warnings(reradiation),
             *matrix_warnings(bands, drawn, reflected, reradiation),

@@ -5,6 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
 from numpy.typing import NDArray
 
+from data_schemas.emission_detection import PaintWithoutEmission
 from data_schemas.fit import PaintCalibration
 from finray_calib.reports.fitted_paint import FittedPaint
 from finray_calib.reports.style import (
@@ -32,16 +33,31 @@ def bands_figure(paint: FittedPaint) -> str:
     The prediction is the family's curve with the spread that discrepancy and imperfections of the rig allow it.
     """
     fit = paint.fit
+    poor = [i for i, band in enumerate(fit.bands) if not band.explained]
+    return _signals_figure(fit, fit.predicted, fit.predicted_sd, "predicted", poor)
+
+
+@styled()
+def blank_figure(paint: PaintWithoutEmission) -> str:
+    """Draw measured band signals against those of a sample that reflects as much and emits nothing."""
+    return _signals_figure(paint, paint.blank, paint.blank_sd, "expected without emission", [])
+
+
+def _signals_figure(
+    fit: PaintCalibration | PaintWithoutEmission, expected: Floats, expected_sd: Floats, label: str, poor: list[int]
+) -> str:
+    """Draw measured against expected band signals, and below the difference in standard deviations of both."""
     figure = new_figure(5.4, 4.8)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(5, 3))
     top = float(np.nanmax(fit.measured))
     floor = top * 10**-DECADES_SHOWN
     index = np.arange(len(fit.optics.filters), dtype=np.float64)
-    residual = _residual_sd(fit)
+    total_sd = np.hypot(fit.measured_sd, expected_sd)
+    residual = np.asarray((fit.measured - expected) / np.where(total_sd > 0, total_sd, np.inf))
     for channel, (name, marker, colour) in enumerate(CHANNELS):
         used = fit.usable[:, channel]
         x = index + _SIDE_BY_SIDE[channel]
-        predicted, spread = fit.predicted[:, channel], 2 * fit.predicted_sd[:, channel]
+        predicted, spread = expected[:, channel], 2 * expected_sd[:, channel]
         _boxes(upper, x, np.maximum(predicted - spread, floor), np.maximum(predicted + spread, 1.04 * floor))
         measured, double_sd = np.maximum(fit.measured[:, channel], floor), 2 * fit.measured_sd[:, channel]
         error = np.stack([np.minimum(double_sd, 0.999 * measured), double_sd])
@@ -54,22 +70,16 @@ def bands_figure(paint: FittedPaint) -> str:
     upper.yaxis.set_major_locator(LogLocator(numticks=6))
     upper.yaxis.set_minor_locator(NullLocator())
     upper.grid(visible=False, axis="x")
-    upper.bar(0, 0, color=HAIRLINE, edgecolor=MUTED, label="predicted")
+    upper.bar(0, 0, color=HAIRLINE, edgecolor=MUTED, label=label)
     lower.axhspan(-2, 2, facecolor=HAIRLINE, alpha=0.5, linewidth=0)
     lower.axhline(0, color=MUTED, linewidth=0.8)
     reach = max(SMALLEST_REACH_SD, 1.15 * float(np.abs(residual[fit.usable]).max(initial=0.0)))
     lower.set(ylim=(-reach, reach), ylabel="difference (sd)", xlabel="filter centre (nm)")
-    _mark_unexplained(upper, lower, fit)
+    _mark_unexplained(upper, lower, poor)
     legend_above(figure, upper, 5)
     lower.set_xticks(index, [f"{band.center_nm:g}" for band in fit.optics.filters])
     lower.grid(visible=False, axis="x")
     return svg_text(figure)
-
-
-def _residual_sd(fit: PaintCalibration) -> Floats:
-    """Return measured minus predicted over the standard deviation of both, 0 where there is none."""
-    total_sd = np.hypot(fit.measured_sd, fit.predicted_sd)
-    return np.asarray((fit.measured - fit.predicted) / np.where(total_sd > 0, total_sd, np.inf))
 
 
 def _boxes(axes: Axes, x: Floats, low: Floats, high: Floats) -> None:
@@ -77,9 +87,8 @@ def _boxes(axes: Axes, x: Floats, low: Floats, high: Floats) -> None:
     axes.bar(x, high - low, 0.2, bottom=low, color=HAIRLINE, edgecolor=MUTED, linewidth=0.6, zorder=1.5)
 
 
-def _mark_unexplained(upper: Axes, lower: Axes, fit: PaintCalibration) -> None:
+def _mark_unexplained(upper: Axes, lower: Axes, poor: list[int]) -> None:
     """Hatch the filters that the fit does not explain, in both panels."""
-    poor = [i for i, band in enumerate(fit.bands) if not band.explained]
     for number, i in enumerate(poor):
         for axes in (upper, lower):
             axes.axvspan(

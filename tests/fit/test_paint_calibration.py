@@ -17,7 +17,7 @@ from data_schemas.standard_curves import assumed_camera_response
 from data_schemas.storage import read_record, write_record
 from finray_calib.fit import paint_calibration
 from finray_calib.fit.calibration_records import curve_bands
-from finray_calib.fit.calibration_warnings import absorption_warnings, fit_warnings, signal_warnings
+from finray_calib.fit.calibration_warnings import absorption_warnings, fit_warnings
 from finray_calib.fit.discrepancy import PAINT_DISCREPANCY
 from finray_calib.fit.emission import FitSettings, fit_emission
 from finray_calib.fit.family_choice import DEFAULT_FAMILY
@@ -199,30 +199,6 @@ def test_an_ambiguity_and_other_doubts_are_told(bands):
 def test_draws_beyond_the_absorbed_light_are_told():
     assert absorption_warnings(SimpleNamespace(violating_share=0.01)) == ()
     assert absorption_warnings(SimpleNamespace(violating_share=0.034))[0].startswith("3% of the draws emit more light")
-
-
-def noise_only(bands, noise):
-    """Return band signals without emission: standard normal `noise` (8, 3) times a thousandth of the laser's light."""
-    y = np.where(bands.at_excitation()[:, None], bands.fluorescence, 1e-3 * noise)
-    covariance = np.diag(np.full(y.size, 1e-6))
-    return bands.model_copy(update={"fluorescence": y, "fluorescence_covariance": covariance})
-
-
-def test_no_emission_is_the_first_warning(bands):
-    dark = calibrate_paint(noise_only(bands, np.zeros((8, 3))), 1, FEW)
-    assert dark.warnings[0].startswith("no filter shows emission above three standard deviations of its noise")
-    assert dark.usable_values == 19  # five channels see mostly leak
-
-
-def test_one_filter_with_emission_is_enough(bands, paint):
-    noise = np.zeros((8, 3))
-    noise[5, 0] = 2.9
-    assert len(signal_warnings(noise_only(bands, noise), np.full((8, 3), 1e-3))) == 1
-    noise[5, 0] = 3.1
-    assert signal_warnings(noise_only(bands, noise), np.full((8, 3), 1e-3)) == ()
-    lost = noise_only(bands, noise).model_copy(update={"flags": (("saturated",) * 3,) * 8})
-    assert len(signal_warnings(lost, np.full((8, 3), 1e-3))) == 1
-    assert not any("no filter shows emission" in said for said in paint.warnings)
 
 
 def test_emcee_that_took_over_is_no_check_of_itself(bands, tmp_path, monkeypatch):
