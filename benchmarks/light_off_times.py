@@ -1,0 +1,322 @@
+"""How long a light stays on after SIGKILL or SIGSTOP of its owner, its guard and its watch, alone and together.
+
+``python benchmarks/light_off_times.py --light indi --busy 5 --tries 20 --out bench-out/light-off.jsonl`` appends one
+line for each try and goes on where it was stopped; ``--table`` prints what the file holds. The lights are those of
+other people: INDI's simulated panel, the ASCOM Alpaca simulators, and our firmware in QEMU's Arduino. A witness (a
+second INDI client, a poll every 5 ms, the bytes on the serial line) sees the light on before each mishap; times are
+those at which it heard "off", so upper bounds.
+"""
+
+import argparse
+import json
+import os
+import re
+import select
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from http.client import HTTPConnection
+from pathlib import Path
+from statistics import median
+from typing import NamedTuple
+
+from data_schemas.devices import LaserSettings
+from rigs.capture.laser_watch import make_off
+from rigs.light_guard import GuardedLight
+from tests.capture.drivers.alpaca_server import AlpacaServer
+from tests.capture.drivers.firmware_in_qemu import build, firmware_board
+from tests.capture.drivers.indi_server import PANEL, IndiServer
+
+BAR_S = 1.0
+WATCHED_S = 3.0
+SETTLED_S = 0.2
+"""Between "on" and the mishap."""
+POLL_S = 0.005
+BLOWS = {"KILL": signal.SIGKILL, "STOP": signal.SIGSTOP}
+BOTH = [(a, b) for a in BLOWS for b in BLOWS]
+MISHAPS = [
+    *((((who, a),)) for who in ("main", "guard", "watch") for a in BLOWS),
+    *((("main", a), ("guard", b)) for a, b in BOTH),
+    *((("guard", b), ("main", a)) for a, b in BOTH),
+    *((("guard", a), ("watch", b)) for a, b in BOTH),
+    *((("main", a), ("watch", b)) for a, b in BOTH),
+    *((("watch", a), ("guard", a), ("main", a)) for a in BLOWS),
+]
+Witness = Callable[[float], float | None]
+"""Returns how long after an instant (s, monotonic) the light is off; None when it was still on at the end."""
+
+
+class Held(NamedTuple):
+    """A lit light and the processes that hold it."""
+
+    main: int
+    guard: int
+    watch: int
+
+
+class Lamp(NamedTuple):
+    """A light: how a rig file names it, a witness, who is called while it is on, and what stands for hardware."""
+
+    driver: str
+    address: str
+    witness: Callable[[], Witness]
+    boards: tuple[int, ...] = ()
+
+
+def words(mishap: tuple[tuple[str, str], ...]) -> str:
+    return ", then ".join(f"{who} {blow}" for who, blow in mishap)
+
+
+def hold(driver: str, address: str) -> None:
+    """For every line of standard input light it in a child, which a mishap may befall."""
+    for _ in sys.stdin:
+        child = os.fork()
+        if child == 0:
+            keep_on(driver, address)
+            os._exit(0)
+        with suppress(InterruptedError):
+            os.waitpid(child, 0)
+
+
+def keep_on(driver: str, address: str) -> None:
+    """Keep it on and ask for its state now and then, as a session does."""
+    light = GuardedLight("laser", driver, address)
+    try:
+        light.open()
+        with light.lit():
+            print(json.dumps([os.getpid(), light.guard_pid, light.watch_pid]), flush=True)
+            while True:
+                time.sleep(0.1)
+                light.state()
+    except Exception as error:
+        print(json.dumps(repr(error)), file=sys.stderr, flush=True)
+    finally:
+        light.close()
+
+
+@contextmanager
+def holder(lamp: Lamp) -> Iterator["subprocess.Popen[str]"]:
+    command = [sys.executable, __file__, "--hold", lamp.driver, lamp.address]
+    pipe = subprocess.PIPE
+    with (
+        Path(tempfile.gettempdir(), "light-off-times.log").open("a") as log,
+        subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=log, text=True, start_new_session=True) as process,
+    ):
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def once(process: "subprocess.Popen[str]", lamp: Lamp, mishap: tuple[tuple[str, str], ...]) -> float | None:
+    """Light it, strike, and return how long it stayed on; None when it was still on at the end."""
+    process.stdin.write("\n")
+    process.stdin.flush()
+    if not select.select([process.stdout], [], [], 60.0)[0]:
+        raise TimeoutError("the light did not go on")
+    held = Held(*json.loads(process.stdout.readline()))
+    time.sleep(SETTLED_S)
+    with hurried(os.getpid(), *lamp.boards):
+        off_after_s = lamp.witness()
+        began_s = time.monotonic()
+        for who, blow in mishap:
+            os.kill(getattr(held, who), BLOWS[blow])
+        off_s = off_after_s(began_s)
+    for pid in held:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    label = {"wavelength_nm": 450.0, "power_mw": 1.0, "laser_class": "2"}
+    make_off(LaserSettings(driver=lamp.driver, address=lamp.address, **label))
+    return off_s
+
+
+@contextmanager
+def indi(folder: Path) -> Iterator[Lamp]:
+    """INDI's panel; a client that asked once hears what the driver tells everybody."""
+    says = re.compile(rb"<(?:def|set)SwitchVector[^>]*FLAT_LIGHT_CONTROL.*?FLAT_LIGHT_ON[^>]*>\s*(On|Off)\s*<", re.S)
+    with IndiServer(folder, {"indi_simulator_lightpanel": PANEL}) as server:
+
+        def witness() -> Witness:
+            line, heard = socket.create_connection(("127.0.0.1", server.port)), b""
+            line.sendall(b'<getProperties version="1.7"/>\n')
+            while not says.findall(heard):
+                heard += line.recv(65536)
+            assert says.findall(heard)[-1] == b"On"
+
+            def off_s(began_s: float) -> float | None:
+                told = heard
+                with line:
+                    while (left_s := began_s + WATCHED_S - time.monotonic()) > 0.0:
+                        line.settimeout(left_s)
+                        with suppress(TimeoutError):
+                            told += line.recv(65536)
+                        if says.findall(told)[-1] == b"Off":
+                            return time.monotonic() - began_s
+                return None
+
+            return off_s
+
+        yield Lamp("indi", server.address(PANEL), witness)
+
+
+@contextmanager
+def alpaca(folder: Path) -> Iterator[Lamp]:
+    """A switch of the Alpaca simulators, polled."""
+    with AlpacaServer(folder) as server:
+
+        def is_on() -> bool:
+            asking = HTTPConnection("127.0.0.1", server.port, timeout=WATCHED_S)
+            asking.request("GET", "/api/v1/switch/0/getswitch?Id=0&ClientID=9&ClientTransactionID=1")
+            try:
+                return bool(json.loads(asking.getresponse().read())["Value"])
+            finally:
+                asking.close()
+
+        def off_s(began_s: float) -> float | None:
+            while time.monotonic() - began_s < WATCHED_S:
+                if not is_on():
+                    return time.monotonic() - began_s
+                time.sleep(POLL_S)
+            return None
+
+        def witness() -> Witness:
+            assert is_on()
+            return off_s
+
+        yield Lamp("alpaca", f"{server.url}/switch/0/0", witness)
+
+
+@contextmanager
+def arduino(folder: Path) -> Iterator[Lamp]:
+    """Our firmware in QEMU, heard on its serial line."""
+    with firmware_board(build(folder)) as board:
+
+        def off_s(began_s: float) -> float | None:
+            while time.monotonic() - began_s < WATCHED_S:
+                if told := [*board.times("device", b"OFF", began_s), *board.times("device", b"TRIP", began_s)]:
+                    return min(told) - began_s
+                time.sleep(POLL_S)
+            return None
+
+        def witness() -> Witness:
+            assert [line.text for line in board.lines if line.who == "device"][-1] == b"ON"
+            return off_s
+
+        yield Lamp("arduino", board.address, witness, tuple(children("qemu-system-avr")))
+
+
+def children(name: str) -> list[int]:
+    """Return the process numbers of our children with a name, which the kernel cuts after 15 letters."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            head, _, tail = stat.read_text().rpartition(")")
+            pid, _, command = head.partition(" (")
+            if command == name[:15] and tail.split()[1] == str(os.getpid()):
+                found.append(int(pid))
+    return found
+
+
+@contextmanager
+def hurried(*pids: int) -> Iterator[None]:
+    """Let the witness, and a board that a real computer does not slow down, go before all others, where permitted."""
+    schedule(pids, os.SCHED_FIFO, 1)
+    try:
+        yield
+    finally:
+        schedule(pids, os.SCHED_OTHER, 0)
+
+
+def schedule(pids: tuple[int, ...], policy: int, priority: int) -> None:
+    for thread in (int(task.name) for pid in pids for task in Path(f"/proc/{pid}/task").iterdir()):
+        with suppress(PermissionError, ProcessLookupError):
+            os.sched_setscheduler(thread, policy | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+
+
+LIGHTS = {"indi": indi, "alpaca": alpaca, "arduino": arduino}
+
+
+def done(path: Path) -> dict[tuple[str, int, str], list[float | None]]:
+    """Return what the file holds."""
+    found: dict[tuple[str, int, str], list[float | None]] = defaultdict(list)
+    if path.exists():
+        for line in path.read_text().splitlines():
+            entry = json.loads(line)
+            found[entry["light"], entry["busy"], entry["mishap"]].append(entry["off_s"])
+    return found
+
+
+def measure(name: str, busy: int, tries: int, out: Path) -> None:
+    """Take the tries that are missing, round by round, so that a stopped run has some of each."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    have = done(out)
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        lamp = stack.enter_context(LIGHTS[name](folder))
+        process = stack.enter_context(holder(lamp))
+        for _ in range(busy):
+            loop = subprocess.Popen([sys.executable, "-c", "while True: pass"], start_new_session=True)
+            stack.callback(loop.kill)
+        for number in range(tries):
+            for mishap in MISHAPS:
+                # Where nothing is left that could act, one try shows it.
+                enough = 1 if len(mishap) == 3 and name != "arduino" else tries
+                if len(have[name, busy, words(mishap)]) > number or number >= enough:
+                    continue
+                off_s = once(process, lamp, mishap)
+                load = os.getloadavg()[0]
+                with out.open("a") as file:
+                    entry = {"light": name, "busy": busy, "mishap": words(mishap), "off_s": off_s, "load": load}
+                    file.write(json.dumps(entry) + "\n")
+                print(name, busy, words(mishap), "STAYS ON" if off_s is None else f"{off_s:.3f} s", flush=True)
+
+
+def table(path: Path) -> int:
+    """Print the worst and the median of each cell; return 1 when a bar is missed where something was left to act."""
+    have, missed = done(path), 0
+    columns = sorted({key[:2] for key in have})
+    print("| what happens | " + " | ".join(f"{name}, {busy} busy" for name, busy in columns) + " |")
+    print("|---|" + "---|" * len(columns))
+    for mishap in MISHAPS:
+        cells = []
+        for name, busy in columns:
+            tries = have[name, busy, words(mishap)]
+            offs = [off_s for off_s in tries if off_s is not None]
+            is_left = len(mishap) < 3 or name == "arduino"
+            missed += is_left and (len(offs) < len(tries) or any(off_s > BAR_S for off_s in offs))
+            if not tries:
+                cells.append("-")
+            elif len(offs) < len(tries):
+                cells.append(f"stays on ({len(tries) - len(offs)} of {len(tries)})")
+            else:
+                cells.append(f"{max(offs):.2f} ({median(offs):.2f}, n {len(offs)})")
+        print(f"| {words(mishap)} | " + " | ".join(cells) + " |")
+    return int(missed > 0)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--light", choices=sorted(LIGHTS), action="append")
+    parser.add_argument("--busy", type=int, default=0, help="busy loops beside it")
+    parser.add_argument("--tries", type=int, default=10)
+    parser.add_argument("--out", type=Path, default=Path("bench-out/light-off.jsonl"))
+    parser.add_argument("--table", action="store_true")
+    parser.add_argument("--hold", nargs=2, metavar=("DRIVER", "ADDRESS"), help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.hold:
+        hold(*arguments.hold)
+        return 0
+    if not arguments.table:
+        for name in arguments.light or sorted(LIGHTS):
+            measure(name, arguments.busy, arguments.tries, arguments.out)
+    return table(arguments.out)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
