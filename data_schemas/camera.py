@@ -51,7 +51,7 @@ class CameraSession(Record):
     exposure time form a stack of two or more.
     """
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray capture'"
 
     plan: CameraPlan

@@ -169,7 +169,7 @@ class CheckResult(Model):
 class AcceptanceReport(Record):
     """The outcome of an acceptance check of a rig: one result for each check, and the facts they follow from."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray check run'"
     plan: CheckPlan
     rig: RigFile

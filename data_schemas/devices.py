@@ -1,8 +1,9 @@
 """The devices of a rig: what its file says of camera, filter wheel, laser and lamp, and what they say they are."""
 
+from datetime import date, datetime
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.model import Model
@@ -109,6 +110,29 @@ LIGHT_ADDRESS = (
 )
 
 
+def _day_text(value: object) -> object:
+    """Return a day of a TOML file as text; text must be a day."""
+    if isinstance(value, date) and not isinstance(value, datetime):
+        return value.isoformat()
+    if isinstance(value, str):
+        date.fromisoformat(value)
+    return value
+
+
+IsoDay = Annotated[str, Field(pattern=r"^\d{4}-\d{2}-\d{2}$"), BeforeValidator(_day_text)]
+
+
+class OutsideLayer(Model):
+    """Hardware outside the computer that switches a laser off, and when it was last seen to do so."""
+
+    kind: Literal["interlock", "relay with pulse", "dead-man"] = Field(
+        description="interlock: opening the box cuts the supply; relay with pulse: it opens unless it is pulsed; "
+        "dead-man: the controller itself switches off when it hears nothing"
+    )
+    tested_on: IsoDay = Field(description="day of the last test, with the laser on")
+    test: Annotated[str, Field(min_length=10, max_length=200)] = Field(description="what was done and what was seen")
+
+
 class LaserSettings(Model):
     """Excitation laser. The class and power are named so that nobody switches it on unknowingly."""
 
@@ -117,7 +141,14 @@ class LaserSettings(Model):
     wavelength_nm: WavelengthNm = 450.0
     fwhm_nm: WidthNm = 2.0
     power_mw: PowerMw = 4.5
-    laser_class: Literal["1", "1M", "2", "2M", "3R", "3B", "4"] = "3R"
+    laser_class: Literal["1", "1M", "2", "2M", "3R", "3B", "4"] = Field(
+        default="3R", description="hazard class as on its label (IEC 60825-1); never inferred from the power"
+    )
+    outside_layer: OutsideLayer | None = Field(
+        default=None,
+        description="what switches it off outside the computer; class 3R and above go on only with one, which the "
+        "driver 'arduino' brings in its firmware",
+    )
 
     @model_validator(mode="after")
     def _real_laser_is_named(self) -> "LaserSettings":

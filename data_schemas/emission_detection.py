@@ -61,7 +61,7 @@ class EmissionDetection(Model):
 class PaintWithoutEmission(Record):
     """A sample in whose band signals no emission was found: a limit of its yield in place of a spectrum."""
 
-    schema_version: ClassVar[int] = 1
+    schema_version: ClassVar[int] = 2
     written_by: ClassVar[str] = "'finray fit'"
 
     paint_name: str

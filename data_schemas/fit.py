@@ -123,7 +123,7 @@ class PaintCalibration(Record):
     location_nm = lambda_0 (not the peak), scale_nm = gamma, skewness = omega, amplitude_nm = h.
     """
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray fit'"
     other_kinds: ClassVar[Mapping[str, str]] = {"PaintWithoutEmission": NO_SPECTRUM}
 

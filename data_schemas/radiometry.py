@@ -89,7 +89,7 @@ class BandSignals(Record):
     The covariances are over the flattened (filter, channel) index, filter-major; :attr:`notes` list what they hold.
     """
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray radiometry'"
 
     paint_name: str
@@ -142,7 +142,7 @@ class PixelSignals(Record):
         Laser over lamp irradiance relative to the region's mean, smoothed.
     """
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray radiometry --pixels'"
 
     paint_name: str

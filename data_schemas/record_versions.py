@@ -41,6 +41,15 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("LightAngleDecision", 2): _as_it_is,
     # whether there is emission at all; none: not judged
     ("PaintCalibration", 3): _as_it_is,
+    # a laser may declare what switches it off outside the computer
+    ("RigFile", 1): _as_it_is,
+    ("CaptureSession", 2): _as_it_is,
+    ("CameraSession", 2): _as_it_is,
+    ("BandSignals", 2): _as_it_is,
+    ("PixelSignals", 2): _as_it_is,
+    ("AcceptanceReport", 2): _as_it_is,
+    ("PaintCalibration", 4): _as_it_is,
+    ("PaintWithoutEmission", 1): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

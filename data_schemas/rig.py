@@ -4,7 +4,7 @@ Every device names its ``driver`` and, unless it is simulated, the ``address`` a
 ``driver = "simulated"`` opens the simulated bench; the ``[simulated]`` table then says what is painted on it.
 """
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import Field, model_validator
 
@@ -52,6 +52,8 @@ class SimulatedBench(Model):
 
 class RigFile(Record):
     """A whole rig."""
+
+    schema_version: ClassVar[int] = 2
 
     name: str
     camera: CameraSettings = CameraSettings()

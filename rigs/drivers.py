@@ -12,7 +12,7 @@ from types import ModuleType
 from typing import Final, cast
 
 from data_schemas.devices import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings
-from rigs.light_guard import GuardedLight, guarded_light
+from rigs.light_guard.guarded_light import LEASE_S, GuardedLight, guarded_light
 from rigs.lights.plain_light import plain_light
 from rigs.protocols import Camera, FilterWheel, Light, Operator
 from rigs.transports.indi_server import indi_address
@@ -61,12 +61,13 @@ def open_wheel(settings: FilterWheelSettings, operator: Operator) -> AbstractCon
     return cast(AbstractContextManager[FilterWheel], wheel)
 
 
-def open_laser(settings: LaserSettings, patience_s: float = math.inf) -> AbstractContextManager[GuardedLight]:
+def open_laser(settings: LaserSettings, lease_s: float = LEASE_S) -> AbstractContextManager[GuardedLight]:
     """Return the laser of a rig behind its guard process, open for a ``with`` block.
 
-    It goes off when the program asks nothing for `patience_s` seconds while it is lit.
+    It goes off when the program asks nothing for `lease_s` seconds while it is lit. One of class 3R or above goes on
+    only with a layer outside the computer.
     """
-    return guarded_light("laser", settings.driver, settings.address, patience_s)
+    return guarded_light("laser", settings.driver, settings.address, lease_s, settings)
 
 
 def open_lamp(settings: LampSettings, operator: Operator) -> AbstractContextManager[Light]:
@@ -76,7 +77,7 @@ def open_lamp(settings: LampSettings, operator: Operator) -> AbstractContextMana
     """
     if settings.driver == "manual":
         return plain_light(_module(LIGHTS, settings.driver).open_switch(settings.address, "lamp", operator))
-    return guarded_light("lamp", settings.driver, settings.address)
+    return guarded_light("lamp", settings.driver, settings.address, math.inf)
 
 
 def _module(known: dict[str, str], driver: str) -> ModuleType:

@@ -25,7 +25,7 @@ DARK_CURRENT_E_PER_S = 2.0
 PIXEL_NONUNIFORMITY_REL = 0.01
 DARK_OFFSET_SD_E = 2.0
 FULL_WELL_MARGIN = 1.05
-PATIENCE_S = 240.0
+LEASE_S = 240.0
 """Beside two of the longest exposures (a camera's first frame is discarded): moves, retries and a slow disk."""
 
 
@@ -91,9 +91,9 @@ def open_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> It
     if rig.is_simulated:
         yield _open_simulated(rig, folder, response, lamp, filter_curves, notes)
         return
-    hands, patience_s = operator or TerminalOperator(), 2.0 * rig.camera.longest_exposure_s + PATIENCE_S
+    hands, lease_s = operator or TerminalOperator(), 2.0 * rig.camera.longest_exposure_s + LEASE_S
     with ExitStack() as stack:
-        laser = stack.enter_context(open_laser(rig.laser, patience_s))
+        laser = stack.enter_context(open_laser(rig.laser, lease_s))
         yield OpenRig(
             camera=stack.enter_context(open_camera(rig.camera, folder, rig.filter_wheel)),
             wheel=stack.enter_context(open_wheel(rig.filter_wheel, hands)),

@@ -19,7 +19,7 @@ from rigs.capture.exchange import CAMERA_DEADLINE_MARGIN_S
 from rigs.capture.rig_lock import device_locked
 from rigs.drivers import open_camera
 from rigs.host import TerminalOperator
-from rigs.light_guard import GuardedLight
+from rigs.light_guard import GuardedLight, off_lines
 from rigs.lone_devices import Settings, lone_camera, lone_lamp, lone_laser, lone_wheel
 from rigs.protocols import Camera, Light
 
@@ -137,11 +137,11 @@ def _light(light: Light) -> Lines:
     else:
         yield "reports off"
     if isinstance(light, GuardedLight):
-        layers = "the capture, its guard process and the controller's dead-man"
-        yield f"{light.layers} layers switch it off: " + (
-            layers if light.layers == 3 else "the capture and its guard process"
-        )
-        yield from map(Warned, light.notes)
+        by_processes, by_hardware = off_lines(light.has_dead_man, light.outside_layer)
+        yield by_processes
+        yield by_hardware if light.has_dead_man else Warned(by_hardware)
+        if light.refusal:
+            yield Warned(f"cannot be lit: {light.refusal}")
 
 
 def _wheel(rig: RigFile, folder: Path) -> Lines:

@@ -8,7 +8,7 @@ afresh. They raise the children of :class:`~data_schemas.errors.CaptureError` on
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,6 +149,39 @@ class LightSwitch(Protocol):
 
     def keep_alive(self) -> None:
         """Tell the controller that the host lives; nothing where it has no dead-man."""
+        ...
+
+
+class OffWords(NamedTuple):
+    """What switches a light off without its driver, which may hang or be gone.
+
+    Attributes
+    ----------
+    data
+        Bytes to send; they may come in the midst of other traffic, and twice.
+    line
+        Host and port of a server that takes one more connection, or the descriptor of the light's open line.
+    """
+
+    data: bytes
+    line: tuple[str, int] | int
+
+
+class GuardedSwitch(LightSwitch, Protocol):
+    """The bare switch of a light that a controller or server switches, and a guard can hold."""
+
+    def off_words(self) -> OffWords:
+        """Return what switches it off over a line that the guard does not hold."""
+        ...
+
+    def prove_dead_man(self, deadline_s: float) -> None:
+        """Switch on and say nothing until the dead-man has acted; confirmed on in at most `deadline_s` seconds.
+
+        Raises
+        ------
+        RefusedError
+            It did not act, or there is none.
+        """
         ...
 
 

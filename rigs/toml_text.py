@@ -8,8 +8,10 @@ from typing import Final
 from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.camera import CameraPlan
 from data_schemas.capture import PaintPlan, RegionOfInterest
+from data_schemas.devices import OutsideLayer
 from data_schemas.rig import RigFile, SimulatedBench
 from data_schemas.whole_files import write_bytes
+from rigs.light_guard.outside_layer import TEST_HOLDS_DAYS
 
 _ABOVE: Final = ("address", "response")
 _CAMERA: Final = {
@@ -59,6 +61,11 @@ _LASER: Final = {
     "power_mw": "as on its label, mW",
     "laser_class": "as on its label (IEC 60825-1): 1, 1M, 2, 2M, 3R, 3B or 4",
 }
+_OUTSIDE_LAYER: Final = {
+    "kind": "interlock, relay with pulse, or dead-man (of the light's own controller)",
+    "tested_on": "day of the last test",
+    "test": "what was done and seen",
+}
 _LAMP: Final = {
     "driver": "simulated, arduino, indi, alpaca, manual (the operator switches it)",
     "address": f"{_LIGHT_ADDRESS}manual and simulated: none",
@@ -104,7 +111,7 @@ name = {_quoted(rig.name)}
 # the place of width, shape and peak, and center_nm must lie within 5 nm of its centre.
 {"".join(filters)}[laser]
 # Class and power are named so that nobody switches it on unknowingly.
-{_fields(rig.laser.model_dump(), _LASER)}
+{_fields(rig.laser.model_dump(exclude={"outside_layer"}), _LASER)}{_outside_layer_toml(rig.laser.outside_layer)}
 [lamp]
 {_fields(rig.lamp.model_dump(), _LAMP)}
 [white_reference]
@@ -141,6 +148,19 @@ def _filter_toml(band: BandPassFilter, comments: Mapping[str, str]) -> str:
     """Return one filter's table; a measured curve stands in it only where there is one."""
     left_out = {"curve"} if band.curve is None else set()
     return f"[[filter_wheel.filters]]\n{_fields(band.model_dump(exclude=left_out), comments)}\n"
+
+
+def _outside_layer_toml(layer: OutsideLayer | None) -> str:
+    """Return the table of what switches the laser off outside the computer; a comment where none is declared."""
+    head = f"""\
+# [laser.outside_layer] declares hardware that switches the laser off when the computer cannot, and its last test with
+# the laser on, which holds for {TEST_HOLDS_DAYS} days. A laser of class 3R or above goes on only with such a layer; the
+# firmware behind driver arduino is one, and every session tests it.
+"""
+    if layer is None:
+        example = '{ kind = "interlock", tested_on = 2026-01-31, test = "lid opened: dark at once" }'
+        return f"{head}# outside_layer = {example}\n"
+    return f"{head}[laser.outside_layer]\n{_fields(layer.model_dump(), _OUTSIDE_LAYER)}"
 
 
 def _bench_toml(bench: SimulatedBench) -> str:

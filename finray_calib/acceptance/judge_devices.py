@@ -13,7 +13,7 @@ UNASKED: Final = ("manual",)
 _LAYERS: Final[dict[LightLayer, tuple[str, str]]] = {
     "block": ("laser off after an exception", "an exception leaves the block that lights the laser"),
     "guard": ("laser off by the guard", "the program that lights the laser is killed (SIGKILL)"),
-    "dead-man": ("laser off by the dead-man", "the program and the guard of the laser are killed (SIGKILL)"),
+    "dead-man": ("laser off by the dead-man", "the program, the guard and the watch of the laser are killed (SIGKILL)"),
 }
 
 

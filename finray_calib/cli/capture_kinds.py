@@ -23,6 +23,7 @@ from rigs.capture.resume import Interrupted, read_interrupted
 from rigs.capture.rig_lock import rig_locked
 from rigs.capture.session_folder import lacks_manifest, write_manifest
 from rigs.capture.tactile_resume import is_tactile
+from rigs.light_guard import require_outside_layer
 from rigs.open_rig import open_rig
 
 
@@ -31,6 +32,8 @@ def capture_paint(arguments: argparse.Namespace) -> None:
     plan, rig = read_toml(arguments.plan, PaintPlan), read_toml(arguments.rig, RigFile)
     with naming(CaptureError, arguments.plan):
         steps = paint_steps(plan, rig)
+    with naming(CaptureError, arguments.rig):
+        require_outside_layer(rig.laser)
     if arguments.dry_run:
         with rig_locked(rig), open_rig(rig, arguments.rig.parent) as opened:
             require_ready(opened, steps)
@@ -123,7 +126,8 @@ def _telling(rig: RigFile) -> Iterator[Progress]:
     """Show the progress; before a real laser its safety line. A bar would hide what the operator is asked."""
     with _bar_or_lines(rig) as progress:
         if not rig.is_simulated:
-            warn(safety_line(rig.laser))
+            for line in safety_lines(rig.laser):
+                warn(line)
         yield progress
 
 
@@ -138,11 +142,14 @@ def _lines() -> Iterator[Progress]:
     yield lambda done, total, what: warn(f"  {done}/{total} {what}")
 
 
-def safety_line(laser: LaserSettings) -> str:
-    """Return what everybody in the room must know."""
+def safety_lines(laser: LaserSettings) -> tuple[str, ...]:
+    """Return what everybody in the room must know, with what switches the laser off and what does not."""
+    from rigs.light_guard.outside_layer import has_dead_man, off_lines
+
     return (
         f"LASER {laser.wavelength_nm:g} nm, {laser.power_mw:g} mW, class {laser.laser_class}: it will be switched on. "
-        f"Wear goggles for {laser.wavelength_nm:g} nm, close the box, keep others out"
+        f"Wear goggles for {laser.wavelength_nm:g} nm, close the box, keep others out",
+        *(f"  {line}" for line in off_lines(has_dead_man(laser), laser.outside_layer)),
     )
 
 

@@ -88,11 +88,12 @@ def run(arguments: argparse.Namespace) -> int:
 @contextmanager
 def _telling(rig: "RigFile") -> Iterator[Progress]:
     """Show the progress; on a real rig in lines, below the safety line of its laser."""
-    from finray_calib.cli.capture_kinds import safety_line
+    from finray_calib.cli.capture_kinds import safety_lines
 
     if rig.is_simulated:
         with progress_bar("check") as progress:
             yield progress
         return
-    warn(safety_line(rig.laser))
+    for line in safety_lines(rig.laser):
+        warn(line)
     yield lambda done, total, what: warn(f"  {done + 1}/{total} {what}")

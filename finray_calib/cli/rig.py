@@ -16,9 +16,9 @@ Ask every driver what it can find, and print driver and address as a rig file na
 opened for a moment; most Arduino boards restart then."""
 SHOW_HELP = "show what each device of a rig reports"
 SHOW_DESCRIPTION = """\
-Open each device of a rig on its own and print what it is, where the wheel stands, whether the lights are off and how
-many layers keep them so, one dark exposure of the camera, and the filters. Nothing moves and the lights stay off. A
-device that cannot be reached hides no other; the exit status is 2 then."""
+Open each device of a rig on its own and print what it is, where the wheel stands, whether the lights are off, what
+switches them off when a process or the computer fails, one dark exposure of the camera, and the filters. Nothing moves
+and the lights stay off. A device that cannot be reached hides no other; the exit status is 2 then."""
 
 
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

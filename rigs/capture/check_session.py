@@ -96,7 +96,7 @@ class _Recorder:
         self._errors: dict[Section, str] = {}
         self._ended: str | None = None
         self._done = 0
-        self._layers = 0
+        self._has_dead_man: bool | None = None  # of a laser that has a guard
         self._sight: Sight | None = None
         self._frames: CheckFrames | None = None
 
@@ -119,7 +119,8 @@ class _Recorder:
 
     def _with_open_rig(self, opened: OpenRig) -> None:
         """Try everything that the open rig can show."""
-        self._layers = opened.laser.layers if isinstance(opened.laser, GuardedLight) else 0
+        if isinstance(opened.laser, GuardedLight):
+            self._has_dead_man = opened.laser.has_dead_man
         frames = self._frames = CheckFrames(opened, self._rig, self._plan, self._filters)
         self._keep(handshakes=self._attempt("handshake", lambda: handshakes(opened, self._rig)) or ())
         moves: list[WheelMove] = []
@@ -174,16 +175,16 @@ class _Recorder:
         """Try the block that lights the laser, and see whether the camera sees it."""
         opened.operator.place("white")
         self._keep(light_off=(after_exception(opened, self._plan.light_off_repeats),))
-        if self._layers and self._frames is not None:
+        if self._has_dead_man is not None and self._frames is not None:
             self._sight = find_sight(opened, self._rig, self._frames)
 
     def _without_rig(self) -> tuple[LightOff, ...]:
         """Try guard and dead-man, the rig being closed."""
-        if self._layers == 0:
+        if self._has_dead_man is None:
             reason = "no guard on the simulated rig" if self._rig.is_simulated else "this laser has no guard process"
             return LightOff(layer="guard", missing=reason), LightOff(layer="dead-man", missing=reason)
         guard = self._layer("guard")
-        if self._layers < 3:
+        if not self._has_dead_man:
             reason = "the laser's controller has no dead-man: when the computer hangs, the laser stays on"
             return guard, LightOff(layer="dead-man", missing=reason)
         return guard, self._layer("dead-man")

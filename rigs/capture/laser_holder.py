@@ -1,7 +1,8 @@
 """A program that keeps the laser on behind its guard until it is killed: the victim of an acceptance check.
 
-Started as ``python -m rigs.capture.laser_holder DRIVER ADDRESS``; says ``ON`` and the guard's process number. It ends,
-and the laser goes off, when its standard input closes (whoever started it is gone), at the latest after 10 s.
+Started as ``python -m rigs.capture.laser_holder DRIVER ADDRESS``; says ``ON`` and the process numbers of guard and
+watch. It ends, and the laser goes off, when its standard input closes (whoever started it is gone), at the latest after
+10 s.
 """
 
 import select
@@ -22,7 +23,7 @@ def main(arguments: list[str]) -> int:
         try:
             light.open()
             with light.lit():
-                sys.stdout.write(f"ON {light.guard_pid}\n")
+                sys.stdout.write(f"ON {light.guard_pid} {light.watch_pid}\n")
                 sys.stdout.flush()
                 select.select([sys.stdin], [], [], LONGEST_S)
         finally:

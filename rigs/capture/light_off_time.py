@@ -14,6 +14,7 @@ from data_schemas.check import LightLayer, LightOff
 from data_schemas.devices import LaserSettings
 from data_schemas.errors import CaptureError, TimedOutError
 from rigs.capture.laser_watch import LaserWatch, make_off
+from rigs.light_guard import require_outside_layer
 from rigs.open_rig import OpenRig
 
 WATCHED_S: Final = 5.0
@@ -26,10 +27,11 @@ class MishapError(Exception):
 
 
 class Holder(NamedTuple):
-    """A program that holds the laser on, and the guard of its laser."""
+    """A program that holds the laser on, and the guard and the watch of its laser."""
 
     process: "subprocess.Popen[str]"
     guard_pid: int
+    watch_pid: int
 
 
 def after_exception(opened: OpenRig, repeats: int) -> LightOff:
@@ -67,17 +69,18 @@ def after_exception(opened: OpenRig, repeats: int) -> LightOff:
 
 
 def after_kill(laser: LaserSettings, layer: LightLayer, watch: LaserWatch, repeats: int) -> LightOff:
-    """Kill who holds the laser (layer "guard"), or its guard with it ("dead-man"), and watch; off in any case then.
+    """Kill who holds the laser (layer "guard"), or all three processes ("dead-man"), and watch; off in any case then.
 
     Nothing else may have the laser open.
 
     Raises
     ------
     CaptureError
-        The laser does not go on, or the witness fails.
+        The laser does not go on, or must not, or the witness fails.
     UnsafeError
         The laser is not confirmed off in the end.
     """
+    require_outside_layer(laser)
     earliest_s: list[float] = []
     latest_s: list[float] = []
     for _ in range(repeats):
@@ -102,11 +105,14 @@ def after_kill(laser: LaserSettings, layer: LightLayer, watch: LaserWatch, repea
 
 
 def _kill(holder: Holder, layer: LightLayer) -> None:
-    """Kill the holder; for the dead-man freeze it first, so that it cannot switch off in the guard's place."""
-    if layer == "dead-man":
-        holder.process.send_signal(signal.SIGSTOP)
-        os.kill(holder.guard_pid, signal.SIGKILL)
-    holder.process.kill()
+    """Kill the holder; for the dead-man all three, stopped first so that none can switch off in another's place."""
+    pids = (holder.watch_pid, holder.guard_pid, holder.process.pid)
+    if layer == "guard":
+        holder.process.kill()
+        return
+    for number in (signal.SIGSTOP, signal.SIGKILL):
+        for pid in pids:
+            os.kill(pid, number)
 
 
 def _watch(watch: LaserWatch, killed_s: float) -> tuple[float, float | None]:
@@ -136,7 +142,8 @@ def _holding(laser: LaserSettings) -> Iterator[Holder]:
             said = _first_line(process)
             if not said.startswith("ON "):
                 raise CaptureError(f"laser: the program that was to hold it on says: {said or 'nothing, and ends'}")
-            yield Holder(process, int(said.split()[1]))
+            guard_pid, watch_pid = map(int, said.split()[1:])
+            yield Holder(process, guard_pid, watch_pid)
         finally:
             process.kill()
 

@@ -99,7 +99,8 @@ class PaintRecorder:
                 self._opened.wheel.go_to(by_hand, WHEEL_DEADLINE_S)
             on_sample = light == "laser" and target == "sample"
             dose = self._store.dose
-            with shine(self._opened, light), dose.shining() if on_sample else nullcontext():
+            # The dose begins with the command, and holds the test of a dead-man too.
+            with dose.shining() if on_sample else nullcontext(), shine(self._opened, light):
                 if light == "laser":
                     self._journal.append("laser on", target=target, sample_dose_j=dose.energy_j())
                 for step, what in group:

@@ -14,6 +14,7 @@ from rigs.capture.resume import Interrupted, resume_notes, take_over
 from rigs.capture.rig_lock import rig_locked
 from rigs.capture.same_as_begun import require_same_camera, require_same_inputs
 from rigs.capture.session_folder import curve_files, require_empty, write_manifest, write_session, write_start
+from rigs.light_guard import require_outside_layer
 from rigs.open_rig import OpenRig, open_rig
 from rigs.protocols import Operator
 
@@ -60,9 +61,12 @@ def capture_paint_session(
     CaptureError
         The plan does not fit the rig, the folder is not empty, a device did not do what was asked, or the frames
         contradict the wheel.
+    RefusedError
+        The laser is of class 3R or above, and nothing outside the computer switches it off.
     SaturatedError
         A step is too bright at the camera's shortest exposure.
     """
+    require_outside_layer(rig.laser)
     steps, inputs = paint_steps(plan, rig), curve_files(rig, rig_folder)
     if interrupted is None:
         require_empty(out)

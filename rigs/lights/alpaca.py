@@ -7,8 +7,9 @@ from typing import Final
 
 from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import RefusedError
+from rigs.lights.server_light import HAS_DEAD_MAN as HAS_DEAD_MAN
 from rigs.lights.server_light import LightRole, ServerLight
-from rigs.protocols import LightSwitch, Operator
+from rigs.protocols import GuardedSwitch, OffWords, Operator
 from rigs.transports.alpaca_client import OPEN_WITHIN_S, AlpacaClient, alpaca_address, device_number
 from rigs.transports.alpaca_discovery import alpaca_devices
 
@@ -51,6 +52,10 @@ class Relay:
         """Ask whether the switch is on."""
         return self._client.get_bool("getswitch", end_s, Id=self._number)
 
+    def off_words(self) -> OffWords:
+        """Return the request that switches off."""
+        return OffWords(*self._client.put_request("setswitch", {"Id": self._number, "State": False}))
+
 
 class Calibrator:
     """The lamp of a cover calibrator, at its full brightness.
@@ -87,6 +92,10 @@ class Calibrator:
             )
         return _CALIBRATOR_STATES[state]
 
+    def off_words(self) -> OffWords:
+        """Return the request that switches off."""
+        return OffWords(*self._client.put_request("calibratoroff", {}))
+
 
 class AlpacaPanel:
     """A light of an Alpaca server.
@@ -121,9 +130,13 @@ class AlpacaPanel:
         """Ask the device whether the light is on; one that is changing counts as on."""
         return self._controlled.reading(end_s) is not False
 
+    def off_words(self) -> OffWords:
+        """Return the request that switches off; the watch opens a connection for it."""
+        return self._controlled.off_words()
+
 
 @contextmanager
-def open_switch(address: str, role: LightRole, operator: Operator | None) -> Iterator[LightSwitch]:
+def open_switch(address: str, role: LightRole, operator: Operator | None) -> Iterator[GuardedSwitch]:
     """Open ``http://host:port/switch/D/N`` or ``http://host:port/covercalibrator/N``; nothing is switched by it.
 
     Raises

@@ -13,17 +13,21 @@ from typing import TYPE_CHECKING, Final, Literal
 from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutError, UnsafeError
 from rigs.lights.arduino_lines import BAUD, LINE, Said, Word, parse
+from rigs.protocols import OffWords
 from rigs.transports.serial_link import SerialLink, usb_serial_ports
 
 if TYPE_CHECKING:
     from rigs.protocols import Operator
 
+HAS_DEAD_MAN: Final = True
 FIRMWARE_MAJOR: Final = 1
 ASK_WITHIN_S: Final = 0.5
 """An answer takes 5 ms on the wire and 45 ms through an emulated port."""
 RESET_WITHIN_S: Final = 2.5
 """Start of a board's boot loader until the firmware speaks."""
 QUIET_S: Final = 0.1
+PROOF_WITHIN_S: Final = 1.5
+"""Until the word of the dead-man, which acts after 0.7 s, is here: the rest is for a busy computer."""
 MISSED_ANSWERS: Final = 5
 """Keep-alives in a row without an answer before the controller counts as mute."""
 BOARD_VENDORS: Final = ("2341", "2a03", "1a86")
@@ -48,7 +52,7 @@ class ArduinoSwitch:
         Nothing answers.
     """
 
-    has_dead_man: Final = True
+    has_dead_man: Final = HAS_DEAD_MAN
 
     def __init__(self, link: SerialLink, role: Literal["laser", "lamp"], address: str) -> None:
         self._link, self._role, self._address = link, role, address
@@ -94,6 +98,30 @@ class ArduinoSwitch:
             The dead-man has switched the light off since the last exchange.
         """
         return self._exchange("?", deadline_s, tell_trip=True).word == "ON"
+
+    def off_words(self) -> OffWords:
+        """Return the off command; the line feed before it ends what is half said on the same line."""
+        return OffWords(b"\nL0\n", self._link.descriptor())
+
+    def prove_dead_man(self, deadline_s: float) -> None:
+        """Switch on and say nothing until the board tells that its dead-man has switched off.
+
+        Raises
+        ------
+        RefusedError
+            It did not.
+        """
+        self.switch(True, deadline_s)
+        end_s = time.monotonic() + PROOF_WITHIN_S
+        try:
+            with self._in_step():
+                while parse(self._link.read_until(b"\n", end_s), self._name).word != "TRIP":
+                    pass
+        except TimedOutError as error:
+            raise RefusedError(
+                f"{self._name}: its dead-man did not switch it off within {PROOF_WITHIN_S:g} s of silence; do not use "
+                "it: flash rigs/lights/firmware again, and check the board"
+            ) from error
 
     def keep_alive(self) -> None:
         """Tell the controller that the host lives, and take in its earlier answers without waiting.

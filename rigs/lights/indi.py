@@ -7,9 +7,11 @@ from typing import Final
 
 from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import RefusedError
+from rigs.lights.server_light import HAS_DEAD_MAN as HAS_DEAD_MAN
 from rigs.lights.server_light import LightRole, ServerLight
-from rigs.protocols import LightSwitch, Operator
+from rigs.protocols import GuardedSwitch, OffWords, Operator
 from rigs.transports.indi_client import OPEN_WITHIN_S, IndiClient
+from rigs.transports.indi_messages import new_vector
 from rigs.transports.indi_server import LIGHT_INTERFACE, found_on_this_computer
 
 _CONTROL: Final = "FLAT_LIGHT_CONTROL"
@@ -50,6 +52,11 @@ class IndiPanel:
         self._client.ready(end_s)
         return self._ask(end_s)
 
+    def off_words(self) -> OffWords:
+        """Return the message that switches off; the server obeys it from a connection that asked for nothing."""
+        where = self._client.where
+        return OffWords(new_vector("Switch", where.device, _CONTROL, {_OFF: "On"}), (where.host, where.port))
+
     def _ask(self, end_s: float) -> bool:
         """Return the state; a panel that is just changing counts as lit."""
         control = self._client.ask(_CONTROL, end_s)
@@ -63,7 +70,7 @@ class IndiPanel:
 
 
 @contextmanager
-def open_switch(address: str, role: LightRole, operator: Operator | None) -> Iterator[LightSwitch]:
+def open_switch(address: str, role: LightRole, operator: Operator | None) -> Iterator[GuardedSwitch]:
     """Open the switch of a light at ``host:port/device`` for a ``with`` block; nothing is switched by it.
 
     Raises

@@ -4,8 +4,10 @@ import time
 from typing import Final, Literal, Protocol
 
 from data_schemas.devices import DeviceIdentity
-from data_schemas.errors import CaptureError, LostError, UnsafeError
+from data_schemas.errors import CaptureError, LostError, RefusedError, UnsafeError
+from rigs.protocols import OffWords
 
+HAS_DEAD_MAN: Final = False
 LightRole = Literal["laser", "lamp"]
 ASK_WITHIN_S: Final = 5.0
 ASK_EVERY_S: Final = 0.5
@@ -37,6 +39,10 @@ class Panel(Protocol):
         """Ask afresh whether it is on; one that is changing counts as on."""
         ...
 
+    def off_words(self) -> OffWords:
+        """Return what switches it off over a connection of somebody else."""
+        ...
+
 
 class ServerLight:
     """The bare switch of a light behind a server.
@@ -49,7 +55,7 @@ class ServerLight:
         What it is in the rig, and where it was found.
     """
 
-    has_dead_man: Final = False
+    has_dead_man: Final = HAS_DEAD_MAN
 
     def __init__(self, panel: Panel, role: LightRole, address: str) -> None:
         self._panel, self._role, self._address = panel, role, address
@@ -102,6 +108,20 @@ class ServerLight:
             It does not know.
         """
         return self._panel.reading(time.monotonic() + deadline_s)
+
+    def off_words(self) -> OffWords:
+        """Return what switches it off over a connection of the watch."""
+        return self._panel.off_words()
+
+    def prove_dead_man(self, deadline_s: float) -> None:
+        """Refuse: a server has no dead-man.
+
+        Raises
+        ------
+        RefusedError
+            Always.
+        """
+        raise RefusedError(f"{self._panel.name}: a light behind a server has no dead-man that could be tested")
 
     def keep_alive(self) -> None:
         """Ask, twice a second, whether the light that was switched on still is: there is no dead-man to be told.

@@ -141,6 +141,19 @@ class AlpacaClient:
         """Set or start something; raises as :meth:`get` does."""
         self._exchange("PUT", member, parameters, end_s)
 
+    def put_request(self, member: str, parameters: Mapping[str, bool | int]) -> tuple[bytes, tuple[str, int]]:
+        """Return the request that :meth:`put` would send, as bytes, and host and port that it goes to."""
+        body = urlencode({**parameters, "ClientID": _CLIENT_ID, "ClientTransactionID": 0})
+        host = f"[{self._host}]" if ":" in self._host else self._host
+        head = (
+            f"PUT {self._path}{member} HTTP/1.1",
+            f"Host: {host}:{self._port}",
+            "Content-Type: application/x-www-form-urlencoded",
+            f"Content-Length: {len(body)}",
+            "Connection: close",
+        )
+        return ("\r\n".join(head) + "\r\n\r\n" + body).encode(), (self._host, self._port)
+
     def identity(self, role: Literal["filter wheel", "laser", "lamp"], address: str, end_s: float) -> DeviceIdentity:
         """Ask the device what it is."""
         return DeviceIdentity(

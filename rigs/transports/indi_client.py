@@ -16,7 +16,7 @@ from rigs.transports.indi_messages import (
     new_vector,
     number,
 )
-from rigs.transports.indi_server import devices_at, indi_address, open_socket
+from rigs.transports.indi_server import IndiAddress, devices_at, indi_address, open_socket
 
 OPEN_WITHIN_S: Final = 30.0
 """Drivers that connect reset their device; a wheel that turns once round for its mark took 10 s."""
@@ -61,6 +61,11 @@ class IndiClient(IndiDevice):
             with contextlib.suppress(OSError):
                 self._socket.close()
         self._socket = None
+
+    @property
+    def where(self) -> IndiAddress:
+        """Host and port of the server, and the device's name there."""
+        return self._where
 
     def ready(self, end_s: float) -> bool:
         """Take in what has come, connect where there is no connection; return whether this one is new.

@@ -91,6 +91,22 @@ class SerialLink:
         if tcp is not None:
             tcp.close()
 
+    def descriptor(self) -> int:
+        """Return the descriptor of the open port, for a process that shares it.
+
+        Raises
+        ------
+        RefusedError
+            This kind of address has none.
+        """
+        try:
+            return int(self._port.fileno())
+        except (AttributeError, OSError) as error:  # io.UnsupportedOperation is an OSError
+            raise RefusedError(
+                f"{self._name}: this kind of address cannot be shared with the watch of a light; write a port such as "
+                "/dev/ttyUSB0 or a URL such as socket://host:4001"
+            ) from error
+
     def write(self, data: bytes, end_s: float) -> None:
         """Send `data`.
 

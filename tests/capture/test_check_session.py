@@ -369,6 +369,12 @@ def test_laser_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
         after_kill(laser, "guard", ConnectionWatch(laser), 1)
 
 
+def test_hazardous_laser_without_a_layer_outside_the_computer_is_not_lit_to_test_the_others() -> None:
+    laser = nobody("x").model_copy(update={"driver": "indi", "address": "127.0.0.1:1/Panel"})
+    with pytest.raises(RefusedError, match="a class 3R laser does not go on without a layer"):
+        after_kill(laser, "guard", ConnectionWatch(laser), 1)
+
+
 def test_holder_that_cannot_hold_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rigs.capture.light_off_time.make_off", lambda laser: None)
     laser = nobody("/dev/no-such-port")
@@ -416,7 +422,8 @@ class TestKilled:
 
     def test_guard_of_the_indi_panel(self, tmp_path):
         with IndiServer(tmp_path, {"indi_simulator_lightpanel": PANEL}) as server:
-            laser = nobody("x").model_copy(update={"driver": "indi", "address": server.address(PANEL)})
+            panel = {"driver": "indi", "address": server.address(PANEL), "laser_class": "2"}
+            laser = nobody("x").model_copy(update=panel)
             found = after_kill(laser, "guard", ConnectionWatch(laser), 2)
             assert found.still_on == 0
             assert max(found.latest_s) < 1.0

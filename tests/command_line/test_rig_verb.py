@@ -251,7 +251,9 @@ def test_show_of_real_drivers_on_emulated_devices(tmp_path: Path) -> None:
         assert not board.state()
         assert not board.times("host", b"L1")
         assert wheel.control.get("pos") == 1
-    assert "3 layers switch it off: the capture, its guard process and the controller's dead-man" in said
+    assert "off when a process of finray is killed or stopped: yes, by the others, within 1 s" in said
+    assert "its cable is pulled or all processes are killed: yes, by the dead-man in its controller" in said
+    assert "cannot be lit" not in said
     assert "light with dead-man, firmware 1.1" in said
     assert "Aravis Fake, serial FINRAY01" in said
     assert "512 x 512 px; 0.01 s asked for, 0.01 s read back" in said
@@ -261,7 +263,7 @@ def test_show_of_real_drivers_on_emulated_devices(tmp_path: Path) -> None:
 
 
 @pytest.mark.rigs
-def test_show_says_that_a_light_without_dead_man_has_two_layers(tmp_path: Path) -> None:
+def test_show_says_that_a_light_without_dead_man_stays_on_and_cannot_be_lit(tmp_path: Path) -> None:
     rig = tmp_path / "rig.toml"
     succeed(f"rig init --out {rig}")
     with IndiServer(tmp_path, {"indi_simulator_lightpanel": PANEL}) as server:
@@ -270,9 +272,9 @@ def test_show_says_that_a_light_without_dead_man_has_two_layers(tmp_path: Path) 
         outcome = finray(f"rig show {rig}")
     laser = next(part for part in outcome.out.split("\n\n") if part.startswith("laser: indi"))
     assert "reports off" in laser
-    assert "2 layers switch it off: the capture and its guard process" in laser
-    assert "warning: laser at" in laser
-    assert "has no dead-man" in laser
+    assert "off when a process of finray is killed or stopped: yes, by the others, within 1 s" in laser
+    assert "warning: off when the computer hangs, its cable is pulled or all processes are killed: NO" in laser
+    assert "warning: cannot be lit: a class 3R laser does not go on without a layer outside the computer" in laser
 
 
 def test_show_of_another_file_is_a_mistake(lab: Path) -> None:

@@ -3,9 +3,13 @@
 The address is a folder. ``on`` exists while the light is on; ``refuse_off`` holds how many off commands fail, ``lies``
 makes them return without effect, ``refuse_keep_alive`` makes keep-alives fail, ``refuse_state`` the state and
 ``refuse_opening`` the opening; ``slow_on`` makes the confirmation of "on" wait, ``late_on`` lets it fail and happen
-later, after the seconds that it holds, and ``slow_state`` holds back the state.
+later, after the seconds that it holds, ``slow_state`` holds back the state, and ``hang`` makes a keep-alive hang where
+no alarm wakes it; ``no_line`` holds a port where nobody listens. The watch's own line is a pipe to a shell that removes
+``on``.
 """
 
+import os
+import signal
 import subprocess
 import time
 from collections.abc import Iterator
@@ -17,7 +21,16 @@ import pytest
 from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import LostError, RefusedError, UnsafeError
 from rigs import drivers
-from rigs.protocols import Operator
+from rigs.protocols import OffWords, Operator
+
+# Ends when nobody holds the other end of its pipe any more.
+LINE = """
+exec 3<&0
+while read -r word <&3; do
+  refusals=$(cat "$0/refuse_off" 2>/dev/null || echo 0)
+  [ "$word" = off ] && [ "$refusals" -eq 0 ] && [ ! -e "$0/lies" ] && rm -f "$0/on"
+done &
+"""
 
 
 def install(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -26,11 +39,14 @@ def install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
 
 
-class FileSwitch:
-    has_dead_man = False
+HAS_DEAD_MAN = False
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+
+class FileSwitch:
+    has_dead_man = HAS_DEAD_MAN
+
+    def __init__(self, folder: Path, line: int) -> None:
+        self.folder, self._line = folder, line
 
     def identity(self) -> DeviceIdentity:
         return DeviceIdentity(role="laser", driver="indi", address=str(self.folder), model="file")
@@ -67,7 +83,18 @@ class FileSwitch:
             time.sleep(deadline_s)
         return (self.folder / "on").exists()
 
+    def off_words(self) -> OffWords:
+        if (port := self.folder / "no_line").exists():
+            return OffWords(b"\noff\n", ("127.0.0.1", int(port.read_text())))
+        return OffWords(b"\noff\n", self._line)
+
+    def prove_dead_man(self, deadline_s: float) -> None:
+        raise RefusedError("a file has no dead-man")
+
     def keep_alive(self) -> None:
+        if (self.folder / "hang").exists():
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
+            time.sleep(30.0)
         if (self.folder / "refuse_keep_alive").exists():
             raise LostError("nobody hears the keep-alive")
 
@@ -76,4 +103,10 @@ class FileSwitch:
 def open_switch(address: str, role: str, operator: Operator | None) -> Iterator[FileSwitch]:
     if (Path(address) / "refuse_opening").exists():
         raise RefusedError("the file may not be opened; change its mode")
-    yield FileSwitch(Path(address))
+    theirs, ours = os.pipe()
+    try:
+        subprocess.run(["sh", "-c", LINE, address], stdin=theirs, check=True, start_new_session=True)
+        yield FileSwitch(Path(address), ours)
+    finally:
+        os.close(theirs)
+        os.close(ours)

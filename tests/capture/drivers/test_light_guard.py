@@ -4,6 +4,8 @@ import os
 import re
 import signal
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,18 +13,28 @@ from statistics import median
 
 import pytest
 
-from data_schemas.devices import LampSettings
+from data_schemas.devices import LampSettings, LaserSettings
 from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutError, UnsafeError
-from rigs.drivers import open_lamp
+from rigs.drivers import open_lamp, open_laser
 from rigs.host import TerminalOperator
 from rigs.light_guard import GuardedLight, guarded_light
-from rigs.light_guard_messages import HungUpError, channel, error_from, error_words, receive, send
+from rigs.light_guard.messages import HungUpError, channel, error_from, error_words, receive, send
+from rigs.light_guard.watch import GUARD_SILENT_S, OtherProcess
 from rigs.lights.indi import open_switch
 from tests.capture.drivers import file_switch
-from tests.capture.drivers.firmware_in_qemu import Tap, build, firmware_board
+from tests.capture.drivers.firmware_in_qemu import SOURCE, Tap, build, firmware_board
 from tests.capture.drivers.indi_server import PANEL, IndiServer
-from tests.capture.drivers.light_owner import Interrupt, guards, owner, the_guard
-from tests.capture.drivers.programs import wait_until
+from tests.capture.drivers.light_owner import (
+    Interrupt,
+    file_owner,
+    guards,
+    owner,
+    start_owner,
+    the_guard,
+    the_watch,
+    watches,
+)
+from tests.capture.drivers.programs import free_port, wait_until
 
 KILLS = 3
 # Promises, of which the median of some kills is held to the first two: other work on the machine delays single ones.
@@ -58,7 +70,7 @@ class TestFirmware:
     def test_on_in_the_block_and_off_after_it(self, board):
         with guarded_light("laser", "arduino", board.address) as light:
             assert isinstance(light, GuardedLight)
-            assert (light.layers, light.notes) == (3, ())
+            assert (light.has_dead_man, light.notes) == (True, ())
             assert (light.identity().driver, light.identity().firmware) == ("arduino", "1.1")
             assert not light.state()
             with light.lit():
@@ -137,7 +149,7 @@ class TestFirmware:
             process.send_signal(signal.SIGCONT)
             told = process.stdout.readline()
             assert "LostError" in told
-            assert "its owner was frozen for 0.8 s); it had the light confirmed off" in told
+            assert "its owner was stopped); it had the light confirmed off" in told
             assert process.wait(10.0) == 0
 
     def test_ctrl_c_to_the_whole_group(self, board):
@@ -150,23 +162,27 @@ class TestFirmware:
 
     def test_only_the_dead_man_is_left(self, board):
         with owner(board.address) as process:
-            guard = the_guard(board.address)
-            os.kill(guard, signal.SIGSTOP)  # so that it cannot act when its owner is killed
+            others = (the_guard(board.address), the_watch(board.address))
+            for pid in (*others, process.pid):  # so that none can act when another is killed
+                os.kill(pid, signal.SIGSTOP)
             frozen_s = time.monotonic()
-            process.kill()
-            os.kill(guard, signal.SIGKILL)
+            for pid in (*others, process.pid):
+                os.kill(pid, signal.SIGKILL)
             last_word_s = max(line.at_s for line in board.lines if line.who == "host")
+            assert not board.times("host", b"L0", frozen_s)
             tripped_s = board.when("device", b"TRIP", frozen_s)
             assert tripped_s - last_word_s >= DEAD_MAN_S
             assert tripped_s - frozen_s <= OFF_WITHIN_S
             assert not board.state()
 
-    def test_frozen_guard_is_replaced_after_the_dead_man_has_acted(self, board):
+    def test_frozen_guard_is_replaced_before_the_dead_man_must_act(self, board):
         def work(light):
             with light.lit():
                 freeze = Interrupt(signal.SIGSTOP)
                 freeze.to(the_guard(board.address))
-                assert board.when("device", b"TRIP", freeze.at_s) - freeze.at_s <= OFF_WITHIN_S
+                sent_s = board.when("host", b"L0", freeze.at_s)
+                assert board.when("device", b"OFF", sent_s) - freeze.at_s <= OFF_WITHIN_S
+                assert not board.times("device", b"TRIP", freeze.at_s)
 
         with guarded_light("laser", "arduino", board.address) as light:
             with pytest.raises(LostError, match=r"killed by SIGKILL.*switched off without it"):
@@ -201,6 +217,32 @@ class TestFirmware:
             with pytest.raises(LostError, match=f"it received {number.name}.*confirmed off"):
                 work(light)
             assert not board.state()
+
+    def test_hazardous_laser_shows_its_dead_man_before_the_first_block(self, board):
+        label = {"wavelength_nm": 450.0, "power_mw": 4.5, "laser_class": "3R"}
+        settings = LaserSettings(driver="arduino", address=board.address, **label)
+        with open_laser(settings) as light:
+            for _ in range(2):
+                with light.lit():
+                    assert light.state()
+                assert not light.state()
+        tripped_s = board.times("device", b"TRIP")
+        assert len(tripped_s) == 1
+        lit_s = board.times("host", b"L1")
+        assert lit_s[0] < tripped_s[0] < lit_s[1]
+        assert not board.state()
+
+    def test_hazardous_laser_whose_dead_man_does_nothing_is_not_lit(self, tmp_path):
+        source = tmp_path / "laser.c"
+        source.write_text(SOURCE.read_text().replace("#define SILENCE_LIMIT 70 ", "#define SILENCE_LIMIT 250 "))
+        assert source.read_text() != SOURCE.read_text()
+        label = {"wavelength_nm": 450.0, "power_mw": 4.5, "laser_class": "3R"}
+        with firmware_board(build(tmp_path, source)) as board:
+            with open_laser(LaserSettings(driver="arduino", address=board.address, **label)) as light:
+                with pytest.raises(RefusedError, match=r"dead-man did not switch it off within 1\.5 s"), light.lit():
+                    pytest.fail("lit")
+                assert not board.state()
+            assert len(board.times("host", b"L1")) == 1
 
     def test_cable_pulled(self, board, capfd):
         def work():
@@ -283,7 +325,7 @@ class TestIndiPanel:
             address = server.address(PANEL)
             with open_switch(address, "laser", None) as witness, guarded_light("laser", "indi", address) as light:
                 assert isinstance(light, GuardedLight)
-                assert light.layers == 2
+                assert not light.has_dead_man
                 with pytest.raises(LostError, match="switched off without it"):
                     work(light, witness)
 
@@ -303,8 +345,8 @@ class TestLightInAFile:
     def test_light_without_dead_man_says_so(self, folder):
         with guarded_light("laser", "indi", str(folder)) as light:
             assert isinstance(light, GuardedLight)
-            assert light.layers == 2
-            assert "two layers only" in light.notes[0]
+            assert not light.has_dead_man
+            assert "computer hangs, its cable is pulled or all processes are killed: NO, it stays on" in light.notes[0]
             assert light.identity().model == "file"
             with light.lit():
                 assert light.state()
@@ -365,7 +407,7 @@ class TestLightInAFile:
                 work(light)
             assert not (folder / "on").exists()
 
-    def test_owner_that_hangs_while_its_heart_beats(self, folder):
+    def test_owner_that_hangs_though_its_process_runs(self, folder):
         """A terminal that takes no output (Ctrl-S) or a library that never returns holds the main thread only."""
 
         def work(light):
@@ -380,8 +422,8 @@ class TestLightInAFile:
                 assert not (folder / "on").exists()
 
         with (
-            guarded_light("laser", "indi", str(folder), patience_s=1.5) as light,
-            pytest.raises(LostError, match=r"its owner was frozen.*confirmed off.*--resume"),
+            guarded_light("laser", "indi", str(folder), lease_s=1.5) as light,
+            pytest.raises(LostError, match=r"its owner asked nothing for 1\.5 s.*confirmed off.*--resume"),
         ):
             work(light)
 
@@ -402,14 +444,19 @@ class TestLightInAFile:
         with pytest.raises(UnsafeError, match=r"NOT CONFIRMED OFF.*killed by SIGKILL.*still reports on"):
             work()
 
-    def test_frozen_guard_is_replaced_at_the_end_of_the_block(self, folder):
+    def test_guard_that_hangs_though_its_process_runs(self, folder):
+        """The watch hears it no more; the owner, which waits for an answer, replaces it at the end of the block."""
+
         def work(light):
             with light.lit():
-                os.kill(the_guard(str(folder)), signal.SIGSTOP)
+                (folder / "hang").touch()
+                hung_s = time.monotonic()
+                wait_until(lambda: not (folder / "on").exists(), "the light to go off")
+                assert time.monotonic() - hung_s <= GUARD_SILENT_S + OFF_WITHIN_S
                 with pytest.raises(TimedOutError, match=r"its guard process said nothing for 4\.5 s"):
                     light.state()
                 with pytest.raises(BlockingIOError):
-                    fill(light._guard._channel)  # noqa: SLF001 - as half a minute of heartbeats does
+                    fill(light._guard._channel)  # noqa: SLF001 - as no program of ours does
                 with pytest.raises(TimedOutError, match="its guard process is frozen"):
                     light.state()
 
@@ -418,6 +465,146 @@ class TestLightInAFile:
                 work(light)
             assert not (folder / "on").exists()
         assert not guards(str(folder))
+
+
+BLOWS = {"K": signal.SIGKILL, "S": signal.SIGSTOP}
+# Who is hit, in this order, and with what; somebody is left each time.
+MISHAPS = [
+    *("owner-K", "owner-S", "guard-K", "guard-S", "watch-K", "watch-S"),
+    *("owner-K guard-K", "owner-K guard-S", "owner-S guard-K", "owner-S guard-S"),
+    *("guard-K owner-K", "guard-K owner-S", "guard-S owner-K", "guard-S owner-S"),
+    *("guard-K watch-K", "guard-S watch-S", "owner-K watch-K", "owner-S watch-S", "watch-S guard-K"),
+]
+
+
+class TestFewerThanThree:
+    """Owner, guard and watch of a lit light; the light is a file, which no dead-man switches off."""
+
+    @pytest.mark.parametrize("mishap", MISHAPS)
+    def test_means_dark(self, folder, mishap):
+        with file_owner(folder, "asks") as process:
+            pids = {"owner": process.pid, "guard": the_guard(str(folder)), "watch": the_watch(str(folder))}
+            assert (folder / "on").exists()
+            began_s = time.monotonic()
+            for blow in mishap.split():
+                who, number = blow.split("-")
+                os.kill(pids[who], BLOWS[number])
+            wait_until(lambda: not (folder / "on").exists(), "the light to go off", OFF_WITHIN_S)
+            assert time.monotonic() - began_s <= OFF_WITHIN_S
+            if "owner-S" in mishap and "owner-K" not in mishap:
+                # Ctrl-Z and debuggers stop a program: it must be there when it is let go on, and be told.
+                process.send_signal(signal.SIGCONT)
+                assert "LostError" in process.stdout.readline()
+
+    def test_all_three_leave_it_on(self, folder):
+        """What is said of a light without a layer outside the computer is true."""
+        with file_owner(folder) as process:
+            pids = (the_watch(str(folder)), the_guard(str(folder)), process.pid)
+            for number in (signal.SIGSTOP, signal.SIGKILL):
+                for pid in pids:
+                    os.kill(pid, number)
+            time.sleep(2.0 * OFF_WITHIN_S)
+            assert (folder / "on").exists()
+
+    def test_successor_of_the_last_one_goes_on_until_the_light_is_off(self, folder, capfd):
+        """Owner and guard are gone, and what the watch sends does not help."""
+        with file_owner(folder) as process:
+            (folder / "refuse_off").write_text("1000000")
+            os.kill(the_guard(str(folder)), signal.SIGSTOP)
+            process.kill()
+            wait_until(lambda: not watches(str(folder)), "the watch's own end")
+            assert (folder / "on").exists()
+            wait_until(lambda: "IS NOT CONFIRMED OFF. PULL ITS PLUG NOW" in capfd.readouterr().err, "the shout")
+            (folder / "refuse_off").write_text("0")
+            wait_until(lambda: not (folder / "on").exists(), "the light to go off")
+
+    def test_watch_without_a_line_keeps_the_light_dark(self, folder):
+        (folder / "no_line").write_text(str(free_port()))
+        with guarded_light("laser", "indi", str(folder)) as light:
+            with (
+                pytest.raises(LostError, match=r"its watch is not armed \(.*refused.*a connection of its own"),
+                light.lit(),
+            ):
+                pytest.fail("lit")
+            assert not (folder / "on").exists()
+
+    def test_stopped_watch_keeps_the_light_dark(self, folder):
+        with guarded_light("laser", "indi", str(folder)) as light:
+            os.kill(light.watch_pid, signal.SIGSTOP)
+            assert not light.state()  # in the dark, nothing ends
+            with pytest.raises(LostError, match=r"its watch (is not armed|was stopped)"), light.lit():
+                pytest.fail("lit")
+            assert not (folder / "on").exists()
+
+    def test_owner_stopped_in_the_dark_goes_on(self, folder):
+        with start_owner(folder, "rests") as process:
+            try:
+                assert process.stdout.readline() == "READY\n"
+                process.send_signal(signal.SIGSTOP)
+                time.sleep(1.0)
+                process.send_signal(signal.SIGCONT)
+                process.stdin.write("\n")
+                process.stdin.flush()
+                assert process.stdout.readline() == "ON\n"
+            finally:
+                process.kill()
+        wait_until(lambda: not guards(str(folder)), "the end of the guard")
+
+    def test_nothing_is_left_behind(self, folder):
+        with guarded_light("laser", "indi", str(folder)) as light:
+            with light.lit():
+                assert watches(str(folder)) == [light.watch_pid]
+            pids = (light.guard_pid, light.watch_pid)
+        assert not [pid for pid in pids if os.path.exists(f"/proc/{pid}")]
+
+
+class TestOtherProcess:
+    def test_running_stopped_and_gone(self):
+        # a name that looks like the rest of the line must not be taken for it
+        with subprocess.Popen([sys.executable, "-c", NAMED_ODDLY], stdout=subprocess.PIPE, text=True) as child:
+            try:
+                assert child.stdout.readline() == "named\n"
+                other = OtherProcess(child.pid)
+                assert other.missing() == ""
+                child.send_signal(signal.SIGSTOP)
+                wait_until(lambda: other.missing() == "was stopped", "the stop")
+                child.send_signal(signal.SIGCONT)
+                wait_until(lambda: other.missing() == "", "the waking")
+            finally:
+                child.kill()
+            wait_until(lambda: other.missing() == "is gone", "the end of the process, not yet waited for")
+        assert other.missing() == "is gone"
+        other.close()
+
+    @pytest.mark.parametrize("refuse", [PermissionError, None])
+    def test_without_process_descriptors_its_state_is_enough(self, monkeypatch, refuse):
+        """Containers may forbid them, and Pythons built for old kernels have none."""
+        if refuse is None:
+            monkeypatch.delattr(os, "pidfd_open")
+        else:
+            monkeypatch.setattr(os, "pidfd_open", raising(refuse))
+        with subprocess.Popen(["sleep", "60"]) as child:
+            other = OtherProcess(child.pid)
+            assert (other.descriptors, other.missing()) == ([], "")
+            child.kill()
+            wait_until(lambda: other.missing() == "is gone", "the end of the process")
+        other.close()
+
+
+def raising(kind):
+    def fail(*_: object):
+        raise kind
+
+    return fail
+
+
+NAMED_ODDLY = """
+import time
+with open("/proc/self/comm", "w") as name:
+    name.write("a) T (b) Z")
+print("named", flush=True)
+time.sleep(60.0)
+"""
 
 
 def fill(end):

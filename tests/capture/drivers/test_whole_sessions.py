@@ -1,5 +1,6 @@
 """Whole paint sessions of eight filters through real drivers and other people's devices."""
 
+import datetime
 from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -8,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from data_schemas.capture import CaptureSession, PaintPlan, RegionOfInterest, Target
-from data_schemas.devices import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings
+from data_schemas.devices import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings, OutsideLayer
 from data_schemas.rig import RigFile
 from data_schemas.storage import read_toml
 from rigs.capture.paint_session import capture_paint_session
@@ -23,6 +24,9 @@ from tests.capture.drivers.thorlabs_wheel import emulated_wheel
 
 FILTERS = simulated_rig("red").filter_wheel.filters
 LASER = {"wavelength_nm": 450.0, "power_mw": 4.5, "laser_class": "3R"}
+INTERLOCK = OutsideLayer(
+    kind="interlock", tested_on=datetime.date.today().isoformat(), test="a simulated panel, which hurts nobody"
+)
 EXPOSURES = {"shortest_exposure_s": 0.01, "longest_exposure_s": 0.1}
 STEPS = {"white": 8, "laser white": 1, "room light": 1, "reflectance": 8, "fluorescence": 8, "fluorescence repeat": 1}
 
@@ -82,7 +86,7 @@ def test_indi_camera_wheel_and_light_panel(tmp_path: Path) -> None:
                 driver="indi", address=server.address(CCD), bit_depth=16, black_level_dn=0, **EXPOSURES
             ),
             filter_wheel=FilterWheelSettings(driver="indi", address=server.address(WHEEL), filters=FILTERS),
-            laser=LaserSettings(driver="indi", address=server.address(PANEL), **LASER),
+            laser=LaserSettings(driver="indi", address=server.address(PANEL), outside_layer=INTERLOCK, **LASER),
             lamp=LampSettings(driver="manual"),
         )
         session, _ = captured(rig, tmp_path)

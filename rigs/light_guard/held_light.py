@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from data_schemas.errors import LostError
 
 if TYPE_CHECKING:
-    from rigs.protocols import LightSwitch
+    from rigs.protocols import GuardedSwitch
 
 LATE_ON_S: Final = 2.0
 """A server whose "on" nobody has confirmed may carry it out so late: "off" is repeated meanwhile."""
@@ -27,16 +27,24 @@ class HeldLight:
         Opens the light's switch.
     name
         What the light is and where, for messages.
+    before_opening
+        Called before every opening: whoever else has a hand on the line lets go.
     """
 
-    def __init__(self, opening: "Callable[[], AbstractContextManager[LightSwitch]]", name: str) -> None:
-        self._opening, self._name = opening, name
+    def __init__(
+        self,
+        opening: "Callable[[], AbstractContextManager[GuardedSwitch]]",
+        name: str,
+        before_opening: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._opening, self._name, self._before_opening = opening, name, before_opening
         self._connection = ExitStack()
-        self._switch: LightSwitch | None = None
+        self._switch: GuardedSwitch | None = None
         self._late_on_until_s = 0.0
 
     def open(self) -> None:
         """Open the connection; raises what the driver does."""
+        self._before_opening()
         self._switch = self._connection.enter_context(self._opening())
 
     def close(self) -> None:
@@ -47,7 +55,7 @@ class HeldLight:
         self._connection = ExitStack()
 
     @property
-    def switch(self) -> "LightSwitch":
+    def switch(self) -> "GuardedSwitch":
         """The open switch."""
         if self._switch is None:
             raise LostError(f"{self._name}: the connection is closed; start again")

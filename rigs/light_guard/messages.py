@@ -16,9 +16,6 @@ from data_schemas.errors import (
     UnsafeError,
 )
 
-HEARTBEAT_S: Final = 0.1
-OWNER_SILENT_S: Final = 0.8
-"""An owner that says nothing for so long is frozen; with a slow controller's answer its light is off within 1 s."""
 LONGEST_MESSAGE_BYTES: Final = 65536
 EXIT_OFF: Final = 0
 """The guard ended and a fresh answer of the controller says that the light is off."""
