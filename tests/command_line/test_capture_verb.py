@@ -40,7 +40,7 @@ def test_dry_run_moves_no_wheel(lab: Path, tmp_path: Path, monkeypatch: pytest.M
     """A move would set the target of lewis' FW212C, which is another than its slot."""
     require_module("lewis", "lewis")
     file_switch.install(monkeypatch)
-    rig, laser = real_rig(lab), {"driver": "indi", "address": str(tmp_path / "laser")}
+    rig, laser = real_rig(lab), {"driver": "indi", "address": str(tmp_path / "laser"), "laser_class": "2"}
     lamp = LampSettings(driver="indi", address=str(tmp_path / "lamp"))
     for name in ("laser", "lamp"):
         (tmp_path / name).mkdir()
