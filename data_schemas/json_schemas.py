@@ -91,6 +91,11 @@ def json_schema(record_type: type[Record]) -> dict[str, Any]:
             "kind": {"const": record_type.__name__},
             "schema_version": {"const": record_type.schema_version},
             "array_file": {"anyOf": [array_file, {"type": "null"}]},
+            "companions": {
+                "type": "object",
+                "description": "file stored together with the record, from its folder -> SHA-256 (pages, pictures)",
+                "additionalProperties": {"type": "string", "pattern": "^[0-9a-f]{64}$"},
+            },
             "record": schema,
             "content_sha256": {
                 "type": "string",

@@ -135,6 +135,11 @@ class ProductSet:
             os.close(handle)
         return path
 
+    def added_below(self, folder: Path) -> dict[str, str]:
+        """Return path from a folder -> SHA-256 of the files of the set that were added so far and will lie below it."""
+        below = (added for added in self._added if added.path.is_relative_to(folder))
+        return {added.path.relative_to(folder).as_posix(): added.sha256 for added in below}
+
     def _part_of(self, path: Path) -> Path:
         """Return the hidden name of a file; the folders that it needs are made."""
         top = self._new_folder_of(path)

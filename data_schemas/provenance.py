@@ -12,6 +12,7 @@ from typing import Final
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from data_schemas.foreign_files import digest_as_read
 from data_schemas.units import Seed
 
 NUMERICAL_PACKAGES: Final = (
@@ -120,6 +121,20 @@ _opened_renderer: list[str] = []
 def note_renderer(variant: str) -> None:
     """State the renderer's variant that this process has opened; provenance written from now on names it."""
     _opened_renderer[:] = [variant]
+
+
+def digest_of_input(path: Path) -> str:
+    """Return the SHA-256 of an input's bytes as this process read them, whatever the file holds by now.
+
+    Raises
+    ------
+    LookupError
+        Nothing has read the file through :mod:`data_schemas.foreign_files`: a fault of the program.
+    """
+    digest = digest_as_read(path)
+    if digest is None:
+        raise LookupError(f"{path}: named as an input and never read")
+    return digest
 
 
 def provenance(command: str, inputs: Mapping[str, str] | None = None, seed: int | None = None) -> Provenance:

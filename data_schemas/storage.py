@@ -44,7 +44,8 @@ def write_record(record: Record, path: Path, provenance: Provenance, products: P
     provenance
         Its origin.
     products
-        The set that it is stored with; alone (with its array file) where left out.
+        The set that it is stored with; alone (with its array file) where left out. The record holds the SHA-256 of the
+        files that were added before it and lie in its folder or below: a page, a picture.
 
     Raises
     ------
@@ -66,10 +67,13 @@ def write_record(record: Record, path: Path, provenance: Provenance, products: P
         array_file = {"file": f"{path.stem}.{digest[:12]}.npz", "sha256": digest}
         # One with the same content, left where its record was moved away, serves as well.
         products.add(path.with_name(array_file["file"]), buffer.getvalue(), same_serves=True)
+    array_name = None if array_file is None else array_file["file"]
+    companions = {name: digest for name, digest in products.added_below(path.parent).items() if name != array_name}
     envelope = {
         "kind": type(record).__name__,
         "schema_version": record.schema_version,
         "array_file": array_file,
+        **({"companions": companions} if companions else {}),
         "record": body,
     }
     envelope["content_sha256"] = content_sha256(envelope)
@@ -77,12 +81,12 @@ def write_record(record: Record, path: Path, provenance: Provenance, products: P
 
 
 def content_sha256(envelope: Mapping[str, Any]) -> str:
-    """Return the seal of an envelope: SHA-256 of its kind, version, array file and record as canonical JSON.
+    """Return the seal of an envelope: SHA-256 of all that it holds beside the seal, as canonical JSON.
 
     Canonical is: UTF-8, keys sorted, no spaces, numbers as Python writes them (the shortest decimal that reads back as
     the same number). Indentation and the order of keys do not matter, every value does.
     """
-    content = {key: envelope.get(key) for key in ("kind", "schema_version", "array_file", "record")}
+    content = {key: value for key, value in envelope.items() if key != "content_sha256"}
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()
 

@@ -13,7 +13,17 @@ from data_schemas.rig import RigFile
 from data_schemas.storage import read_toml
 from finray_calib.cli.capture_tactile import capture_tactile, resume_tactile
 from finray_calib.cli.interruption import interruptible
-from finray_calib.cli.options import Progress, command_line, file_name, naming, progress_bar, require_new, say, warn
+from finray_calib.cli.options import (
+    Progress,
+    command_line,
+    file_name,
+    input_digests,
+    naming,
+    progress_bar,
+    require_new,
+    say,
+    warn,
+)
 from rigs.capture.camera_session import camera_step, capture_camera_session
 from rigs.capture.dry_run import forecast, require_ready
 from rigs.capture.paint_session import capture_paint_session
@@ -21,8 +31,9 @@ from rigs.capture.plan import paint_steps
 from rigs.capture.read_session import read_session
 from rigs.capture.resume import Interrupted, read_interrupted
 from rigs.capture.rig_lock import rig_locked
-from rigs.capture.session_folder import lacks_manifest, write_manifest
+from rigs.capture.session_folder import lacks_manifest
 from rigs.capture.tactile_resume import is_tactile
+from rigs.capture.verify_session import complete_session
 from rigs.light_guard import require_outside_layer
 from rigs.open_rig import open_rig
 
@@ -45,9 +56,10 @@ def capture_paint(arguments: argparse.Namespace) -> None:
         return
     last_good = None if arguments.like is None else read_session(arguments.like)
     out = require_new(arguments.out or Path(f"{file_name(plan.paint_name)}-session"))
+    sources = input_digests([arguments.plan, arguments.rig])
     with interruptible(out), _telling(rig) as progress:
         session = capture_paint_session(
-            rig, plan, arguments.rig.parent, out, command_line(), progress, last_good=last_good
+            rig, plan, arguments.rig.parent, out, command_line(), progress, last_good=last_good, sources=sources
         )
     _report(out, session, plan.paint_name)
 
@@ -58,10 +70,13 @@ def capture_camera(arguments: argparse.Namespace) -> None:
         raise CaptureError("--dry-run and --like are for plans of kind 'paint'; leave them out")
     plan, rig = read_toml(arguments.plan, CameraPlan), read_toml(arguments.rig, RigFile)
     out = require_new(arguments.out or Path(f"{file_name(plan.camera_name)}-session"))
+    sources = input_digests([arguments.plan, arguments.rig])
     with naming(CaptureError, arguments.plan):
         camera_step(plan, rig)
     with interruptible(out), _telling(rig) as progress:
-        session = capture_camera_session(rig, plan, arguments.rig.parent, out, command_line(), progress)
+        session = capture_camera_session(
+            rig, plan, arguments.rig.parent, out, command_line(), progress, sources=sources
+        )
     _report(out, session, plan.camera_name)
 
 
@@ -75,7 +90,7 @@ KINDS: dict[str, Callable[[argparse.Namespace], None]] = {
 def resume(folder: Path, like: Path | None) -> None:
     """Go on with an interrupted session."""
     if lacks_manifest(folder):
-        write_manifest(folder)
+        complete_session(folder)
         say(f"{folder}: was finished but for its checksums, which are written now; nothing else is left to resume")
         return
     tactile = is_tactile(folder)

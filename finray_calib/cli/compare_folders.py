@@ -45,6 +45,7 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     import numpy as np
 
     from data_schemas.comparison_batch import ComparisonBatch
+    from data_schemas.foreign_files import digest_as_read
     from data_schemas.pixel_scale import PixelScale
     from data_schemas.product_set import ProductSet
     from data_schemas.provenance import provenance
@@ -59,11 +60,12 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     normal_map = None if arguments.normal_map is None else read_record(arguments.normal_map, NormalMapRecord)
     scale = None if arguments.scale is None else read_record(arguments.scale, PixelScale)
     options = CheckOptions(arguments.register, arguments.despite_mismatch, normal_map, scale)
+    listed = [file for file in (arguments.normal_map, arguments.scale) if file is not None]
     compared = []
     with progress_bar("compare") as progress:
         for number, (name, files) in enumerate(pairs.items()):
             progress(number, len(pairs), name)
-            compared.append(_compare_pair(name, files, out, arguments.seed, options))
+            compared.append(_compare_pair(name, files, listed, out, arguments.seed, options))
     skills = np.array([pair.skill.estimate for pair in compared if pair.skill is not None])
     batch = ComparisonBatch(
         pairs=tuple(compared),
@@ -72,7 +74,8 @@ def compare_folders(arguments: argparse.Namespace) -> None:
         worst=worst_pairs(compared),
         notes=tuple(notes),
     )
-    inputs = input_digests({f for files in pairs.values() for f in files if f.is_file()})
+    read = [f for pair in pairs.values() for f in pair if digest_as_read(f) is not None]
+    inputs = input_digests([*read, *listed, *([] if arguments.pairs is None else [arguments.pairs])])
     with ProductSet(out / SUMMARY) as products:
         products.add(out / TABLE, _table(batch).encode())
         write_record(batch, out / SUMMARY, provenance(command_line(), inputs, arguments.seed), products)
@@ -123,7 +126,9 @@ def _rows(path: Path) -> list[dict[str, str | None]]:
     return [dict(zip_longest(header, cells[: len(header)])) for _, cells in rows]
 
 
-def _compare_pair(name: str, files: tuple[Path, Path], out: Path, seed: int, options: "CheckOptions") -> "ComparedPair":
+def _compare_pair(
+    name: str, files: tuple[Path, Path], listed: list[Path], out: Path, seed: int, options: "CheckOptions"
+) -> "ComparedPair":
     """Compare one pair and store its report, or return why not; a report that is there already is taken."""
     from data_schemas.comparison_batch import ComparedPair
     from data_schemas.provenance import provenance
@@ -133,7 +138,7 @@ def _compare_pair(name: str, files: tuple[Path, Path], out: Path, seed: int, opt
     path = out / _report_name(name)
     try:
         press, capture = _read_pair(files)
-        origin = provenance(command_line(), input_digests(files), seed)
+        origin = provenance(command_line(), input_digests([*files, *listed]), seed)
         report, shown = None, press
         if not path.exists():
             report, shown = compare_checked(press, capture, seed, options)

@@ -58,12 +58,13 @@ def run_taxim(arguments: argparse.Namespace) -> None:
 
 def run_ball_presses(arguments: argparse.Namespace) -> None:
     """Import a folder of ball presses and report."""
+    from data_schemas.foreign_files import digest_as_read
     from finray_calib.exchange.ball_press_folder import read_ball_presses
 
     folder: Path = arguments.folder
     out = _new_folder(arguments)
     found = read_ball_presses(folder, arguments.mm_per_px, arguments.ball_diameter_mm)
-    files = sorted(p for p in folder.rglob("*") if p.suffix in {".png", ".jpg", ".jpeg", ".csv", ".npz"})
+    files = sorted(p for p in folder.rglob("*") if digest_as_read(p) is not None)
     _store(found.captures, files, out)
     _tell_left_out(found.left_out)
 

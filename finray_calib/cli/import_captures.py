@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from finray_calib.cli import import_abaqus, import_ball_presses, import_bands
-from finray_calib.cli.options import add_out, command_line, require_new, say
+from finray_calib.cli.options import add_out, command_line, input_digests, require_new, say
 
 if TYPE_CHECKING:
     from data_schemas.capture import TactileCapture
@@ -22,7 +22,6 @@ repeat_no_contact (all DNG or 16-bit TIFF, or all PNG or JPEG), the metadata of 
 (contact.json, from rpicam-still --metadata) and press.toml (name, [indenter]). Images with auto exposure or
 auto white balance are refused."""
 CAPTURE_OUT = "FOLDER.capture.json, with --predict-from also FOLDER.press.json beside it"
-SOURCES = {".png", ".npy", ".jpg", ".jpeg", ".dng", ".tif", ".tiff", ".json", ".toml"}
 
 
 def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -60,10 +59,10 @@ def _add_format(
 def run(arguments: argparse.Namespace) -> None:
     """Import and report."""
     from data_schemas.errors import ImportFormatError
+    from data_schemas.foreign_files import digest_as_read
     from data_schemas.product_set import ProductSet
     from data_schemas.provenance import provenance
     from data_schemas.storage import write_record
-    from data_schemas.whole_files import sha256_of
 
     folder: Path = arguments.folder
     out = require_new(arguments.out or Path(f"{folder.resolve().name}.capture.json"))
@@ -77,11 +76,9 @@ def run(arguments: argparse.Namespace) -> None:
         require_new(press_out)
     capture, press = _raspberry_pi(arguments) if arguments.format == "raspberry-pi" else _nine_dtact(arguments)
     sources = [f for f in (folder, arguments.predict_from) if f is not None]
-    files = sorted(f for source in sources for f in source.rglob("*") if f.suffix.lower() in SOURCES)
+    files = sorted(f for source in sources for f in source.rglob("*") if digest_as_read(f) is not None)
     files += [] if arguments.tuning is None else [arguments.tuning]
-    origin = provenance(
-        command_line(), {f"{f.parent.parent.name}/{f.parent.name}/{f.name}": sha256_of(f) for f in files}
-    )
+    origin = provenance(command_line(), input_digests(files))
     with ProductSet(out) as products:
         if press is not None:
             write_record(press, press_out, origin, products)

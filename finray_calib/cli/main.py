@@ -24,6 +24,8 @@ from finray_calib.cli import (
     rig,
     simulate,
     study,
+    trace,
+    verify,
 )
 
 USER_MISTAKE = 2
@@ -44,6 +46,8 @@ VERBS = (
     design,
     study,
     doctor,
+    trace,
+    verify,
     demo,
 )
 DESCRIPTION = """\
@@ -69,8 +73,8 @@ def build_parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None, in_own_process: bool = False) -> int:
     """Run the command line, a long verb in a process of its own if that is wanted, and return its exit status.
 
-    0, 1 for a rig that is not accepted or a machine that cannot run the demo, 2 for a user's mistake, 3 when the
-    process of a long stage died, 130 when interrupted.
+    0, 1 for a rig that is not accepted, records that are not whole or a machine that cannot run the demo, 2 for a
+    user's mistake, 3 when the process of a long stage died, 130 when interrupted.
     """
     gc.set_threshold(OBJECTS_PER_COLLECTION)
     parser = build_parser()

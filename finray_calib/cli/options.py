@@ -167,10 +167,10 @@ def design_inputs(design: "FingerDesign", path: Path) -> list[Path]:
 
 
 def input_digests(paths: Iterable[Path]) -> dict[str, str]:
-    """Return path as given -> SHA-256; file names alone would collide (red/paint.json, green/paint.json)."""
-    from data_schemas.whole_files import sha256_of
+    """Return path as given -> SHA-256 of the bytes that were read; names alone collide (red/paint.json, green/...)."""
+    from data_schemas.provenance import digest_of_input
 
-    return {path.as_posix(): sha256_of(path) for path in paths}
+    return {path.as_posix(): digest_of_input(path) for path in paths}
 
 
 @contextmanager

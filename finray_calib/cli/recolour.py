@@ -62,10 +62,9 @@ def run(arguments: argparse.Namespace) -> None:
     from data_schemas.curve_files import read_camera_response
     from data_schemas.errors import SimulateError
     from data_schemas.fit import PaintCalibration
-    from data_schemas.provenance import provenance
+    from data_schemas.provenance import digest_of_input, provenance
     from data_schemas.simulate import SimulatedPress
     from data_schemas.storage import read_record, write_record
-    from data_schemas.whole_files import sha256_of
     from sim.experiments.painted_finger import paint_optics
     from sim.experiments.recolour import recoloured
 
@@ -76,7 +75,7 @@ def run(arguments: argparse.Namespace) -> None:
     press = read_record(arguments.press, SimulatedPress)
     paints = {colour: paint_optics(read_record(path, PaintCalibration)) for colour, path in files.items()}
     response = None if arguments.camera is None else read_camera_response(arguments.camera)
-    digests = {colour: sha256_of(path) for colour, path in files.items()}
+    digests = {colour: digest_of_input(path) for colour, path in files.items()}
     begun = perf_counter()
     with naming(SimulateError, arguments.press):
         made = recoloured(press, paints or None, response, arguments.white_balance, digests or None)

@@ -189,16 +189,15 @@ def _run_optics(arguments: argparse.Namespace) -> None:
 def _scene(arguments: argparse.Namespace, design: "FingerDesign") -> _Scene:
     """Read paints and surfaces, and paint the finger."""
     from data_schemas.fit import PaintCalibration
-    from data_schemas.provenance import provenance
+    from data_schemas.provenance import digest_of_input, provenance
     from data_schemas.storage import read_record
     from data_schemas.surfaces import FingerSurfaces
-    from data_schemas.whole_files import sha256_of
     from sim.experiments.painted_finger import paint_finger, paint_optics
     from sim.surface_meshes.stored_shape import restore_shapes
 
     files = paint_files(arguments)
     calibrations = {colour: read_record(path, PaintCalibration) for colour, path in files.items()}
-    digests = {colour: sha256_of(path) for colour, path in files.items()}
+    digests = {colour: digest_of_input(path) for colour, path in files.items()}
     meshes = [] if arguments.surfaces is None else [arguments.surfaces]
     shapes = None
     for file in meshes:

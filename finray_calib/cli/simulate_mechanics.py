@@ -42,9 +42,14 @@ class _Said(TypedDict, total=False):
 
 
 def _indenter_file(design: "FingerDesign", folder: Path) -> list[Path]:
-    """Return the STL of an indenter; one that is missing is told of by who reads it."""
+    """Read the STL of an indenter, for its checksum; one that is missing is told of by who parses it."""
+    from data_schemas.foreign_files import read_bytes
+
     path = folder / (design.indenter.file or "")
-    return [path] if path.is_file() else []
+    if not path.is_file():
+        return []
+    read_bytes(path, "an indenter (STL)")
+    return [path]
 
 
 def mechanics_paths(out: Path, resume: Path | None = None, goes_on: bool = False) -> dict[str, Path]:
@@ -171,6 +176,9 @@ def run_mechanics(arguments: argparse.Namespace) -> None:
 
         write_bytes(files["picture"], untouched_finger_png(design, str(stuck), folder))
         raise NoEquilibriumError(f"{stuck}. {files['picture']} shows where the indenter touches") from stuck
+    if (now := input_digests(read)) != origin.input_sha256:
+        changed = next(name for name in now if now[name] != origin.input_sha256[name])
+        raise SimulateError(f"{changed}: was changed while the press was computed from it; run the command again")
     _store(design, pressed, said, files, origin, folder)
     if unvaried:
         raise SimulateError(f"{unvaried}. The press itself is stored; for these, try a smaller push")
@@ -236,12 +244,11 @@ def _pressed_to_depth(
     """Press, or go on pressing, and store each increment."""
     from data_schemas.press_mechanics import PressIncrement
     from data_schemas.storage import read_record, write_record
-    from data_schemas.whole_files import sha256_of
     from finray_calib.spectra.compiled import machine_threads
     from sim.experiments.mechanical_press import increment_record, stored_press
     from sim.mechanics.press import press_finger
 
-    digest = next((sha256_of(file) for file in _indenter_file(design, folder)), None)
+    digest = origin.input_sha256.get((folder / (design.indenter.file or "")).as_posix())
     before = None if resume is None else stored_press(read_record(resume, PressIncrement), design, contact, digest)
 
     def store(pressed: "PressedFinger") -> None:

@@ -122,12 +122,12 @@ def _finger(study: _Study, arguments: argparse.Namespace) -> "tuple[PaintedFinge
 def _calibrated(files: dict[str, Path]) -> "tuple[dict[str, PaintOptics], dict[str, str]]":
     """Return the optics of calibrated paints and their names and checksums."""
     from data_schemas.fit import PaintCalibration
+    from data_schemas.provenance import digest_of_input
     from data_schemas.storage import read_record
-    from data_schemas.whole_files import sha256_of
     from sim.experiments.painted_finger import paint_optics
 
     paints = {colour: read_record(file, PaintCalibration) for colour, file in files.items()}
-    sources = {colour: f"{paint.paint_name}, SHA-256 {sha256_of(files[colour])}" for colour, paint in paints.items()}
+    sources = {c: f"{paint.paint_name}, SHA-256 {digest_of_input(files[c])}" for c, paint in paints.items()}
     return {colour: paint_optics(paint) for colour, paint in paints.items()}, sources
 
 

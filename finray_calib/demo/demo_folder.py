@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from data_schemas.errors import RecordError
+from data_schemas.folder_manifest import MANIFEST_NAME
 from data_schemas.foreign_files import open_regular, parse_json, read_json, read_text
 from data_schemas.leftovers import clear_leftovers
 from data_schemas.model import Record
@@ -20,7 +21,6 @@ from data_schemas.whole_files import lock, sha256_of, write_bytes
 SETTINGS, TIMES = "demo.json", "stage-times.jsonl"
 LOGS = "logs"
 SUMMARY, REPORT_PAGE = "summary.json", "report.html"
-MANIFEST = "manifest-sha256.txt"
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +171,7 @@ def whole_stages(out: Path, stages: Sequence[Stage]) -> set[int]:
 def _is_whole(out: Path, product: Product, missing: set[str]) -> bool:
     """Return whether a product is there; one that is there must be what its record says."""
     path = out / product.file
-    if not path.exists() or (product.is_session and not (path.parent / MANIFEST).exists()):
+    if not path.exists() or (product.is_session and not (path.parent / MANIFEST_NAME).exists()):
         return False
     module, name = product.record_type.split(":")
     record_type: type[Record] = getattr(import_module(module), name)
@@ -183,19 +183,16 @@ def _is_whole(out: Path, product: Product, missing: set[str]) -> bool:
                 f"{path}: was made from another {needed} than the one that is there; move it away to have it made again"
             )
     if product.is_session:
-        _check_manifest(path.parent)
+        _require_whole(path.parent)
     return True
 
 
-def _check_manifest(folder: Path) -> None:
-    """Check the frames of a session against its checksums."""
-    for line in read_text(folder / MANIFEST).splitlines():
-        digest, _, name = line.partition("  ")
-        path = folder / name
-        if not path.is_file() or sha256_of(path) != digest:
-            raise RecordError(
-                f"{path}: is missing or was changed since it was captured; move {folder} away to have it captured again"
-            )
+def _require_whole(folder: Path) -> None:
+    """Refuse a session that is not as it was captured."""
+    from rigs.capture.verify_session import verify_session
+
+    for fault in verify_session(folder).faults:
+        raise RecordError(f"{fault.path}: {fault.text}; move {folder} away to have it captured again")
 
 
 def note_time(out: Path, stage: Stage, seconds: float) -> None:

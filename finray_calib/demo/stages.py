@@ -3,6 +3,7 @@
 A stage imports what it needs when it runs: each group of stages has a process of its own, which loads its own packages.
 """
 
+import hashlib
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -23,13 +24,13 @@ from data_schemas.foreign_files import read_bytes
 from data_schemas.mechanical_design import Preset
 from data_schemas.model import Record
 from data_schemas.press_mechanics import PressMechanics
-from data_schemas.provenance import provenance
+from data_schemas.provenance import digest_of_input, provenance
 from data_schemas.radiometry import BandSignals
 from data_schemas.rig import RigFile
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
 from data_schemas.storage import read_record, write_record
 from data_schemas.surfaces import FingerSurfaces
-from data_schemas.whole_files import sha256_of, write_bytes
+from data_schemas.whole_files import write_bytes
 from sim.optics.variants import RendererChoice, open_renderer
 
 if TYPE_CHECKING:
@@ -130,11 +131,15 @@ class Demo:
 
         rig, folder = self.rig(colour), self.path(colour)
         plan = paint_plan(f"{colour} paint", rig.camera)
-        for name, text in {"rig.toml": rig_toml(rig), "plan.toml": plan_toml(plan)}.items():
-            _write_once(folder / name, text.encode())
+        texts = {"rig.toml": rig_toml(rig).encode(), "plan.toml": plan_toml(plan).encode()}
+        for name, text in texts.items():
+            _write_once(folder / name, text)
         if (folder / "session").is_dir():
             shutil.rmtree(folder / "session")
-        return capture_paint_session(rig, plan, folder, folder / "session", self.settings.command, progress)
+        sources = {f"{colour}/{name}": hashlib.sha256(text).hexdigest() for name, text in texts.items()}
+        return capture_paint_session(
+            rig, plan, folder, folder / "session", self.settings.command, progress, sources=sources
+        )
 
     def radiometry(self, colour: str) -> BandSignals:
         """Reduce the stored session to band signals."""
@@ -281,12 +286,13 @@ class Demo:
         return PaintedFinger(design, paints, camera_response(design.camera.response, self.settings.out), self.renderer)
 
     def _digests(self) -> dict[str, str]:
-        """Return the SHA-256 of both paint calibrations."""
-        return {colour: sha256_of(self.path(f"{colour}/paint.json")) for colour in COLOURS}
+        """Return the SHA-256 of both paint calibrations as they were read."""
+        return {colour: digest_of_input(self.path(f"{colour}/paint.json")) for colour in COLOURS}
 
     def _store(self, record: R, name: str, inputs: list[str]) -> R:
         """Store a product with its provenance and return it as the next stage reads it."""
-        origin = provenance(self.settings.command, {i: sha256_of(self.path(i)) for i in inputs}, self.settings.seed)
+        digests = {name: digest_of_input(self.path(name)) for name in inputs}
+        origin = provenance(self.settings.command, digests, self.settings.seed)
         return read_record(write_record(record, self.path(name), origin), type(record))
 
 

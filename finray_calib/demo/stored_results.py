@@ -13,6 +13,7 @@ from data_schemas.compare import PhotometricErrorReport
 from data_schemas.decide import LightAngleDecision
 from data_schemas.errors import CaptureError
 from data_schemas.fit import PaintCalibration
+from data_schemas.folder_manifest import MANIFEST_NAME, manifest_text
 from data_schemas.press_mechanics import PressMechanics
 from data_schemas.product_set import ProductSet
 from data_schemas.provenance import provenance
@@ -20,7 +21,7 @@ from data_schemas.radiometry import BandSignals
 from data_schemas.simulate import LightAngleSweep, SimulatedPress
 from data_schemas.storage import read_record
 from data_schemas.surfaces import FingerSurfaces
-from finray_calib.demo.demo_folder import REPORT_PAGE, SUMMARY
+from finray_calib.demo.demo_folder import LOGS, REPORT_PAGE, SUMMARY
 from finray_calib.demo.stages import (
     CAPTURE,
     DECISION,
@@ -62,6 +63,8 @@ def write_report(settings: Mapping[str, Any], seconds: Mapping[str, float]) -> d
     with ProductSet(demo.path(REPORT_PAGE)) as products:
         products.add(demo.path(SUMMARY), (text + "\n").encode())
         products.add(demo.path(REPORT_PAGE), demo_report(results).encode())
+        out = demo.settings.out
+        products.add(out / MANIFEST_NAME, manifest_text(out, products.added_below(out), (LOGS,)))
     return {"verdict": results.decision.verdict, "sentence": results.decision.sentence}
 
 

@@ -12,10 +12,10 @@ from data_schemas.capture import CaptureSession, Frame, LightState, PaintPlan, T
 from data_schemas.devices import CameraSettings, LampSettings
 from data_schemas.errors import ImportFormatError
 from data_schemas.filter_curves import coverage_notes
+from data_schemas.provenance import digest_of_input
 from data_schemas.radiometry import BandSignals
 from data_schemas.rig import RigFile
 from data_schemas.storage import read_toml
-from data_schemas.whole_files import sha256_of
 from finray_calib.exchange.band_folder_curves import (
     DESCRIPTION_NAME,
     filter_curves_of,
@@ -70,7 +70,7 @@ def import_band_folder(folder: Path) -> tuple[BandSignals, dict[str, str]]:
     require_inside(folder, description)
     images = find_images(folder, description)
     _check_darks(images)
-    frames = [_frame(n, image, sha256_of(image.path)) for n, image in enumerate(images)]
+    frames = [_frame(n, image) for n, image in enumerate(images)]
     paths = {frame.file: image.path for frame, image in zip(frames, images, strict=True)}
     shape = _common_shape(images, description)
     black: dict[str, Floats] = {}
@@ -87,11 +87,11 @@ def import_band_folder(folder: Path) -> tuple[BandSignals, dict[str, str]]:
     session = _session(folder, description, tuple(frames))
     bands = band_signals(session, read)
     used = [*(path.relative_to(folder).as_posix() for path in paths.values()), *named_files(description)]
-    digests = {name: sha256_of(folder / name) for name in used}
+    digests = {name: digest_of_input(folder / name) for name in used}
     return (one_channel(bands) if description.camera.layout == "monochrome" else bands), digests
 
 
-def _frame(sequence: int, image: BandImage, sha256: str) -> Frame:
+def _frame(sequence: int, image: BandImage) -> Frame:
     """Return the frame record of an image; what the folder does not tell keeps a neutral value."""
     target, light = _SCENE[image.frame_type]
     return Frame(
@@ -107,7 +107,7 @@ def _frame(sequence: int, image: BandImage, sha256: str) -> Frame:
         exposure_s=image.exposure_s,
         captured_utc="unknown",
         saturated_fraction=0.0,
-        sha256=sha256,
+        sha256="0" * 64,  # of no stored frame: the images are inputs, whose digests stand in the provenance
     )
 
 
@@ -122,7 +122,7 @@ def _black_frames(description: BandFolder, images: list[BandImage]) -> list[tupl
         for exposure_s in sorted({image.exposure_s for image in images}):
             image = BandImage(Path(), "dark", None, exposure_s)
             level_dn = description.camera.black_level_dn + side * spread_dn
-            frames.append((_frame(len(images) + len(frames), image, "0" * 64), level_dn))
+            frames.append((_frame(len(images) + len(frames), image), level_dn))
     return frames
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from data_schemas.camera import CameraPlan, CameraSession
 from data_schemas.capture import RegionOfInterest
 from data_schemas.errors import CaptureError
+from data_schemas.folder_manifest import write_manifest
 from data_schemas.rig import RigFile
 from rigs.capture.camera_levels import level_exposures_s, level_notes, saturation_exposures_s
 from rigs.capture.exchange import shine
@@ -18,7 +19,7 @@ from rigs.capture.plan import Step, require_region_inside
 from rigs.capture.resume import Interrupted, resume_notes, take_over
 from rigs.capture.rig_lock import rig_locked
 from rigs.capture.same_as_begun import require_same_camera, require_same_inputs
-from rigs.capture.session_folder import curve_files, require_empty, write_manifest, write_session, write_start
+from rigs.capture.session_folder import curve_digests, curve_files, require_empty, write_session, write_start
 from rigs.open_rig import OpenRig, open_rig
 from rigs.protocols import Operator
 
@@ -54,6 +55,7 @@ def capture_camera_session(
     *,
     operator: Operator | None = None,
     interrupted: Interrupted | None = None,
+    sources: Mapping[str, str] | None = None,
 ) -> CameraSession:
     """Capture a camera session into the folder `out`: frames, journal, ``session.json`` and checksums.
 
@@ -73,6 +75,8 @@ def capture_camera_session(
         Who places the white tile; a person at the terminal when left out.
     interrupted
         What is done already, when a session is resumed.
+    sources
+        Path -> SHA-256 of the files that plan and rig were read from, for the provenance.
 
     Raises
     ------
@@ -82,13 +86,16 @@ def capture_camera_session(
     SaturatedError
         The white tile is too bright at the camera's shortest exposure.
     """
-    step, inputs = camera_step(plan, rig), curve_files(rig, rig_folder)
+    step, curves = camera_step(plan, rig), curve_files(rig, rig_folder)
     if interrupted is None:
         require_empty(out)
-    else:
-        require_same_inputs(interrupted, inputs)
     with rig_locked(rig), open_rig(rig, rig_folder, operator) as opened:
-        return capture_camera_with(opened, rig, plan, step, out, inputs, command, progress, interrupted, rig_folder)
+        inputs = curve_digests(curves, rig_folder)
+        if interrupted is not None:
+            require_same_inputs(interrupted, inputs)
+        return capture_camera_with(
+            opened, rig, plan, step, out, inputs, command, progress, interrupted, rig_folder, sources
+        )
 
 
 def capture_camera_with(
@@ -102,6 +109,7 @@ def capture_camera_with(
     progress: Progress | None = None,
     interrupted: Interrupted | None = None,
     rig_folder: Path = Path(),
+    sources: Mapping[str, str] | None = None,
 ) -> CameraSession:
     """Capture a camera session with devices that are open already."""
     out.mkdir(parents=True, exist_ok=True)
@@ -112,7 +120,7 @@ def capture_camera_with(
     whole_cells = RegionOfInterest.model_validate({k: v & ~1 for k, v in plan.region.model_dump().items()})
     with Journal(out, opened.clock, resumed=interrupted is not None) as journal:
         if interrupted is None:
-            write_start(journal, plan, rig, rig_folder, inputs, command, camera)
+            write_start(journal, plan, rig, rig_folder, inputs, command, camera, sources)
         else:
             take_over(out, interrupted)
             journal.append("resume", frames=len(interrupted.frames))
@@ -123,7 +131,8 @@ def capture_camera_with(
         for note in notes:
             journal.append("note", text=note)
         session = CameraSession(plan=plan, rig=rig, frames=store.frames, devices=opened.identities(), notes=notes)
-        write_session(session, out, inputs, command)
+        noted = dict(sources or {}) if interrupted is None else interrupted.sources
+        write_session(session, out, {**noted, **inputs}, command, journal)
     write_manifest(out)
     return session
 

@@ -1,9 +1,17 @@
-"""The journal of a session: one JSON object per line, on disk before the next step begins."""
+"""The journal of a session: one JSON object per line, on disk before the next step begins.
+
+Each line ends with its link: the SHA-256 of the link before it and of the rest of the line. A line that was changed,
+removed or moved breaks the chain. This detects accidents and edits, not forgery: whoever changes a journal on purpose
+can compute all links anew.
+"""
 
 import fcntl
+import hashlib
 import json
 import os
+import re
 import threading
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -17,6 +25,7 @@ JOURNAL_NAME = "journal.jsonl"
 DISK_WITHIN_S: Final = 60.0
 """A disk that hangs (a network folder whose server is gone) must not keep a capture waiting with its lights on."""
 CLOSE_WITHIN_S: Final = 1.0
+_LINKED: Final = re.compile(rb'(\{.*), "link": "([0-9a-f]{64})"\}', re.DOTALL)
 
 
 class Journal:
@@ -40,7 +49,7 @@ class Journal:
     """
 
     def __init__(self, folder: Path, clock: Clock, *, resumed: bool = False):
-        self._clock, self._turn = clock, threading.Lock()
+        self._clock, self._turn, self._link = clock, threading.Lock(), b""
         self._path = folder / JOURNAL_NAME
         # a journal appears under its name with its first line whole: an interrupted session always says how it began
         self._nameless = None if resumed else folder / f".{JOURNAL_NAME}.part"
@@ -61,8 +70,10 @@ class Journal:
                 self._file.close()
                 raise
             self._file.truncate(0)
-        elif not _ends_with_newline(self._path):
-            self._file.write("\n")  # an interrupted line stays as it is; readers pass over it
+        else:
+            self._link = next((line.link.encode() for line in reversed(linked_lines(folder))), b"")
+            if not _ends_with_newline(self._path):
+                self._file.write("\n")  # an interrupted line stays as it is; readers pass over it
         self._disk, self._is_closed = CallThread("journal"), False
 
     def append(self, event: str, **what: Any) -> None:
@@ -78,8 +89,11 @@ class Journal:
                 raise CaptureError(f"{self._path}: is closed, the capture has ended")
             time_s = round(self._clock.monotonic_s(), 3)
             line = {"event": event, "utc": self._clock.utc(), "monotonic_s": time_s, **what}
+            text = json.dumps(line, ensure_ascii=False)[:-1]
+            # set before the line is written: one that the disk refuses stays in the buffer, and comes before the next
+            link = self._link = _link_of(self._link, text.encode())
             try:
-                self._disk.call(lambda: self._write(json.dumps(line, ensure_ascii=False) + "\n"), DISK_WITHIN_S)
+                self._disk.call(lambda: self._write(f'{text}, "link": "{link.decode()}"}}\n'), DISK_WITHIN_S)
             except NoAnswerError:
                 raise disk_hangs(self._path, self._path.parent) from None
             except OSError as error:
@@ -133,8 +147,30 @@ def disk_hangs(path: Path, session: Path) -> CaptureError:
     )
 
 
-def read_journal(folder: Path) -> list[dict[str, Any]]:
-    """Return the lines of a journal in order; a line cut short by an interruption is passed over.
+@dataclass(frozen=True, slots=True)
+class LinkedLine:
+    """A line of a journal.
+
+    Attributes
+    ----------
+    number
+        In the file, from 1.
+    entry
+        What it says, without its link.
+    link
+        Its link; empty in journals of old versions.
+    holds
+        Whether the link follows from the line and the link before it; True where it has none.
+    """
+
+    number: int
+    entry: dict[str, Any]
+    link: str
+    holds: bool
+
+
+def linked_lines(folder: Path) -> list[LinkedLine]:
+    """Return the lines of a journal in order, each with whether its link holds; an interrupted line is passed over.
 
     Raises
     ------
@@ -142,16 +178,39 @@ def read_journal(folder: Path) -> list[dict[str, Any]]:
         There is no journal.
     """
     path = folder / JOURNAL_NAME
-    text = read_bytes(path, f"{JOURNAL_NAME} of an interrupted 'finray capture'", CaptureError, LARGEST_TEXT_BYTES)
-    lines = []
-    for line in text.splitlines():
+    content = read_bytes(path, f"{JOURNAL_NAME} of an interrupted 'finray capture'", CaptureError, LARGEST_TEXT_BYTES)
+    lines: list[LinkedLine] = []
+    before = b""
+    for number, text in enumerate(content.split(b"\n"), 1):
         try:
-            entry = parse_json(line, path, CaptureError)
+            entry = parse_json(text, path, CaptureError)
         except CaptureError:
             continue
-        if isinstance(entry, dict) and "event" in entry:
-            lines.append(entry)
+        if not isinstance(entry, dict) or "event" not in entry:
+            continue
+        linked = _LINKED.fullmatch(text)
+        link = b"" if linked is None else linked[2]
+        holds = linked is None or _link_of(before, linked[1]) == link
+        entry.pop("link", None)
+        lines.append(LinkedLine(number, entry, link.decode(), holds))
+        before = link
     return lines
+
+
+def read_journal(folder: Path) -> list[dict[str, Any]]:
+    """Return what the lines of a journal say, in order; a line cut short by an interruption is passed over.
+
+    Raises
+    ------
+    CaptureError
+        There is no journal.
+    """
+    return [line.entry for line in linked_lines(folder)]
+
+
+def _link_of(before: bytes, line: bytes) -> bytes:
+    """Return the link of a line (without its closing brace) after the link before it."""
+    return hashlib.sha256(before + b"\n" + line).hexdigest().encode()
 
 
 def _sync_folder(folder: Path) -> None:

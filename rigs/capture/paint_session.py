@@ -1,10 +1,11 @@
 """Capture of a paint session: from plan and rig to a folder with frames, journal, record and checksums."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from data_schemas.capture import CaptureSession, Frame, PaintPlan
+from data_schemas.folder_manifest import write_manifest
 from data_schemas.rig import RigFile
 from rigs.capture.frame_store import FrameStore
 from rigs.capture.journal import Journal
@@ -13,7 +14,7 @@ from rigs.capture.plan import Step, paint_steps
 from rigs.capture.resume import Interrupted, resume_notes, take_over
 from rigs.capture.rig_lock import rig_locked
 from rigs.capture.same_as_begun import require_same_camera, require_same_inputs
-from rigs.capture.session_folder import curve_files, require_empty, write_manifest, write_session, write_start
+from rigs.capture.session_folder import curve_digests, curve_files, require_empty, write_session, write_start
 from rigs.light_guard import require_outside_layer
 from rigs.open_rig import OpenRig, open_rig
 from rigs.protocols import Operator
@@ -30,6 +31,7 @@ def capture_paint_session(
     operator: Operator | None = None,
     interrupted: Interrupted | None = None,
     last_good: CaptureSession | None = None,
+    sources: Mapping[str, str] | None = None,
 ) -> CaptureSession:
     """Capture a paint session into the folder `out`: frames, journal, ``session.json`` and checksums.
 
@@ -55,6 +57,8 @@ def capture_paint_session(
         What is done already, when a session is resumed.
     last_good
         An earlier session on this rig whose white frames these must resemble.
+    sources
+        Path -> SHA-256 of the files that plan and rig were read from, for the provenance.
 
     Raises
     ------
@@ -67,14 +71,15 @@ def capture_paint_session(
         A step is too bright at the camera's shortest exposure.
     """
     require_outside_layer(rig.laser)
-    steps, inputs = paint_steps(plan, rig), curve_files(rig, rig_folder)
+    steps, curves = paint_steps(plan, rig), curve_files(rig, rig_folder)
     if interrupted is None:
         require_empty(out)
-    else:
-        require_same_inputs(interrupted, inputs)
     with rig_locked(rig), open_rig(rig, rig_folder, operator) as opened:
+        inputs = curve_digests(curves, rig_folder)
+        if interrupted is not None:
+            require_same_inputs(interrupted, inputs)
         return capture_with(
-            opened, rig, plan, steps, out, inputs, command, progress, interrupted, last_good, rig_folder
+            opened, rig, plan, steps, out, inputs, command, progress, interrupted, last_good, rig_folder, sources
         )
 
 
@@ -90,6 +95,7 @@ def capture_with(
     interrupted: Interrupted | None = None,
     last_good: CaptureSession | None = None,
     rig_folder: Path = Path(),
+    sources: Mapping[str, str] | None = None,
 ) -> CaptureSession:
     """Capture the `steps` of a paint session with devices that are open already."""
     out.mkdir(parents=True, exist_ok=True)
@@ -99,7 +105,7 @@ def capture_with(
         opened = replace(opened, clock=interrupted.clock_after(opened.clock))
     with Journal(out, opened.clock, resumed=interrupted is not None) as journal:
         if interrupted is None:
-            write_start(journal, plan, rig, rig_folder, inputs, command, camera)
+            write_start(journal, plan, rig, rig_folder, inputs, command, camera, sources)
         else:
             take_over(out, interrupted)
             journal.append("resume", frames=len(interrupted.frames), sample_dose_j=interrupted.dose_j)
@@ -120,7 +126,8 @@ def capture_with(
             white_rates_dn_per_s=recorder.white_rates(),
             notes=(*opened.notes, *colour_notes(store.frames), *resume_notes(interrupted)),
         )
-        write_session(session, out, inputs, command)
+        noted = dict(sources or {}) if interrupted is None else interrupted.sources
+        write_session(session, out, {**noted, **inputs}, command, journal)
     write_manifest(out)
     return session
 

@@ -4,14 +4,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from pydantic import ValidationError
 
 from data_schemas.capture import Frame
-from data_schemas.errors import CaptureError
+from data_schemas.errors import CaptureError, RecordError
 from data_schemas.faults import explain
 from data_schemas.model import Record
+from data_schemas.record_versions import migrate
 from data_schemas.rig import RigFile
 from data_schemas.whole_files import sha256_of
 from rigs.capture.journal import JOURNAL_NAME, read_journal
@@ -75,6 +76,11 @@ class Interrupted:
         return str(self.start["kind"])
 
     @property
+    def sources(self) -> dict[str, str]:
+        """Path -> SHA-256 of the files that plan and rig were read from."""
+        return dict(self.start.get("sources", {}))
+
+    @property
     def rig_folder(self) -> Path:
         """Where relative paths in the rig file start."""
         return Path(str(self.start["rig_folder"]))
@@ -87,7 +93,7 @@ class Interrupted:
         CaptureError
             It is none of today's: another version of finray began the session.
         """
-        return _as_today("plan", self.start["plan"], kind)
+        return _as_today("plan", self.start, kind)
 
     def rig(self) -> RigFile:
         """Return the rig of the session.
@@ -97,7 +103,7 @@ class Interrupted:
         CaptureError
             It is none of today's: another version of finray began the session.
         """
-        return _as_today("rig", self.start["rig"], RigFile)
+        return _as_today("rig", self.start, RigFile)
 
     def clock_after(self, clock: Clock) -> LaterClock:
         """Return a clock that goes on after the interruption; the pause is taken from the time of day, if it grew."""
@@ -164,10 +170,26 @@ def _rates(values: Iterable[float]) -> tuple[float, float, float]:
     return float(red), float(green), float(blue)
 
 
-def _as_today(what: str, stored: Any, kind: type[P]) -> P:
+def begun_with(what: Literal["plan", "rig"], start: dict[str, Any], kind: type[P]) -> P:
+    """Return the plan or rig that the first line of a journal holds, migrated to today's version.
+
+    Raises
+    ------
+    ValidationError
+        It does not fit.
+    RecordError
+        It is of a version that cannot be migrated.
+    """
+    version = start.get("schema_versions", {}).get(what, 1)
+    return kind.model_validate(migrate(Path(JOURNAL_NAME), kind, version, dict(start[what])))
+
+
+def _as_today(what: Literal["plan", "rig"], start: dict[str, Any], kind: type[P]) -> P:
     """Return a plan or rig of a journal as a record of today."""
     try:
-        return kind.model_validate(stored)
+        return begun_with(what, start, kind)
+    except RecordError as error:
+        raise CaptureError(f"{error}; resume with the version that began the session, or capture it again") from None
     except ValidationError as error:
         raise CaptureError(
             f"{JOURNAL_NAME}: the {what} in its first line is none of this version of finray ({explain(error, kind)}); "

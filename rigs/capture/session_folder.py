@@ -1,20 +1,24 @@
 """The folder of a session: what it must be before, and the record and checksums at its end."""
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from data_schemas.camera import CameraSession
 from data_schemas.capture import CaptureSession
 from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import CaptureError, CurveError
+from data_schemas.folder_manifest import MANIFEST_NAME
 from data_schemas.model import Record
-from data_schemas.provenance import provenance
+from data_schemas.provenance import digest_of_input, provenance
 from data_schemas.rig import RigFile
 from data_schemas.storage import write_record
-from data_schemas.whole_files import sha256_of, write_bytes
+from data_schemas.tactile import TactileRig, TactileSession
+from data_schemas.whole_files import sha256_of
 from rigs.capture.journal import JOURNAL_NAME, Journal
 
 SESSION_NAME = "session.json"
-MANIFEST_NAME = "manifest-sha256.txt"
+SESSION_EVENT = "session"
+"""Of the line of a journal that holds the checksum of the session's record."""
 
 
 def require_empty(out: Path) -> None:
@@ -32,8 +36,8 @@ def require_empty(out: Path) -> None:
         )
 
 
-def curve_files(rig: RigFile, rig_folder: Path) -> dict[str, str]:
-    """Return name -> SHA-256 of the curve files that the rig file names.
+def curve_files(rig: RigFile, rig_folder: Path) -> tuple[str, ...]:
+    """Return the names of the curve files that the rig file names.
 
     Raises
     ------
@@ -47,7 +51,12 @@ def curve_files(rig: RigFile, rig_folder: Path) -> dict[str, str]:
     lost = [name for name in named if not (rig_folder / name).is_file()]
     if lost:
         raise CurveError(f"{rig_folder / lost[0]}: no such file; give the path of a CSV file")
-    return {name: sha256_of(rig_folder / name) for name in named}
+    return tuple(named)
+
+
+def curve_digests(curves: Iterable[str], rig_folder: Path) -> dict[str, str]:
+    """Return name -> SHA-256 of curve files as they were read when the rig was opened."""
+    return {name: digest_of_input(rig_folder / name) for name in curves}
 
 
 def write_start(
@@ -58,8 +67,13 @@ def write_start(
     inputs: dict[str, str],
     command: str,
     camera: DeviceIdentity,
+    sources: Mapping[str, str] | None = None,
 ) -> None:
-    """Write the first line of a journal: everything that a resumed session needs."""
+    """Write the first line of a journal: everything that a resumed session needs.
+
+    `inputs` are curve files, which must be the same when the session goes on; `sources` the plan and rig file, which
+    need not be there any more.
+    """
     journal.append(
         "start",
         command=command,
@@ -68,21 +82,28 @@ def write_start(
         rig=rig.model_dump(mode="json"),
         rig_folder=str(rig_folder.resolve()),
         inputs=inputs,
+        sources=dict(sources or {}),
+        schema_versions={"plan": plan.schema_version, "rig": rig.schema_version},
         camera=camera.model_dump(mode="json"),
     )
 
 
-def write_session(session: CaptureSession | CameraSession, out: Path, inputs: dict[str, str], command: str) -> None:
-    """Write the record of a finished session."""
-    seed = session.rig.simulated.seed if session.rig.simulated is not None else None
-    write_record(session, out / SESSION_NAME, provenance(command, inputs, seed))
+def write_session(
+    session: CaptureSession | CameraSession | TactileSession,
+    out: Path,
+    inputs: dict[str, str],
+    command: str,
+    journal: Journal,
+) -> None:
+    """Write the record of a finished session, and its checksum into the journal."""
+    bench = None if isinstance(session.rig, TactileRig) else session.rig.simulated
+    write_record(session, out / SESSION_NAME, provenance(command, inputs, None if bench is None else bench.seed))
+    seal_session(out, journal)
 
 
-def write_manifest(out: Path) -> None:
-    """Write the checksums of all files of the session in the format of ``sha256sum --check``."""
-    files = sorted(path for path in out.rglob("*") if path.is_file())
-    lines = [f"{sha256_of(path)}  {path.relative_to(out).as_posix()}\n" for path in files]
-    write_bytes(out / MANIFEST_NAME, "".join(lines).encode())
+def seal_session(out: Path, journal: Journal) -> None:
+    """Note the checksum of the session's record in the journal, which binds the two."""
+    journal.append(SESSION_EVENT, file=SESSION_NAME, sha256=sha256_of(out / SESSION_NAME))
 
 
 def lacks_manifest(out: Path) -> bool:

@@ -11,7 +11,7 @@ from data_schemas.errors import CaptureError
 from data_schemas.tactile import PlannedPress, TactileFrame, TactilePlan, TactileRig
 from data_schemas.whole_files import sha256_of
 from rigs.capture.journal import JOURNAL_NAME, read_journal
-from rigs.capture.resume import ORPHANS
+from rigs.capture.resume import ORPHANS, begun_with
 from rigs.capture.session_folder import SESSION_NAME
 from rigs.capture.tactile_plan import tactile_shots
 
@@ -35,6 +35,8 @@ class InterruptedPresses:
         The camera that took them; None where the journal does not say it.
     lines
         Number of lines of the journal.
+    sources
+        Path -> SHA-256 of the files that plan, poses and rig were read from.
     """
 
     plan: TactilePlan
@@ -44,6 +46,7 @@ class InterruptedPresses:
     frames: dict[int, TactileFrame]
     device: DeviceIdentity | None
     lines: int
+    sources: dict[str, str]
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -78,7 +81,7 @@ def read_interrupted_presses(folder: Path) -> InterruptedPresses:
     lines = read_journal(folder)
     try:
         start = next(line for line in lines if line["event"] == "start" and line.get("kind") == KIND)
-        plan, rig = TactilePlan.model_validate(start["plan"]), TactileRig.model_validate(start["rig"])
+        plan, rig = begun_with("plan", start, TactilePlan), begun_with("rig", start, TactileRig)
         presses = tuple(PlannedPress.model_validate(press) for press in start["presses"])
         rig_folder = Path(start["rig_folder"])
         device = DeviceIdentity.model_validate(start["device"]) if "device" in start else None
@@ -100,7 +103,7 @@ def read_interrupted_presses(folder: Path) -> InterruptedPresses:
     wanted = Counter(shot.group for shot in shots)
     there = Counter(shot.group for shot in shots if shot.sequence in good)
     whole = {shot.sequence: good[shot.sequence] for shot in shots if there[shot.group] == wanted[shot.group]}
-    return InterruptedPresses(plan, rig, presses, rig_folder, whole, device, len(lines))
+    return InterruptedPresses(plan, rig, presses, rig_folder, whole, device, len(lines), start.get("sources", {}))
 
 
 def take_over(folder: Path, interrupted: InterruptedPresses, device: DeviceIdentity) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import CaptureError
+from data_schemas.folder_manifest import write_manifest
 from data_schemas.frame_files import write_frame
 from data_schemas.provenance import provenance
 from data_schemas.storage import write_record
@@ -14,7 +15,7 @@ from rigs.capture.exposure import saturated_fraction
 from rigs.capture.frame_store import BYTES_PER_PIXEL, require_space
 from rigs.capture.journal import Journal
 from rigs.capture.rig_lock import device_locked
-from rigs.capture.session_folder import SESSION_NAME, require_empty, write_manifest
+from rigs.capture.session_folder import require_empty, write_session
 from rigs.capture.tactile_camera import TactileCamera
 from rigs.capture.tactile_captures import capture_file, clipping_notes, tactile_capture
 from rigs.capture.tactile_plan import TactileShot, instruction, press_of, tactile_shots
@@ -38,6 +39,7 @@ def capture_tactile_session(
     *,
     operator: Operator | None = None,
     interrupted: InterruptedPresses | None = None,
+    sources: Mapping[str, str] | None = None,
 ) -> TactileSession:
     """Capture a tactile session: frames, journal, a tactile capture of each contact, ``session.json``, checksums.
 
@@ -58,6 +60,8 @@ def capture_tactile_session(
         Who presses; a person at the terminal when left out.
     interrupted
         What is done already, when a session is resumed.
+    sources
+        Path -> SHA-256 of the files that plan, poses and rig were read from, for the provenance.
 
     Raises
     ------
@@ -81,7 +85,7 @@ def capture_tactile_session(
             )
             device = camera.identity()
             if interrupted is None:
-                _write_start(journal, rig, plan, presses, rig_folder, command, device)
+                _write_start(journal, rig, plan, presses, rig_folder, command, device, sources or {})
             else:
                 take_over(out, interrupted, device)
                 recorder.frames.update(interrupted.frames)
@@ -90,7 +94,8 @@ def capture_tactile_session(
             notes = interrupted.notes if interrupted else ()
             session = _session_of(plan, rig, presses, recorder.frames, device, notes)
             _write_captures(session, out, command)
-            write_record(session, out / SESSION_NAME, provenance(command, {}, None))
+            noted = dict(sources or {}) if interrupted is None else interrupted.sources
+            write_session(session, out, noted, command, journal)
     write_manifest(out)
     return session
 
@@ -125,6 +130,7 @@ def _write_start(
     folder: Path,
     command: str,
     device: DeviceIdentity,
+    sources: Mapping[str, str],
 ) -> None:
     """Write the first line of the journal: everything that a resumed session needs."""
     journal.append(
@@ -136,6 +142,8 @@ def _write_start(
         rig_folder=str(folder.resolve()),
         presses=[press.model_dump(mode="json") for press in presses],
         device=device.model_dump(mode="json"),
+        sources=dict(sources),
+        schema_versions={"plan": plan.schema_version, "rig": rig.schema_version},
     )
 
 

@@ -85,7 +85,7 @@ def test_resume_takes_everything_from_the_session(lab: Path, tmp_path: Path) -> 
     assert "is finished already" in finished
     assert "go on with" not in finished
     assert "--dry-run is for a session that is to begin" in mistake(f"capture --resume {tmp_path} --dry-run")
-    assert "journal.jsonl: cannot be read" in mistake(f"capture --resume {tmp_path}")
+    assert "journal.jsonl: no such file" in mistake(f"capture --resume {tmp_path}")
     assert "give a PLAN and its --rig" in mistake(f"capture {lab}/plan.toml")
 
 

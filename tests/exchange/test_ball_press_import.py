@@ -33,6 +33,7 @@ from tests.exchange.ball_press_folders import (
     write_circles,
     write_taxim,
 )
+from tests.schemas.stored_files import write_sealed
 
 
 def test_taxim_presses_keep_colour_order_place_and_size(tmp_path):
@@ -319,7 +320,7 @@ def test_circles_for_captures_that_have_none(tmp_path):
     for file, press in zip(files, presses(12), strict=True):
         body = json.loads(file.read_text())
         body["record"]["contact_circle"] = None
-        file.write_text(json.dumps(body))
+        write_sealed(file, body)
         lines.append(f"{file.name},{press.column_px},{press.row_px},{press.radius_px}")
     named = " ".join(map(str, files))
     outcome = finray(f"study normal-map {named} --out {tmp_path}/m.json")
