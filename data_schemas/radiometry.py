@@ -172,4 +172,7 @@ class PixelSignals(Record):
             raise ValueError(
                 f"area is {self.area.height_px} x {self.area.width_px} px but the arrays have {rows} x {columns}"
             )
+        if self.channel.size and self.channel.max() > 2:
+            # compiled functions take it as an index and check none
+            raise ValueError(f"channel holds {self.channel.max()}, but a pixel is 0 (red), 1 (green) or 2 (blue)")
         return self

@@ -17,11 +17,13 @@ input deck of a finite-element program.
 
   csv              emission with 68 % and 95 % limits
   json             emission, absorption, reflectance and parameters with limits
-  netcdf           posterior, prior, data and diagnostics; opens in ArviZ
+  netcdf           posterior, prior, data and diagnostics; opens in ArviZ; needs
+                   pip install 'finray-calib[netcdf]'
   spdx             mean emission as IES TM-27-14; opens in colour-science
   mitsuba          mean emission as a spectrum file of Mitsuba
   rgb-reradiation  light x camera R, G, B: what returns by reflectance and by fluorescence, with uncertainty (JSON)
-  exr              mean reradiation matrix as bispectral OpenEXR (Fichet 2021)
+  exr              mean reradiation matrix as bispectral OpenEXR (Fichet 2021); needs
+                   pip install 'finray-calib[exr]'
 
 Formats that hold no uncertainty say so in their header.
 

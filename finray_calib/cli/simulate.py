@@ -77,8 +77,9 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     )  # fmt: skip
     parser.add_argument("--samples", type=_even, metavar="N", help="paths per pixel (default 128) or per probe (4000)")
     parser.add_argument(
-        "--denoise", action="store_true", help="with --only optics: also denoised pictures, for the eye only"
-    )
+        "--denoise", action="store_true",
+        help="with --only optics: also denoised pictures, for the eye only; needs pip install 'finray-calib[denoise]'",
+    )  # fmt: skip
     parser.add_argument(
         "--pose-response", action="store_true",
         help="also render how the contact image changes with the indenter's depth and position, so that 'finray "

@@ -43,7 +43,7 @@ def simulate_optics(
     """Render a press and write its record, its capture and the folder of its images."""
     from data_schemas.product_set import ProductSet
     from data_schemas.storage import write_record
-    from finray_calib.exchange.render_files import require_exr, write_optics_folder
+    from finray_calib.exchange.render_files import write_optics_folder
     from finray_calib.reports.denoised import require_denoiser
     from sim.experiments.optics_products import optics_products
     from sim.experiments.pose_response import moved_designs, pose_response
@@ -51,7 +51,6 @@ def simulate_optics(
     from sim.optics.render import render_press
 
     folder, capture = optics_paths(out)
-    require_exr()
     if denoise:
         require_denoiser()
     samples = samples or DEFAULT_SAMPLES

@@ -2,22 +2,18 @@
 
 import json
 from collections.abc import Mapping
-from importlib import import_module
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from types import ModuleType
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.errors import MissingExtraError
 from data_schemas.product_set import ProductSet
 from data_schemas.provenance import Provenance
 from data_schemas.whole_files import refuse_taken
-from finray_calib.exchange.bispectral_exr import exr_image
 from sim.experiments.optics_products import OpticsProducts
+from sim.optics.exr_images import exr_image
 from sim.optics.paint_bands import BAND_NAMES
 from sim.optics.pixel_maps import PixelMaps
 
@@ -42,20 +38,6 @@ timings.json   seconds of each step
 """
 
 
-def require_exr() -> ModuleType:
-    """Return the OpenEXR package; called before anything is rendered.
-
-    Raises
-    ------
-    MissingExtraError
-        The OpenEXR package is not installed.
-    """
-    try:
-        return import_module("OpenEXR")
-    except ImportError:
-        raise MissingExtraError("OpenEXR images need the OpenEXR package: pip install 'finray-calib[exr]'") from None
-
-
 def write_optics_folder(
     folder: Path, products: OpticsProducts, views: Mapping[str, ByteImage], origin: Provenance, stored: ProductSet
 ) -> None:
@@ -78,14 +60,10 @@ def write_optics_folder(
     ------
     RecordError
         The folder exists already.
-    MissingExtraError
-        The OpenEXR package is not installed.
     """
     refuse_taken(folder)
-    with TemporaryDirectory() as name:
-        _write_exr_files(Path(name), products, f"{products.press.label}; made by {origin.command}")
-        for file in sorted(Path(name).iterdir()):
-            stored.add(folder / file.name, file.read_bytes())
+    for name, image in _exr_images(products, f"{products.press.label}; made by {origin.command}").items():
+        stored.add(folder / f"{name}.exr", image)
     for name in ("contact", "no_contact"):
         counts: NDArray[np.uint16] = getattr(products.capture, name)[..., 0]
         stored.add(folder / f"{name}-raw.png", png(counts))
@@ -94,38 +72,6 @@ def write_optics_folder(
     timings = {"seconds": dict(products.timings_s), "label": products.press.label}
     stored.add(folder / "timings.json", (json.dumps(timings, indent=1) + "\n").encode())
     stored.add(folder / "README.txt", README.encode())
-
-
-def write_exr(path: Path, channels: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> None:
-    """Write single-precision channels (rows, columns) as one OpenEXR image, losslessly compressed.
-
-    Parameters
-    ----------
-    path
-        File to write.
-    channels
-        By name; a dot separates a layer from its channel.
-    attributes
-        Further fields of the header.
-    """
-    open_exr = require_exr()
-    header = {"compression": open_exr.ZIP_COMPRESSION, "type": open_exr.scanlineimage, **attributes}
-    pixels = {name: np.ascontiguousarray(values, dtype=np.float32) for name, values in channels.items()}
-    with open_exr.File(header, pixels) as file:
-        file.write(str(path))
-
-
-def read_exr(path: Path) -> dict[str, NDArray[np.float32]]:
-    """Return the channels of an OpenEXR image, which is parsed in a child process with limits.
-
-    Raises
-    ------
-    ImportFormatError
-        It is missing, or no OpenEXR image.
-    MissingExtraError
-        The OpenEXR package is not installed.
-    """
-    return exr_image(path)
 
 
 def png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
@@ -163,20 +109,20 @@ def geometry_pictures(maps: PixelMaps) -> dict[str, NDArray[Any]]:
     return {"depth": depth, "contact": (255 * maps.contact).astype(np.uint8), "normal": normal}
 
 
-def _write_exr_files(folder: Path, products: OpticsProducts, comment: str) -> None:
-    """Write bands, spectra and geometry."""
+def _exr_images(products: OpticsProducts, comment: str) -> dict[str, bytes]:
+    """Return bands, spectra and geometry by the name of their file."""
     bands = {
         f"{state}{kind}.{name}": images[state][..., k]
         for kind, images, names in (("", products.basis, products.basis_names), ("_sd", products.band_sd, BAND_NAMES))
         for state in images
         for k, name in enumerate(names)
     }
-    write_exr(folder / "bands.exr", bands, {"comments": f"{comment}; radiance relative to the panel's"})
     spectral = {spectral_channel(nm): products.spectral[..., k] for k, nm in enumerate(products.wavelength_nm)}
-    units = {"spectralLayoutVersion": SPECTRAL_LAYOUT_VERSION, "emissiveUnits": "W.m^-2.sr^-1", "EV": 0.0}
-    note = f"{comment}; relative spectral radiance, rebuilt from bands times their spectra"
-    write_exr(folder / "spectral.exr", spectral, {**units, "comments": note})
+    note = f"{comment}; relative spectral radiance, rebuilt from bands times their spectra; EV 0"
+    layout = {"spectralLayoutVersion": SPECTRAL_LAYOUT_VERSION, "emissiveUnits": "W.m^-2.sr^-1", "comments": note}
     parts = ", ".join(f"{k} {name}" for k, name in enumerate(products.maps.parts))
-    write_exr(
-        folder / "geometry.exr", geometry_channels(products.maps), {"comments": f"{comment}; part: -1 none, {parts}"}
-    )
+    return {
+        "bands": exr_image(bands, {"comments": f"{comment}; radiance relative to the panel's"}),
+        "spectral": exr_image(spectral, layout),
+        "geometry": exr_image(geometry_channels(products.maps), {"comments": f"{comment}; part: -1 none, {parts}"}),
+    }

@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from finray_calib.spectra.compiled import compiled
 from finray_calib.spectra.elementary_functions import arctangent, falling_exponential
-from finray_calib.spectra.family_kernels import KAPPA_END, KAPPA_STEP, SKEW_CAUCHY
+from finray_calib.spectra.family_kernels import (
+    KAPPA_CELLS,
+    KAPPA_END,
+    KAPPA_STEP,
+    SKEW_CAUCHY,
+    cell_of_table,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -89,7 +95,7 @@ def _skew_cauchy_constants(
 ) -> tuple[float, float, float, float, float, float, float, float, float, float]:
     """Return mode, inverse scale, mode offset, skewness with its slope, height, slopes of the unit shape, unused 0."""
     a = min(abs(kappa), KAPPA_END - 1e-9) / KAPPA_STEP + 1
-    i = int(a)
+    i = cell_of_table(a, KAPPA_CELLS)
     t = a - i
     value = (
         ((-0.5 * t + 1.0) * t - 0.5) * t,

@@ -31,6 +31,8 @@ LN_TAIL_START: Final = -0.6
 LN_TAIL_END: Final = 4.2
 """Grid of the shape table: asinh(skewness) from 0, and the logarithm of the tail's degrees of freedom."""
 
+KAPPA_CELLS: Final = round(KAPPA_END / KAPPA_STEP)
+_LN_TAIL_CELLS = round((LN_TAIL_END - LN_TAIL_START) / LN_TAIL_STEP)
 _BISECTIONS = 50  # halves a bracket of 40 scale lengths to 4e-14
 _LN_2 = math.log(2.0)
 _SUPPORT_END = 1e-6 - 1  # of a log-normal, where its curve has vanished
@@ -43,8 +45,8 @@ def shape_table() -> FloatArray:
     The curve is (1 + z^2/n)^(-(n+1)/2) (atan(w z)/pi + 1/2) with w = sinh(kappa); n = 1 is the paper's skew-Cauchy.
     One grid step beyond each end, for cubic interpolation.
     """
-    kappa = KAPPA_STEP * np.arange(-1, round(KAPPA_END / KAPPA_STEP) + 2)
-    ln_tail = LN_TAIL_START + LN_TAIL_STEP * np.arange(-1, round((LN_TAIL_END - LN_TAIL_START) / LN_TAIL_STEP) + 2)
+    kappa = KAPPA_STEP * np.arange(-1, KAPPA_CELLS + 2)
+    ln_tail = LN_TAIL_START + LN_TAIL_STEP * np.arange(-1, _LN_TAIL_CELLS + 2)
     w, n = np.broadcast_arrays(np.sinh(kappa)[:, None], np.exp(ln_tail))
 
     def unit(z: FloatArray) -> FloatArray:
@@ -80,12 +82,21 @@ def _cubic(t: float) -> tuple[float, float, float, float]:
     )
 
 
+@compiled
+def cell_of_table(place: float, cells: int) -> int:
+    """Return the cell, 1 to `cells`, that holds a place in a table with one step more at each end; of NaN the first.
+
+    Compiled functions check no index, and NaN or 1e30 as an integer is undefined; a comparison is false for NaN.
+    """
+    return int(min(place, float(cells))) if place > 1.0 else 1
+
+
 @compiled_inside
 def skew_t_shape(kappa: float, ln_tail: float, table: FloatArray) -> tuple[float, float, float]:
     """Return mode offset m, peak p and width v of the unit curve by cubic interpolation of the table."""
     a = min(abs(kappa), KAPPA_END - 1e-9) / KAPPA_STEP + 1
     b = (min(max(ln_tail, LN_TAIL_START), LN_TAIL_END - 1e-9) - LN_TAIL_START) / LN_TAIL_STEP + 1
-    i, j = int(a), int(b)
+    i, j = cell_of_table(a, KAPPA_CELLS), cell_of_table(b, _LN_TAIL_CELLS)
     along, across = _cubic(a - i), _cubic(b - j)
     m = p = v = 0.0
     for r in range(4):

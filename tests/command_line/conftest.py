@@ -1,6 +1,9 @@
 """One small laboratory for all tests of this folder: a captured session, its band signals, a paint, made-up records."""
 
+import os
 import shutil
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,11 +15,40 @@ from rigs.toml_text import write_plan, write_rig
 from tests.command_line.records import capture_of, press, sweep, with_known_camera
 from tests.command_line.running import succeed
 
+PACKAGES_OF_EXTRAS = {
+    "bench": ("numpyro",),
+    "denoise": ("pyoidn",),
+    "dng": ("rawpy",),
+    "exr": ("OpenEXR",),
+    "flip": ("flip_evaluator",),
+    "gentl": ("harvesters", "genicam"),
+    "micro-manager": ("pymmcore",),
+    "netcdf": ("h5netcdf", "xarray"),
+}
+FOR_A_MAKE = ("gentl", "micro-manager")
+NOT_FOR_USERS = ("dev",)
+
 FINGER = 'name = "small finger"\n[camera]\nwidth_px = 512\nheight_px = 384\n'
 
 
-@pytest.fixture(scope="session")
-def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="package", autouse=True)
+def no_extras(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Hide the packages that `make demo` does not install, in this process and its children.
+
+    So no verb can need one. Drivers of particular makes may: their packages are not hidden.
+    """
+    hidden = [name for extra, names in PACKAGES_OF_EXTRAS.items() if extra not in FOR_A_MAKE for name in names]
+    folder = tmp_path_factory.mktemp("no-extras")
+    (folder / "sitecustomize.py").write_text(f"import sys\nsys.modules.update(dict.fromkeys({hidden!r}))\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(folder), prepend=os.pathsep)
+        for name in hidden:
+            patch.setitem(sys.modules, name, None)
+        yield
+
+
+@pytest.fixture(scope="package")
+def lab(no_extras: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with rig, plan and finger files, a session, its bands, and made-up records; tests only read it."""
     folder = tmp_path_factory.mktemp("lab")
     rig = simulated_rig("red", width_px=320, height_px=256)
@@ -43,7 +75,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def paints(lab: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with red/paint.json (fitted, seed 5) and green/paint.json (a copy: same name, another folder)."""
     folder = tmp_path_factory.mktemp("paints")
@@ -52,7 +84,7 @@ def paints(lab: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def rendered(lab: Path, paints: Path) -> Path:
     """Folder of the paints with press.json and sweep.json simulated from them."""
     finger = f"simulate {lab}/finger.toml --paint red={paints}/red/paint.json --paint green={paints}/green/paint.json"

@@ -1,6 +1,8 @@
 """The folder of a press's images: whole or absent, and every number comes back from its file."""
 
 import json
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
@@ -14,11 +16,12 @@ from data_schemas.product_set import ProductSet
 from data_schemas.provenance import provenance
 from data_schemas.simulate import SimulatedPress
 from finray_calib.exchange import render_files
-from finray_calib.exchange.render_files import png, read_exr, spectral_channel, write_optics_folder
+from finray_calib.exchange.render_files import png, spectral_channel, write_optics_folder
 from finray_calib.reports.denoised import denoised
 from sim.experiments.colour_spread import colour_spread
 from sim.experiments.optics_products import OpticsProducts
 from sim.experiments.tactile_camera import simulated_capture
+from sim.optics.exr_images import exr_image
 from sim.optics.paint_bands import BAND_NAMES
 from sim.optics.pixel_maps import pixel_maps
 from sim.optics.variants import choose_variant, open_renderer
@@ -27,6 +30,12 @@ from sim.surface_meshes.finger_shape import pressed_shape, rest_shape
 DESIGN = FingerDesign(camera=TactileCamera(width_px=160, height_px=120))
 SHAPE = (60, 80)
 CHAINS = ("led>red", "led>green", "led", "led>green>red")
+
+
+def read_exr(path):
+    """Channels by the OpenEXR package, which had no part in writing them."""
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +85,9 @@ def test_every_number_comes_back(tmp_path, products):
     geometry = read_exr(folder / "geometry.exr")
     np.testing.assert_array_equal(geometry["normal.Y"], products.maps.normal[..., 1].astype(np.float32))
     np.testing.assert_array_equal(geometry["part"], products.maps.part)
+    np.testing.assert_array_equal(geometry["depth.mm"], products.maps.depth_mm.astype(np.float32))
+    assert len(geometry) == 12
+    assert {values.dtype for values in (*bands.values(), *geometry.values())} == {np.dtype(np.float32)}
     raw = cv2.imread(str(folder / "contact-raw.png"), cv2.IMREAD_UNCHANGED)
     assert raw.dtype == np.uint16
     np.testing.assert_array_equal(raw, products.capture.contact[..., 0])
@@ -99,6 +111,26 @@ def test_spectra_follow_the_layout_of_fichet(tmp_path, products):
     assert header["spectralLayoutVersion"] == "1.0"
     assert header["emissiveUnits"] == "W.m^-2.sr^-1"
     assert "rendered, level b, test; made by" in header["comments"]
+    assert "EV 0" in header["comments"]
+    assert header["type"] == OpenEXR.scanlineimage
+    # both are lossless; PXR24, B44 and DWA are not
+    assert header["compression"] in (OpenEXR.PIZ_COMPRESSION, OpenEXR.ZIP_COMPRESSION)
+
+
+def test_an_image_keeps_every_number_and_every_name():
+    rng = np.random.default_rng(2)
+    awkward = [np.nan, np.inf, -np.inf, 0.0, -0.0, 1e-42, 3.4e38, -1.5]
+    for count in (1, 2, 3, 4, 41):
+        channels = {f"layer {k}.led>green,{k}": rng.choice(awkward, (3, 5)).astype(np.float32) for k in range(count)}
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "image.exr"
+            path.write_bytes(exr_image(channels, {"comments": "Messung \N{LATIN SMALL LETTER U WITH DIAERESIS}"}))
+            read = read_exr(path)
+            with OpenEXR.File(str(path)) as file:
+                assert file.header()["comments"] == "Messung \N{LATIN SMALL LETTER U WITH DIAERESIS}"
+        assert set(read) == set(channels)
+        for name, values in channels.items():
+            np.testing.assert_array_equal(read[name].view(np.uint32), values.view(np.uint32))
 
 
 def test_a_folder_is_never_overwritten_and_never_half_written(tmp_path, products, monkeypatch):
@@ -117,13 +149,10 @@ def test_a_folder_is_never_overwritten_and_never_half_written(tmp_path, products
     assert list(tmp_path.iterdir()) == []
 
 
-def test_missing_extras_are_named(monkeypatch):
+def test_a_missing_denoiser_is_named(monkeypatch):
     def without(name):
         raise ImportError(name)
 
-    monkeypatch.setattr(render_files, "import_module", without)
-    with pytest.raises(MissingExtraError, match=r"pip install 'finray-calib\[exr\]'"):
-        render_files.require_exr()
     monkeypatch.setattr("finray_calib.reports.denoised.import_module", without)
     with pytest.raises(MissingExtraError, match=r"pip install 'finray-calib\[denoise\]'"):
         denoised(np.ones((4, 4, 3), np.float32), 64)

@@ -12,6 +12,7 @@ from data_schemas.errors import FitError
 from finray_calib.fit.prior import EmissionPrior
 from finray_calib.spectra.curve_quantities import curve_quantities
 from finray_calib.spectra.emission_families import COMMON_PARAMETERS, FAMILIES, family_named
+from finray_calib.spectra.family_kernels import cell_of_table
 from finray_calib.spectra.skew_cauchy import SkewCauchy
 
 GRID_NM = np.arange(380.0, 781.0)
@@ -170,3 +171,24 @@ def test_every_family_has_the_common_parameters_first_and_curves_of_many_rows():
 def test_unknown_family_is_refused_with_the_known_ones():
     with pytest.raises(FitError, match="'cauchy' is unknown; the families are zheng2014, skew_t"):
         family_named("cauchy")
+
+
+@pytest.mark.parametrize("name", list(FAMILIES))
+@pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf, 1e30, -1e30])
+def test_no_parameter_leads_outside_the_table(name, poison):
+    # compiled functions check no index; NaN as an integer is -2^63 on x86 and 0 on ARM
+    usual = np.array([600.0, np.log(40.0), np.log(0.01), 0.5, 0.3, 0.1])[: 3 + len(FAMILIES[name].own)]
+    for place in range(usual.size):
+        poisoned = usual.copy()
+        poisoned[place] = poison
+        values = FAMILIES[name].curves(np.stack([usual, poisoned, usual]), GRID_NM)
+        assert np.isfinite(values[[0, 2]]).all()
+        np.testing.assert_array_equal(values[0], values[2])
+        assert not (np.isnan(poison) and np.isfinite(values[1]).any())
+
+
+@pytest.mark.parametrize(
+    ("place", "cell"), [(np.nan, 1), (-np.inf, 1), (np.inf, 7), (1e30, 7), (0.2, 1), (1.0, 1), (1.99, 1), (6.5, 6)]
+)
+def test_every_place_has_a_cell_of_the_table(place, cell):
+    assert cell_of_table(place, 7) == cell

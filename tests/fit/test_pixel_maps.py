@@ -300,6 +300,14 @@ def test_what_does_not_belong_together_is_refused(calibrated, optics):
         PixelSpread(mode_sd_nm=0.0)
 
 
+def test_a_channel_that_is_no_colour_is_refused(drawn):
+    made, _ = drawn
+    channel = made.pixels.channel.copy()
+    channel[0, 0] = 7  # compiled functions take it as an index
+    with pytest.raises(ValueError, match=r"channel holds 7, but a pixel is 0 \(red\), 1 \(green\) or 2 \(blue\)"):
+        changed(made.pixels, channel=channel)
+
+
 def test_sizes_that_disagree_are_refused(drawn):
     _, found = drawn
     with pytest.raises(ValueError, match=r"area is 31 x 128 px but the maps have 32 x 128"):
