@@ -83,12 +83,12 @@ def _cubic(t: float) -> tuple[float, float, float, float]:
 
 
 @compiled
-def cell_of_table(place: float, cells: int) -> int:
+def cell_of_table(index: float, cells: int) -> int:
     """Return the cell, 1 to `cells`, that holds a place in a table with one step more at each end; of NaN the first.
 
     Compiled functions check no index, and NaN or 1e30 as an integer is undefined; a comparison is false for NaN.
     """
-    return int(min(place, float(cells))) if place > 1.0 else 1
+    return int(min(index, float(cells))) if index > 1.0 else 1
 
 
 @compiled_inside
