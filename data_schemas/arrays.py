@@ -43,8 +43,10 @@ class ArraySpec:
     def validate(self, value: Any) -> NDArray[Any]:
         """Return `value` as a read-only array of the declared dtype and shape."""
         if isinstance(value, list):
-            value = _nan_for_none(value)
+            value = _nan_for_none(value, truths=np.dtype(self.dtype).kind == "b")
         array = np.asarray(value)
+        if array.dtype.kind == "b" and np.dtype(self.dtype).kind != "b":
+            raise ValueError("must be numbers, got truth values")
         if array.dtype.kind not in "fuib":
             raise ValueError(f"must be numbers, got {array.dtype}")
         target = np.dtype(self.dtype)
@@ -128,10 +130,12 @@ def _array_lengths(record: BaseModel) -> Iterator[tuple[str, str, int]]:
             yield from ((field, name, size) for name, size in zip(spec.dims, array.shape, strict=True))
 
 
-def _nan_for_none(value: Any) -> Any:
-    """Replace None (how JSON stores NaN) by NaN in nested lists."""
+def _nan_for_none(value: Any, truths: bool) -> Any:
+    """Replace None (how JSON stores NaN) by NaN in nested lists, where truth values are no numbers."""
     if isinstance(value, list):
-        return [_nan_for_none(v) for v in value]
+        return [_nan_for_none(v, truths) for v in value]
+    if isinstance(value, bool) and not truths:
+        raise ValueError(f"must be numbers, got {value}")
     return np.nan if value is None else value
 
 

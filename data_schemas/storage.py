@@ -10,7 +10,7 @@ changes a record on purpose can compute it anew.
 import hashlib
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -32,6 +32,7 @@ from data_schemas.whole_files import refuse_taken
 INLINE_VALUES = 512
 A_RECORD = "a stored record (.json)"
 R = TypeVar("R", bound=Record)
+Complete = Callable[[dict[str, Any]], dict[str, Any]]
 
 
 def write_record(record: Record, path: Path, provenance: Provenance, products: ProductSet | None = None) -> Path:
@@ -237,11 +238,20 @@ def _with_arrays(path: Path, value: Any, arrays: dict[str, NDArray[Any]]) -> Any
     return value
 
 
-def read_toml(path: Path, record_type: type[R]) -> R:
+def read_toml(path: Path, record_type: type[R], complete: Complete = dict) -> R:
     """Read a plan, rig or design file that a person wrote (TOML).
 
     It may name the version of its kind as ``schema_version`` above its first table, as files that finray writes do;
     without it the file is of today's version.
+
+    Parameters
+    ----------
+    path
+        The file.
+    record_type
+        Its kind.
+    complete
+        Given what the file says, returns what is validated: a ready-made product whose numbers the file changes.
 
     Raises
     ------
@@ -254,7 +264,7 @@ def read_toml(path: Path, record_type: type[R]) -> R:
     loaded = read_toml_tables(path)
     version = _required_version(path, loaded.pop("schema_version", record_type.schema_version))
     try:
-        read = record_type.model_validate(migrate(path, record_type, version, loaded))
+        read = record_type.model_validate(complete(migrate(path, record_type, version, loaded)))
     except ValidationError as error:
         raise RecordError(f"{path}: {explain(error, record_type)}") from None
     for field, why in read.idle_fields().items():

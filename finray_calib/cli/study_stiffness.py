@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli.design_file import read_design
 from finray_calib.cli.options import add_out, command_line, input_digests, progress_bar, require_new, say
 
 if TYPE_CHECKING:
@@ -123,11 +124,9 @@ def _ribs(study: "FingerStiffness") -> "Iterator[str]":
 
 def _design(given: str) -> "FingerDesign":
     """Return a design by file or preset."""
-    from data_schemas.design import FingerDesign
-    from data_schemas.storage import read_toml
     from sim.presets import preset_design
 
-    return read_toml(Path(given), FingerDesign) if given.endswith(".toml") else preset_design(given)
+    return read_design(Path(given)) if given.endswith(".toml") else preset_design(given)
 
 
 def _table(study: "FingerStiffness") -> str:

@@ -186,7 +186,7 @@ def check_closed_body(mesh: TriangleMesh, name: str) -> None:
 
 def _stl(path: Path) -> tuple[FloatArray, IntArray]:
     """Return the corners of an STL file's triangles, three vertices each."""
-    data = read_bytes(path, "an STL file, which indenter.file names", SimulateError, _LARGEST_STL_BYTES)
+    data = read_bytes(path, "the indenter's STL file (indenter.file)", SimulateError, _LARGEST_STL_BYTES)
     count = struct.unpack_from("<I", data, _HEADER_BYTES)[0] if len(data) >= _HEADER_BYTES + 4 else -1
     if len(data) == _HEADER_BYTES + 4 + count * _RECORD.itemsize:
         corners = np.frombuffer(data, _RECORD, count, _HEADER_BYTES + 4)["corners"].astype(np.float64)

@@ -145,7 +145,7 @@ def test_files_that_are_no_stl_or_missing_are_refused(tmp_path):
     (tmp_path / "body.stl").write_text("not a mesh")
     with pytest.raises(SimulateError, match="neither a binary nor a text STL"):
         read_body(tmp_path / "body.stl")
-    with pytest.raises(SimulateError, match="no such file; give the path of an STL file"):
+    with pytest.raises(SimulateError, match="no such file; give the path of the indenter's STL file"):
         read_body(tmp_path / "absent.stl")
 
 

@@ -28,7 +28,7 @@ PACKAGES_OF_EXTRAS = {
 FOR_A_MAKE = ("gentl", "micro-manager")
 NOT_FOR_USERS = ("dev",)
 
-FINGER = 'name = "small finger"\n[camera]\nwidth_px = 512\nheight_px = 384\n'
+FINGER = 'preset = "flat-70x35"\nname = "small finger"\n[camera]\nwidth_px = 512\nheight_px = 384\n'
 
 
 @pytest.fixture(scope="package", autouse=True)

@@ -99,7 +99,7 @@ def with_indenter(vertices_mm: np.ndarray, triangles: np.ndarray) -> Prepare:
 
 def design(tables: str) -> Prepare:
     """Write a finger with these tables into {tmp}."""
-    return file("finger.toml", f'name = "bad finger"\n{tables}\n')
+    return file("finger.toml", f'preset = "flat-70x35"\nname = "bad finger"\n{tables}\n')
 
 
 def file(name: str, text: str) -> Prepare:
@@ -146,7 +146,7 @@ CASES = (
     Case(
         "unit in the value",
         BAD_RIG,
-        r"'laser\.power_mw' \(in mW\): input should be a valid number, .* got '4\.5 mW'",
+        r"'laser\.power_mw' \(in mW\): must be a number, got '4\.5 mW'",
         edited("rig.toml", "power_mw = 4.5", 'power_mw = "4.5 mW"'),
     ),
     Case(
@@ -341,7 +341,7 @@ CASES = (
     Case(
         "no STL",
         MECHANICS,
-        r"no\.stl: the indenter's file cannot be read \(No such file .*check indenter\.file",
+        r"no\.stl: no such file; give the path of the indenter's STL file \(indenter\.file\)",
         design('[indenter]\nshape = "mesh"\nfile = "no.stl"'),
     ),
     Case(
@@ -412,7 +412,7 @@ CASES = (
     Case(
         "indenter's file is missing",
         MECHANICS,
-        r"finger\.toml: .*no\.stl: the indenter's file cannot be read",
+        r"finger\.toml: .*no\.stl: no such file; give the path of the indenter's STL file",
         design('[indenter]\nshape = "mesh"\nfile = "no.stl"\n'),
     ),
     Case(

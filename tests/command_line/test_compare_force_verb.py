@@ -18,6 +18,7 @@ from tests.command_line.running import finray, succeed
 from tests.compare.force_curves import force_at, power_law_press
 
 FINGER = """
+preset = "flat-70x35"
 name = "short press"
 [indenter]
 depth_mm = 0.4

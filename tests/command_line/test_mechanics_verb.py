@@ -24,6 +24,7 @@ from tests.command_line.mistakes import CUBE, FACETS
 from tests.command_line.running import finray, succeed
 
 BABY = """
+preset = "flat-70x35"
 name = "small"
 [pad]
 length_mm = 48.0
