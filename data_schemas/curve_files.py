@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from data_schemas.band_pass_filter import BandPassFilter
 from data_schemas.curves import DonaldsonMatrix, SpectralCurve
 from data_schemas.errors import CurveError
-from data_schemas.foreign_files import finite_number, read_csv
+from data_schemas.foreign_files import finite_number, read_csv, read_text
 
 Floats = NDArray[np.float64]
 CAMERA_COLUMNS = ["wavelength_nm", "red_percent", "green_percent", "blue_percent"]
@@ -25,6 +25,8 @@ CHANNELS = ("red", "green", "blue")
 FIRST_STOKES_NM = 15.0
 # Decimal wavelengths are read with rounding errors; a real difference of steps is far larger.
 STEP_TOLERANCE_NM = 1e-6
+LARGEST_REFLECTANCE = 1.2
+ALLOW_REFLECTANCE = "# allow: reflectance above 1.2"
 
 
 def read_table(path: Path) -> tuple[list[str], Floats]:
@@ -113,6 +115,9 @@ def read_donaldson_matrix(path: Path) -> DonaldsonMatrix:
     Emission is kept only where it is at least 15 nm above the excitation (Stokes side): nearer to the
     diagonal the measured bands overlap, and below it the entries are noise. Negative noise is kept.
 
+    A reflectance above :data:`LARGEST_REFLECTANCE` is refused: such a matrix is in per cent. A comment line
+    ``# allow: reflectance above 1.2`` in the file lets it pass, for what sends light back (retroreflectors).
+
     Raises
     ------
     CurveError
@@ -133,6 +138,7 @@ def read_donaldson_matrix(path: Path) -> DonaldsonMatrix:
         band_nm = _even_step_nm(path, emission)
         stokes_nm = emission[:, None] - excitation[None, :]
         diagonal = np.array([_diagonal(emission, excitation, values, e) for e in emission])
+        _require_reflectance(path, emission, diagonal)
         known = np.isfinite(diagonal)
         return DonaldsonMatrix(
             name=path.stem,
@@ -149,6 +155,18 @@ def read_donaldson_matrix(path: Path) -> DonaldsonMatrix:
         )
     except ValidationError as error:
         raise CurveError(f"{path}: {_first_message(error)}") from None
+
+
+def _require_reflectance(path: Path, emission_nm: Floats, diagonal: Floats) -> None:
+    """Refuse a matrix whose diagonal returns more light than matter does, unless the file says that it is meant."""
+    largest = float(np.nanmax(diagonal, initial=0.0))
+    if largest <= LARGEST_REFLECTANCE or ALLOW_REFLECTANCE in read_text(path, "a CSV file", CurveError):
+        return
+    at_nm = float(emission_nm[int(np.nanargmax(diagonal))])
+    raise CurveError(
+        f"{path}: the reflectance (diagonal) is {largest:.4g} at {at_nm:g} nm; {LARGEST_REFLECTANCE:g} is the most "
+        f"allowed: divide by 100 if the matrix is in per cent, or add the line '{ALLOW_REFLECTANCE}' if it is meant"
+    )
 
 
 def _even_step_nm(path: Path, emission_nm: Floats) -> float:

@@ -143,3 +143,13 @@ def test_measured_matrix_keeps_the_published_values(shared_data):
 def test_measured_camera_response(shared_data):
     red, green, blue = read_camera_response(shared_data / "spectra/cameras/ov5647.csv")
     assert [c.wavelength_nm[c.values.argmax()] for c in (red, green, blue)] == [604.0, 541.0, 460.0]
+
+
+def test_a_matrix_in_per_cent_is_refused_unless_it_is_meant(tmp_path):
+    path = tmp_path / "paint.csv"
+    rows = "emission_nm,450,460\n450,79,0\n460,3,81\n"
+    path.write_text(rows)
+    with pytest.raises(CurveError, match=r"paint\.csv: the reflectance \(diagonal\) is 81 at 460 nm; .* in per cent"):
+        read_donaldson_matrix(path)
+    path.write_text("# allow: reflectance above 1.2\n" + rows)
+    assert read_donaldson_matrix(path).reflectance.values.max() == 81.0

@@ -1,0 +1,1 @@
+"""Mutated files of every kind through the readers, as the command line runs them."""
