@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 OTHERS := .venv-others
 
 .PHONY: demo test test-rigs lint check-types contracts pytest schemas lock llvm rig-programs clean \
-        bench bench-fit bench-compare bench-optics bench-mechanics
+        bench bench-fit bench-compare bench-optics bench-mechanics bench-fuzz
 
 demo: $(VENV)/installed llvm
 	@$(BIN)/finray demo || { status=$$?; echo "If this machine may be the cause: $(BIN)/finray doctor"; exit $$status; }
@@ -72,6 +72,10 @@ bench-optics: $(VENV)/installed-bench llvm
 	-$(BIN)/python benchmarks/whole_image_time.py --out bench-out/whole-image.json
 	-$(PYTEST_BENCH) benchmarks/test_recoloured_render.py
 	-$(BIN)/python benchmarks/table.py bench-out
+
+# Some 5,000 mutated files through every reader; hours on a busy machine. Stopped, it goes on where it was.
+bench-fuzz: $(VENV)/installed-dev
+	$(BIN)/python benchmarks/fuzz_readers.py --out bench-out/fuzz-readers.jsonl
 
 bench-mechanics: $(VENV)/installed-bench
 	-$(BIN)/python benchmarks/mechanics_engines.py --out bench-out/mechanics-engines.json

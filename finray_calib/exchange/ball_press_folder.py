@@ -19,6 +19,7 @@ BACKGROUNDS: Final = ("background.png", "background.jpg", "background.jpeg")
 CATALOG: Final = "catalog.csv"
 CIRCLES: Final = "circles.csv"
 LARGEST_PIXEL_MM: Final = 1.0
+MOST_PRESSES: Final = 2000
 
 _FOLDER, _DIAMETER = "experiment_reldir", "diameter(mm)"
 _CIRCLE_COLUMNS = ("image", "column_px", "row_px", "radius_px")
@@ -127,6 +128,10 @@ def _rows(path: Path, needed: tuple[str, ...]) -> list[tuple[int, dict[str, str]
     """Return (line, values by column) of a CSV file."""
     columns, cells = read_csv(path, "a CSV file", ImportFormatError, skip_space=True)
     rows = [(line, dict(zip_longest(columns, row[: len(columns)], fillvalue=""))) for line, row in cells]
+    if len(rows) > MOST_PRESSES:
+        raise ImportFormatError(
+            f"{path}: lists {len(rows)} presses; at most {MOST_PRESSES} are read: give a part of it"
+        )
     missing = [name for name in needed if name not in columns]
     if missing:
         raise ImportFormatError(

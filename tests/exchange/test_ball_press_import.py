@@ -269,6 +269,7 @@ def test_what_is_missing_or_disagrees_is_refused(tmp_path):
         ("a.png,1,2,0", "line 2: radius_px = 0 must be above 0"),
         ("a.png,1,2,3\na.png,1,2,3", "line 3: a.png has a circle already"),
         ('a.png,1,2,3\n"b.png,1,2,3', "line 3: cannot be read as CSV"),
+        ("a.png,1,2,3\n" * 2001, "lists 2001 presses; at most 2000 are read"),
         ("a" * 140_000 + ",1,2,3", r"line 2: cannot be read as CSV \(field larger than field limit"),
     ],
 )

@@ -103,3 +103,10 @@ def test_increments_that_converged(tmp_path):
     found = read_convergence(path)
     assert found.iterations.tolist() == [12, 5]
     np.testing.assert_allclose(found.times, [0.333333, 0.5])
+
+
+def test_totals_of_uneven_length_are_refused(tmp_path):
+    path = tmp_path / "x.dat"
+    path.write_text(DAT.replace("-4.236760E+00 -7.895768E-02", "-4.236760E+00"))
+    with pytest.raises(ImportFormatError, match="totals of force of INDENTER have not the same number of values"):
+        read_totals(path)

@@ -238,3 +238,12 @@ def test_torn_files_give_an_error_that_names_them_or_are_whole(tmp_path, cut, ju
     except FinrayError as error:
         message = str(error)
     assert "torn.yaml" in message
+
+
+@pytest.mark.parametrize("brackets", [1_000, 100_000])
+@pytest.mark.parametrize("start", ["camera_matrix: ", "%YAML:1.0\n---\ncamera_matrix: ", '{"camera_matrix": '])
+def test_deep_nesting_is_refused_and_no_process_dies_of_it(tmp_path, brackets, start):
+    path = tmp_path / "lens.yaml"
+    path.write_text(start + "[" * brackets)
+    with pytest.raises(ImportFormatError, match=r"lens\.yaml: "):
+        read_calibration(path)

@@ -134,6 +134,9 @@ def read_totals(path: Path) -> Mapping[tuple[str, str], FloatArray]:
         raise ImportFormatError(
             f"{path}: no totals of sets in it; *NODE PRINT and *EL PRINT with TOTALS=ONLY write them"
         )
+    uneven = next((key for key, rows in found.items() if len({len(row) for row in rows}) > 1), None)
+    if uneven is not None:
+        raise ImportFormatError(f"{path}: the totals of {' of '.join(uneven)} have not the same number of values each")
     return {key: np.array(rows) for key, rows in found.items()}
 
 
