@@ -1,6 +1,7 @@
 """Run the command line in this process and look at the files it reads and writes."""
 
 import json
+import math
 import os
 import re
 import shlex
@@ -13,6 +14,7 @@ from typing import Any
 from unittest.mock import patch
 
 from data_schemas.whole_files import sha256_of
+from finray_calib.cli import options
 from finray_calib.cli.main import main
 from tests.schemas.stored_files import seal_again
 
@@ -32,7 +34,9 @@ def finray(arguments: str) -> Outcome:
     """Run ``finray ARGUMENTS`` as a shell would split them."""
     out, err = StringIO(), StringIO()
     words = shlex.split(arguments)
-    with patch.object(sys, "argv", ["finray", *words]), redirect_stdout(out), redirect_stderr(err):
+    # How far a command is, it tells now and then by the clock: on a busy machine more often.
+    silent = patch.object(options, "LOG_INTERVAL_S", math.inf)
+    with silent, patch.object(sys, "argv", ["finray", *words]), redirect_stdout(out), redirect_stderr(err):
         try:
             status = main()
         except SystemExit as stop:  # how argparse ends
