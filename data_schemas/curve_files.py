@@ -23,6 +23,10 @@ CAMERA_COLUMNS = ["wavelength_nm", "red_percent", "green_percent", "blue_percent
 FILTER_COLUMNS = ["wavelength_nm", "transmission"]
 CHANNELS = ("red", "green", "blue")
 FIRST_STOKES_NM = 15.0
+LARGEST_CHANNEL_RATIO = 30.0
+# A column holds all light that one excitation wavelength makes: at most what falls in, with a fifth for noise and for
+# the geometry, in which a glossy sample looks brighter than a white one.
+LARGEST_ENERGY_OUT = 1.2
 # Decimal wavelengths are read with rounding errors; a real difference of steps is far larger.
 STEP_TOLERANCE_NM = 1e-6
 LARGEST_REFLECTANCE = 1.2
@@ -64,6 +68,16 @@ def read_camera_response(path: Path) -> tuple[SpectralCurve, SpectralCurve, Spec
         raise CurveError(f"{path}: a camera response must not be negative (percent of full scale, 0 or more)")
     if not (table[:, 1:] > 0).any(axis=0).all():
         raise CurveError(f"{path}: a channel of the camera response is zero everywhere")
+    peaks = table[:, 1:].max(axis=0)
+    if (
+        peaks.max() > LARGEST_CHANNEL_RATIO * np.sort(peaks)[1]
+        or peaks.min() * LARGEST_CHANNEL_RATIO < np.sort(peaks)[1]
+    ):
+        told = ", ".join(f"{name} {peak:g} %" for name, peak in zip(CHANNELS, peaks, strict=True))
+        raise CurveError(
+            f"{path}: the channels peak at {told}; one is more than {LARGEST_CHANNEL_RATIO:g} times the others or less "
+            "than that part of them, which no colour camera is: give all three in per cent of one full scale"
+        )
     red, green, blue = (_curve(path, name, table[:, 0], table[:, i + 1] / 100) for i, name in enumerate(CHANNELS))
     return red, green, blue
 
@@ -140,6 +154,7 @@ def read_donaldson_matrix(path: Path) -> DonaldsonMatrix:
         diagonal = np.array([_diagonal(emission, excitation, values, e) for e in emission])
         _require_reflectance(path, emission, diagonal)
         known = np.isfinite(diagonal)
+        _require_energy(path, excitation, np.where(stokes_nm >= FIRST_STOKES_NM, values, 0.0), emission, diagonal)
         return DonaldsonMatrix(
             name=path.stem,
             emission_nm=emission,
@@ -167,6 +182,19 @@ def _require_reflectance(path: Path, emission_nm: Floats, diagonal: Floats) -> N
         f"{path}: the reflectance (diagonal) is {largest:.4g} at {at_nm:g} nm; {LARGEST_REFLECTANCE:g} is the most "
         f"allowed: divide by 100 if the matrix is in per cent, or add the line '{ALLOW_REFLECTANCE}' if it is meant"
     )
+
+
+def _require_energy(path: Path, excitation_nm: Floats, emitted: Floats, emission_nm: Floats, diagonal: Floats) -> None:
+    """Refuse a matrix that sends out more light than falls in; `diagonal` is its reflectance at the emission axis."""
+    reflected = np.interp(excitation_nm, emission_nm, np.nan_to_num(diagonal), left=0.0, right=0.0)
+    out = emitted.sum(axis=0) + np.maximum(reflected, 0.0)
+    worst = int(out.argmax())
+    if out[worst] > LARGEST_ENERGY_OUT:
+        raise CurveError(
+            f"{path}: of light at {excitation_nm[worst]:g} nm it sends out {out[worst]:.3g} times what falls in "
+            f"({emitted.sum(axis=0)[worst]:.3g} by fluorescence); at most {LARGEST_ENERGY_OUT:g} is allowed, 1 and a "
+            "fifth for noise: entries are fractions per emission band; divide by 100 if they are in per cent"
+        )
 
 
 def _even_step_nm(path: Path, emission_nm: Floats) -> float:

@@ -17,6 +17,7 @@ NO_SPECTRUM = (
     "'finray fit' found no emission in this sample, so there is no spectrum to simulate, map, compare or export. Give "
     "the fit of a fluorescent paint; if this should be one, look at its limit and at the laser, and measure it again"
 )
+_WHOLE_FROM_SD = 10.0
 EmissionVerdict = Literal["emission measured", "no emission"]
 
 
@@ -46,8 +47,9 @@ class EmissionDetection(Model):
     @property
     def statement(self) -> str:
         """The verdict as one sentence."""
+        size = f"{self.statistic_sd:.0f}" if self.statistic_sd >= _WHOLE_FROM_SD else f"{self.statistic_sd:.1f}"
         beyond = (
-            f"beyond reflected laser, leak and stray light the signal is {self.statistic_sd:.2g} standard deviations, "
+            f"beyond reflected laser, leak and stray light the signal is {size} standard deviations, "
             f"threshold {self.threshold_sd:.2g}"
         )
         if self.yield_limit is None:

@@ -19,6 +19,10 @@ from data_schemas.units import AngleDeg, EnergyJ
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Flag = Literal["ok", "weak", "saturated"]
+ASYMMETRY = 1e-6
+"""Of correlations: far above rounding, far below what a fit could feel."""
+LEAST_EIGENVALUE = 1e-9
+"""Of correlations. What all values share is some per cent of them, and their own noise never a millionth of that."""
 
 
 class Optics(Model):
@@ -119,6 +123,13 @@ class BandSignals(Record):
             raise ValueError(f"flags has {len(self.flags)} rows for {n} filters")
         return self
 
+    @model_validator(mode="after")
+    def _covariances_are_possible(self) -> "BandSignals":
+        kept = np.flatnonzero(self.usable().ravel())
+        for name in ("fluorescence_covariance", "reflectance_covariance"):
+            _require_covariance(name, getattr(self, name)[np.ix_(kept, kept)])
+        return self
+
     def usable(self) -> NDArray[np.bool_]:
         """Return the (filter, channel) mask of values the fitter may use."""
         return np.array([[flag == "ok" for flag in row] for row in self.flags])
@@ -126,6 +137,29 @@ class BandSignals(Record):
     def at_excitation(self) -> NDArray[np.bool_]:
         """Return the (filter,) mask of the filter at the laser line, which shows reflected laser light."""
         return np.array([band.name == self.optics.excitation_filter for band in self.optics.filters])
+
+
+def _require_covariance(name: str, covariance: Floats) -> None:
+    """Refuse a covariance of usable values that no measurement can have: zero, not finite, or not positive definite."""
+    variance = np.diagonal(covariance)
+    if not np.isfinite(covariance).all():
+        raise ValueError(f"{name} holds values that are not finite; every usable value needs its variance")
+    if not (variance > 0).all():
+        raise ValueError(
+            f"{name} has a variance of {variance.min():g} for a usable value; every usable value has noise: state its "
+            "variance (photon and read noise at least), or flag the value as weak"
+        )
+    sd = np.sqrt(variance)
+    correlation = covariance / np.outer(sd, sd)
+    if np.abs(correlation - correlation.T).max(initial=0.0) > ASYMMETRY:
+        raise ValueError(f"{name} is not symmetric: give C_ij and C_ji alike")
+    least = float(np.linalg.eigvalsh((correlation + correlation.T) / 2).min(initial=1.0))
+    if least < LEAST_EIGENVALUE:
+        raise ValueError(
+            f"{name} is not positive definite over the usable values (least eigenvalue of the correlations "
+            f"{least:.2g}, at least {LEAST_EIGENVALUE:g} is allowed): some combination of values would have no noise; "
+            "give every value a variance of its own"
+        )
 
 
 class PixelSignals(Record):

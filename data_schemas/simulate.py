@@ -1,5 +1,6 @@
 """What the simulation writes: a rendered press, or a sweep of the light angle."""
 
+from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -177,6 +178,26 @@ class AngleConstraints(Model):
     def _lengths_agree(self) -> "AngleConstraints":
         check_dimensions(self, {"in_the_way": "angle"})
         return self
+
+
+NARROWEST_SWEEP_DEG = 4.0
+_STEPS_OF_A_PAIR = 2
+
+
+def look_like_radians(angles_deg: Sequence[float] | Floats) -> bool:
+    """Return whether angles span less than 4 deg in more than two steps, as a sweep given in radians does."""
+    angles = np.asarray(angles_deg, dtype=np.float64)
+    return len(angles) > _STEPS_OF_A_PAIR + 1 and float(np.ptp(angles)) < NARROWEST_SWEEP_DEG
+
+
+def narrow_sweep_text(angles_deg: Sequence[float] | Floats) -> str:
+    """Say why a narrow sweep is refused, and how to have it all the same."""
+    first, last = float(np.min(angles_deg)), float(np.max(angles_deg))
+    return (
+        f"{len(angles_deg)} angles of the light from {first:g} to {last:g} deg span less than {NARROWEST_SWEEP_DEG:g} "
+        f"deg: in radians that would be {np.degrees(first):.0f} to {np.degrees(last):.0f} deg. Give the angles in "
+        "degrees, or --narrow-sweep if they are meant so"
+    )
 
 
 class LightAngleSweep(Record):

@@ -33,6 +33,9 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         "--photometric-error", type=Path, action="append", default=[], metavar="REPORT", dest="reports",
         help="record written by 'finray compare', once for each capture; best at several light angles",
     )  # fmt: skip
+    parser.add_argument(
+        "--narrow-sweep", action="store_true", help="the sweep's angles span less than 4 deg and are not radians"
+    )
     add_out(parser, "light-angle-decision.json")
     add_seed(parser)
     parser.set_defaults(run=run)
@@ -55,7 +58,7 @@ def run(arguments: argparse.Namespace) -> None:
     sweep = read_record(arguments.sweep, LightAngleSweep)
     reports = [read_record(path, PhotometricErrorReport) for path in arguments.reports]
     with naming(DecideError, *paths):
-        decision = decide(sweep, reports, arguments.seed)
+        decision = decide(sweep, reports, arguments.seed, arguments.narrow_sweep)
     inputs = input_digests(paths)
     with ProductSet(out) as products:
         products.add(page, decision_page(decision, sweep, command_line(), inputs).encode())

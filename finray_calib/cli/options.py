@@ -6,7 +6,7 @@ import re
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -85,6 +85,34 @@ def paint_files(arguments: argparse.Namespace, without: str = "", dest: str = "p
     if len(files) == 1 and without:
         raise SimulateError(f"--paint: give both red=FILE and green=FILE, or neither for {without}")
     return files
+
+
+def add_paints_as_given(parser: argparse._ActionsContainer) -> None:
+    """Add the option that accepts paints which :func:`refuse_swapped_paints` takes to be swapped."""
+    parser.add_argument(
+        "--paints-as-given", action="store_true",
+        help="the paint of the red wall emits at shorter wavelengths than that of the green one, and is meant so",
+    )  # fmt: skip
+
+
+def refuse_swapped_paints(
+    modes_nm: Mapping[str, float], files: Mapping[str, Path], arguments: argparse.Namespace
+) -> None:
+    """Refuse a red paint whose emission has its mode below the green one's, unless the paints are meant so.
+
+    Raises
+    ------
+    SimulateError
+        The files of the two colours look swapped.
+    """
+    if len(modes_nm) < len(("red", "green")) or arguments.paints_as_given:
+        return
+    red_nm, green_nm = modes_nm["red"], modes_nm["green"]
+    if red_nm < green_nm:
+        raise SimulateError(
+            f"--paint: red={files['red']} emits most at {red_nm:.0f} nm, below green={files['green']} at "
+            f"{green_nm:.0f} nm: the two look swapped. Exchange them, or give --paints-as-given if they are meant so"
+        )
 
 
 def open_engine(preference: "Preference") -> "ModuleType":

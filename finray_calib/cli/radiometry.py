@@ -27,6 +27,11 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         action="store_true",
         help="also write PAINT.pixels.json: every pixel of the region behind each filter",
     )
+    parser.add_argument(
+        "--accept-repeat",
+        action="store_true",
+        help="take a filter and its own repeat that disagree for one fading sample",
+    )
     parser.add_argument("--whole-frame", action="store_true", help="with --pixels: every pixel of the frame")
     parser.set_defaults(run=run)
 
@@ -41,7 +46,10 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.whole_frame and not arguments.pixels:
         raise RadiometryError("--whole-frame: says how far the map of --pixels reaches; give --pixels too")
     if session_kind(arguments.session) == "paint":
-        reduce_paint(arguments.session, arguments.out, arguments.camera, arguments.pixels, arguments.whole_frame)
+        reduce_paint(
+            arguments.session, arguments.out, arguments.camera, arguments.pixels, arguments.whole_frame,
+            arguments.accept_repeat,
+        )  # fmt: skip
         return
     if arguments.camera is not None or arguments.pixels:
         raise RadiometryError(f"{arguments.session}: is a camera session; --camera and --pixels are for paint sessions")

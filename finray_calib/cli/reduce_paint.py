@@ -17,7 +17,9 @@ from rigs.capture.read_session import read_frame_of, read_session
 from rigs.capture.session_folder import SESSION_NAME
 
 
-def reduce_paint(folder: Path, out: Path | None, camera: Path | None, pixels: bool, whole_frame: bool) -> None:
+def reduce_paint(
+    folder: Path, out: Path | None, camera: Path | None, pixels: bool, whole_frame: bool, accept_repeat: bool = False
+) -> None:
     """Write the band signals of a paint session and, if asked for, the map of its pixels.
 
     Parameters
@@ -30,6 +32,8 @@ def reduce_paint(folder: Path, out: Path | None, camera: Path | None, pixels: bo
         Characterisation of the camera whose gain, read noise and black level are used, if any.
     pixels, whole_frame
         Whether to write the map of the region's pixels, and whether it covers the whole frame.
+    accept_repeat
+        Whether a filter and its own repeat may disagree.
     """
     session = _with_camera(read_session(folder), camera)
     out = require_new(out or Path(f"{file_name(session.plan.paint_name)}.bands.json"))
@@ -39,7 +43,7 @@ def reduce_paint(folder: Path, out: Path | None, camera: Path | None, pixels: bo
     origin = provenance(command_line(), input_digests(inputs))
     with progress_bar("radiometry"), naming(RadiometryError, folder):
         steps = session_steps(session, lambda frame: read_frame_of(folder, frame))
-        bands = bands_of_steps(session, steps)
+        bands = bands_of_steps(session, steps, accept_repeat)
         if map_out is not None:
             mapped = pixel_signals(session, lambda frame: read_frame_of(folder, frame), steps, bands, whole_frame)
     with ProductSet(out) as products:

@@ -11,6 +11,7 @@ from finray_calib.cli.options import (
     Progress,
     add_out,
     add_paint,
+    add_paints_as_given,
     add_seed,
     command_line,
     design_inputs,
@@ -19,6 +20,7 @@ from finray_calib.cli.options import (
     open_engine,
     paint_files,
     progress_bar,
+    refuse_swapped_paints,
     require_new,
     say,
 )
@@ -62,6 +64,10 @@ def add_parser(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     )  # fmt: skip
     add_mechanics_options(parser)
     parser.add_argument("--angles", type=_angles, metavar="FIRST:LAST:STEP", help="light angles in deg, e.g. 0:120:10")
+    parser.add_argument(
+        "--narrow-sweep", action="store_true", help="with --angles: they span less than 4 deg and are not radians"
+    )
+    add_paints_as_given(parser)
     parser.add_argument(
         "--objectives", choices=["intensity", "all"], default="intensity",
         help="with --angles: only the brightness beside the indenter (default), or also how well surface normals are "
@@ -136,8 +142,9 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _require_one_kind(arguments: argparse.Namespace) -> None:
-    """Refuse options of a press and of a sweep that do not go together."""
+    """Refuse options of a press and of a sweep that do not go together, and angles that look like radians."""
     from data_schemas.errors import SimulateError
+    from data_schemas.simulate import look_like_radians, narrow_sweep_text
 
     if arguments.angles is not None and arguments.level != "b":
         raise SimulateError(
@@ -148,6 +155,8 @@ def _require_one_kind(arguments: argparse.Namespace) -> None:
         raise SimulateError("--objectives are those of a sweep; add --angles FIRST:LAST:STEP, or leave it out")
     if arguments.denoise and arguments.only != "optics":
         raise SimulateError("--denoise makes pictures, which --only optics writes; add --only optics or leave it out")
+    if arguments.angles is not None and not arguments.narrow_sweep and look_like_radians(arguments.angles):
+        raise SimulateError(f"--angles: {narrow_sweep_text(arguments.angles)}")
     if arguments.only == "optics" and arguments.angles is not None:
         raise SimulateError("--angles writes no images; leave out --only optics, or --angles")
     if arguments.pose_response and (arguments.angles is not None or arguments.surfaces is not None):
@@ -198,6 +207,7 @@ def _scene(arguments: argparse.Namespace, design: "FingerDesign") -> _Scene:
 
     files = paint_files(arguments)
     calibrations = {colour: read_record(path, PaintCalibration) for colour, path in files.items()}
+    refuse_swapped_paints({c: p.parameters["mode_nm"].estimate for c, p in calibrations.items()}, files, arguments)
     digests = {colour: digest_of_input(path) for colour, path in files.items()}
     meshes = [] if arguments.surfaces is None else [arguments.surfaces]
     shapes = None

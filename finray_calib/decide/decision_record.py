@@ -21,7 +21,9 @@ _BAND_QUANTILE = 1.959964
 _ERROR_CURVE = "a random curve over the angle, with kinks or without, with a correlation length between 8 and 120 deg"
 
 
-def decide(sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport], seed: int) -> LightAngleDecision:
+def decide(
+    sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport], seed: int, narrow_sweep: bool = False
+) -> LightAngleDecision:
     """Decide on the light angle; reports on captures correct the simulated curve and widen the decision.
 
     Parameters
@@ -33,6 +35,8 @@ def decide(sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport], se
         Without any, the sim-to-real error has its prior and the decision is not validated.
     seed
         Seed of the posterior draws.
+    narrow_sweep
+        Whether angles that span less than 4 deg are meant so.
 
     Raises
     ------
@@ -44,7 +48,9 @@ def decide(sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport], se
     captures, left_out = capture_errors(sweep, reports)
     rng = np.random.default_rng(seed)
     allowed = None if sweep.constraints is None else sweep.constraints.allowed
-    decision = decide_angle(sweep.angles_deg, sweep.values, rng, TOLERANCE_REL, captures, allowed)
+    decision = decide_angle(
+        sweep.angles_deg, sweep.values, rng, TOLERANCE_REL, captures, allowed, narrow_sweep=narrow_sweep
+    )
     others = other_optima(sweep, decision.best_deg, TOLERANCE_REL, rng)
     next_render, next_capture = propose_render(decision), propose_capture(decision, captures)
     low_rel, discrepancy_rel, high_rel = decision.discrepancy.amplitude_quantiles_rel

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import DecideError
+from data_schemas.simulate import look_like_radians, narrow_sweep_text
 from finray_calib.decide.angle_risk import AngleRisk, Verdict, angle_risk, verdict_of
 from finray_calib.decide.capture_errors import NO_CAPTURES, CaptureErrors
 from finray_calib.decide.discrepancy import Discrepancy, discrepancy_posterior
@@ -96,6 +97,7 @@ def decide_angle(
     captures: CaptureErrors = NO_CAPTURES,
     allowed: NDArray[np.bool_] | None = None,
     draws: int = 4000,
+    narrow_sweep: bool = False,
 ) -> AngleDecision:
     """Decide on the angle that maximises an objective.
 
@@ -126,6 +128,8 @@ def decide_angle(
         Angles that meet the constraints; between two angles both must.
     draws : int
         Joint curve draws.
+    narrow_sweep : bool
+        Whether angles that span less than 4 deg in more than two steps are meant so, and are not radians.
 
     Returns
     -------
@@ -134,11 +138,13 @@ def decide_angle(
     Raises
     ------
     DecideError
-        If the sweep has too few angles or repeats, unsorted angles, values that are not positive numbers, no
-        allowed angle, or the tolerance is out of range.
+        If the sweep has too few angles or repeats, unsorted angles, angles that look like radians, values that are not
+        positive numbers, no allowed angle, or the tolerance is out of range.
     """
     angles, table = np.asarray(angles_deg, dtype=np.float64), np.asarray(values, dtype=np.float64)
     _check(angles, table, tolerance_rel)
+    if look_like_radians(angles) and not narrow_sweep:
+        raise DecideError(narrow_sweep_text(angles))
     simulated = _simulated_curve(angles, table)
     curve = simulated.posterior
     slope = np.interp(captures.angles_deg, curve.grid_deg, simulated.log_slope_per_deg)

@@ -8,6 +8,7 @@ from threadpoolctl import threadpool_limits
 
 from data_schemas.colour_checker import ColourCheckerMatch
 from data_schemas.emission_detection import EmissionDetection, PaintWithoutEmission
+from data_schemas.errors import FitError
 from data_schemas.estimate import Estimate
 from data_schemas.fit import PaintCalibration
 from data_schemas.radiometry import BandSignals
@@ -59,8 +60,8 @@ def calibrate_paint(
     Raises
     ------
     FitError
-        Fewer than four usable bands, values that are not numbers, an unknown family, or another light of another
-        paint, at the same wavelength, or too dim to constrain the absorption.
+        Fewer than four usable bands, values that are not numbers, more light than the laser's, an unknown family, or
+        another light of another paint, at the same wavelength, or too dim to constrain the absorption.
     """
     options = options or FitOptions()
     if options.family is not None:
@@ -110,6 +111,8 @@ def _calibrate(
     """Return the calibration record."""
     fits = fit_families(data, options, PAPER_FAMILY, rng)
     posterior = fits.posterior
+    energy_yield = records.estimate(posterior.quantities.energy_yield)
+    _require_energy(energy_yield, bands)
     independent = options.check_by_emcee and posterior.sampling.chain is None
     check = check_by_chain(posterior, options.settings.chain, rng) if independent else None
     at_laser = records.estimate(posterior.reflectance_at_laser)
@@ -136,6 +139,16 @@ def _calibrate(
             *matrix_warnings(bands, drawn, reflected, reradiation),
         ),
     )
+
+
+def _require_energy(energy_yield: Estimate, bands: BandSignals) -> None:
+    """Refuse a paint that emits more light than the laser brings."""
+    if energy_yield.low95 > 1.0:
+        raise FitError(
+            f"'{bands.paint_name}' would emit {energy_yield.estimate:.3g} times the energy of the laser (95 %: at "
+            f"least {energy_yield.low95:.3g}), and no paint emits more than falls on it: check the white reference "
+            "under the laser (its level is too low), and that no band signals are in per cent"
+        )
 
 
 def _family_fields(fits: FamilyFits, options: FitOptions) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from data_schemas.capture import CaptureSession
 from data_schemas.radiometry import BandSignals, Flag, Optics
-from finray_calib.radiometry.bleaching import BleachingTrend, bleaching_note, bleaching_trend
+from finray_calib.radiometry.bleaching import BleachingTrend, bleaching_note, bleaching_trend, refuse_other_repeat
 from finray_calib.radiometry.dark_levels import ReadFrame
 from finray_calib.radiometry.diffuse_test import tilt_note, tilt_ratios
 from finray_calib.radiometry.laser_level import channel_weights, laser_level, positive
@@ -64,21 +64,31 @@ def band_signals(session: CaptureSession, read: ReadFrame) -> BandSignals:
     Raises
     ------
     RadiometryError
-        A step, a dark frame or a whole band is missing or saturated, or the region is empty.
+        A step, a dark frame or a whole band is missing or saturated, the region is empty, or a filter and its own
+        repeat disagree.
     """
     return bands_of_steps(session, session_steps(session, read))
 
 
-def bands_of_steps(session: CaptureSession, steps: SessionSteps) -> BandSignals:
+def bands_of_steps(session: CaptureSession, steps: SessionSteps, accept_repeat: bool = False) -> BandSignals:
     """Return the band signals of a session whose steps are merged already (:func:`session_steps`).
+
+    Parameters
+    ----------
+    session, steps
+        A finished paint session and its merged steps.
+    accept_repeat
+        Whether a repeat that disagrees with its filter as no fading does is taken all the same.
 
     Raises
     ------
     RadiometryError
-        No channel sees the laser on the white reference.
+        No channel sees the laser on the white reference, or a filter and its own repeat disagree.
     """
     weights = channel_weights(steps)
     trend = bleaching_trend(steps)
+    if trend is not None and not accept_repeat:
+        refuse_other_repeat(trend, steps)
     y = _fluorescence(steps, weights, trend, session.rig.white_reference.uncertainty_rel)
     rho = _reflectance(steps, session)
     cells = whole_cells(session.plan.region)

@@ -14,12 +14,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from data_schemas.errors import RadiometryError
 from data_schemas.radiometry import Bleaching
 from finray_calib.radiometry.session_steps import SessionSteps
 from finray_calib.radiometry.signal_covariance import signal_covariance
 
 Floats = NDArray[np.float64]
 RESOLVED_SD = 3.0
+DISAGREEING_SD = 6.0
+"""A filter and its own repeat that differ by more than this, and not as fading does, were not of one sample."""
+LARGEST_FADING = 0.3
+"""A paint that loses more between the first laser filter and the last is no sample to take a spectrum from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +94,46 @@ def bleaching_trend(steps: SessionSteps) -> BleachingTrend | None:
         filter_index=index,
         dose_j=dose_j,
         log_weight=weight,
+    )
+
+
+def refuse_other_repeat(trend: BleachingTrend, steps: SessionSteps) -> None:
+    """Refuse a repeat that differs from its filter's first frames by more than six standard deviations, but by fading.
+
+    Fading dims, by at most 30 % here, and all channels of a filter alike. What brightens, dims one channel, or dims by
+    more is a sample that moved, a light that drifted, or a frame of something else.
+
+    Raises
+    ------
+    RadiometryError
+        The repeat disagrees.
+    """
+    record, repeat = trend.record, steps.repeat
+    if repeat is None:
+        return
+    first = steps.fluorescence[trend.filter_index]
+    f, r = first.signal_dn_per_s, repeat.signal_dn_per_s
+    good = (f > 0) & (r > 0)
+    ratio = np.log(np.where(good, r, 1.0) / np.where(good, f, 1.0))
+    span_j = repeat.dose_j - first.dose_j
+    slope = np.concatenate([np.diag(-1 / np.where(good, f, 1.0)), np.diag(1 / np.where(good, r, 1.0))], axis=1)
+    covariance = slope @ signal_covariance((first, repeat), steps.darks, steps.repeatability_rel) @ slope.T
+    apart_sd = np.where(good, np.abs(ratio + record.loss_per_j * span_j) / np.sqrt(np.diag(covariance)), 0.0)
+    z = record.loss_per_j / record.sd_per_j
+    faded = -float(np.expm1(-record.loss_per_j * record.dose_span_j))
+    if z < -DISAGREEING_SD:
+        why = f"the repeat is {-z:.0f} standard deviations brighter ({-faded:.1%}), and no light brightens a paint"
+    elif apart_sd.max() > DISAGREEING_SD:
+        why = (
+            f"its channels changed differently, by {apart_sd.max():.0f} standard deviations, and fading dims all alike"
+        )
+    elif z > DISAGREEING_SD and faded > LARGEST_FADING:
+        why = f"the repeat is {z:.0f} standard deviations and {faded:.0%} dimmer; at most {LARGEST_FADING:.0%} fades"
+    else:
+        return
+    raise RadiometryError(
+        f"filter {record.filter_name} and its own repeat disagree: {why}. Did sample, region or laser change during "
+        "the session? Capture again, or give --accept-repeat to take the difference for fading"
     )
 
 

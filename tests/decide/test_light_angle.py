@@ -213,6 +213,18 @@ def test_a_sweep_that_allows_no_decision_is_refused(angles, values, message):
         decide(values, angles=np.array(angles, float))
 
 
+def test_angles_in_radians_are_refused():
+    """0 to 90 deg, written in radians: a best angle of 1 deg was decided with a probability of 1.00."""
+    values = sweep(PEAK, np.random.default_rng(10), noise=0.01, repeats=2)
+    with pytest.raises(
+        DecideError, match=r"10 angles of the light from 0 to 1\.5708 deg span less than 4 deg: in radians"
+    ):
+        decide(values, angles=np.radians(SWEEP_DEG))
+    narrow = decide(values, angles=30 + SWEEP_DEG / 30, narrow_sweep=True)
+    assert 30 <= narrow.best_deg <= 33
+    assert decide(values, angles=30 + SWEEP_DEG * 4.1 / 90).best_deg <= 34.1
+
+
 def test_settings_out_of_range_are_refused():
     values = sweep(PEAK, np.random.default_rng(10), noise=0.01, repeats=2)
     with pytest.raises(DecideError, match=r"tolerance must be a relative loss between 0 and 1, got 2"):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from finray_calib.radiometry.band_signals import band_signals
+from data_schemas.errors import RadiometryError
+from finray_calib.radiometry.band_signals import band_signals, bands_of_steps
 from finray_calib.radiometry.bleaching import bleaching_trend
 from finray_calib.radiometry.session_steps import session_steps
 from tests.radiometry.sessions import FILTERS, SIGNALS, TILT_DEG, exact_white, expected, synthetic_session
@@ -92,6 +93,23 @@ def test_repeat_that_says_nothing_is_ignored(case):
 
     synthetic = synthetic_session(np.random.default_rng(1), extra=REPEAT, change=change)
     assert band_signals(synthetic.session, synthetic.read).bleaching is None
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (np.array([1.3, 1.3, 1.3]), r"repeat is \d+ standard deviations brighter \((29|30)\.\d%\)"),
+        (np.array([0.7, 1.0, 1.0]), r"its channels changed differently, by \d+ standard deviations"),
+        (np.array([0.5, 0.5, 0.5]), r"repeat is \d+ standard deviations and 50% dimmer"),
+    ],
+)
+def test_a_repeat_that_no_fading_explains_is_refused(change, message):
+    other = [("fluorescence repeat", "600", EMISSION * change)]
+    synthetic = synthetic_session(np.random.default_rng(4), extra=other)
+    with pytest.raises(RadiometryError, match=rf"filter 600 and its own repeat disagree: .*{message}.*--accept-repeat"):
+        band_signals(synthetic.session, synthetic.read)
+    steps = session_steps(synthetic.session, synthetic.read)
+    assert bands_of_steps(synthetic.session, steps, accept_repeat=True).bleaching is not None
 
 
 @pytest.mark.parametrize(("factor", "diffuse"), [(1.0, True), (0.9, False)])

@@ -127,6 +127,32 @@ def test_bad_camera_response(tmp_path, text, message):
         read_camera_response(path)
 
 
+def test_a_matrix_that_makes_light_is_refused(tmp_path):
+    """A column sends out more than falls in: entries in per cent, or a yield above what energy allows."""
+    header = "emission_nm,450,460,470\n"
+    rows = [(450, 0.1, 0, 0), (460, 0, 0.1, 0), (470, 0.0, 0, 0.2), (480, 0.6, 0, 0), (490, 0.49, 0.3, 0)]
+    path = tmp_path / "paint.csv"
+    path.write_text(header + "".join(",".join(map(str, row)) + "\n" for row in rows))
+    assert read_donaldson_matrix(path).radiance_factor_per_nm.sum() * 10 == pytest.approx(1.39)
+    rows[-1] = (490, 0.61, 0.3, 0)
+    path.write_text(header + "".join(",".join(map(str, row)) + "\n" for row in rows))
+    with pytest.raises(CurveError, match=r"of light at 450 nm it sends out 1\.31 times what falls in \(1\.21 by"):
+        read_donaldson_matrix(path)
+
+
+def test_one_camera_channel_far_above_the_others_is_refused(tmp_path):
+    path, rows = tmp_path / "camera.csv", "wavelength_nm,red_percent,green_percent,blue_percent\n"
+    for factor, wrong in ((29, False), (31, True), (1 / 29, False), (1 / 31, True)):
+        path.write_text(rows + f"500,1,2,{2 * factor}\n600,2,1,1e-9\n")
+        if wrong:
+            with pytest.raises(
+                CurveError, match=r"channels peak at red 2 %, green 2 %, blue .* one is more than 30 times"
+            ):
+                read_camera_response(path)
+        else:
+            assert read_camera_response(path)[0].values.max() == 0.02
+
+
 @pytest.mark.shared_data
 def test_measured_matrix_keeps_the_published_values(shared_data):
     """Sanity values printed in the data's README: reflectance and strongest emission at 450 nm."""

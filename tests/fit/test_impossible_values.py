@@ -1,0 +1,77 @@
+"""What physics does not allow is refused, with the value, the rule and what to do."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from benchmarks.emission_detection import REFLECTANCES, Rig, bell
+from data_schemas.errors import FitError, SimulateError
+from data_schemas.radiometry import BandSignals
+from finray_calib.cli.main import build_parser
+from finray_calib.cli.options import refuse_swapped_paints
+from finray_calib.fit.fit_options import FitOptions
+from finray_calib.fit.paint_calibration import calibrate_paint
+
+
+@pytest.fixture(scope="module")
+def bands():
+    return Rig(1, 5.0).signals("orange", REFLECTANCES["black"], 0.2 * bell(600, 50), np.random.default_rng(8))
+
+
+def changed(bands, **update):
+    return BandSignals.model_validate(bands.model_dump() | update)
+
+
+@pytest.mark.parametrize("name", ["fluorescence_covariance", "reflectance_covariance"])
+@pytest.mark.parametrize(
+    ("poison", "message"),
+    [
+        (lambda c: 0 * c, r"has a variance of 0 for a usable value; .*flag the value as weak"),
+        (lambda c: -c, r"has a variance of -"),
+        (lambda c: np.where(np.eye(24) > 0, np.nan, c), r"must be finite|not finite"),
+        (lambda c: np.where(np.eye(24) > 0, np.inf, c), r"must be finite|not finite"),
+        (lambda c: np.sqrt(np.outer(np.diag(c), np.diag(c))), r"is not positive definite over the usable values"),
+        (lambda c: np.triu(c + 0.5 * np.sqrt(np.outer(np.diag(c), np.diag(c)))), r"is not symmetric"),
+    ],
+    ids=["zero", "negative", "nan", "infinite", "singular", "asymmetric"],
+)
+def test_a_covariance_that_no_measurement_has_is_refused(bands, name, poison, message):
+    with pytest.raises(ValidationError, match=message):
+        changed(bands, **{name: poison(getattr(bands, name))})
+
+
+def test_values_that_are_not_used_need_no_covariance(bands):
+    covariance = bands.fluorescence_covariance.copy()
+    lost = ~bands.usable().ravel()
+    assert lost.any()
+    covariance[lost], covariance[:, lost] = 0.0, 0.0
+    assert changed(bands, fluorescence_covariance=covariance).flags == bands.flags
+
+
+def test_a_paint_that_emits_more_than_falls_on_it_is_refused(bands):
+    """Band signals in per cent."""
+    emission = ~bands.at_excitation()[:, None] & np.ones(3, bool)
+    factor = np.where(emission, 100.0, 1.0)
+    bright = changed(
+        bands,
+        fluorescence=bands.fluorescence * factor,
+        fluorescence_covariance=bands.fluorescence_covariance * np.outer(factor, factor),
+    )
+    with pytest.raises(FitError, match=r"'orange' would emit \d+(\.\d+)? times the energy of the laser .*in per cent"):
+        calibrate_paint(bright, 1, FitOptions(family="log_normal_wavenumber"))
+
+
+def simulate(*more):
+    return build_parser().parse_args(["simulate", "finger.toml", *more])
+
+
+def test_swapped_paints_are_refused_unless_meant():
+    files = {"red": Path("a.json"), "green": Path("b.json")}
+    with pytest.raises(
+        SimulateError, match=r"red=a\.json emits most at 516 nm, below green=b\.json at 597 nm: .*swapped"
+    ):
+        refuse_swapped_paints({"red": 516.0, "green": 597.0}, files, simulate())
+    refuse_swapped_paints({"red": 516.0, "green": 597.0}, files, simulate("--paints-as-given"))
+    refuse_swapped_paints({"red": 597.0, "green": 516.0}, files, simulate())
