@@ -187,7 +187,9 @@ def _require_reflectance(path: Path, emission_nm: Floats, diagonal: Floats) -> N
 def _require_energy(path: Path, excitation_nm: Floats, emitted: Floats, emission_nm: Floats, diagonal: Floats) -> None:
     """Refuse a matrix that sends out more light than falls in; `diagonal` is its reflectance at the emission axis."""
     reflected = np.interp(excitation_nm, emission_nm, np.nan_to_num(diagonal), left=0.0, right=0.0)
-    out = emitted.sum(axis=0) + np.maximum(reflected, 0.0)
+    # more than this is allowed by the file itself: what sends light back to where it came from, whatever it emits
+    counted = np.where(reflected > LARGEST_REFLECTANCE, 0.0, np.maximum(reflected, 0.0))
+    out = emitted.sum(axis=0) + counted
     worst = int(out.argmax())
     if out[worst] > LARGEST_ENERGY_OUT:
         raise CurveError(

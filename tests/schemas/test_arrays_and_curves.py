@@ -177,5 +177,5 @@ def test_a_matrix_in_per_cent_is_refused_unless_it_is_meant(tmp_path):
     path.write_text(rows)
     with pytest.raises(CurveError, match=r"paint\.csv: the reflectance \(diagonal\) is 81 at 460 nm; .* in per cent"):
         read_donaldson_matrix(path)
-    path.write_text("# allow: reflectance above 1.2\n" + rows)
+    path.write_text("# allow: reflectance above 1.2\n" + rows.replace("460,3", "460,0.3"))
     assert read_donaldson_matrix(path).reflectance.values.max() == 81.0
