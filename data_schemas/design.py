@@ -6,7 +6,7 @@ The light angle is the angle of the panel's normal from the pad plane: 0 along t
 
 import difflib
 from collections.abc import Iterator
-from typing import Any, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 from pydantic import BaseModel, Field, field_validator, model_validator
 
@@ -18,6 +18,24 @@ from data_schemas.optical_design import Coating, Enclosure, LightPanel, Mirror, 
 from data_schemas.units import RelativeUncertainty
 
 Origin = Literal["measured", "data sheet", "paper", "assumed"]
+PAPER_VALUES: Final[dict[str, tuple[Any, ...]]] = {
+    "pad.length_mm": (70.0, 48.0, 50.0),
+    "pad.width_mm": (35.0, 18.0, 60.0, 50.0),
+    "pad.film.thickness_mm": (0.1,),
+    "camera.field_of_view_deg": (120.0,),
+    "indenter.radius_mm": (10.0,),
+    "skeleton.mirror_thickness_mm": (0.15,),
+    "mechanics.skeleton.mu_mpa": ((6.279, 1.639),),
+    "mechanics.skeleton.alpha": ((1.6663, -7.136),),
+    "mechanics.gel.c10_mpa": (0.1333,),
+    "mechanics.onyx.youngs_modulus_mpa": (2100.0,),
+    "mechanics.onyx.poisson_ratio": (0.38,),
+    "mechanics.mirror.youngs_modulus_mpa": (2800.0,),
+    "mechanics.mirror.poisson_ratio": (0.4,),
+    "mechanics.film.youngs_modulus_mpa": (5000.0,),
+    "mechanics.film.poisson_ratio": (0.38,),
+}
+"""Field -> the values that the paper gives for its fingers; another value is not the paper's, whatever a file says."""
 
 
 class FingerDesign(Record):
@@ -66,7 +84,8 @@ class FingerDesign(Record):
                 for name in ("youngs_modulus_mpa", "poisson_ratio")
             },
         },
-        description="where a number comes from; every number that is not listed is assumed",
+        description="where a number comes from; every number that is not listed is assumed, and so is one listed as "
+        "'paper' whose value is not the paper's",
     )
     uncertainty_rel: dict[str, RelativeUncertainty] = Field(
         default={},
@@ -90,6 +109,20 @@ class FingerDesign(Record):
         if self.pad.film is None:
             idle["mechanics.film"] = "the pad has no film; add the table [pad.film], or leave it out"
         return idle
+
+    @model_validator(mode="after")
+    def _paper_numbers_are_the_paper_s(self) -> "FingerDesign":
+        kept = {name: where for name, where in self.origin.items() if where != "paper" or self._is_of_paper(name)}
+        if len(kept) < len(self.origin):
+            object.__setattr__(self, "origin", kept)
+        return self
+
+    def _is_of_paper(self, field: str) -> bool:
+        """Return whether a number is one that the paper gives."""
+        value: Any = self
+        for name in field.split("."):
+            value = getattr(value, name, None)
+        return value in PAPER_VALUES.get(field, ())
 
     @property
     def lights(self) -> tuple[LightPanel, ...]:
