@@ -100,6 +100,7 @@ def rig_toml(rig: RigFile) -> str:
     filters = [_filter_toml(first, _FILTER), *(_filter_toml(band, {}) for band in others)]
     return f"""# A calibration rig. Every value has its unit in its name: _nm, _s, _mw, _dn (counts), _e (electrons).
 name = {_quoted(rig.name)}
+schema_version = {rig.schema_version}  # of rig files; a later finray reads them by it
 
 [camera]
 {_fields(rig.camera.model_dump(), _CAMERA)}
@@ -195,6 +196,7 @@ def _paint_plan_toml(plan: PaintPlan) -> str:
         tilt = f"""second_tilt_deg = {plan.second_tilt_deg!r}
 second_tilt_filters = [{_names(plan.second_tilt_filters)}]"""
     return f"""# A paint session: white tile, sample beside a ColorChecker, sample; through all filters of the rig.
+schema_version = {plan.schema_version}
 kind = "{plan.kind}"
 paint_name = {_quoted(plan.paint_name)}
 {filters}
@@ -218,6 +220,7 @@ def _camera_plan_toml(plan: CameraPlan) -> str:
     if plan.filter_name is not None:
         through = f"filter_name = {_quoted(plan.filter_name)}"
     return f"""# A camera session: flat frames of the white tile from dark to beyond saturation, and dark frames.
+schema_version = {plan.schema_version}
 kind = "{plan.kind}"
 camera_name = {_quoted(plan.camera_name)}
 # the filter in the beam

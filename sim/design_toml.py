@@ -22,7 +22,7 @@ _LEFT_OUT = {"provenance", "schema_version", "name", "materials", "origin", "unc
 def design_toml(design: FingerDesign) -> str:
     """Return a design as TOML; what is left out, or has no effect in this design, stands in comments."""
     idle = design.idle_fields()
-    parts = [_HEAD, f"name = {_value(design.name)}\n"]
+    parts = [_HEAD, f"schema_version = {design.schema_version}\nname = {_value(design.name)}\n"]
     for name in (field for field in FingerDesign.model_fields if field not in _LEFT_OUT):
         part = getattr(design, name)
         if part is None:
