@@ -18,7 +18,7 @@ from tests.command_line.running import finray, succeed
 @pytest.fixture
 def design(tmp_path):
     path = tmp_path / "finger.toml"
-    path.write_text('name = "small finger"\n[camera]\nwidth_px = 128\nheight_px = 96\n')
+    path.write_text('preset = "flat-70x35"\nname = "small finger"\n[camera]\nwidth_px = 128\nheight_px = 96\n')
     return path
 
 

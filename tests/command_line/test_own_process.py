@@ -19,6 +19,7 @@ from tests.schemas.test_child_process import gone_within
 
 ROOT = Path(__file__).resolve().parents[2]
 FINGER = """
+preset = "flat-70x35"
 name = "small"
 [pad]
 length_mm = 48.0

@@ -164,7 +164,7 @@ def test_the_indenter_touches_the_pad(indenter, across_mm):
 
 def test_the_verb_writes_page_or_picture_by_its_name(tmp_path):
     design = tmp_path / "finger.toml"
-    design.write_text('name = "small finger"\n[camera]\nwidth_px = 128\nheight_px = 96\n')
+    design.write_text('preset = "flat-70x35"\nname = "small finger"\n[camera]\nwidth_px = 128\nheight_px = 96\n')
     succeed(f"design show {design} --engine scalar --out {tmp_path}/finger.html")
     page = Page((tmp_path / "finger.html").read_text(encoding="utf-8"))
     assert "small finger: the camera sees 9" in page.prose

@@ -283,14 +283,17 @@ def test_the_verb_writes_all_parts_once(tmp_path):
     assert "lay a sheet" not in told
 
 
+FLAT = 'preset = "flat-70x35"\n'
+
+
 def test_what_cannot_be_printed_or_written_is_told_before_anything_is_written(tmp_path, monkeypatch):
     design = tmp_path / "finger.toml"
     for text, arguments, message in (
-        ("[skeleton]\nrib_count = 40\nrib_thickness_mm = 1.8\n", "", r"finger.toml: .*overlap or nearly touch"),
-        ("", "--lining-mm -1", "lining_mm = -1 of a mould must be 0 to 1 mm"),
-        ("", "--lining-mm nan", "lining_mm = nan of a mould must be 0 to 1 mm"),
+        (FLAT + "[skeleton]\nrib_count = 40\nrib_thickness_mm = 1.8\n", "", r"finger.toml: .*overlap or nearly touch"),
+        (FLAT, "--lining-mm -1", "lining_mm = -1 of a mould must be 0 to 1 mm"),
+        (FLAT, "--lining-mm nan", "lining_mm = nan of a mould must be 0 to 1 mm"),
         (
-            '[pad]\nshape = "ellipsoidal"\nsemi_axes_mm = [30, 8, 90]\n',
+            'preset = "ellipsoidal-30-8-90"\n',
             "--lining-mm 0.1",
             r"lining_mm = 0.1: a sheet cannot be bent to the ellipsoidal pad of pad.shape",
         ),
@@ -299,7 +302,7 @@ def test_what_cannot_be_printed_or_written_is_told_before_anything_is_written(tm
         with pytest.raises(AssertionError, match=message):
             succeed(f"design export {design} --out {tmp_path}/print {arguments}")
         assert not (tmp_path / "print").exists()
-    design.write_text("")
+    design.write_text(FLAT)
     monkeypatch.setattr(options.os, "access", lambda path, mode: False)
     outcome = finray(f"design export {design} --out {tmp_path}/print")
     assert outcome.status == 2

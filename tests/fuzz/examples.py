@@ -364,10 +364,8 @@ def _read_exr(folder: Path) -> None:
 
 
 def _journal(folder: Path) -> None:
-    from tests.command_line.running import succeed
-
     _rig(folder)
-    succeed(f"capture {folder}/plan.toml --rig {folder}/rig.toml --out {folder}/s")
+    _command("capture {f}/plan.toml --rig {f}/rig.toml --out {f}/s")(folder)
     (folder / "s" / "session.json").unlink()
     for path in (folder / "s").glob("SHA256*"):
         path.unlink()
@@ -380,10 +378,8 @@ def _read_journal(folder: Path) -> None:
 
 
 def _session(folder: Path) -> None:
-    from tests.command_line.running import succeed
-
     _rig(folder)
-    succeed(f"capture {folder}/plan.toml --rig {folder}/rig.toml --out {folder}/s")
+    _command("capture {f}/plan.toml --rig {f}/rig.toml --out {f}/s")(folder)
 
 
 READERS: tuple[Reader, ...] = (

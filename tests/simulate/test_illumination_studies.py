@@ -175,7 +175,7 @@ class TestRendered:
 
     def test_two_lights_by_the_command(self, llvm, tmp_path, capsys):
         design, out = tmp_path / "finger.toml", tmp_path / "two"
-        design.write_text('name = "small"\n[camera]\nwidth_px = 192\nheight_px = 144\n')
+        design.write_text('preset = "flat-70x35"\nname = "small"\n[camera]\nwidth_px = 192\nheight_px = 144\n')
         assert main(["study", "two-lights", "--design", str(design), "--samples", "16", "--out", str(out)]) == 0
         study = read_record(out / "two-lights.json", TwoLights)
         assert study.design.name == "small"
