@@ -192,6 +192,7 @@ class Child:
             os.close(messages)
         self._jobs = os.fdopen(self_jobs, "wb", buffering=0)
         self._messages, self._unread = self_messages, b""
+        self._inherited_bytes, self._seen_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024, 0
         self._send({"imports": self._imports})
 
     def _send(self, job: Json) -> None:
@@ -202,6 +203,8 @@ class Child:
     def _listen(self, hear: Hear | None, deadline_s: float | None) -> dict[str, Json] | None:
         """Pass messages on until the answer, which is returned; None when the child died or is late."""
         while True:
+            if self._process is not None:
+                self._seen_bytes = _peak_bytes(self._process.pid) or self._seen_bytes
             while b"\n" in self._unread:
                 line, self._unread = self._unread.split(b"\n", 1)
                 message = json.loads(line)
@@ -232,7 +235,9 @@ class Child:
         process.returncode = os.waitstatus_to_exitcode(status)
         os.close(self._messages)
         self._jobs.close()
-        return process.returncode, usage.ru_maxrss * 1024
+        # the system counts what this process had when it started the child as the child's own
+        peak_bytes = usage.ru_maxrss * 1024
+        return process.returncode, peak_bytes if peak_bytes > self._inherited_bytes else self._seen_bytes
 
     def _death(self, cause: str, kills_before: int, log: Path | None) -> str:
         """Reap the dead child and return in words how it died, with what memory, and where its log is."""
@@ -451,6 +456,10 @@ def _free_to_speak() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
 
 
-def _peak_bytes() -> int:
-    """Return the most memory that this process has had."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+def _peak_bytes(process: int | str = "self") -> int:
+    """Return the most memory that a living process has had; 0 where the system does not tell."""
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        for line in Path(f"/proc/{process}/status").read_text(encoding="utf-8", errors="replace").splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
+    return 0

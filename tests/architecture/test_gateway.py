@@ -34,7 +34,6 @@ ALLOWED = {
         (
             ("finray_calib/exchange/bispectral_exr.py", "file.read_bytes"),
             ("finray_calib/exchange/inference_data.py", "file.read_bytes"),
-            ("finray_calib/exchange/render_files.py", "file.read_bytes"),
             ("finray_calib/exchange/spectral_distribution.py", "file.read_bytes"),
         ),
         "what a library has just written into a temporary folder",
@@ -42,7 +41,7 @@ ALLOWED = {
     **dict.fromkeys(
         (
             ("finray_calib/exchange/bispectral_exr.py", "open_exr.File"),
-            ("finray_calib/exchange/render_files.py", "open_exr.File"),
+            ("sim/optics/exr_images.py", "mitsuba.Bitmap"),
             ("data_schemas/leftovers.py", "os.open"),
             ("data_schemas/leftovers.py", "json.loads"),
             ("data_schemas/product_set.py", "os.open"),
@@ -55,6 +54,7 @@ ALLOWED = {
     **dict.fromkeys(
         (
             ("data_schemas/child_process.py", "Path('/proc/self/statm').read_text"),
+            ("data_schemas/child_process.py", "Path(f'/proc/{process}/status').read_text"),
             ("data_schemas/child_process.py", "Path('/proc/vmstat').read_text"),
             ("data_schemas/provenance.py", "Path('/proc/cpuinfo').read_text"),
             ("finray_calib/demo/machine_checks.py", "Path('/proc/meminfo').read_text"),
