@@ -147,15 +147,18 @@ def read_bytes(
     FinrayError
         Of the class `error`: there is nothing, or no regular file, it is too long, or may not be read.
     """
+    size = 0
     try:
         with open_regular(path, what, error) as file:
             size = os.fstat(file.fileno()).st_size
-            # a file of a pseudo file system says 0 and may have no end; one more byte shows a file that is growing
-            content = file.read(min(size or largest_bytes, largest_bytes) + 1) if size <= largest_bytes else b""
-            while size <= largest_bytes and len(content) <= largest_bytes and (more := file.read(MB)):
+            content = file.read(size + 1) if size <= largest_bytes else b""
+            # a file of a pseudo file system says 0 and may have no end, and any file may grow while it is read
+            while size < len(content) <= largest_bytes and (more := file.read(MB)):
                 content += more
     except OSError as fault:
         raise error(f"{path}: cannot be read ({fault.strerror}); check the file and its medium") from None
+    except MemoryError:
+        raise error(f"{path}: has {size / MB:.4g} MB, more than the memory that is free; end other programs") from None
     if max(size, len(content)) > largest_bytes:
         raise error(
             f"{path}: is longer than {largest_bytes} bytes ({largest_bytes / MB:.3g} MB), the most that is read as "

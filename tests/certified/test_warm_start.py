@@ -31,7 +31,10 @@ from tests.certified.blocks import assemble, unit_cells
 from tests.command_line.running import finray, succeed
 
 SMALL = preset_design("baby-48x18")
-PLAN = 'preset = "flat-70x35"\nname = "small"\n[pad]\nlength_mm = 48.0\nwidth_mm = 18.0\nfilm = {}\n[indenter]\nposition_mm = 24.0\n'
+PLAN = (
+    'preset = "flat-70x35"\nname = "small"\n'
+    "[pad]\nlength_mm = 48.0\nwidth_mm = 18.0\nfilm = {}\n[indenter]\nposition_mm = 24.0\n"
+)
 LONGEST_S = 900.0
 
 

@@ -19,7 +19,8 @@ def test_two_fingers_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     # half as fine as coarse: torques and bending differ from those by under a per cent
     monkeypatch.setitem(STEPS, "coarse", MeshSteps(pad_mm=3.0, pad_layer_mm=3.0, skeleton_mm=4.0, across_mm=4.0))
     (tmp_path / "thin.toml").write_text(
-        'preset = "flat-70x35"\nname = "thin ribs"\n[pad]\nlength_mm = 48.0\nwidth_mm = 18.0\nfilm = {}\n[indenter]\nposition_mm = 24.0\n'
+        'preset = "flat-70x35"\nname = "thin ribs"\n'
+        "[pad]\nlength_mm = 48.0\nwidth_mm = 18.0\nfilm = {}\n[indenter]\nposition_mm = 24.0\n"
         "[skeleton]\nrib_count = 4\nrib_thickness_mm = 0.7\n"
     )
     said = succeed(f"study finger-stiffness baby-48x18 {tmp_path}/thin.toml --vary 0 --out {tmp_path}/stiffness")

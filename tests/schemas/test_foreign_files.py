@@ -6,6 +6,7 @@ import os
 import socket
 import threading
 import time
+import tracemalloc
 import zipfile
 
 import numpy as np
@@ -56,6 +57,11 @@ def test_length_is_checked_before_and_while_reading(tmp_path):
     assert read_bytes(tmp_path / "five", largest_bytes=5) == b"12345"
     with pytest.raises(RecordError, match="is longer than 4 bytes"):
         read_bytes(tmp_path / "five", largest_bytes=4)
+    (tmp_path / "nothing").write_bytes(b"")
+    tracemalloc.start()
+    assert read_bytes(tmp_path / "nothing", largest_bytes=1 << 40) == b""
+    assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    tracemalloc.stop()
     # its size says 0 although it holds something
     assert read_text(tmp_path.joinpath("/proc/self/status")).startswith("Name:")
 
@@ -258,8 +264,6 @@ def header_only(shape: tuple[int, ...], dtype: str = "<f8") -> bytes:
 
 
 def test_an_array_that_promises_more_than_there_is_takes_no_memory(tmp_path):
-    import tracemalloc
-
     path = tmp_path / "a.npy"
     path.write_bytes(header_only((10**7, 10**5)))
     bomb = tmp_path / "a.npz"
