@@ -1,0 +1,329 @@
+"""Every verb of several files, killed and refused by the system at every call that touches a file it writes.
+
+    python -m benchmarks.commit_points --out bench-out/commit-points.json [--verbs decide ...] [--every 1]
+
+A point is a call that opens, writes, names, removes or synchronises something below the output folders. At each, one
+process is killed (in the middle of a write), and one each is told ENOSPC, EIO and EACCES. Then what is there is looked
+at, and the same command runs again: nothing stored before may be harmed, no half set may pass for whole, the second
+run must complete with the same content, and nothing may stay. What takes time is computed once and replayed. Bar: no
+failure.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import cv2
+import numpy as np
+
+from data_schemas.design import FingerDesign
+from data_schemas.errors import NoEquilibriumError
+from data_schemas.provenance import provenance
+from data_schemas.storage import write_record
+from rigs.presets import paint_plan, simulated_rig
+from rigs.toml_text import write_plan, write_rig
+from sim.design_toml import design_toml
+from sim.mechanics.finger_mesh import STEPS, MeshSteps
+from tests.command_line.records import capture_of, press, sweep, with_known_camera
+from tests.command_line.running import succeed
+from tests.command_line.test_check_verb import PLAN as CHECK
+from tests.command_line.test_compare_force_verb import bench
+from tests.command_line.test_mechanics_verb import FINGER as PRESSED
+from tests.command_line.verb_faults import ERRORS, Command, Replay, Tries, replaying
+from tests.compare.board_scenes import FISHEYE, SIZE_PX, picture, poses
+from tests.compare.force_curves import INCREMENTS_MM, force_at, power_law_press
+from tests.documentation.example_records import example_results
+from tests.exchange.ball_press_folders import write_catalog
+from tests.exchange.taxim_presses import closed_form_presses
+from tests.exchange.test_abaqus_results import DESIGN as ABAQUS_DESIGN
+from tests.exchange.test_abaqus_results import results
+from tests.exchange.test_taxim_export import SENSOR
+
+FINGER = 'name = "small finger"\n[camera]\nwidth_px = 64\nheight_px = 48\n[indenter]\ndepth_mm = 0.2\n'
+PAINTS = "--paint red={i}/fitted.paint.json --paint green={i}/fitted.paint.json"
+RENDERED = (
+    "finray_calib.cli.simulate:_scene",
+    "sim.optics.render:render_press",
+    "sim.experiments.press:press_record",
+    "sim.experiments.press:simulate_press",
+    "sim.experiments.optics_products:optics_products",
+    "finray_calib.cli.simulate_optics:_views",
+)
+COMPARED = (
+    "finray_calib.compare.checked_comparison:compare_checked",
+    "finray_calib.reports.comparison_page:comparison_page",
+)
+COMMANDS = {
+    "decide": Command(
+        "decide {i}/sweep.json --photometric-error {i}/report.json --out {o}/d.json",
+        "d.json",
+        ("finray_calib.decide.decision_record:decide", "finray_calib.reports.decision_page:decision_page"),
+    ),
+    "fit --report": Command(
+        "fit {i}/bands.json --out {o}/red.paint.json --report {e}/red.html",
+        "red.paint.json",
+        ("finray_calib.fit.paint_calibration:calibrate_paint", "finray_calib.reports.paint_report:paint_report"),
+    ),
+    "fit --map": Command(
+        "fit {i}/pixels.json --map --paint {i}/fitted.paint.json --out {o}/red.map.json",
+        "red.map.json",
+        ("finray_calib.fit.pixel_maps:map_paint", "finray_calib.reports.paint_map_figure:paint_map_figure"),
+    ),
+    "radiometry --pixels": Command(
+        "radiometry {i}/session --pixels --out {o}/red.bands.json",
+        "red.bands.json",
+        tuple(f"finray_calib.cli.reduce_paint:{name}" for name in ("session_steps", "bands_of_steps", "pixel_signals")),
+    ),
+    "compare": Command("compare {i}/press.json {i}/capture.json --out {o}/e.json", "e.json", COMPARED),
+    "compare, folders": Command(
+        "compare {i}/simulated {i}/captured --out {o}/pairs", "pairs/summary.json", COMPARED, (".photometric-error.",)
+    ),
+    "compare --force": Command(
+        "compare {i}/power.mechanics.json --force {i}/bench.csv --out {o}/f.json",
+        "f.json",
+        (
+            "finray_calib.compare.force_comparison:compare_force",
+            "finray_calib.reports.force_figure:force_figure_png",
+        ),
+    ),
+    "simulate": Command(
+        f"simulate {{i}}/finger.toml {PAINTS} --engine scalar --samples 2 --out {{o}}/p.press.json",
+        "p.press.json",
+        RENDERED,
+    ),
+    "simulate --only optics": Command(
+        f"simulate {{i}}/finger.toml {PAINTS} --only optics --engine scalar --samples 2 --out {{o}}/p.press.json",
+        "p.press.json",
+        RENDERED,
+    ),
+    "simulate --only mechanics": Command(
+        "simulate {i}/pressed.toml --only mechanics --increments 2 --out {o}/m.press.json",
+        "m.mechanics.json",
+        ("finray_calib.reports.pressed_finger_figure:pressed_finger_png",),
+        (".increments/",),
+    ),
+    "check run": Command(
+        "check run {i}/check.toml --rig {i}/rig.toml --out {o}/check",
+        "check",
+        (
+            "rigs.capture.check_session:record_facts",
+            "finray_calib.acceptance.acceptance_report:judge",
+            "finray_calib.reports.check_report:check_report",
+            "finray_calib.exchange.junit_xml:junit_xml",
+        ),
+    ),
+    "design export": Command(
+        "design export {i}/whole.toml --out {o}/print",
+        "print",
+        ("finray_calib.exchange.printable_parts:printable_parts",),
+    ),
+    "export taxim": Command(
+        "export taxim {i}/sensor.toml --presses 30 --out {o}/taxim",
+        "taxim",
+        ("finray_calib.cli.export_taxim:_sensor", "finray_calib.exchange.taxim_export:taxim_files"),
+    ),
+    "export capture-request": Command(
+        "export capture-request {i}/whole.toml --out {o}/f.request.md",
+        "f.request.md",
+        ("finray_calib.cli.export_capture_request:open_engine", "sim.experiments.camera_view:camera_view"),
+    ),
+    "import ball-presses": Command(
+        "import ball-presses {i}/balls --mm-per-px 0.1 --out {o}/balls",
+        "balls",
+        ("finray_calib.exchange.ball_press_folder:read_ball_presses",),
+    ),
+    "import 9dtact --predict-from": Command(
+        "import 9dtact {i}/one --predict-from {i}/two --out {o}/one.capture.json", "one.capture.json"
+    ),
+    "import abaqus": Command(
+        "import abaqus {i}/x.fil --design {i}/x.toml --out {o}/x.surfaces.json",
+        "x.surfaces.json",
+        (
+            "sim.mechanics.other_engines.abaqus_results:read_fil",
+            "sim.mechanics.other_engines.abaqus_press:pressed_by_abaqus",
+        ),
+    ),
+    "study light-angle": Command(
+        "study light-angle --samples 200 --out {o}/light-angle",
+        "light-angle",
+        (
+            "finray_calib.cli.study_illumination:_finger",
+            "finray_calib.cli.study_illumination:_draw",
+            "sim.experiments.light_intensity:study_light_angle",
+        ),
+    ),
+    "study finger-stiffness": Command(
+        "study finger-stiffness baby-48x18 --vary 0 --out {o}/stiffness",
+        "stiffness",
+        ("sim.experiments.finger_stiffness:study_finger_stiffness",),
+    ),
+    "study pixel-scale": Command(
+        "study pixel-scale {boards} --pad {i}/board-0.png --squares 7x5 --square-mm 3 --marker-mm 2.2 "
+        "--square-u-mm 0.003 --out {o}/scale.json",
+        "scale.json",
+        (
+            "finray_calib.compare.board_corners:find_board",
+            "finray_calib.compare.pixel_scale_record:pixel_scale",
+            "finray_calib.exchange.board_pictures:read_board_picture",
+        ),
+    ),
+}
+
+
+def main() -> int:
+    """Try all verbs and return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--verbs", nargs="+", default=list(COMMANDS), choices=list(COMMANDS), metavar="VERB")
+    parser.add_argument("--every", type=int, default=1, help="try every so manieth point only")
+    arguments = parser.parse_args()
+    found: dict[str, Any] = {}
+    # Synchronising is a point, but no power fails here: it would only take time.
+    with tempfile.TemporaryDirectory() as top, patch.object(os, "fsync", lambda handle: None), stand_ins():
+        inputs = Path(top) / "inputs"
+        boards = laboratory(inputs)
+        for name in arguments.verbs:
+            words = COMMANDS[name].words.format(i=inputs, boards=boards, o="{o}", e="{e}")
+            command = Command(words, COMMANDS[name].commit, COMMANDS[name].replayed, COMMANDS[name].steps)
+            found[name] = one_verb(command, Path(top) / "tries", arguments.every)
+            told = found[name].get("failure") or ", ".join(f"{k}: {v}" for k, v in found[name]["ended"].items())
+            sys.stdout.write(f"{name}: {found[name].get('points', 0)} points in {found[name]['s']:.0f} s; {told}\n")
+            sys.stdout.flush()
+            arguments.out.parent.mkdir(parents=True, exist_ok=True)
+            arguments.out.write_text(json.dumps({"verbs": found}, indent=1) + "\n")
+    tries = sum(v for one in found.values() for k, v in one.get("ended", {}).items() if "named" not in k)
+    failures = [name for name, one in found.items() if "failure" in one]
+    sys.stdout.write(f"{len(found)} verbs, {tries} tries; failed: {', '.join(failures) or 'none'}\n")
+    return 1 if failures else 0
+
+
+def one_verb(command: Command, top: Path, every: int) -> dict[str, Any]:
+    """Try one verb at all its points."""
+    begun = time.monotonic()
+    tries = Tries(command, top)
+    try:
+        with replaying(("data_schemas.provenance:provenance", *command.replayed)):
+            ended = tries.try_all([None, *ERRORS], every)
+    except AssertionError as failed:
+        return {"failure": str(failed), "s": time.monotonic() - begun}
+    return {"points": tries.points, "ended": dict(sorted(ended.items())), "s": time.monotonic() - begun}
+
+
+@contextlib.contextmanager
+def stand_ins() -> Iterator[None]:
+    """Replace what no verb needs to be true here by something quick."""
+    made = Replay(lambda: closed_form_presses(30))
+    paints = example_results().paints
+    linear = with_known_camera(press())
+    study = "sim.experiments.finger_stiffness"
+    with contextlib.ExitStack() as stack:
+        for target, value in {
+            "sim.experiments.taxim_calibration.render_ball_presses": lambda *_: made(),
+            "finray_calib.cli.export_taxim.open_engine": lambda _: None,
+            "finray_calib.fit.paint_calibration.calibrate_paint": lambda *_: paints["red"].calibration,
+            "finray_calib.cli.import_captures._nine_dtact": lambda _: (capture_of(linear, 50.0), linear),
+            "sim.mechanics.press.press_finger": ReplayedPress(),
+            f"{study}.LoadedFinger": Quick,
+            f"{study}.press_to_force": no_grip,
+        }.items():
+            stack.enter_context(patch(target, value))
+        steps = MeshSteps(pad_mm=3.0, pad_layer_mm=3.0, skeleton_mm=4.0, across_mm=4.0)
+        stack.enter_context(patch.dict(STEPS, {"coarse": steps}))
+        yield
+
+
+class ReplayedPress:
+    """A press by finite elements that is computed once, then stores its increments again."""
+
+    def __init__(self) -> None:
+        self._pressed: Any = None
+        self._steps: list[Any] = []
+
+    def __call__(self, *arguments: Any, resume: Any = None, store: Any = None, **options: Any) -> Any:
+        from sim.mechanics.press import press_finger
+
+        if self._pressed is None:
+            self._pressed = ORIGINAL_PRESS(*arguments, store=self._steps.append, **options)
+            assert press_finger is self
+        for step in self._steps:
+            if resume is None or len(step.depth_mm) > len(resume.depth_mm):
+                store(step)
+        return self._pressed
+
+
+class Quick:
+    """A finger whose stiffness is known without computing it."""
+
+    def __init__(self, design: FingerDesign, threads: int) -> None:
+        pass
+
+    def push(self, place: str, force_n: tuple[float, float, float]) -> Any:
+        return type("Pushed", (), {"stiffness_n_per_mm": 2.0})
+
+    def twist(self, angle_deg: float) -> Any:
+        return type("Twisted", (), {"stiffness_n_mm_per_deg": 3.0})
+
+
+def no_grip(*_: Any, **__: Any) -> None:
+    """Find no equilibrium."""
+    raise NoEquilibriumError("no equilibrium at a push of 0.1 mm")
+
+
+def laboratory(folder: Path) -> str:
+    """Write all that the verbs read, and return the pictures of boards."""
+    folder.mkdir()
+    rig = simulated_rig("red", width_px=320, height_px=256)
+    write_rig(rig, folder / "rig.toml")
+    write_plan(paint_plan("red", rig.camera), folder / "plan.toml")
+    whole, of_abaqus = design_toml(FingerDesign()), design_toml(ABAQUS_DESIGN)
+    texts = {"finger": FINGER, "pressed": PRESSED, "whole": whole, "check": CHECK, "sensor": SENSOR, "x": of_abaqus}
+    for name, text in texts.items():
+        (folder / f"{name}.toml").write_text(text)
+    origin, linear = provenance("benchmark"), with_known_camera(press())
+    for name, record in {
+        "press": linear, "capture": capture_of(linear, 50.0), "sweep": sweep(),
+        "simulated/one.press": linear, "simulated/two.press": press(),
+        "captured/one.capture": capture_of(linear, 50.0), "captured/two.capture": capture_of(linear, 20.0),
+        "power.mechanics": power_law_press({}, {}),
+    }.items():  # fmt: skip
+        write_record(record, folder / f"{name}.json", origin)
+    pushes_mm = np.linspace(0.1, 1.0, 10) * INCREMENTS_MM[-1]
+    bench(folder / "bench.csv", force_at(pushes_mm), pushes_mm)
+    succeed(f"capture {folder}/plan.toml --rig {folder}/rig.toml --out {folder}/session")
+    succeed(f"radiometry {folder}/session --pixels --out {folder}/bands.json")
+    (folder / "bands.pixels.json").rename(folder / "pixels.json")
+    with patch("finray_calib.fit.paint_calibration.calibrate_paint", ORIGINAL_FIT):
+        succeed(f"fit {folder}/bands.json --out {folder}/fitted.paint.json")
+    succeed(f"compare {folder}/press.json {folder}/capture.json --out {folder}/report.json")
+    write_catalog(folder / "balls")
+    for name in ("one", "two"):
+        (folder / name).mkdir()
+        (folder / name / "a.png").write_bytes(b"\x89PNG")
+    (folder / "x.fil").write_text(results(0.8)[0])
+    rng = np.random.default_rng(5)
+    for k, pose in enumerate(poses("fisheye", FISHEYE, rng, 6)):
+        noisy = picture("fisheye", FISHEYE, pose) + rng.normal(0.0, 2.0, SIZE_PX[::-1])
+        cv2.imwrite(str(folder / f"board-{k}.png"), np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+    return " ".join(f"{folder}/board-{k}.png" for k in range(1, 7))
+
+
+def _originals() -> tuple[Any, Any]:
+    """Return the press and the fit before they are replaced."""
+    from finray_calib.fit.paint_calibration import calibrate_paint
+    from sim.mechanics.press import press_finger
+
+    return press_finger, calibrate_paint
+
+
+ORIGINAL_PRESS, ORIGINAL_FIT = _originals()
+
+if __name__ == "__main__":
+    sys.exit(main())
