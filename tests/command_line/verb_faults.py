@@ -186,7 +186,7 @@ class Tries:
 def products(*folders: Path) -> dict[str, bytes]:
     """Return path -> bytes of all files; of records without their seal and their origin's time and increments."""
     found = contents(*folders)
-    for path, content in found.items():
+    for path in found:
         if path.endswith(".json") and ".finray.part/" not in path:
             stored = json.loads(Path(path).read_bytes())
             stored.pop("content_sha256", None)
