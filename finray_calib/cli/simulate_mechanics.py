@@ -147,6 +147,7 @@ def run_mechanics(arguments: argparse.Namespace) -> None:
     """
     require_mechanics_only(arguments)
     from data_schemas.errors import NoEquilibriumError, SimulateError
+    from data_schemas.foreign_files import read_bytes
     from data_schemas.provenance import provenance
     from data_schemas.whole_files import write_bytes
 
@@ -164,7 +165,10 @@ def run_mechanics(arguments: argparse.Namespace) -> None:
     if goes_on:
         where = "begins again" if resume is None else f"goes on after increment {resume.stem}"
         warn(f"{files['increments']}: this press was interrupted; it {where}")
-    origin = provenance(command_line(), input_digests([*read, *([resume] if resume else [])]), None)
+    if resume is not None:
+        read_bytes(resume, "a stored increment of a press (.json)")
+        read.append(resume)
+    origin = provenance(command_line(), input_digests(read), None)
     try:
         with progress_bar("simulate") as progress, naming(SimulateError, arguments.design):
             pressed, said = _pressed(arguments, design, resume, files["increments"], origin, progress)
@@ -176,9 +180,9 @@ def run_mechanics(arguments: argparse.Namespace) -> None:
 
         write_bytes(files["picture"], untouched_finger_png(design, str(stuck), folder))
         raise NoEquilibriumError(f"{stuck}. {files['picture']} shows where the indenter touches") from stuck
-    if (now := input_digests(read)) != origin.input_sha256:
-        changed = next(name for name in now if now[name] != origin.input_sha256[name])
-        raise SimulateError(f"{changed}: was changed while the press was computed from it; run the command again")
+    changed = [name for name, digest in input_digests(read).items() if digest != origin.input_sha256[name]]
+    if changed:
+        raise SimulateError(f"{changed[0]}: was changed while the press was computed from it; run the command again")
     _store(design, pressed, said, files, origin, folder)
     if unvaried:
         raise SimulateError(f"{unvaried}. The press itself is stored; for these, try a smaller push")

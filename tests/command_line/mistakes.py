@@ -250,8 +250,8 @@ CASES = (
     Case(
         "newer session",
         "radiometry {tmp}/session",
-        rf"session\.json: schema_version 9 was written by a newer finray; this one reads up to 2: update with {NEW}",
-        session(lambda folder: edit(folder / "session.json", '"schema_version": 2', '"schema_version": 9')),
+        rf"session\.json: schema_version 9 was written by a newer finray; this one reads up to \d: update with {NEW}",
+        session(lambda folder: edit(folder / "session.json", '"schema_version": 3', '"schema_version": 9')),
     ),
     # stored records
     Case(

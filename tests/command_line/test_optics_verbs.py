@@ -6,10 +6,10 @@ import OpenEXR
 import pytest
 
 from data_schemas.capture import TactileCapture
-from data_schemas.design import FingerDesign
 from data_schemas.provenance import provenance
 from data_schemas.simulate import SimulatedPress
-from data_schemas.storage import read_record, read_toml, write_record
+from data_schemas.storage import read_record, write_record
+from finray_calib.cli.design_file import read_design
 from sim.surface_meshes.finger_shape import pressed_shape, rest_shape
 from sim.surface_meshes.stored_shape import store_shapes
 from tests.command_line.running import finray, succeed
@@ -103,7 +103,7 @@ def test_optics_writes_record_capture_and_images(design, paints, tmp_path):
 
 
 def test_render_of_stored_surfaces_has_the_push_that_they_had(design, paints, tmp_path):
-    finger = read_toml(design, FingerDesign)
+    finger = read_design(design)
     early = finger.indenter.model_copy(update={"depth_mm": 0.75})
     pressed = pressed_shape(finger.model_copy(update={"indenter": early}))
     surfaces = store_shapes(rest_shape(finger), pressed, "ended early", push_mm=0.75)
