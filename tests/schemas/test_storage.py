@@ -174,7 +174,7 @@ def test_earlier_version_is_refused_with_the_command_to_run_again(tmp_path):
     envelope = {"kind": "PaintCalibration", "schema_version": 1, "array_file": None, "record": {"mode_nm": 600.0}}
     write_sealed(path, envelope)
     with pytest.raises(
-        RecordError, match=r"by version 1 of the PaintCalibration .* version 3 .*; run 'finray fit' again"
+        RecordError, match=r"by version 1 of the PaintCalibration .* version \d+ .*; run 'finray fit' again"
     ):
         read_record(path, PaintCalibration)
 
