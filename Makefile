@@ -1,13 +1,17 @@
-# Two commands do everything: `make demo` and `make test`. Packages come from requirements.lock.
+# Two commands do everything: `make demo` and `make test`. Packages, with their hashes, come from requirements/*.lock,
+# which hold for every Python from 3.11.
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
-# Simulators with old pins of their own: an environment apart.
-# GPL programs and heavy simulators live in an environment of their own and run as separate processes.
+# GPL programs, and simulators with pins of their own, live in an environment apart and run as processes of their own.
 OTHERS := .venv-others
+PYTHONS := 3.11 3.12 3.13
 
-.PHONY: demo test test-rigs lint check-types contracts pytest schemas lock llvm rig-programs clean \
-        bench bench-fit bench-compare bench-optics bench-mechanics bench-fuzz
+.PHONY: plain demo test test-rigs test-pythons lint check-types contracts pytest schemas lock check-arm llvm \
+        rig-programs clean bench bench-fit bench-compare bench-optics bench-mechanics bench-fuzz
+
+# For a camera computer: everything but the simulation, on ARM too.
+plain: $(VENV)/installed-plain
 
 demo: $(VENV)/installed llvm
 	@$(BIN)/finray demo || { status=$$?; echo "If this machine may be the cause: $(BIN)/finray doctor"; exit $$status; }
@@ -31,6 +35,26 @@ pytest: $(VENV)/installed-dev
 # the environment it is a failure.
 test-rigs: $(VENV)/installed-dev $(OTHERS)/installed rig-programs
 	FINRAY_OTHERS_VENV=$(CURDIR)/$(OTHERS) $(BIN)/pytest -m rigs
+
+# The demo and all tests on every Python that is here, each in an environment of its own (.venv-3.12); hours. What was
+# skipped stands at the end: it is the barrier contact only, and only where the processor has no AVX2.
+test-pythons:
+	@failed=""; \
+	for version in $(PYTHONS); do \
+	  python=""; \
+	  for found in python$$version $$HOME/.pyenv/versions/$$version.*/bin/python; do \
+	    if $$found -c "" 2>/dev/null; then python=$$found; fi; \
+	  done; \
+	  if [ -z "$$python" ]; then failed="$$failed $$version (not found)"; continue; fi; \
+	  rm -rf .venv-$$version/demo; \
+	  $(MAKE) PYTHON=$$python VENV=.venv-$$version .venv-$$version/installed-dev llvm && \
+	  .venv-$$version/bin/finray demo --out .venv-$$version/demo && \
+	  .venv-$$version/bin/pytest -m "not rigs" --junitxml=.venv-$$version/tests.xml || failed="$$failed $$version"; \
+	done; \
+	for version in $(PYTHONS); do \
+	  echo "Python $$version:"; grep -o 'skipped type="pytest.skip" message="[^"]*' .venv-$$version/tests.xml | sort | uniq -c; \
+	done; \
+	if [ -n "$$failed" ]; then echo "FAILED:$$failed"; exit 1; fi
 
 # The numbers of docs/verification.md, as ratios against public alternatives in the same run: several hours on two
 # cores, or one stage at a time (make bench-fit). Each script prints what it found and exits with 1 when a bar is
@@ -90,9 +114,33 @@ bench-mechanics: $(VENV)/installed-bench
 schemas: $(VENV)/installed-dev
 	$(BIN)/python -m data_schemas.json_schemas
 
-# Renew the pinned versions from what is installed now.
-lock: $(VENV)/installed-dev
-	$(BIN)/pip freeze --exclude-editable --exclude pip > requirements.lock
+# Renew the pinned versions and their hashes. Versions stay where they can; newest ones: make lock UPGRADE=--upgrade
+UPGRADE ?=
+COMPILE  = .venv-lock/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header \
+           --no-annotate $(UPGRADE)
+lock: .venv-lock/installed
+	$(COMPILE) pyproject.toml --group build --extra dev --extra bench --output-file requirements/bench.lock
+	$(COMPILE) pyproject.toml --group build --extra dev -c requirements/bench.lock --output-file requirements/dev.lock
+	$(COMPILE) pyproject.toml --group build --extra sim -c requirements/bench.lock --output-file requirements/sim.lock
+	$(COMPILE) pyproject.toml --group build -c requirements/bench.lock --output-file requirements/plain.lock
+	$(COMPILE) requirements/others.in --output-file requirements/others.lock
+
+.venv-lock/installed:
+	$(PYTHON) -m venv .venv-lock
+	.venv-lock/bin/python -m pip install --quiet --disable-pip-version-check 'uv>=0.9'
+	@touch $@
+
+# Whether the plain installation needs wheels alone on 64-bit ARM (Raspberry Pi OS and Debian from 11 on, Ubuntu from
+# 20.04 on): downloads nothing but their names and metadata.
+check-arm: $(VENV)/bin/python
+	@for version in $(PYTHONS); do \
+	   $(BIN)/python -m pip install --dry-run --quiet --disable-pip-version-check --ignore-installed --target /nonexistent \
+	     --only-binary=:all: --implementation cp --python-version $$version $(ARM_PLATFORMS) \
+	     --require-hashes --requirement requirements/plain.lock && \
+	     echo "Python $$version on aarch64: the plain installation resolves with wheels alone" || exit 1; \
+	 done
+ARM_PLATFORMS := $(foreach glibc,2_17 2_24 2_26 2_27 2_28,--platform manylinux_$(glibc)_aarch64) \
+                 --platform manylinux2014_aarch64
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -100,26 +148,34 @@ $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV) || \
 	  { echo "cannot make a virtual environment; on Debian and Ubuntu: apt-get install python3-venv"; exit 1; }
 
-$(VENV)/installed: $(VENV)/bin/python pyproject.toml requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable .
-	@touch $@
+# All that an installation fetches is named, with its hash, in one file.
+define install
+$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements/$(1).lock
+$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+@touch $@
+endef
 
-$(VENV)/installed-dev: $(VENV)/bin/python pyproject.toml requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable '.[dev]'
-	@touch $@ $(VENV)/installed
+$(VENV)/installed-plain: $(VENV)/bin/python pyproject.toml requirements/plain.lock
+	$(call install,plain)
 
-$(VENV)/installed-bench: $(VENV)/installed-dev
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable '.[dev,bench]'
-	@touch $@
+$(VENV)/installed: $(VENV)/bin/python pyproject.toml requirements/sim.lock
+	$(call install,sim)
 
-$(OTHERS)/installed:
+$(VENV)/installed-dev: $(VENV)/bin/python pyproject.toml requirements/dev.lock
+	$(call install,dev)
+	@touch $(VENV)/installed
+
+$(VENV)/installed-bench: $(VENV)/installed-dev requirements/bench.lock
+	$(call install,bench)
+
+$(OTHERS)/installed: requirements/others.lock
 	$(PYTHON) -m venv $(OTHERS)
-	$(OTHERS)/bin/python -m pip install --quiet --disable-pip-version-check \
-	  alpaca-simulators==1.3.2 alpyca==3.1.3 pylablib==1.4.5 gmsh==4.15.2 'taxim[jax-cpu]==1.4.1'
+	$(OTHERS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes \
+	  --requirement requirements/others.lock
 	@touch $@
 
 RIG_PACKAGES := indi-bin aravis-tools-cli libaravis-0.8-0 qemu-system-misc gcc-avr avr-libc ffmpeg ustreamer socat \
-                calculix-ccx chromium poppler-utils
+                calculix-ccx chromium poppler-utils qemu-user
 rig-programs:
 	@missing=""; for package in $(RIG_PACKAGES); do \
 	   dpkg-query -W -f '$${db:Status-Status}' $$package 2>/dev/null | grep -qx installed || missing="$$missing $$package"; \
@@ -145,4 +201,4 @@ llvm:
 	 echo
 
 clean:
-	rm -rf $(VENV) $(OTHERS) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache bench-out
+	rm -rf .venv .venv-* .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache bench-out

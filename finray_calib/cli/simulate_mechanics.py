@@ -212,6 +212,10 @@ def _pressed(
 
         pressed = press_to_force(design, arguments.force, None, count, threads, folder, progress)
         return pressed, {"wanted_force_n": arguments.force}
+    from sim.mechanics.press_contact import left_out
+
+    if leaves := left_out(design, arguments.contact):
+        warn(leaves)
     return _pressed_to_depth(design, count, resume, increments, origin, progress, arguments.contact, folder), {}
 
 

@@ -216,7 +216,10 @@ def check_contact() -> Found:
         version = metadata.version("ipctk")
     except metadata.PackageNotFoundError:
         return _note("ipctk is not installed: no friction, no contact among ribs", _SIM_PACKAGES)
-    import_module("sim.mechanics.contact_ipc")
+    library = import_module("sim.mechanics.contact_library")
+    failure = library.contact_library_failure()
+    if failure is not None:
+        return _note(failure.partition(";")[0], f"pip install ipctk=={library.WORKING_VERSION}")
     return _good(f"ipctk {version}")
 
 

@@ -1,13 +1,19 @@
 """Surfaces that may collide: where they are, which pairs may touch, which are near, how far they may move."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import ipctk
 import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.errors import SimulateError
+from sim.mechanics.contact_library import contact_library
 from sim.mechanics.near_pairs import NearStencils
+
+if TYPE_CHECKING:
+    import ipctk
+else:
+    ipctk = contact_library()
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -1,13 +1,19 @@
 """Contact by a barrier on distances (incremental potential contact), of parts and an indenter; lagged friction."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import ipctk
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from sim.mechanics.colliding_surfaces import CollidingSurfaces, Obstacle
+from sim.mechanics.contact_library import contact_library
+
+if TYPE_CHECKING:
+    import ipctk
+else:
+    ipctk = contact_library()
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

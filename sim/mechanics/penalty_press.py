@@ -32,18 +32,22 @@ class PenaltyTouch:
         The finger's, with one more node where the indenter is one.
     contact
         Of its coat with the indenter.
+    left_out
+        What it leaves out though the design has it, in words.
     """
 
     kind: ContactKind = "penalty"
 
-    def __init__(self, mesh: FingerMesh, contact: PenaltyContact) -> None:
+    def __init__(self, mesh: FingerMesh, contact: PenaltyContact, left_out: str = "") -> None:
         self.mesh = mesh
         self._contact = contact
+        self._left_out = left_out
 
     @property
     def note(self) -> str:
         """How the surfaces touch."""
-        return "contact by penalty: frictionless; the indenter's distance is exact; ribs do not see each other"
+        how = "contact by penalty: frictionless; the indenter's distance is exact; ribs do not see each other"
+        return f"{how}; {self._left_out}" if self._left_out else how
 
     def force_n(self, u: FloatArray) -> FloatArray:
         """Return the force on the indenter (3,)."""
@@ -77,6 +81,8 @@ class PenaltyPress(PenaltyTouch):
         At first touch.
     stiffness_mpa_per_mm
         See :func:`penalty_mpa_per_mm`.
+    left_out
+        What it leaves out though the design has it, in words.
 
     Raises
     ------
@@ -84,7 +90,9 @@ class PenaltyPress(PenaltyTouch):
         When the indenter is a mesh of the user.
     """
 
-    def __init__(self, mesh: FingerMesh, indenter: RigidIndenter, stiffness_mpa_per_mm: float) -> None:
+    def __init__(
+        self, mesh: FingerMesh, indenter: RigidIndenter, stiffness_mpa_per_mm: float, left_out: str = ""
+    ) -> None:
         if indenter.body is None:
             raise SimulateError("a mesh of the user has no exact distances: use --contact barrier, or auto")
         contact = PenaltyContact(
@@ -95,7 +103,7 @@ class PenaltyPress(PenaltyTouch):
             stiffness_mpa_per_mm,
             curvature=False,
         )
-        super().__init__(mesh, contact)
+        super().__init__(mesh, contact, left_out)
         self._indenter = indenter
         self.terms: tuple[Term, ...] = (contact,)
         self._supports = Supports.at_rest(len(mesh.nodes_mm), mesh.node_sets["fixed"])

@@ -2,21 +2,23 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
+from data_schemas.errors import MissingExtraError, SimulateError
 from data_schemas.press_mechanics import ContactKind
 from sim.mechanics.assembly import State, Term
-from sim.mechanics.barrier_press import BarrierPress
-from sim.mechanics.contact_ipc import Barrier
+from sim.mechanics.contact_library import contact_library_failure
 from sim.mechanics.indenters import rigid_indenter
 from sim.mechanics.mesh import FingerMesh
 from sim.mechanics.newton import Supports
 from sim.mechanics.penalty_press import PenaltyPress, penalty_mpa_per_mm
+
+if TYPE_CHECKING:
+    from sim.mechanics.contact_ipc import Barrier
 
 FloatArray = NDArray[np.float64]
 ContactChoice = Literal["auto", "penalty", "barrier"]
@@ -75,21 +77,47 @@ class PressContact(Touch, Protocol):
 def chosen_contact(design: FingerDesign, wanted: ContactChoice = "auto") -> ContactKind:
     """Return the contact of a press: the penalty where it can, the barrier for friction and meshes of the user.
 
+    Where the barrier's library does not run on this machine, "auto" takes the penalty, without the friction: see
+    :func:`left_out`.
+
     Raises
     ------
     SimulateError
         When the penalty is asked for where only the barrier serves.
+    MissingExtraError
+        When only the barrier serves, or it is asked for, and its library does not run here.
     """
+    needs = _needs_of_barrier(design)
+    if wanted == "penalty" and needs:
+        raise SimulateError(f"--contact penalty cannot serve {' and '.join(needs)}: use --contact barrier, or auto")
+    if wanted == "penalty" or not (needs or wanted == "barrier"):
+        return "penalty"
+    failure = contact_library_failure()
+    if failure is None:
+        return "barrier"
+    if wanted == "auto" and design.indenter.shape != "mesh":
+        return "penalty"
+    asked = "--contact barrier" if wanted == "barrier" else " and ".join(needs)
+    raise MissingExtraError(f"{asked} needs the contact by a barrier, and {failure}")
+
+
+def left_out(design: FingerDesign, wanted: ContactChoice = "auto") -> str:
+    """Return in a sentence what the chosen contact leaves out because the barrier's library does not run here."""
+    if wanted != "auto" or not _needs_of_barrier(design) or chosen_contact(design) == "barrier":
+        return ""
+    return (
+        f"this press leaves friction out (indenter.friction = {design.indenter.friction:g}), because "
+        f"{contact_library_failure()}"
+    )
+
+
+def _needs_of_barrier(design: FingerDesign) -> list[str]:
+    """Return the fields of a design that only the barrier serves."""
     indenter = design.indenter
-    needs = [
+    return [
         *([f"indenter.friction = {indenter.friction:g}"] if indenter.friction > 0.0 else []),
         *(['indenter.shape = "mesh"'] if indenter.shape == "mesh" else []),
     ]
-    if wanted == "penalty" and needs:
-        raise SimulateError(f"--contact penalty cannot serve {' and '.join(needs)}: use --contact barrier, or auto")
-    if wanted == "auto":
-        return "barrier" if needs else "penalty"
-    return wanted
 
 
 def press_contact(
@@ -99,7 +127,7 @@ def press_contact(
     wanted: ContactChoice = "auto",
     threads: int = 1,
     folder: Path = Path(),
-    barrier: Barrier | None = None,
+    barrier: "Barrier | None" = None,
 ) -> PressContact:
     """Return the contact of a finger with its indenter at first touch.
 
@@ -120,12 +148,16 @@ def press_contact(
 
     Raises
     ------
-    SimulateError
+    SimulateError, MissingExtraError
         See :func:`chosen_contact` and :func:`~sim.mechanics.indenters.rigid_indenter`.
     """
     kind = chosen_contact(design, wanted)
     indenter = rigid_indenter(design, folder)
     if kind == "penalty":
-        return PenaltyPress(mesh, indenter, penalty_mpa_per_mm(design, step_mm))
+        return PenaltyPress(mesh, indenter, penalty_mpa_per_mm(design, step_mm), left_out(design, wanted))
+    # here, because they cannot be imported where the library does not run
+    from sim.mechanics.barrier_press import BarrierPress
+    from sim.mechanics.contact_ipc import Barrier
+
     chosen = barrier or Barrier(stiffness_mpa=2.0 * design.mechanics.gel.c10_mpa)
     return BarrierPress(design, mesh, indenter, replace(chosen, friction_ratio=design.indenter.friction), threads)

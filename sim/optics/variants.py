@@ -8,7 +8,6 @@ import functools
 import importlib
 import os
 import re
-import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,15 +17,18 @@ from typing import Literal
 
 from data_schemas.errors import MissingExtraError, SimulateError
 from data_schemas.provenance import note_renderer
+from sim.library_proofs import is_installed, proof_failure
 
 LLVM_VARIANT = "llvm_ad_rgb"
 SCALAR_VARIANT = "scalar_rgb"
 CUDA_VARIANT = "cuda_ad_rgb"
 MINIMUM_LLVM_MAJOR = 17
+MISSING_NOTE = "rendering needs Mitsuba, of the extra 'sim': pip install 'finray-calib[sim]'"
 GPU_NOTE = "the GPU variants need an NVIDIA driver with CUDA and OptiX; use 'auto' to render on the processor"
 INSTALL_NOTE = "install LLVM 17 or newer to render faster and with less noise (Debian: apt-get install libllvm19)"
 
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
+_PROOF = "sim.optics.variants:render_proof_picture"
 _PROOF_TIMEOUT_S = 120.0
 _LIBRARY_PATTERNS = (
     (Path(sys.prefix), "llvm/**/libLLVM*.so*"),
@@ -36,15 +38,7 @@ _LIBRARY_PATTERNS = (
     (Path("/usr/local/lib"), "libLLVM*.so*"),
     (Path("/opt/homebrew/opt"), "llvm*/lib/libLLVM*.dylib"),
 )
-_PROOF = """
-import mitsuba
-mitsuba.set_variant("{variant}")
-scene = mitsuba.cornell_box()
-scene["sensor"]["film"].update(width=8, height=8)
-mean = float(mitsuba.TensorXf(mitsuba.render(mitsuba.load_dict(scene), spp=2)).numpy().mean())
-raise SystemExit(0 if 0.0 < mean < 1e6 else "the proof picture is empty")
-"""
-
+_MODULES = ("mitsuba", "drjit")
 
 Preference = Literal["auto", "llvm", "scalar", "cuda"]
 
@@ -83,12 +77,15 @@ def choose_variant(
     Raises
     ------
     MissingExtraError
-        When LLVM or a GPU is demanded and none passes the proof.
+        When the renderer is not installed or does not run, or LLVM or a GPU is demanded and none passes the proof.
     """
+    if not is_installed("mitsuba"):
+        raise MissingExtraError(MISSING_NOTE)
     llvm, scalar, cuda = (
         name.replace("_rgb", "_spectral") if spectral else name for name in (LLVM_VARIANT, SCALAR_VARIANT, CUDA_VARIANT)
     )
     if prefer == "scalar":
+        _require_scalar(scalar)
         return RendererChoice(scalar, None, "scalar variant as asked")
     if prefer == "cuda":
         failure = prove_variant(cuda)
@@ -105,7 +102,18 @@ def choose_variant(
     tried = "; ".join(failures) if failures else f"no LLVM library of version >= {MINIMUM_LLVM_MAJOR} was found"
     if prefer == "llvm":
         raise MissingExtraError(f"the renderer was asked for with LLVM, but {tried}; {INSTALL_NOTE}")
+    _require_scalar(scalar)
     return RendererChoice(scalar, None, f"{tried}; {INSTALL_NOTE}", fell_back=True)
+
+
+def _require_scalar(variant: str) -> None:
+    """Refuse where not even the variant that needs nothing else runs, such as on processors without AVX."""
+    failure = prove_variant(variant)
+    if failure is not None:
+        raise MissingExtraError(
+            f"Mitsuba does not run here: {failure}; its wheels for x86-64 need a processor with AVX. Render on another "
+            "computer: capture, radiometry, fit, compare and decide go without"
+        )
 
 
 def find_llvm_libraries() -> list[str]:
@@ -130,23 +138,36 @@ def prove_llvm_library(path: str) -> str | None:
 
 @functools.cache
 def prove_variant(variant: str, llvm_library: str | None = None) -> str | None:
-    """Render a small picture in a child process with this variant; None when it worked, else the reason."""
-    environment = dict(os.environ) if llvm_library is None else {**os.environ, _LIBRARY_VARIABLE: llvm_library}
+    """Render a small picture in a child process with this variant; None when it worked, else the reason.
+
+    Proofs are remembered, but for a GPU's: its driver can change without any file of ours.
+    """
+    arguments = {"variant": variant} | ({} if llvm_library is None else {"llvm_library": llvm_library})
+    files = (*_MODULES, *([] if llvm_library is None else [llvm_library]))
+    failure = proof_failure(_PROOF, arguments, files, _PROOF_TIMEOUT_S, remember="cuda" not in variant)
+    return None if failure is None else f"the proof picture {failure}"
+
+
+def render_proof_picture(variant: str, llvm_library: str | None = None) -> None:
+    """Render a small picture with a variant, in a process that has not rendered yet.
+
+    Raises
+    ------
+    SimulateError
+        When the renderer raises, or the picture is empty.
+    """
+    if llvm_library is not None:
+        os.environ[_LIBRARY_VARIABLE] = llvm_library
     try:
-        child = subprocess.run(
-            [sys.executable, "-c", _PROOF.format(variant=variant)],
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=_PROOF_TIMEOUT_S,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return f"the proof picture took longer than {_PROOF_TIMEOUT_S:.0f} s"
-    if child.returncode == 0:
-        return None
-    lines = child.stderr.strip().splitlines()
-    return f"the proof picture ended with status {child.returncode}" + (f" ({lines[-1][:160]})" if lines else "")
+        mitsuba = importlib.import_module("mitsuba")
+        mitsuba.set_variant(variant)
+        scene = mitsuba.cornell_box()
+        scene["sensor"]["film"].update(width=8, height=8)
+        mean = float(mitsuba.TensorXf(mitsuba.render(mitsuba.load_dict(scene), spp=2)).numpy().mean())
+    except Exception as error:
+        raise SimulateError(f"failed ({type(error).__name__}: {' '.join(str(error).split())[:200]})") from error
+    if not 0.0 < mean < 1e6:
+        raise SimulateError("is empty")
 
 
 def open_renderer(choice: RendererChoice, threads: int | None = None) -> ModuleType:

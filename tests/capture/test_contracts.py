@@ -95,12 +95,12 @@ class TestSimulatedLights(LightContract):
 
 @pytest.fixture(scope="module")
 def fw212c() -> Iterator[str]:
-    require_module("lewis", "lewis")
     with emulated_wheel() as running:
         running.reset()
         yield running.address
 
 
+@pytest.mark.rigs
 class TestThorlabsWheel(FilterWheelContract):
     @pytest.fixture
     def wheel_settings(self, fw212c: str) -> FilterWheelSettings:

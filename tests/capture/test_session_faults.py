@@ -24,7 +24,6 @@ from rigs.capture.resume import Interrupted, read_interrupted
 from rigs.filter_wheels.thorlabs import open_wheel
 from rigs.open_rig import OpenRig, open_rig
 from rigs.protocols import Camera, Clock, FilterWheel, RawFrame
-from tests.capture.drivers.programs import require_module
 from tests.capture.drivers.thorlabs_wheel import EmulatedWheel, emulated_wheel
 
 FRAMES_BEFORE = 12
@@ -77,11 +76,11 @@ class TurningBench:
 
 @pytest.fixture(scope="module")
 def device() -> Iterator[EmulatedWheel]:
-    require_module("lewis", "lewis")
     with emulated_wheel() as wheel:
         yield wheel
 
 
+@pytest.mark.rigs
 @pytest.mark.parametrize(
     ("fault", "error", "message"),
     [

@@ -5,14 +5,12 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.mechanics.assembly import Assembly, State
-from sim.mechanics.colliding_surfaces import Obstacle
-from sim.mechanics.contact_ipc import Barrier, BarrierContact
-from sim.mechanics.driven_contact import DrivenContact
 from sim.mechanics.increments import load_increments
 from sim.mechanics.linear_solver import linear_solver
 from sim.mechanics.materials import neo_hooke
 from sim.mechanics.newton import Supports
 from sim.surface_meshes.hexahedra import boundary_quads, split_quads
+from tests.certified.barrier_contact import Barrier, BarrierContact, DrivenContact, Obstacle
 from tests.certified.blocks import assemble, unit_cells
 
 GEL = neo_hooke(0.1333, 20.0)

@@ -7,9 +7,7 @@ from data_schemas.design import FingerDesign
 from data_schemas.errors import SimulateError
 from data_schemas.indenter import Indenter
 from sim.mechanics.body_meshes import body_mesh
-from sim.mechanics.colliding_surfaces import Obstacle
 from sim.mechanics.contact_analytic import PenaltyContact
-from sim.mechanics.contact_ipc import Barrier, BarrierContact
 from sim.mechanics.drive import Drive
 from sim.mechanics.materials import neo_hooke
 from sim.mechanics.newton import Supports
@@ -18,6 +16,7 @@ from sim.mechanics.press_contact import chosen_contact
 from sim.mechanics.signed_distances import Cylinder, Pose
 from sim.presets import preset_design
 from sim.surface_meshes.hexahedra import boundary_quads, split_quads
+from tests.certified.barrier_contact import Barrier, BarrierContact, Obstacle
 from tests.certified.blocks import GridBlock, assemble, press, unit_cells
 
 SHEAR_MPA = 0.2666

@@ -16,7 +16,7 @@ from data_schemas.storage import read_toml
 from rigs.capture.read_session import read_session
 from rigs.toml_text import write_rig
 from tests.capture.drivers import file_switch
-from tests.capture.drivers.programs import free_port, require_module
+from tests.capture.drivers.programs import free_port
 from tests.capture.drivers.thorlabs_wheel import emulated_wheel
 from tests.command_line.running import finray, succeed
 
@@ -36,9 +36,9 @@ def test_dry_run_tells_time_and_disk_and_stores_nothing(lab: Path, tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.rigs
 def test_dry_run_moves_no_wheel(lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A move would set the target of lewis' FW212C, which is another than its slot."""
-    require_module("lewis", "lewis")
     file_switch.install(monkeypatch)
     rig, laser = real_rig(lab), {"driver": "indi", "address": str(tmp_path / "laser"), "laser_class": "2"}
     lamp = LampSettings(driver="indi", address=str(tmp_path / "lamp"))

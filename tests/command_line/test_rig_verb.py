@@ -26,7 +26,7 @@ from rigs.toml_text import rig_toml
 from tests.capture.drivers.fake_gigevision_camera import fake_camera
 from tests.capture.drivers.firmware_in_qemu import build, firmware_board
 from tests.capture.drivers.indi_server import PANEL, IndiServer
-from tests.capture.drivers.programs import require, require_module
+from tests.capture.drivers.programs import require
 from tests.capture.drivers.thorlabs_wheel import emulated_wheel
 from tests.command_line.running import edit, finray, succeed
 
@@ -233,7 +233,6 @@ def test_show_says_what_does_not_fit_the_rig_file(lab: Path, tmp_path: Path, mon
 @pytest.mark.rigs
 def test_show_of_real_drivers_on_emulated_devices(tmp_path: Path) -> None:
     require("arv-tool-0.8", "aravis-tools-cli libaravis-0.8-0")
-    require_module("lewis", "lewis")
     rig = tmp_path / "rig.toml"
     with ExitStack() as stack:
         stack.enter_context(fake_camera())

@@ -22,7 +22,7 @@ from rigs.filter_wheels.thorlabs_dialogue import Dialogue
 from rigs.host import TerminalOperator
 from rigs.protocols import FilterWheel
 from rigs.transports.serial_link import SerialLink, UsbSerialPort
-from tests.capture.drivers.programs import free_port, others_python, require, require_module, wait_until
+from tests.capture.drivers.programs import free_port, others_python, require, wait_until
 from tests.capture.drivers.serial_replay import TRANSCRIPTS, read_transcript, replayed
 from tests.capture.drivers.thorlabs_wheel import EmulatedWheel, emulated_wheel
 
@@ -34,7 +34,6 @@ PROMPT_MODES = pytest.mark.parametrize("prompt_after_move", [False, True], ids=[
 
 @pytest.fixture(scope="module")
 def started() -> Iterator[EmulatedWheel]:
-    require_module("lewis", "lewis")
     with emulated_wheel() as wheel:
         yield wheel
 
@@ -59,6 +58,7 @@ def opened(address: str, slots: range = range(1, 9)) -> Iterator[FilterWheel]:
         yield wheel
 
 
+@pytest.mark.rigs
 def test_opening_asks_who_is_there_and_darkens_the_sensors(device: EmulatedWheel) -> None:
     device.control.put(pos=4)
     with opened(device.address) as wheel:
@@ -70,6 +70,7 @@ def test_opening_asks_who_is_there_and_darkens_the_sensors(device: EmulatedWheel
     assert (device.control.get("sensors"), device.control.get("speed")) == (0, 1)
 
 
+@pytest.mark.rigs
 @PROMPT_MODES
 def test_a_move_ends_when_the_wheel_is_there(device: EmulatedWheel, prompt_after_move: bool) -> None:
     device.control.put(prompt_after_move=prompt_after_move)
@@ -80,6 +81,7 @@ def test_a_move_ends_when_the_wheel_is_there(device: EmulatedWheel, prompt_after
             assert wheel.position() == slot
 
 
+@pytest.mark.rigs
 def test_a_wheel_that_is_there_is_not_sent(device: EmulatedWheel) -> None:
     with opened(device.address) as wheel:
         device.control.put(pos=7)
@@ -87,6 +89,7 @@ def test_a_wheel_that_is_there_is_not_sent(device: EmulatedWheel) -> None:
     assert device.control.get("target") == 1
 
 
+@pytest.mark.rigs
 def test_the_position_is_asked_afresh(device: EmulatedWheel) -> None:
     with opened(device.address) as wheel:
         wheel.go_to(5, MOVE_S)
@@ -96,6 +99,7 @@ def test_the_position_is_asked_afresh(device: EmulatedWheel) -> None:
         assert wheel.position() is None
 
 
+@pytest.mark.rigs
 @PROMPT_MODES
 def test_a_stuck_wheel_is_late(device: EmulatedWheel, prompt_after_move: bool) -> None:
     device.control.put(prompt_after_move=prompt_after_move)
@@ -111,6 +115,7 @@ def test_a_stuck_wheel_is_late(device: EmulatedWheel, prompt_after_move: bool) -
         assert device.control.get("pos") == 3
 
 
+@pytest.mark.rigs
 @PROMPT_MODES
 @pytest.mark.parametrize("slip", [1, -2])
 def test_a_lost_step_is_a_wrong_position(device: EmulatedWheel, prompt_after_move: bool, slip: int) -> None:
@@ -121,12 +126,14 @@ def test_a_lost_step_is_a_wrong_position(device: EmulatedWheel, prompt_after_mov
         assert wheel.position() == 5 + slip
 
 
+@pytest.mark.rigs
 def test_a_wheel_that_falls_back_is_late(device: EmulatedWheel) -> None:
     device.control.put(slip=-2)
     with opened(device.address) as wheel, pytest.raises(TimedOutError, match="its last report is slot 1"):
         wheel.go_to(3, 0.5)
 
 
+@pytest.mark.rigs
 def test_a_slot_beyond_the_wheel_is_refused_and_nothing_moves(device: EmulatedWheel) -> None:
     with opened(device.address) as wheel:
         for slot in (0, 13, -1):
@@ -135,6 +142,7 @@ def test_a_slot_beyond_the_wheel_is_refused_and_nothing_moves(device: EmulatedWh
     assert (device.control.get("target"), device.control.get("pos")) == (1, 1)
 
 
+@pytest.mark.rigs
 def test_an_error_that_the_wheel_says(device: EmulatedWheel) -> None:
     with opened(device.address) as wheel:
         device.control.put(pcount=6)
@@ -143,6 +151,7 @@ def test_an_error_that_the_wheel_says(device: EmulatedWheel) -> None:
         assert wheel.position() == 1
 
 
+@pytest.mark.rigs
 def test_a_mute_wheel_times_out(device: EmulatedWheel) -> None:
     with opened(device.address) as wheel:
         device.control.put(mute=True)
@@ -158,12 +167,14 @@ def test_a_mute_wheel_times_out(device: EmulatedWheel) -> None:
         assert wheel.position() == 1
 
 
+@pytest.mark.rigs
 def test_a_wheel_that_is_mute_from_the_start(device: EmulatedWheel) -> None:
     device.control.put(mute=True)
     with pytest.raises(TimedOutError, match="did not answer"), opened(device.address):
         pass
 
 
+@pytest.mark.rigs
 def test_a_garbled_answer_is_no_answer(device: EmulatedWheel) -> None:
     with opened(device.address) as wheel:
         device.control.put(garble=True)
@@ -173,6 +184,7 @@ def test_a_garbled_answer_is_no_answer(device: EmulatedWheel) -> None:
         assert wheel.position() == 1
 
 
+@pytest.mark.rigs
 def test_a_late_answer_is_not_taken_for_the_next_one(device: EmulatedWheel) -> None:
     with opened(device.address) as wheel:
         device.control.put(late_s=0.6)
@@ -183,6 +195,7 @@ def test_a_late_answer_is_not_taken_for_the_next_one(device: EmulatedWheel) -> N
         assert wheel.position() == 4
 
 
+@pytest.mark.rigs
 def test_six_slots_do_not_hold_eight_filters(device: EmulatedWheel) -> None:
     device.control.put(pcount=6)
     what = r"has slots 1 to 6, the rig file puts filter 7 in slot 7, filter 8 in slot 8; 8 filters need an FW212C"
@@ -195,12 +208,14 @@ def test_six_slots_do_not_hold_eight_filters(device: EmulatedWheel) -> None:
         pass
 
 
+@pytest.mark.rigs
 def test_a_count_that_no_wheel_has(device: EmulatedWheel) -> None:
     device.control.put(pcount=8)
     with pytest.raises(RefusedError, match=r"says that it has 8 slots, 6 \(FW102C\) or 12"), opened(device.address):
         pass
 
 
+@pytest.mark.rigs
 @pytest.mark.parametrize("setting", ["sensors", "speed"])
 def test_a_setting_that_is_not_kept(device: EmulatedWheel, setting: str) -> None:
     told, kept = (0, 1) if setting == "sensors" else (1, 0)
@@ -210,6 +225,7 @@ def test_a_setting_that_is_not_kept(device: EmulatedWheel, setting: str) -> None
         pass
 
 
+@pytest.mark.rigs
 def test_another_device_is_refused(device: EmulatedWheel) -> None:
     device.control.put(idn="THORLABS SC10 VERSION 1.07")
     what = r"says that it is 'THORLABS SC10 VERSION 1\.07', a Thorlabs FW102C or FW212C"
@@ -217,6 +233,7 @@ def test_another_device_is_refused(device: EmulatedWheel) -> None:
         pass
 
 
+@pytest.mark.rigs
 def test_a_value_that_is_no_number(device: EmulatedWheel) -> None:
     with opened(device.address) as wheel:
         device.control.put(pos="three")
@@ -224,8 +241,8 @@ def test_a_value_that_is_no_number(device: EmulatedWheel) -> None:
             wheel.position()
 
 
+@pytest.mark.rigs
 def test_an_unplugged_wheel_is_lost() -> None:
-    require_module("lewis", "lewis")
     with emulated_wheel() as device:
         with opened(device.address) as wheel:
             device.stop()
@@ -258,6 +275,7 @@ def test_pylablib_sees_the_wheel_where_it_was_sent(device: EmulatedWheel) -> Non
         assert asked.stdout.split() == [str(slot), "off", "high", "12"]
 
 
+@pytest.mark.rigs
 def test_detection_lists_wheels_and_nothing_else(device: EmulatedWheel, monkeypatch: pytest.MonkeyPatch) -> None:
     addresses = [device.address, f"socket://127.0.0.1:{free_port()}"]
     ports = [UsbSerialPort(address, "FT232R USB UART", "0403:6001") for address in addresses]

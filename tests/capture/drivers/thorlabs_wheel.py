@@ -1,7 +1,6 @@
 """The emulated Thorlabs wheel as a server of the device simulator lewis, with its faults at hand."""
 
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Self
 
 import zmq
 
-from tests.capture.drivers.programs import answers, free_port, wait_until
+from tests.capture.drivers.programs import answers, free_port, others_python, wait_until
 
 HERE = Path(__file__).parent
 CYCLE_S = 0.005
@@ -76,7 +75,7 @@ class EmulatedWheel:
 def emulated_wheel() -> Iterator[EmulatedWheel]:
     """Start an emulated wheel for a ``with`` block."""
     port, control_port = free_port(), free_port()
-    command = [sys.executable, "-c", "from lewis.scripts.run import run_simulation; run_simulation()"]
+    command = [others_python("lewis"), "-c", "from lewis.scripts.run import run_simulation; run_simulation()"]
     command += ["-a", str(HERE), "-k", "lewis_devices", "fw212c", "-c", str(CYCLE_S), "-o", "none"]
     command += ["-p", f"stream: {{bind_address: 127.0.0.1, port: {port}}}", "-r", f"127.0.0.1:{control_port}"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
