@@ -30,6 +30,7 @@ LARGEST_ENERGY_OUT = 1.2
 # Decimal wavelengths are read with rounding errors; a real difference of steps is far larger.
 STEP_TOLERANCE_NM = 1e-6
 LARGEST_REFLECTANCE = 1.2
+LARGEST_RESPONSE_PERCENT = 1000.0
 ALLOW_REFLECTANCE = "# allow: reflectance above 1.2"
 
 
@@ -66,6 +67,11 @@ def read_camera_response(path: Path) -> tuple[SpectralCurve, SpectralCurve, Spec
         )
     if (table[:, 1:] < 0).any():
         raise CurveError(f"{path}: a camera response must not be negative (percent of full scale, 0 or more)")
+    if table[:, 1:].max() > LARGEST_RESPONSE_PERCENT:
+        raise CurveError(
+            f"{path}: a camera response of {table[:, 1:].max():.4g} per cent; at most {LARGEST_RESPONSE_PERCENT:g} is "
+            "allowed: correct the row, or scale the columns together"
+        )
     if not (table[:, 1:] > 0).any(axis=0).all():
         raise CurveError(f"{path}: a channel of the camera response is zero everywhere")
     peaks = table[:, 1:].max(axis=0)
@@ -152,7 +158,7 @@ def read_donaldson_matrix(path: Path) -> DonaldsonMatrix:
         band_nm = _even_step_nm(path, emission)
         stokes_nm = emission[:, None] - excitation[None, :]
         diagonal = np.array([_diagonal(emission, excitation, values, e) for e in emission])
-        _require_reflectance(path, emission, diagonal)
+        _require_reflectance(path, emission, values)
         known = np.isfinite(diagonal)
         _require_energy(path, excitation, np.where(stokes_nm >= FIRST_STOKES_NM, values, 0.0), emission, diagonal)
         return DonaldsonMatrix(
@@ -172,14 +178,14 @@ def read_donaldson_matrix(path: Path) -> DonaldsonMatrix:
         raise CurveError(f"{path}: {_first_message(error)}") from None
 
 
-def _require_reflectance(path: Path, emission_nm: Floats, diagonal: Floats) -> None:
-    """Refuse a matrix whose diagonal returns more light than matter does, unless the file says that it is meant."""
-    largest = float(np.nanmax(diagonal, initial=0.0))
+def _require_reflectance(path: Path, emission_nm: Floats, values: Floats) -> None:
+    """Refuse a matrix of which an entry returns more light than matter does, unless the file says that it is meant."""
+    largest = float(values.max())
     if largest <= LARGEST_REFLECTANCE or ALLOW_REFLECTANCE in read_text(path, "a CSV file", CurveError):
         return
-    at_nm = float(emission_nm[int(np.nanargmax(diagonal))])
+    at_nm = float(emission_nm[np.unravel_index(int(values.argmax()), values.shape)[0]])
     raise CurveError(
-        f"{path}: the reflectance (diagonal) is {largest:.4g} at {at_nm:g} nm; {LARGEST_REFLECTANCE:g} is the most "
+        f"{path}: the reflectance is {largest:.4g} at {at_nm:g} nm; {LARGEST_REFLECTANCE:g} is the most "
         f"allowed: divide by 100 if the matrix is in per cent, or add the line '{ALLOW_REFLECTANCE}' if it is meant"
     )
 

@@ -59,7 +59,8 @@ _TOML_WORDS = re.compile(
 )
 _TOML_CHAIN = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{DEEPEST_TOML}}}")
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
-_SURROGATE = re.compile("[\ud800-\udfff]")
+# halves of characters, and control characters but tab and line ends
+_UNSHOWN = re.compile("[\ud800-\udfff\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 
 
 class _Digests:
@@ -222,7 +223,7 @@ def parse_json(
             parse_int=_whole,
         )
         if b"\\u" in content:
-            _refuse_half_characters(parsed)
+            _refuse_unshown(parsed)
     except (ValueError, RecursionError) as fault:
         raise error(f"{where}: cannot be read as JSON ({fault}); was it edited or cut off?") from None
     return parsed
@@ -251,6 +252,7 @@ def parse_toml(content: bytes, where: object, error: type[FinrayError] = RecordE
         _require_shallow_toml(text)
         parsed = tomllib.loads(text)
         _refuse_odd_numbers(parsed)
+        _refuse_unshown(parsed)
     except (ValueError, RecursionError) as fault:
         raise error(f"{where}: cannot be read as TOML ({fault})") from None
     return parsed
@@ -282,14 +284,13 @@ def read_csv(
     Returns
     -------
     tuple
-        Names of the columns, and (line, cells) of every row that is not empty; rows may be shorter or longer than the
-        header.
+        Names of the columns, and (line, cells) of every row that is not empty; rows may be shorter than the header.
 
     Raises
     ------
     FinrayError
-        Of the class `error`: as :func:`read_text`, a quote is not closed, a column's name stands twice, or the table
-        has too many cells.
+        Of the class `error`: as :func:`read_text`, a quote is not closed, a column's name stands twice, a row is longer
+        than the header, or the table has too many cells.
     """
     text = read_text(path, what, error, encoding="utf-8-sig")
     lines: Iterable[str] = io.StringIO(text, newline="")
@@ -313,6 +314,12 @@ def read_csv(
             f"{path}, line {reader.line_num}: cannot be read as CSV ({fault}); close or remove its quotes"
         ) from None
     header = [name.strip() for name in rows[0][1]] if rows else []
+    long = next(((line, cells) for line, cells in rows[1:] if any(c.strip() for c in cells[len(header) :])), None)
+    if long is not None:
+        raise error(
+            f"{path}, line {long[0]}: has {len(long[1])} columns, the header has {len(header)}; commas stand between "
+            "columns, the decimal mark is a point"
+        )
     twice = next((name for name in header if name and header.count(name) > 1), None)
     if twice is not None:
         raise error(f"{path}: the column {twice!r} stands twice in the header; remove one")
@@ -423,10 +430,12 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(inner)
 
 
-def _refuse_half_characters(parsed: Any) -> None:
-    """Refuse one half of a surrogate pair, which no file and no screen can show."""
-    if any(_SURROGATE.search(text) for text in _texts(parsed)):
-        raise ValueError("a text holds half of a character (a lone \\ud800 to \\udfff)")
+def _refuse_unshown(parsed: Any) -> None:
+    """Refuse halves of characters and control characters, which no name, page or screen can show."""
+    found = next((match[0] for text in _texts(parsed) if (match := _UNSHOWN.search(text))), None)
+    if found is not None:
+        what = "half of a character" if found > "\x7f" else "a control character"
+        raise ValueError(f"a text holds {what} (\\u{ord(found):04x})")
 
 
 def _refuse_odd_numbers(value: Any) -> None:

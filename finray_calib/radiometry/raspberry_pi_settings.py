@@ -155,4 +155,8 @@ def _numbers(metadata: Mapping[str, Any], control: str, count: int, image: str) 
             f"{image}: {control} is {metadata[control]!r}; it must be {count} finite number(s)"
             + ("" if signed else " above 0")
         )
+    if control == "SensorBlackLevels" and not ((values >= 0.0) & (values < LEVELS)).all():
+        raise ImportFormatError(
+            f"{image}: SensorBlackLevels is {metadata[control]!r}; black levels are 0 to {LEVELS - 1:g} of 16 bits"
+        )
     return values

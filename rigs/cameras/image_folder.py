@@ -162,7 +162,11 @@ def _listed_exposures(path: Path, where: str) -> dict[str, float]:
     header, rows = read_csv(path, f"{EXPOSURES_NAME} (columns file,exposure_s)", RefusedError)
     try:
         at_file, at_time = header.index("file"), header.index("exposure_s")
-        listed = {cells[at_file]: finite_number(cells[at_time]) for _, cells in rows}
+        listed: dict[str, float] = {}
+        for line, cells in rows:
+            if cells[at_file] in listed:
+                raise ValueError(f"{cells[at_file]} stands twice, again in line {line}")
+            listed[cells[at_file]] = finite_number(cells[at_time])
     except (ValueError, IndexError) as error:
         raise RefusedError(
             f"{where}: {path} cannot be read ({error}); it needs the header file,exposure_s and seconds as numbers"

@@ -175,7 +175,14 @@ def test_a_matrix_in_per_cent_is_refused_unless_it_is_meant(tmp_path):
     path = tmp_path / "paint.csv"
     rows = "emission_nm,450,460\n450,79,0\n460,3,81\n"
     path.write_text(rows)
-    with pytest.raises(CurveError, match=r"paint\.csv: the reflectance \(diagonal\) is 81 at 460 nm; .* in per cent"):
+    with pytest.raises(CurveError, match=r"paint\.csv: the reflectance is 81 at 460 nm; .* in per cent"):
         read_donaldson_matrix(path)
     path.write_text("# allow: reflectance above 1.2\n" + rows.replace("460,3", "460,0.3"))
     assert read_donaldson_matrix(path).reflectance.values.max() == 81.0
+
+
+def test_a_camera_response_beyond_measure_is_refused(tmp_path):
+    path = tmp_path / "camera.csv"
+    path.write_text("wavelength_nm,red_percent,green_percent,blue_percent\n400,1,2,3\n500,1,2e6,3\n")
+    with pytest.raises(CurveError, match=r"camera\.csv: a camera response of 2e\+06 per cent; at most 1000 is allowed"):
+        read_camera_response(path)
