@@ -12,6 +12,7 @@ from typing import Final, Literal
 
 from data_schemas.errors import RecordError
 from data_schemas.foreign_files import open_regular, read_text
+from data_schemas.leftovers import clear_leftovers
 from data_schemas.whole_files import write_bytes
 
 MANIFEST_NAME: Final = "manifest-sha256.txt"
@@ -72,6 +73,8 @@ def manifest_text(folder: Path, added: Mapping[str, str] | None = None, left_out
 
 def write_manifest(folder: Path) -> Path:
     """Write the checksums of all files below a folder into it and return their file, which must be new."""
+    for inside in (folder, *(path for path in folder.rglob("*") if path.is_dir())):
+        clear_leftovers(inside)
     write_bytes(folder / MANIFEST_NAME, manifest_text(folder))
     return folder / MANIFEST_NAME
 

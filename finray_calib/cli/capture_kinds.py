@@ -20,7 +20,7 @@ from finray_calib.cli.options import (
     input_digests,
     naming,
     progress_bar,
-    require_new,
+    require_new_session,
     say,
     warn,
 )
@@ -55,7 +55,7 @@ def capture_paint(arguments: argparse.Namespace) -> None:
         say("the rig is ready; nothing was moved, lit or stored")
         return
     last_good = None if arguments.like is None else read_session(arguments.like)
-    out = require_new(arguments.out or Path(f"{file_name(plan.paint_name)}-session"))
+    out = require_new_session(arguments.out or Path(f"{file_name(plan.paint_name)}-session"))
     sources = input_digests([arguments.plan, arguments.rig])
     with interruptible(out), _telling(rig) as progress:
         session = capture_paint_session(
@@ -69,7 +69,7 @@ def capture_camera(arguments: argparse.Namespace) -> None:
     if arguments.dry_run or arguments.like is not None:
         raise CaptureError("--dry-run and --like are for plans of kind 'paint'; leave them out")
     plan, rig = read_toml(arguments.plan, CameraPlan), read_toml(arguments.rig, RigFile)
-    out = require_new(arguments.out or Path(f"{file_name(plan.camera_name)}-session"))
+    out = require_new_session(arguments.out or Path(f"{file_name(plan.camera_name)}-session"))
     sources = input_digests([arguments.plan, arguments.rig])
     with naming(CaptureError, arguments.plan):
         camera_step(plan, rig)

@@ -7,7 +7,7 @@ from data_schemas.errors import CaptureError
 from data_schemas.storage import read_toml
 from data_schemas.tactile import TactilePlan, TactileRig, TactileSession
 from finray_calib.cli.interruption import interruptible
-from finray_calib.cli.options import command_line, file_name, input_digests, naming, require_new, say, warn
+from finray_calib.cli.options import command_line, file_name, input_digests, naming, require_new_session, say, warn
 from rigs.capture.tactile_plan import planned_presses, tactile_shots
 from rigs.capture.tactile_resume import read_interrupted_presses
 from rigs.capture.tactile_session import capture_tactile_session, session_bytes
@@ -29,7 +29,7 @@ def capture_tactile(arguments: argparse.Namespace) -> None:
         say(f"{len({shot.group for shot in shots})} things to do by hand")
         say(f"{sum(shot.exposure_s for shot in shots):.0f} s of exposure; the camera was not opened")
         return
-    out = require_new(arguments.out or Path(f"{file_name(plan.name)}-session"))
+    out = require_new_session(arguments.out or Path(f"{file_name(plan.name)}-session"))
     poses = [] if plan.poses_csv is None else [arguments.plan.parent / plan.poses_csv]
     sources = input_digests([arguments.plan, arguments.rig, *poses])
     with interruptible(out):

@@ -159,6 +159,13 @@ def require_new(path: Path) -> Path:
     return require_place(path)
 
 
+def require_new_session(path: Path) -> Path:
+    """Return the folder of a session if nothing is there, or only what a capture left that was killed as it began."""
+    from rigs.capture.session_folder import is_unborn
+
+    return require_place(path) if is_unborn(path) else require_new(path)
+
+
 def new_page_beside(record: Path) -> Path:
     """Return the name of the page beside a record, FILE.html for FILE.json, if nothing is there yet."""
     if record.suffix == ".html":

@@ -102,6 +102,7 @@ def held(out: Path, settings: Mapping[str, Any]) -> Iterator[None]:
         The folder holds something else, a finished demo, one with other settings, or one that is running.
     """
     mine = identity(settings)
+    clear_leftovers(out)  # of a demo that was killed before its first file had its name
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         write_bytes(out / SETTINGS, (json.dumps(mine, indent=1) + "\n").encode())
     if not (out / SETTINGS).is_file():

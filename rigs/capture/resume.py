@@ -16,7 +16,7 @@ from data_schemas.record_versions import migrate
 from data_schemas.rig import RigFile
 from data_schemas.whole_files import sha256_of
 from rigs.capture.journal import JOURNAL_NAME, read_journal
-from rigs.capture.session_folder import SESSION_NAME
+from rigs.capture.session_folder import SESSION_NAME, clear_session
 from rigs.protocols import Clock
 
 ORPHANS = "set-aside"
@@ -207,6 +207,7 @@ def take_over(folder: Path, interrupted: Interrupted) -> None:
     """
     if (folder / SESSION_NAME).exists() or len(read_journal(folder)) != interrupted.lines:
         raise CaptureError(f"{folder}: another capture went on with this session meanwhile; look at what it did")
+    clear_session(folder)
     _set_aside(folder, {frame.file for frame in interrupted.frames.values()})
 
 

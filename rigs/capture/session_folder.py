@@ -8,6 +8,7 @@ from data_schemas.capture import CaptureSession
 from data_schemas.devices import DeviceIdentity
 from data_schemas.errors import CaptureError, CurveError
 from data_schemas.folder_manifest import MANIFEST_NAME
+from data_schemas.leftovers import clear_leftovers
 from data_schemas.model import Record
 from data_schemas.provenance import digest_of_input, provenance
 from data_schemas.rig import RigFile
@@ -21,6 +22,12 @@ SESSION_EVENT = "session"
 """Of the line of a journal that holds the checksum of the session's record."""
 
 
+def is_unborn(out: Path) -> bool:
+    """Return whether a folder is empty, but for what a capture left that was killed before its first line."""
+    clear_leftovers(out)
+    return out.is_dir() and all(path.name == f".{JOURNAL_NAME}.part" for path in out.iterdir())
+
+
 def require_empty(out: Path) -> None:
     """Refuse a folder that holds something, or a path that is no folder.
 
@@ -29,11 +36,16 @@ def require_empty(out: Path) -> None:
     CaptureError
         It does.
     """
-    unborn = f".{JOURNAL_NAME}.part"  # of a capture that ended before its first line
-    if out.exists() and (not out.is_dir() or any(path.name != unborn for path in out.iterdir())):
+    if out.exists() and not is_unborn(out):
         raise CaptureError(
             f"{out}: exists already and is not an empty folder; a capture never overwrites: choose another --out"
         )
+
+
+def clear_session(out: Path) -> None:
+    """Remove the part files that a killed capture left in the folder of a session; its journal must be ours."""
+    for folder in (out, out / "frames"):
+        clear_leftovers(folder)
 
 
 def curve_files(rig: RigFile, rig_folder: Path) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from data_schemas.tactile import PlannedPress, TactileFrame, TactilePlan, Tactil
 from data_schemas.whole_files import sha256_of
 from rigs.capture.journal import JOURNAL_NAME, read_journal
 from rigs.capture.resume import ORPHANS, begun_with
-from rigs.capture.session_folder import SESSION_NAME
+from rigs.capture.session_folder import SESSION_NAME, clear_session
 from rigs.capture.tactile_plan import tactile_shots
 
 KIND = "tactile"
@@ -121,6 +121,7 @@ def take_over(folder: Path, interrupted: InterruptedPresses, device: DeviceIdent
             f"camera: {device.model} (serial '{device.serial}') answers now; the session began with "
             f"{interrupted.device}: connect that one, or capture the session again"
         )
+    clear_session(folder)
     known = {folder / frame.file for frame in interrupted.frames.values()}
     frames = [path for path in sorted((folder / "frames").glob("*")) if path not in known]
     for path in (*frames, *sorted(folder.glob("press-*"))):
