@@ -47,7 +47,10 @@ from tests.exchange.test_abaqus_results import DESIGN as ABAQUS_DESIGN
 from tests.exchange.test_abaqus_results import results
 from tests.exchange.test_taxim_export import SENSOR
 
-FINGER = 'preset = "flat-70x35"\nname = "small finger"\n[camera]\nwidth_px = 64\nheight_px = 48\n[indenter]\ndepth_mm = 0.2\n'
+FINGER = (
+    'preset = "flat-70x35"\nname = "small finger"\n'
+    "[camera]\nwidth_px = 64\nheight_px = 48\n[indenter]\ndepth_mm = 0.2\n"
+)
 PAINTS = "--paint red={i}/fitted.paint.json --paint green={i}/fitted.paint.json"
 RENDERED = (
     "finray_calib.cli.simulate:_scene",
