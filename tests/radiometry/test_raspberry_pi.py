@@ -197,3 +197,9 @@ def test_settings_that_differ_are_refused(changes, message):
     with pytest.raises(ImportFormatError, match=message):
         require_same_settings({"a.png": one, "b.png": other})
     require_same_settings({"a.png": one, "b.png": capture_settings(metadata(ExposureTime=10_001), "b.png")})
+
+
+@pytest.mark.parametrize("level", [-1, 65536])
+def test_a_black_level_beyond_sixteen_bits_is_refused(level):
+    with pytest.raises(ImportFormatError, match=r"contact\.dng: SensorBlackLevels is .*; black levels are 0 to 65535"):
+        capture_settings(metadata(SensorBlackLevels=[4096, 4096, 4096, level]), "contact.dng")
