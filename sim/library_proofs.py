@@ -16,6 +16,7 @@ from pathlib import Path
 
 from data_schemas.child_process import call_in_child
 from data_schemas.errors import FinrayError
+from data_schemas.foreign_files import read_json
 from data_schemas.whole_files import write_bytes
 
 _TIME_S = 120.0
@@ -103,11 +104,11 @@ def _notes() -> Path:
 
 def _read(note: Path) -> str | None:
     """Return a kept outcome, or None; what is not one is removed."""
-    try:
-        failure = json.loads(note.read_bytes()[:10_000])["failure"]
-    except OSError:
+    if not note.is_file():
         return None
-    except (ValueError, KeyError, TypeError):
+    try:
+        failure = read_json(note)["failure"]
+    except (FinrayError, OSError, KeyError, TypeError):
         failure = None
     if isinstance(failure, str):
         return failure
