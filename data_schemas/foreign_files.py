@@ -59,8 +59,7 @@ _TOML_WORDS = re.compile(
 )
 _TOML_CHAIN = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{DEEPEST_TOML}}}")
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
-# halves of characters, and control characters but tab and line ends
-_UNSHOWN = re.compile("[\ud800-\udfff\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
+_SURROGATE = re.compile("[\ud800-\udfff]")
 
 
 class _Digests:
@@ -223,7 +222,7 @@ def parse_json(
             parse_int=_whole,
         )
         if b"\\u" in content:
-            _refuse_unshown(parsed)
+            _refuse_half_characters(parsed)
     except (ValueError, RecursionError) as fault:
         raise error(f"{where}: cannot be read as JSON ({fault}); was it edited or cut off?") from None
     return parsed
@@ -252,7 +251,7 @@ def parse_toml(content: bytes, where: object, error: type[FinrayError] = RecordE
         _require_shallow_toml(text)
         parsed = tomllib.loads(text)
         _refuse_odd_numbers(parsed)
-        _refuse_unshown(parsed)
+        _refuse_half_characters(parsed)
     except (ValueError, RecursionError) as fault:
         raise error(f"{where}: cannot be read as TOML ({fault})") from None
     return parsed
@@ -430,12 +429,10 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(inner)
 
 
-def _refuse_unshown(parsed: Any) -> None:
-    """Refuse halves of characters and control characters, which no name, page or screen can show."""
-    found = next((match[0] for text in _texts(parsed) if (match := _UNSHOWN.search(text))), None)
-    if found is not None:
-        what = "half of a character" if found > "\x7f" else "a control character"
-        raise ValueError(f"a text holds {what} (\\u{ord(found):04x})")
+def _refuse_half_characters(parsed: Any) -> None:
+    """Refuse one half of a surrogate pair, which no file and no screen can show."""
+    if any(_SURROGATE.search(text) for text in _texts(parsed)):
+        raise ValueError("a text holds half of a character (a lone \\ud800 to \\udfff)")
 
 
 def _refuse_odd_numbers(value: Any) -> None:

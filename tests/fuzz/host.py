@@ -179,7 +179,10 @@ def _run(reader: Any, example: Path) -> dict[str, Any]:
 def _in_fork(run: Any) -> dict[str, Any]:
     """Return what a function returns in a forked process, or how that process ended."""
     receive, send = os.pipe()
-    started, base = time.monotonic(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # what a fork shares from the start; getrusage would count the largest that this process, or its parent, ever had
+    status = Path("/proc/self/status").read_text(encoding="utf-8")
+    base = next(int(line.split()[1]) for line in status.splitlines() if line.startswith("RssAnon:"))
+    started = time.monotonic()
     pid = os.fork()
     if pid == 0:
         os.close(receive)

@@ -111,12 +111,11 @@ def test_digests_may_be_asked_from_many_threads(tmp_path):
         (b"[" + b"0," * 2_000_001 + b"0]", "more than 2000000 values"),
         (b'["\\ud800"]', "half of a character"),
         (b'{"\\udfff": 1}', "half of a character"),
-        (b'["a\\u0000b"]', "a control character"),
         (b"\xff", "cannot be read as JSON"),
         (b"", "cannot be read as JSON"),
         (b"{", "cannot be read as JSON"),
     ],
-    ids=range(17),
+    ids=range(16),
 )
 def test_json_that_is_refused(content, message):
     with pytest.raises(RecordError, match=message):
@@ -158,9 +157,8 @@ def test_json_that_is_long_is_refused_in_a_time_that_grows_with_its_length(conte
         (b".".join([b"a"] * 1000) + b" = 1", "a key of more than 16 parts"),
         (b" . ".join([b'"a"'] * 1000) + b" = 1", "a key of more than 16 parts"),
         (b"a = \xff", "cannot be read as TOML"),
-        (b'a = "\\u0000"', "a control character"),
     ],
-    ids=range(11),
+    ids=range(10),
 )
 def test_toml_that_is_refused(content, message):
     with pytest.raises(RecordError, match=message):
