@@ -25,8 +25,9 @@ from tempfile import mkdtemp
 from typing import Any, Self
 
 HANGS_S = 20.0
-"""Of processor time; the clock may run four times as long on a busy machine."""
-CLOCK_S = 80.0
+"""Of processor time; the clock may run longer on a busy machine."""
+CLOCK_S = 240.0
+PREPARES_S = 900.0
 MOST_MEMORY_BYTES = 1 << 30
 REFUSED, ACCEPTED = "refused", "accepted"
 FAULTS = ("traceback", "crash", "hang", "memory")
@@ -96,7 +97,7 @@ def serve() -> None:
 
 def _prepare(reader: Any, example: Path) -> None:
     """Make a reader's example and import what the reader needs, so that no case pays for it; nothing is run here."""
-    found = _in_fork(lambda: _make(reader, example))
+    found = _in_fork(lambda: _make(reader, example), PREPARES_S)
     assert found["outcome"] == "made", f"{reader.name}: {found}"
     for name in found["modules"]:
         with contextlib.suppress(Exception):
@@ -176,8 +177,9 @@ def _run(reader: Any, example: Path) -> dict[str, Any]:
     return {"outcome": ACCEPTED, "text": ""}
 
 
-def _in_fork(run: Any) -> dict[str, Any]:
+def _in_fork(run: Any, clock_s: float = 0.0) -> dict[str, Any]:
     """Return what a function returns in a forked process, or how that process ended."""
+    clock_s = clock_s or CLOCK_S
     receive, send = os.pipe()
     # what a fork shares from the start; getrusage would count the largest that this process, or its parent, ever had
     status = Path("/proc/self/status").read_text(encoding="utf-8")
@@ -202,7 +204,7 @@ def _in_fork(run: Any) -> dict[str, Any]:
         os._exit(0)
     os.close(send)
     content = b""
-    while select.select([receive], [], [], max(0.0, started + CLOCK_S - time.monotonic()))[0]:
+    while select.select([receive], [], [], max(0.0, started + clock_s - time.monotonic()))[0]:
         part = os.read(receive, 65536)
         if not part:
             break
@@ -213,17 +215,18 @@ def _in_fork(run: Any) -> dict[str, Any]:
     _, status, usage = os.wait4(pid, 0)
     with contextlib.suppress(ProcessLookupError):
         os.killpg(pid, signal.SIGKILL)
-    return _judged(content, os.waitstatus_to_exitcode(status), usage, base, time.monotonic() - started)
+    late = time.monotonic() - started >= clock_s
+    return _judged(content, os.waitstatus_to_exitcode(status), usage, base, time.monotonic() - started, late)
 
 
-def _judged(content: bytes, status: int, usage: Any, base_kib: int, wall_s: float) -> dict[str, Any]:
+def _judged(content: bytes, status: int, usage: Any, base_kib: int, wall_s: float, late: bool) -> dict[str, Any]:
     """Return the outcome with what it took."""
     took = {
         "cpu_s": round(usage.ru_utime + usage.ru_stime, 3),
         "wall_s": round(wall_s, 3),
         "memory_mb": round(max(usage.ru_maxrss - base_kib, 0) / 1024, 1),
     }
-    if wall_s >= CLOCK_S or status in (-signal.SIGXCPU, -signal.SIGKILL) or took["cpu_s"] > HANGS_S:
+    if late or status in (-signal.SIGXCPU, -signal.SIGKILL) or took["cpu_s"] > HANGS_S:
         return {"outcome": "hang", "text": f"status {status}", **took}
     if status != 0 or not content:
         return {"outcome": "crash", "text": f"status {status}", **took}
