@@ -48,8 +48,12 @@ class IndiPanel:
             raise RefusedError(f"{self.name}: does not turn {'on' if on else 'off'}{self._client.said()}")
 
     def reading(self, end_s: float) -> bool:
-        """Ask the driver afresh whether the light is on."""
+        """Ask the driver afresh whether the light is on: twice, as INDI's answers do not name their question.
+
+        The first may be what another client was told before the light changed.
+        """
         self._client.ready(end_s)
+        self._client.ask(_CONTROL, end_s)
         return self._ask(end_s)
 
     def off_words(self) -> OffWords:
