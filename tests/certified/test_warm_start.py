@@ -183,10 +183,13 @@ def test_a_killed_press_goes_on(tmp_path, monkeypatch):
     assert not (tmp_path / "cut.mechanics.json").exists()
     assert read_record(tmp_path / "cut.increments" / "001.json", PressIncrement).depth_mm == pytest.approx([0.5])
 
-    refused = finray(f"{press} --out cut.json")
-    assert refused.status == 2
-    assert "cut.increments: exists already and is not overwritten" in refused.err
-    succeed(f"{press} --out cut.json --resume cut.increments")
+    # --resume goes on from increments that lie elsewhere; the same command finds its own
+    (tmp_path / "cut.increments").rename(tmp_path / "kept.increments")
+    succeed(f"{press} --out moved.json --resume kept.increments")
+    (tmp_path / "kept.increments").rename(tmp_path / "cut.increments")
+    again = finray(f"{press} --out cut.json")
+    assert again.status == 0
+    assert "cut.increments: this press was interrupted; it goes on after increment 00" in again.err
     succeed(f"{press} --out whole.json")
     cut, whole = (read_record(tmp_path / f"{name}.mechanics.json", PressMechanics) for name in ("cut", "whole"))
     assert cut.depth_mm == pytest.approx(whole.depth_mm, rel=1e-12)
