@@ -37,8 +37,9 @@ TOLERANCE_REL: Final[Mapping[str, float]] = {
 }
 """Kind -> largest difference of a number over the largest magnitude of its field that a replay may have; else 0.
 
-Sums of threads and of vector units are taken in another order on another machine, so that last digits differ; draws and
-presses carry these further. Reports and decisions are made from such records."""
+On one machine the numbers of a fit come out the same. Threads and vector units of another one take sums in another
+order, so that last digits differ; draws and presses carry these further. Reports and decisions are made from such
+records."""
 MOST_DIFFERENCES: Final = 10
 
 

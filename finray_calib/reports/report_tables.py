@@ -170,13 +170,17 @@ def _known_probability(value: float | None) -> str:
 
 
 def provenance_table(origin: Provenance) -> ReportTable:
-    """List origin, version, seed and input hashes."""
+    """List origin, versions, processor, seed and input hashes; what an older record does not hold is left out."""
+    commit = origin.git_commit or "not run from a source tree"
     rows: list[tuple[str, ...]] = [
         ("made (UTC)", origin.created_utc),
         ("finray-calib", origin.package_version),
-        ("source commit", origin.git_commit or "not run from a source tree"),
+        ("source commit", f"{commit}, with changes that are not committed" if origin.git_dirty else commit),
         ("Python", origin.python_version),
         ("seed", "none" if origin.seed is None else str(origin.seed)),
     ]
+    if origin.packages:
+        rows.append(("packages", ", ".join(f"{name} {number}" for name, number in sorted(origin.packages.items()))))
+    rows += [(what, said) for what, said in (("processor", origin.processor), ("renderer", origin.renderer)) if said]
     rows += [(f"SHA-256 of {name}", digest) for name, digest in sorted(origin.input_sha256.items())]
     return one_group("Where this report comes from", ("item", "value"), rows, is_words=True)

@@ -1,5 +1,8 @@
 """The only door to Numba: functions compiled to machine code, cached on disk for the user.
 
+Every call inside is inlined. Left to itself, Numba inlines in the copy that it stores and not in the one that it runs
+after compiling, so that reordered sums differ in their last digits between the first run and all later ones.
+
 Numba renews a cached function when its own file changes, not when a function that it calls does. The cache therefore
 lies in a folder named after the sources of all compiled functions: old machine code never meets new sources.
 """
@@ -16,6 +19,7 @@ import numba
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _REORDER = {"reassoc", "contract", "arcp", "nsz"}  # sums may be reordered; infinities and NaN keep their meaning
+_OPTIONS = {"fastmath": _REORDER, "error_model": "numpy", "nogil": True, "forceinline": True}
 _PACKAGE = Path(__file__).parents[1]
 _SOURCES = ("spectra", "fit")
 
@@ -26,13 +30,12 @@ def compiled(function: Function) -> Function:
     Division by zero gives an infinity, as in numpy, and raises nothing. It releases the interpreter's lock, so that
     threads run it side by side.
     """
-    return _cached(numba.njit(fastmath=_REORDER, error_model="numpy", nogil=True), function)
+    return _cached(numba.njit(**_OPTIONS), function)
 
 
 def compiled_inside(function: Function) -> Function:
     """Compile a function that only compiled functions call, without the wrappers that calls from Python would need."""
-    options = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    return _cached(numba.njit(fastmath=_REORDER, error_model="numpy", nogil=True, **options), function)
+    return _cached(numba.njit(**_OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True), function)
 
 
 def compiled_in_parallel(function: Function) -> Function:

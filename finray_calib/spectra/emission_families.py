@@ -89,7 +89,9 @@ class EmissionFamily:
             (n, L), in the unit of the peak.
         """
         rows = np.ascontiguousarray(theta, dtype=np.float64)
-        return np.asarray(curves(self.code, rows, tables(), np.ascontiguousarray(wavelength_nm, dtype=np.float64)))
+        grid_nm = np.ascontiguousarray(wavelength_nm, dtype=np.float64).view()
+        grid_nm.flags.writeable = False  # one signature, compiled once, for stored and for new grids
+        return np.asarray(curves(self.code, rows, tables(), grid_nm))
 
 
 _KAPPA = ShapeParameter("kappa", 0.0, 1.5, -6.0, 6.0, "asinh of the skewness omega; positive: red tail")
