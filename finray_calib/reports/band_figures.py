@@ -34,19 +34,30 @@ def bands_figure(paint: FittedPaint) -> str:
     """
     fit = paint.fit
     poor = [i for i, band in enumerate(fit.bands) if not band.explained]
-    return _signals_figure(fit, fit.predicted, fit.predicted_sd, "predicted", poor)
+    return _signals_figure(fit, fit.usable, (fit.predicted, fit.predicted_sd), "predicted", poor)
 
 
 @styled()
 def blank_figure(paint: PaintWithoutEmission) -> str:
-    """Draw measured band signals against those of a sample that reflects as much and emits nothing."""
-    return _signals_figure(paint, paint.blank, paint.blank_sd, "expected without emission", [])
+    """Draw measured band signals against those of a sample that reflects as much and emits nothing.
+
+    Filters below the laser see no emission; the verdict does not use them.
+    """
+    optics = paint.optics
+    seen = [f.name == optics.excitation_filter or f.center_nm > optics.laser.wavelength_nm for f in optics.filters]
+    used = paint.usable & np.array(seen)[:, None]
+    return _signals_figure(paint, used, (paint.blank, paint.blank_sd), "expected without emission", [])
 
 
 def _signals_figure(
-    fit: PaintCalibration | PaintWithoutEmission, expected: Floats, expected_sd: Floats, label: str, poor: list[int]
+    fit: PaintCalibration | PaintWithoutEmission,
+    usable: NDArray[np.bool_],
+    expected_and_sd: tuple[Floats, Floats],
+    label: str,
+    poor: list[int],
 ) -> str:
     """Draw measured against expected band signals, and below the difference in standard deviations of both."""
+    expected, expected_sd = expected_and_sd
     figure = new_figure(5.4, 4.8)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(5, 3))
     top = float(np.nanmax(fit.measured))
@@ -55,7 +66,7 @@ def _signals_figure(
     total_sd = np.hypot(fit.measured_sd, expected_sd)
     residual = np.asarray((fit.measured - expected) / np.where(total_sd > 0, total_sd, np.inf))
     for channel, (name, marker, colour) in enumerate(CHANNELS):
-        used = fit.usable[:, channel]
+        used = usable[:, channel]
         x = index + _SIDE_BY_SIDE[channel]
         predicted, spread = expected[:, channel], 2 * expected_sd[:, channel]
         _boxes(upper, x, np.maximum(predicted - spread, floor), np.maximum(predicted + spread, 1.04 * floor))
@@ -73,7 +84,7 @@ def _signals_figure(
     upper.bar(0, 0, color=HAIRLINE, edgecolor=MUTED, label=label)
     lower.axhspan(-2, 2, facecolor=HAIRLINE, alpha=0.5, linewidth=0)
     lower.axhline(0, color=MUTED, linewidth=0.8)
-    reach = max(SMALLEST_REACH_SD, 1.15 * float(np.abs(residual[fit.usable]).max(initial=0.0)))
+    reach = max(SMALLEST_REACH_SD, 1.15 * float(np.abs(residual[usable]).max(initial=0.0)))
     lower.set(ylim=(-reach, reach), ylabel="difference (sd)", xlabel="filter centre (nm)")
     _mark_unexplained(upper, lower, poor)
     legend_above(figure, upper, 5)
