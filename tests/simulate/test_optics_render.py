@@ -23,8 +23,9 @@ from tests.simulate.flat_refraction import trace_crossing
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=96, height_px=72))
 STANDARD_ERRORS = 3.0
-# sums of float32 samples in another order
-FLOAT32 = 1e-4
+# Threads add float32 samples in any order, and the curve that smooths the baked walls carries the last digits further:
+# up to 1.2e-4 of a pixel was seen on busy machines. Noise between seeds is a hundred times what is allowed.
+FLOAT32 = 1e-3
 
 
 @pytest.fixture(autouse=True)
@@ -121,11 +122,12 @@ def test_what_cannot_be_swept_is_refused(scalar, paints):
 @pytest.mark.renderer
 def test_the_same_seed_gives_the_same_image_and_another_seed_another(llvm, paints):
     first, again, other = (render_press(DESIGN, paints, llvm, seed=s, samples_per_pixel=4) for s in (3, 3, 4))
-    # threads sum in any order: a dark pixel, lit by a few texels of the bake, may differ by more of its own light
-    dark = FLOAT32 * first.contact_bands.mean()
+    # a dark pixel, lit by a few texels of the bake, may differ by more of its own light
+    dark = 0.1 * FLOAT32 * first.contact_bands.mean()
     np.testing.assert_allclose(first.contact_bands, again.contact_bands, rtol=FLOAT32, atol=dark)
     seen = pad_pixels(first)
-    assert np.mean(first.contact_bands[seen] != other.contact_bands[seen]) > 0.5
+    one, two = first.contact_bands[seen], other.contact_bands[seen]
+    assert np.mean(np.abs(one - two)) > 100 * FLOAT32 * np.mean(one)
 
 
 @pytest.mark.renderer
@@ -211,7 +213,7 @@ def test_contact_and_no_contact_share_their_noise_only_where_it_is_wanted(llvm, 
     on_coat = render.contact_maps.sees("coat")
     one, other = (image[on_coat] for image in (render.no_contact_half_difference, render.contact_half_difference))
     if common:
-        np.testing.assert_allclose(one, other, rtol=FLOAT32, atol=FLOAT32 * np.abs(one).mean())
+        np.testing.assert_allclose(one, other, rtol=FLOAT32, atol=0.1 * FLOAT32 * np.abs(one).mean())
     else:
         together = np.corrcoef(one.ravel(), other.ravel())[0, 1]
         # heavy tails make single pixels count: some hundred pixels of three chains and more
