@@ -83,7 +83,7 @@ def test_the_lock_files_agree() -> None:
 def licence_of(package: Distribution) -> str:
     """Return what a package's metadata say of its licence."""
     metadata = package.metadata
-    said = [metadata["License-Expression"] or "", (metadata["License"] or "").strip().partition("\n")[0]]
+    said = [metadata.get("License-Expression", ""), metadata.get("License", "").strip().partition("\n")[0]]
     return "; ".join([*said, *(c for c in metadata.get_all("Classifier") or [] if c.startswith("License"))])
 
 
