@@ -168,8 +168,8 @@ class TestRendered:
         off = {(d.level, d.state, d.band): d.shape_error_rel for d in study.differences}
         for band in ("red", "green"):
             assert off["a_inverse_square", "contact", band] < off["a", "contact", band]
-        # The blue light does not come from the walls, and all levels share their random numbers; threads add them in any
-        # order (1e-4 was seen on a busy machine). Of random numbers of their own the levels would differ by per cents.
+        # The blue light does not come from the walls, and all levels share their random numbers; threads add them in
+        # any order (1e-4 was seen on a busy machine). With random numbers of their own they would differ by per cents.
         assert off["a", "no contact", "led"] == pytest.approx(0.0, abs=1e-3)
         assert set(study.second_order_wall_share.values()) == {0.0}  # these paints absorb the LED only
         assert cv2.imdecode(np.frombuffer(fluorescent_rendering_png(study), np.uint8), 1).shape == (1056, 1485, 3)
