@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 OTHERS := .venv-others
 PYTHONS := 3.11 3.12 3.13
 
-.PHONY: plain demo test test-rigs test-pythons lint check-types contracts pytest schemas lock check-arm llvm \
+.PHONY: plain demo test test-rigs test-pythons lint check-types contracts pytest schemas drawing lock check-arm llvm \
         rig-programs clean bench bench-fit bench-compare bench-optics bench-mechanics bench-fuzz
 
 # For a camera computer: everything but the simulation, on ARM too.
@@ -113,6 +113,10 @@ bench-mechanics: $(VENV)/installed-bench
 # JSON Schema files of all records; tests fail when they drift from the models.
 schemas: $(VENV)/installed-dev
 	$(BIN)/python -m data_schemas.json_schemas
+
+# The drawing of the rooms in docs/explanation/architecture.md; a test fails when it differs from the code.
+drawing: $(VENV)/installed-dev
+	$(BIN)/python -m docs.rooms_drawing
 
 # Renew the pinned versions and their hashes. Versions stay where they can; newest ones: make lock UPGRADE=--upgrade
 UPGRADE ?=

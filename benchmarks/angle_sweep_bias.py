@@ -17,13 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.fluorescence_levels import finger, paints
-from data_schemas.design import FingerDesign
-from sim.optics.paint_bands import BAND_NAMES, paint_bands
-from sim.optics.probes import Probes, default_probe_points_mm, probes_on
-from sim.optics.scene import PANEL_REFLECTANCE
-from sim.optics.variants import choose_variant, open_renderer
-from sim.optics.wall_exchange import WallExchange, direct_lights
-from sim.surface_meshes.finger_shape import FingerShape, pressed_shape
+from data_schemas import FingerDesign
+from sim.optics import BAND_NAMES, choose_variant, open_renderer, paint_bands
+from sim.optics._painted_walls import WallExchange, direct_lights
+from sim.optics._probes import Probes, default_probe_points_mm, probes_on
+from sim.optics._scene import PANEL_REFLECTANCE
+from sim.surface_meshes import FingerShape, pressed_shape
 
 Floats = NDArray[np.float64]
 
@@ -43,8 +42,8 @@ def swept(
     """Return the radiance (angle, repeat, probe, band) of the sweep, and the share of wall light kept away (angle)."""
     import mitsuba as mi
 
-    from sim.optics.angle_paths import AnglePaths
-    from sim.optics.lit_scene import open_scene
+    from sim.optics import open_scene
+    from sim.optics._angle_paths import AnglePaths
 
     design, lights = designs[0], [design.light for design in designs]
     bands = paint_bands(*paints().values(), design.light)
@@ -70,8 +69,8 @@ def in_scene(
     """Return (repeat, probe, band) with the panel in the scene, and what its reflectance adds to the LED band."""
     import mitsuba as mi
 
-    from sim.optics.lit_scene import lit_integrator, open_scene
-    from sim.optics.wall_baking import bake_walls
+    from sim.optics import bake_walls, open_scene
+    from sim.optics._render import lit_integrator
 
     bands = paint_bands(*paints().values(), design.light)
     scene, radiance, added = open_scene(design, shape, bands, mi), [], []
@@ -101,7 +100,7 @@ def meter(
     """Return the bands that a probe sees; an integrator wants the same number of paths each time."""
     import mitsuba as mi
 
-    from sim.optics.chain_images import chain_matrix
+    from sim.optics import chain_matrix
 
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(int(np.random.SeedSequence((p, *seed)).generate_state(1)[0]), paths)

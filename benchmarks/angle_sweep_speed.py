@@ -26,9 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.fluorescence_levels import finger, paints
-from data_schemas.design import FingerDesign
-from sim.optics.paint_bands import BAND_NAMES
-from sim.optics.variants import choose_variant, open_renderer
+from data_schemas import FingerDesign
+from sim.optics import BAND_NAMES, choose_variant, open_renderer
 
 Floats = NDArray[np.float64]
 
@@ -82,7 +81,7 @@ def sweep_to(
     """Return radiances of a sweep of about the asked noise, its paths per probe and repeat, and its seconds."""
     import mitsuba as mi
 
-    from sim.optics.angle_sweep import sweep_light_angle
+    from sim.optics import sweep_light_angle
 
     took: list[Seconds] = []
     samples = pilot
@@ -110,10 +109,9 @@ class Picture:
         """Bake the walls of a finger."""
         import mitsuba as mi
 
-        from sim.optics.lit_scene import lit_integrator, open_guide, open_scene
-        from sim.optics.paint_bands import paint_bands
-        from sim.optics.wall_baking import BAKE_SAMPLES, bake_walls
-        from sim.surface_meshes.finger_shape import pressed_shape
+        from sim.optics import BAKE_SAMPLES, bake_walls, open_guide, open_scene, paint_bands
+        from sim.optics._render import lit_integrator
+        from sim.surface_meshes import pressed_shape
 
         shape, bands = pressed_shape(design), paint_bands(*paints().values(), design.light)
         took: list[Seconds] = []
@@ -138,13 +136,13 @@ class Picture:
         """Return the squared relative error of the mean of a block (3 bands), times the samples per pixel."""
         import mitsuba as mi
 
-        from sim.optics.chain_images import chain_matrix, mix
-        from sim.optics.scene import camera_sensor
+        from sim.optics import chain_matrix, mix_chains
+        from sim.optics._scene import camera_sensor
 
         sensor = mi.load_dict(camera_sensor(design, mi, window=block))
         spp = PILOT_SAMPLES_PER_PIXEL // 2
         halves = [mi.render(self.scene, sensor=sensor, integrator=self.integrator, spp=spp, seed=s) for s in (2, 3)]
-        one, other = (mix(np.array(half), chain_matrix(self.chains)).astype(np.float64) for half in halves)
+        one, other = (mix_chains(np.array(half), chain_matrix(self.chains)).astype(np.float64) for half in halves)
         variance = ((one - other) ** 2).mean(axis=(0, 1)) / 4.0 / BLOCK_PX**2
         return np.asarray(variance / ((one + other) / 2.0).mean(axis=(0, 1)) ** 2 * PILOT_SAMPLES_PER_PIXEL)
 
@@ -153,10 +151,9 @@ def blocks_around_probes(design: FingerDesign) -> list[Any]:
     """Return the windows of 8 x 8 pixels around the sweep's probes."""
     import mitsuba as mi
 
-    from sim.optics.finger_view import Window
-    from sim.optics.pixel_maps import pixel_maps
-    from sim.optics.probes import default_probe_points_mm
-    from sim.surface_meshes.finger_shape import pressed_shape, rest_shape
+    from sim.optics import Window, pixel_maps
+    from sim.optics._probes import default_probe_points_mm
+    from sim.surface_meshes import pressed_shape, rest_shape
 
     shape = pressed_shape(design)
     position = pixel_maps(design, shape, rest_shape(design), mi).coat_mm(design)

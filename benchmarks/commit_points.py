@@ -24,14 +24,12 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import NoEquilibriumError
-from data_schemas.provenance import provenance
+from data_schemas import FingerDesign, NoEquilibriumError, provenance
 from data_schemas.storage import write_record
-from rigs.presets import paint_plan, simulated_rig
-from rigs.toml_text import write_plan, write_rig
-from sim.design_toml import design_toml
-from sim.mechanics.finger_mesh import STEPS, MeshSteps
+from rigs import paint_plan, simulated_rig, write_plan, write_rig
+from sim import design_toml
+from sim.mechanics import STEPS
+from sim.mechanics._finger_mesh import MeshSteps
 from tests.command_line.records import capture_of, press, sweep, with_known_camera
 from tests.command_line.running import succeed
 from tests.command_line.test_check_verb import PLAN as CHECK
@@ -53,37 +51,41 @@ FINGER = (
 )
 PAINTS = "--paint red={i}/fitted.paint.json --paint green={i}/fitted.paint.json"
 RENDERED = (
-    "finray_calib.cli.simulate:_scene",
-    "sim.optics.render:render_press",
-    "sim.experiments.press:press_record",
-    "sim.experiments.press:simulate_press",
-    "sim.experiments.optics_products:optics_products",
-    "finray_calib.cli.simulate_optics:_views",
+    "finray_calib.cli._simulate:_scene",
+    "sim.optics._render:render_press",
+    "sim.experiments._rendered_press:press_record",
+    "sim.experiments._rendered_press:simulate_press",
+    "sim.experiments._optics_products:optics_products",
+    "finray_calib.cli._simulate:_views",
 )
 COMPARED = (
-    "finray_calib.compare.checked_comparison:compare_checked",
-    "finray_calib.reports.comparison_page:comparison_page",
+    "finray_calib.compare._comparison_record:compare_checked",
+    "finray_calib.reports._comparison_page:comparison_page",
 )
 COMMANDS = {
     "decide": Command(
         "decide {i}/sweep.json --photometric-error {i}/report.json --out {o}/d.json",
         "d.json",
-        ("finray_calib.decide.decision_record:decide", "finray_calib.reports.decision_page:decision_page"),
+        ("finray_calib.decide._decision_record:decide", "finray_calib.reports._decision_page:decision_page"),
     ),
     "fit --report": Command(
         "fit {i}/bands.json --out {o}/red.paint.json --report {e}/red.html",
         "red.paint.json",
-        ("finray_calib.fit.paint_calibration:calibrate_paint", "finray_calib.reports.paint_report:paint_report"),
+        ("finray_calib.fit._paint_calibration:calibrate_paint", "finray_calib.reports._fit_page:paint_report"),
     ),
     "fit --map": Command(
         "fit {i}/pixels.json --map --paint {i}/fitted.paint.json --out {o}/red.map.json",
         "red.map.json",
-        ("finray_calib.fit.pixel_maps:map_paint", "finray_calib.reports.paint_map_figure:paint_map_figure"),
+        ("finray_calib.fit._pixel_maps:map_paint", "finray_calib.reports._fit_figures:paint_map_figure"),
     ),
     "radiometry --pixels": Command(
         "radiometry {i}/session --pixels --out {o}/red.bands.json",
         "red.bands.json",
-        tuple(f"finray_calib.cli.reduce_paint:{name}" for name in ("session_steps", "bands_of_steps", "pixel_signals")),
+        (
+            "finray_calib.radiometry._session_steps:session_steps",
+            "finray_calib.radiometry._band_signals:bands_of_steps",
+            "finray_calib.radiometry._pixel_signals:pixel_signals",
+        ),
     ),
     "compare": Command("compare {i}/press.json {i}/capture.json --out {o}/e.json", "e.json", COMPARED),
     "compare, folders": Command(
@@ -93,8 +95,8 @@ COMMANDS = {
         "compare {i}/power.mechanics.json --force {i}/bench.csv --out {o}/f.json",
         "f.json",
         (
-            "finray_calib.compare.force_comparison:compare_force",
-            "finray_calib.reports.force_figure:force_figure_png",
+            "finray_calib.force._force_comparison:compare_force",
+            "finray_calib.reports._comparison_figures:force_figure_png",
         ),
     ),
     "simulate": Command(
@@ -110,38 +112,38 @@ COMMANDS = {
     "simulate --only mechanics": Command(
         "simulate {i}/pressed.toml --only mechanics --increments 2 --out {o}/m.press.json",
         "m.mechanics.json",
-        ("finray_calib.reports.pressed_finger_figure:pressed_finger_png",),
+        ("finray_calib.reports._finger_pictures:pressed_finger_png",),
         (".increments/",),
     ),
     "check run": Command(
         "check run {i}/check.toml --rig {i}/rig.toml --out {o}/check",
         "check",
         (
-            "rigs.capture.check_session:record_facts",
-            "finray_calib.acceptance.acceptance_report:judge",
-            "finray_calib.reports.check_report:check_report",
-            "finray_calib.exchange.junit_xml:junit_xml",
+            "rigs.capture._check_session:record_facts",
+            "finray_calib.acceptance._acceptance_report:judge",
+            "finray_calib.reports._check_page:check_report",
+            "finray_calib.exchange._junit_xml:junit_xml",
         ),
     ),
     "design export": Command(
         "design export {i}/whole.toml --out {o}/print",
         "print",
-        ("finray_calib.exchange.printable_parts:printable_parts",),
+        ("finray_calib.exchange._printable_parts:printable_parts",),
     ),
     "export taxim": Command(
         "export taxim {i}/sensor.toml --presses 30 --out {o}/taxim",
         "taxim",
-        ("finray_calib.cli.export_taxim:_sensor", "finray_calib.exchange.taxim_export:taxim_files"),
+        ("finray_calib.cli._export:_sensor", "finray_calib.exchange._taxim_export:taxim_files"),
     ),
     "export capture-request": Command(
         "export capture-request {i}/whole.toml --out {o}/f.request.md",
         "f.request.md",
-        ("finray_calib.cli.export_capture_request:open_engine", "sim.experiments.camera_view:camera_view"),
+        ("finray_calib.cli._export:open_engine", "sim.optics._pixel_maps:camera_view"),
     ),
     "import ball-presses": Command(
         "import ball-presses {i}/balls --mm-per-px 0.1 --out {o}/balls",
         "balls",
-        ("finray_calib.exchange.ball_press_folder:read_ball_presses",),
+        ("finray_calib.exchange._ball_presses:read_ball_presses",),
     ),
     "import 9dtact --predict-from": Command(
         "import 9dtact {i}/one --predict-from {i}/two --out {o}/one.capture.json", "one.capture.json"
@@ -150,32 +152,32 @@ COMMANDS = {
         "import abaqus {i}/x.fil --design {i}/x.toml --out {o}/x.surfaces.json",
         "x.surfaces.json",
         (
-            "sim.mechanics.other_engines.abaqus_results:read_fil",
-            "sim.mechanics.other_engines.abaqus_press:pressed_by_abaqus",
+            "sim.mechanics.other_engines._abaqus:read_fil",
+            "sim.mechanics.other_engines._abaqus:pressed_by_abaqus",
         ),
     ),
     "study light-angle": Command(
         "study light-angle --samples 200 --out {o}/light-angle",
         "light-angle",
         (
-            "finray_calib.cli.study_illumination:_finger",
-            "finray_calib.cli.study_illumination:_draw",
-            "sim.experiments.light_intensity:study_light_angle",
+            "finray_calib.cli._study:_finger",
+            "finray_calib.cli._study:_draw",
+            "sim.experiments._illumination:study_light_angle",
         ),
     ),
     "study finger-stiffness": Command(
         "study finger-stiffness baby-48x18 --vary 0 --out {o}/stiffness",
         "stiffness",
-        ("sim.experiments.finger_stiffness:study_finger_stiffness",),
+        ("sim.experiments._design_sensitivities:study_finger_stiffness",),
     ),
     "study pixel-scale": Command(
         "study pixel-scale {boards} --pad {i}/board-0.png --squares 7x5 --square-mm 3 --marker-mm 2.2 "
         "--square-u-mm 0.003 --out {o}/scale.json",
         "scale.json",
         (
-            "finray_calib.compare.board_corners:find_board",
-            "finray_calib.compare.pixel_scale_record:pixel_scale",
-            "finray_calib.exchange.board_pictures:read_board_picture",
+            "finray_calib.sensing._board_corners:find_board",
+            "finray_calib.sensing._scale_record:pixel_scale",
+            "finray_calib.exchange._board_pictures:read_board_picture",
         ),
     ),
 }
@@ -213,7 +215,7 @@ def one_verb(command: Command, top: Path, every: int) -> dict[str, Any]:
     begun = time.monotonic()
     tries = Tries(command, top)
     try:
-        with replaying(("data_schemas.provenance:provenance", *command.replayed)):
+        with replaying(("data_schemas._provenance:provenance", *command.replayed)):
             ended = tries.try_all([None, *ERRORS], every)
     except AssertionError as failed:
         return {"failure": str(failed), "s": time.monotonic() - begun}
@@ -226,14 +228,14 @@ def stand_ins() -> Iterator[None]:
     made = Replay(lambda: closed_form_presses(30))
     paints = example_results().paints
     linear = with_known_camera(press())
-    study = "sim.experiments.finger_stiffness"
+    study = "sim.experiments._design_sensitivities"
     with contextlib.ExitStack() as stack:
         for target, value in {
-            "sim.experiments.taxim_calibration.render_ball_presses": lambda *_: made(),
-            "finray_calib.cli.export_taxim.open_engine": lambda _: None,
-            "finray_calib.fit.paint_calibration.calibrate_paint": lambda *_: paints["red"].calibration,
-            "finray_calib.cli.import_captures._nine_dtact": lambda _: (capture_of(linear, 50.0), linear),
-            "sim.mechanics.press.press_finger": ReplayedPress(),
+            "sim.experiments._ball_presses.render_ball_presses": lambda *_: made(),
+            "finray_calib.cli._export.open_engine": lambda _: None,
+            "finray_calib.fit._paint_calibration.calibrate_paint": lambda *_: paints["red"].calibration,
+            "finray_calib.cli._import._nine_dtact": lambda _: (capture_of(linear, 50.0), linear),
+            "sim.mechanics._press.press_finger": ReplayedPress(),
             f"{study}.LoadedFinger": Quick,
             f"{study}.press_to_force": no_grip,
         }.items():
@@ -251,7 +253,7 @@ class ReplayedPress:
         self._steps: list[Any] = []
 
     def __call__(self, *arguments: Any, resume: Any = None, store: Any = None, **options: Any) -> Any:
-        from sim.mechanics.press import press_finger
+        from sim.mechanics import press_finger
 
         if self._pressed is None:
             self._pressed = ORIGINAL_PRESS(*arguments, store=self._steps.append, **options)
@@ -303,7 +305,7 @@ def laboratory(folder: Path) -> str:
     succeed(f"capture {folder}/plan.toml --rig {folder}/rig.toml --out {folder}/session")
     succeed(f"radiometry {folder}/session --pixels --out {folder}/bands.json")
     (folder / "bands.pixels.json").rename(folder / "pixels.json")
-    with patch("finray_calib.fit.paint_calibration.calibrate_paint", ORIGINAL_FIT):
+    with patch("finray_calib.fit._paint_calibration.calibrate_paint", ORIGINAL_FIT):
         succeed(f"fit {folder}/bands.json --out {folder}/fitted.paint.json")
     succeed(f"compare {folder}/press.json {folder}/capture.json --out {folder}/report.json")
     write_catalog(folder / "balls")
@@ -320,8 +322,8 @@ def laboratory(folder: Path) -> str:
 
 def _originals() -> tuple[Any, Any]:
     """Return the press and the fit before they are replaced."""
-    from finray_calib.fit.paint_calibration import calibrate_paint
-    from sim.mechanics.press import press_finger
+    from finray_calib.fit import calibrate_paint
+    from sim.mechanics import press_finger
 
     return press_finger, calibrate_paint
 

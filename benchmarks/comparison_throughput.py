@@ -23,13 +23,10 @@ import cv2
 import numpy as np
 from skimage.metrics import structural_similarity as scikit_image_ssim
 
-from data_schemas.capture import IndenterPose, TactileCapture
-from data_schemas.provenance import provenance
-from data_schemas.simulate import SimulatedPress
+from data_schemas import IndenterPose, SimulatedPress, TactileCapture, provenance
 from data_schemas.storage import write_record
-from finray_calib.compare.colour_difference import colour_difference_map
-from finray_calib.compare.displayed_images import display_white_dn, displayed_image
-from finray_calib.compare.structural_similarity import structural_similarity
+from finray_calib.compare import structural_similarity
+from finray_calib.compare._displayed_images import colour_difference_map, display_white_dn, displayed_image
 
 SHAPE, DATA_RANGE_DN, DIFFERENT, FEWEST = (480, 640), 1023.0, 8, 2
 SECONDS_ALLOWED, RATIO_ALLOWED = 60.0, 3.0

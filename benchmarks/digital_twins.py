@@ -18,28 +18,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.capture import TactileCapture
-from data_schemas.compare import PhotometricErrorReport
-from data_schemas.design import FingerDesign
-from data_schemas.simulate import SimulatedPress
-from finray_calib.compare.blocks import block_mean
-from finray_calib.compare.brightness import brightness_draws, captured_share, ring_of
-from finray_calib.compare.capture_noise import NO_NOISE
-from finray_calib.compare.comparison import prepare_comparison
-from finray_calib.compare.comparison_record import compare_press
-from finray_calib.compare.input_draws import Inputs
-from finray_calib.compare.photometric_error import best
-from finray_calib.compare.region_sums import Captured
-from finray_calib.compare.regions import DILATED, FACTORS, Region, strip_from_distance
-from finray_calib.compare.render_layers import RenderLayers
-from finray_calib.demo.stages import Demo, DemoSettings
-from sim.experiments.digital_twin import LED_DRIFT_REL
-from sim.experiments.painted_finger import PaintedFinger, paint_finger, paint_optics
-from sim.experiments.pose_response import pose_response
-from sim.experiments.press import press_record
-from sim.experiments.tactile_camera import BandImages, camera_capture
-from sim.optics.render import PressRender, render_press
-from sim.optics.variants import choose_variant
+from data_schemas import FingerDesign, PhotometricErrorReport, SimulatedPress, TactileCapture
+from finray_calib.compare import DILATED, Region, compare_press, strip_from_distance
+from finray_calib.compare._comparison import prepare_comparison
+from finray_calib.compare._image_noise import NO_NOISE, block_mean
+from finray_calib.compare._input_draws import Inputs
+from finray_calib.compare._photometric_error import best, brightness_draws, captured_share, ring_of
+from finray_calib.compare._region_sums import Captured, RenderLayers
+from finray_calib.compare._regions import FACTORS
+from finray_calib.demo import DemoSettings
+from finray_calib.demo._stages import Demo
+from sim.experiments import PaintedFinger, paint_finger, paint_optics, pose_response, press_record
+from sim.experiments._tactile_camera import LED_DRIFT_REL, BandImages, camera_capture
+from sim.optics import PressRender, choose_variant, render_press
 
 Floats = NDArray[np.float64]
 POSE_SD_MM = {"depth_mm": 0.05, "position_mm": 0.3}

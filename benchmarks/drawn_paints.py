@@ -4,16 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_schemas.band_pass_filter import BandPassFilter
-from data_schemas.radiometry import BandSignals, Optics
-from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
-from finray_calib.fit.discrepancy import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM, Discrepancy
-from finray_calib.fit.measured_bands import BAND_CALIBRATION_REL, CHANNEL_RESPONSE_REL, STRAY_LIGHT_REL
-from finray_calib.fit.nuisances import band_values
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.spectra.emission_families import EmissionFamily
-from finray_calib.spectra.rig_curves import WAVELENGTH_NM, weights_of
-from rigs.presets import simulated_rig
+from data_schemas import BandPassFilter, BandSignals, Optics
+from data_schemas.storage import assumed_camera_response, halogen_lamp
+from finray_calib.fit import Discrepancy, EmissionPrior
+from finray_calib.fit._band_data import BAND_CALIBRATION_REL, CHANNEL_RESPONSE_REL, STRAY_LIGHT_REL, band_values
+from finray_calib.fit._prior import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM
+from finray_calib.spectra import WAVELENGTH_NM, EmissionFamily, weights_of
+from rigs import simulated_rig
 
 CHANNEL_WEIGHTS = (0.01, 0.09, 0.9)
 NOISE_REL = 0.002

@@ -21,14 +21,12 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import beta
 
-from data_schemas.emission_detection import EmissionDetection
-from data_schemas.radiometry import BandSignals, Optics
-from data_schemas.standard_curves import camera_response, halogen_lamp
-from finray_calib.fit.detection import detect_emission
-from finray_calib.fit.measured_bands import band_data
-from finray_calib.fit.prior import EmissionPrior
-from rigs.presets import simulated_rig
-from rigs.simulated.bench import STEP_NM, WAVELENGTH_NM, Bench, sample_matrix
+from data_schemas import BandSignals, EmissionDetection, Optics
+from data_schemas.storage import camera_response, halogen_lamp
+from finray_calib.fit import EmissionPrior, band_data, detect_emission
+from rigs import simulated_rig
+from rigs.simulated import Bench
+from rigs.simulated._bench import STEP_NM, WAVELENGTH_NM, sample_matrix
 
 Floats = np.ndarray
 CHANNEL_WEIGHTS = np.array([0.01, 0.09, 0.9])

@@ -22,17 +22,13 @@ from pathlib import Path
 
 import numpy as np
 
-from data_schemas.design import FingerDesign
-from data_schemas.indenter import Indenter
-from sim.mechanics.assembly import Assembly
-from sim.mechanics.elements import Elasticity
-from sim.mechanics.finger_mesh import STEPS, finger_mesh
-from sim.mechanics.finger_parts import finger_materials, finger_ties
-from sim.mechanics.increments import load_increments
-from sim.mechanics.linear_solver import linear_solver
-from sim.mechanics.loads import LoadedFinger
-from sim.mechanics.press_contact import press_contact
-from sim.mechanics.warm_start import CoarserPath
+from data_schemas import FingerDesign, Indenter
+from sim.mechanics import STEPS, LoadedFinger, finger_materials, finger_mesh
+from sim.mechanics._assembly import Assembly, Elasticity
+from sim.mechanics._finger_mesh import finger_ties
+from sim.mechanics._increments import CoarserPath, load_increments
+from sim.mechanics._linear_solver import linear_solver
+from sim.mechanics._press_contact import press_contact
 
 FORCE_BAR_REL, MEMORY_BAR_GB, TIME_BAR_S = 0.02, 8.0, 240.0
 MEDIUM = STEPS["medium"]

@@ -19,12 +19,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from data_schemas.indenter import Indenter
-from data_schemas.mechanical_design import MeshPreset, Preset
-from data_schemas.press_mechanics import PressMechanics
+from data_schemas import Indenter, Preset, PressMechanics
+from data_schemas._design_parts import MeshPreset
 from data_schemas.storage import read_record
-from sim.design_toml import design_toml
-from sim.presets import preset_design
+from sim import design_toml, preset_design
 
 CYLINDER: dict[str, Any] = {"shape": "cylinder"}
 CUBOID: dict[str, Any] = {"shape": "cuboid", "size_mm": (50.0, 15.0, 15.0)}

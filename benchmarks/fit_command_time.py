@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.paint_problems import paint_signals
-from data_schemas.provenance import provenance
+from data_schemas import provenance
 from data_schemas.storage import write_record
 
 WARM_BAR_S, COLD_BAR_S = 3.0, 20.0

@@ -22,10 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
-from data_schemas.design import FingerDesign
-from data_schemas.optical_design import LightPanel
-from sim.optics.paint_bands import BAND_NAMES, PaintBands, PaintOptics, paint_bands
-from sim.optics.variants import choose_variant, open_renderer
+from data_schemas import FingerDesign, LightPanel
+from sim.optics import BAND_NAMES, PaintBands, PaintOptics, choose_variant, open_renderer, paint_bands
 
 Floats = NDArray[np.float64]
 
@@ -96,12 +94,11 @@ def measure(
     """Render once per seed at level "b" or "c"; means are over the whole image."""
     import mitsuba as mi
 
-    from sim.optics.band_integrator import band_paths
-    from sim.optics.fluorescent_bands import fluorescent_bands
-    from sim.optics.lit_scene import lit_integrator, open_guide, open_scene
-    from sim.optics.wall_baking import bake_walls
-    from sim.optics.wall_emission import last_band
-    from sim.surface_meshes.finger_shape import pressed_shape
+    from sim.optics import bake_walls, last_band, open_guide, open_scene
+    from sim.optics._band_paths import band_paths
+    from sim.optics._fluorescent_paint import fluorescent_bands
+    from sim.optics._render import lit_integrator
+    from sim.surface_meshes import pressed_shape
 
     shape, bands = pressed_shape(design), paint_bands(*paints().values(), design.light)
     scene = open_scene(design, shape, bands, mi)
@@ -151,12 +148,11 @@ def measure_spectral(design: FingerDesign, seeds: range, samples_per_pixel: int)
     """
     import mitsuba as mi
 
-    from sim.optics.band_integrator import band_paths
-    from sim.optics.fluorescent_paint import fluorescent_paint
-    from sim.optics.fluorescent_spectrum import fluorescent_spectrum
-    from sim.optics.lit_scene import open_scene
-    from sim.optics.paint_bands import led_band
-    from sim.surface_meshes.finger_shape import pressed_shape
+    from sim.optics import open_scene
+    from sim.optics._band_paths import band_paths
+    from sim.optics._fluorescent_paint import fluorescent_paint, fluorescent_spectrum
+    from sim.optics._paint_bands import led_band
+    from sim.surface_meshes import pressed_shape
 
     shape, bands, led = pressed_shape(design), paint_bands(*paints().values(), design.light), led_band(design.light)
     scene = open_scene(design, shape, bands, mi)

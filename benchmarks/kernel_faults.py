@@ -21,9 +21,9 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from data_schemas.leftovers import is_whole
-from data_schemas.provenance import provenance
+from data_schemas import provenance
 from data_schemas.storage import write_record
+from data_schemas.storage._product_set import is_whole
 from tests.command_line.records import capture_of, press, sweep, with_known_camera
 from tests.command_line.running import succeed
 from tests.command_line.verb_faults import OWN, products

@@ -23,14 +23,17 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import least_squares
 
-from data_schemas.curve_files import read_donaldson_matrix
-from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY, Discrepancy
-from finray_calib.fit.emission import FitSettings, fit_emission
-from finray_calib.fit.likelihood import BandData
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.spectra.band_weights import EmissionWeights, emission_weights
-from finray_calib.spectra.emission_families import FAMILIES, EmissionFamily
-from finray_calib.spectra.rig_curves import WAVELENGTH_NM
+from data_schemas.storage import read_donaldson_matrix
+from finray_calib.fit import (
+    NO_DISCREPANCY,
+    PAINT_DISCREPANCY,
+    BandData,
+    Discrepancy,
+    EmissionPrior,
+    FitSettings,
+    fit_emission,
+)
+from finray_calib.spectra import FAMILIES, WAVELENGTH_NM, EmissionFamily, EmissionWeights, emission_weights
 
 FILTERS_NM = np.array([405, 450, 500, 532, 560, 600, 630, 660.0])
 CALIBRATION_REL, FLOOR_REL = 0.01, 0.003

@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from finray_calib.decide.capture_errors import NO_CAPTURES
-from finray_calib.decide.light_angle import decide_angle
+from finray_calib.decide import decide_angle
+from finray_calib.decide._capture_errors import NO_CAPTURES
 from tests.decide.curves import (
     FINE_DEG,
     FOREIGN,

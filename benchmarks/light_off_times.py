@@ -26,8 +26,8 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from data_schemas.devices import LaserSettings
-from rigs.capture.laser_watch import make_off
+from data_schemas import LaserSettings
+from rigs.capture.light_off_time import make_off
 from rigs.light_guard import GuardedLight
 from tests.capture.drivers.alpaca_server import AlpacaServer
 from tests.capture.drivers.firmware_in_qemu import build, firmware_board

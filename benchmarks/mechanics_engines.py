@@ -25,13 +25,10 @@ from pathlib import Path
 
 import numpy as np
 
-from data_schemas.design import FingerDesign
-from data_schemas.mechanical_design import OgdenSolid
-from sim.design_toml import design_toml
-from sim.mechanics.other_engines.calculix import press_finger_calculix
-from sim.mechanics.other_engines.calculix_program import calculix_version
-from sim.mechanics.press import PressedFinger, press_finger
-from sim.presets import preset_design
+from data_schemas import FingerDesign, OgdenSolid
+from sim import design_toml, preset_design
+from sim.mechanics import PressedFinger, press_finger
+from sim.mechanics.other_engines import calculix_version, press_finger_calculix
 
 DEPTH_MM = 3.0
 INCREMENTS = 3

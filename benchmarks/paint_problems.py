@@ -2,18 +2,21 @@
 
 import numpy as np
 
-from data_schemas.radiometry import BandSignals, Optics
-from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
-from finray_calib.fit.discrepancy import PAINT_DISCREPANCY
-from finray_calib.fit.emission import REFERENCE_ROUNDS
-from finray_calib.fit.likelihood import BandData, LogPosterior
-from finray_calib.fit.measured_bands import band_data
-from finray_calib.fit.nuisances import band_values
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.spectra.band_weights import emission_weights
-from finray_calib.spectra.emission_families import EmissionFamily, family_named
-from finray_calib.spectra.rig_curves import WAVELENGTH_NM, filter_transmission, laser_line, weights_of
-from rigs.presets import simulated_rig
+from data_schemas import BandSignals, Optics
+from data_schemas.storage import assumed_camera_response, halogen_lamp
+from finray_calib.fit import PAINT_DISCREPANCY, BandData, EmissionPrior, LogPosterior, band_data
+from finray_calib.fit._band_data import band_values
+from finray_calib.fit._emission import REFERENCE_ROUNDS
+from finray_calib.spectra import (
+    WAVELENGTH_NM,
+    EmissionFamily,
+    emission_weights,
+    family_named,
+    filter_transmission,
+    weights_of,
+)
+from finray_calib.spectra._rig_curves import laser_line
+from rigs import simulated_rig
 
 CHANNEL_WEIGHTS = (0.01, 0.09, 0.9)
 CALIBRATION_REL, NOISE_REL = 0.01, 0.003

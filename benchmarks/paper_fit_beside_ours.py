@@ -21,15 +21,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.leave_one_material_out import FILTERS_NM, emission_of, rig_weights, score, seen
-from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY, Discrepancy
-from finray_calib.fit.emission import EmissionPosterior, FitSettings, fit_emission
-from finray_calib.fit.family_choice import DEFAULT_FAMILY
-from finray_calib.fit.likelihood import BandData
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.reports.style import BLUE, INK, VERMILLION, new_figure, styled
-from finray_calib.spectra.band_weights import EmissionWeights
-from finray_calib.spectra.emission_families import FAMILIES
-from finray_calib.spectra.rig_curves import WAVELENGTH_NM
+from finray_calib.fit import (
+    DEFAULT_FAMILY,
+    NO_DISCREPANCY,
+    PAINT_DISCREPANCY,
+    BandData,
+    Discrepancy,
+    EmissionPosterior,
+    EmissionPrior,
+    FitSettings,
+    fit_emission,
+)
+from finray_calib.reports._style import BLUE, INK, VERMILLION, new_figure, styled
+from finray_calib.spectra import FAMILIES, WAVELENGTH_NM, EmissionWeights
 
 MATERIALS = {"hercules_orange_ink": "orange ink", "textile_yellow": "yellow textile"}
 SHOWN_NM = (470.0, 720.0)

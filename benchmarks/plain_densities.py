@@ -8,9 +8,9 @@ import math
 
 import numpy as np
 
-from finray_calib.fit.discrepancy import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM
-from finray_calib.fit.likelihood import LogPosterior
-from finray_calib.spectra.skew_cauchy import shape_tables
+from finray_calib.fit import LogPosterior
+from finray_calib.fit._prior import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM
+from finray_calib.spectra._emission_families import shape_tables
 
 KAPPA_END, KAPPA_STEPS = 6.5, 1300  # linear interpolation of the shape is then exact to 2e-5
 

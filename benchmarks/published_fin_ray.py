@@ -21,22 +21,17 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from data_schemas.errors import SimulateError
-from sim.mechanics.assembly import Assembly
-from sim.mechanics.body_meshes import body_mesh
-from sim.mechanics.colliding_surfaces import Obstacle
-from sim.mechanics.contact_analytic import node_blocks
-from sim.mechanics.contact_ipc import Barrier, BarrierContact
-from sim.mechanics.driven_contact import DrivenContact
-from sim.mechanics.elements import Elasticity
-from sim.mechanics.increments import load_increments
-from sim.mechanics.linear_solver import linear_solver
-from sim.mechanics.materials import LinearElastic
-from sim.mechanics.mesh import Block, FingerMesh
-from sim.mechanics.newton import Supports
-from sim.mechanics.signed_distances import Cylinder
-from sim.mechanics.structured_grid import hexahedra_on_grid, quads_of_layer
-from sim.surface_meshes.hexahedra import split_quads
+from data_schemas import SimulateError
+from sim.mechanics import Block, Cylinder, FingerMesh, LinearElastic, body_mesh
+from sim.mechanics._assembly import Assembly, Elasticity
+from sim.mechanics._barrier_contact import Barrier, BarrierContact, DrivenContact
+from sim.mechanics._colliding_surfaces import Obstacle
+from sim.mechanics._increments import load_increments
+from sim.mechanics._linear_solver import linear_solver
+from sim.mechanics._mesh import hexahedra_on_grid, quads_of_layer
+from sim.mechanics._newton import Supports
+from sim.mechanics._penalty_contact import node_blocks
+from sim.surface_meshes import split_quads
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -128,7 +123,7 @@ SPREADS: dict[str, tuple[float, float]] = {
 
 
 class RigidRibs:
-    """A :class:`~sim.mechanics.assembly.Term`: Pi = k/2 sum (|x_a - x_b| - L)^2 over pairs of hinges."""
+    """A :class:`~sim.mechanics._assembly.Term`: Pi = k/2 sum (|x_a - x_b| - L)^2 over pairs of hinges."""
 
     def __init__(self, nodes_mm: FloatArray, pairs: IntArray) -> None:
         self._rest, self._pairs = nodes_mm, pairs

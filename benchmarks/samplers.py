@@ -20,10 +20,8 @@ import numpy as np
 from benchmarks.paint_problems import default_posterior, five_parameter_posterior
 from benchmarks.plain_densities import DefaultDensity, FiveParameterDensity
 from benchmarks.sampling_paths import Run, run_emcee, run_fit, run_nuts
-from finray_calib.fit.emission import FitSettings
-from finray_calib.fit.likelihood import LogPosterior
-from finray_calib.fit.map_search import find_maxima
-from finray_calib.fit.mixture_proposal import MixtureProposal
+from finray_calib.fit import FitSettings, LogPosterior, find_maxima
+from finray_calib.fit._mixture_proposal import MixtureProposal
 
 BARS = {
     ("five parameters", "emcee, Python loop"): 300.0,

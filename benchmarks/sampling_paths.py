@@ -8,9 +8,8 @@ import emcee
 import numpy as np
 
 from benchmarks.plain_densities import FiveParameterDensity
-from finray_calib.fit.emission import FitSettings, draw_posterior
-from finray_calib.fit.likelihood import LogPosterior
-from finray_calib.fit.map_search import find_maxima
+from finray_calib.fit import FitSettings, LogPosterior, find_maxima
+from finray_calib.fit._emission import draw_posterior
 
 BURN_IN = 0.1  # of the steps; the walkers start around the maximum with the posterior's own width
 NUTS_WARMUP, NUTS_DRAWS = 500, 1000  # a chain

@@ -16,13 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from data_schemas.devices import DeviceIdentity
-from rigs.capture.paint_session import capture_with
-from rigs.capture.plan import paint_steps
-from rigs.host import SystemClock
-from rigs.open_rig import open_rig
-from rigs.presets import paint_plan, simulated_rig
-from rigs.protocols import Camera, FilterWheel, RawFrame
+from data_schemas import DeviceIdentity
+from rigs import Camera, FilterWheel, RawFrame, SystemClock, open_rig, paint_plan, simulated_rig
+from rigs.capture import paint_steps
+from rigs.capture._paint_session import capture_with
 
 MOVE_S = 0.5
 BAR = 1.15

@@ -30,14 +30,16 @@ from scipy.stats import kstest
 
 import finray_calib
 from benchmarks.drawn_paints import drawn_paint
-from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
-from finray_calib.fit.emission import FitSettings, fit_emission
-from finray_calib.fit.family_choice import DEFAULT_FAMILY
-from finray_calib.fit.measured_bands import band_data
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.spectra.curve_quantities import curve_quantities
-from finray_calib.spectra.emission_families import FAMILIES
-from finray_calib.spectra.rig_curves import WAVELENGTH_NM
+from finray_calib.fit import (
+    DEFAULT_FAMILY,
+    NO_DISCREPANCY,
+    PAINT_DISCREPANCY,
+    EmissionPrior,
+    FitSettings,
+    band_data,
+    fit_emission,
+)
+from finray_calib.spectra import FAMILIES, WAVELENGTH_NM, curve_quantities
 
 QUANTITIES = ("mode_nm", "fwhm_nm", "skew", "peak_per_nm", "energy_yield")
 IMPERFECTIONS = ("calibration", "blocking", "center", "width")

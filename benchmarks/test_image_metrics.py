@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from skimage.metrics import structural_similarity as skimage_ssim
 
-from finray_calib.compare.colour_difference import ciede2000, srgb_to_lab
-from finray_calib.compare.structural_similarity import structural_similarity
+from finray_calib.compare import ciede2000, srgb_to_lab, structural_similarity
 
 
 @pytest.fixture(scope="module")

@@ -5,10 +5,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from data_schemas.camera import CameraPlan, CameraSession
-from data_schemas.capture import Frame, RegionOfInterest
-from finray_calib.radiometry.camera_characterisation import CHANNELS, characterise_camera
-from finray_calib.radiometry.frame_stack import FrameStack
+from data_schemas import CameraPlan, CameraSession, Frame, RegionOfInterest
+from finray_calib.radiometry import FrameStack, characterise_camera
+from finray_calib.radiometry._camera_characterisation import CHANNELS
 from tests.radiometry.camera_sessions import camera_session
 
 HEIGHT_PX, WIDTH_PX = 1024, 1280

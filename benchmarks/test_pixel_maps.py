@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from data_schemas.radiometry import Optics
-from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
-from finray_calib.fit.pixel_maps import map_pixels
-from finray_calib.fit.pixel_problem import pixel_problem
-from finray_calib.spectra.rig_curves import weights_of
-from rigs.presets import simulated_rig
+from data_schemas import Optics
+from data_schemas.storage import assumed_camera_response, halogen_lamp
+from finray_calib.fit import map_pixels
+from finray_calib.fit._pixel_maps import pixel_problem
+from finray_calib.spectra import weights_of
+from rigs import simulated_rig
 from tests.fit.pixel_scenes import SPREAD, PixelScene, center_of, scene, whole_rule
 
 FAMILIES = ("zheng2014", "log_normal_wavenumber")

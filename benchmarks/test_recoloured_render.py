@@ -11,14 +11,12 @@ import numpy as np
 import pytest
 
 from benchmarks.fluorescence_levels import paints
-from data_schemas.design import FingerDesign
-from data_schemas.simulate import SimulatedPress
-from data_schemas.standard_curves import assumed_camera_response
-from sim.experiments.painted_finger import response_matrix
-from sim.experiments.press import light_record
-from sim.experiments.recolour import recoloured
-from sim.optics.chain_images import chain_matrix, conversion_gains, mix
-from sim.optics.paint_bands import paint_bands
+from data_schemas import FingerDesign, SimulatedPress
+from data_schemas.storage import assumed_camera_response
+from sim.experiments import recoloured
+from sim.experiments._painted_finger import response_matrix
+from sim.experiments._rendered_press import light_record
+from sim.optics import chain_matrix, conversion_gains, mix_chains, paint_bands
 
 CHAINS = ("led>red", "led>green", "led", "led>green>red", "led>red>red", "led>green>green")
 BEFORE = {"red": np.array([0.01, 0.2, 0.3]), "green": np.array([0.0, 0.01, 0.25])}
@@ -67,7 +65,7 @@ def weights() -> np.ndarray:
 
 @pytest.mark.benchmark(group=GROUP, timer=time.process_time)
 def test_one_picture(benchmark, images):
-    benchmark(lambda: mix(images, weights()))
+    benchmark(lambda: mix_chains(images, weights()))
 
 
 @pytest.mark.benchmark(group=GROUP, timer=time.process_time)

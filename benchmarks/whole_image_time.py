@@ -23,9 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.fluorescence_levels import finger, paints
-from sim.optics.paint_bands import paint_bands
-from sim.optics.variants import choose_variant, open_renderer
-from sim.surface_meshes.finger_shape import bent, pressed_shape, rest_shape
+from sim.optics import choose_variant, open_renderer, paint_bands
+from sim.surface_meshes import bent, pressed_shape, rest_shape
 
 TIME_BAR = 1.5
 MEMORY_BAR_GB = 2.0
@@ -57,11 +56,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     mi = open_renderer(choose_variant("llvm"))
-    from sim.optics.lit_scene import lit_integrator, open_guide
-    from sim.optics.pixel_maps import pixel_maps
-    from sim.optics.scene import finger_scene
-    from sim.optics.wall_baking import BAKE_SAMPLES, bake_walls, light_walls
-    from sim.optics.wall_emission import unbaked_walls
+    from sim.optics import BAKE_SAMPLES, bake_walls, open_guide, pixel_maps
+    from sim.optics._painted_walls import light_walls, unbaked_walls
+    from sim.optics._render import lit_integrator
+    from sim.optics._scene import finger_scene
 
     design = finger(args.width)
     shape, bands = bent(pressed_shape(design), BENDING_RADIUS_MM), paint_bands(*paints().values(), design.light)

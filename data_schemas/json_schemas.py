@@ -4,30 +4,44 @@ import json
 from pathlib import Path
 from typing import Any
 
-from data_schemas.camera import CameraCharacterisation, CameraPlan, CameraSession
-from data_schemas.capture import CaptureSession, PaintPlan, TactileCapture
-from data_schemas.check import AcceptanceReport, CheckPlan
-from data_schemas.compare import PhotometricErrorReport
-from data_schemas.comparison_batch import ComparisonBatch
-from data_schemas.decide import LightAngleDecision
-from data_schemas.design import FingerDesign
-from data_schemas.emission_detection import PaintWithoutEmission
-from data_schemas.finger_stiffness import FingerStiffness
-from data_schemas.fit import PaintCalibration
-from data_schemas.force_comparison import ForceComparison
-from data_schemas.illumination import FluorescentRendering, LightAngleIntensity, TwoLights
-from data_schemas.model import Record
-from data_schemas.paint_map import PaintMap
-from data_schemas.paper_paints import PaperPaints
-from data_schemas.pixel_scale import PixelScale
-from data_schemas.plain_sensor import PlainSensor
-from data_schemas.press_mechanics import PressIncrement, PressMechanics
-from data_schemas.radiometry import BandSignals, PixelSignals
-from data_schemas.rig import RigFile
-from data_schemas.sensing import NormalMapRecord
-from data_schemas.simulate import LightAngleSweep, SimulatedPress
-from data_schemas.surfaces import FingerSurfaces
-from data_schemas.tactile import TactilePlan, TactileRig, TactileSession
+from data_schemas import (
+    AcceptanceReport,
+    BandSignals,
+    CameraCharacterisation,
+    CameraPlan,
+    CameraSession,
+    CaptureSession,
+    CheckPlan,
+    ComparisonBatch,
+    FingerDesign,
+    FingerStiffness,
+    FingerSurfaces,
+    FluorescentRendering,
+    ForceComparison,
+    LightAngleDecision,
+    LightAngleIntensity,
+    LightAngleSweep,
+    NormalMapRecord,
+    PaintCalibration,
+    PaintMap,
+    PaintPlan,
+    PaintWithoutEmission,
+    PaperPaints,
+    PhotometricErrorReport,
+    PixelScale,
+    PixelSignals,
+    PlainSensor,
+    PressIncrement,
+    PressMechanics,
+    Record,
+    RigFile,
+    SimulatedPress,
+    TactileCapture,
+    TactilePlan,
+    TactileRig,
+    TactileSession,
+    TwoLights,
+)
 
 FOLDER = Path(__file__).resolve().parent / "json_schema"
 WRITTEN_BY_PEOPLE: tuple[type[Record], ...] = (

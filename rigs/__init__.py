@@ -1,1 +1,100 @@
-"""Rigs: device protocols, the simulated bench and the capture of sessions; imports data_schemas only."""
+"""Know devices and the capture of sessions; of this project, import data_schemas only.
+
+``with open_rig(rig, folder) as opened:`` turns a rig file into a camera, a filter wheel, a laser, a lamp, an operator
+and a clock that keep the protocols of this room, whether they are real, behind a server or simulated. Every exchange
+has a deadline, and what a device says is asked afresh.
+
+Drivers lie in ``cameras``, ``filter_wheels`` and ``lights``, one file per make or protocol, over the framed exchanges
+of ``transports``; ``light_guard`` alone holds a light that could harm; ``capture`` runs the sessions; ``simulated`` is
+a rig without hardware; ``contracts`` are the tests of every driver.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from rigs._drivers import LIGHTS, Detection, FoundDevice, detect, open_camera, open_lamp, open_laser, open_wheel
+    from rigs._host import CallThread, NoAnswerError, SystemClock, TerminalOperator
+    from rigs._open_rig import (
+        OpenRig,
+        device_locked,
+        lone_camera,
+        lone_lamp,
+        lone_laser,
+        lone_wheel,
+        open_rig,
+        rig_locked,
+    )
+    from rigs._overview import look_at, look_at_tactile
+    from rigs._protocols import (
+        Camera,
+        Clock,
+        FilterWheel,
+        GuardedSwitch,
+        Light,
+        LightSwitch,
+        OffWords,
+        Operator,
+        RawFrame,
+    )
+    from rigs._rig_files import (
+        DEFAULT_PAINTS,
+        Role,
+        camera_plan,
+        paint_plan,
+        paper_rig,
+        plan_toml,
+        rig_toml,
+        simulated_rig,
+        to_fill_in,
+        write_plan,
+        write_rig,
+    )
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "DEFAULT_PAINTS",
+    "LIGHTS",
+    "CallThread",
+    "Camera",
+    "Clock",
+    "Detection",
+    "FilterWheel",
+    "FoundDevice",
+    "GuardedSwitch",
+    "Light",
+    "LightSwitch",
+    "NoAnswerError",
+    "OffWords",
+    "OpenRig",
+    "Operator",
+    "RawFrame",
+    "Role",
+    "SystemClock",
+    "TerminalOperator",
+    "camera_plan",
+    "detect",
+    "device_locked",
+    "lone_camera",
+    "lone_lamp",
+    "lone_laser",
+    "lone_wheel",
+    "look_at",
+    "look_at_tactile",
+    "open_camera",
+    "open_lamp",
+    "open_laser",
+    "open_rig",
+    "open_wheel",
+    "paint_plan",
+    "paper_rig",
+    "plan_toml",
+    "rig_locked",
+    "rig_toml",
+    "simulated_rig",
+    "to_fill_in",
+    "write_plan",
+    "write_rig",
+]

@@ -6,50 +6,50 @@ import gc
 import sys
 from collections.abc import Sequence
 
-from data_schemas.child_process import OBJECTS_PER_COLLECTION
-from data_schemas.errors import DiedError, FinrayError
+from data_schemas import DiedError, FinrayError
+from data_schemas.storage import OBJECTS_PER_COLLECTION
 from finray_calib.cli import (
-    capture,
-    check,
-    compare,
-    decide,
-    demo,
-    design,
-    doctor,
-    export,
-    fit,
-    import_captures,
-    radiometry,
-    recolour,
-    rig,
-    simulate,
-    study,
-    trace,
-    verify,
+    add_capture,
+    add_check,
+    add_compare,
+    add_decide,
+    add_demo,
+    add_design,
+    add_doctor,
+    add_export,
+    add_fit,
+    add_import,
+    add_radiometry,
+    add_recolour,
+    add_rig,
+    add_simulate,
+    add_study,
+    add_trace,
+    add_verify,
 )
 
 USER_MISTAKE = 2
 DIED = 3
 INTERRUPTED = 130
-VERBS = (
-    capture,
-    radiometry,
-    fit,
-    simulate,
-    recolour,
-    compare,
-    decide,
-    import_captures,
-    export,
-    rig,
-    check,
-    design,
-    study,
-    doctor,
-    trace,
-    verify,
-    demo,
-)
+VERBS = {
+    "capture": add_capture,
+    "radiometry": add_radiometry,
+    "fit": add_fit,
+    "simulate": add_simulate,
+    "recolour": add_recolour,
+    "compare": add_compare,
+    "decide": add_decide,
+    "import": add_import,
+    "export": add_export,
+    "rig": add_rig,
+    "check": add_check,
+    "design": add_design,
+    "study": add_study,
+    "doctor": add_doctor,
+    "trace": add_trace,
+    "verify": add_verify,
+    "demo": add_demo,
+}
 DESCRIPTION = """\
 Calibrate fluorescent-paint tactile fingers: from a painted sample to a decision on the light angle.
 
@@ -65,8 +65,8 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="store_true", help="print the version and stop")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
-    for verb in VERBS:
-        verb.add_parser(verbs)
+    for add_verb in VERBS.values():
+        add_verb(verbs)
     return parser
 
 
@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None, in_own_process: bool = False) -
     parser = build_parser()
     parsed = parser.parse_args(arguments)
     if parsed.version:
-        from data_schemas.provenance import package_version
+        from data_schemas import package_version
 
         sys.stdout.write(f"finray {package_version()}\n")
         return 0
@@ -90,7 +90,7 @@ def main(arguments: Sequence[str] | None = None, in_own_process: bool = False) -
     try:
         describe = getattr(parsed, "long_work", None)
         if in_own_process and describe is not None:
-            from finray_calib.cli.own_process import run_in_own_process
+            from finray_calib.cli._run import run_in_own_process
 
             return run_in_own_process(describe(parsed), sys.argv[1:] if arguments is None else arguments)
         status = parsed.run(parsed)

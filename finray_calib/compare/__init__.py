@@ -1,1 +1,47 @@
-"""Compare a simulated press with its capture: skill over declared regions, with floor and interval."""
+r"""Compare a simulated press with its capture: skill over declared regions, with floor and interval.
+
+Of render S, capture D and no-contact image B, all in linear light,
+
+.. math:: E = 1 - \frac{\sum_c w_c \sum_p (k S - D)^2}{\sum_c w_c \sum_p (B - D)^2}
+
+with pixels p, channels c, their weights w and one exposure factor k: 1 explains the whole contact signal, 0 is doing
+nothing. Noise of render and camera is taken out of the squares, and every number has an interval from what paints,
+camera, pose and light leave open. Images that do not belong together are refused before anything is compared.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from finray_calib.compare._batch import mean_skill, pair_by_name, pairs_of_rows, worst_pairs
+    from finray_calib.compare._comparison_record import NO_DRIFT, CheckOptions, compare_checked, compare_press
+    from finray_calib.compare._displayed_images import ciede2000, srgb_to_lab
+    from finray_calib.compare._mismatch import find_mismatches
+    from finray_calib.compare._regions import DILATED, Region, contact_regions, disc, strip_from_distance
+    from finray_calib.compare._registration import register_press
+    from finray_calib.compare._structural_similarity import multi_scale_similarity, structural_similarity
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "DILATED",
+    "NO_DRIFT",
+    "CheckOptions",
+    "Region",
+    "ciede2000",
+    "compare_checked",
+    "compare_press",
+    "contact_regions",
+    "disc",
+    "find_mismatches",
+    "mean_skill",
+    "multi_scale_similarity",
+    "pair_by_name",
+    "pairs_of_rows",
+    "register_press",
+    "srgb_to_lab",
+    "strip_from_distance",
+    "structural_similarity",
+    "worst_pairs",
+]

@@ -1,1 +1,69 @@
-"""Foreign formats: what labs already have becomes records, and records become what other tools read."""
+"""Speak other people's formats: every foreign import and export, one file per format.
+
+A calibrated paint leaves as CSV, JSON, netCDF (ArviZ), SPDX, Mitsuba spectrum, reduced RGB matrix or bispectral
+OpenEXR, all by name from `PAINT_FORMATS`. Captures of other labs come in as folders of band images, of Raspberry Pi
+pictures, of ball presses, of 9DTact or Taxim calibrations, measured force as CSV. Renders, meshes, printable parts,
+board calibrations, capture requests and acceptance reports go out as files that other programs open.
+
+What cannot be known from a foreign file is asked for or refused, never guessed; nothing pickled is ever loaded.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from finray_calib.exchange._ball_presses import DATA_PACK, PARAMETERS, read_ball_presses, read_circles, read_taxim
+    from finray_calib.exchange._band_folder import BandFolder, import_band_folder
+    from finray_calib.exchange._bispectral_exr import read_bispectral_exr
+    from finray_calib.exchange._board_pictures import calibration_yaml, read_board_picture
+    from finray_calib.exchange._capture_request import PlannedView, capture_request
+    from finray_calib.exchange._force_csv import read_force_csv
+    from finray_calib.exchange._junit_xml import junit_xml
+    from finray_calib.exchange._led_camera_matrix import assumed_led, led_camera_matrix, read_light
+    from finray_calib.exchange._nine_dtact import nine_dtact_capture, nine_dtact_prediction
+    from finray_calib.exchange._paint_formats import PAINT_FORMATS, ExportOptions, as_spectral_distribution
+    from finray_calib.exchange._paint_spectra import PaintSpectra, paint_spectra
+    from finray_calib.exchange._printable_parts import PrintFormat, printable_parts
+    from finray_calib.exchange._raspberry_pi import RaspberryPiOptions, raspberry_pi_capture, read_tuning
+    from finray_calib.exchange._render_files import write_optics_folder
+    from finray_calib.exchange._taxim_export import FEWEST_PRESSES, taxim_files
+    from finray_calib.exchange._vtu import vtu_bytes
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "DATA_PACK",
+    "FEWEST_PRESSES",
+    "PAINT_FORMATS",
+    "PARAMETERS",
+    "BandFolder",
+    "ExportOptions",
+    "PaintSpectra",
+    "PlannedView",
+    "PrintFormat",
+    "RaspberryPiOptions",
+    "as_spectral_distribution",
+    "assumed_led",
+    "calibration_yaml",
+    "capture_request",
+    "import_band_folder",
+    "junit_xml",
+    "led_camera_matrix",
+    "nine_dtact_capture",
+    "nine_dtact_prediction",
+    "paint_spectra",
+    "printable_parts",
+    "raspberry_pi_capture",
+    "read_ball_presses",
+    "read_bispectral_exr",
+    "read_board_picture",
+    "read_circles",
+    "read_force_csv",
+    "read_light",
+    "read_taxim",
+    "read_tuning",
+    "taxim_files",
+    "vtu_bytes",
+    "write_optics_folder",
+]

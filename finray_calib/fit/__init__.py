@@ -1,1 +1,108 @@
-"""From band values to the posterior of a paint's emission."""
+r"""Fit a paint: from band signals to the posterior of its emission, reflectance and absorption.
+
+.. math:: p(\theta | y) \propto p(\theta)\, N\bigl(y;\; \mu(\theta),\; S + U U^T + D(\theta)\bigr)
+
+with the measurement covariance S, the imperfections U of the rig and the discrepancy D of the paint from its family of
+curves. `calibrate_paint` runs the whole path and returns the stored record, `map_paint` fits every pixel,
+`detect_emission` tells whether there is anything to fit. Draws come from importance sampling that diagnoses itself;
+where it falls short they are carried on by Markov steps, and emcee is the independent check.
+No files, no devices.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from finray_calib.fit._absorption import ExcitationYield, fit_absorption
+    from finray_calib.fit._band_data import BandData, band_data
+    from finray_calib.fit._colour_checker import colour_checker_reflectance, patch_colours
+    from finray_calib.fit._detection import detect_emission
+    from finray_calib.fit._emission import EmissionPosterior, FitSettings, Summary, check_bands, fit_emission, summarise
+    from finray_calib.fit._family_choice import (
+        DEFAULT_FAMILY,
+        FitOptions,
+        choose_family,
+        fit_families,
+        leave_one_band_out,
+        score_families,
+    )
+    from finray_calib.fit._importance import FEWEST_EFFECTIVE, LARGEST_PARETO_K, importance_sample, smooth_weights
+    from finray_calib.fit._likelihood import LogPosterior
+    from finray_calib.fit._map_search import find_maxima
+    from finray_calib.fit._markov_chains import (
+        LARGEST_MEMORY,
+        LARGEST_R_HAT,
+        SMALLEST_EFFECTIVE_SAMPLES,
+        ChainDiagnostics,
+        SamplerSettings,
+        autocorrelation_time,
+        bulk_ess,
+        rank_r_hat,
+        sample_posterior,
+    )
+    from finray_calib.fit._paint_calibration import (
+        LARGEST_CHAIN_SHIFT_SD,
+        PAPER_FAMILY,
+        calibrate_paint,
+        curve_bands,
+        estimate,
+        paper_parameters,
+        reflectance,
+    )
+    from finray_calib.fit._pixel_maps import PixelSpread, map_paint, map_pixels
+    from finray_calib.fit._prior import NO_DISCREPANCY, PAINT_DISCREPANCY, AbsorptionPrior, Discrepancy, EmissionPrior
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "DEFAULT_FAMILY",
+    "FEWEST_EFFECTIVE",
+    "LARGEST_CHAIN_SHIFT_SD",
+    "LARGEST_MEMORY",
+    "LARGEST_PARETO_K",
+    "LARGEST_R_HAT",
+    "NO_DISCREPANCY",
+    "PAINT_DISCREPANCY",
+    "PAPER_FAMILY",
+    "SMALLEST_EFFECTIVE_SAMPLES",
+    "AbsorptionPrior",
+    "BandData",
+    "ChainDiagnostics",
+    "Discrepancy",
+    "EmissionPosterior",
+    "EmissionPrior",
+    "ExcitationYield",
+    "FitOptions",
+    "FitSettings",
+    "LogPosterior",
+    "PixelSpread",
+    "SamplerSettings",
+    "Summary",
+    "autocorrelation_time",
+    "band_data",
+    "bulk_ess",
+    "calibrate_paint",
+    "check_bands",
+    "choose_family",
+    "colour_checker_reflectance",
+    "curve_bands",
+    "detect_emission",
+    "estimate",
+    "find_maxima",
+    "fit_absorption",
+    "fit_emission",
+    "fit_families",
+    "importance_sample",
+    "leave_one_band_out",
+    "map_paint",
+    "map_pixels",
+    "paper_parameters",
+    "patch_colours",
+    "rank_r_hat",
+    "reflectance",
+    "sample_posterior",
+    "score_families",
+    "smooth_weights",
+    "summarise",
+]

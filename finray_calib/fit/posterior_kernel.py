@@ -1,4 +1,8 @@
-"""The compiled log posterior: band values of a curve, covariance with discrepancy, normal log density."""
+"""The compiled log posterior: band values of a curve, covariance with discrepancy, normal log density, ascent.
+
+The climb to a local maximum takes Levenberg-Marquardt steps. Python calls one compiled function, :func:`evaluate`:
+several would each compile all that they share.
+"""
 
 import math
 from typing import Final, NamedTuple
@@ -6,9 +10,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from finray_calib.fit.discrepancy import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM
-from finray_calib.spectra.band_quadrature import NODES
-from finray_calib.spectra.compiled import compiled_inside
+from finray_calib.fit._prior import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM
+from finray_calib.spectra import BAND_NODES, compiled, compiled_inside
 from finray_calib.spectra.family_kernels import CONSTANTS, constants, fill
 
 FloatArray = NDArray[np.float64]
@@ -70,7 +73,7 @@ class Problem(NamedTuple):
     @property
     def in_band(self) -> FloatArray:
         """Weights at the nodes of each row's band, (K, Q)."""
-        return self.weights[:, :NODES]
+        return self.weights[:, :BAND_NODES]
 
 
 class Work(NamedTuple):
@@ -92,7 +95,11 @@ _EDGE: Final = 2
 def scratch(rows: int, points: int) -> Work:
     """Return scratch arrays of the right sizes."""
     return Work(
-        np.empty(CONSTANTS), np.empty((2, points)), np.empty((3, rows)), np.empty((rows, NODES)), np.empty((rows, rows))
+        np.empty(CONSTANTS),
+        np.empty((2, points)),
+        np.empty((3, rows)),
+        np.empty((rows, BAND_NODES)),
+        np.empty((rows, rows)),
     )
 
 
@@ -108,12 +115,12 @@ def predict(p: Problem, theta: FloatArray, w: Work) -> None:
     grid = len(curve)
     for i in range(len(p.rows)):
         row = p.rows[i]
-        first, emitted, leaked = row["band"] * NODES, 0.0, 0.0
+        first, emitted, leaked = row["band"] * BAND_NODES, 0.0, 0.0
         own = math.exp(row["leak_sd"] * theta[row["leak_at"]]) if row["leak_at"] > 0 else row["leak_mean"]
         more = blocking * own - 1
-        for q in range(NODES):
+        for q in range(BAND_NODES):
             emitted += p.weights[i, q] * w.curve[0, first + q]
-        out_of_band, leaks = p.weights[i, NODES : NODES + grid], p.weights[i, NODES + grid :]
+        out_of_band, leaks = p.weights[i, BAND_NODES : BAND_NODES + grid], p.weights[i, BAND_NODES + grid :]
         for g in range(grid):
             emitted += out_of_band[g] * curve[g]
             leaked += leaks[g] * curve[g]
@@ -130,24 +137,24 @@ def fill_covariance(p: Problem, theta: FloatArray, w: Work) -> None:
         u = (p.points_nm[n] - theta[0] + EDGE_OFFSET_FWHM * width) / (EDGE_WIDTH_FWHM * width)
         w.curve[1, n] = p.reabsorption_rel / (1 + math.exp(min(u, 60.0)))
     for i in range(rows):
-        first, s = p.rows[i]["band"] * NODES, 0.0
-        for q in range(NODES):
+        first, s = p.rows[i]["band"] * BAND_NODES, 0.0
+        for q in range(BAND_NODES):
             w.scaled[i, q] = p.weights[i, q] * (w.curve[0, first + q] + floor)
             s += w.scaled[i, q] * w.curve[1, first + q]
         w.row[_EDGE, i] = s
     for j in range(rows):
-        own = p.rows[j]["band"] * NODES
-        for first in range(own, nodes, NODES):
+        own = p.rows[j]["band"] * BAND_NODES
+        for first in range(own, nodes, BAND_NODES):
             if p.kernel[first, own] > 0:
-                for q in range(NODES):
+                for q in range(BAND_NODES):
                     part = 0.0
-                    for r in range(NODES):
+                    for r in range(BAND_NODES):
                         part += p.kernel[first + q, own + r] * w.scaled[j, r]
                     w.curve[1, first + q] = part
         for i in range(j, rows):
-            total, first = p.covariance[i, j] + w.row[_EDGE, i] * w.row[_EDGE, j], p.rows[i]["band"] * NODES
+            total, first = p.covariance[i, j] + w.row[_EDGE, i] * w.row[_EDGE, j], p.rows[i]["band"] * BAND_NODES
             if p.kernel[first, own] > 0:
-                for q in range(NODES):
+                for q in range(BAND_NODES):
                     total += w.scaled[i, q] * w.curve[1, first + q]
             w.factor[i, j] = total
 
@@ -218,3 +225,130 @@ def log_density(p: Problem, theta: FloatArray, w: Work, with_prior: bool) -> flo
     if not (math.isfinite(value) and math.isfinite(prior)):
         return -math.inf
     return value + prior if with_prior else value
+
+
+_DIFFERENCE = 1e-5  # step of derivatives, in prior standard deviations
+_INSIDE = 1e-6  # distance kept from a truncation, in prior standard deviations
+_FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 5e-2, 1e-9, 1e8
+_FALL, _RISE = 5.0, 6.0  # of the damping after a step that was accepted or refused
+_LEAST_GAIN_NATS = 1e-5
+
+_RESIDUAL: Final = 0
+_MU: Final = 1
+_JACOBIAN: Final = 2
+"""Rows of the linear model, (2 + D, K)."""
+
+
+@compiled_inside
+def _linearise(p: Problem, theta: FloatArray, w: Work, linear: FloatArray) -> None:
+    """Fill residual and derivative of the prediction at theta, whitened, for what log_density() left there.
+
+    Derivatives by forward differences.
+    """
+    rows = len(p.rows)
+    for i in range(rows):
+        linear[_RESIDUAL, i], linear[_MU, i] = w.row[Z, i], w.row[MU, i]
+    for d in range(len(theta)):
+        h, at = _DIFFERENCE * p.prior[d]["sd"], theta[d]
+        theta[d] = at + h
+        predict(p, theta, w)
+        theta[d] = at
+        for i in range(rows):
+            s = (w.row[MU, i] - linear[_MU, i]) / h
+            for j in range(i):
+                s -= w.factor[i, j] * linear[_JACOBIAN + d, j]
+            linear[_JACOBIAN + d, i] = s * w.factor[i, i]
+
+
+@compiled_inside
+def _damped_step(
+    prior: NDArray[np.void], theta: FloatArray, linear: FloatArray, damping: float, normal: FloatArray, step: FloatArray
+) -> None:
+    """Fill the Levenberg-Marquardt step (D,)."""
+    size, rows = len(theta), linear.shape[1]
+    for d in range(size):
+        precision = prior[d]["sd"] ** -2
+        step[d] = -(theta[d] - prior[d]["mean"]) * precision
+        for i in range(rows):
+            step[d] += linear[_JACOBIAN + d, i] * linear[_RESIDUAL, i]
+        for e in range(d + 1):
+            s = 0.0
+            for i in range(rows):
+                s += linear[_JACOBIAN + d, i] * linear[_JACOBIAN + e, i]
+            normal[d, e] = (s + precision) * (1 + damping) if e == d else s
+    factorise(normal, step)
+    for d in range(size - 1, -1, -1):
+        for e in range(d + 1, size):
+            step[d] -= normal[e, d] * step[e]
+        step[d] *= normal[d, d]
+
+
+@compiled_inside
+def climb(p: Problem, theta: FloatArray, w: Work, steps: int) -> float:
+    """Move theta (D,) by Levenberg-Marquardt steps towards a maximum; return the log posterior there.
+
+    The covariance is held within a step and renewed at every accepted one; steps are accepted by the true density.
+    Without steps theta stays, and w holds what log_density() leaves.
+    """
+    size = len(theta)
+    linear, normal, moves = np.empty((_JACOBIAN + size, len(p.rows))), np.empty((size, size)), np.empty((2, size))
+    step, moved = moves[0], moves[1]
+    for d in range(size):
+        moved[d] = theta[d]
+    best, damping = -math.inf, _FIRST_DAMPING
+    for taken in range(steps + 1):
+        new = log_density(p, moved, w, True)
+        gain = new - best
+        if gain > 0:
+            best, damping = new, max(damping / _FALL, _LEAST_DAMPING)
+            for d in range(size):
+                theta[d] = moved[d]
+        else:
+            damping *= _RISE
+        if taken == steps or 0 < gain < _LEAST_GAIN_NATS or damping > _LARGEST_DAMPING:
+            break
+        if gain > 0:
+            _linearise(p, theta, w, linear)
+        _damped_step(p.prior, theta, linear, damping, normal, step)
+        for d in range(size):
+            own = p.prior[d]
+            limit = own["sd"]
+            at = theta[d] + min(max(step[d], -limit), limit)
+            moved[d] = min(max(at, own["low"] + _INSIDE * limit), own["high"] - _INSIDE * limit)
+    return best
+
+
+LOG_POSTERIOR: Final = 0
+LOG_LIKELIHOOD: Final = 1
+PREDICTION: Final = 2
+COVARIANCE: Final = 3
+PRECISION: Final = 4
+TOP: Final = 5
+
+
+@compiled
+def evaluate(p: Problem, theta: FloatArray, quantity: int, steps: int, out: FloatArray) -> None:
+    """Fill one row of out with a quantity of each of (n, D) rows; a top is where climbing that many steps ends."""
+    rows = len(p.rows)
+    w = scratch(rows, len(p.points_nm))
+    for n in range(len(theta)):
+        if quantity in (LOG_POSTERIOR, LOG_LIKELIHOOD):
+            out[n, 0] = log_density(p, theta[n], w, quantity == LOG_POSTERIOR)
+        elif quantity == TOP:
+            for d in range(theta.shape[1]):
+                out[n, d] = theta[n, d]
+            climb(p, out[n], w, steps)
+        else:
+            predict(p, theta[n], w)
+            if quantity != PREDICTION:
+                fill_covariance(p, theta[n], w)
+            if quantity == PRECISION:
+                factorise(w.factor, w.row[MU])
+                invert(w.factor)
+            for i in range(rows):
+                if quantity == PREDICTION:
+                    out[n, i] = w.row[MU, i]
+                else:
+                    for j in range(i + 1):
+                        out[n, i * rows + j] = w.factor[i, j]
+                        out[n, j * rows + i] = w.factor[i, j]

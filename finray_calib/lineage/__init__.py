@@ -1,1 +1,17 @@
-"""Where a stored number comes from: its tree of inputs, whether all of it is as it was, and computing it again."""
+"""Where a stored number comes from: its tree of inputs, whether all of it is as it was, and computing it again.
+
+Every file is hashed again and compared with the SHA-256 that the records hold; a record is replayed by running its
+command into a temporary folder and comparing the numbers.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from finray_calib.lineage._replay import Replayed, replay
+    from finray_calib.lineage._trace import FolderCheck, Traced, Tracer, findings, verify_folder
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = ["FolderCheck", "Replayed", "Traced", "Tracer", "findings", "replay", "verify_folder"]

@@ -1,1 +1,78 @@
-"""Radiometry: raw frames become linear, dark-corrected band signals with covariance. No files, no devices."""
+r"""Reduce frames to numbers: band signals of a paint with their covariance, or the characteristics of a camera.
+
+.. math:: y_{bc} = \frac{F_{bc} / W_{bc}}{V}
+
+with F the sample under the laser, W the white reference under the lamp and V the laser's level on the white reference,
+all dark-corrected and linear: sensitivity of the pixels and transmission of the filters cancel. `band_signals` does so
+over a region, `pixel_signals` for every raw pixel, `characterise_camera` gives gain, noise and saturation after EMVA
+1288. Also a ColorChecker in a frame, and what a Raspberry Pi camera did to its images. No devices; a caller's function
+reads the frames.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from finray_calib.radiometry._band_signals import (
+        band_signals,
+        bands_of_steps,
+        monochrome_bands,
+        optics_of,
+        texture_variance_rel,
+        tilt_ratios,
+    )
+    from finray_calib.radiometry._bleaching import bleaching_trend
+    from finray_calib.radiometry._camera_characterisation import characterise_camera
+    from finray_calib.radiometry._colour_checker import (
+        LARGEST_CLIPPED_FRACTION,
+        PATCHES,
+        ColourCheckerPatches,
+        find_colour_checker,
+        linear_cells,
+    )
+    from finray_calib.radiometry._libcamera_tuning import LibcameraTuning, parse_tuning, shading_gains
+    from finray_calib.radiometry._photon_transfer import FrameStack, PhotonTransfer, linearity, photon_transfer
+    from finray_calib.radiometry._pixel_signals import laser_profile, pixel_signals
+    from finray_calib.radiometry._raspberry_pi import (
+        CaptureSettings,
+        capture_settings,
+        processed_signal,
+        raw_signal,
+        require_same_settings,
+    )
+    from finray_calib.radiometry._session_steps import session_steps, signal_covariance
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "LARGEST_CLIPPED_FRACTION",
+    "PATCHES",
+    "CaptureSettings",
+    "ColourCheckerPatches",
+    "FrameStack",
+    "LibcameraTuning",
+    "PhotonTransfer",
+    "band_signals",
+    "bands_of_steps",
+    "bleaching_trend",
+    "capture_settings",
+    "characterise_camera",
+    "find_colour_checker",
+    "laser_profile",
+    "linear_cells",
+    "linearity",
+    "monochrome_bands",
+    "optics_of",
+    "parse_tuning",
+    "photon_transfer",
+    "pixel_signals",
+    "processed_signal",
+    "raw_signal",
+    "require_same_settings",
+    "session_steps",
+    "shading_gains",
+    "signal_covariance",
+    "texture_variance_rel",
+    "tilt_ratios",
+]

@@ -1,1 +1,157 @@
-"""From stored records to figures and to one self-contained page; the only door to matplotlib and jinja2."""
+"""From stored records to figures, tables, sentences and self-contained pages; the only door to matplotlib and jinja2.
+
+A page is one HTML file with everything inside, the verdict first, readable without scripts; it is made of sections, and
+sections of pictures and tables. Every sentence is computed from the records, no number shows more digits than its
+interval supports, and equal input gives equal bytes. There is one file for each page, and beside it its figures and its
+statements where they fill a file of their own.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from finray_calib.reports._check_page import check_report
+    from finray_calib.reports._comparison_figures import error_map_figure, force_figure_png, score_figure
+    from finray_calib.reports._comparison_page import comparison_page
+    from finray_calib.reports._comparison_statements import (
+        error_table,
+        grid_phrase,
+        headline,
+        level_a_sentence,
+        row_of,
+        simulation_sentence,
+    )
+    from finray_calib.reports._decision_figures import angle_figure
+    from finray_calib.reports._decision_page import (
+        decision_meaning,
+        decision_page,
+        decision_table,
+        decision_validation,
+        equivalent_text,
+    )
+    from finray_calib.reports._finger_page import finger_page
+    from finray_calib.reports._finger_pictures import finger_page_png, pressed_finger_png, untouched_finger_png
+    from finray_calib.reports._finger_views import finger_outline
+    from finray_calib.reports._fit_figures import paint_map_figure, spot_sentence, spots_note, spread_sentence
+    from finray_calib.reports._fit_page import fit_parts, no_emission_page, paint_report
+    from finray_calib.reports._fit_statements import model_statement, paint_sentence, signals_table
+    from finray_calib.reports._fitted_paint import FittedPaint, PaintTruth, fit_summary
+    from finray_calib.reports._images import (
+        ByteImage,
+        clipped_remark,
+        denoised,
+        display_remark,
+        display_white,
+        pad_window,
+        require_denoiser,
+        to_display,
+        touch_pair,
+    )
+    from finray_calib.reports._page import (
+        Content,
+        Picture,
+        ReportTable,
+        Section,
+        drawing,
+        figure_png,
+        one_group,
+        provenance_table,
+        raster,
+        render_page,
+    )
+    from finray_calib.reports._plain_text import (
+        Json,
+        comparison_lines,
+        decimals_for,
+        duration,
+        fixed,
+        force_lines,
+        interval_text,
+        pareto_text,
+        percent,
+        plain,
+        probability,
+        significant,
+    )
+    from finray_calib.reports._study_figures import (
+        fluorescent_rendering_png,
+        light_angle_png,
+        paper_paints_png,
+        two_lights_png,
+    )
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "ByteImage",
+    "Content",
+    "FittedPaint",
+    "Json",
+    "PaintTruth",
+    "Picture",
+    "ReportTable",
+    "Section",
+    "angle_figure",
+    "check_report",
+    "clipped_remark",
+    "comparison_lines",
+    "comparison_page",
+    "decimals_for",
+    "decision_meaning",
+    "decision_page",
+    "decision_table",
+    "decision_validation",
+    "denoised",
+    "display_remark",
+    "display_white",
+    "drawing",
+    "duration",
+    "equivalent_text",
+    "error_map_figure",
+    "error_table",
+    "figure_png",
+    "finger_outline",
+    "finger_page",
+    "finger_page_png",
+    "fit_parts",
+    "fit_summary",
+    "fixed",
+    "fluorescent_rendering_png",
+    "force_figure_png",
+    "force_lines",
+    "grid_phrase",
+    "headline",
+    "interval_text",
+    "level_a_sentence",
+    "light_angle_png",
+    "model_statement",
+    "no_emission_page",
+    "one_group",
+    "pad_window",
+    "paint_map_figure",
+    "paint_report",
+    "paint_sentence",
+    "paper_paints_png",
+    "pareto_text",
+    "percent",
+    "plain",
+    "pressed_finger_png",
+    "probability",
+    "provenance_table",
+    "raster",
+    "render_page",
+    "require_denoiser",
+    "row_of",
+    "score_figure",
+    "signals_table",
+    "significant",
+    "simulation_sentence",
+    "spot_sentence",
+    "spots_note",
+    "spread_sentence",
+    "to_display",
+    "touch_pair",
+    "two_lights_png",
+    "untouched_finger_png",
+]

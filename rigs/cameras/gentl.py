@@ -9,11 +9,16 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from data_schemas.devices import CameraSettings, DeviceIdentity
-from data_schemas.errors import LostError, MissingExtraError, RefusedError
-from rigs.cameras.genicam import ConnectionBrokenError, FeatureError
-from rigs.cameras.genicam_camera import GenicamCamera, opened_camera
-from rigs.cameras.genicam_device import Delivered, firmware_of, name_of
+from data_schemas import CameraSettings, DeviceIdentity, LostError, MissingExtraError, RefusedError
+from rigs.cameras._genicam import (
+    ConnectionBrokenError,
+    Delivered,
+    FeatureError,
+    GenicamCamera,
+    firmware_of,
+    name_of,
+    opened_camera,
+)
 
 T = TypeVar("T")
 NS_PER_S: Final = 1e9

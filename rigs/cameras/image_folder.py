@@ -12,14 +12,12 @@ from typing import Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.devices import CameraSettings, DeviceIdentity
-from data_schemas.errors import BadFrameError, RecordError, RefusedError
-from data_schemas.foreign_files import finite_number, read_csv
-from rigs.cameras.genicam_device import name_of
-from rigs.cameras.raw_files import SUFFIXES, read_exposure_s, read_raw
-from rigs.capture.read_session import read_camera_session, read_frame_of, read_session, session_kind
-from rigs.capture.session_folder import SESSION_NAME
-from rigs.protocols import RawFrame
+from data_schemas import BadFrameError, CameraSettings, DeviceIdentity, RecordError, RefusedError
+from data_schemas.storage import finite_number, read_csv
+from rigs import RawFrame
+from rigs.cameras._genicam import name_of
+from rigs.cameras._image_files import SUFFIXES, read_exposure_s, read_raw
+from rigs.capture import SESSION_NAME, read_camera_session, read_frame_of, read_session, session_kind
 
 EXPOSURES_NAME: Final = "frames.csv"
 EXPOSURE_TOLERANCE_REL: Final = 0.05

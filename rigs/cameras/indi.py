@@ -1,20 +1,33 @@
-"""A camera behind an INDI server: raw 16-bit frames as FITS, every setting compared with the frame's own header."""
+"""A camera behind an INDI server: raw 16-bit frames as FITS, every setting compared with the frame's own header.
 
+Size, exposure, gain, colour pattern and bits must be what was asked for, and each frame a new one. Of FITS it reads the
+one kind that INDI servers send: a primary image of 16-bit whole numbers.
+Source: FITS standard 4.0, sections 3 and 4: cards of 80 characters in blocks of 2880 bytes, then big-endian data.
+"""
+
+import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
-from data_schemas.devices import CameraSettings, DeviceIdentity
-from data_schemas.errors import CaptureError, RefusedError, TimedOutError
-from rigs.cameras.fits_image import read_fits_image
-from rigs.cameras.indi_frames import IndiFrames
-from rigs.protocols import Camera, RawFrame
-from rigs.transports.indi_client import OPEN_WITHIN_S, IndiClient
-from rigs.transports.indi_messages import blob_bytes
-from rigs.transports.indi_server import CAMERA_INTERFACE, found_on_this_computer
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import (
+    BadFrameError,
+    CameraSettings,
+    CaptureError,
+    DeviceIdentity,
+    FrameSizeError,
+    RefusedError,
+    TimedOutError,
+)
+from rigs import Camera, RawFrame
+from rigs.transports import CAMERA_INTERFACE, INDI_OPENS_WITHIN_S, IndiClient, blob_bytes, found_on_this_computer
 
 ABORT_WITHIN_S: Final = 1.0
 _EXPOSURE: Final = "CCD_EXPOSURE"
@@ -176,10 +189,234 @@ def open_camera(settings: CameraSettings, folder: Path, wheel_device: str = "") 
     """
     with IndiClient(settings.address, "camera", _EXPOSURE) as client:
         camera = IndiCamera(client, settings, wheel_device)
-        camera.prepare(time.monotonic() + OPEN_WITHIN_S)
+        camera.prepare(time.monotonic() + INDI_OPENS_WITHIN_S)
         yield camera
 
 
 def found() -> list[tuple[str, str]]:
     """Return address and description of the cameras of an INDI server on this computer."""
     return found_on_this_computer(CAMERA_INTERFACE)
+
+
+BLOCK_BYTES: Final = 2880
+CARD_BYTES: Final = 80
+_LONGEST_HEADER_BYTES: Final = 100 * BLOCK_BYTES
+_UNSIGNED_ZERO: Final = 32768.0
+_TEXT: Final = re.compile(r"'((?:[^']|'')*)'")
+
+CardValue = str | float | bool
+
+
+@dataclass(frozen=True, slots=True)
+class FitsImage:
+    """Counts (DN), shape (H, W), rows as they are stored, and the values of the header's cards."""
+
+    counts: NDArray[np.uint16]
+    header: Mapping[str, CardValue]
+
+
+def read_fits_image(data: bytes, name: str) -> FitsImage:
+    """Return the primary image of a FITS file; `name` says where it is from, for messages.
+
+    Raises
+    ------
+    BadFrameError
+        The file is cut off or damaged.
+    RefusedError
+        It holds something else than one image of 16-bit whole numbers.
+    """
+    header, start = _header(data, name)
+    unit = {key: header.get(key, default) for key, default in (("BZERO", 0.0), ("BSCALE", 1.0))}
+    if (header.get("BITPIX"), header.get("NAXIS"), unit["BSCALE"]) != (16, 2, 1.0) or unit["BZERO"] not in (
+        0.0,
+        _UNSIGNED_ZERO,
+    ):
+        raise RefusedError(
+            f"{name}: sends FITS with BITPIX {header.get('BITPIX')}, NAXIS {header.get('NAXIS')}, BSCALE "
+            f"{unit['BSCALE']}, BZERO {unit['BZERO']}; one raw image of 16-bit counts is needed (BITPIX 16, NAXIS 2): "
+            "choose a raw 16-bit capture format in the camera's driver"
+        )
+    width, height = (_length(header.get(axis)) for axis in ("NAXIS1", "NAXIS2"))
+    if width * height == 0 or len(data) < start + 2 * width * height:
+        raise BadFrameError(
+            f"{name}: a frame of {width} x {height} px needs {2 * width * height} bytes after its header, "
+            f"{len(data) - start} came"
+        )
+    stored = np.frombuffer(data, dtype=">u2", count=width * height, offset=start).reshape(height, width)
+    # Stored values are signed; adding 32768 to them turns over their highest bit.
+    highest_bit = np.uint16(0x8000)
+    if unit["BZERO"] == _UNSIGNED_ZERO:
+        counts = stored.astype(np.uint16) ^ highest_bit
+    elif (stored & highest_bit).any():
+        raise RefusedError(f"{name}: sends negative counts; choose a raw 16-bit capture format in the camera's driver")
+    else:
+        counts = stored.astype(np.uint16)
+    return FitsImage(counts, header)
+
+
+def _header(data: bytes, name: str) -> tuple[dict[str, CardValue], int]:
+    """Return the cards up to END, and where the data starts."""
+    header: dict[str, CardValue] = {}
+    for at in range(0, min(len(data), _LONGEST_HEADER_BYTES), CARD_BYTES):
+        card = data[at : at + CARD_BYTES].decode("ascii", "replace")
+        key = card[:8].rstrip()
+        if at == 0 and not card.startswith("SIMPLE  ="):
+            break
+        if key == "END":
+            return header, -(-(at + CARD_BYTES) // BLOCK_BYTES) * BLOCK_BYTES
+        if card[8:10] == "= " and (value := _value(card[10:])) is not None:
+            header[key] = value
+    raise BadFrameError(f"{name}: sends {data[:10]!r}..., which is no FITS file with a whole header; expose again")
+
+
+def _value(field: str) -> CardValue | None:
+    """Return the value of a card: text without the blanks at its end, number or truth value."""
+    text = _TEXT.match(field.lstrip())
+    if text:
+        return text[1].replace("''", "'").rstrip()
+    word = field.split("/")[0].strip()
+    if word in ("T", "F"):
+        return word == "T"
+    try:
+        return float(word.replace("D", "E"))
+    except ValueError:
+        return None
+
+
+def _length(value: CardValue | None) -> int:
+    """Return the length of an axis; 0 where it is none."""
+    whole = isinstance(value, float) and value.is_integer() and 0.0 < value < 2**16
+    return int(value) if whole and value is not None else 0
+
+
+EXPOSURE_TOLERANCE_REL: Final = 0.01
+"""Cameras expose in steps; a header that differs by more belongs to another exposure."""
+_HEADER_DIGITS_REL: Final = 1e-5
+# Settings that the record carries as the driver reads them back: name there, property, member.
+_READ_BACK: Final = (
+    ("gain", "CCD_GAIN", "GAIN"),
+    ("black_level", "CCD_OFFSET", "OFFSET"),
+    ("sensor_temperature_c", "CCD_TEMPERATURE", "CCD_TEMPERATURE_VALUE"),
+)
+
+
+class IndiFrames:
+    """The check of one camera's frames; what was seen of earlier ones counts for the next.
+
+    Parameters
+    ----------
+    client
+        Connection to the camera.
+    settings
+        What the rig file says about it.
+    """
+
+    def __init__(self, client: IndiClient, settings: CameraSettings) -> None:
+        self._client = client
+        self._settings = settings
+        self._last_time_s: float | None = None
+        # Whether the camera was seen to use the low bits of its 16, which it does for good.
+        self._right_aligned = settings.bit_depth == 16
+
+    def checked(self, image: FitsImage, exposure_s: float, captured_utc: str) -> RawFrame:
+        """Return a frame that is what was asked for.
+
+        Raises
+        ------
+        FrameSizeError
+            Its size is another.
+        RefusedError
+            Its exposure, gain or colour pattern is another, or its header does not tell.
+        BadFrameError
+            It was delivered before, or holds more counts than its bits allow.
+        """
+        header, name = image.header, self._client.name
+        if image.counts.shape != (self._settings.height_px, self._settings.width_px):
+            raise FrameSizeError(
+                f"{name}: sent {image.counts.shape[1]} x {image.counts.shape[0]} px, {self._settings.width_px} x "
+                f"{self._settings.height_px} px were asked for; check the frame and binning in the camera's driver"
+            )
+        read_back_s = _number(header, "EXPTIME", name)
+        if abs(read_back_s - exposure_s) > EXPOSURE_TOLERANCE_REL * exposure_s:
+            raise RefusedError(
+                f"{name}: {exposure_s:g} s were asked for, the frame's header says {read_back_s:g} s; see that no "
+                "other program uses the camera"
+            )
+        gain = self._settings.gain_db
+        if "GAIN" in header and abs(_number(header, "GAIN", name) - gain) > _HEADER_DIGITS_REL * max(1.0, gain):
+            raise RefusedError(
+                f"{name}: gain {gain:g} was asked for, the frame's header says {header['GAIN']}; see that no other "
+                "program uses the camera"
+            )
+        device_time_s = self._require_new(header)
+        return RawFrame(
+            counts=self._right_align(image.counts),
+            exposure_requested_s=exposure_s,
+            exposure_s=read_back_s,
+            captured_utc=captured_utc,
+            device_time_s=device_time_s,
+            settings=self._settings_read_back(header),
+        )
+
+    def _settings_read_back(self, header: Mapping[str, CardValue]) -> dict[str, str | float]:
+        """Return what the driver and the header say beside the exposure."""
+        client = self._client
+        settings: dict[str, str | float] = {
+            label: client.number(name, member) for label, name, member in _READ_BACK if name in client.properties
+        }
+        settings["pixel_format"] = self._pixel_format(header)
+        # Which filter the driver believes in: only as true as ACTIVE_FILTER, which names the wheel it listens to.
+        if "FILTER" in header:
+            settings["filter_header"] = str(header["FILTER"])
+        active = client.properties.get("ACTIVE_DEVICES")
+        if active is not None and "ACTIVE_FILTER" in active.values:
+            settings["active_filter"] = active.values["ACTIVE_FILTER"]
+        return settings
+
+    def _pixel_format(self, header: Mapping[str, CardValue]) -> Literal["BayerRG16", "Mono16"]:
+        """Return the colour pattern; refuse one that the rig file does not mean."""
+        pattern = header.get("BAYERPAT", "")
+        offsets = [header.get(key, 0.0) for key in ("XBAYROFF", "YBAYROFF")]
+        upside_down = header.get("ROWORDER", "TOP-DOWN") != "TOP-DOWN"
+        if pattern not in ("", self._settings.bayer_pattern) or offsets != [0.0, 0.0] or upside_down:
+            raise RefusedError(
+                f"{self._client.name}: sends the colour pattern {pattern or 'none'} (offset {offsets[0]}, "
+                f"{offsets[1]}, rows {header.get('ROWORDER', 'TOP-DOWN')}), {self._settings.bayer_pattern} from the "
+                "top left is needed; choose a camera or a frame with this pattern"
+            )
+        return "BayerRG16" if pattern else "Mono16"
+
+    def _require_new(self, header: Mapping[str, CardValue]) -> float | None:
+        """Return the driver's time of the frame; refuse one that was delivered before."""
+        try:
+            taken = datetime.fromisoformat(str(header.get("DATE-OBS", "")))
+        except ValueError:
+            return None
+        device_time_s = (taken if taken.tzinfo else taken.replace(tzinfo=UTC)).timestamp()
+        if device_time_s == self._last_time_s:
+            raise BadFrameError(f"{self._client.name}: sent the frame of {header['DATE-OBS']} twice; expose again")
+        self._last_time_s = device_time_s
+        return device_time_s
+
+    def _right_align(self, counts: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        """Shift counts down whose lowest bits no pixel ever uses: fewer bits, left-aligned in 16."""
+        depth = self._settings.bit_depth
+        used = int(np.bitwise_or.reduce(counts, axis=None))
+        if used & ((1 << (16 - depth)) - 1):
+            self._right_aligned = True
+        if not self._right_aligned:
+            return counts >> np.uint16(16 - depth)
+        if used >> depth:
+            raise BadFrameError(
+                f"{self._client.name}: sent counts up to {int(counts.max())} DN, {depth} bits hold {2**depth - 1} DN; "
+                "correct bit_depth of the rig file"
+            )
+        return counts
+
+
+def _number(header: Mapping[str, CardValue], key: str, name: str) -> float:
+    """Return a number of the header."""
+    value = header.get(key)
+    if not isinstance(value, float):
+        raise RefusedError(f"{name}: the frame's header states no {key}; choose another INDI driver for the camera")
+    return value

@@ -11,12 +11,18 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.devices import CameraSettings, DeviceIdentity
-from data_schemas.errors import BadFrameError, CaptureError, LostError, MissingExtraError, RefusedError, TimedOutError
-from rigs.call_thread import CallThread, NoAnswerError
-from rigs.cameras.genicam import CLOCK_REL, LINE_S
-from rigs.cameras.genicam_device import name_of
-from rigs.protocols import RawFrame
+from data_schemas import (
+    BadFrameError,
+    CameraSettings,
+    CaptureError,
+    DeviceIdentity,
+    LostError,
+    MissingExtraError,
+    RefusedError,
+    TimedOutError,
+)
+from rigs import CallThread, NoAnswerError, RawFrame
+from rigs.cameras._genicam import CLOCK_REL, LINE_S, name_of
 
 if TYPE_CHECKING:
     from pymmcore import CMMCore

@@ -15,12 +15,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.devices import CameraSettings, DeviceIdentity
-from data_schemas.errors import BadFrameError, CaptureError, FrameSizeError, RefusedError, TimedOutError
-from rigs.cameras.jpeg_picture import decoded_jpeg, jpeg_size_px
-from rigs.protocols import RawFrame
-from rigs.transports.multipart_stream import MultipartStream, Part
-from rigs.transports.newest_part import NewestPart
+from data_schemas import (
+    BadFrameError,
+    CameraSettings,
+    CaptureError,
+    DeviceIdentity,
+    FrameSizeError,
+    RefusedError,
+    TimedOutError,
+)
+from rigs import RawFrame
+from rigs.cameras._image_files import decoded_jpeg, jpeg_size_px
+from rigs.transports import MultipartStream, NewestPart, Part
 
 OPEN_DEADLINE_S: Final = 5.0
 STALE_PARTS: Final = 3

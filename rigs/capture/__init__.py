@@ -1,1 +1,75 @@
-"""Capture: from a plan and a rig to a stored session of raw frames."""
+"""Capture sessions: from a plan and a rig to a folder of raw frames that proves itself.
+
+One engine for four kinds of session (paint, camera, tactile, check): steps in order, exposures metered and read back,
+the filters proven optically, every frame on disk with its SHA-256 and a line of a chained journal before the next step
+begins. A session that is interrupted goes on from its journal; one that is finished can be verified alone.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from rigs.capture._camera_session import camera_step, capture_camera_session
+    from rigs.capture._check_session import check_filters, record_facts
+    from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL, WHEEL_DEADLINE_S
+    from rigs.capture._journal import JOURNAL_NAME, read_journal
+    from rigs.capture._paint_session import capture_paint_session, forecast, require_ready
+    from rigs.capture._plan import paint_steps, planned_presses, tactile_shots
+    from rigs.capture._resume import Interrupted, read_interrupted
+    from rigs.capture._session_folder import (
+        SESSION_KINDS,
+        SESSION_NAME,
+        complete_session,
+        is_unborn,
+        lacks_manifest,
+        read_camera_session,
+        read_frame_of,
+        read_session,
+        session_kind,
+        verify_session,
+    )
+    from rigs.capture._tactile_session import (
+        MOST_SATURATED_FRACTION,
+        capture_tactile_session,
+        is_tactile,
+        read_interrupted_presses,
+        session_bytes,
+    )
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "CAMERA_DEADLINE_MARGIN_S",
+    "EXPOSURE_TOLERANCE_REL",
+    "JOURNAL_NAME",
+    "MOST_SATURATED_FRACTION",
+    "SESSION_KINDS",
+    "SESSION_NAME",
+    "WHEEL_DEADLINE_S",
+    "Interrupted",
+    "camera_step",
+    "capture_camera_session",
+    "capture_paint_session",
+    "capture_tactile_session",
+    "check_filters",
+    "complete_session",
+    "forecast",
+    "is_tactile",
+    "is_unborn",
+    "lacks_manifest",
+    "paint_steps",
+    "planned_presses",
+    "read_camera_session",
+    "read_frame_of",
+    "read_interrupted",
+    "read_interrupted_presses",
+    "read_journal",
+    "read_session",
+    "record_facts",
+    "require_ready",
+    "session_bytes",
+    "session_kind",
+    "tactile_shots",
+    "verify_session",
+]

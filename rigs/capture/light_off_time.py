@@ -1,4 +1,10 @@
-"""How long the laser stays on after a mishap, for each of its safety layers."""
+"""How long the laser stays on after a mishap, for each of its safety layers.
+
+Who sees whether it is on while its guard holds its connection is the camera, or a new connection. The victim of the
+mishap is this module started as ``python -m rigs.capture.light_off_time DRIVER ADDRESS``: it keeps the laser on behind
+its guard and says ``ON`` and the process numbers of guard and watch. It ends, and the laser goes off, when its standard
+input closes (whoever started it is gone), at the latest after 10 s.
+"""
 
 import os
 import select
@@ -8,14 +14,196 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final, NamedTuple
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Final, NamedTuple, Protocol
 
-from data_schemas.check import LightLayer, LightOff
-from data_schemas.devices import LaserSettings
-from data_schemas.errors import CaptureError, TimedOutError
-from rigs.capture.laser_watch import LaserWatch, make_off
-from rigs.light_guard import require_outside_layer
-from rigs.open_rig import OpenRig
+from data_schemas import (
+    BadFrameError,
+    CaptureError,
+    FinrayError,
+    LaserSettings,
+    LightLayer,
+    LightOff,
+    RigFile,
+    TimedOutError,
+    UnsafeError,
+    Witness,
+)
+from rigs import LIGHTS, OpenRig, open_camera
+from rigs.capture._check_frames import CheckFrames
+from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, WHEEL_DEADLINE_S, shine
+from rigs.capture._plan import Step
+from rigs.light_guard import GuardedLight, require_outside_layer
+
+LONGEST_SIGHT_S: Final = 0.05
+"""Exposure of the frames that watch the laser: they resolve the time in which it goes off."""
+LEAST_CONTRAST: Final = 0.05  # of full scale, between laser on and off
+DARK_SHARE: Final = 0.1
+"""Of the signal with the laser on: a frame below it was lit for less than a tenth of its exposure."""
+ASK_WITHIN_S: Final = 1.0
+ASK_EVERY_S: Final = 0.02
+OFF_WITHIN_S: Final = 5.0
+
+
+class Reading(NamedTuple):
+    """One look at the laser: when it began and ended by the monotonic clock, and whether the laser was on.
+
+    `on` is None where nothing could be seen.
+    """
+
+    start_s: float
+    end_s: float
+    on: bool | None
+
+
+class LaserWatch(Protocol):
+    """Somebody who looks at the laser again and again."""
+
+    @property
+    def witness(self) -> Witness:
+        """Who looks."""
+        ...
+
+    def look(self) -> Reading:
+        """Look once."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What the camera sees of the laser: mean counts (DN) with the laser off and on at one exposure (s)."""
+
+    exposure_s: float
+    off_dn: float
+    on_dn: float
+
+
+def find_sight(opened: OpenRig, rig: RigFile, frames: CheckFrames) -> Sight | None:
+    """Look at the white tile with the laser on and off through the filter that passes it; None if both look alike.
+
+    The wheel stays where the laser is seen.
+    """
+    laser_nm = rig.laser.wavelength_nm
+    passing = [f for f in rig.filter_wheel.filters if abs(f.center_nm - laser_nm) <= 0.5 * f.fwhm_nm]
+    if not passing:
+        return None
+    lit = Step("laser white", "white", "laser", passing[0].name, passing[0].slot)
+    dark = Step("dark", "white", "off", passing[0].name, passing[0].slot)
+    try:
+        if opened.wheel.position() != lit.slot:  # in the dark: a wheel may be turned by hand
+            opened.wheel.go_to(passing[0].slot, WHEEL_DEADLINE_S)
+        with shine(opened, "laser"):
+            exposure_s = min(frames.meter(lit), max(LONGEST_SIGHT_S, rig.camera.shortest_exposure_s))
+            on_dn = frames.expose(lit, exposure_s)
+        off_dn = frames.expose(dark, exposure_s)
+    except UnsafeError:
+        raise
+    except CaptureError:
+        return None
+    seen = on_dn - off_dn > LEAST_CONTRAST * (2**rig.camera.bit_depth - 1)
+    return Sight(exposure_s, off_dn, on_dn) if seen else None
+
+
+class CameraWatch:
+    """The camera as the witness.
+
+    Parameters
+    ----------
+    rig, folder
+        The rig file and where its relative paths start.
+    frames
+        Knows the region.
+    sight
+        What the laser looks like.
+    """
+
+    witness: Witness = "the camera"
+
+    def __init__(self, rig: RigFile, folder: Path, frames: CheckFrames, sight: Sight) -> None:
+        self._rig, self._folder, self._frames, self._sight = rig, folder, frames, sight
+
+    @contextmanager
+    def open(self) -> Iterator["CameraWatch"]:
+        """Open the camera alone for a ``with`` block."""
+        with open_camera(self._rig.camera, self._folder) as self._camera:
+            self.look()  # a camera's first frame after opening may be an old one
+            yield self
+
+    def look(self) -> Reading:
+        """Take a frame; it shows the laser on unless it was lit for less than a tenth of its exposure."""
+        start_s = time.monotonic()
+        exposure_s, off_dn, on_dn = self._sight.exposure_s, self._sight.off_dn, self._sight.on_dn
+        try:
+            raw = self._camera.expose(exposure_s, exposure_s + CAMERA_DEADLINE_MARGIN_S)
+        except BadFrameError:
+            return Reading(start_s, time.monotonic(), None)
+        signal_dn = self._frames.region_mean_dn(raw.counts) - off_dn
+        return Reading(start_s, time.monotonic(), signal_dn > DARK_SHARE * (on_dn - off_dn))
+
+
+class ConnectionWatch:
+    """A new connection to the laser's controller as the witness; one is made for every look.
+
+    Parameters
+    ----------
+    laser
+        Driver and address.
+    quiet_s
+        Pause before every look. A dead-man counts a question as a sign of life: it is asked seldom.
+    """
+
+    witness: Witness = "a new connection"
+
+    def __init__(self, laser: LaserSettings, quiet_s: float = ASK_EVERY_S) -> None:
+        self._laser, self._quiet_s = laser, quiet_s
+
+    def look(self) -> Reading:
+        """Ask the controller, if a connection is to be had.
+
+        A dead-man that is asked while it counts starts anew: when the answer is "off", it was off at the first word
+        of the connection, which is then the end of the look.
+        """
+        time.sleep(self._quiet_s)
+        start_s = time.monotonic()
+        try:
+            with import_module(LIGHTS[self._laser.driver]).open_switch(self._laser.address, "laser", None) as switch:
+                on = bool(switch.state(ASK_WITHIN_S))
+                answered_s = time.monotonic()
+                asked_dead_man = bool(switch.has_dead_man) and self._quiet_s > ASK_EVERY_S
+        except CaptureError:
+            return Reading(start_s, time.monotonic(), None)
+        return Reading(start_s, start_s if asked_dead_man and not on else answered_s, on)
+
+
+def can_be_asked_anew(laser: LaserSettings) -> bool:
+    """Whether a second connection tells the state without changing it: opening a serial port resets most boards."""
+    return laser.driver in ("indi", "alpaca") or laser.address.startswith("socket://")
+
+
+def make_off(laser: LaserSettings) -> None:
+    """Switch the laser off over a connection of our own, trying for some seconds.
+
+    Raises
+    ------
+    UnsafeError
+        It is not confirmed off.
+    """
+    end_s = time.monotonic() + OFF_WITHIN_S
+    while True:
+        try:
+            with import_module(LIGHTS[laser.driver]).open_switch(laser.address, "laser", None) as switch:
+                switch.switch(False, ASK_WITHIN_S)
+                return
+        except CaptureError as error:
+            if time.monotonic() > end_s:
+                raise UnsafeError(
+                    f"laser at {laser.address}: NOT CONFIRMED OFF after its safety layers were tried; pull its plug "
+                    f"before anyone opens the box. What went wrong: {error}"
+                ) from error
+        time.sleep(ASK_EVERY_S)
+
 
 WATCHED_S: Final = 5.0
 """A layer that takes longer has failed."""
@@ -131,7 +319,7 @@ def _watch(watch: LaserWatch, killed_s: float) -> tuple[float, float | None]:
 def _holding(laser: LaserSettings) -> Iterator[Holder]:
     """Run a program of its own that holds the laser on for a ``with`` block."""
     process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "rigs.capture.laser_holder", laser.driver, laser.address],
+        [sys.executable, "-P", "-m", "rigs.capture.light_off_time", laser.driver, laser.address],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -153,3 +341,30 @@ def _first_line(process: "subprocess.Popen[str]") -> str:
     if process.stdout is None or not select.select([process.stdout], [], [], START_WITHIN_S)[0]:
         raise TimedOutError(f"laser: the program that was to hold it on said nothing for {START_WITHIN_S:g} s")
     return process.stdout.readline().strip()
+
+
+LONGEST_S: Final = 10.0
+
+
+def main(arguments: list[str]) -> int:
+    """Hold the laser that the arguments name."""
+    driver, address = arguments
+    try:
+        light = GuardedLight("laser", driver, address)
+        try:
+            light.open()
+            with light.lit():
+                sys.stdout.write(f"ON {light.guard_pid} {light.watch_pid}\n")
+                sys.stdout.flush()
+                select.select([sys.stdin], [], [], LONGEST_S)
+        finally:
+            light.close()
+    except FinrayError as error:
+        sys.stdout.write(f"{' '.join(str(error).split())}\n")
+        sys.stdout.flush()
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

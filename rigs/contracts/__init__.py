@@ -1,9 +1,14 @@
 """What every camera, filter wheel and light must do: the same tests for all implementations and users' own rigs.
 
-On a rig of your own: ``pytest -p rigs.contracts.plugin --pyargs rigs.contracts --rig my-rig.toml``.
+On a rig of your own: ``pytest -p rigs.contracts.plugin --pyargs rigs.contracts --rig my-rig.toml``. For a driver of
+your own, a class of tests derives from one of the contracts and brings its fixtures: :class:`CameraContract` `camera`
+(open) and `camera_settings`, :class:`FilterWheelContract` `wheel` (open) and `wheel_settings`, :class:`LightContract`
+`light` (open). The contracts need pytest.
 """
 
-from data_schemas.errors import MissingExtraError
+from typing import TYPE_CHECKING
+
+from data_schemas import MissingExtraError, lazy_exports
 
 try:
     import pytest
@@ -12,4 +17,11 @@ except ImportError as error:
         f"the contracts of the devices are tests and need pytest ({error}); install it with pip install pytest"
     ) from error
 
-pytest.register_assert_rewrite("rigs.contracts.camera", "rigs.contracts.filter_wheel", "rigs.contracts.light")
+if TYPE_CHECKING:
+    from rigs.contracts.devices import CameraContract, FilterWheelContract, LightContract
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = ["CameraContract", "FilterWheelContract", "LightContract"]
+
+pytest.register_assert_rewrite("rigs.contracts.devices")

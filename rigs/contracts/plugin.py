@@ -8,16 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.devices import CameraSettings, FilterWheelSettings
-from data_schemas.errors import FinrayError
-from data_schemas.rig import RigFile
+from data_schemas import CameraSettings, FilterWheelSettings, FinrayError, RigFile
 from data_schemas.storage import read_toml
-from rigs.host import TerminalOperator
-from rigs.lone_devices import lone_camera, lone_lamp, lone_laser, lone_wheel
-from rigs.protocols import Camera, FilterWheel, Light
+from rigs import Camera, FilterWheel, Light, TerminalOperator, lone_camera, lone_lamp, lone_laser, lone_wheel
 
 HERE = Path(__file__).parent
-SUITES = ("camera.py", "filter_wheel.py", "light.py")
+SUITE = "devices.py"
 RIG = pytest.StashKey[tuple[RigFile, Path]]()
 
 
@@ -59,8 +55,8 @@ def pytest_report_header(config: pytest.Config) -> list[str]:
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Module | None:
-    """Collect the suites, whose files are named after devices."""
-    if file_path.parent != HERE or file_path.name not in SUITES or RIG not in parent.config.stash:
+    """Collect the suite, whose file is not named as tests are."""
+    if file_path.parent != HERE or file_path.name != SUITE or RIG not in parent.config.stash:
         return None
     return pytest.Module.from_parent(parent, path=file_path)
 

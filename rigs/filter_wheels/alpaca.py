@@ -5,12 +5,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from data_schemas.devices import DeviceIdentity, FilterWheelSettings
-from data_schemas.errors import RefusedError
-from rigs.filter_wheels.arrival import Arrival, require_slot, require_slots
-from rigs.protocols import FilterWheel, Operator
-from rigs.transports.alpaca_client import OPEN_WITHIN_S, AlpacaClient, alpaca_address, device_number
-from rigs.transports.alpaca_discovery import alpaca_devices
+from data_schemas import DeviceIdentity, FilterWheelSettings, RefusedError
+from rigs import FilterWheel, Operator
+from rigs.filter_wheels._arrival import Arrival, require_slot, require_slots
+from rigs.transports import ALPACA_OPENS_WITHIN_S, AlpacaClient, alpaca_address, alpaca_devices, device_number
 
 ASK_WITHIN_S: Final = 5.0
 ELSEWHERE_S: Final = 2.0
@@ -98,7 +96,7 @@ def open_wheel(settings: FilterWheelSettings, operator: Operator) -> Iterator[Fi
     if number is None or len(where.path) != 1:
         raise RefusedError(f"filter wheel: '{settings.address}' is no Alpaca address; write {form}")
     client = AlpacaClient(where, "filterwheel", number, f"filter wheel at {settings.address}")
-    end_s = time.monotonic() + OPEN_WITHIN_S
+    end_s = time.monotonic() + ALPACA_OPENS_WITHIN_S
     client.connect(end_s)
     wheel = AlpacaFilterWheel(client, settings.address, len(client.get_list("names", end_s)))
     require_slots(settings.filters, wheel.slots, client.name)

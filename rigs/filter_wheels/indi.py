@@ -5,13 +5,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from data_schemas.devices import DeviceIdentity, FilterWheelSettings
-from data_schemas.errors import TimedOutError
-from rigs.filter_wheels.arrival import Arrival, require_slot, require_slots
-from rigs.protocols import FilterWheel, Operator
-from rigs.transports.indi_client import OPEN_WITHIN_S, IndiClient
-from rigs.transports.indi_device import IndiProperty
-from rigs.transports.indi_server import FILTER_WHEEL_INTERFACE, found_on_this_computer
+from data_schemas import DeviceIdentity, FilterWheelSettings, TimedOutError
+from rigs import FilterWheel, Operator
+from rigs.filter_wheels._arrival import Arrival, require_slot, require_slots
+from rigs.transports import (
+    FILTER_WHEEL_INTERFACE,
+    INDI_OPENS_WITHIN_S,
+    IndiClient,
+    IndiProperty,
+    found_on_this_computer,
+)
 
 ASK_WITHIN_S: Final = 5.0
 POLL_S: Final = 0.05
@@ -112,7 +115,7 @@ def open_wheel(settings: FilterWheelSettings, operator: Operator) -> Iterator[Fi
         No server listens at the address.
     """
     with IndiClient(settings.address, "filter wheel", _SLOT) as client:
-        client.ready(time.monotonic() + OPEN_WITHIN_S)
+        client.ready(time.monotonic() + INDI_OPENS_WITHIN_S)
         wheel = IndiFilterWheel(client, settings.address)
         require_slots(settings.filters, wheel.slots, client.name)
         yield wheel

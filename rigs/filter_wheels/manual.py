@@ -3,9 +3,8 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from data_schemas.devices import DeviceIdentity, FilterWheelSettings
-from data_schemas.errors import RefusedError
-from rigs.protocols import FilterWheel, Operator
+from data_schemas import DeviceIdentity, FilterWheelSettings, RefusedError
+from rigs import FilterWheel, Operator
 
 
 class ManualWheel:

@@ -1,4 +1,4 @@
-"""A light that never stays on: three processes watch each other while it is lit, and fewer than three mean dark.
+"""Keep a light from staying on: three processes watch each other while it is lit, and fewer than three mean dark.
 
 The owner is the program that captures; ``with light.lit():`` switches off however the block is left. The guard is a
 process that alone holds the light's connection. The watch is a third one with a line of its own to the light. Each
@@ -6,7 +6,29 @@ sees within hundredths of a second that another is killed or stopped, and switch
 that hangs or loses its cable: then only a layer outside of it helps, such as a dead-man in the light's controller.
 """
 
-from rigs.light_guard.guarded_light import GuardedLight, guarded_light
-from rigs.light_guard.outside_layer import off_lines, require_outside_layer
+from typing import TYPE_CHECKING
 
-__all__ = ["GuardedLight", "guarded_light", "off_lines", "require_outside_layer"]
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from rigs.light_guard._guarded_light import (
+        LEASE_S,
+        TEST_HOLDS_DAYS,
+        GuardedLight,
+        guarded_light,
+        has_dead_man,
+        off_lines,
+        require_outside_layer,
+    )
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "LEASE_S",
+    "TEST_HOLDS_DAYS",
+    "GuardedLight",
+    "guarded_light",
+    "has_dead_man",
+    "off_lines",
+    "require_outside_layer",
+]

@@ -23,14 +23,22 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from data_schemas.errors import LostError
+from data_schemas import LostError
 from rigs.light_guard import watch as watch_program
-from rigs.light_guard.held_light import HeldLight
-from rigs.light_guard.messages import EXIT_NOT_OFF, EXIT_OFF, HungUpError, channel, error_words, receive, send
+from rigs.light_guard._held_light import (
+    EXIT_NOT_OFF,
+    EXIT_OFF,
+    HeldLight,
+    HungUpError,
+    channel,
+    error_words,
+    receive,
+    send,
+)
 from rigs.light_guard.watch import LONGEST_PACKET_BYTES, LOOK_S, OtherProcess
 
 if TYPE_CHECKING:
-    from rigs.protocols import GuardedSwitch, OffWords
+    from rigs import GuardedSwitch, OffWords
 
 KEEP_ALIVE_S: Final = 0.15
 """Four fit into the 0.7 s of the firmware's dead-man: three may be lost or late."""

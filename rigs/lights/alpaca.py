@@ -5,13 +5,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from data_schemas.devices import DeviceIdentity
-from data_schemas.errors import RefusedError
-from rigs.lights.server_light import HAS_DEAD_MAN as HAS_DEAD_MAN
-from rigs.lights.server_light import LightRole, ServerLight
-from rigs.protocols import GuardedSwitch, OffWords, Operator
-from rigs.transports.alpaca_client import OPEN_WITHIN_S, AlpacaClient, alpaca_address, device_number
-from rigs.transports.alpaca_discovery import alpaca_devices
+from data_schemas import DeviceIdentity, RefusedError
+from rigs import GuardedSwitch, OffWords, Operator
+from rigs.lights._server_light import HAS_DEAD_MAN as HAS_DEAD_MAN
+from rigs.lights._server_light import LightRole, ServerLight
+from rigs.transports import ALPACA_OPENS_WITHIN_S, AlpacaClient, alpaca_address, alpaca_devices, device_number
 
 _NOT_PRESENT: Final = 0
 # Off, not ready (it warms up or goes out), ready.
@@ -158,7 +156,7 @@ def open_switch(address: str, role: LightRole, operator: Operator | None) -> Ite
             controlled = Calibrator(client := AlpacaClient(where, kind, device, name))
         case _:
             raise RefusedError(f"{role}: '{address}' is no Alpaca address; write {form}")
-    end_s = time.monotonic() + OPEN_WITHIN_S
+    end_s = time.monotonic() + ALPACA_OPENS_WITHIN_S
     client.connect(end_s)
     controlled.require_light(end_s)
     yield ServerLight(AlpacaPanel(client, controlled), role, address)

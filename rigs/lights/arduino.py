@@ -1,23 +1,53 @@
-"""A laser or lamp on an Arduino with the firmware of :mod:`rigs.lights.firmware`, whose dead-man switches it off.
+"""A laser or lamp on an Arduino with the firmware of ``rigs/lights/firmware``, whose dead-man switches it off.
 
-Lines of ASCII at 9600 baud. Every line from the host has one answer; ``TRIP`` comes unasked when the dead-man acts,
-and ``LASER 1.1`` also at every reset, which opening the port of most boards causes.
+Lines of ASCII at 9600 baud, each one word. Every line from the host has one answer; ``TRIP`` comes unasked when the
+dead-man acts, and ``LASER 1.1`` also at every reset, which opening the port of most boards causes.
 """
 
 import contextlib
+import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
-from data_schemas.devices import DeviceIdentity
-from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutError, UnsafeError
-from rigs.lights.arduino_lines import BAUD, LINE, Said, Word, parse
-from rigs.protocols import OffWords
-from rigs.transports.serial_link import SerialLink, usb_serial_ports
+from data_schemas import CaptureError, DeviceIdentity, LostError, RefusedError, TimedOutError, UnsafeError
+from rigs import OffWords
+from rigs.transports import SerialLink, usb_serial_ports
 
 if TYPE_CHECKING:
-    from rigs.protocols import Operator
+    from rigs import Operator
+
+
+BAUD: Final = 9600
+Word = Literal["ON", "OFF", "ERR", "TRIP", "LASER"]
+_WORDS: Final[dict[bytes, Word]] = {b"ON": "ON", b"OFF": "OFF", b"ERR": "ERR", b"TRIP": "TRIP", b"LASER": "LASER"}
+LINE: Final = re.compile(rb"(?:(ON|OFF|ERR|TRIP)|(LASER) (\d{1,3}\.\d{1,3}))\r?\n")
+
+
+class Said(NamedTuple):
+    """One line of the firmware; `version` of a ``LASER`` line."""
+
+    word: Word
+    version: str = ""
+
+
+def parse(line: bytes, name: str) -> Said:
+    """Return what a line of the controller `name` says.
+
+    Raises
+    ------
+    LostError
+        No firmware of ours says this.
+    """
+    match = LINE.fullmatch(line)
+    if match is None:
+        raise LostError(
+            f"{name}: says {line[:32]!r}, which the light's firmware never does; check the cable, the ground between "
+            f"board and computer, the speed ({BAUD} baud) and that no other program uses the port"
+        )
+    return Said(_WORDS[match[1] or match[2]], (match[3] or b"").decode())
+
 
 HAS_DEAD_MAN: Final = True
 FIRMWARE_MAJOR: Final = 1

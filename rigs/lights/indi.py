@@ -5,14 +5,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from data_schemas.devices import DeviceIdentity
-from data_schemas.errors import RefusedError
-from rigs.lights.server_light import HAS_DEAD_MAN as HAS_DEAD_MAN
-from rigs.lights.server_light import LightRole, ServerLight
-from rigs.protocols import GuardedSwitch, OffWords, Operator
-from rigs.transports.indi_client import OPEN_WITHIN_S, IndiClient
-from rigs.transports.indi_messages import new_vector
-from rigs.transports.indi_server import LIGHT_INTERFACE, found_on_this_computer
+from data_schemas import DeviceIdentity, RefusedError
+from rigs import GuardedSwitch, OffWords, Operator
+from rigs.lights._server_light import HAS_DEAD_MAN as HAS_DEAD_MAN
+from rigs.lights._server_light import LightRole, ServerLight
+from rigs.transports import INDI_OPENS_WITHIN_S, LIGHT_INTERFACE, IndiClient, found_on_this_computer, new_vector
 
 _CONTROL: Final = "FLAT_LIGHT_CONTROL"
 _ON: Final = "FLAT_LIGHT_ON"
@@ -87,7 +84,7 @@ def open_switch(address: str, role: LightRole, operator: Operator | None) -> Ite
         No server listens at the address.
     """
     with IndiClient(address, role, _CONTROL) as client:
-        client.ready(time.monotonic() + OPEN_WITHIN_S)
+        client.ready(time.monotonic() + INDI_OPENS_WITHIN_S)
         yield ServerLight(IndiPanel(client), role, address)
 
 

@@ -1,1 +1,36 @@
-"""The simulated rig: paints, bench, sensor and devices; it never imports a fitter's forward model."""
+"""Stand in for a rig: paints, bench, sensor and devices; never with a fitter's forward model.
+
+The bench turns a painted sample under a light and behind a filter into photo-electrons per second, the sensor turns
+photo-electrons into counts (the only such model; the tactile renderer uses it too), the devices move and light the
+bench and have faults. A bench that shared the fitter's band integration would hide its errors.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from rigs.simulated._bench import Bench, BenchTruth, bench_truth, lay_out
+    from rigs.simulated._devices import (
+        BenchState,
+        SimulatedCamera,
+        SimulatedClock,
+        SimulatedFilterWheel,
+        SimulatedLight,
+        SimulatedOperator,
+    )
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "Bench",
+    "BenchState",
+    "BenchTruth",
+    "SimulatedCamera",
+    "SimulatedClock",
+    "SimulatedFilterWheel",
+    "SimulatedLight",
+    "SimulatedOperator",
+    "bench_truth",
+    "lay_out",
+]

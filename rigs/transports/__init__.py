@@ -1,1 +1,57 @@
-"""Framed exchange with devices: every one with a deadline and a transcript."""
+"""Exchange frames of bytes with devices, each with a deadline: serial ports, HTTP, INDI, Alpaca, MJPEG.
+
+A wait ends when the answer is whole or at an instant of :func:`time.monotonic`, whichever comes first; a connection
+that is lost is told once, and the next call connects again. Nothing that arrives is without a limit of its length.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from rigs.transports._alpaca_client import (
+        ALPACA_OPENS_WITHIN_S,
+        AlpacaClient,
+        alpaca_address,
+        alpaca_devices,
+        device_number,
+    )
+    from rigs.transports._indi_client import (
+        CAMERA_INTERFACE,
+        FILTER_WHEEL_INTERFACE,
+        INDI_OPENS_WITHIN_S,
+        LIGHT_INTERFACE,
+        IndiClient,
+        IndiProperty,
+        found_on_this_computer,
+        indi_address,
+    )
+    from rigs.transports._indi_messages import blob_bytes, new_vector
+    from rigs.transports._serial_link import SerialLink, usb_serial_ports
+    from rigs.transports._timed_http import MultipartStream, NewestPart, Part, TimedConnection
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "ALPACA_OPENS_WITHIN_S",
+    "CAMERA_INTERFACE",
+    "FILTER_WHEEL_INTERFACE",
+    "INDI_OPENS_WITHIN_S",
+    "LIGHT_INTERFACE",
+    "AlpacaClient",
+    "IndiClient",
+    "IndiProperty",
+    "MultipartStream",
+    "NewestPart",
+    "Part",
+    "SerialLink",
+    "TimedConnection",
+    "alpaca_address",
+    "alpaca_devices",
+    "blob_bytes",
+    "device_number",
+    "found_on_this_computer",
+    "indi_address",
+    "new_vector",
+    "usb_serial_ports",
+]

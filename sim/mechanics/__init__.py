@@ -1,1 +1,94 @@
-"""The finger pressed: parametric meshes, elements, contact and the solver."""
+"""The finger pressed: parametric meshes, materials, contact and the solver.
+
+A press is a sequence of equilibria. At each, the sum of the elastic energy of the hexahedra, of ties and of contact
+is least under the supports: Pi(u) = sum_e W_e(u) + sum_t E_t(u), found by Newton's method with an energy line search.
+
+`press_finger` pushes the indenter of a design to a depth, `press_to_force` to a force; both return a `PressedFinger`.
+Contact is a penalty on exact distances (fast, frictionless) or a barrier with friction that never lets surfaces
+cross. `LoadedFinger` bends and twists a finger without an indenter. Lengths in mm, forces in N, stresses in MPa. It
+knows no light: mechanics and optics meet in the studies.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from sim.mechanics._finger_mesh import (
+        FORCE_EXCESS_REL,
+        LARGEST_UNTOLD_REL,
+        STEPS,
+        chord_shortfall_rel,
+        finger_materials,
+        finger_mesh,
+        pad_mesh,
+    )
+    from sim.mechanics._indenters import rigid_indenter, side_outline_mm
+    from sim.mechanics._loads import LoadedFinger, press_to_force
+    from sim.mechanics._materials import LinearElastic, Material, Ogden
+    from sim.mechanics._mesh import Block, FingerMesh
+    from sim.mechanics._penalty_contact import QUAD_CORNERS, PenaltyContact, penalty_mpa_per_mm, quad_shapes
+    from sim.mechanics._press import press_finger
+    from sim.mechanics._press_contact import ContactChoice, chosen_contact, left_out
+    from sim.mechanics._pressed_finger import (
+        PressedFinger,
+        contact_distance,
+        contact_forces_n,
+        contact_pressure_mpa,
+        frictionless_torque_n_mm,
+        slip_torque_n_mm,
+    )
+    from sim.mechanics._printed_parts import Part, mould_sizes, mould_solid, mould_stl, part_solid, part_stl
+    from sim.mechanics._rigid_bodies import Body, Cylinder, Pose, RoundedBox, Sphere, body_mesh
+    from sim.mechanics._skeleton import SkeletonLayout, back_curve_mm, skeleton_layout, skeleton_mesh
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "FORCE_EXCESS_REL",
+    "LARGEST_UNTOLD_REL",
+    "QUAD_CORNERS",
+    "STEPS",
+    "Block",
+    "Body",
+    "ContactChoice",
+    "Cylinder",
+    "FingerMesh",
+    "LinearElastic",
+    "LoadedFinger",
+    "Material",
+    "Ogden",
+    "Part",
+    "PenaltyContact",
+    "Pose",
+    "PressedFinger",
+    "RoundedBox",
+    "SkeletonLayout",
+    "Sphere",
+    "back_curve_mm",
+    "body_mesh",
+    "chord_shortfall_rel",
+    "chosen_contact",
+    "contact_distance",
+    "contact_forces_n",
+    "contact_pressure_mpa",
+    "finger_materials",
+    "finger_mesh",
+    "frictionless_torque_n_mm",
+    "left_out",
+    "mould_sizes",
+    "mould_solid",
+    "mould_stl",
+    "pad_mesh",
+    "part_solid",
+    "part_stl",
+    "penalty_mpa_per_mm",
+    "press_finger",
+    "press_to_force",
+    "quad_shapes",
+    "rigid_indenter",
+    "side_outline_mm",
+    "skeleton_layout",
+    "skeleton_mesh",
+    "slip_torque_n_mm",
+]

@@ -1,1 +1,135 @@
-"""Optics of the finger: fluorescent bands, baked walls, scene, path tracer, press renders and light-angle sweeps."""
+"""The light in a finger: from panels through gel, paint and mirror to the camera, by the renderer Mitsuba.
+
+All light is in three bands (red emission, green emission, LED), so a paint is a 3 x 3 matrix diag(rho) + K and the
+camera's picture is arithmetic after rendering, RGB = C @ bands: other paints, cameras and white balances need no new
+render. Level a is the paper's emitter, b bakes what the painted walls re-emit, c traces it along each path.
+
+`choose_variant` and `open_renderer` find a renderer that runs here; `paint_bands` makes bands of paints;
+`render_press` renders a finger without and with contact; `sweep_light_angle` measures probe points over the light
+angle and `probe_gradient` differentiates them; `pixel_maps` and `camera_view` tell what each pixel sees;
+`render_plain_sensor` renders a classic sensor. Radiance is relative to the light panel's, lengths are in mm, and each
+render tells its noise.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from sim.optics._angle_sweep import AngleSweep, measure_together, sweep_light_angle, with_light_angle
+    from sim.optics._calibrated_camera import read_calibration
+    from sim.optics._gradients import ProbeGradient, probe_gradient
+    from sim.optics._optical_layout import Window, camera_pose, panel_frame
+    from sim.optics._paint_bands import (
+        BAND_NAMES,
+        PaintBands,
+        PaintOptics,
+        SpectralBand,
+        camera_matrix,
+        chain_matrix,
+        chain_steps,
+        conversion_gains,
+        mix_chains,
+        paint_bands,
+        require_near_bands,
+        require_same_reflectance,
+        require_small_reemission,
+    )
+    from sim.optics._painted_walls import (
+        BAKE_SAMPLES,
+        FIRST_CHAINS,
+        TEXELS_ALONG,
+        WALLS,
+        Level,
+        WallLight,
+        bake_walls,
+        last_band,
+        paper_emission,
+    )
+    from sim.optics._pixel_maps import CameraView, PixelMaps, camera_view, pixel_maps
+    from sim.optics._plain_sensor import PlainRender, plain_sensor_integrator, plain_sensor_scene, render_plain_sensor
+    from sim.optics._probes import SeenPoints, seen_points, tilt_shares, tilted_facets
+    from sim.optics._refraction import inner_face, refract_through
+    from sim.optics._render import (
+        PressRender,
+        Progress,
+        RenderLevel,
+        check_paints,
+        open_guide,
+        open_scene,
+        render_press,
+        stream_seed,
+    )
+    from sim.optics._renderer import (
+        SCALAR_VARIANT,
+        Preference,
+        RendererChoice,
+        choose_variant,
+        exr_image,
+        open_renderer,
+    )
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "BAKE_SAMPLES",
+    "BAND_NAMES",
+    "FIRST_CHAINS",
+    "SCALAR_VARIANT",
+    "TEXELS_ALONG",
+    "WALLS",
+    "AngleSweep",
+    "CameraView",
+    "Level",
+    "PaintBands",
+    "PaintOptics",
+    "PixelMaps",
+    "PlainRender",
+    "Preference",
+    "PressRender",
+    "ProbeGradient",
+    "Progress",
+    "RenderLevel",
+    "RendererChoice",
+    "SeenPoints",
+    "SpectralBand",
+    "WallLight",
+    "Window",
+    "bake_walls",
+    "camera_matrix",
+    "camera_pose",
+    "camera_view",
+    "chain_matrix",
+    "chain_steps",
+    "check_paints",
+    "choose_variant",
+    "conversion_gains",
+    "exr_image",
+    "inner_face",
+    "last_band",
+    "measure_together",
+    "mix_chains",
+    "open_guide",
+    "open_renderer",
+    "open_scene",
+    "paint_bands",
+    "panel_frame",
+    "paper_emission",
+    "pixel_maps",
+    "plain_sensor_integrator",
+    "plain_sensor_scene",
+    "probe_gradient",
+    "read_calibration",
+    "refract_through",
+    "render_plain_sensor",
+    "render_press",
+    "require_near_bands",
+    "require_same_reflectance",
+    "require_small_reemission",
+    "seen_points",
+    "stream_seed",
+    "sweep_light_angle",
+    "tilt_shares",
+    "tilted_facets",
+    "with_light_angle",
+]

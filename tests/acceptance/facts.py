@@ -1,17 +1,18 @@
 """Facts of a flawless rig, to be spoilt one by one."""
 
-from data_schemas.capture import FilterProof, RegionOfInterest
-from data_schemas.check import (
+from data_schemas import (
     CheckFacts,
     CheckPlan,
     DarkFrames,
+    DeviceIdentity,
     ExposureLevel,
+    FilterProof,
     Handshake,
     LightOff,
+    RegionOfInterest,
     Revisit,
     WheelMove,
 )
-from data_schemas.devices import DeviceIdentity
 
 PLAN = CheckPlan(check_name="lab", region=RegionOfInterest(row_px=0, column_px=0, height_px=20, width_px=20))
 

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from data_schemas.errors import FinrayError
-from finray_calib.acceptance.conformity import (
+from data_schemas import FinrayError
+from finray_calib.acceptance import ToleranceInterval, conformance_probability, global_risks
+from finray_calib.acceptance._conformity import (
     ISO_14253_1_FACTOR,
-    ToleranceInterval,
-    conformance_probability,
     conformance_probability_of_draws,
     guard_band,
     guard_factor_for,
+    measured,
+    verdict_of,
     zone,
 )
-from finray_calib.acceptance.guard_band import measured, verdict_of
-from finray_calib.acceptance.inspection_risk import global_risks, global_risks_normal
+from finray_calib.acceptance._inspection_risk import global_risks_normal
 
 RESISTORS = ToleranceInterval(1499.8, 1500.2)
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom, norm
 
-from finray_calib.acceptance.guard_band import GUARD_FACTOR, limit_text, overall, unmeasured, verdict_of
+from finray_calib.acceptance import GUARD_FACTOR
+from finray_calib.acceptance._conformity import limit_text, overall, unmeasured, verdict_of
 
 DRAWS = 40_000
 # A correct rule leaves this interval in one of a million runs of the seed; the seed is fixed.

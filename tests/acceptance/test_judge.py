@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 from scipy.stats import binom, linregress
 
-from data_schemas.capture import FilterProof
-from data_schemas.check import AcceptanceReport, CheckResult, LightOff, Revisit, WheelMove
-from data_schemas.provenance import provenance
-from data_schemas.rig import RigFile
+from data_schemas import AcceptanceReport, CheckResult, FilterProof, LightOff, Revisit, RigFile, WheelMove, provenance
 from data_schemas.storage import read_record, write_record
-from finray_calib.acceptance.acceptance_report import SECTIONS, judge
-from finray_calib.acceptance.judge_devices import CLOCK_SD_S, largest_failure_share, slowest_off
-from finray_calib.acceptance.judge_frames import dark_line, rate_dn_per_s
-from finray_calib.acceptance.result_text import result_line, value_text
-from rigs.presets import simulated_rig
+from finray_calib.acceptance import SECTIONS, judge, result_line, value_text
+from finray_calib.acceptance._acceptance_report import (
+    CLOCK_SD_S,
+    dark_line,
+    largest_failure_share,
+    rate_dn_per_s,
+    slowest_off,
+)
+from rigs import simulated_rig
 from tests.acceptance.facts import GOOD, PLAN, dark, handshake, level, spoilt
 
 

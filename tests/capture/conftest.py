@@ -3,10 +3,9 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.capture import CaptureSession, PaintPlan
-from data_schemas.rig import RigFile
-from rigs.capture.paint_session import capture_paint_session
-from rigs.presets import paint_plan, simulated_rig
+from data_schemas import CaptureSession, PaintPlan, RigFile
+from rigs import paint_plan, simulated_rig
+from rigs.capture import capture_paint_session
 from tests.capture.drivers import picamera2_stand_in
 
 WIDTH_PX, HEIGHT_PX = 160, 128

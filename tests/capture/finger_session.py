@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from data_schemas import TactilePlan, TactileRig, TactileSession
 from data_schemas.storage import read_toml
-from data_schemas.tactile import TactilePlan, TactileRig, TactileSession
-from rigs.capture.tactile_session import capture_tactile_session
+from rigs.capture import capture_tactile_session
 
 WIDTH_PX, HEIGHT_PX = 96, 64
 PLAN = """\

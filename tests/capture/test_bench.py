@@ -6,20 +6,19 @@ import pytest
 from scipy.integrate import quad
 from scipy.ndimage import gaussian_filter
 
-from data_schemas.band_pass_filter import BandPassFilter
-from data_schemas.devices import LaserSettings
-from data_schemas.rig import RigFile
-from data_schemas.standard_curves import camera_response, halogen_lamp, planck_relative
-from rigs.simulated.bench import (
+from data_schemas import BandPassFilter, LaserSettings, RigFile
+from data_schemas.storage import camera_response, halogen_lamp, planck_relative
+from rigs.simulated import Bench, lay_out
+from rigs.simulated._bench import (
     FILTER_TOLERANCE_NM,
     LAMP_LEVEL_E_PER_S_NM,
     PEAK_QUANTUM_EFFICIENCY,
+    TEXTURE_LENGTH_CELLS,
     WAVELENGTH_NM,
-    Bench,
+    colour_checker_reflectances,
     filter_transmission,
     laser_line,
 )
-from rigs.simulated.scene import TEXTURE_LENGTH_CELLS, colour_checker_reflectances, lay_out
 from rigs.simulated.sensor import bayer_planes
 
 FILTER = BandPassFilter(slot=1, name="600", center_nm=600.0)

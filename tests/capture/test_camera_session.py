@@ -8,26 +8,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.camera import CameraPlan, CameraSession
-from data_schemas.capture import RegionOfInterest
-from data_schemas.devices import DeviceIdentity
-from data_schemas.errors import CaptureError, RecordError, SaturatedError
-from data_schemas.rig import RigFile
-from data_schemas.whole_files import sha256_of
-from finray_calib.radiometry.camera_characterisation import characterise_camera
-from rigs.capture.camera_levels import level_exposures_s, level_notes, saturation_exposures_s
-from rigs.capture.camera_session import camera_step, capture_camera_session, capture_camera_with
-from rigs.capture.paint_session import capture_paint_session
-from rigs.capture.read_session import read_camera_session, read_frame_of, read_session, session_kind
-from rigs.open_rig import (
-    DARK_CURRENT_E_PER_S,
-    DARK_OFFSET_SD_E,
-    FULL_WELL_MARGIN,
-    PIXEL_NONUNIFORMITY_REL,
-    open_rig,
+from data_schemas import (
+    CameraPlan,
+    CameraSession,
+    CaptureError,
+    DeviceIdentity,
+    RecordError,
+    RegionOfInterest,
+    RigFile,
+    SaturatedError,
 )
-from rigs.presets import paint_plan, simulated_rig
-from rigs.protocols import Camera, RawFrame
+from data_schemas.storage import sha256_of
+from finray_calib.radiometry import characterise_camera
+from rigs import Camera, RawFrame, open_rig, paint_plan, simulated_rig
+from rigs._open_rig import DARK_CURRENT_E_PER_S, DARK_OFFSET_SD_E, FULL_WELL_MARGIN, PIXEL_NONUNIFORMITY_REL
+from rigs.capture import (
+    camera_step,
+    capture_camera_session,
+    capture_paint_session,
+    read_camera_session,
+    read_frame_of,
+    read_session,
+    session_kind,
+)
+from rigs.capture._camera_session import capture_camera_with, level_exposures_s, level_notes, saturation_exposures_s
 from tests.command_line.running import finray, succeed
 
 SIDE_PX = 72
@@ -281,7 +285,7 @@ def test_camera_that_fails_leaves_the_lamp_off_and_no_session(rig: RigFile, tmp_
 
 @pytest.fixture
 def files(rig: RigFile, tmp_path: Path) -> Path:
-    from rigs.toml_text import write_rig
+    from rigs import write_rig
 
     write_rig(rig, tmp_path / "rig.toml")
     (tmp_path / "plan.toml").write_text(TOML)

@@ -10,27 +10,35 @@ from typing import Any
 import numpy as np
 import pytest
 
-from data_schemas.check import CheckFacts, CheckPlan
-from data_schemas.devices import LaserSettings
-from data_schemas.errors import (
+from data_schemas import (
     BadFrameError,
     CaptureError,
+    CheckFacts,
+    CheckPlan,
+    LaserSettings,
     LostError,
     RefusedError,
+    RigFile,
     TimedOutError,
     UnsafeError,
     WrongPositionError,
 )
-from data_schemas.rig import RigFile
-from rigs.capture import check_session, laser_watch
-from rigs.capture.check_frames import CheckFrames
-from rigs.capture.check_session import check_filters, record_facts
-from rigs.capture.exchange import shine
-from rigs.capture.laser_watch import CameraWatch, ConnectionWatch, Reading, can_be_asked_anew, find_sight, make_off
-from rigs.capture.light_off_time import after_exception, after_kill
-from rigs.open_rig import OpenRig, open_rig
-from rigs.presets import paint_plan
-from rigs.protocols import RawFrame
+from rigs import OpenRig, RawFrame, open_rig, paint_plan
+from rigs.capture import _check_session as check_session
+from rigs.capture import check_filters, record_facts
+from rigs.capture import light_off_time as laser_watch
+from rigs.capture._check_frames import CheckFrames
+from rigs.capture._exposure import shine
+from rigs.capture.light_off_time import (
+    CameraWatch,
+    ConnectionWatch,
+    Reading,
+    after_exception,
+    after_kill,
+    can_be_asked_anew,
+    find_sight,
+    make_off,
+)
 from tests.capture.drivers.firmware_in_qemu import build, firmware_board
 from tests.capture.drivers.indi_server import PANEL, IndiServer
 

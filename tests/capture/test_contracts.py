@@ -13,19 +13,23 @@ import numpy as np
 import pytest
 import tifffile
 
-from data_schemas.capture import Target
-from data_schemas.devices import CameraSettings, FilterWheelSettings, LampSettings
-from rigs.contracts.camera import CameraContract
-from rigs.contracts.filter_wheel import FilterWheelContract
-from rigs.contracts.light import LightContract
-from rigs.drivers import open_camera, open_lamp, open_wheel
-from rigs.host import TerminalOperator
+from data_schemas import CameraSettings, FilterWheelSettings, LampSettings, Target
+from rigs import (
+    Camera,
+    FilterWheel,
+    Light,
+    OpenRig,
+    TerminalOperator,
+    open_camera,
+    open_lamp,
+    open_rig,
+    open_wheel,
+    simulated_rig,
+    write_rig,
+)
+from rigs.contracts import CameraContract, FilterWheelContract, LightContract
 from rigs.light_guard import guarded_light
-from rigs.open_rig import OpenRig, open_rig
-from rigs.presets import simulated_rig
-from rigs.protocols import Camera, FilterWheel, Light
-from rigs.simulated.devices import SimulatedCamera, SimulatedFilterWheel, SimulatedLight
-from rigs.toml_text import write_rig
+from rigs.simulated import SimulatedCamera, SimulatedFilterWheel, SimulatedLight
 from tests.capture.drivers import picamera2_stand_in
 from tests.capture.drivers.alpaca_server import AlpacaServer
 from tests.capture.drivers.fake_gigevision_camera import fake_camera
@@ -402,10 +406,10 @@ class TestOnARigFile:
 
     def test_simulated_rig_passes(self, tmp_path: Path) -> None:
         write_rig(RIG, tmp_path / "my-rig.toml")
-        done = self.run(tmp_path, "--rig", "my-rig.toml")
+        done = self.run(tmp_path, "--rig", "my-rig.toml", "-v")
         assert done.returncode == 0, done.stdout
         assert "laser (450 nm, 4.5 mW, class 3R): " in done.stdout
-        for name in ("camera.py", "filter_wheel.py", "light.py"):
+        for name in ("TestCamera::", "TestFilterWheel::", "TestLaser::", "TestLamp::"):
             assert name in done.stdout
 
     def test_laser_of_a_real_rig_stays_off_unless_it_is_asked_for(self, tmp_path: Path) -> None:
@@ -431,7 +435,6 @@ class TestOnARigFile:
 
 def real_rig_text() -> str:
     """A rig whose laser must not be opened here: its port does not exist."""
-    from rigs.rig_template import paper_rig
-    from rigs.toml_text import rig_toml
+    from rigs import paper_rig, rig_toml
 
     return rig_toml(paper_rig({}))

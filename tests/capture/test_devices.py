@@ -4,12 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.band_pass_filter import BandPassFilter
-from data_schemas.errors import CaptureError, CurveError
-from data_schemas.rig import RigFile
-from rigs.open_rig import OpenRig, open_rig
-from rigs.presets import simulated_rig
-from rigs.simulated.devices import BenchState, SimulatedClock, SimulatedFilterWheel
+from data_schemas import BandPassFilter, CaptureError, CurveError, RigFile
+from rigs import OpenRig, open_rig, simulated_rig
+from rigs.simulated import BenchState, SimulatedClock, SimulatedFilterWheel
 
 
 def with_response(rig: RigFile, file: str) -> RigFile:

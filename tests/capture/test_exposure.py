@@ -3,14 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_schemas.errors import SaturatedError
-from rigs.capture.exposure import (
-    brightest_dn,
-    exposure_ladder,
-    meter_exposure,
-    rung_at_or_below,
-    saturated_fraction,
-)
+from data_schemas import SaturatedError
+from rigs.capture._exposure import brightest_dn, exposure_ladder, meter_exposure, rung_at_or_below, saturated_fraction
 
 LADDER = exposure_ladder(1e-4, 30.0)
 FULL_SCALE_DN, BLACK_DN = 1023, 16.0

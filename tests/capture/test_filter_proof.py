@@ -6,16 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.capture import PaintPlan
-from data_schemas.devices import DeviceIdentity
-from data_schemas.errors import CaptureError, WrongPositionError
-from data_schemas.rig import RigFile
-from rigs.capture.filter_proof import compare_with_last, judge_filters
-from rigs.capture.paint_session import capture_with
-from rigs.capture.plan import paint_steps
-from rigs.capture.read_session import read_session
-from rigs.open_rig import open_rig
-from rigs.protocols import FilterWheel
+from data_schemas import CaptureError, DeviceIdentity, PaintPlan, RigFile, WrongPositionError
+from rigs import FilterWheel, open_rig
+from rigs.capture import paint_steps, read_session
+from rigs.capture._filter_proof import compare_with_last, judge_filters
+from rigs.capture._paint_session import capture_with
 
 NAMES = ("405", "450", "500", "532", "560", "600", "630", "660")
 

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.errors import CaptureError, UnsafeError
-from rigs.capture import journal as journal_module
-from rigs.capture.journal import JOURNAL_NAME, Journal, read_journal
-from rigs.host import SystemClock
+from data_schemas import CaptureError, UnsafeError
+from rigs import SystemClock
+from rigs.capture import JOURNAL_NAME, read_journal
+from rigs.capture import _journal as journal_module
+from rigs.capture._journal import Journal
 
 
 def full_disk(handle: object) -> None:

@@ -2,7 +2,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from rigs.capture.laser_dose import LaserDose
+from rigs.capture._frame_store import LaserDose
 
 
 @dataclass

@@ -6,15 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.capture import FilterProof, PaintPlan
-from data_schemas.errors import WrongPositionError
-from data_schemas.rig import RigFile
-from rigs.capture import paint_recorder
-from rigs.capture.filter_proof import judge_filters
-from rigs.capture.laser_line_proof import LaserLine
-from rigs.capture.paint_session import capture_with
-from rigs.capture.plan import paint_steps
-from rigs.open_rig import open_rig
+from data_schemas import FilterProof, PaintPlan, RigFile, WrongPositionError
+from rigs import open_rig
+from rigs.capture import _paint_session as paint_recorder
+from rigs.capture import paint_steps
+from rigs.capture._filter_proof import LaserLine, judge_filters
+from rigs.capture._paint_session import capture_with
 from tests.capture.test_filter_proof import NAMES, exchanged
 
 OTHERS = tuple(name for name in NAMES if name != "450")

@@ -5,18 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.band_pass_filter import BandPassFilter
-from data_schemas.capture import PaintPlan
-from data_schemas.curves import SpectralCurve
-from data_schemas.errors import CurveError
-from data_schemas.filter_curves import half_maximum_nm
-from data_schemas.rig import RigFile
-from data_schemas.whole_files import sha256_of
-from finray_calib.radiometry.band_signals import optics_of
-from rigs.capture.paint_session import capture_paint_session
-from rigs.capture.read_session import read_session
-from rigs.open_rig import open_rig
-from rigs.simulated.bench import FILTER_TOLERANCE_NM, filter_transmission
+from data_schemas import BandPassFilter, CurveError, PaintPlan, RigFile, SpectralCurve, half_maximum_nm
+from data_schemas.storage import sha256_of
+from finray_calib.radiometry import optics_of
+from rigs import open_rig
+from rigs.capture import capture_paint_session, read_session
+from rigs.simulated._bench import FILTER_TOLERANCE_NM, filter_transmission
 
 CSV = "wavelength_nm,transmission\n590,0\n594,0.1\n598,0.8\n604,0.9\n607,0.3\n615,0\n"
 

@@ -6,16 +6,11 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from data_schemas.devices import LaserSettings, OutsideLayer
-from data_schemas.errors import RefusedError
-from data_schemas.rig import RigFile
+from data_schemas import LaserSettings, OutsideLayer, RefusedError, RigFile
 from data_schemas.storage import read_toml
-from rigs.drivers import open_laser
-from rigs.light_guard import off_lines, require_outside_layer
-from rigs.light_guard.outside_layer import HAZARDOUS_CLASSES, TEST_HOLDS_DAYS, refusal
-from rigs.lone_devices import lone_laser
-from rigs.rig_template import paper_rig
-from rigs.toml_text import write_rig
+from rigs import lone_laser, open_laser, paper_rig, write_rig
+from rigs.light_guard import TEST_HOLDS_DAYS, off_lines, require_outside_layer
+from rigs.light_guard._guarded_light import HAZARDOUS_CLASSES, refusal
 from tests.capture.drivers import file_switch
 
 TODAY = datetime.date(2026, 11, 23)

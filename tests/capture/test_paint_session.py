@@ -10,16 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.capture import CaptureSession, Frame, PaintPlan, Target
-from data_schemas.devices import DeviceIdentity
-from data_schemas.errors import CaptureError, ChecksumError, RecordError, SaturatedError
-from data_schemas.rig import RigFile
-from data_schemas.whole_files import sha256_of
-from rigs.capture.paint_session import capture_paint_session, capture_with
-from rigs.capture.plan import paint_steps
-from rigs.capture.read_session import read_frame_of, read_session
-from rigs.open_rig import OpenRig, open_rig
-from rigs.protocols import Camera, FilterWheel, Operator, RawFrame
+from data_schemas import (
+    CaptureError,
+    CaptureSession,
+    ChecksumError,
+    DeviceIdentity,
+    Frame,
+    PaintPlan,
+    RecordError,
+    RigFile,
+    SaturatedError,
+    Target,
+)
+from data_schemas.storage import sha256_of
+from rigs import Camera, FilterWheel, OpenRig, Operator, RawFrame, open_rig
+from rigs.capture import capture_paint_session, paint_steps, read_frame_of, read_session
+from rigs.capture._paint_session import capture_with
 from rigs.simulated.sensor import bayer_planes
 
 Captured = tuple[Path, CaptureSession, list[tuple[int, int, str]]]

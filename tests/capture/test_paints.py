@@ -6,12 +6,18 @@ from scipy.integrate import quad
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq, minimize_scalar
 
-from data_schemas.errors import CaptureError, CurveError
-from data_schemas.rig import HiddenPaint
-from rigs.presets import GREEN_PAINT, RED_PAINT, simulated_rig
-from rigs.simulated.bench import STEP_NM, WAVELENGTH_NM, sample_matrix
-from rigs.simulated.bench_truth import bench_truth
-from rigs.simulated.paints import hidden_paint_matrix, measured_material_matrix, skew_cauchy_shape
+from data_schemas import CaptureError, CurveError, HiddenPaint
+from rigs import simulated_rig
+from rigs._rig_files import GREEN_PAINT, RED_PAINT
+from rigs.simulated import bench_truth
+from rigs.simulated._bench import (
+    STEP_NM,
+    WAVELENGTH_NM,
+    hidden_paint_matrix,
+    measured_material_matrix,
+    sample_matrix,
+    skew_cauchy_shape,
+)
 
 LASER_NM = 450.0
 PAINTS = [RED_PAINT, GREEN_PAINT]

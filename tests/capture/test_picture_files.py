@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import tifffile
 
-from data_schemas.errors import BadFrameError, ImportFormatError
-from data_schemas.frame_files import tiff_image
-from rigs.cameras.picture_files import read_picture
+from data_schemas import BadFrameError, ImportFormatError
+from data_schemas.storage import tiff_image
+from rigs.cameras import read_picture
 
 PICTURE = cv2.GaussianBlur(np.random.default_rng(2).integers(0, 255, (48, 64, 3)).astype(np.uint8), (0, 0), 3)
 

@@ -3,10 +3,9 @@ from itertools import pairwise
 import pytest
 from pydantic import ValidationError
 
-from data_schemas.capture import PaintPlan, RegionOfInterest
-from data_schemas.errors import CaptureError
-from data_schemas.rig import RigFile
-from rigs.capture.plan import paint_steps, with_repeat
+from data_schemas import CaptureError, PaintPlan, RegionOfInterest, RigFile
+from rigs.capture import paint_steps
+from rigs.capture._plan import with_repeat
 
 
 def changed(plan: PaintPlan, **fields: object) -> PaintPlan:

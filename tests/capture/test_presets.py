@@ -2,15 +2,10 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.camera import CameraPlan
-from data_schemas.capture import PaintPlan
-from data_schemas.errors import RecordError
-from data_schemas.rig import RigFile
+from data_schemas import CameraPlan, PaintPlan, RecordError, RigFile
 from data_schemas.storage import read_toml
-from rigs.capture.camera_session import camera_step
-from rigs.capture.plan import paint_steps
-from rigs.presets import camera_plan, paint_plan, simulated_rig
-from rigs.toml_text import write_plan, write_rig
+from rigs import camera_plan, paint_plan, simulated_rig, write_plan, write_rig
+from rigs.capture import camera_step, paint_steps
 
 
 @pytest.mark.parametrize("sample", ["red", "green", 'curves/"odd" name.csv'])

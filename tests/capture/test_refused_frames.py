@@ -7,14 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.devices import DeviceIdentity
-from data_schemas.errors import BadFrameError, LostError, RefusedError, TimedOutError
-from data_schemas.rig import RigFile
-from rigs.capture.attempts import ATTEMPTS
-from rigs.capture.exchange import CheckedCamera
-from rigs.capture.plan import Step
-from rigs.open_rig import OpenRig, open_rig
-from rigs.protocols import Camera, RawFrame
+from data_schemas import BadFrameError, DeviceIdentity, LostError, RefusedError, RigFile, TimedOutError
+from rigs import Camera, OpenRig, RawFrame, open_rig
+from rigs.capture._exposure import ATTEMPTS, CheckedCamera
+from rigs.capture._plan import Step
 
 DARK = Step("dark", "white", "off", "450", 2)
 

@@ -11,24 +11,21 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.capture import CaptureSession, Frame, PaintPlan
-from data_schemas.errors import CaptureError
-from data_schemas.rig import RigFile
-from data_schemas.whole_files import sha256_of
-from rigs.capture.paint_session import capture_paint_session, capture_with
-from rigs.capture.plan import paint_steps
-from rigs.capture.read_session import read_frame_of, read_session
-from rigs.capture.resume import ORPHANS, read_interrupted
-from rigs.open_rig import open_rig
+from data_schemas import CaptureError, CaptureSession, Frame, PaintPlan, RigFile
+from data_schemas.storage import sha256_of
+from rigs import open_rig
+from rigs.capture import capture_paint_session, paint_steps, read_frame_of, read_interrupted, read_session
+from rigs.capture._paint_session import capture_with
+from rigs.capture._resume import ORPHANS
 
 KILLS = 25
 CHILD = """
 import sys, time
 from pathlib import Path
-from data_schemas.capture import PaintPlan
-from data_schemas.rig import RigFile
-from rigs.capture.paint_session import capture_paint_session
-from rigs.capture.resume import read_interrupted
+from data_schemas._capture import PaintPlan
+from data_schemas._rig import RigFile
+from rigs.capture._paint_session import capture_paint_session
+from rigs.capture._resume import read_interrupted
 plan, rig = PaintPlan.model_validate_json(sys.argv[1]), RigFile.model_validate_json(sys.argv[2])
 out = Path(sys.argv[3])
 interrupted = read_interrupted(out) if (out / "journal.jsonl").exists() else None
@@ -259,7 +256,7 @@ def test_full_disk_ends_the_session_and_it_can_be_resumed(rig: RigFile, small: P
         with open_rig(rig, Path()) as opened, pytest.MonkeyPatch.context() as patch:
             with pytest.raises(CaptureError, match=r"the frames need .* MB and .* MB are free"):
                 capture_with(opened, rig, small, paint_steps(small, rig), disk / "refused", {}, "finray capture")
-            patch.setattr("rigs.capture.frame_store.require_space", lambda folder, needed_bytes: None)
+            patch.setattr("rigs.capture._frame_store.require_space", lambda folder, needed_bytes: None)
             with pytest.raises(CaptureError, match=r"cannot be written \(No space left .*--resume"):
                 capture_with(opened, rig, small, paint_steps(small, rig), disk / "out", {}, "finray capture")
             assert not opened.lamp.state()

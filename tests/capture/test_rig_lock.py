@@ -9,15 +9,12 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from data_schemas.devices import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings
-from data_schemas.errors import CaptureError
-from data_schemas.rig import RigFile
-from rigs.capture.rig_lock import device_locked, rig_locked
-from rigs.presets import simulated_rig
+from data_schemas import CameraSettings, CaptureError, FilterWheelSettings, LampSettings, LaserSettings, RigFile
+from rigs import device_locked, rig_locked, simulated_rig
 
 CHILD = """
 import sys
-from rigs.capture.rig_lock import device_locked
+from rigs._open_rig import device_locked
 with device_locked("filter wheel", "thorlabs", sys.argv[1]):
     print("held", flush=True)
     sys.stdin.read()

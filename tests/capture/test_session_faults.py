@@ -11,19 +11,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from data_schemas.capture import CaptureSession, PaintPlan
-from data_schemas.devices import DeviceIdentity, FilterWheelSettings
-from data_schemas.errors import CaptureError, LostError, RefusedError, SaturatedError, TimedOutError, WrongPositionError
-from data_schemas.rig import RigFile
-from data_schemas.whole_files import sha256_of
-from rigs.capture import exchange, frame_store
-from rigs.capture.paint_session import capture_with
-from rigs.capture.plan import paint_steps
-from rigs.capture.read_session import read_session
-from rigs.capture.resume import Interrupted, read_interrupted
+from data_schemas import (
+    CaptureError,
+    CaptureSession,
+    DeviceIdentity,
+    FilterWheelSettings,
+    LostError,
+    PaintPlan,
+    RefusedError,
+    RigFile,
+    SaturatedError,
+    TimedOutError,
+    WrongPositionError,
+)
+from data_schemas.storage import sha256_of
+from rigs import Camera, Clock, FilterWheel, OpenRig, RawFrame, open_rig
+from rigs.capture import Interrupted, paint_steps, read_interrupted, read_session
+from rigs.capture import _exposure as exchange
+from rigs.capture import _frame_store as frame_store
+from rigs.capture._paint_session import capture_with
 from rigs.filter_wheels.thorlabs import open_wheel
-from rigs.open_rig import OpenRig, open_rig
-from rigs.protocols import Camera, Clock, FilterWheel, RawFrame
 from tests.capture.drivers.thorlabs_wheel import EmulatedWheel, emulated_wheel
 
 FRAMES_BEFORE = 12

@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_schemas.devices import CameraSettings
-from data_schemas.errors import BadFrameError, LostError, RefusedError
-from rigs.capture.tactile_camera import TactileCamera
-from rigs.protocols import RawFrame
+from data_schemas import BadFrameError, CameraSettings, LostError, RefusedError
+from rigs import RawFrame
+from rigs.capture._exposure import TactileCamera
 from tests.capture.finger_session import HEIGHT_PX, WIDTH_PX
 
 

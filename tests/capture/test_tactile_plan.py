@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from data_schemas.errors import CaptureError, RecordError
-from data_schemas.tactile import TactilePlan
-from rigs.capture.tactile_plan import instruction, planned_presses, tactile_shots
+from data_schemas import CaptureError, RecordError, TactilePlan
+from rigs.capture import planned_presses, tactile_shots
+from rigs.capture._plan import instruction
 from tests.capture.finger_session import PLAN, plan_of, rig_of
 
 HOW_TO = Path(__file__).resolve().parents[2] / "docs" / "how-to"

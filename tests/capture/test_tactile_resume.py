@@ -7,13 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.capture import TactileCapture
-from data_schemas.errors import CaptureError
-from data_schemas.frame_files import read_frame
-from data_schemas.storage import read_record
-from data_schemas.tactile import TactileSession
-from rigs.capture.tactile_resume import is_tactile, read_interrupted_presses
-from rigs.capture.tactile_session import capture_tactile_session
+from data_schemas import CaptureError, TactileCapture, TactileSession
+from data_schemas.storage import read_frame, read_record
+from rigs.capture import capture_tactile_session, is_tactile, read_interrupted_presses
 from tests.capture.drivers import picamera2_stand_in
 from tests.capture.finger_session import PLAN, Hands, capture, plan_of, pressing, rig_of
 from tests.command_line.running import finray

@@ -10,16 +10,19 @@ import cv2
 import numpy as np
 import pytest
 
-from data_schemas.capture import TactileCapture
-from data_schemas.errors import CaptureError, RefusedError
-from data_schemas.frame_files import read_frame
-from data_schemas.provenance import provenance
-from data_schemas.simulate import SimulatedPress
-from data_schemas.storage import read_record, write_record
-from data_schemas.tactile import TactileRig, TactileSession
-from finray_calib.compare.comparison_record import compare_press
-from finray_calib.compare.linear_image import rgb_image
-from rigs.capture.journal import read_journal
+from data_schemas import (
+    CaptureError,
+    RefusedError,
+    SimulatedPress,
+    TactileCapture,
+    TactileRig,
+    TactileSession,
+    provenance,
+)
+from data_schemas.storage import read_frame, read_record, write_record
+from finray_calib.compare import compare_press
+from finray_calib.sensing import rgb_image
+from rigs.capture import read_journal
 from tests.capture.drivers.test_mjpeg import ffmpeg_server, jpeg, serving, stream_of
 from tests.capture.finger_session import HEIGHT_PX, PLAN, RIG, WIDTH_PX, Hands, capture, plan_of, pressing, rig_of
 from tests.command_line.running import finray
@@ -220,7 +223,7 @@ def test_full_disk_stops_with_the_way_on(sensor, tmp_path, monkeypatch):
     def full(*arguments: object) -> str:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("rigs.capture.tactile_session.write_frame", full)
+    monkeypatch.setattr("rigs.capture._tactile_session.write_frame", full)
     with pytest.raises(CaptureError, match=r"No space left on device.*finray capture --resume"):
         capture(tmp_path, plan_of(tmp_path), rig_of(tmp_path), Hands())
 

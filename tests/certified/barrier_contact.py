@@ -2,13 +2,12 @@
 
 import pytest
 
-from sim.mechanics.contact_library import contact_library_failure
+from sim.mechanics._contact_library import contact_library_failure
 
 if contact_library_failure() is not None:
     pytest.skip(f"NO BARRIER CONTACT: {contact_library_failure()}", allow_module_level=True)
 
-from sim.mechanics.colliding_surfaces import Obstacle
-from sim.mechanics.contact_ipc import Barrier, BarrierContact
-from sim.mechanics.driven_contact import DrivenContact
+from sim.mechanics._barrier_contact import Barrier, BarrierContact, DrivenContact
+from sim.mechanics._colliding_surfaces import Obstacle
 
 __all__ = ["Barrier", "BarrierContact", "DrivenContact", "Obstacle"]

@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from sim.mechanics.assembly import Assembly
-from sim.mechanics.elements import Elasticity
-from sim.mechanics.increments import load_increments
-from sim.mechanics.linear_solver import linear_solver
-from sim.mechanics.mesh import Block, FingerMesh
+from sim.mechanics import Block, FingerMesh
+from sim.mechanics._assembly import Assembly, Elasticity
+from sim.mechanics._increments import load_increments
+from sim.mechanics._linear_solver import linear_solver
 
 
 class GridBlock:

@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.mechanics.assembly import Assembly, State
-from sim.mechanics.increments import load_increments
-from sim.mechanics.linear_solver import linear_solver
-from sim.mechanics.materials import neo_hooke
-from sim.mechanics.newton import Supports
-from sim.surface_meshes.hexahedra import boundary_quads, split_quads
+from sim.mechanics._assembly import Assembly, State
+from sim.mechanics._increments import load_increments
+from sim.mechanics._linear_solver import linear_solver
+from sim.mechanics._materials import neo_hooke
+from sim.mechanics._newton import Supports
+from sim.surface_meshes import boundary_quads, split_quads
 from tests.certified.barrier_contact import Barrier, BarrierContact, DrivenContact, Obstacle
 from tests.certified.blocks import assemble, unit_cells
 

@@ -5,11 +5,10 @@ import pytest
 import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
-from data_schemas.errors import SimulateError
-from sim.mechanics.contact_analytic import PenaltyContact
-from sim.mechanics.materials import neo_hooke
-from sim.mechanics.newton import Supports
-from sim.mechanics.signed_distances import Cylinder, Pose, RoundedBox, Sphere
+from data_schemas import SimulateError
+from sim.mechanics import Cylinder, PenaltyContact, Pose, RoundedBox, Sphere
+from sim.mechanics._materials import neo_hooke
+from sim.mechanics._newton import Supports
 from tests.certified.blocks import GridBlock, assemble, press
 
 GEL = neo_hooke(0.1333)

@@ -7,26 +7,19 @@ import subprocess
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import MissingExtraError, SimulateError
-from data_schemas.mechanical_design import MechanicalMaterials, NeoHookeSolid
-from data_schemas.press_mechanics import PressMechanics
+from data_schemas import FingerDesign, MissingExtraError, NeoHookeSolid, PressMechanics, SimulateError
+from data_schemas._design_parts import MechanicalMaterials
 from data_schemas.storage import read_record
-from sim.design_toml import design_toml
-from sim.mechanics.assembly import Assembly
-from sim.mechanics.contact_analytic import PenaltyContact
-from sim.mechanics.elements import Elasticity
-from sim.mechanics.increments import load_increments
-from sim.mechanics.linear_solver import linear_solver
-from sim.mechanics.materials import neo_hooke
-from sim.mechanics.mesh import Block, FingerMesh
-from sim.mechanics.newton import Supports
-from sim.mechanics.other_engines.calculix import calculix_notes, press_finger_calculix, press_mesh_calculix
-from sim.mechanics.other_engines.calculix_program import calculix_version
-from sim.mechanics.other_engines.deck import Push, deck_lines
-from sim.mechanics.other_engines.deck_indenter import indenter_surface
-from sim.mechanics.signed_distances import Cylinder, Pose
-from sim.presets import preset_design
+from sim import design_toml, preset_design
+from sim.mechanics import Block, Cylinder, FingerMesh, PenaltyContact, Pose
+from sim.mechanics._assembly import Assembly, Elasticity
+from sim.mechanics._increments import load_increments
+from sim.mechanics._linear_solver import linear_solver
+from sim.mechanics._materials import neo_hooke
+from sim.mechanics._newton import Supports
+from sim.mechanics.other_engines import calculix_notes, calculix_version, press_finger_calculix
+from sim.mechanics.other_engines._calculix import press_mesh_calculix
+from sim.mechanics.other_engines._deck import Push, deck_lines, indenter_surface
 from tests.capture.drivers.programs import require
 from tests.certified.blocks import unit_cells
 from tests.command_line.running import finray, succeed

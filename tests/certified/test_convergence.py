@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from sim.mechanics.assembly import Assembly
-from sim.mechanics.elements import Elasticity
-from sim.mechanics.finger_mesh import MeshSteps, finger_mesh
-from sim.mechanics.finger_parts import finger_materials, finger_ties
-from sim.mechanics.increments import load_increments
-from sim.mechanics.linear_solver import linear_solver
-from sim.mechanics.press_contact import press_contact
-from sim.presets import preset_design
+from sim import preset_design
+from sim.mechanics import finger_materials, finger_mesh
+from sim.mechanics._assembly import Assembly, Elasticity
+from sim.mechanics._finger_mesh import MeshSteps, finger_ties
+from sim.mechanics._increments import load_increments
+from sim.mechanics._linear_solver import linear_solver
+from sim.mechanics._press_contact import press_contact
 
 SMALL = preset_design("baby-48x18")
 ROUGH = MeshSteps(3.0, 2.0, 4.0, 4.0)

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from data_schemas.errors import SimulateError
-from sim.mechanics.element_kernels import CORNERS, hexahedron, stretch_energy
-from sim.mechanics.elements import Elasticity
-from sim.mechanics.materials import LinearElastic, Ogden, neo_hooke
-from sim.mechanics.newton import NewtonOptions, Supports
+from data_schemas import SimulateError
+from sim.mechanics import LinearElastic, Ogden
+from sim.mechanics._assembly import Elasticity
+from sim.mechanics._element_kernels import CORNERS, hexahedron, stretch_energy
+from sim.mechanics._materials import neo_hooke
+from sim.mechanics._newton import NewtonOptions, Supports
 from tests.certified.blocks import assemble, press, unit_cells
 
 TPU = Ogden((6.279, 1.639), (1.6663, -7.136))

@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from data_schemas.errors import MissingExtraError, SimulateError
-from sim.mechanics.contact_analytic import PenaltyContact
-from sim.mechanics.increments import load_increments
-from sim.mechanics.linear_solver import linear_solver
-from sim.mechanics.materials import LinearElastic, Ogden, neo_hooke
-from sim.mechanics.mesh import Block, FingerMesh, Tie
-from sim.mechanics.newton import NewtonOptions, Supports, find_equilibrium
-from sim.mechanics.signed_distances import Cylinder, Pose
-from sim.mechanics.sparsity import UpperBlocks
-from sim.mechanics.ties import TiedNodes
+from data_schemas import MissingExtraError, SimulateError
+from sim.mechanics import Block, Cylinder, FingerMesh, LinearElastic, Ogden, PenaltyContact, Pose
+from sim.mechanics._assembly import UpperBlocks
+from sim.mechanics._increments import load_increments
+from sim.mechanics._linear_solver import linear_solver
+from sim.mechanics._materials import neo_hooke
+from sim.mechanics._mesh import Tie
+from sim.mechanics._newton import NewtonOptions, Supports, find_equilibrium
+from sim.mechanics._ties import TiedNodes
 from tests.certified.blocks import GridBlock, assemble, press, unit_cells
 
 GEL = neo_hooke(0.1333)

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from sim.mechanics.contact_analytic import PenaltyContact
-from sim.mechanics.materials import neo_hooke
-from sim.mechanics.newton import Supports
-from sim.mechanics.signed_distances import Cylinder, Pose, Sphere
+from sim.mechanics import Cylinder, PenaltyContact, Pose, Sphere
+from sim.mechanics._materials import neo_hooke
+from sim.mechanics._newton import Supports
 from tests.certified.blocks import GridBlock, assemble, press
 
 RADIUS_MM = 10.0

@@ -5,18 +5,13 @@ import pytest
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.gel_pad import GelPad
-from data_schemas.indenter import Indenter
-from sim.mechanics.body_meshes import TriangleMesh, body_mesh, check_closed_body, read_body, rotation_matrix
-from sim.mechanics.height_over_pad import least_over_triangles, over_rectangle
-from sim.mechanics.indenters import rigid_indenter, side_outline_mm
-from sim.mechanics.near_pairs import edge_edge_mm, point_triangle_mm
-from sim.mechanics.press_contact import press_contact
-from sim.mechanics.signed_distances import Cylinder, RoundedBox, Sphere
-from sim.surface_meshes.pressed_pad import pressed_height_mm, rest_height_mm, without_press
-from sim.surface_meshes.stl import stl_bytes
+from data_schemas import FingerDesign, GelPad, Indenter, SimulateError
+from sim.mechanics import Cylinder, RoundedBox, Sphere, body_mesh, rigid_indenter, side_outline_mm
+from sim.mechanics._colliding_surfaces import edge_edge_mm, point_triangle_mm
+from sim.mechanics._indenters import least_over_triangles, over_rectangle
+from sim.mechanics._press_contact import press_contact
+from sim.mechanics._rigid_bodies import TriangleMesh, check_closed_body, read_body, rotation_matrix
+from sim.surface_meshes import pressed_height_mm, rest_height_mm, stl_bytes, without_press
 
 CUBE = TriangleMesh(
     np.array([[x, y, z] for x in (-3.0, 3.0) for y in (0.0, 4.0) for z in (-2.0, 2.0)]),
@@ -303,7 +298,7 @@ def test_a_file_that_runs_along_a_curved_pad_is_not_divided_without_end(tmp_path
         asked.append(len(x))
         return rest_height_mm(design, x, z)
 
-    monkeypatch.setattr("sim.mechanics.indenters.rest_height_mm", height_mm)
+    monkeypatch.setattr("sim.mechanics._indenters.rest_height_mm", height_mm)
     y = rigid_indenter(design, tmp_path).touching.position_mm[1]
     # three corners of each of four parts of 250 000 triangles
     assert max(asked) <= 3_000_000

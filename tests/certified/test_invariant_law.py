@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from data_schemas.errors import SimulateError
-from sim.mechanics.materials import Ogden
-from sim.mechanics.other_engines.invariant_law import fit_invariant_law
+from data_schemas import SimulateError
+from sim.mechanics import Ogden
+from sim.mechanics.other_engines._deck_materials import fit_invariant_law
 
 TPU = Ogden((6.279, 1.639), (1.6663, -7.136))
 

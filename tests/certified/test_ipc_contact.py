@@ -3,19 +3,13 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.indenter import Indenter
-from sim.mechanics.body_meshes import body_mesh
-from sim.mechanics.contact_analytic import PenaltyContact
-from sim.mechanics.drive import Drive
-from sim.mechanics.materials import neo_hooke
-from sim.mechanics.newton import Supports
-from sim.mechanics.press import press_finger
-from sim.mechanics.press_contact import chosen_contact
-from sim.mechanics.signed_distances import Cylinder, Pose
-from sim.presets import preset_design
-from sim.surface_meshes.hexahedra import boundary_quads, split_quads
+from data_schemas import FingerDesign, Indenter, SimulateError
+from sim import preset_design
+from sim.mechanics import Cylinder, PenaltyContact, Pose, body_mesh, chosen_contact, press_finger
+from sim.mechanics._barrier_contact import Drive
+from sim.mechanics._materials import neo_hooke
+from sim.mechanics._newton import Supports
+from sim.surface_meshes import boundary_quads, split_quads
 from tests.certified.barrier_contact import Barrier, BarrierContact, Obstacle
 from tests.certified.blocks import GridBlock, assemble, press, unit_cells
 

@@ -3,16 +3,22 @@
 import numpy as np
 import pytest
 
-from data_schemas.errors import NoEquilibriumError, SimulateError
-from sim.experiments.finger_stiffness import _held_torques, _row, study_finger_stiffness
-from sim.mechanics.force_control import press_to_force
-from sim.mechanics.linear_solver import linear_solver
-from sim.mechanics.loads import DeadForce, LoadedFinger
-from sim.mechanics.materials import LinearElastic
-from sim.mechanics.newton import Supports, find_equilibrium
-from sim.mechanics.press import press_finger
-from sim.mechanics.slip_torque import contact_forces_n, frictionless_torque_n_mm, slip_torque_n_mm
-from sim.presets import preset_design
+from data_schemas import NoEquilibriumError, SimulateError
+from sim import preset_design
+from sim.experiments import study_finger_stiffness
+from sim.experiments._design_sensitivities import _held_torques, _row
+from sim.mechanics import (
+    LinearElastic,
+    LoadedFinger,
+    contact_forces_n,
+    frictionless_torque_n_mm,
+    press_finger,
+    press_to_force,
+    slip_torque_n_mm,
+)
+from sim.mechanics._linear_solver import linear_solver
+from sim.mechanics._loads import DeadForce
+from sim.mechanics._newton import Supports, find_equilibrium
 from tests.certified.blocks import assemble, unit_cells
 
 SMALL = preset_design("baby-48x18")
@@ -122,8 +128,8 @@ def test_the_order_of_two_fingers_and_its_table(monkeypatch):
         def twist(self, angle_deg):
             return type("Twisted", (), {"stiffness_n_mm_per_deg": self.size**2})
 
-    monkeypatch.setattr("sim.experiments.finger_stiffness.LoadedFinger", Quick)
-    monkeypatch.setattr("sim.experiments.finger_stiffness._held_torques", lambda design, threads: (7.0, 5.0, ""))
+    monkeypatch.setattr("sim.experiments._design_sensitivities.LoadedFinger", Quick)
+    monkeypatch.setattr("sim.experiments._design_sensitivities._held_torques", lambda design, threads: (7.0, 5.0, ""))
     stiff, soft = preset_design("flat-70x35"), preset_design("flat-70x35-soft")
     study = study_finger_stiffness([stiff, soft], 0.2)
     held = [(row.changed, row.slip_torque_per_friction_n_mm) for row in study.rows if row.tipping_torque_n_mm]
@@ -149,9 +155,9 @@ def test_a_grip_that_does_not_reach_its_force_holds_no_known_torque(monkeypatch)
     def never(*_, **__):
         raise NoEquilibriumError("no equilibrium at a push of 0.1 mm")
 
-    monkeypatch.setattr("sim.experiments.finger_stiffness.press_to_force", early)
+    monkeypatch.setattr("sim.experiments._design_sensitivities.press_to_force", early)
     assert _held_torques(SMALL, 1) == (None, None, "the grip ended early, at 1 N: no equilibrium beyond 0.5")
-    monkeypatch.setattr("sim.experiments.finger_stiffness.press_to_force", never)
+    monkeypatch.setattr("sim.experiments._design_sensitivities.press_to_force", never)
     assert _held_torques(SMALL, 1) == (None, None, "no equilibrium at a push of 0.1 mm")
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from sim.mechanics.materials import Ogden, neo_hooke
-from sim.mechanics.newton import Supports
+from sim.mechanics import Ogden
+from sim.mechanics._materials import neo_hooke
+from sim.mechanics._newton import Supports
 from tests.certified.blocks import assemble, press, unit_cells
 
 TPU = Ogden((6.279, 1.639), (1.6663, -7.136))

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from data_schemas.errors import SimulateError
-from sim.mechanics.materials import LinearElastic, Ogden, check_stability, neo_hooke, ogden_from_printed_form
+from data_schemas import SimulateError
+from sim.mechanics import LinearElastic, Ogden
+from sim.mechanics._materials import check_stability, neo_hooke, ogden_from_printed_form
 
 TPU = Ogden((6.279, 1.639), (1.6663, -7.136))
 

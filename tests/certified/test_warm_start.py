@@ -10,23 +10,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_schemas.errors import SimulateError
-from data_schemas.press_mechanics import PressIncrement, PressMechanics
+from data_schemas import PressIncrement, PressMechanics, SimulateError
 from data_schemas.storage import read_record
-from sim.experiments.mechanical_press import increment_record, stored_press
-from sim.mechanics.assembly import Assembly
-from sim.mechanics.corner_grading import CornerGrading
-from sim.mechanics.elements import Elasticity
-from sim.mechanics.finger_mesh import STEPS, MeshSteps, finger_mesh
-from sim.mechanics.finger_parts import finger_materials, finger_ties
-from sim.mechanics.increments import load_increments
-from sim.mechanics.linear_solver import linear_solver
-from sim.mechanics.materials import neo_hooke
-from sim.mechanics.newton import Supports
-from sim.mechanics.press import _first_on_coarse, press_finger
-from sim.mechanics.press_contact import press_contact
-from sim.mechanics.warm_start import CoarserPath, Interpolation
-from sim.presets import preset_design
+from sim import preset_design
+from sim.experiments import increment_record, stored_press
+from sim.mechanics import STEPS, finger_materials, finger_mesh, press_finger
+from sim.mechanics._assembly import Assembly, Elasticity
+from sim.mechanics._finger_mesh import MeshSteps, finger_ties
+from sim.mechanics._increments import CoarserPath, Interpolation, load_increments
+from sim.mechanics._linear_solver import linear_solver
+from sim.mechanics._materials import neo_hooke
+from sim.mechanics._mesh import CornerGrading
+from sim.mechanics._newton import Supports
+from sim.mechanics._press import _first_on_coarse
+from sim.mechanics._press_contact import press_contact
 from tests.certified.blocks import assemble, unit_cells
 from tests.command_line.running import finray, succeed
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sim.mechanics.press import press_finger
-from sim.presets import preset_design
+from sim import preset_design
+from sim.mechanics import press_finger
 from tests.certified.sliding_block import drag
 
 

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.provenance import provenance
+from data_schemas import provenance
 from data_schemas.storage import write_record
-from rigs.presets import paint_plan, simulated_rig
-from rigs.toml_text import write_plan, write_rig
+from rigs import paint_plan, simulated_rig, write_plan, write_rig
 from tests.command_line.records import capture_of, press, sweep, with_known_camera
 from tests.command_line.running import succeed
 

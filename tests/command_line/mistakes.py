@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from data_schemas.frame_files import read_frame, write_frame
-from sim.surface_meshes.stl import stl_bytes
+from data_schemas.storage import read_frame, write_frame
+from sim.surface_meshes import stl_bytes
 from tests.command_line.running import edit, load
 
 CAMERA = "wavelength_nm,red_percent,green_percent,blue_percent\n"

@@ -4,7 +4,7 @@ import os
 import signal
 import time
 
-from data_schemas.errors import SimulateError
+from data_schemas import SimulateError
 
 
 def hangs() -> None:

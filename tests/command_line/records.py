@@ -4,9 +4,7 @@ from typing import Literal
 
 import numpy as np
 
-from data_schemas.capture import IndenterPose, TactileCapture
-from data_schemas.design import FingerDesign
-from data_schemas.simulate import KnownInputs, LightAngleSweep, SimulatedPress
+from data_schemas import FingerDesign, IndenterPose, KnownInputs, LightAngleSweep, SimulatedPress, TactileCapture
 
 BEST_DEG = 35.0
 Encoding = Literal["linear", "unknown"]

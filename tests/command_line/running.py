@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from data_schemas.whole_files import sha256_of
-from finray_calib.cli import options
+from data_schemas.storage import sha256_of
+from finray_calib.cli import _run as options
 from finray_calib.cli.main import main
 from tests.schemas.stored_files import seal_again
 

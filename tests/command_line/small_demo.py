@@ -10,13 +10,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from data_schemas import errors
-from data_schemas.child_process import tell
-from data_schemas.provenance import provenance
-from data_schemas.storage import write_record
-from data_schemas.whole_files import sha256_of
-from finray_calib.demo.demo_folder import Product, Stage
-from finray_calib.demo.run_demo import run_demo
+from data_schemas import errors, provenance
+from data_schemas.storage import sha256_of, tell, write_record
+from finray_calib.demo import run_demo
+from finray_calib.demo._run import Product, Stage
 from tests.command_line.records import press
 
 
@@ -29,7 +26,7 @@ def settings(out: Path, seed: int = 1) -> dict[str, Any]:
 
 def stage(name: str, process: str, *inputs: str) -> Stage:
     function = "tests.command_line.small_demo:store"
-    product = Product(f"{name}.json", "data_schemas.simulate:SimulatedPress", inputs)
+    product = Product(f"{name}.json", "data_schemas._simulate:SimulatedPress", inputs)
     return Stage("simulate", f"stage {name}", function, {"name": name, "inputs": inputs}, (product,), process)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.whole_files import sha256_of
+from data_schemas.storage import sha256_of
 from tests.command_line.mistakes import CASES, USAGE, Case, edited
 from tests.command_line.running import finray, tree
 

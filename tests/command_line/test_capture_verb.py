@@ -10,11 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.devices import LampSettings, LaserSettings
-from data_schemas.rig import RigFile
+from data_schemas import LampSettings, LaserSettings, RigFile
 from data_schemas.storage import read_toml
-from rigs.capture.read_session import read_session
-from rigs.toml_text import write_rig
+from rigs import write_rig
+from rigs.capture import read_session
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.programs import free_port
 from tests.capture.drivers.thorlabs_wheel import emulated_wheel

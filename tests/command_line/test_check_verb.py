@@ -6,12 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.check import AcceptanceReport
-from data_schemas.errors import LostError
-from data_schemas.storage import read_record
-from data_schemas.whole_files import sha256_of
-from rigs.capture import check_session
-from rigs.presets import paint_plan, simulated_rig
+from data_schemas import AcceptanceReport, LostError
+from data_schemas.storage import read_record, sha256_of
+from rigs import paint_plan, simulated_rig
+from rigs.capture import _check_session as check_session
 from tests.command_line.running import edit, finray, succeed, tree
 from tests.command_line.test_good_runs import require_valid
 

@@ -5,9 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.compare import PhotometricErrorReport
-from data_schemas.comparison_batch import ComparisonBatch
-from data_schemas.provenance import provenance
+from data_schemas import ComparisonBatch, PhotometricErrorReport, provenance
 from data_schemas.storage import read_record, write_record
 from tests.command_line.records import capture_of, press
 from tests.command_line.running import finray, tree

@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from data_schemas.design import FingerDesign
-from data_schemas.force_comparison import ForceComparison
-from data_schemas.press_mechanics import PressMechanics
-from data_schemas.provenance import provenance
+from data_schemas import FingerDesign, ForceComparison, PressMechanics, provenance
 from data_schemas.storage import read_record, write_record
-from sim.design_toml import design_toml
+from sim import design_toml
 from tests.command_line.running import finray, succeed
 from tests.compare.force_curves import force_at, power_law_press
 
@@ -38,7 +35,7 @@ def bench(path: Path, force: np.ndarray, displacement: np.ndarray, u_n: float = 
 
 def test_a_press_with_sensitivities_is_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "finger.toml").write_text(FINGER)
-    monkeypatch.setattr("sim.experiments.force_sensitivities.UNCERTAIN_FIELDS", FIELDS)
+    monkeypatch.setattr("sim.experiments._design_sensitivities.UNCERTAIN_FIELDS", FIELDS)
     said = succeed(
         f"simulate {tmp_path}/finger.toml --only mechanics --increments 2 --sensitivities --out {tmp_path}/f.press.json"
     )

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.errors import DiedError, RecordError, RefusedError
-from finray_calib.demo.demo_folder import can_go_on, whole_stages
-from finray_calib.demo.run_demo import STAGES as REAL_STAGES
+from data_schemas import DiedError, RecordError, RefusedError
+from finray_calib.demo import can_go_on
+from finray_calib.demo._run import STAGES as REAL_STAGES
+from finray_calib.demo._run import whole_stages
 from tests.command_line import small_demo
 from tests.command_line.running import tree
 from tests.schemas.test_child_process import gone_within

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from finray_calib.cli.doctor import line_of
-from finray_calib.demo import machine_checks
-from finray_calib.demo.machine_checks import CHECKS, Check, Finding, check_machine
+from finray_calib.cli._demo import line_of
+from finray_calib.demo import Finding, check_machine
+from finray_calib.demo import _machine_checks as machine_checks
+from finray_calib.demo._machine_checks import CHECKS, Check
 
 ROOT = Path(__file__).resolve().parents[2]
 BUSY_S = 120.0  # a machine that runs other tests is slower than a user's
@@ -168,7 +169,7 @@ def test_an_installation_without_renderer_is_told(monkeypatch):
 
 
 def test_a_serial_port_that_may_not_be_opened_is_told(tmp_path, monkeypatch):
-    link = machine_checks.import_module("rigs.transports.serial_link")
+    link = machine_checks.import_module("rigs.transports._serial_link")
     port = tmp_path / "ttyUSB0"
     port.touch()
     monkeypatch.setattr(link, "usb_serial_ports", lambda: [link.UsbSerialPort(str(port), "adapter", "0403:6001")])
@@ -199,7 +200,7 @@ def test_a_check_that_hangs_dies_or_raises_is_a_line():
 
 def test_a_doctor_that_is_interrupted_leaves_nothing_behind(tmp_path):
     code = (
-        "from finray_calib.demo.machine_checks import Check, check_machine\n"
+        "from finray_calib.demo._machine_checks import Check, check_machine\n"
         "import sys\n"
         "print('looks', flush=True)\n"
         "list(check_machine(600.0, (Check('x', 'tests.command_line.poisoned_machine:hangs', 'bad', ''),) * 2))\n"

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from finray_calib.cli.options import LONGEST_NAME, file_name
+from finray_calib.cli._run import LONGEST_NAME, file_name
 from tests.command_line.running import edit, finray, succeed
 
 

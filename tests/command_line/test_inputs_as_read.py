@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas import foreign_files
-from data_schemas.whole_files import sha256_of
+from data_schemas.storage import _foreign_files as foreign_files
+from data_schemas.storage import sha256_of
 from tests.command_line.running import succeed
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -85,7 +85,7 @@ def test_replaced_inputs_are_stored_as_they_were_read(verb, folder, readings, tm
 
 def test_no_verb_hashes_an_input_a_second_time():
     """All provenance of the verbs comes from what the gateway remembers; what hashes files anew is for trace."""
-    allowed = {"finray_calib/demo/demo_folder.py", "finray_calib/lineage/trace.py"}
+    allowed = {"finray_calib/demo/_run.py", "finray_calib/lineage/_trace.py"}
     hashing = {"sha256_of", "sha256_now", "file_digest"}
     found = {
         path.relative_to(ROOT).as_posix()

@@ -8,18 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from data_schemas.errors import NoEquilibriumError, RecordError
-from data_schemas.press_mechanics import PressIncrement, PressMechanics
-from data_schemas.storage import read_record
-from data_schemas.surfaces import FingerSurfaces
-from data_schemas.whole_files import sha256_of
-from finray_calib.cli.simulate_mechanics import last_increment, mechanics_paths
-from sim.mechanics.finger_mesh import FORCE_EXCESS_REL, STEPS, MeshSteps
-from sim.mechanics.increments import Increment, load_increments
-from sim.mechanics.newton import NewtonOptions
-from sim.surface_meshes.intersections import check_no_intersections
-from sim.surface_meshes.stl import stl_bytes
-from sim.surface_meshes.stored_shape import restore_shapes
+from data_schemas import FingerSurfaces, NoEquilibriumError, PressIncrement, PressMechanics, RecordError
+from data_schemas.storage import read_record, sha256_of
+from finray_calib.cli._simulate_press import last_increment, mechanics_paths
+from sim.mechanics import FORCE_EXCESS_REL, STEPS
+from sim.mechanics._finger_mesh import MeshSteps
+from sim.mechanics._increments import Increment, load_increments
+from sim.mechanics._newton import NewtonOptions
+from sim.surface_meshes import check_no_intersections, restore_shapes, stl_bytes
 from tests.command_line.mistakes import CUBE, FACETS
 from tests.command_line.running import finray, succeed
 
@@ -66,7 +62,7 @@ def test_a_push_that_ends_early_is_kept_and_gone_on_with(tmp_path: Path, monkeyp
     (tmp_path / "finger.toml").write_text(FINGER)
     press = f"simulate {tmp_path}/finger.toml --only mechanics --increments 2 --out {tmp_path}"
     with monkeypatch.context() as patched:
-        patched.setattr("sim.mechanics.press.load_increments", impatient)
+        patched.setattr("sim.mechanics._press.load_increments", impatient)
         outcome = finray(f"{press}/early.press.json")
     assert outcome.status == 2
     assert outcome.err.count("\n") == 1
@@ -101,7 +97,7 @@ def test_a_push_that_never_begins_leaves_a_picture(tmp_path: Path, monkeypatch: 
         yield
 
     (tmp_path / "finger.toml").write_text(FINGER)
-    monkeypatch.setattr("sim.mechanics.press.load_increments", never)
+    monkeypatch.setattr("sim.mechanics._press.load_increments", never)
     said = refused(f"simulate {tmp_path}/finger.toml --only mechanics --out {tmp_path}/stuck.json")
     assert re.search(r"matrix is singular\. \S*stuck\.mechanics\.png shows where the indenter touches", said)
     assert (tmp_path / "stuck.mechanics.png").read_bytes().startswith(b"\x89PNG")
@@ -169,7 +165,7 @@ def test_a_press_to_a_force_tells_the_depth_and_the_torque_at_slip(tmp_path: Pat
 @pytest.mark.usefixtures("rough_mesh")
 def test_a_force_that_is_not_reached_is_told_as_what_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "finger.toml").write_text(BABY)
-    monkeypatch.setattr("sim.mechanics.force_control.load_increments", impatient)
+    monkeypatch.setattr("sim.mechanics._loads.load_increments", impatient)
     outcome = finray(
         f"simulate {tmp_path}/finger.toml --only mechanics --force 0.8 --increments 2 --out {tmp_path}/held.json"
     )
@@ -188,7 +184,7 @@ def test_a_press_is_stored_though_none_with_a_number_changed_is(
         raise NoEquilibriumError("no equilibrium beyond 0 of the load: the stiffness matrix is singular")
 
     (tmp_path / "finger.toml").write_text(BABY + "depth_mm = 0.2\n")
-    monkeypatch.setattr("sim.experiments.force_sensitivities.press_sensitivities", never)
+    monkeypatch.setattr("sim.experiments._design_sensitivities.press_sensitivities", never)
     press = f"simulate {tmp_path}/finger.toml --only mechanics --increments 1 --sensitivities"
     outcome = finray(f"{press} --out {tmp_path}/lone.json")
     assert outcome.status == 2
@@ -313,13 +309,13 @@ def test_an_interrupted_press_goes_on_with_the_same_command(tmp_path: Path, monk
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("sim.mechanics.press.load_increments", dies_after_one)
+        patched.setattr("sim.mechanics._press.load_increments", dies_after_one)
         assert finray(f"{press}/cut.press.json").status == 130
     increments = tmp_path / "cut.increments"
     assert [path.name for path in sorted(increments.glob("*.json"))] == ["001.json"]
     first = sha256_of(increments / "001.json")
     with monkeypatch.context() as patched:
-        patched.setattr("finray_calib.exchange.vtu.vtu_bytes", dies)
+        patched.setattr("finray_calib.exchange._vtu.vtu_bytes", dies)
         outcome = finray(f"{press}/cut.press.json")
     assert (outcome.status, outcome.err.splitlines()[0]) == (
         130,
@@ -353,7 +349,7 @@ def test_an_interrupted_press_is_not_mixed_with_another(
     (tmp_path / "finger.toml").write_text(BABY + "depth_mm = 0.2\n")
     press = f"simulate {tmp_path}/finger.toml --only mechanics"
     with monkeypatch.context() as patched:
-        patched.setattr("sim.mechanics.press.load_increments", dies_after_one)
+        patched.setattr("sim.mechanics._press.load_increments", dies_after_one)
         assert finray(f"{press} --increments 2 --out {tmp_path}/cut.press.json").status == 130
     (tmp_path / "finger.toml").write_text(BABY + f"depth_mm = {depth_mm}\n")
     said = refused(f"{press} {options} --out {tmp_path}/cut.press.json")

@@ -5,13 +5,10 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from data_schemas.capture import TactileCapture
-from data_schemas.provenance import provenance
-from data_schemas.simulate import SimulatedPress
+from data_schemas import SimulatedPress, TactileCapture, provenance
 from data_schemas.storage import read_record, write_record
-from finray_calib.cli.design_file import read_design
-from sim.surface_meshes.finger_shape import pressed_shape, rest_shape
-from sim.surface_meshes.stored_shape import store_shapes
+from finray_calib.cli._design import read_design
+from sim.surface_meshes import pressed_shape, rest_shape, store_shapes
 from tests.command_line.running import finray, succeed
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.press_mechanics import PressMechanics
+from data_schemas import PressMechanics
 from data_schemas.storage import read_record
 from tests.command_line.running import finray, tree
 from tests.command_line.test_demo_goes_on import children_of

@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 import tifffile
 
-from data_schemas.frame_files import write_frame
-from data_schemas.pixel_scale import PixelScale
-from data_schemas.provenance import provenance
-from data_schemas.storage import read_record, write_record
-from data_schemas.tactile import CharucoBoard, TactileFrame, TactileSession
-from finray_calib.exchange.board_pictures import read_board_picture
-from sim.optics.opencv_file import read_calibration
+from data_schemas import CharucoBoard, PixelScale, TactileFrame, TactileSession, provenance
+from data_schemas.storage import read_record, write_frame, write_record
+from finray_calib.exchange import read_board_picture
+from sim.optics import read_calibration
 from tests.capture.finger_session import PLAN, RIG, plan_of, rig_of
 from tests.command_line.running import finray, load, succeed
 from tests.compare.board_scenes import FISHEYE, SIZE_PX, picture, poses, true_scale

@@ -57,7 +57,7 @@ def python(absent: Path, folder: Path, *arguments: str) -> subprocess.CompletedP
 @pytest.mark.parametrize("name", OF_SIM)
 def test_the_packages_are_absent_there(name: str, absent: Path, tmp_path: Path) -> None:
     in_child = (
-        "from data_schemas.child_process import call_in_child\n"
+        "from data_schemas.storage._child_process import call_in_child\n"
         f"call_in_child('importlib:import_module', {{'name': '{name}'}})"
     )
     for code in (f"import {name}", in_child):
@@ -65,8 +65,7 @@ def test_the_packages_are_absent_there(name: str, absent: Path, tmp_path: Path) 
 
 
 def test_every_verb_explains_itself(absent: Path, tmp_path: Path) -> None:
-    for verb in VERBS:
-        name = verb.__name__.rpartition(".")[2].removesuffix("_captures")
+    for name in VERBS:
         done = run_plain(absent, tmp_path, f"{name} --help")
         assert done.returncode == 0, done.stderr
         assert done.stdout.startswith(f"usage: finray {name}")

@@ -11,18 +11,23 @@ import numpy as np
 import pytest
 import tifffile
 
-from data_schemas.band_pass_filter import BandPassFilter
-from data_schemas.devices import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings
-from data_schemas.errors import LostError, MissingExtraError
-from data_schemas.rig import RigFile, WhiteReference
+from data_schemas import (
+    BandPassFilter,
+    CameraSettings,
+    FilterWheelSettings,
+    LampSettings,
+    LaserSettings,
+    LostError,
+    MissingExtraError,
+    RigFile,
+    WhiteReference,
+)
 from data_schemas.storage import read_toml
-from finray_calib.cli.choose_devices import choose
-from rigs import detect as detect_module
-from rigs import drivers
-from rigs.detect import FoundDevice, detect
-from rigs.rig_template import paper_rig
-from rigs.simulated.devices import SimulatedFilterWheel, SimulatedLight
-from rigs.toml_text import rig_toml
+from finray_calib.cli._rig import choose
+from rigs import FoundDevice, detect, paper_rig, rig_toml
+from rigs import _drivers as detect_module
+from rigs import _drivers as drivers
+from rigs.simulated import SimulatedFilterWheel, SimulatedLight
 from tests.capture.drivers.fake_gigevision_camera import fake_camera
 from tests.capture.drivers.firmware_in_qemu import build, firmware_board
 from tests.capture.drivers.indi_server import PANEL, IndiServer
@@ -122,7 +127,7 @@ def test_init_on_a_terminal_offers_what_is_found(monkeypatch: pytest.MonkeyPatch
     driver(monkeypatch, "FILTER_WHEELS", "thorlabs", found=lambda: [(WHEEL.address, WHEEL.what)])
     monkeypatch.setattr(sys, "stdin", Terminal("y\n"))
     monkeypatch.setattr(sys, "stderr", Terminal())
-    from finray_calib.cli.choose_devices import chosen_devices
+    from finray_calib.cli._rig import chosen_devices
 
     assert chosen_devices() == {"filter wheel": WHEEL}
 

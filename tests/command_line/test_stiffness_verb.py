@@ -7,11 +7,10 @@ from typing import Any
 
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import NoEquilibriumError
-from data_schemas.finger_stiffness import FingerStiffness
+from data_schemas import FingerDesign, FingerStiffness, NoEquilibriumError
 from data_schemas.storage import read_record
-from sim.mechanics.finger_mesh import STEPS, MeshSteps
+from sim.mechanics import STEPS
+from sim.mechanics._finger_mesh import MeshSteps
 from tests.command_line.running import finray, succeed
 
 
@@ -53,8 +52,8 @@ def test_a_finger_that_cannot_grip_is_told_of(tmp_path: Path, monkeypatch: pytes
     def never(*_: Any, **__: Any) -> None:
         raise NoEquilibriumError("no equilibrium at a push of 0.1 mm")
 
-    monkeypatch.setattr("sim.experiments.finger_stiffness.LoadedFinger", Quick)
-    monkeypatch.setattr("sim.experiments.finger_stiffness.press_to_force", never)
+    monkeypatch.setattr("sim.experiments._design_sensitivities.LoadedFinger", Quick)
+    monkeypatch.setattr("sim.experiments._design_sensitivities.press_to_force", never)
     said = succeed(f"study finger-stiffness baby-48x18 --vary 0 --out {tmp_path}/stiffness")
     assert "a cylinder gripped with 2 N is not told of: no equilibrium at a push of 0.1 mm" in said
     row = read_record(tmp_path / "stiffness" / "finger-stiffness.json", FingerStiffness).rows[0]

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from data_schemas.leftovers import is_whole
+from data_schemas.storage._product_set import is_whole
 from finray_calib.cli.main import main
 from tests.file_faults import KILLED, FileFaults, contents, in_child
 

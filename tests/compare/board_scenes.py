@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
-from data_schemas.tactile import CharucoBoard
-from finray_calib.compare.board_corners import BoardView
+from data_schemas import CharucoBoard
+from finray_calib.sensing import BoardView
 
 SIZE_PX = (640, 480)
 # 120 deg across the picture, as the finger's camera

@@ -5,9 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.design import FingerDesign
-from data_schemas.press_mechanics import PressMechanics, PressSensitivities, VariedPress
-from finray_calib.compare.measured_force import MeasuredForce
+from data_schemas import FingerDesign, PressMechanics, PressSensitivities, VariedPress
+from finray_calib.force import MeasuredForce
 
 Floats = NDArray[np.float64]
 

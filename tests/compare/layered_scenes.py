@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from finray_calib.compare.capture_noise import NO_NOISE
-from finray_calib.compare.region_sums import Captured
-from finray_calib.compare.render_layers import RenderLayers
+from finray_calib.compare._image_noise import NO_NOISE
+from finray_calib.compare._region_sums import Captured, RenderLayers
 
 SHAPE = (48, 64)
 EVERYWHERE = np.ones(SHAPE, bool)

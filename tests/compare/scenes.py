@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from finray_calib.compare.regions import disc
+from finray_calib.compare import disc
 
 CENTER_PX = (40.0, 50.0)
 RADIUS_PX = 20.0

@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 
-from data_schemas.compare import Interval
-from data_schemas.comparison_batch import ComparedPair
-from data_schemas.errors import CompareError
-from finray_calib.compare.batch import mean_skill, pair_by_name, pair_name, pairs_of_rows, worst_pairs
+from data_schemas import ComparedPair, CompareError, Interval
+from finray_calib.compare import mean_skill, pair_by_name, pairs_of_rows, worst_pairs
+from finray_calib.compare._batch import pair_name
 
 
 def test_files_are_paired_by_name():

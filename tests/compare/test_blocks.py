@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from finray_calib.compare.blocks import block_mean, largest_block_px
-from finray_calib.compare.capture_noise import CaptureNoise
-from finray_calib.compare.prepared_images import prepare_images
+from finray_calib.compare._image_noise import CaptureNoise, block_mean, largest_block_px
+from finray_calib.compare._prepared_images import prepare_images
 from tests.compare.layered_scenes import captured_of
 from tests.compare.twins import SHAPE, distance_map, twin
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from data_schemas.errors import CompareError
-from finray_calib.compare import capture_noise as module
-from finray_calib.compare.capture_noise import NO_NOISE, CaptureNoise, capture_noise
+from data_schemas import CompareError
+from finray_calib.compare import _image_noise as module
+from finray_calib.compare._image_noise import NO_NOISE, CaptureNoise, capture_noise
 
 OFFSET_DN2, SLOPE_DN = 4.0, 0.2
 SHAPE = (400, 400)

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from data_schemas.errors import CompareError
-from finray_calib.compare.chromaticity import chromaticity_error
+from data_schemas import CompareError
+from finray_calib.compare._candidate_errors import chromaticity_error
 
 SHAPE = (50, 60, 3)
 EVERYWHERE = np.ones(SHAPE[:2], bool)

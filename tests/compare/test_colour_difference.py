@@ -2,8 +2,9 @@ import colour
 import numpy as np
 import pytest
 
-from data_schemas.errors import CompareError
-from finray_calib.compare.colour_difference import ciede2000, colour_difference_map, srgb_to_lab
+from data_schemas import CompareError
+from finray_calib.compare import ciede2000, srgb_to_lab
+from finray_calib.compare._displayed_images import colour_difference_map
 
 #: The 34 published pairs (L1, a1, b1, L2, a2, b2, difference) of G. Sharma, W. Wu, E. N. Dalal, "The CIEDE2000
 #: color-difference formula", Color Research and Application 30 (2005) 21, table 1.

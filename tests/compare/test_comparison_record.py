@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from data_schemas.errors import CompareError
-from finray_calib.compare import stopping_rule
-from finray_calib.compare.chromaticity import chromaticity_error
-from finray_calib.compare.comparison_notes import ALWAYS_UNKNOWN, COVERS_INPUTS, COVERS_PARTS
-from finray_calib.compare.comparison_record import compare_press
-from finray_calib.compare.error_rows import LARGEST_SKILL, skill_interval
-from finray_calib.compare.input_draws import DRIFT, PIXELS, POSE, WALLS
-from finray_calib.compare.regions import DILATED, PATCH
+from data_schemas import CompareError
+from finray_calib.compare import DILATED, compare_press
+from finray_calib.compare import _input_draws as stopping_rule
+from finray_calib.compare._candidate_errors import LARGEST_SKILL, chromaticity_error, skill_interval
+from finray_calib.compare._comparison_record import ALWAYS_UNKNOWN, COVERS_INPUTS, COVERS_PARTS
+from finray_calib.compare._input_draws import DRIFT, PIXELS, POSE, WALLS
+from finray_calib.compare._regions import PATCH
 from tests.command_line.records import capture_of
 from tests.command_line.records import press as made_up_press
 from tests.compare.twins import NAMES, SHAPE, distance_map, twin

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from finray_calib.compare import conditioning
-from finray_calib.compare.conditioning import condition_on_levels
-from finray_calib.compare.input_draws import Drawn
+from finray_calib.compare import _input_draws as conditioning
+from finray_calib.compare._input_draws import Drawn, condition_on_levels
 
 DRAWS = 40_000
 LEVELS = (2, 3, 2)

@@ -5,10 +5,14 @@ import colour
 import numpy as np
 import pytest
 
-from data_schemas.errors import CompareError, MissingExtraError
-from finray_calib.compare.colour_difference import colour_difference_map, colour_difference_within
-from finray_calib.compare.displayed_images import display_white_dn, displayed_image
-from finray_calib.compare.flip_error import flip_mean
+from data_schemas import CompareError, MissingExtraError
+from finray_calib.compare._displayed_images import (
+    colour_difference_map,
+    colour_difference_within,
+    display_white_dn,
+    displayed_image,
+    flip_mean,
+)
 
 
 def test_linear_light_goes_through_the_curve_of_srgb():

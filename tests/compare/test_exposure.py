@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from data_schemas.errors import CompareError
-from finray_calib.compare.capture_noise import CaptureNoise
-from finray_calib.compare.exposure import exposure_fit
-from finray_calib.compare.input_draws import Drawn, Inputs
-from finray_calib.compare.part_levels import part_levels
-from finray_calib.compare.render_layers import render_layers
+from data_schemas import CompareError
+from finray_calib.compare._comparison import exposure_fit, part_levels
+from finray_calib.compare._image_noise import CaptureNoise
+from finray_calib.compare._input_draws import Drawn, Inputs
+from finray_calib.compare._region_sums import render_layers
 from tests.command_line.records import press as made_up_press
 from tests.compare.layered_scenes import EVERYWHERE, MATRIX, SHAPE, captured_of, layers_of, smooth_layers
 from tests.compare.twins import twin

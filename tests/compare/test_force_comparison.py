@@ -3,14 +3,11 @@
 import numpy as np
 import pytest
 
-from data_schemas.errors import CompareError
-from data_schemas.press_mechanics import PressMechanics, VariedPress
-from finray_calib.compare.error_size import error_size
-from finray_calib.compare.force_comparison import compare_force
-from finray_calib.compare.force_curve import ForceCurve, log_sensitivity
-from finray_calib.compare.measured_force import MeasuredForce
-from finray_calib.reports.force_figure import force_figure_png
-from finray_calib.reports.force_table import force_lines
+from data_schemas import CompareError, PressMechanics, VariedPress
+from finray_calib.force import ForceCurve, MeasuredForce, compare_force
+from finray_calib.force._force_comparison import error_size
+from finray_calib.force._force_curves import log_sensitivity
+from finray_calib.reports import force_figure_png, force_lines
 from tests.compare.force_curves import (
     INCREMENTS_MM,
     POWERS,

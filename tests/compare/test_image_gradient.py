@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from finray_calib.compare.image_gradient import NOISE_EXCESS, gradient_variance, image_gradient
+from finray_calib.compare._image_noise import NOISE_EXCESS, gradient_variance, image_gradient
 
 SHAPE = (64, 80, 5)
 

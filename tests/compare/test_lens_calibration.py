@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from data_schemas.errors import CompareError
-from finray_calib.compare.lens_calibration import LEAST_VIEWS, adjust, calibrate_lens, project
+from data_schemas import CompareError
+from finray_calib.sensing import calibrate_lens
+from finray_calib.sensing._lens_calibration import LEAST_VIEWS, adjust, project
 from tests.compare.board_scenes import (
     FISHEYE,
     PINHOLE,

@@ -3,13 +3,10 @@
 import numpy as np
 import pytest
 
-from data_schemas.capture import IndenterPose, TactileCapture
-from data_schemas.errors import CompareError
-from data_schemas.simulate import SimulatedPress
-from finray_calib.compare.channel_order import better_order
-from finray_calib.compare.mismatch import Finding, find_mismatches, require_no_mismatch
-from finray_calib.compare.tone_curve import tone_curve
-from finray_calib.exchange.nine_dtact_records import table_prediction, tactile_capture
+from data_schemas import CompareError, IndenterPose, SimulatedPress, TactileCapture
+from finray_calib.compare import find_mismatches
+from finray_calib.compare._mismatch import Finding, better_order, require_no_mismatch, tone_curve
+from finray_calib.exchange import nine_dtact_capture, nine_dtact_prediction
 
 BLACK_DN, DN_PER_UNIT, BITS = 64.0, 900.0, 12
 
@@ -194,8 +191,8 @@ def test_an_exchange_of_two_channels_is_named():
 def test_real_pairs_raise_no_alarm_and_their_exposure_is_watched(shared_data, number):
     """9DTact is grey: its channel order cannot be told, and its curve is unknown; its levels can."""
     folder = shared_data / "tactile" / "9dtact"
-    press = table_prediction(folder / f"sensor_{number}", folder / f"sensor_{3 - number}")
-    capture = tactile_capture(folder / f"sensor_{number}")
+    press = nine_dtact_prediction(folder / f"sensor_{number}", folder / f"sensor_{3 - number}")
+    capture = nine_dtact_capture(folder / f"sensor_{number}")
     assert find_mismatches(press, capture) == ()
     for factor, severity in ((1.25, "refuse"), (0.8, "refuse")):
         contact = np.rint(factor * capture.contact).clip(0, 254).astype(np.uint16)

@@ -4,8 +4,9 @@ from scipy.ndimage import correlate1d
 from scipy.signal import convolve2d
 from skimage.metrics import structural_similarity as scikit_image_ssim
 
-from data_schemas.errors import CompareError
-from finray_calib.compare.multi_scale_similarity import WEIGHTS, multi_scale_similarity
+from data_schemas import CompareError
+from finray_calib.compare import multi_scale_similarity
+from finray_calib.compare._structural_similarity import SCALE_WEIGHTS
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +27,7 @@ def independent(first, second, data_range):
 
     c1, c2 = (0.01 * data_range) ** 2, (0.03 * data_range) ** 2
     result = 1.0
-    for scale, weight in enumerate(WEIGHTS):
+    for scale, weight in enumerate(SCALE_WEIGHTS):
         mx, my = windowed(first), windowed(second)
         vx, vy = windowed(first**2) - mx**2, windowed(second**2) - my**2
         cov = windowed(first * second) - mx * my

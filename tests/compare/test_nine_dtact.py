@@ -5,12 +5,17 @@ import numpy as np
 import pytest
 from skimage.metrics import structural_similarity as scikit_image_ssim
 
-from data_schemas.errors import ImportFormatError
-from finray_calib.compare.comparison_record import compare_press
-from finray_calib.compare.regions import disc
-from finray_calib.exchange.nine_dtact_folder import load_depth_table, load_rectified_crop, read_nine_dtact
-from finray_calib.exchange.nine_dtact_records import table_prediction, tactile_capture
-from finray_calib.exchange.nine_dtact_table import ContactCircle, contact_circle, predict_press
+from data_schemas import ImportFormatError
+from finray_calib.compare import compare_press, disc
+from finray_calib.exchange import nine_dtact_capture, nine_dtact_prediction
+from finray_calib.exchange._nine_dtact import (
+    DarkenedCircle,
+    darkened_circle,
+    load_depth_table,
+    load_rectified_crop,
+    predict_press,
+    read_nine_dtact,
+)
 
 NO_CONTACT = np.full((60, 80, 3), 150, np.uint8)
 
@@ -23,18 +28,18 @@ def synthetic_press(radius_px=20.0):
 
 
 def test_the_circle_encloses_the_dark_disc_and_ignores_the_bright_halo():
-    circle = contact_circle(NO_CONTACT, synthetic_press())
+    circle = darkened_circle(NO_CONTACT, synthetic_press())
     assert circle.center_px == pytest.approx((30, 45), abs=1)
     assert circle.radius_px == pytest.approx(20, abs=1)
     with pytest.raises(ImportFormatError, match=r"No pixel of the sample is darker .* by more than 3 DN"):
-        contact_circle(synthetic_press(), synthetic_press())
+        darkened_circle(synthetic_press(), synthetic_press())
 
 
 def test_the_prediction_darkens_by_the_level_of_the_cap_depth():
     # A table of 0.02 mm per grey level turns depth d into level 50 d, exactly, once entries 0 and 1 are replaced.
     table = 0.02 * np.arange(120.0)
     table[:2] = [-0.9, 0.7]
-    prediction = predict_press(NO_CONTACT, ContactCircle((30, 45), 20), 0.1, 4.0, table)
+    prediction = predict_press(NO_CONTACT, DarkenedCircle((30, 45), 20), 0.1, 4.0, table)
     cap_mm = 4.0 - np.sqrt(4.0**2 - 2.0**2)
     assert prediction[30, 45] == pytest.approx([150 - 50 * cap_mm] * 3, rel=1e-12)
     depth_mm = np.sqrt(4.0**2 - 1.0**2) - np.sqrt(4.0**2 - 2.0**2)
@@ -42,7 +47,7 @@ def test_the_prediction_darkens_by_the_level_of_the_cap_depth():
     outside = ~disc((60, 80), (30.0, 45.0), 20.0)
     assert (prediction[outside] == 150).all()
     with pytest.raises(ImportFormatError, match=r"radius 4.000 mm, not less than the ball's 4.000 mm"):
-        predict_press(NO_CONTACT, ContactCircle((30, 45), 20), 0.2, 4.0, table)
+        predict_press(NO_CONTACT, DarkenedCircle((30, 45), 20), 0.2, 4.0, table)
 
 
 @pytest.fixture
@@ -53,7 +58,7 @@ def sensor_copy(shared_data, tmp_path):
 @pytest.mark.shared_data
 @pytest.mark.parametrize(
     ("number", "circle", "mm_per_px"),
-    [(1, ContactCircle((188, 243), 67), 0.051015), (2, ContactCircle((176, 280), 60), 0.049995)],
+    [(1, DarkenedCircle((188, 243), 67), 0.051015), (2, DarkenedCircle((176, 280), 60), 0.049995)],
 )
 def test_known_values_of_the_two_sensors(shared_data, number, circle, mm_per_px):
     folder = shared_data / "tactile" / "9dtact" / f"sensor_{number}"
@@ -94,8 +99,8 @@ def test_transferred_tables_score_as_published(
 ):
     """The table of one sensor predicts the press of the other: inside the contact well, around it not."""
     folder = shared_data / "tactile" / "9dtact"
-    prediction = table_prediction(folder / f"sensor_{scene}", folder / f"sensor_{table}")
-    capture = tactile_capture(folder / f"sensor_{scene}")
+    prediction = nine_dtact_prediction(folder / f"sensor_{scene}", folder / f"sensor_{table}")
+    capture = nine_dtact_capture(folder / f"sensor_{scene}")
     report = compare_press(prediction, capture, seed=0)
     assert report.block_px == 1
     assert report.exposure_factor is None

@@ -7,9 +7,10 @@ from math import comb
 import numpy as np
 import pytest
 
-from data_schemas.errors import CompareError
-from finray_calib.compare.normal_map import angles_deg, polynomial_terms
-from finray_calib.compare.normal_map_fit import ball_slopes, fit_normal_map, held_out_score
+from data_schemas import CompareError
+from finray_calib.sensing import fit_normal_map, held_out_score, polynomial_terms
+from finray_calib.sensing._normal_map import angles_deg
+from finray_calib.sensing._normal_map_fit import ball_slopes
 from tests.compare.three_lights import BALL_PX, SHAPE_PX, ball_press, ball_presses, dent_slopes, shaded
 
 NOISE_DN = 0.5

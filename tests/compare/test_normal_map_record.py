@@ -3,13 +3,10 @@
 import numpy as np
 import pytest
 
-from data_schemas.capture import ContactCircle, IndenterPose, TactileCapture
-from data_schemas.errors import CompareError
-from data_schemas.provenance import provenance
-from data_schemas.sensing import NormalMapRecord
+from data_schemas import CompareError, ContactCircle, IndenterPose, NormalMapRecord, TactileCapture, provenance
 from data_schemas.storage import read_record, write_record
-from finray_calib.compare.normal_map_fit import fit_normal_map
-from finray_calib.compare.normal_map_record import calibration_press, check_senses, normal_map_of, normal_map_record
+from finray_calib.sensing import check_senses, fit_normal_map, normal_map_of, normal_map_record
+from finray_calib.sensing._normal_map_fit import calibration_press
 from tests.compare.three_lights import BALL_PX, ball_presses
 
 MM_PER_PX = 0.05

@@ -5,13 +5,10 @@ import re
 import numpy as np
 import pytest
 
-from data_schemas.errors import CompareError
-from data_schemas.sensing import NormalMapRecord
-from finray_calib.compare.board_plane import Declared
-from finray_calib.compare.checked_comparison import CheckOptions, compare_checked
-from finray_calib.compare.patch_scale import patch_scale, with_measured_scale
-from finray_calib.compare.pixel_scale_record import pixel_scale
-from finray_calib.reports.comparison_page import comparison_page
+from data_schemas import CompareError, NormalMapRecord
+from finray_calib.compare import CheckOptions, compare_checked
+from finray_calib.reports import comparison_page
+from finray_calib.sensing import Declared, patch_scale, pixel_scale, with_measured_scale
 from tests.command_line.records import capture_of, press
 from tests.compare.board_scenes import BOARD, PINHOLE, board_views, pose_of, poses
 

@@ -4,14 +4,18 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from data_schemas.errors import CompareError
-from finray_calib.compare.board_corners import BoardView, find_board, require_plausible
-from finray_calib.compare.board_plane import Declared, seen_plane
-from finray_calib.compare.corner_refinement import refined_views
-from finray_calib.compare.lens_calibration import POSE, adjust, calibrate_lens
-from finray_calib.compare.pixel_scale import ScaleDraws, SeenPlane, plane_places_mm, plane_scale, scales_only
-from finray_calib.compare.pixel_scale_record import pixel_scale
-from finray_calib.compare.scale_scatter import widened_factor
+from data_schemas import CompareError
+from finray_calib.sensing import BoardView, Declared, calibrate_lens, find_board, pixel_scale, require_plausible
+from finray_calib.sensing._lens_calibration import POSE, adjust, refined_views
+from finray_calib.sensing._pixel_scale import (
+    ScaleDraws,
+    SeenPlane,
+    plane_places_mm,
+    plane_scale,
+    scales_only,
+    seen_plane,
+    widened_factor,
+)
 from tests.compare.board_scenes import (
     BOARD,
     FISHEYE,
@@ -259,7 +263,7 @@ def test_pictures_without_a_usable_board_are_refused(seen):
 def test_a_board_that_is_too_small_or_a_line_is_refused(monkeypatch):
     seen = projected("pinhole", PINHOLE, pose_of([0.0, 0.0, 0.0], (0.0, 0.0, 15.0)), PLACES_MM)
     ids = np.arange(len(PLACES_MM))
-    from finray_calib.compare import board_corners
+    from finray_calib.sensing import _board_corners as board_corners
 
     def found(corners, numbers):
         return lambda grey, board: (numbers, corners.copy())

@@ -2,13 +2,9 @@
 
 import pytest
 
-from data_schemas.capture import IndenterPose
-from data_schemas.design import FingerDesign
-from data_schemas.errors import CompareError
-from data_schemas.indenter import Indenter
-from finray_calib.compare.checked_comparison import CheckOptions, compare_checked
-from finray_calib.compare.comparison_record import compare_press
-from finray_calib.compare.press_conditions import require_same_conditions
+from data_schemas import CompareError, FingerDesign, Indenter, IndenterPose
+from finray_calib.compare import CheckOptions, compare_checked, compare_press
+from finray_calib.compare._prepared_images import require_same_conditions
 from tests.command_line.records import capture_of, press
 
 # as capture_of states it

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from finray_calib.compare.capture_noise import CaptureNoise
-from finray_calib.compare.image_gradient import NOISE_EXCESS
-from finray_calib.compare.input_draws import Drawn, Inputs
-from finray_calib.compare.region_draws import RegionDraws, propagated_draws, resampled_draws
-from finray_calib.compare.region_sums import gradient_sums, image_sums
+from finray_calib.compare._image_noise import NOISE_EXCESS, CaptureNoise
+from finray_calib.compare._input_draws import Drawn, Inputs
+from finray_calib.compare._photometric_error import RegionDraws, propagated_draws, resampled_draws
+from finray_calib.compare._region_sums import gradient_sums, image_sums
 from tests.compare.layered_scenes import EVERYWHERE, MATRIX, SHAPE, captured_of, layers_of, smooth_layers
 
 DN = 900.0

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from data_schemas.errors import CompareError
-from finray_calib.compare.regions import Region, disc, strip_from_distance, usable_pixels
-from finray_calib.compare.tiles import MINIMUM_TILES, tile_indices, tile_side_px
+from data_schemas import CompareError
+from finray_calib.compare import Region, disc, strip_from_distance
+from finray_calib.compare._regions import MINIMUM_TILES, tile_indices, tile_side_px, usable_pixels
 
 
 def test_disc_has_the_area_of_a_circle():

@@ -4,12 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from data_schemas.errors import CompareError
-from data_schemas.simulate import SimulatedPress
-from finray_calib.compare.checked_comparison import CheckOptions, compare_checked
-from finray_calib.compare.image_warp import warp_image
-from finray_calib.compare.registered_press import move_press, register_press
-from finray_calib.compare.registration import register, scaled_map
+from data_schemas import CompareError, SimulatedPress
+from finray_calib.compare import CheckOptions, compare_checked, register_press
+from finray_calib.compare._registration import move_press, register, scaled_map, warp_image
 from tests.command_line.records import capture_of
 from tests.command_line.records import press as press_record
 

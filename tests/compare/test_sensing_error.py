@@ -5,11 +5,9 @@ import pytest
 from scipy.sparse import coo_array, vstack
 from scipy.sparse.linalg import lsqr
 
-from data_schemas.errors import CompareError
-from finray_calib.compare.normal_map import angles_deg
-from finray_calib.compare.normal_map_fit import fit_normal_map
-from finray_calib.compare.poisson_depth import poisson_depth_mm
-from finray_calib.compare.sensing_error import sensing_error
+from data_schemas import CompareError
+from finray_calib.sensing import fit_normal_map, poisson_depth_mm, sensing_error
+from finray_calib.sensing._normal_map import angles_deg
 from tests.compare.three_lights import SHAPE_PX, ball_presses, dent_slopes, shaded
 
 MM_PER_PX = 0.05

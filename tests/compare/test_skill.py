@@ -3,10 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from data_schemas.errors import CompareError
-from finray_calib.compare.regions import disc
-from finray_calib.compare.relative_rms import relative_rms
-from finray_calib.compare.skill import channel_weights, skill_score
+from data_schemas import CompareError
+from finray_calib.compare import disc
+from finray_calib.compare._comparison import channel_weights, skill_score
 from tests.compare.scenes import CENTER_PX, SHAPE, press
 
 
@@ -90,13 +89,3 @@ def test_weights_are_checked(scene):
     no_contact[..., 2] = -0.5
     with pytest.raises(CompareError, match=r"Channel 2 of the no-contact image has mean -0.5"):
         channel_weights(no_contact, mask)
-
-
-def test_relative_rms_of_a_gain_and_of_noise(scene):
-    no_contact, captured, mask = scene
-    rms = relative_rms(1.1 * captured, captured, mask)
-    mean, square = captured[mask].mean(axis=0), (captured[mask] ** 2).mean(axis=0)
-    assert rms == pytest.approx(0.1 * np.sqrt(square) / mean, rel=1e-12)
-    assert relative_rms(2 * captured, captured, mask, exposure_k=0.5) == pytest.approx([0, 0, 0], abs=1e-15)
-    with pytest.raises(CompareError, match=r"Channel 0 of the capture has mean -\d.* positive mean"):
-        relative_rms(no_contact, no_contact * [-1, 1, 1], mask)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from finray_calib.compare.squared_error import NoiseCovariance, noise_covariance, squared_error
+from finray_calib.compare._region_sums import NoiseCovariance, noise_covariance, squared_error
 
 PIXELS, CHANNELS, LAYERS = 400, 3, 4
 ROUNDING = 1e-12

@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from finray_calib.compare.stopping_rule import (
-    BLOCK_DRAWS,
-    LARGEST_BLOCKS,
-    ends,
-    numerical_tolerance,
-    propagate,
-)
+from finray_calib.compare._input_draws import BLOCK_DRAWS, LARGEST_BLOCKS, ends, numerical_tolerance, propagate
 
 
 @pytest.mark.parametrize(

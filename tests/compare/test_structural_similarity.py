@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from skimage.metrics import structural_similarity as scikit_image_ssim
 
-from data_schemas.errors import CompareError
-from finray_calib.compare.structural_similarity import structural_similarity
+from data_schemas import CompareError
+from finray_calib.compare import structural_similarity
 
 REFERENCE = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "channel_axis": -1}
 #: scikit-image filters with scipy, we with OpenCV: only rounding of the weights and sums differs.

@@ -5,16 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from data_schemas.compare import PhotometricErrorReport
-from finray_calib.compare import stopping_rule
-from finray_calib.compare.blocks import block_mean
-from finray_calib.compare.brightness import brightness_draws, captured_share, ring_of
-from finray_calib.compare.capture_noise import NO_NOISE
-from finray_calib.compare.comparison import prepare_comparison
-from finray_calib.compare.comparison_record import compare_press
-from finray_calib.compare.input_draws import Inputs
-from finray_calib.compare.photometric_error import best
-from finray_calib.compare.regions import contact_regions
+from data_schemas import PhotometricErrorReport
+from finray_calib.compare import _input_draws as stopping_rule
+from finray_calib.compare import compare_press, contact_regions
+from finray_calib.compare._comparison import prepare_comparison
+from finray_calib.compare._image_noise import NO_NOISE, block_mean
+from finray_calib.compare._input_draws import Inputs
+from finray_calib.compare._photometric_error import best, brightness_draws, captured_share, ring_of
 from tests.compare.layered_scenes import captured_of, layers_of
 from tests.compare.twins import Twin, distance_map, twin
 

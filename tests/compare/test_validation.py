@@ -4,23 +4,24 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from data_schemas.errors import CompareError
-from data_schemas.simulate import KnownInputs
-from finray_calib.compare.brightness import (
+from data_schemas import CompareError, KnownInputs
+from finray_calib.compare import Region
+from finray_calib.compare._comparison import prepare_comparison
+from finray_calib.compare._image_noise import CaptureNoise
+from finray_calib.compare._input_draws import DRIFT, PIXELS, WALLS, Inputs
+from finray_calib.compare._photometric_error import (
+    ALONE_DRAWS,
     STORED_DRAWS,
+    VALIDATION_DRAWS,
     BrightnessDraws,
     brightness_draws,
     captured_share,
     objective_error,
+    propagated_draws,
     ring_of,
+    uncertainty_budget,
+    validation_cells,
 )
-from finray_calib.compare.budget import ALONE_DRAWS, uncertainty_budget
-from finray_calib.compare.capture_noise import CaptureNoise
-from finray_calib.compare.comparison import prepare_comparison
-from finray_calib.compare.input_draws import DRIFT, PIXELS, WALLS, Inputs
-from finray_calib.compare.region_draws import propagated_draws
-from finray_calib.compare.regions import Region
-from finray_calib.compare.validation import DRAWS, validation_cells
 from tests.compare.layered_scenes import captured_of, layers_of
 from tests.compare.twins import twin
 
@@ -30,7 +31,7 @@ REGIONS = [Region("all", EVERYWHERE, 2.0)]
 PIXELS_OF_PART = 10 * 15
 CAPTURE = twin(np.random.default_rng(0)).capture
 # four standard errors of a standard deviation
-VALIDATION_REL, BUDGET_REL = (4.0 / np.sqrt(2.0 * n) for n in (DRAWS, ALONE_DRAWS))
+VALIDATION_REL, BUDGET_REL = (4.0 / np.sqrt(2.0 * n) for n in (VALIDATION_DRAWS, ALONE_DRAWS))
 SD = 0.05
 
 
@@ -93,7 +94,9 @@ def test_an_error_within_twice_its_uncertainty_is_within():
         density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
         # E max(x, 0) of x ~ N(0.05, u) is u (density + z Phi): 0.0525 for z = 1.17, Phi 0.879
         assert cell.area_too_bright_rel == pytest.approx(u * (density + z * norm.cdf(z)), rel=0.06)
-        assert cell.area_too_bright_rel - cell.area_too_dark_rel == pytest.approx(0.05, abs=4.0 * u / np.sqrt(DRAWS))
+        assert cell.area_too_bright_rel - cell.area_too_dark_rel == pytest.approx(
+            0.05, abs=4.0 * u / np.sqrt(VALIDATION_DRAWS)
+        )
 
 
 def test_noise_and_drift_of_the_capture_are_its_uncertainty():

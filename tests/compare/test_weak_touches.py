@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from finray_calib.compare import stopping_rule
-from finray_calib.compare.comparison_record import compare_press
-from finray_calib.compare.regions import DILATED
+from finray_calib.compare import DILATED, compare_press
+from finray_calib.compare import _input_draws as stopping_rule
 from tests.compare.twins import twin
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from finray_calib.compare.normal_map_fit import CalibrationPress
+from finray_calib.sensing import CalibrationPress
 
 SHAPE_PX = (60, 80)
 BALL_PX = 20.0

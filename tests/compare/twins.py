@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.capture import IndenterPose, TactileCapture
-from data_schemas.simulate import KnownInputs, PoseResponse, SimulatedPress
+from data_schemas import IndenterPose, KnownInputs, PoseResponse, SimulatedPress, TactileCapture
 
 Floats = NDArray[np.float64]
 SHAPE = (64, 80)

@@ -5,14 +5,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from finray_calib.decide.capture_errors import CaptureErrors
-from finray_calib.decide.discrepancy import (
+from finray_calib.decide._capture_errors import CaptureErrors
+from finray_calib.decide._gaussian_process import (
     PRIOR_ERROR_LENGTH_DEG,
     PRIOR_ERROR_LENGTH_LOG_SD,
     PRIOR_ERROR_LOG_SD,
     PRIOR_ERROR_REL,
+    draw_normal,
+    matern_correlation,
 )
-from finray_calib.decide.gaussian_process import draw_normal, matern_correlation
 
 Floats = NDArray[np.float64]
 Family = Literal["model", "tilt", "bump"]

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from finray_calib.decide.angle_risk import AngleRisk, angle_risk, verdict_of
+from finray_calib.decide._light_angle import AngleRisk, angle_risk, verdict_of
 
 GRID = np.arange(0, 21.0)
 

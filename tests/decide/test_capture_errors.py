@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
-from data_schemas.compare import Interval, ObjectiveError, PhotometricErrorReport
-from data_schemas.errors import DecideError
-from finray_calib.decide.capture_errors import (
+from data_schemas import DecideError, Interval, ObjectiveError, PhotometricErrorReport
+from finray_calib.decide._capture_errors import (
     LEAST_SD_REL,
     NO_CAPTURES,
+    UNSTATED_ANGLE_SD_DEG,
     capture_errors,
     objective_log_error,
 )
-from finray_calib.decide.validating_captures import UNSTATED_ANGLE_SD_DEG
 from tests.command_line.records import sweep as sweep_record
 
 DRAWS = 500

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from data_schemas.errors import DecideError
-from data_schemas.simulate import AngleObjective
-from finray_calib.decide.decision_record import TOLERANCE_REL, decide
+from data_schemas import AngleObjective, DecideError
+from finray_calib.decide import decide
+from finray_calib.decide._decision_record import TOLERANCE_REL
 from tests.command_line.records import BEST_DEG
 from tests.command_line.records import sweep as sweep_record
 from tests.decide.test_capture_errors import objective_error, report

@@ -2,10 +2,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from finray_calib.decide.angle_risk import AngleRisk
-from finray_calib.decide.decision_sentence import decision_sentence
-from finray_calib.decide.other_objectives import OtherOptimum
-from finray_calib.decide.proposals import Proposal
+from finray_calib.decide._decision_record import OtherOptimum, decision_sentence
+from finray_calib.decide._light_angle import AngleRisk, Proposal
 
 NONE = np.empty(0)
 

@@ -5,16 +5,16 @@ import pytest
 from scipy.special import gamma, kv
 from scipy.stats import multivariate_normal
 
-from finray_calib.decide import discrepancy as module
-from finray_calib.decide.capture_errors import NO_CAPTURES, CaptureErrors
-from finray_calib.decide.discrepancy import (
+from finray_calib.decide import _gaussian_process as module
+from finray_calib.decide._capture_errors import NO_CAPTURES, CaptureErrors
+from finray_calib.decide._gaussian_process import (
     PRIOR_ERROR_LENGTH_DEG,
     PRIOR_ERROR_LENGTH_LOG_SD,
     PRIOR_ERROR_LOG_SD,
     PRIOR_ERROR_REL,
     discrepancy_posterior,
+    matern_correlation,
 )
-from finray_calib.decide.gaussian_process import matern_correlation
 
 GRID = np.linspace(0, 90, 31)
 ANGLES = np.array([12.0, 30.0, 71.0])

@@ -4,13 +4,11 @@ import hashlib
 
 import pytest
 
-from data_schemas.compare import PhotometricErrorReport
-from data_schemas.design import FingerDesign
-from data_schemas.errors import DecideError
-from data_schemas.finger_identity import _PARTS, VERSION, FingerIdentity, finger_identity
-from finray_calib.compare.comparison_record import compare_press
-from finray_calib.decide.decision_record import decide
-from finray_calib.decide.finger_check import require_one_finger
+from data_schemas import DecideError, FingerDesign, PhotometricErrorReport, finger_identity
+from data_schemas._design import _PARTS, VERSION, FingerIdentity
+from finray_calib.compare import compare_press
+from finray_calib.decide import decide
+from finray_calib.decide._capture_errors import require_one_finger
 from tests.command_line.records import capture_of, press, sweep, with_known_camera
 
 DESIGN = FingerDesign()

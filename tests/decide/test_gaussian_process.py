@@ -3,7 +3,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import lognorm, multivariate_normal
 
-from finray_calib.decide.gaussian_process import Matern52, condition, draw_normal, fit_kernel
+from finray_calib.decide._gaussian_process import Matern52, condition, draw_normal, fit_kernel
 
 ANGLES = np.array([0.0, 7, 20, 30, 45, 60, 90])
 GRID = np.linspace(0, 90, 31)

@@ -4,12 +4,16 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from finray_calib.decide.capture_errors import NO_CAPTURES, CaptureErrors
-from finray_calib.decide.discrepancy import discrepancy_posterior
-from finray_calib.decide.gaussian_process import Matern52, condition
-from finray_calib.decide.knowledge_gradient import expected_maximum_gain, knowledge_gradient
-from finray_calib.decide.light_angle import decide_angle
-from finray_calib.decide.proposals import ASSUMED_CAPTURE_SD_REL, propose_capture, propose_render
+from finray_calib.decide import decide_angle
+from finray_calib.decide._capture_errors import NO_CAPTURES, CaptureErrors
+from finray_calib.decide._gaussian_process import Matern52, condition, discrepancy_posterior
+from finray_calib.decide._light_angle import (
+    ASSUMED_CAPTURE_SD_REL,
+    expected_maximum_gain,
+    knowledge_gradient,
+    propose_capture,
+    propose_render,
+)
 from tests.decide.curves import FINE_DEG, SWEEP_DEG, sweep
 
 PEAK = 0.5 + np.exp(-0.5 * ((FINE_DEG - 33) / 20) ** 2)
@@ -66,9 +70,9 @@ def test_render_gain_agrees_with_simulated_renders():
 @pytest.mark.parametrize("absolute", [False, True])
 def test_capture_gain_agrees_with_simulated_captures(absolute, monkeypatch):
     """One amplitude of the sim-to-real error, so that a capture's effect is linear and the belief stays normal."""
-    monkeypatch.setattr("finray_calib.decide.discrepancy._NODES_REL", np.array([0.1]))
-    monkeypatch.setattr("finray_calib.decide.discrepancy._LENGTHS_DEG", np.array([35.0]))
-    monkeypatch.setattr("finray_calib.decide.discrepancy._SMOOTHNESSES", (2.5,))
+    monkeypatch.setattr("finray_calib.decide._gaussian_process._NODES_REL", np.array([0.1]))
+    monkeypatch.setattr("finray_calib.decide._gaussian_process._ERROR_LENGTHS_DEG", np.array([35.0]))
+    monkeypatch.setattr("finray_calib.decide._gaussian_process._SMOOTHNESSES", (2.5,))
     rng = np.random.default_rng(4)
     values = sweep(PEAK, rng, 0.003, 4)
     angles, log_error = np.array([20.0, 60.0]), np.array([0.05, -0.08])

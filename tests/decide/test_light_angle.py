@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from benchmarks.light_angle_decision import CASES, LARGEST_MISS, LEAST_OVER_MEANS, LEAST_OVER_SINGLE, Case, run
-from data_schemas.errors import DecideError
-from finray_calib.decide.capture_errors import CaptureErrors
-from finray_calib.decide.light_angle import decide_angle
+from data_schemas import DecideError
+from finray_calib.decide import decide_angle
+from finray_calib.decide._capture_errors import CaptureErrors
 from tests.decide.curves import FINE_DEG, FOREIGN, SWEEP_DEG, regret_of, sweep
 
 PEAK = 0.5 + np.exp(-0.5 * ((FINE_DEG - 33) / 20) ** 2)

@@ -5,39 +5,55 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.band_pass_filter import BandPassFilter
-from data_schemas.capture import CaptureSession, Frame, IndenterPose, PaintPlan, RegionOfInterest, TactileCapture
-from data_schemas.compare import (
-    ErrorRow,
-    InputUncertainty,
-    Interval,
-    MonteCarlo,
-    ObjectiveError,
-    PhotometricErrorReport,
-    RegionError,
-    ValidationCell,
-)
-from data_schemas.curves import SpectralCurve
-from data_schemas.decide import AngleProposal, AngleStatement, DecidingCapture, LightAngleDecision, OtherObjective
-from data_schemas.design import FingerDesign
-from data_schemas.devices import FilterWheelSettings, LaserSettings
-from data_schemas.estimate import Estimate
-from data_schemas.fit import (
+from data_schemas import (
+    AngleConstraints,
+    AngleObjective,
+    AngleProposal,
+    AngleStatement,
+    BandPassFilter,
     BandResidual,
+    BandSignals,
+    CaptureSession,
     ChainCheck,
+    DecidingCapture,
     Diagnostics,
     DiscrepancySettings,
+    ErrorRow,
+    Estimate,
     FamilyResult,
+    FilterWheelSettings,
+    FingerDesign,
+    Frame,
+    HiddenPaint,
+    IndenterPose,
+    InputUncertainty,
+    Interval,
+    LaserSettings,
+    LightAngleDecision,
+    LightAngleSweep,
+    MonteCarlo,
+    ObjectiveError,
+    Optics,
+    OtherObjective,
     PaintCalibration,
+    PaintPlan,
+    PhotometricErrorReport,
     PriorSensitivity,
+    Provenance,
+    RegionError,
+    RegionOfInterest,
+    Reradiation,
+    RigFile,
+    SimulatedBench,
+    SimulatedPress,
+    SpectralCurve,
+    TactileCapture,
+    ValidationCell,
+    WhiteReference,
 )
-from data_schemas.provenance import Provenance
-from data_schemas.radiometry import BandSignals, Optics
-from data_schemas.reradiation import Reradiation
-from data_schemas.rig import HiddenPaint, RigFile, SimulatedBench, WhiteReference
-from data_schemas.simulate import AngleConstraints, AngleObjective, LightAngleSweep, SimulatedPress
-from finray_calib.reports.demo_results import Colour, DemoResults, PaintResult
-from finray_calib.reports.fitted_paint import PaintTruth
+from finray_calib.demo import DemoResults, PaintResult
+from finray_calib.demo._results import Colour
+from finray_calib.reports import PaintTruth
 
 Floats = NDArray[np.float64]
 SEED = 20261121

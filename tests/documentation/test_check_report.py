@@ -6,11 +6,10 @@ import re
 import pytest
 from html_page import Page
 
-from data_schemas.check import AcceptanceReport
-from data_schemas.provenance import provenance
-from finray_calib.acceptance.acceptance_report import judge
-from finray_calib.reports.check_report import check_report
-from rigs.presets import simulated_rig
+from data_schemas import AcceptanceReport, provenance
+from finray_calib.acceptance import judge
+from finray_calib.reports import check_report
+from rigs import simulated_rig
 from tests.acceptance.facts import PLAN, handshake, spoilt
 
 HOSTILE = "<script>alert(1)</script>"

@@ -10,18 +10,14 @@ import pytest
 from example_records import example_results
 from html_page import Page, contrast
 
-from data_schemas.compare import Interval
-from data_schemas.errors import RecordError
-from data_schemas.provenance import Provenance
+from data_schemas import Interval, Provenance, RecordError
 from data_schemas.storage import write_record
-from finray_calib.reports import comparison_words as words
-from finray_calib.reports.budget_figure import budget_figure
-from finray_calib.reports.comparison_images import LARGEST_PIXELS, touch_changes, touch_pictures
-from finray_calib.reports.comparison_page import comparison_page
-from finray_calib.reports.demo_results import headline
-from finray_calib.reports.metric_tables import metric_table
-from finray_calib.reports.origin_tables import images_table
-from finray_calib.reports.uncertainty_tables import budget_table, validation_table
+from finray_calib.reports import _comparison_statements as words
+from finray_calib.reports import comparison_page, headline
+from finray_calib.reports._comparison_figures import budget_figure
+from finray_calib.reports._comparison_statements import budget_table, metric_table, validation_table
+from finray_calib.reports._images import LARGEST_PIXELS, touch_changes, touch_pictures
+from finray_calib.reports._page import images_table
 from tests.command_line.running import finray
 
 RESULTS = example_results()

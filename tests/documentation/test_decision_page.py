@@ -8,14 +8,11 @@ import pytest
 from example_records import example_decision, example_results
 from html_page import Page
 
-from data_schemas.decide import AngleStatement
+from data_schemas import AngleStatement
 from data_schemas.storage import write_record
-from finray_calib.reports import decision_words as words
-from finray_calib.reports.decide_figures import angle_figure
-from finray_calib.reports.decision_page import decision_page
-from finray_calib.reports.mounting_figure import mounting_figure
-from finray_calib.reports.other_objectives_figure import other_objectives_figure
-from finray_calib.reports.statements import verdict_meaning
+from finray_calib.reports import _decision_page as words
+from finray_calib.reports import angle_figure, decision_page
+from finray_calib.reports._decision_figures import mounting_figure, other_objectives_figure
 from tests.command_line.running import finray, succeed
 
 SWEEP = example_results().sweep
@@ -81,12 +78,12 @@ def test_every_verdict_says_what_to_do(verdict, title, meaning):
 def test_what_the_renders_alone_say_is_said_of_their_own_angle():
     """Captures have moved the angle from 50 to 32 deg."""
     moved = {"angle_simulation_only_deg": 50.0}
-    limited = verdict_meaning(example_decision("model-limited").model_copy(update=moved))
+    limited = words.decision_meaning(example_decision("model-limited").model_copy(update=moved))
     assert limited.startswith("By the renders alone 50 deg loses at most 0.4 %; ")
     assert "32 deg is the best guess and may lose 1.4 %" in limited
-    undecided = verdict_meaning(example_decision("undecided").model_copy(update=moved))
+    undecided = words.decision_meaning(example_decision("undecided").model_copy(update=moved))
     assert "50 deg is their best guess so far, and may lose 0.4 %. With captures the best guess is 32 deg." in undecided
-    assert "With captures" not in verdict_meaning(ALONE)
+    assert "With captures" not in words.decision_meaning(ALONE)
 
 
 def test_at_the_end_of_the_sweep_nothing_is_promised():

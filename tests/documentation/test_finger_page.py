@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from html_page import Page
 
-from data_schemas.design import FingerDesign
-from finray_calib.reports.finger_page import finger_page
-from finray_calib.reports.finger_scene import ScenePart, finger_scene, scene_values, sharp_edges
-from sim.mechanics.body_meshes import body_mesh
-from sim.mechanics.signed_distances import Sphere
-from sim.presets import preset_design
+from data_schemas import FingerDesign
+from finray_calib.reports import finger_page
+from finray_calib.reports._finger_page import ScenePart, finger_scene, scene_values, sharp_edges
+from sim import preset_design
+from sim.mechanics import Sphere, body_mesh
 from tests.capture.drivers.programs import require
 from tests.command_line.running import finray, succeed
 

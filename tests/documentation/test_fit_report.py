@@ -9,15 +9,11 @@ import pytest
 from example_records import example_results
 from html_page import Page
 
-from data_schemas.estimate import Estimate
-from data_schemas.fit import Diagnostics, PaintCalibration, PriorSensitivity
-from data_schemas.provenance import Provenance
-from data_schemas.radiometry import TiltRatio
-from finray_calib.reports import fit_statements as said
-from finray_calib.reports.curve_agreement import curve_agreement, paper_agreement
-from finray_calib.reports.fit_section import fit_parts
-from finray_calib.reports.fit_summary import fit_summary
-from finray_calib.reports.fit_tables import (
+from data_schemas import Diagnostics, Estimate, PaintCalibration, PriorSensitivity, Provenance, TiltRatio
+from finray_calib.reports import FittedPaint, ReportTable, fit_parts, fit_summary, paint_report, percent, plain
+from finray_calib.reports import _fit_statements as said
+from finray_calib.reports._fit_page import fit_verdict
+from finray_calib.reports._fit_statements import (
     absorption_table,
     bands_table,
     chain_table,
@@ -26,11 +22,7 @@ from finray_calib.reports.fit_tables import (
     quantities_table,
     sampling_table,
 )
-from finray_calib.reports.fitted_paint import FittedPaint
-from finray_calib.reports.number_text import percent
-from finray_calib.reports.paint_report import fit_verdict, paint_report
-from finray_calib.reports.plain_json import plain
-from finray_calib.reports.report_tables import ReportTable
+from finray_calib.reports._fitted_paint import curve_agreement, paper_agreement
 
 RESULTS = example_results()
 RED, GREEN = (RESULTS.paints[colour].fitted for colour in ("red", "green"))

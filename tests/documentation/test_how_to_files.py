@@ -7,17 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.camera import CameraPlan
-from data_schemas.capture import PaintPlan
-from data_schemas.check import CheckLimits, CheckPlan
-from data_schemas.devices import NO_ADDRESS
-from data_schemas.rig import RigFile
+from data_schemas import NO_ADDRESS, CameraPlan, CheckPlan, PaintPlan, RigFile
+from data_schemas._check import CheckLimits
 from data_schemas.storage import read_toml
 from finray_calib.cli.main import build_parser
-from finray_calib.exchange.band_folder_file import BandFolder
-from rigs.capture.camera_session import camera_step
-from rigs.capture.check_session import check_filters
-from rigs.capture.plan import paint_steps
+from finray_calib.exchange import BandFolder
+from rigs.capture import camera_step, check_filters, paint_steps
 
 HOW_TO = Path(__file__).resolve().parents[2] / "docs" / "how-to"
 PAGES = sorted(HOW_TO.glob("*.md"))

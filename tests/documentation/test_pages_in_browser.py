@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 from example_records import example_results
 
-from finray_calib.reports.comparison_page import comparison_page
-from finray_calib.reports.decision_page import decision_page
+from finray_calib.reports import comparison_page, decision_page
 from tests.capture.drivers.programs import require
 
 RESULTS = example_results()

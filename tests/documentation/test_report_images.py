@@ -9,24 +9,36 @@ import numpy as np
 import pytest
 from example_records import example_decision, example_results
 
-from data_schemas.errors import RecordError
-from finray_calib.compare.linear_image import rgb_image
-from finray_calib.reports.band_figures import bands_figure, reflectance_figure
-from finray_calib.reports.compare_figures import error_map_figure, score_figure
-from finray_calib.reports.comparison_images import touch_pictures
-from finray_calib.reports.decide_figures import angle_figure, on_curve_scale
-from finray_calib.reports.fit_figures import absorption_figure, emission_figure, families_figure, marginals_figure
-from finray_calib.reports.images import (
-    CLIPPED_GREYS,
+from data_schemas import RecordError
+from finray_calib.reports import (
+    angle_figure,
     clipped_remark,
     display_white,
+    error_map_figure,
+    pad_window,
+    score_figure,
+    to_display,
+    touch_pair,
+)
+from finray_calib.reports._decision_figures import on_curve_scale
+from finray_calib.reports._fit_figures import (
+    absorption_figure,
+    bands_figure,
+    emission_figure,
+    families_figure,
+    marginals_figure,
+    reflectance_figure,
+)
+from finray_calib.reports._images import (
+    CLIPPED_GREYS,
+    is_unmixed,
     png_bytes,
     png_data_uri,
-    to_display,
+    touch_pictures,
     with_outline,
 )
-from finray_calib.reports.style import CANDIDATES, CHANNELS
-from finray_calib.reports.touch_images import is_unmixed, pad_window, touch_pair
+from finray_calib.reports._style import CANDIDATES, CHANNELS
+from finray_calib.sensing import rgb_image
 
 RESULTS = example_results()
 

@@ -7,22 +7,27 @@ import numpy as np
 import pytest
 from example_records import example_decision, example_results
 
-from data_schemas.compare import Interval
-from finray_calib.reports import statements, trust
-from finray_calib.reports.comparison_table import WIDTH_COLUMNS, comparison_lines
-from finray_calib.reports.number_text import (
+from data_schemas import Interval
+from finray_calib.demo import summary
+from finray_calib.demo._report import compare_section
+from finray_calib.demo._results import all_notes, assumptions, true_loss, trust_limits, truth_statement
+from finray_calib.reports import (
+    comparison_lines,
     decimals_for,
+    decision_meaning,
+    decision_table,
     duration,
+    error_table,
     fixed,
     interval_text,
+    level_a_sentence,
     percent,
     probability,
+    signals_table,
     significant,
-    unbroken,
+    simulation_sentence,
 )
-from finray_calib.reports.report_tables import decision_table, error_table, signals_table
-from finray_calib.reports.summary import summary, true_loss
-from finray_calib.reports.touch_sections import compare_section
+from finray_calib.reports._plain_text import WIDTH_COLUMNS, unbroken
 
 RESULTS = example_results()
 
@@ -104,7 +109,7 @@ def test_every_note_is_listed_once_under_the_stage_that_made_it() -> None:
     warned = green.calibration.model_copy(update={"warnings": ("two maxima",)})
     paints = {**RESULTS.paints, "green": replace(green, calibration=warned)}
     results = replace(RESULTS, paints=paints, report=report, decision=decision)
-    assert trust.all_notes(results) == (
+    assert all_notes(results) == (
         f"radiometry, both paints: {green.bands.notes[0]}",
         f"fit, red paint: {RESULTS.paints['red'].calibration.warnings[0]}",
         "fit, green paint: two maxima",
@@ -113,21 +118,21 @@ def test_every_note_is_listed_once_under_the_stage_that_made_it() -> None:
         "compare: no repeat",
         "decide: one angle",
     )
-    assert "Warning of the green paint's fit: two maxima." in trust.limits(results)
-    assert "Withheld: PSNR: no scale." in trust.limits(results)
+    assert "Warning of the green paint's fit: two maxima." in trust_limits(results)
+    assert "Withheld: PSNR: no scale." in trust_limits(results)
 
 
 def test_assumptions_name_what_nobody_measured() -> None:
-    listed = trust.assumptions(RESULTS)
+    listed = assumptions(RESULTS)
     assert listed[0] == "Calibration rig: camera response assumed; lamp spectrum Planck at 2856 K."
     assert "every other number is assumed" in listed[2]
     assert listed[3].startswith("Simulation: 48 samples per pixel")
     bare = RESULTS.press.model_copy(update={"design": None, "notes": ()})
-    assert len(trust.assumptions(replace(RESULTS, press=bare))) == 2
+    assert len(assumptions(replace(RESULTS, press=bare))) == 2
     assert listed[1].startswith("Paint emission: log-normal in wavenumber, with a discrepancy of 12 %; from four")
     assert RESULTS.press.design is not None
     unknown = RESULTS.press.model_copy(update={"design": RESULTS.press.design.model_copy(update={"origin": {}})})
-    assert "every number is assumed" in trust.assumptions(replace(RESULTS, press=unknown))[2]
+    assert "every number is assumed" in assumptions(replace(RESULTS, press=unknown))[2]
 
 
 def test_lines_break_neither_between_number_and_unit_nor_inside_an_interval() -> None:
@@ -151,7 +156,7 @@ def test_lines_break_neither_between_number_and_unit_nor_inside_an_interval() ->
     ],
 )
 def test_each_verdict_says_what_to_do(verdict: str, meaning: str) -> None:
-    assert meaning in statements.verdict_meaning(example_decision(verdict))
+    assert meaning in decision_meaning(example_decision(verdict))
 
 
 @pytest.mark.parametrize(
@@ -166,7 +171,7 @@ def test_the_simulation_is_praised_only_as_far_as_its_interval(low: float, high:
     estimate = 0.93 if high > 0.93 else (low + high) / 2
     skill = Interval(estimate=estimate, low95=low, high95=high)
     report = RESULTS.report.model_copy(update={"headline_skill": skill})
-    sentence = statements.simulation_sentence(report)
+    sentence = simulation_sentence(report)
     assert meaning in sentence
     assert "Doing nothing scores 0, a perfect simulation 1 (the camera's noise is taken out)" in sentence
     assert "a repeated capture in its place, whose noise is not, scores 0.998" in sentence
@@ -175,7 +180,7 @@ def test_the_simulation_is_praised_only_as_far_as_its_interval(low: float, high:
 def test_noise_is_said_to_be_taken_out_only_where_it_was() -> None:
     """Encoded values keep the camera's noise, whatever the floor tells."""
     encoded = RESULTS.report.model_copy(update={"values": "encoded values, encoding unknown"})
-    sentence = statements.simulation_sentence(encoded)
+    sentence = simulation_sentence(encoded)
     assert "taken out" not in sentence
     assert "scores 0.998; the noise of encoded values stays in both scores" in sentence
 
@@ -190,7 +195,7 @@ def test_the_console_gives_the_whole_reason_of_what_is_withheld() -> None:
 def test_a_missing_floor_is_said() -> None:
     regions = tuple(region.model_copy(update={"rows": region.rows[:2]}) for region in RESULTS.report.regions)
     report = RESULTS.report.model_copy(update={"regions": regions})
-    assert "no repeat was captured" in statements.simulation_sentence(report)
+    assert "no repeat was captured" in simulation_sentence(report)
 
 
 def test_true_loss_of_a_known_curve() -> None:
@@ -199,7 +204,7 @@ def test_true_loss_of_a_known_curve() -> None:
     best_deg, loss = true_loss(sweep.model_copy(update={"values": values}), 60.0)
     assert best_deg == 30.0
     assert loss == pytest.approx(0.3, rel=1e-12)  # a straight line from 1 at 30 deg to 0.1 at 120 deg
-    assert statements.truth_statement(replace(RESULTS, true_sweep=None)) is None
+    assert truth_statement(replace(RESULTS, true_sweep=None)) is None
 
 
 def test_tables_name_what_is_not_used() -> None:
@@ -254,7 +259,7 @@ def test_the_papers_emitter_stands_below_the_simulation() -> None:
     assert [row[0] for row in with_it] == names
     assert with_it[2][1] == "0.702 [0.682, 0.722]"
     assert [row[0] for row in error_table(RESULTS.report).groups[0].rows] == [names[0], names[1], names[3]]
-    sentence = statements.level_a_sentence(RESULTS.report, RESULTS.report_level_a)
+    sentence = level_a_sentence(RESULTS.report, RESULTS.report_level_a)
     assert "is 0.702 [0.682, 0.722]" in sentence
     assert "(the default) it is 0.931 [0.913, 0.949]" in sentence
     assert summary(RESULTS)["photometric_error_level_a"]["headline_skill"]["estimate"] == 0.702

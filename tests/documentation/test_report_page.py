@@ -10,10 +10,9 @@ import pytest
 from example_records import example_decision, example_results
 from html_page import Page, contrast
 
-from data_schemas.errors import RecordError
-from finray_calib.reports.demo_report import demo_report
-from finray_calib.reports.demo_results import STAGES
-from finray_calib.reports.summary import summary
+from data_schemas import RecordError
+from finray_calib.demo import demo_report, summary
+from finray_calib.demo._results import STAGES
 
 HOSTILE = "<script>alert(1)</script>"
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from data_schemas.provenance import Provenance
-from finray_calib.exchange.paint_spectra import PaintSpectra
+from data_schemas import Provenance
+from finray_calib.exchange import PaintSpectra
 from tests.documentation.example_records import example_results
 
 MODE_NM, SD_NM, PEAK_PER_NM = 600.0, 20.0, 4e-3

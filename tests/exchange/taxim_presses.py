@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sim.experiments.taxim_calibration import BallPresses
+from sim.experiments import BallPresses
 from tests.compare.three_lights import LEVEL_DN, dent_slopes, shaded
 
 SHAPE_PX = (96, 128)

@@ -3,18 +3,14 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import ImportFormatError
-from data_schemas.mechanical_design import MeshPreset
-from data_schemas.press_mechanics import PressMechanics
+from data_schemas import FingerDesign, FingerSurfaces, ImportFormatError, PressMechanics
+from data_schemas._design_parts import MeshPreset
 from data_schemas.storage import read_record
-from data_schemas.surfaces import FingerSurfaces
-from sim.design_toml import design_toml
-from sim.mechanics.finger_mesh import finger_mesh
-from sim.mechanics.other_engines.abaqus_press import pressed_by_abaqus
-from sim.mechanics.other_engines.abaqus_results import read_fil
-from sim.mechanics.other_engines.deck_push import finger_push
-from sim.surface_meshes.stored_shape import restore_shapes
+from sim import design_toml
+from sim.mechanics import finger_mesh
+from sim.mechanics.other_engines import pressed_by_abaqus, read_fil
+from sim.mechanics.other_engines._deck import finger_push
+from sim.surface_meshes import restore_shapes
 from tests.command_line.running import succeed
 
 # version, heading of a step, the end of it: as files of Abaqus 6.23 begin

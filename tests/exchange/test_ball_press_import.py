@@ -9,18 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.capture import TactileCapture
-from data_schemas.errors import ImportFormatError
-from data_schemas.provenance import provenance
-from data_schemas.sensing import NormalMapRecord
+from data_schemas import ImportFormatError, NormalMapRecord, TactileCapture, provenance
 from data_schemas.storage import read_record, write_record
-from finray_calib.compare.board_corners import BoardView
-from finray_calib.compare.board_plane import Declared
-from finray_calib.compare.normal_map_record import normal_map_record
-from finray_calib.compare.pixel_scale_record import pixel_scale
-from finray_calib.exchange.ball_press_folder import read_ball_presses, read_circles
-from finray_calib.exchange.plain_arrays import read_npz, require_array
-from finray_calib.exchange.taxim_folder import read_taxim
+from finray_calib.exchange import read_ball_presses, read_circles, read_taxim
+from finray_calib.exchange._ball_presses import read_npz, require_array
+from finray_calib.sensing import BoardView, Declared, normal_map_record, pixel_scale
 from tests.capture.drivers.programs import others_python
 from tests.command_line.running import finray, succeed
 from tests.compare.board_scenes import BOARD, PINHOLE, board_views, pose_of, poses

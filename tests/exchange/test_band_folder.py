@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import tifffile
 
-from data_schemas.errors import CurveError, FinrayError, ImportFormatError, RecordError
-from finray_calib.exchange.band_folder import import_band_folder
-from finray_calib.exchange.band_folder_file import BandFolder, ImportedCamera
-from finray_calib.exchange.band_images import read_image
+from data_schemas import CurveError, FinrayError, ImportFormatError, RecordError
+from finray_calib.exchange import BandFolder, import_band_folder
+from finray_calib.exchange._band_folder import ImportedCamera, read_image
 from tests.exchange.band_folders import (
     CENTER_NM,
     EXPOSURE_S,

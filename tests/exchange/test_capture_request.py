@@ -6,20 +6,13 @@ import sys
 import numpy as np
 import pytest
 
-from data_schemas.capture import TactileCapture
-from data_schemas.design import FingerDesign
-from data_schemas.errors import RecordError
-from data_schemas.gel_pad import GelPad
-from data_schemas.indenter import Indenter
-from data_schemas.optical_design import LightPanel
+from data_schemas import FingerDesign, GelPad, Indenter, LightPanel, RecordError, TactileCapture, TactilePlan
 from data_schemas.storage import read_record, read_toml
-from data_schemas.tactile import TactilePlan
-from finray_calib.compare.normal_map_fit import MINIMUM_PRESSES
-from finray_calib.compare.normal_map_record import calibration_press
-from finray_calib.exchange.ball_press_folder import read_circles
-from finray_calib.exchange.capture_request import ANGLES_DEG, capture_request
-from finray_calib.exchange.requested_presses import PlannedView, ball_presses
-from sim.design_toml import design_toml
+from finray_calib.exchange import PlannedView, capture_request, read_circles
+from finray_calib.exchange._capture_request import ANGLES_DEG, ball_presses
+from finray_calib.sensing import MINIMUM_PRESSES
+from finray_calib.sensing._normal_map_fit import calibration_press
+from sim import design_toml
 from tests.capture.drivers import picamera2_stand_in
 from tests.capture.finger_session import RIG as SMALL_RIG
 from tests.capture.finger_session import capture, plan_of, pressing, rig_of

@@ -7,18 +7,15 @@ import meshio
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.indenter import Indenter
-from data_schemas.mechanical_design import MechanicalMaterials, OgdenSolid
-from sim.design_toml import design_toml
-from sim.mechanics.finger_mesh import MeshSteps, finger_mesh
-from sim.mechanics.finger_parts import finger_materials
-from sim.mechanics.other_engines.deck import Push, deck_lines
-from sim.mechanics.other_engines.deck_indenter import indenter_surface
-from sim.mechanics.other_engines.deck_push import finger_deck, finger_push
-from sim.mechanics.signed_distances import Cylinder, Pose, RoundedBox, Sphere
-from sim.surface_meshes.hexahedra import FACES, hexahedra_volume_mm3
+from data_schemas import FingerDesign, Indenter, OgdenSolid, SimulateError
+from data_schemas._design_parts import MechanicalMaterials
+from sim import design_toml
+from sim.mechanics import Cylinder, Pose, RoundedBox, Sphere, finger_materials, finger_mesh
+from sim.mechanics._finger_mesh import MeshSteps
+from sim.mechanics.other_engines import finger_deck
+from sim.mechanics.other_engines._deck import Push, deck_lines, finger_push, indenter_surface
+from sim.surface_meshes import HEXAHEDRON_FACES
+from sim.surface_meshes._hexahedra import hexahedra_volume_mm3
 from tests.command_line.running import finray, succeed
 
 DESIGN = FingerDesign()
@@ -100,7 +97,7 @@ def test_elements_of_calculix(mesh, decks):
             nodes[int(number)] = [float(v) for v in place]
     assert (hexahedra_volume_mm3(nodes, rows[:, 1:]) > 0.0).all()
     # S2 of the shell is the face that looks at the pad
-    outer = rows[:, 1:][:, FACES[1]] - 1 - len(mesh.nodes_mm)
+    outer = rows[:, 1:][:, HEXAHEDRON_FACES[1]] - 1 - len(mesh.nodes_mm)
     assert {frozenset(q) for q in outer.tolist()} == {frozenset(q) for q in surface.quads.tolist()}
 
 
@@ -112,7 +109,7 @@ def test_the_coat_is_named_by_its_elements_faces(mesh, decks, dialect):
     named = []
     for line in lines[at + 1 : at + 1 + len(mesh.surfaces["coat"])]:
         element, face = line.split(", S")
-        named.append(frozenset(cells[int(element) - 1][FACES[int(face) - 1]].tolist()))
+        named.append(frozenset(cells[int(element) - 1][HEXAHEDRON_FACES[int(face) - 1]].tolist()))
     assert Counter(named) == Counter(frozenset(q) for q in mesh.surfaces["coat"].tolist())
 
 

@@ -5,26 +5,16 @@ import json
 import numpy as np
 import pytest
 
-from data_schemas.fit import PaintCalibration
-from data_schemas.provenance import provenance
-from data_schemas.radiometry import BandSignals
+from data_schemas import BandSignals, PaintCalibration, provenance
 from data_schemas.storage import read_record, write_record
-from finray_calib.cli import export, import_bands, main
-from finray_calib.cli.export import SUFFIXES
-from finray_calib.exchange.band_folder import import_band_folder
-from finray_calib.exchange.paint_formats import PAINT_FORMATS
-from finray_calib.spectra.rig_curves import WAVELENGTH_NM, weights_of
+from finray_calib.cli._export import SUFFIXES
+from finray_calib.exchange import PAINT_FORMATS, import_band_folder
+from finray_calib.spectra import WAVELENGTH_NM, weights_of
 from tests.command_line.running import finray, succeed
 from tests.exchange.band_folders import EXPOSURE_S, edit, write_folder
 
 MODE_NM, FWHM_NM, YIELD, REFLECTED = 597.0, 48.0, 0.3, 0.08
 MONOCHROME_WEIGHTS = (0.0, 1.0, 0.0)
-
-
-@pytest.fixture(autouse=True)
-def registered(monkeypatch):
-    missing = tuple(verb for verb in (export, import_bands) if verb not in main.VERBS)
-    monkeypatch.setattr(main, "VERBS", (*main.VERBS, *missing))
 
 
 @pytest.fixture

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from data_schemas.errors import CompareError, ImportFormatError
-from finray_calib.exchange.force_csv import read_force_csv
+from data_schemas import CompareError, ImportFormatError
+from finray_calib.exchange import read_force_csv
 
 ROWS = [(0.0, 0.0), (0.5, 1.0), (1.0, 2.1), (1.5, 3.2), (2.0, 4.3)]
 

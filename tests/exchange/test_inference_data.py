@@ -6,9 +6,8 @@ import warnings
 import numpy as np
 import pytest
 
-from data_schemas.errors import MissingExtraError
-from data_schemas.fit import ChainCheck
-from finray_calib.exchange.inference_data import REPLICATES, netcdf_bytes
+from data_schemas import ChainCheck, MissingExtraError
+from finray_calib.exchange._inference_data import REPLICATES, netcdf_bytes
 
 pytest.importorskip("h5netcdf")
 

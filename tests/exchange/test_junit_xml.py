@@ -6,11 +6,10 @@ from pathlib import Path
 import pytest
 from lxml import etree
 
-from data_schemas.check import AcceptanceReport
-from data_schemas.provenance import provenance
-from finray_calib.acceptance.acceptance_report import judge
-from finray_calib.exchange.junit_xml import junit_xml
-from rigs.presets import simulated_rig
+from data_schemas import AcceptanceReport, provenance
+from finray_calib.acceptance import judge
+from finray_calib.exchange import junit_xml
+from rigs import simulated_rig
 from tests.acceptance.facts import PLAN, handshake, spoilt
 
 ORIGIN = provenance("pytest")

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from data_schemas.curves import SpectralCurve
-from data_schemas.errors import CurveError
-from finray_calib.exchange.led_camera_json import led_camera_json, read_light
-from finray_calib.exchange.led_camera_matrix import assumed_led, led_camera_matrix
+from data_schemas import CurveError, SpectralCurve
+from finray_calib.exchange import assumed_led, led_camera_matrix, read_light
+from finray_calib.exchange._led_camera_matrix import led_camera_json
 from tests.exchange.conftest import LASER_NM, SD_REL, absorption, emission, reflectance
 
 CENTER_NM, WIDTH_NM = (600.0, 535.0, 460.0), 40.0

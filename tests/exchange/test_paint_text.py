@@ -6,10 +6,9 @@ import colour
 import numpy as np
 import pytest
 
-from data_schemas.curve_files import read_table
-from finray_calib.exchange.paint_json import json_text
-from finray_calib.exchange.paint_text import CSV_COLUMNS, csv_text, mitsuba_text
-from finray_calib.exchange.spectral_distribution import as_spectral_distribution, spdx_bytes
+from data_schemas.storage import read_table
+from finray_calib.exchange import as_spectral_distribution
+from finray_calib.exchange._paint_formats import CSV_COLUMNS, csv_text, json_text, mitsuba_text, spdx_bytes
 
 # Six or seven significant digits are written.
 ROUNDING_REL = 1e-5

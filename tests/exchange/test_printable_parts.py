@@ -8,18 +8,14 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from finray_calib.cli import options
-from finray_calib.exchange.printable_parts import printable_parts
-from finray_calib.exchange.step_file import step_bytes
-from sim.mechanics.pad_mould import mould_sizes, mould_solid
-from sim.mechanics.printed_parts import part_solid, part_stl
-from sim.mechanics.skeleton_mesh import skeleton_mesh
-from sim.presets import PRESETS, preset_design
-from sim.surface_meshes.hexahedra import boundary_quads, hexahedra_volume_mm3
-from sim.surface_meshes.planar_faces import planar_solid
-from sim.surface_meshes.solid import Edge, Face, Plane, Solid
+from data_schemas import FingerDesign, SimulateError
+from finray_calib.cli import _run as options
+from finray_calib.exchange import printable_parts
+from finray_calib.exchange._printable_parts import step_bytes
+from sim import PRESETS, preset_design
+from sim.mechanics import mould_sizes, mould_solid, part_solid, part_stl, skeleton_mesh
+from sim.surface_meshes import Edge, Face, Plane, Solid, boundary_quads, planar_solid
+from sim.surface_meshes._hexahedra import hexahedra_volume_mm3
 from tests.capture.drivers.programs import others_python
 from tests.command_line.running import finray, succeed
 from tests.exchange.step_reader import StepFile

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 import tifffile
 
-from data_schemas.capture import TactileCapture
-from data_schemas.errors import ImportFormatError
+from data_schemas import ImportFormatError, TactileCapture
 from data_schemas.storage import read_record
-from finray_calib.compare.linear_image import rgb_image
-from finray_calib.exchange.raspberry_pi_folder import ImportOptions, tactile_capture
-from finray_calib.exchange.raspberry_pi_images import read_tuning
-from finray_calib.radiometry.libcamera_tuning import parse_tuning
+from finray_calib.exchange import RaspberryPiOptions, raspberry_pi_capture, read_tuning
+from finray_calib.radiometry import parse_tuning
+from finray_calib.sensing import rgb_image
 from tests.command_line.running import finray, succeed
 from tests.radiometry.libcamera_documents import metadata, version_2
 
@@ -79,7 +77,7 @@ def processed_folder(tmp_path):
 
 
 def test_raw_counts_stay_as_they_are(raw_folder):
-    capture = tactile_capture(raw_folder, ImportOptions())
+    capture = raspberry_pi_capture(raw_folder, RaspberryPiOptions())
     assert (capture.encoding, capture.layout, capture.bit_depth, capture.black_level_dn) == (
         "linear", "Bayer RGGB", 10, 64.0
     )  # fmt: skip
@@ -97,10 +95,10 @@ def test_a_raw_tiff_needs_its_order_and_bits(raw_folder):
         (raw_folder / f"{name}.dng").unlink()
         tifffile.imwrite(raw_folder / f"{name}.tiff", bgg_r_counts(rgb))
     with pytest.raises(ImportFormatError, match=r"contact.tiff: .*its encoding cannot be known; give both"):
-        tactile_capture(raw_folder, ImportOptions())
+        raspberry_pi_capture(raw_folder, RaspberryPiOptions())
     with pytest.raises(ImportFormatError, match=r"holds \d+ DN, more than 8 bits allow \(255\)"):
-        tactile_capture(raw_folder, ImportOptions(bayer_order="BGGR", bit_depth=8))
-    capture = tactile_capture(raw_folder, ImportOptions(bayer_order="BGGR", bit_depth=10))
+        raspberry_pi_capture(raw_folder, RaspberryPiOptions(bayer_order="BGGR", bit_depth=8))
+    capture = raspberry_pi_capture(raw_folder, RaspberryPiOptions(bayer_order="BGGR", bit_depth=10))
     seen = rgb_image(capture.contact, capture)
     np.testing.assert_allclose(seen / 1024, np.broadcast_to(CAMERA["contact"], seen.shape), atol=0.5 / 1024)
 
@@ -108,21 +106,21 @@ def test_a_raw_tiff_needs_its_order_and_bits(raw_folder):
 def test_flattened_and_unequal_black_levels_are_stored_on_a_pedestal(raw_folder):
     for name in NAMES:
         (raw_folder / f"{name}.json").write_text(json.dumps(metadata(SensorBlackLevels=[4096, 4096, 4096, 2048])))
-    capture = tactile_capture(raw_folder, ImportOptions())
+    capture = raspberry_pi_capture(raw_folder, RaspberryPiOptions())
     assert (capture.bit_depth, capture.black_level_dn) == (16, 1024.0)
     contact, before = (rgb_image(i, capture)[0, 0] for i in (capture.contact, capture.no_contact))
     truth = CAMERA["contact"] + [0, 0, 1 / 32], CAMERA["no_contact"] + [0, 0, 1 / 32]
     # One scale for all images and channels; half a count of 1024 in values of 0.1 and more.
     np.testing.assert_allclose(contact / before, truth[0] / truth[1], rtol=0.01)
     np.testing.assert_allclose(contact / contact[1], truth[0] / truth[0][1], rtol=0.01)
-    flat = tactile_capture(raw_folder, ImportOptions(tuning=TUNING, flatten_shading=True))
+    flat = raspberry_pi_capture(raw_folder, RaspberryPiOptions(tuning=TUNING, flatten_shading=True))
     middle, corner = (rgb_image(flat.contact, flat)[at] for at in ((10, 15), (0, 0)))
     assert corner[1] > 1.5 * middle[1]
     assert "lens shading flattened" in flat.source
 
 
 def test_processed_images_become_estimates_with_a_stated_uncertainty(processed_folder):
-    capture = tactile_capture(processed_folder, ImportOptions(tuning=TUNING, undo_colour=True))
+    capture = raspberry_pi_capture(processed_folder, RaspberryPiOptions(tuning=TUNING, undo_colour=True))
     assert (capture.encoding, capture.layout, capture.bit_depth) == ("linear", "RGB", 16)
     seen = {name: rgb_image(getattr(capture, name), capture)[0, 0] for name in NAMES}
     for name in NAMES[1:]:
@@ -130,7 +128,7 @@ def test_processed_images_become_estimates_with_a_stated_uncertainty(processed_f
         np.testing.assert_allclose(seen[name] / seen["contact"], CAMERA[name] / CAMERA["contact"], rtol=0.05)
     assert "typical standard uncertainty" in capture.source
     assert "ce_enable" in capture.source
-    plain = tactile_capture(processed_folder, ImportOptions(tuning=TUNING))
+    plain = raspberry_pi_capture(processed_folder, RaspberryPiOptions(tuning=TUNING))
     assert "colour matrix" not in plain.source
 
 
@@ -221,43 +219,43 @@ def spoil(folder, kind):
 def test_what_cannot_be_trusted_is_refused(raw_folder, kind, message):
     spoil(raw_folder, kind)
     with pytest.raises(ImportFormatError, match=message):
-        tactile_capture(raw_folder, ImportOptions())
+        raspberry_pi_capture(raw_folder, RaspberryPiOptions())
 
 
 def test_the_tuning_file_gives_the_black_level_that_metadata_lacks(raw_folder):
     spoil(raw_folder, "no black level")
-    assert tactile_capture(raw_folder, ImportOptions(tuning=TUNING)).black_level_dn == 64.0
+    assert raspberry_pi_capture(raw_folder, RaspberryPiOptions(tuning=TUNING)).black_level_dn == 64.0
 
 
 def test_flattening_needs_tables_and_a_colour_temperature(raw_folder):
     with pytest.raises(ImportFormatError, match=r"needs a tuning file with rpi.alsc tables; give --tuning"):
-        tactile_capture(raw_folder, ImportOptions(flatten_shading=True))
+        raspberry_pi_capture(raw_folder, RaspberryPiOptions(flatten_shading=True))
     for name in NAMES:
         (raw_folder / f"{name}.json").write_text(json.dumps(metadata(ColourTemperature=None)))
     with pytest.raises(ImportFormatError, match=r"has no ColourTemperature, which the lens-shading tables need"):
-        tactile_capture(raw_folder, ImportOptions(tuning=TUNING, flatten_shading=True))
+        raspberry_pi_capture(raw_folder, RaspberryPiOptions(tuning=TUNING, flatten_shading=True))
 
 
 def test_processed_images_need_a_tuning_and_one_size(processed_folder):
     with pytest.raises(ImportFormatError, match=r"their encoding cannot be known without the tuning file"):
-        tactile_capture(processed_folder, ImportOptions())
+        raspberry_pi_capture(processed_folder, RaspberryPiOptions())
     cv2.imwrite(str(processed_folder / "contact.png"), np.zeros((20, 20, 3), np.uint8))
     with pytest.raises(ImportFormatError, match=r"its images differ in size"):
-        tactile_capture(processed_folder, ImportOptions(tuning=TUNING))
+        raspberry_pi_capture(processed_folder, RaspberryPiOptions(tuning=TUNING))
     cv2.imwrite(str(processed_folder / "contact.png"), np.zeros((20, 20), np.uint16))
     with pytest.raises(ImportFormatError, match=r"contact.png: is uint16 of shape \(20, 20\); a processed image is"):
-        tactile_capture(processed_folder, ImportOptions(tuning=TUNING))
+        raspberry_pi_capture(processed_folder, RaspberryPiOptions(tuning=TUNING))
 
 
 def test_tiffs_that_are_no_bayer_counts_are_refused(raw_folder):
     (raw_folder / "contact.dng").unlink()
-    options = ImportOptions(bayer_order="RGGB", bit_depth=10)
+    options = RaspberryPiOptions(bayer_order="RGGB", bit_depth=10)
     tifffile.imwrite(raw_folder / "contact.tif", np.zeros((8, 8, 3), np.uint8), photometric="rgb")
     with pytest.raises(ImportFormatError, match=r"contact.tif: is uint8 of shape \(8, 8, 3\); raw Bayer counts are"):
-        tactile_capture(raw_folder, options)
+        raspberry_pi_capture(raw_folder, options)
     (raw_folder / "contact.tif").write_bytes(b"no image")
     with pytest.raises(ImportFormatError, match=r"contact.tif: cannot be read as TIFF"):
-        tactile_capture(raw_folder, options)
+        raspberry_pi_capture(raw_folder, options)
 
 
 def test_tuning_files_that_are_none_are_refused(tmp_path):

@@ -9,23 +9,17 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import MissingExtraError, RecordError, SimulateError
-from data_schemas.optical_design import TactileCamera
-from data_schemas.product_set import ProductSet
-from data_schemas.provenance import provenance
-from data_schemas.simulate import SimulatedPress
-from finray_calib.exchange import render_files
-from finray_calib.exchange.render_files import png, spectral_channel, write_optics_folder
-from finray_calib.reports.denoised import denoised
-from sim.experiments.colour_spread import colour_spread
-from sim.experiments.optics_products import OpticsProducts
-from sim.experiments.tactile_camera import simulated_capture
-from sim.optics.exr_images import exr_image
-from sim.optics.paint_bands import BAND_NAMES
-from sim.optics.pixel_maps import pixel_maps
-from sim.optics.variants import choose_variant, open_renderer
-from sim.surface_meshes.finger_shape import pressed_shape, rest_shape
+from data_schemas import FingerDesign, MissingExtraError, RecordError, SimulatedPress, SimulateError, provenance
+from data_schemas._design_parts import TactileCamera
+from data_schemas.storage import ProductSet
+from finray_calib.exchange import _render_files as render_files
+from finray_calib.exchange import write_optics_folder
+from finray_calib.exchange._render_files import png, spectral_channel
+from finray_calib.reports import denoised
+from sim.experiments import OpticsProducts, simulated_capture
+from sim.experiments._optics_products import colour_spread
+from sim.optics import BAND_NAMES, choose_variant, exr_image, open_renderer, pixel_maps
+from sim.surface_meshes import pressed_shape, rest_shape
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=160, height_px=120))
 SHAPE = (60, 80)
@@ -153,7 +147,7 @@ def test_a_missing_denoiser_is_named(monkeypatch):
     def without(name):
         raise ImportError(name)
 
-    monkeypatch.setattr("finray_calib.reports.denoised.import_module", without)
+    monkeypatch.setattr("finray_calib.reports._images.import_module", without)
     with pytest.raises(MissingExtraError, match=r"pip install 'finray-calib\[denoise\]'"):
         denoised(np.ones((4, 4, 3), np.float32), 64)
 
@@ -167,7 +161,7 @@ def test_denoiser_gets_each_band_as_grey_and_enough_paths(monkeypatch):
             seen.append((image.copy(), hdr))
             return 0.5 * image
 
-    monkeypatch.setattr("finray_calib.reports.denoised.import_module", lambda name: Denoiser)
+    monkeypatch.setattr("finray_calib.reports._images.import_module", lambda name: Denoiser)
     bands = np.random.default_rng(1).random((5, 6, 3)).astype(np.float32)
     np.testing.assert_allclose(denoised(bands, 64), 0.5 * bands, rtol=1e-6)
     assert len(seen) == 3

@@ -6,14 +6,11 @@ import subprocess
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.provenance import provenance
+from data_schemas import FingerDesign, SimulateError, provenance
 from data_schemas.storage import write_record
-from finray_calib.exchange.taxim_export import taxim_files
-from finray_calib.exchange.taxim_folder import read_taxim
-from finray_calib.exchange.taxim_table import BINS, FEWEST_PRESSES, fit_shading_table
-from sim.design_toml import design_toml
+from finray_calib.exchange import FEWEST_PRESSES, read_taxim, taxim_files
+from finray_calib.exchange._taxim_export import BINS, fit_shading_table
+from sim import design_toml
 from tests.capture.drivers.programs import others_python
 from tests.command_line.running import finray, succeed
 from tests.documentation.example_records import example_results
@@ -132,8 +129,8 @@ def test_the_verb_writes_a_folder(presses, tmp_path, monkeypatch):
         asked.update(name=sensor.name, ball_radius_mm=ball_radius_mm, count=count, seed=seed, samples=samples)
         return presses
 
-    monkeypatch.setattr("sim.experiments.taxim_calibration.render_ball_presses", rendered)
-    monkeypatch.setattr("finray_calib.cli.export_taxim.open_engine", lambda preference: None)
+    monkeypatch.setattr("sim.experiments._ball_presses.render_ball_presses", rendered)
+    monkeypatch.setattr("finray_calib.cli._export.open_engine", lambda preference: None)
     (tmp_path / "s.toml").write_text(SENSOR)
     options = f"--presses 30 --ball-diameter-mm 3 --samples 8 --seed 5 --out {tmp_path}/o"
     said = succeed(f"export taxim {tmp_path}/s.toml {options}")
@@ -152,8 +149,8 @@ def test_with_paints_a_finger_is_rendered(presses, tmp_path, monkeypatch):
         asked.update(name=finger.design.name, paints=sorted(finger.paints), amounts=amounts[:4])
         return presses
 
-    monkeypatch.setattr("sim.experiments.taxim_finger.render_finger_presses", rendered)
-    monkeypatch.setattr("finray_calib.cli.export_taxim.open_engine", lambda preference: None)
+    monkeypatch.setattr("sim.experiments._ball_presses.render_finger_presses", rendered)
+    monkeypatch.setattr("finray_calib.cli._export.open_engine", lambda preference: None)
     (tmp_path / "f.toml").write_text(design_toml(FingerDesign()))
     paints = example_results().paints
     for colour, paint in paints.items():

@@ -4,10 +4,10 @@ import meshio
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from finray_calib.exchange.vtu import vtu_bytes
-from sim.mechanics.finger_mesh import MeshSteps, finger_mesh
+from data_schemas import FingerDesign, SimulateError
+from finray_calib.exchange import vtu_bytes
+from sim.mechanics import finger_mesh
+from sim.mechanics._finger_mesh import MeshSteps
 
 
 @pytest.fixture(scope="module")

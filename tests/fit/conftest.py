@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from data_schemas.radiometry import Optics
-from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
-from finray_calib.spectra.band_weights import emission_weights
-from rigs.presets import simulated_rig
+from data_schemas import Optics
+from data_schemas.storage import assumed_camera_response, halogen_lamp
+from finray_calib.spectra import emission_weights
+from rigs import simulated_rig
 
 CENTER_NM = (405, 450, 500, 532, 560, 600, 630, 660)
 CHANNEL_NM = ((600, 80), (535, 90), (460, 80))

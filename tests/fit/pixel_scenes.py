@@ -4,13 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_schemas.capture import RegionOfInterest
-from data_schemas.estimate import Estimate
-from data_schemas.radiometry import PixelSignals
-from finray_calib.fit.nuisances import band_values
-from finray_calib.fit.region_fit import PixelSpread, RegionFit
-from finray_calib.spectra.emission_families import family_named
-from finray_calib.spectra.rig_curves import weights_of
+from data_schemas import Estimate, PixelSignals, RegionOfInterest
+from finray_calib.fit import PixelSpread
+from finray_calib.fit._band_data import band_values
+from finray_calib.fit._pixel_maps import RegionFit
+from finray_calib.spectra import family_named, weights_of
 
 CHANNEL_WEIGHTS = (0.25, 0.5, 0.25)
 OWN = {"zheng2014": 0.9, "log_normal_wavenumber": 0.25}

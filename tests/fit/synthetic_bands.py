@@ -4,12 +4,10 @@ from functools import cache
 
 import numpy as np
 
-from finray_calib.fit.discrepancy import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM, NO_DISCREPANCY
-from finray_calib.fit.emission import FitSettings
-from finray_calib.fit.likelihood import BandData
-from finray_calib.fit.nuisances import band_values
-from finray_calib.fit.sampler import SamplerSettings
-from finray_calib.spectra.emission_families import FAMILIES
+from finray_calib.fit import NO_DISCREPANCY, BandData, FitSettings, SamplerSettings
+from finray_calib.fit._band_data import band_values
+from finray_calib.fit._prior import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM
+from finray_calib.spectra import FAMILIES
 
 LOG_NORMAL = FAMILIES["log_normal_wavenumber"]
 ZHENG = FAMILIES["zheng2014"]

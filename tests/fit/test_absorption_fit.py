@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from data_schemas.curve_files import read_donaldson_matrix
-from data_schemas.curves import SpectralCurve
-from data_schemas.errors import FitError
-from finray_calib.fit.absorption_candidates import LightYields, draw_candidates
-from finray_calib.fit.absorption_fit import EXCITATION_NM, ExcitationYield, fit_absorption
-from finray_calib.fit.absorption_prior import AbsorptionPrior
-from finray_calib.spectra.absorption import absorptance, photon_yield, smooth_covariance
+from data_schemas import FitError, SpectralCurve
+from data_schemas.storage import read_donaldson_matrix
+from finray_calib.fit import AbsorptionPrior, ExcitationYield, fit_absorption
+from finray_calib.fit._absorption import EXCITATION_NM, LightYields, draw_candidates
+from finray_calib.spectra import absorptance, photon_yield, smooth_covariance
 
 LASER_NM = 450.0
 GRID_NM = np.arange(380.0, 781.0)

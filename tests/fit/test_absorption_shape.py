@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from data_schemas.errors import CurveError
-from finray_calib.spectra.absorption import absorptance, photon_yield, smooth_covariance
+from data_schemas import CurveError
+from finray_calib.spectra import absorptance, photon_yield, smooth_covariance
 
 SHAPE = {
     "peak_nm": 560.0,

@@ -3,12 +3,9 @@
 import numpy as np
 import pytest
 
-from data_schemas.radiometry import Optics
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.spectra.band_quadrature import band_quadrature, gauss_nodes
-from finray_calib.spectra.band_weights import EmissionWeights, emission_weights
-from finray_calib.spectra.emission_families import FAMILIES
-from finray_calib.spectra.rig_curves import weights_of
+from data_schemas import Optics
+from finray_calib.fit import EmissionPrior
+from finray_calib.spectra import FAMILIES, EmissionWeights, band_quadrature, emission_weights, gauss_nodes, weights_of
 from tests.fit.synthetic_bands import orange
 
 CHANNEL_WEIGHTS = (0.01, 0.09, 0.9)

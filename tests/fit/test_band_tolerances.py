@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from data_schemas.radiometry import Optics
-from finray_calib.fit.likelihood import BandData, LogPosterior
-from finray_calib.fit.nuisances import Reference, tolerance_columns
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.spectra.band_tolerances import tolerances_of
-from finray_calib.spectra.rig_curves import weights_of
+from data_schemas import Optics
+from finray_calib.fit import BandData, EmissionPrior, LogPosterior
+from finray_calib.fit._band_data import Reference, tolerance_columns
+from finray_calib.spectra import tolerances_of, weights_of
 from tests.fit.synthetic_bands import ZHENG, full_sum
 
 SHARES = (0.1, 0.3, 0.6)

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from data_schemas.errors import CurveError, FitError
-from finray_calib.spectra.band_weights import emission_weights
-from finray_calib.spectra.skew_cauchy import SkewCauchy
+from data_schemas import CurveError, FitError
+from finray_calib.spectra import SkewCauchy, emission_weights
 from tests.fit.synthetic_bands import ZHENG, full_sum, orange
 
 GRID = np.arange(380.0, 781.0)

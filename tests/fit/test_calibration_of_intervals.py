@@ -4,12 +4,16 @@ import numpy as np
 import pytest
 from scipy.stats import binom, kstest
 
-from finray_calib.fit.discrepancy import PAINT_DISCREPANCY
-from finray_calib.fit.emission import FitSettings, fit_emission
-from finray_calib.fit.likelihood import BandData, LogPosterior
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.fit.sampler import SamplerSettings
-from finray_calib.spectra.curve_quantities import curve_quantities
+from finray_calib.fit import (
+    PAINT_DISCREPANCY,
+    BandData,
+    EmissionPrior,
+    FitSettings,
+    LogPosterior,
+    SamplerSettings,
+    fit_emission,
+)
+from finray_calib.spectra import curve_quantities
 from tests.fit.synthetic_bands import LOG_NORMAL, simulate
 
 PAINTS = 64

@@ -5,23 +5,20 @@ import colour
 import numpy as np
 import pytest
 
-from data_schemas.capture import CaptureSession, Frame
-from data_schemas.curve_files import read_camera_response, read_donaldson_matrix
-from data_schemas.errors import FitError
-from data_schemas.radiometry import Optics
-from data_schemas.standard_curves import assumed_camera_response, halogen_lamp, planck_relative
-from finray_calib.compare.colour_difference import ciede2000
-from finray_calib.fit.colour_checker import colour_checker_reflectance
-from finray_calib.fit.colour_match import (
-    MATCH_UNCERTAINTY_REL,
-    match_colour,
-    match_uncertainty_rel,
-    patch_colours,
-    reflectance_sd,
+from data_schemas import CaptureSession, FitError, Frame, Optics
+from data_schemas.storage import (
+    assumed_camera_response,
+    halogen_lamp,
+    planck_relative,
+    read_camera_response,
+    read_donaldson_matrix,
 )
-from finray_calib.spectra.rig_curves import WAVELENGTH_NM, filter_transmission
-from rigs.presets import paint_plan, simulated_rig
-from rigs.simulated.bench import Bench
+from finray_calib.compare import ciede2000
+from finray_calib.fit import colour_checker_reflectance, patch_colours
+from finray_calib.fit._colour_checker import MATCH_UNCERTAINTY_REL, match_colour, match_uncertainty_rel, reflectance_sd
+from finray_calib.spectra import WAVELENGTH_NM, filter_transmission
+from rigs import paint_plan, simulated_rig
+from rigs.simulated import Bench
 
 PATCHES = patch_colours()
 FRAME = Frame(

@@ -10,11 +10,11 @@ ROOT = Path(__file__).resolve().parents[2]
 FITS = """
 import hashlib
 import numpy as np
-from finray_calib.fit.discrepancy import PAINT_DISCREPANCY
-from finray_calib.fit.emission import fit_emission
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.spectra.band_weights import emission_weights
-from finray_calib.spectra.emission_families import FAMILIES
+from finray_calib.fit._prior import PAINT_DISCREPANCY
+from finray_calib.fit._emission import fit_emission
+from finray_calib.fit._prior import EmissionPrior
+from finray_calib.spectra._band_weights import emission_weights
+from finray_calib.spectra._emission_families import FAMILIES
 from tests.fit.conftest import ClosedFormRig
 from tests.fit.synthetic_bands import QUICK, orange, simulate
 

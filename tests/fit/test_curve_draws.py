@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from finray_calib.fit.curve_draws import curve_draws
-from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
-from finray_calib.fit.likelihood import LogPosterior
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.spectra.band_quadrature import band_quadrature
+from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, EmissionPrior, LogPosterior
+from finray_calib.fit._emission import curve_draws
+from finray_calib.spectra import band_quadrature
 from tests.fit.synthetic_bands import LOG_NORMAL, orange, simulate
 
 COUNT = 2000

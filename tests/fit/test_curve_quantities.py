@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from finray_calib.spectra.curve_quantities import curve_quantities
+from finray_calib.spectra import curve_quantities
 
 GRID_NM = np.arange(380.0, 781.0)
 

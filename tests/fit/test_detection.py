@@ -21,18 +21,12 @@ from benchmarks.emission_detection import (
     limits_hold,
     weak,
 )
-from data_schemas.emission_detection import PaintWithoutEmission
-from data_schemas.errors import RecordError
-from data_schemas.fit import PaintCalibration
-from data_schemas.provenance import provenance
+from data_schemas import PaintCalibration, PaintWithoutEmission, RecordError, provenance
 from data_schemas.storage import read_record, write_record
 from finray_calib.cli.main import main
-from finray_calib.fit.detection import BLANKS, FALSE_ALARM, blank_model, detect_emission, draw_blanks
-from finray_calib.fit.fit_options import FitOptions
-from finray_calib.fit.measured_bands import band_data
-from finray_calib.fit.paint_calibration import calibrate_paint
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.reports.no_emission_page import no_emission_page
+from finray_calib.fit import EmissionPrior, FitOptions, band_data, calibrate_paint, detect_emission
+from finray_calib.fit._detection import BLANKS, FALSE_ALARM, blank_model, draw_blanks
+from finray_calib.reports import no_emission_page
 
 NOTHING = np.zeros(WAVELENGTH_NM.size)
 

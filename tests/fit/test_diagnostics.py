@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from finray_calib.fit.diagnostics import autocorrelation_time, bulk_ess, rank_r_hat
+from finray_calib.fit import autocorrelation_time, bulk_ess, rank_r_hat
 
 
 def autoregressive(rho, steps, chains, rng):

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_schemas.errors import FitError
-from finray_calib.fit.discrepancy import PAINT_DISCREPANCY
+from data_schemas import FitError
+from finray_calib.fit import PAINT_DISCREPANCY
 
 
 @pytest.mark.parametrize("name", ["amplitude_rel", "floor_rel", "reabsorption_rel"])

@@ -8,12 +8,10 @@ from scipy.integrate import quad
 from scipy.optimize import brentq, least_squares
 from scipy.stats import t as student_t
 
-from data_schemas.errors import FitError
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.spectra.curve_quantities import curve_quantities
-from finray_calib.spectra.emission_families import COMMON_PARAMETERS, FAMILIES, family_named
+from data_schemas import FitError
+from finray_calib.fit import EmissionPrior
+from finray_calib.spectra import COMMON_PARAMETERS, FAMILIES, SkewCauchy, curve_quantities, family_named
 from finray_calib.spectra.family_kernels import cell_of_table
-from finray_calib.spectra.skew_cauchy import SkewCauchy
 
 GRID_NM = np.arange(380.0, 781.0)
 FINE_NM = np.arange(300.0, 1500.0, 0.02)

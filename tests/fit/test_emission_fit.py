@@ -5,13 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_schemas.errors import FitError
-from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
-from finray_calib.fit.emission import FitSettings, Sampling, draw_posterior, fit_emission
-from finray_calib.fit.map_search import Maxima
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.fit.sampler import SamplerSettings, sample_posterior
-from finray_calib.spectra.emission_families import FAMILIES
+from data_schemas import FitError
+from finray_calib.fit import (
+    NO_DISCREPANCY,
+    PAINT_DISCREPANCY,
+    EmissionPrior,
+    FitSettings,
+    SamplerSettings,
+    fit_emission,
+    sample_posterior,
+)
+from finray_calib.fit._emission import Sampling, draw_posterior
+from finray_calib.fit._map_search import Maxima
+from finray_calib.spectra import FAMILIES
 from tests.fit.synthetic_bands import LOG_NORMAL, QUICK, orange, simulate
 
 
@@ -89,7 +95,7 @@ class Banana:
 
 
 def test_a_hard_density_falls_back_to_emcee_and_a_short_chain_is_not_trusted(monkeypatch):
-    monkeypatch.setattr("finray_calib.fit.resample_move.LARGEST_MEMORY", 0.0)  # as if the moved draws remembered
+    monkeypatch.setattr("finray_calib.fit._markov_chains.LARGEST_MEMORY", 0.0)  # as if the moved draws remembered
     hard = Banana()
     centre = hard.prior.mean - np.array([0, 5.0, 0, 0, 0, 0]) * hard.unit
     precision = np.diag(hard.unit**-2.0) * np.array([1, 0.005**-2, 1, 1, 1, 1])

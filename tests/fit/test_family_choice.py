@@ -7,14 +7,18 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from finray_calib.fit.chain_check import check_by_chain
-from finray_calib.fit.discrepancy import NO_DISCREPANCY
-from finray_calib.fit.emission import fit_emission
-from finray_calib.fit.family_choice import DEFAULT_FAMILY, FamilyScore, choose_family, score_families
-from finray_calib.fit.leave_one_band_out import BandPrediction
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.fit.prior_sensitivity import mean_shifts
-from finray_calib.fit.sampler import SamplerSettings
+from finray_calib.fit import (
+    DEFAULT_FAMILY,
+    NO_DISCREPANCY,
+    EmissionPrior,
+    SamplerSettings,
+    choose_family,
+    fit_emission,
+    score_families,
+)
+from finray_calib.fit._family_choice import BandPrediction, FamilyScore
+from finray_calib.fit._importance import mean_shifts
+from finray_calib.fit._paint_calibration import check_by_chain
 from tests.fit.synthetic_bands import LOG_NORMAL, QUICK, orange, simulate
 
 K = np.zeros(4)

@@ -4,13 +4,17 @@ import pytest
 from scipy.special import ndtr, ndtri
 from scipy.stats import multivariate_normal
 
-from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
-from finray_calib.fit.importance import importance_sample
-from finray_calib.fit.likelihood import LogPosterior
-from finray_calib.fit.map_search import Maxima, find_maxima
-from finray_calib.fit.mixture_proposal import MixtureProposal
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.spectra.emission_families import FAMILIES
+from finray_calib.fit import (
+    NO_DISCREPANCY,
+    PAINT_DISCREPANCY,
+    EmissionPrior,
+    LogPosterior,
+    find_maxima,
+    importance_sample,
+)
+from finray_calib.fit._map_search import Maxima
+from finray_calib.fit._mixture_proposal import MixtureProposal
+from finray_calib.spectra import FAMILIES
 from tests.fit.synthetic_bands import LOG_NORMAL, orange, simulate
 
 PRIOR = EmissionPrior().of(LOG_NORMAL, with_blocking=True)

@@ -7,12 +7,10 @@ import pytest
 from pydantic import ValidationError
 
 from benchmarks.emission_detection import REFLECTANCES, Rig, bell
-from data_schemas.errors import FitError, SimulateError
-from data_schemas.radiometry import BandSignals
+from data_schemas import BandSignals, FitError, SimulateError
+from finray_calib.cli._run import refuse_swapped_paints
 from finray_calib.cli.main import build_parser
-from finray_calib.cli.options import refuse_swapped_paints
-from finray_calib.fit.fit_options import FitOptions
-from finray_calib.fit.paint_calibration import calibrate_paint
+from finray_calib.fit import FitOptions, calibrate_paint
 
 
 @pytest.fixture(scope="module")

@@ -2,13 +2,18 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
-from finray_calib.fit.importance import WeightedSample, importance_sample
-from finray_calib.fit.leave_one_band_out import BandPrediction, leave_one_band_out
-from finray_calib.fit.likelihood import LogPosterior
-from finray_calib.fit.map_search import find_maxima
-from finray_calib.fit.mixture_proposal import MixtureProposal
-from finray_calib.fit.prior import EmissionPrior
+from finray_calib.fit import (
+    NO_DISCREPANCY,
+    PAINT_DISCREPANCY,
+    EmissionPrior,
+    LogPosterior,
+    find_maxima,
+    importance_sample,
+    leave_one_band_out,
+)
+from finray_calib.fit._family_choice import BandPrediction
+from finray_calib.fit._importance import WeightedSample
+from finray_calib.fit._mixture_proposal import MixtureProposal
 from tests.fit.synthetic_bands import LOG_NORMAL, orange, simulate
 
 FAIR_PARETO_K = 0.7

@@ -4,14 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, truncnorm
 
-from data_schemas.errors import FitError
-from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY, Discrepancy
-from finray_calib.fit.likelihood import BandData, LogPosterior
+from data_schemas import FitError
+from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, BandData, Discrepancy, EmissionPrior, LogPosterior
 from finray_calib.fit.posterior_kernel import factorise, invert
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.spectra.band_quadrature import band_quadrature
-from finray_calib.spectra.band_weights import emission_weights
-from finray_calib.spectra.emission_families import FAMILIES
+from finray_calib.spectra import FAMILIES, band_quadrature, emission_weights
 from tests.fit.synthetic_bands import LOG_NORMAL, full_sum, orange, simulate
 
 # hardly any two bands then share discrepancy, so that nothing is cut off

@@ -2,11 +2,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
-from finray_calib.fit.likelihood import LogPosterior
-from finray_calib.fit.map_search import find_maxima, starting_points
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.spectra.emission_families import FAMILIES
+from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, EmissionPrior, LogPosterior, find_maxima
+from finray_calib.fit._map_search import starting_points
+from finray_calib.spectra import FAMILIES
 from tests.fit.synthetic_bands import LOG_NORMAL, ZHENG, orange, simulate
 
 VAGUE = EmissionPrior(fwhm_median_nm=45.0, ln_fwhm_sd=0.5)

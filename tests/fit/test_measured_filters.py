@@ -6,21 +6,14 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from data_schemas.band_pass_filter import BandPassFilter
-from data_schemas.curves import SpectralCurve
-from data_schemas.devices import FilterWheelSettings
-from data_schemas.filter_curves import half_maximum_nm
-from data_schemas.radiometry import BandSignals, Optics
-from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
-from finray_calib.fit.discrepancy import NO_DISCREPANCY
-from finray_calib.fit.emission import fit_emission
-from finray_calib.fit.measured_bands import band_data
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.spectra.band_tolerances import tolerances_of
-from finray_calib.spectra.rig_curves import WAVELENGTH_NM, measured_transmission, weights_of
-from rigs.presets import PAPER_FILTERS_NM, simulated_rig
-from rigs.simulated.bench import Bench
-from rigs.simulated.bench_truth import bench_truth
+from data_schemas import BandPassFilter, BandSignals, FilterWheelSettings, Optics, SpectralCurve, half_maximum_nm
+from data_schemas.storage import assumed_camera_response, halogen_lamp
+from finray_calib.fit import NO_DISCREPANCY, EmissionPrior, band_data, fit_emission
+from finray_calib.spectra import WAVELENGTH_NM, tolerances_of, weights_of
+from finray_calib.spectra._rig_curves import measured_transmission
+from rigs import simulated_rig
+from rigs._rig_files import PAPER_FILTERS_NM
+from rigs.simulated import Bench, bench_truth
 from tests.fit.synthetic_bands import QUICK, ZHENG
 
 SHARES = np.array([0.01, 0.09, 0.9])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import gammaincc, ndtr, ndtri
 
-from finray_calib.fit.normal_distribution import chi_square_survival, normal_cdf, normal_quantile
+from finray_calib.fit._prior import chi_square_survival, normal_cdf, normal_quantile
 
 EXACT = 1e-14  # of the value; some rounding steps of 1e-16
 

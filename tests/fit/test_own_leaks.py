@@ -7,17 +7,21 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
-from finray_calib.fit.curve_draws import curve_draws
-from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
-from finray_calib.fit.importance import WeightedSample, importance_sample
-from finray_calib.fit.leave_one_band_out import leave_one_band_out
-from finray_calib.fit.likelihood import BandData, LogPosterior
-from finray_calib.fit.map_search import find_maxima
-from finray_calib.fit.mixture_proposal import MixtureProposal
-from finray_calib.fit.nuisances import band_values, decisive_leaks
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.spectra.band_tolerances import tolerances_of
-from finray_calib.spectra.rig_curves import weights_of
+from finray_calib.fit import (
+    NO_DISCREPANCY,
+    PAINT_DISCREPANCY,
+    BandData,
+    EmissionPrior,
+    LogPosterior,
+    find_maxima,
+    importance_sample,
+    leave_one_band_out,
+)
+from finray_calib.fit._band_data import band_values, decisive_leaks
+from finray_calib.fit._emission import curve_draws
+from finray_calib.fit._importance import WeightedSample
+from finray_calib.fit._mixture_proposal import MixtureProposal
+from finray_calib.spectra import tolerances_of, weights_of
 from tests.fit.synthetic_bands import LOG_NORMAL, orange
 
 SHARES = (0.1, 0.3, 0.6)

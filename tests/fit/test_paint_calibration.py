@@ -8,33 +8,28 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from data_schemas.errors import FitError
-from data_schemas.estimate import Estimate
-from data_schemas.fit import PaintCalibration
-from data_schemas.provenance import provenance
-from data_schemas.radiometry import BandSignals
-from data_schemas.standard_curves import assumed_camera_response
-from data_schemas.storage import read_record, write_record
-from finray_calib.fit import paint_calibration
-from finray_calib.fit.calibration_records import curve_bands
-from finray_calib.fit.calibration_warnings import absorption_warnings, fit_warnings
-from finray_calib.fit.discrepancy import PAINT_DISCREPANCY
-from finray_calib.fit.emission import FitSettings, fit_emission
-from finray_calib.fit.family_choice import DEFAULT_FAMILY
-from finray_calib.fit.fit_options import FitOptions
-from finray_calib.fit.measured_bands import band_data
-from finray_calib.fit.paint_calibration import calibrate_paint
-from finray_calib.fit.pareto_smoothing import smooth_weights
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.fit.reflectance import reflectance
-from finray_calib.fit.resample_move import LARGEST_MEMORY
-from finray_calib.fit.sampler import SamplerSettings
-from finray_calib.spectra.emission_families import FAMILIES
-from finray_calib.spectra.rig_curves import WAVELENGTH_NM, filter_transmission, held_shares
-from finray_calib.spectra.skew_cauchy import SkewCauchy
-from rigs.presets import simulated_rig
-from rigs.simulated.bench import Bench
-from rigs.simulated.bench_truth import bench_truth
+from data_schemas import BandSignals, Estimate, FitError, PaintCalibration, provenance
+from data_schemas.storage import assumed_camera_response, read_record, write_record
+from finray_calib.fit import (
+    DEFAULT_FAMILY,
+    LARGEST_MEMORY,
+    PAINT_DISCREPANCY,
+    EmissionPrior,
+    FitOptions,
+    FitSettings,
+    SamplerSettings,
+    band_data,
+    calibrate_paint,
+    curve_bands,
+    fit_emission,
+    reflectance,
+    smooth_weights,
+)
+from finray_calib.fit import _paint_calibration as paint_calibration
+from finray_calib.fit._paint_calibration import absorption_warnings, fit_warnings
+from finray_calib.spectra import FAMILIES, WAVELENGTH_NM, SkewCauchy, filter_transmission, held_shares
+from rigs import simulated_rig
+from rigs.simulated import Bench, bench_truth
 
 SHARES = np.array([0.01, 0.09, 0.9])
 
@@ -203,10 +198,10 @@ def test_draws_beyond_the_absorbed_light_are_told():
 
 def test_emcee_that_took_over_is_no_check_of_itself(bands, tmp_path, monkeypatch):
     """Weights of unknown shape: emcee makes the draws, and the record can be stored."""
-    monkeypatch.setattr("finray_calib.fit.importance.smooth_weights", without_shape)
-    monkeypatch.setattr("finray_calib.fit.leave_one_band_out.smooth_weights", without_shape)
-    monkeypatch.setattr("finray_calib.fit.paint_calibration.check_by_chain", refuse_call)
-    monkeypatch.setattr("finray_calib.fit.resample_move.LARGEST_MEMORY", 0.0)  # as if the moved draws remembered
+    monkeypatch.setattr("finray_calib.fit._importance.smooth_weights", without_shape)
+    monkeypatch.setattr("finray_calib.fit._family_choice.smooth_weights", without_shape)
+    monkeypatch.setattr("finray_calib.fit._paint_calibration.check_by_chain", refuse_call)
+    monkeypatch.setattr("finray_calib.fit._markov_chains.LARGEST_MEMORY", 0.0)  # as if the moved draws remembered
     short = SamplerSettings(walkers=24, block_steps=100, most_steps=100, kept_draws=100)
     options = FitOptions(settings=FitSettings(importance_draws=1000, kept_draws=100, chain=short), check_by_emcee=True)
     taken_over = calibrate_paint(bands, 1, options)
@@ -220,8 +215,8 @@ def test_emcee_that_took_over_is_no_check_of_itself(bands, tmp_path, monkeypatch
 
 
 def test_moved_draws_are_told_in_the_record(bands, tmp_path, monkeypatch):
-    monkeypatch.setattr("finray_calib.fit.importance.smooth_weights", without_shape)
-    monkeypatch.setattr("finray_calib.fit.leave_one_band_out.smooth_weights", without_shape)
+    monkeypatch.setattr("finray_calib.fit._importance.smooth_weights", without_shape)
+    monkeypatch.setattr("finray_calib.fit._family_choice.smooth_weights", without_shape)
     options = FitOptions(settings=FitSettings(importance_draws=1000, kept_draws=100))
     path = write_record(calibrate_paint(bands, 1, options), tmp_path / "paint.json", provenance("finray fit"))
     diagnostics = read_record(path, PaintCalibration).diagnostics

@@ -5,7 +5,8 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import genpareto
 
-from finray_calib.fit.pareto_smoothing import fit_pareto_tail, smooth_weights
+from finray_calib.fit import smooth_weights
+from finray_calib.fit._importance import fit_pareto_tail
 
 
 def weights_with_tail(shape, count=4000, seed=3):

@@ -7,21 +7,15 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.stats import binom
 
-from data_schemas.errors import FitError
-from data_schemas.paint_map import PaintMap
-from data_schemas.provenance import provenance
-from data_schemas.radiometry import BandSignals
+from data_schemas import BandSignals, FitError, PaintMap, provenance
 from data_schemas.storage import read_record, write_record
-from finray_calib.cli.fit_map import run_map
-from finray_calib.fit.fit_options import FitOptions
-from finray_calib.fit.paint_calibration import calibrate_paint
-from finray_calib.fit.pixel_curves import CURVE_CONSTANTS, LANES, SHAPES, curve_constants, curve_slopes, logarithm
-from finray_calib.fit.pixel_maps import map_paint, map_pixels
-from finray_calib.fit.pixel_problem import pixel_problem
-from finray_calib.fit.region_fit import PixelSpread, RegionFit, region_fit
-from finray_calib.reports.paint_map_figure import paint_map_figure, spot_sentence, spread_sentence, thinned
-from finray_calib.spectra.emission_families import family_named
-from finray_calib.spectra.rig_curves import weights_of
+from finray_calib.cli._fit import run_map
+from finray_calib.fit import FitOptions, PixelSpread, calibrate_paint, map_paint, map_pixels
+from finray_calib.fit._pixel_maps import RegionFit, pixel_problem, region_fit
+from finray_calib.reports import paint_map_figure, spot_sentence, spread_sentence
+from finray_calib.reports._fit_figures import thinned
+from finray_calib.spectra import family_named, weights_of
+from finray_calib.spectra.family_kernels import CURVE_CONSTANTS, LANES, SHAPES, curve_constants, curve_slopes, logarithm
 from tests.fit.pixel_scenes import CHANNEL_WEIGHTS, SPREAD, bands_of, center_of, drawn_truths, scene, whole_rule
 
 FAMILIES = ("zheng2014", "log_normal_wavenumber")

@@ -2,12 +2,16 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm
 
-from data_schemas.errors import FitError
-from finray_calib.fit.discrepancy import NO_DISCREPANCY, PAINT_DISCREPANCY
-from finray_calib.fit.likelihood import BandData, LogPosterior
-from finray_calib.fit.predictive import check_bands
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.fit.summary import summarise
+from data_schemas import FitError
+from finray_calib.fit import (
+    NO_DISCREPANCY,
+    PAINT_DISCREPANCY,
+    BandData,
+    EmissionPrior,
+    LogPosterior,
+    check_bands,
+    summarise,
+)
 from tests.fit.synthetic_bands import LOG_NORMAL, full_sum, orange, simulate
 
 

@@ -3,9 +3,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import kstest, norm, truncnorm
 
-from data_schemas.errors import FitError
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.spectra.emission_families import FAMILIES
+from data_schemas import FitError
+from finray_calib.fit import EmissionPrior
+from finray_calib.spectra import FAMILIES
 
 
 @pytest.fixture(params=list(FAMILIES))

@@ -3,18 +3,10 @@
 import numpy as np
 import pytest
 
-from data_schemas.curve_files import read_donaldson_matrix
-from data_schemas.curves import SpectralCurve
-from data_schemas.errors import CurveError
-from data_schemas.estimate import Estimate
-from data_schemas.reradiation import Reradiation
-from finray_calib.spectra.absorption import photon_yield
-from finray_calib.spectra.reradiation_matrix import (
-    emitted_energy,
-    emitted_photons,
-    rank_one_share,
-    reradiation_matrix,
-)
+from data_schemas import CurveError, Estimate, Reradiation, SpectralCurve
+from data_schemas.storage import read_donaldson_matrix
+from finray_calib.spectra import photon_yield, reradiation_matrix
+from finray_calib.spectra._reradiation_matrix import emitted_energy, emitted_photons, rank_one_share
 
 LASER_NM = 450.0
 # Rank-one share of the Stokes block (excitation 380-470 nm, emission from 490 nm) as read off with a bare SVD.

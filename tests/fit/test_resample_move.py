@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest, spearmanr
 
-from finray_calib.fit.importance import importance_sample
-from finray_calib.fit.map_search import Maxima
-from finray_calib.fit.resample_move import LARGEST_MEMORY, _centred_ranks, _largest_correlation, moved_draws
+from finray_calib.fit import LARGEST_MEMORY, importance_sample
+from finray_calib.fit._map_search import Maxima
+from finray_calib.fit._markov_chains import _centred_ranks, _largest_correlation, moved_draws
 from tests.fit.test_sampler import FACTOR, MEAN, WideNormal, normal_density, two_normals
 
 COUNT = 1000

@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_schemas.errors import FitError
-from finray_calib.fit.nuisances import MOST_SAMPLED_LEAKS
-from finray_calib.fit.prior import EmissionPrior
-from finray_calib.fit.sampler import LEAST_WALKERS, SamplerSettings, initial_walkers, sample_posterior
-from finray_calib.spectra.emission_families import FAMILIES
+from data_schemas import FitError
+from finray_calib.fit import EmissionPrior, SamplerSettings, sample_posterior
+from finray_calib.fit._band_data import MOST_SAMPLED_LEAKS
+from finray_calib.fit._markov_chains import LEAST_WALKERS, initial_walkers
+from finray_calib.spectra import FAMILIES
 
 MEAN = np.array([560.0, 3.8, 0.5])
 FACTOR = np.array([[4.0, 0.0, 0.0], [0.05, 0.08, 0.0], [-0.3, 0.1, 0.5]])

@@ -7,16 +7,9 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 
-from data_schemas.errors import CurveError
-from finray_calib.spectra.skew_cauchy import (
-    KAPPA_LIMIT,
-    SkewCauchy,
-    from_mode_parameters,
-    shape_tables,
-    share_below,
-    skew_cauchy,
-    to_mode_parameters,
-)
+from data_schemas import CurveError
+from finray_calib.spectra import SkewCauchy, from_mode_parameters, skew_cauchy
+from finray_calib.spectra._emission_families import KAPPA_LIMIT, shape_tables, share_below, to_mode_parameters
 
 # kappa, m(w), peak p, FWHM/g: independent table of the literature study, printed to three decimals
 TABLE = [

@@ -81,7 +81,7 @@ def _record(name: str, kind: str, arguments: str = "", every: int = 1) -> Reader
             shutil.copy(path, folder / path.name)
 
     def run(folder: Path) -> None:
-        from data_schemas import storage
+        from data_schemas.storage import _records as storage
 
         storage.read_record(folder / f"{name}.json", _kind(kind))
         if arguments:
@@ -107,8 +107,7 @@ def _kind(name: str) -> Any:
 
 
 def _design(folder: Path) -> None:
-    from sim.design_toml import design_toml
-    from sim.presets import preset_design
+    from sim import design_toml, preset_design
 
     (folder / "finger.toml").write_text(design_toml(preset_design("flat-70x35")))
     (folder / "short.toml").write_text(
@@ -117,15 +116,14 @@ def _design(folder: Path) -> None:
 
 
 def _read_designs(folder: Path) -> None:
-    from finray_calib.cli.design_file import read_design
+    from finray_calib.cli._design import read_design
 
     for name in ("finger", "short"):
         read_design(folder / f"{name}.toml")
 
 
 def _rig(folder: Path) -> None:
-    from rigs.presets import paint_plan, simulated_rig
-    from rigs.toml_text import write_plan, write_rig
+    from rigs import paint_plan, simulated_rig, write_plan, write_rig
 
     rig = simulated_rig("red", width_px=320, height_px=256)
     write_rig(rig, folder / "rig.toml")
@@ -146,9 +144,9 @@ def _tactile(folder: Path) -> None:
 
 
 def _read_tactile(folder: Path) -> None:
+    from data_schemas import TactilePlan, TactileRig
     from data_schemas.storage import read_toml
-    from data_schemas.tactile import TactilePlan, TactileRig
-    from rigs.capture.tactile_plan import planned_presses
+    from rigs.capture import planned_presses
 
     read_toml(folder / "rig.toml", TactileRig)
     planned_presses(read_toml(folder / "plan.toml", TactilePlan), folder)
@@ -169,7 +167,7 @@ def _curves(folder: Path) -> None:
 
 
 def _read_curves(folder: Path) -> None:
-    from data_schemas.curve_files import read_camera_response, read_donaldson_matrix, read_filter_curve
+    from data_schemas.storage import read_camera_response, read_donaldson_matrix, read_filter_curve
 
     read_camera_response(folder / "camera.csv")
     read_filter_curve(folder / "filter.csv")
@@ -183,10 +181,10 @@ def _force(folder: Path) -> None:
 
 
 def _read_force(folder: Path) -> None:
-    from data_schemas.errors import CompareError
-    from data_schemas.foreign_files import read_csv
-    from finray_calib.compare.batch import pairs_of_rows
-    from finray_calib.exchange.force_csv import read_force_csv
+    from data_schemas import CompareError
+    from data_schemas.storage import read_csv
+    from finray_calib.compare import pairs_of_rows
+    from finray_calib.exchange import read_force_csv
 
     read_force_csv(folder / "force.csv")
     header, rows = read_csv(folder / "pairs.csv", "a CSV file", CompareError)
@@ -194,7 +192,7 @@ def _read_force(folder: Path) -> None:
 
 
 def _lens(folder: Path) -> None:
-    from finray_calib.exchange.board_pictures import calibration_yaml
+    from finray_calib.exchange import calibration_yaml
     from tests.simulate.test_opencv_camera import FISHEYE, PINHOLE
 
     (folder / "lens.yaml").write_bytes(calibration_yaml(PINHOLE))
@@ -202,7 +200,7 @@ def _lens(folder: Path) -> None:
 
 
 def _read_lens(folder: Path) -> None:
-    from sim.optics.opencv_file import read_calibration
+    from sim.optics import read_calibration
 
     for name in ("lens", "fisheye"):
         read_calibration(folder / f"{name}.yaml")
@@ -222,7 +220,7 @@ def _catalog(folder: Path) -> None:
 
 
 def _read_balls(folder: Path) -> None:
-    from finray_calib.exchange.ball_press_folder import read_ball_presses
+    from finray_calib.exchange import read_ball_presses
     from tests.exchange.ball_press_folders import BALL_DIAMETER_MM, MM_PER_PX
 
     read_ball_presses(folder / "g", MM_PER_PX)
@@ -259,7 +257,8 @@ def _images(folder: Path) -> None:
 
 
 def _read_images(folder: Path) -> None:
-    from rigs.cameras.raw_files import read_exposure_s, read_raw
+    from rigs.cameras import read_raw
+    from rigs.cameras._image_files import read_exposure_s
 
     for name in ("packed.dng", "plain.tiff", "grey.png"):
         read_exposure_s(folder / name)
@@ -272,7 +271,7 @@ def _packed_tiff(folder: Path) -> None:
 
 
 def _read_packed_tiff(folder: Path) -> None:
-    from rigs.cameras.raw_files import read_raw
+    from rigs.cameras import read_raw
 
     read_raw(folder / "packed.tiff")
 
@@ -284,7 +283,7 @@ def _pictures(folder: Path) -> None:
 
 
 def _read_pictures(folder: Path) -> None:
-    from finray_calib.exchange.board_pictures import read_board_picture
+    from finray_calib.exchange import read_board_picture
 
     for name in ("board.png", "board.jpg"):
         read_board_picture(folder / name)
@@ -298,7 +297,7 @@ def _image_folder(folder: Path) -> None:
 
 
 def _read_image_folder(folder: Path) -> None:
-    from data_schemas.devices import CameraSettings
+    from data_schemas import CameraSettings
     from rigs.cameras.image_folder import open_camera
 
     camera = CameraSettings(driver="folder", address=str(folder), width_px=96, height_px=64, bit_depth=10)
@@ -307,7 +306,7 @@ def _read_image_folder(folder: Path) -> None:
 
 
 def _stl(folder: Path) -> None:
-    from sim.surface_meshes.stl import stl_bytes
+    from sim.surface_meshes import stl_bytes
     from tests.command_line.mistakes import CUBE, FACETS
 
     (folder / "body.stl").write_bytes(stl_bytes(FACETS, CUBE, "body"))
@@ -319,7 +318,7 @@ def _stl(folder: Path) -> None:
 
 
 def _read_stl(folder: Path) -> None:
-    from sim.mechanics.body_meshes import read_body
+    from sim.mechanics._rigid_bodies import read_body
 
     read_body(folder / "body.stl")
     read_body(folder / "text.stl")
@@ -337,8 +336,8 @@ def _engines(folder: Path) -> None:
 
 
 def _read_engines(folder: Path) -> None:
-    from sim.mechanics.other_engines.abaqus_results import read_fil
-    from sim.mechanics.other_engines.calculix_results import read_frd, read_totals
+    from sim.mechanics.other_engines import read_fil
+    from sim.mechanics.other_engines._calculix_results import read_frd, read_totals
 
     read_frd(folder / "x.frd")
     read_totals(folder / "x.dat")
@@ -358,7 +357,7 @@ def _exr(folder: Path) -> None:
 
 
 def _read_exr(folder: Path) -> None:
-    from finray_calib.exchange.bispectral_exr import read_bispectral_exr
+    from finray_calib.exchange import read_bispectral_exr
 
     read_bispectral_exr(folder / "paint.exr")
 
@@ -372,7 +371,7 @@ def _journal(folder: Path) -> None:
 
 
 def _read_journal(folder: Path) -> None:
-    from rigs.capture.resume import read_interrupted
+    from rigs.capture import read_interrupted
 
     read_interrupted(folder / "s")
 

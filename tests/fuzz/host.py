@@ -161,7 +161,7 @@ def _trust(record: Path, changed: Path) -> None:
 
 def _run(reader: Any, example: Path) -> dict[str, Any]:
     """Run a reader as the command line does: its errors and those of the system are refusals."""
-    from data_schemas.errors import FinrayError
+    from data_schemas import FinrayError
     from tests.fuzz.examples import Refused
 
     warnings.simplefilter("ignore")
@@ -196,7 +196,7 @@ def _in_fork(run: Any, clock_s: float = 0.0) -> dict[str, Any]:
             answer = run()
         except BaseException:
             answer = {"outcome": "traceback", "text": traceback.format_exc()[-1500:]}
-        from data_schemas.limited_parsing import end_child
+        from data_schemas.storage._array_files import end_child
 
         with contextlib.suppress(BaseException):
             end_child()

@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_schemas.errors import RecordError
-from data_schemas.foreign_files import parse_json, parse_toml
+from data_schemas import RecordError
+from data_schemas.storage import parse_json
+from data_schemas.storage._foreign_files import parse_toml
 from tests.fuzz.examples import READERS, Reader
 from tests.fuzz.host import FAULTS, Host
 from tests.fuzz.mutations import mutated

@@ -5,17 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from data_schemas.fit import PaintCalibration
-from data_schemas.folder_manifest import sha256_now, write_manifest
-from data_schemas.model import Record
-from data_schemas.provenance import provenance
-from data_schemas.radiometry import BandSignals
-from data_schemas.storage import read_record, write_record
-from data_schemas.surfaces import FingerSurfaces
-from data_schemas.whole_files import write_bytes
-from rigs.capture.paint_session import capture_paint_session
-from rigs.presets import paint_plan, simulated_rig
-from rigs.toml_text import write_plan, write_rig
+from data_schemas import BandSignals, FingerSurfaces, PaintCalibration, Record, provenance
+from data_schemas.storage import read_record, sha256_now, write_bytes, write_manifest, write_record
+from rigs import paint_plan, simulated_rig, write_plan, write_rig
+from rigs.capture import capture_paint_session
 from tests.command_line.records import capture_of, press, sweep
 from tests.schemas.freeze import example_of
 

@@ -14,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from data_schemas.frame_files import write_frame
-from data_schemas.provenance import provenance
-from data_schemas.storage import write_record
+from data_schemas import provenance
+from data_schemas.storage import write_frame, write_record
 
 DECISION = "light-angle-decision.json"
 SESSION = "red/session"
@@ -126,7 +125,7 @@ def made_anew(file: str) -> Callable[[Path], None]:
 
     def edit(folder: Path) -> None:
         from data_schemas.storage import read_record
-        from finray_calib.lineage.trace import KINDS
+        from finray_calib.lineage._trace import KINDS
         from tests.lineage.finished_demo import COMMAND
 
         path = folder / file

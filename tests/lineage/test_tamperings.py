@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from finray_calib.lineage.trace import Tracer, findings
-from finray_calib.lineage.verify_folder import verify_folder
+from finray_calib.lineage import Tracer, findings, verify_folder
 from tests.lineage.finished_demo import finish_demo
 from tests.lineage.tamperings import DECISION, TAMPERINGS
 

@@ -5,11 +5,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_schemas.band_pass_filter import BandPassFilter
-from data_schemas.camera import CameraPlan, CameraSession
-from data_schemas.capture import Frame, FrameType, RegionOfInterest
-from data_schemas.devices import CameraSettings, FilterWheelSettings
-from data_schemas.rig import RigFile, SimulatedBench
+from data_schemas import (
+    BandPassFilter,
+    CameraPlan,
+    CameraSession,
+    CameraSettings,
+    FilterWheelSettings,
+    Frame,
+    FrameType,
+    RegionOfInterest,
+    RigFile,
+    SimulatedBench,
+)
 from rigs.simulated.sensor import Sensor
 from tests.radiometry.sessions import PAINT
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from colour import SDS_COLOURCHECKERS
 
-from data_schemas.standard_curves import assumed_camera_response, planck_relative
+from data_schemas.storage import assumed_camera_response, planck_relative
 
 GRID_NM = np.arange(380.0, 781.0, 2.0)
 # Another set of measurements than the one that the patches are matched with: real charts differ too.

@@ -8,12 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from data_schemas.capture import CaptureSession, Frame, FrameType
-from data_schemas.frame_files import write_frame
-from data_schemas.provenance import provenance
-from data_schemas.storage import write_record
-from rigs.capture.session_folder import SESSION_NAME
-from rigs.presets import paint_plan, simulated_rig
+from data_schemas import CaptureSession, Frame, FrameType, provenance
+from data_schemas.storage import write_frame, write_record
+from rigs import paint_plan, simulated_rig
+from rigs.capture import SESSION_NAME
 from tests.radiometry.sessions import frame, record
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,8 +22,8 @@ DISTINCT = 4
 REDUCE = """
 import json, sys, time
 from pathlib import Path
-from finray_calib.radiometry.band_signals import band_signals
-from rigs.capture.read_session import read_frame_of, read_session
+from finray_calib.radiometry._band_signals import band_signals
+from rigs.capture._session_folder import read_frame_of, read_session
 folder = Path(sys.argv[1])
 session = read_session(folder)
 start = time.perf_counter()

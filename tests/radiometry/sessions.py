@@ -5,11 +5,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_schemas.band_pass_filter import BandPassFilter
-from data_schemas.capture import CaptureSession, Frame, FrameType, PaintPlan, RegionOfInterest
-from data_schemas.curves import SpectralCurve
-from data_schemas.devices import CameraSettings, FilterWheelSettings
-from data_schemas.rig import HiddenPaint, RigFile, SimulatedBench
+from data_schemas import (
+    BandPassFilter,
+    CameraSettings,
+    CaptureSession,
+    FilterWheelSettings,
+    Frame,
+    FrameType,
+    HiddenPaint,
+    PaintPlan,
+    RegionOfInterest,
+    RigFile,
+    SimulatedBench,
+    SpectralCurve,
+)
 
 FILTERS = ("450", "500", "600", "660")
 SIDE_PX = 64

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from data_schemas.capture import CaptureSession, RegionOfInterest
-from data_schemas.errors import RadiometryError
-from finray_calib.radiometry.band_signals import band_signals
-from finray_calib.radiometry.region import region_channels
-from rigs.capture.paint_session import capture_paint_session
-from rigs.capture.read_session import read_frame_of
-from rigs.presets import paint_plan, simulated_rig
+from data_schemas import CaptureSession, RadiometryError, RegionOfInterest
+from finray_calib.radiometry import band_signals
+from finray_calib.radiometry._step_signals import region_channels
+from rigs import paint_plan, simulated_rig
+from rigs.capture import capture_paint_session, read_frame_of
 from tests.radiometry.sessions import (
     FILTERS,
     REGION,
@@ -226,8 +224,8 @@ def test_session_of_the_simulated_rig_against_the_bench_physics(tmp_path):
     """The whole bench (uneven laser, texture, non-uniform pixels, leaks) against its own noise-free integrals."""
     from pathlib import Path
 
-    from data_schemas.standard_curves import camera_response
-    from rigs.simulated.bench import Bench
+    from data_schemas.storage import camera_response
+    from rigs.simulated import Bench
 
     rig = simulated_rig("red", seed=4, width_px=320, height_px=256)
     plan = paint_plan("red", rig.camera)

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from data_schemas.errors import RadiometryError
-from finray_calib.radiometry.band_signals import band_signals, bands_of_steps
-from finray_calib.radiometry.bleaching import bleaching_trend
-from finray_calib.radiometry.session_steps import session_steps
+from data_schemas import RadiometryError
+from finray_calib.radiometry import band_signals, bands_of_steps, bleaching_trend, session_steps
 from tests.radiometry.sessions import FILTERS, SIGNALS, TILT_DEG, exact_white, expected, synthetic_session
 
 ERROR_RATE = 1e-4

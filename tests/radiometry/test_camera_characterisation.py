@@ -8,14 +8,17 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from data_schemas.camera import CameraCharacterisation, PhotonTransferCurve
-from data_schemas.capture import Frame
-from data_schemas.devices import CameraSettings
-from data_schemas.errors import RadiometryError
-from data_schemas.fit import Estimate
-from data_schemas.provenance import provenance
+from data_schemas import (
+    CameraCharacterisation,
+    CameraSettings,
+    Estimate,
+    Frame,
+    PhotonTransferCurve,
+    RadiometryError,
+    provenance,
+)
 from data_schemas.storage import read_record, write_record
-from finray_calib.radiometry.camera_characterisation import characterise_camera
+from finray_calib.radiometry import characterise_camera
 from tests.radiometry.camera_sessions import (
     BLACK_LEVEL_DN,
     DARK_CURRENT_E_PER_S,

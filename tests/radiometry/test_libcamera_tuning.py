@@ -3,10 +3,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.errors import ImportFormatError
-from finray_calib.exchange.raspberry_pi_images import read_tuning
-from finray_calib.radiometry.lens_shading import LensShading, shading_gains
-from finray_calib.radiometry.libcamera_tuning import parse_tuning
+from data_schemas import ImportFormatError
+from finray_calib.exchange import read_tuning
+from finray_calib.radiometry import parse_tuning, shading_gains
+from finray_calib.radiometry._libcamera_tuning import LensShading
 from tests.radiometry.libcamera_documents import GAMMA, algorithms, version_2
 
 INSTALLED = Path("/usr/share/libcamera/ipa")

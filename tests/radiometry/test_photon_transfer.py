@@ -11,15 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.errors import RadiometryError
-from finray_calib.radiometry.estimates import non_negative, normal_estimate, root_of
-from finray_calib.radiometry.frame_stack import MONOCHROME, FrameStack, StackStatistics
-from finray_calib.radiometry.photon_transfer import (
-    PhotonTransfer,
+from data_schemas import RadiometryError
+from finray_calib.radiometry import FrameStack, PhotonTransfer, linearity, photon_transfer
+from finray_calib.radiometry._photon_transfer import (
+    MONOCHROME,
+    StackStatistics,
     fit_line,
-    linearity,
+    non_negative,
     nonuniformity,
-    photon_transfer,
+    normal_estimate,
+    root_of,
     saturation_level,
 )
 from rigs.simulated.sensor import Sensor

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from data_schemas.capture import RegionOfInterest
-from finray_calib.radiometry.pixel_merge import DarkMap, dark_map, merge_pixels
+from data_schemas import RegionOfInterest
+from finray_calib.radiometry._step_signals import DarkMap, dark_map, merge_pixels
 from tests.radiometry.sessions import CAMERA, SIDE_PX, frame, synthetic_session
 
 AREA = RegionOfInterest(row_px=0, column_px=0, height_px=256, width_px=256)

@@ -4,16 +4,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from data_schemas.capture import RegionOfInterest
-from data_schemas.errors import RadiometryError
-from data_schemas.provenance import provenance
-from data_schemas.radiometry import PixelSignals
+from data_schemas import PixelSignals, RadiometryError, RegionOfInterest, provenance
 from data_schemas.storage import read_record, write_record
-from finray_calib.radiometry.band_signals import bands_of_steps
-from finray_calib.radiometry.laser_profile import by_majority, laser_profile
-from finray_calib.radiometry.pixel_merge import PixelStep
-from finray_calib.radiometry.pixel_signals import channel_map, pixel_signals
-from finray_calib.radiometry.session_steps import session_steps
+from finray_calib.radiometry import bands_of_steps, laser_profile, pixel_signals, session_steps
+from finray_calib.radiometry._pixel_signals import by_majority, channel_map
+from finray_calib.radiometry._step_signals import PixelStep
 from tests.radiometry.sessions import SIDE_PX, exact_white, synthetic_session
 
 ERROR_RATE = 1e-4

@@ -5,16 +5,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.camera import CameraCharacterisation, CameraPlan
-from data_schemas.capture import PaintPlan
-from data_schemas.errors import RadiometryError, RecordError
-from data_schemas.radiometry import BandSignals, PixelSignals
-from data_schemas.rig import RigFile
+from data_schemas import (
+    BandSignals,
+    CameraCharacterisation,
+    CameraPlan,
+    PaintPlan,
+    PixelSignals,
+    RadiometryError,
+    RecordError,
+    RigFile,
+)
 from data_schemas.storage import read_record
 from finray_calib.cli.main import build_parser
-from rigs.capture.camera_session import capture_camera_session
-from rigs.capture.paint_session import capture_paint_session
-from rigs.presets import paint_plan, simulated_rig
+from rigs import paint_plan, simulated_rig
+from rigs.capture import capture_camera_session, capture_paint_session
 
 
 @pytest.fixture(scope="module")

@@ -2,17 +2,17 @@ import cv2
 import numpy as np
 import pytest
 
-from data_schemas.bayer import rggb_frame
-from data_schemas.errors import ImportFormatError
-from finray_calib.radiometry.lens_shading import shading_gains
-from finray_calib.radiometry.libcamera_tuning import parse_tuning
-from finray_calib.radiometry.raspberry_pi import (
-    JPEG_CODES,
-    LUMA,
+from data_schemas import ImportFormatError
+from data_schemas.storage import rggb_frame
+from finray_calib.radiometry import (
+    capture_settings,
+    parse_tuning,
     processed_signal,
     raw_signal,
+    require_same_settings,
+    shading_gains,
 )
-from finray_calib.radiometry.raspberry_pi_settings import capture_settings, require_same_settings
+from finray_calib.radiometry._raspberry_pi import JPEG_CODES, LUMA
 from tests.radiometry.libcamera_documents import metadata, version_2
 
 FIXED = parse_tuning(version_2(contrast_adapts=False))

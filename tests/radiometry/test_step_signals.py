@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from finray_calib.radiometry.dark_levels import DarkLevel, dark_levels, thermal_levels_dn
-from finray_calib.radiometry.session_steps import session_steps, signals_of
-from finray_calib.radiometry.signal_covariance import signal_covariance
-from finray_calib.radiometry.step_signals import ExposureSignal, light_repeatability_rel, merge_exposures
+from finray_calib.radiometry import session_steps, signal_covariance
+from finray_calib.radiometry._session_steps import signals_of
+from finray_calib.radiometry._step_signals import (
+    DarkLevel,
+    ExposureSignal,
+    dark_levels,
+    light_repeatability_rel,
+    merge_exposures,
+    thermal_levels_dn,
+)
 from tests.radiometry.sessions import SIGNALS, frame, synthetic_session
 
 ERROR_RATE = 1e-4

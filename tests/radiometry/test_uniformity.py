@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from data_schemas.standard_curves import camera_response
-from finray_calib.radiometry.band_signals import band_signals
-from finray_calib.radiometry.uniformity import texture_variance_rel
-from rigs.capture.paint_session import capture_paint_session
-from rigs.capture.read_session import read_frame_of
-from rigs.presets import paint_plan, simulated_rig
-from rigs.simulated.bench import Bench
+from data_schemas.storage import camera_response
+from finray_calib.radiometry import band_signals, texture_variance_rel
+from rigs import paint_plan, simulated_rig
+from rigs.capture import capture_paint_session, read_frame_of
+from rigs.simulated import Bench
 
 ERROR_RATE = 1e-4
 

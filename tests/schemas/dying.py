@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from data_schemas import errors
-from data_schemas.child_process import tell
+from data_schemas.storage import tell
 
 
 def add(a: float, b: float) -> dict[str, Any]:
@@ -77,7 +77,7 @@ def environment(name: str) -> str | None:
 
 def main_waiting_for_a_child(ignore_interrupts: bool) -> None:
     """Be a parent of its own, which a test interrupts or kills."""
-    from data_schemas.child_process import Child
+    from data_schemas.storage import Child
 
     with Child() as child:
         child.call(

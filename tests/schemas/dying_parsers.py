@@ -1,4 +1,4 @@
-"""Parsers that do what hostile files make parsers do; they run in the child of `data_schemas.limited_parsing`."""
+"""Parsers that do what hostile files make parsers do; they run in the child of `data_schemas.storage._array_files`."""
 
 import os
 import signal
@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from data_schemas.errors import ImportFormatError
+from data_schemas import ImportFormatError
 
 
 def whole(content, where):

@@ -9,11 +9,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from data_schemas import Provenance, Record
 from data_schemas.json_schemas import STORED, WRITTEN_BY_PEOPLE
-from data_schemas.model import Record
-from data_schemas.provenance import Provenance
-from data_schemas.record_versions import normalised_schema
 from data_schemas.storage import read_record, write_record
+from data_schemas.storage._records import normalised_schema
 
 FROZEN = Path(__file__).resolve().parent / "frozen"
 ORIGIN = Provenance(

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from data_schemas.storage import content_sha256
+from data_schemas.storage._records import content_sha256
 
 
 def write_sealed(path: Path, envelope: dict[str, Any]) -> None:

@@ -9,11 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from data_schemas.arrays import ArraySpec
-from data_schemas.curve_files import read_camera_response, read_donaldson_matrix
-from data_schemas.curves import SpectralCurve, require_coverage
-from data_schemas.errors import CurveError
-from data_schemas.model import Model
+from data_schemas import ArraySpec, CurveError, Model, SpectralCurve, require_coverage
+from data_schemas.storage import read_camera_response, read_donaldson_matrix
 
 
 class Table(Model):

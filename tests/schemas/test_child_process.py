@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from data_schemas.child_process import Child, call_in_child, is_child
-from data_schemas.errors import DiedError, NoEquilibriumError, RefusedError
+from data_schemas import DiedError, NoEquilibriumError, RefusedError
+from data_schemas.storage import Child, call_in_child, is_child
 
 ROOT = Path(__file__).resolve().parents[2]
 DYING = "tests.schemas.dying"

@@ -4,10 +4,10 @@ from operator import attrgetter
 
 import pytest
 
-from data_schemas.design import PAPER_VALUES, FingerDesign
+from data_schemas import FingerDesign
+from data_schemas._design import PAPER_VALUES
 from data_schemas.storage import read_toml
-from sim.design_toml import design_toml
-from sim.presets import PRESETS, preset_design
+from sim import PRESETS, design_toml, preset_design
 
 
 def test_the_default_finger_has_the_paper_s_numbers():

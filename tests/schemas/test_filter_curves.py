@@ -6,16 +6,19 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from data_schemas.band_pass_filter import BandPassFilter
-from data_schemas.curve_files import read_filter_curve, read_filter_curves
-from data_schemas.curves import SpectralCurve
-from data_schemas.devices import LaserSettings
-from data_schemas.errors import CurveError, RecordError
-from data_schemas.filter_curves import coverage_notes, half_maximum_nm
-from data_schemas.radiometry import Optics
-from data_schemas.rig import RigFile, WhiteReference
-from data_schemas.standard_curves import assumed_camera_response, halogen_lamp
-from data_schemas.storage import read_toml
+from data_schemas import (
+    BandPassFilter,
+    CurveError,
+    LaserSettings,
+    Optics,
+    RecordError,
+    RigFile,
+    SpectralCurve,
+    WhiteReference,
+    coverage_notes,
+    half_maximum_nm,
+)
+from data_schemas.storage import assumed_camera_response, halogen_lamp, read_filter_curve, read_filter_curves, read_toml
 
 FLAT = SpectralCurve(name="flat", wavelength_nm=np.array([300.0, 900.0]), values=np.ones(2), source="flat")
 

@@ -12,18 +12,20 @@ import zipfile
 import numpy as np
 import pytest
 
-from data_schemas.array_files import DeclaredArray, read_declared_arrays, read_npy, read_npz
-from data_schemas.errors import CurveError, RecordError
-from data_schemas.foreign_files import (
+from data_schemas import CurveError, RecordError
+from data_schemas.storage import (
     digest_as_read,
     finite_number,
     parse_json,
-    parse_toml,
     read_bytes,
     read_csv,
     read_json,
+    read_npy,
+    read_npz,
     read_text,
 )
+from data_schemas.storage._array_files import DeclaredArray, read_declared_arrays
+from data_schemas.storage._foreign_files import parse_toml
 
 
 def test_only_regular_files_are_read_and_nothing_waits(tmp_path):

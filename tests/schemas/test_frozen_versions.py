@@ -9,14 +9,25 @@ import numpy as np
 import pytest
 from pydantic import create_model
 
-from data_schemas.capture import TactileCapture
-from data_schemas.decide import LightAngleDecision
-from data_schemas.design import FingerDesign
-from data_schemas.errors import ChecksumError, NewerSchemaError, RecordError
-from data_schemas.fit import PaintCalibration
+from data_schemas import (
+    ChecksumError,
+    FingerDesign,
+    LightAngleDecision,
+    NewerSchemaError,
+    PaintCalibration,
+    RecordError,
+    TactileCapture,
+)
 from data_schemas.json_schemas import STORED, WRITTEN_BY_PEOPLE
-from data_schemas.record_versions import LAST_UNSEALED, MIGRATIONS, NOT_MIGRATED, is_sealed, normalised_schema
-from data_schemas.storage import content_sha256, read_record, read_toml, write_record
+from data_schemas.storage import read_record, read_toml, write_record
+from data_schemas.storage._records import (
+    LAST_UNSEALED,
+    MIGRATIONS,
+    NOT_MIGRATED,
+    content_sha256,
+    is_sealed,
+    normalised_schema,
+)
 from tests.schemas.freeze import FROZEN, ORIGIN, example_of, folder_of, schema_of
 
 ALL = (*WRITTEN_BY_PEOPLE, *STORED)
@@ -40,7 +51,7 @@ def test_version_rises_with_the_schema(record_type):
     assert path.is_file(), f"version {version} is not frozen yet: python -m tests.schemas.freeze"
     assert json.loads(path.read_text(encoding="utf-8")) == schema_of(record_type), (
         f"the schema of {record_type.__name__} changed: raise its schema_version to {version + 1}, add a step to "
-        "data_schemas/record_versions.py and run python -m tests.schemas.freeze "
+        "data_schemas/storage/_records.py and run python -m tests.schemas.freeze "
         "(docs/explanation/versions-of-records.md)"
     )
 

@@ -6,13 +6,10 @@ from typing import get_args
 
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import RecordError
-from data_schemas.mechanical_design import Preset
+from data_schemas import FingerDesign, Preset, RecordError
 from data_schemas.storage import read_toml
-from finray_calib.cli.export_deck import PRESETS as MESHES
-from sim.design_toml import design_toml
-from sim.presets import PRESETS, preset_design
+from finray_calib.cli._export import PRESETS as MESHES
+from sim import PRESETS, design_toml, preset_design
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ import jsonschema
 import numpy as np
 import pytest
 
+from data_schemas import provenance
 from data_schemas.json_schemas import FOLDER, STORED, WRITTEN_BY_PEOPLE, json_schema, schema_text
-from data_schemas.provenance import provenance
 from data_schemas.storage import write_record
 from tests.schemas.test_storage import capture
 

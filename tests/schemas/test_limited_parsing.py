@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from data_schemas import limited_parsing
-from data_schemas.errors import CurveError, ImportFormatError
-from data_schemas.limited_parsing import end_child, parse_in_child
+from data_schemas import CurveError, ImportFormatError
+from data_schemas.storage import _array_files as limited_parsing
+from data_schemas.storage import parse_in_child
+from data_schemas.storage._array_files import end_child
 from tests.schemas import dying_parsers
 
 

@@ -11,13 +11,9 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from data_schemas.capture import TactileCapture
-from data_schemas.errors import RecordError
-from data_schemas.leftovers import clear_leftovers, is_whole
-from data_schemas.product_set import ProductSet
-from data_schemas.provenance import provenance
-from data_schemas.storage import read_record, write_record
-from data_schemas.whole_files import write_bytes
+from data_schemas import RecordError, TactileCapture, provenance
+from data_schemas.storage import ProductSet, clear_leftovers, read_record, write_bytes, write_record
+from data_schemas.storage._product_set import is_whole
 from tests.file_faults import KILLED, FileFaults, contents, in_child
 from tests.schemas.test_storage import capture
 

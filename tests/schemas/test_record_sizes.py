@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from data_schemas.capture import TactileCapture
-from data_schemas.fit import PaintCalibration
-from data_schemas.model import Record
-from data_schemas.simulate import LightAngleSweep, SimulatedPress
+from data_schemas import LightAngleSweep, PaintCalibration, Record, SimulatedPress, TactileCapture
 from tests.command_line.records import press, sweep
 from tests.documentation.example_records import example_results
 from tests.schemas.test_storage import capture

@@ -13,16 +13,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from data_schemas.capture import IndenterPose, PaintPlan, TactileCapture
-from data_schemas.design import FingerDesign
-from data_schemas.errors import ChecksumError, NewerSchemaError, RecordError
-from data_schemas.fit import PaintCalibration
-from data_schemas.frame_files import read_frame, write_frame
-from data_schemas.provenance import provenance
-from data_schemas.radiometry import BandSignals
-from data_schemas.rig import RigFile
-from data_schemas.storage import INLINE_VALUES, read_record, read_toml, write_record
-from data_schemas.whole_files import sha256_of, write_bytes
+from data_schemas import (
+    BandSignals,
+    ChecksumError,
+    FingerDesign,
+    IndenterPose,
+    NewerSchemaError,
+    PaintCalibration,
+    PaintPlan,
+    RecordError,
+    RigFile,
+    TactileCapture,
+    provenance,
+)
+from data_schemas.storage import read_frame, read_record, read_toml, sha256_of, write_bytes, write_frame, write_record
+from data_schemas.storage._records import INLINE_VALUES
 from tests.schemas.stored_files import write_sealed
 
 ORIGIN = provenance("pytest", {"input.csv": "0" * 64}, seed=3)

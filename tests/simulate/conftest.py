@@ -6,8 +6,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from sim.optics.paint_bands import PaintOptics
-from sim.optics.variants import RendererChoice, choose_variant, open_renderer
+from sim.optics import PaintOptics, RendererChoice, choose_variant, open_renderer
 
 
 def gaussian(wavelength_nm, center_nm, sigma_nm, peak):

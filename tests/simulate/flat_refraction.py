@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.gel_pad import GelPad
-from data_schemas.optical_design import LightPanel
-from sim.optics.panel_frame import PanelFrame, panel_frame
+from data_schemas import GelPad, LightPanel
+from sim.optics import panel_frame
+from sim.optics._optical_layout import PanelFrame
 
 _NEWTON_STEPS = 8
 _SMALLEST_LATERAL_MM = 1e-6

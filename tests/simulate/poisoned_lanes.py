@@ -11,19 +11,17 @@ from types import SimpleNamespace
 import drjit as dr
 import numpy as np
 
-from data_schemas.camera_calibration import CameraCalibration
-from data_schemas.design import FingerDesign
-from data_schemas.optical_design import TactileCamera
-from sim.optics.fluorescent_paint import FluorescentPaint
-from sim.optics.guide_lobes import CELLS_ACROSS, CELLS_ALONG, NUMBERS, ROUTES
-from sim.optics.lit_scene import open_scene, pathwise_integrator
-from sim.optics.lookup_tables import LookupTable, Tally, cell_at
-from sim.optics.opencv_sensor import opencv_sensor
-from sim.optics.paint_bands import PaintOptics, paint_bands
-from sim.optics.position_map import PositionMap
-from sim.optics.variants import choose_variant, open_renderer
-from sim.optics.wall_emission import FIRST_CHAINS, TEXELS_ALONG, TEXELS_UP
-from sim.surface_meshes.finger_shape import bent, rest_shape
+from data_schemas import CameraCalibration, FingerDesign
+from data_schemas._design_parts import TactileCamera
+from sim.optics import FIRST_CHAINS, TEXELS_ALONG, PaintOptics, choose_variant, open_renderer, open_scene, paint_bands
+from sim.optics._calibrated_camera import opencv_sensor
+from sim.optics._fluorescent_paint import FluorescentPaint
+from sim.optics._mirror_guide import CELLS_ACROSS, CELLS_ALONG, NUMBERS, ROUTES
+from sim.optics._painted_walls import TEXELS_UP
+from sim.optics._path_rules import LookupTable, Tally, cell_at
+from sim.optics._position_map import PositionMap
+from sim.optics._render import pathwise_integrator
+from sim.surface_meshes import bent, rest_shape
 
 LANES = 20_000
 POISON = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, 4.3e9, -1.0, 0.5], dtype=np.float32)
@@ -92,8 +90,7 @@ def position_map(lanes, _scene):
 
 def walls(lanes, scene):
     """What known walls send, and what is noted of paths that met them."""
-    from sim.optics.band_integrator import band_paths
-    from sim.optics.wall_tallies import WallGlow, WallTexels
+    from sim.optics._band_paths import WallGlow, WallTexels, band_paths
 
     mi, texels = lanes.renderer, (2, TEXELS_ALONG, TEXELS_UP)
     paths = band_paths(scene, DESIGN, SHAPE, {chain: np.ones(texels[1:]) for chain in FIRST_CHAINS[:2]})
@@ -108,7 +105,7 @@ def walls(lanes, scene):
 
 def mirror_guide(lanes, _scene):
     """Directions in which the coating sees the panels."""
-    from sim.optics.mirror_guide import MirrorGuide
+    from sim.optics._mirror_guide import MirrorGuide
 
     guide = MirrorGuide(np.ones((CELLS_ACROSS * CELLS_ALONG, ROUTES, NUMBERS)))
     lobes = guide.lobes(SimpleNamespace(uv=lanes.next_2d()), lanes.renderer.Bool(True))
@@ -118,7 +115,7 @@ def mirror_guide(lanes, _scene):
 
 def connections(lanes, scene):
     """Points joined to a panel through the inner face, and emitters and materials asked at unwritten places."""
-    from sim.optics.band_integrator import band_paths
+    from sim.optics._band_paths import band_paths
 
     mi = lanes.renderer
     paths, si = band_paths(scene, DESIGN, SHAPE), lanes.interaction(scene)
@@ -130,7 +127,7 @@ def connections(lanes, scene):
 
 def painted_bands(lanes, _scene):
     """Matrices of paints."""
-    from sim.optics.fluorescent_bands import BandCarrier
+    from sim.optics._fluorescent_paint import BandCarrier
 
     carrier = BandCarrier([np.eye(3)] * 2)
     return carrier.reradiated(carrier.start(), None, lanes, lanes.number(), lanes.renderer.Bool(True))
@@ -151,9 +148,9 @@ def camera(lanes, _scene):
 
 def whole_paths(lanes, scene):
     """Paths of each tracer that start at poisoned points in poisoned directions."""
-    from sim.optics.angle_paths import AnglePaths
-    from sim.optics.band_integrator import band_integrator
-    from sim.optics.band_integrator import mirror_guide as learned
+    from sim.optics._angle_paths import AnglePaths
+    from sim.optics._band_paths import band_integrator
+    from sim.optics._band_paths import mirror_guide as learned
 
     mi, found = lanes.renderer, []
     guide = learned(scene, DESIGN, SHAPE)
@@ -176,7 +173,7 @@ def whole_paths(lanes, scene):
 
 def painted_spectra(lanes, _scene):
     """Tables of paints and lights at poisoned wavelengths and places."""
-    from sim.optics.fluorescent_spectrum import RENDERED_NM, SpectralCarrier
+    from sim.optics._fluorescent_paint import RENDERED_NM, SpectralCarrier
 
     mi = lanes.renderer
     grid = np.linspace(*RENDERED_NM, 471)

@@ -3,17 +3,14 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.optical_design import LightPanel, TactileCamera
-from sim.optics.angle_sweep import sweep_light_angle
-from sim.optics.even_points import even_points
-from sim.optics.lit_scene import lit_integrator, open_scene
-from sim.optics.paint_bands import paint_bands
-from sim.optics.probes import probes_on
-from sim.optics.wall_baking import bake_walls
-from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP, last_band
-from sim.surface_meshes.finger_shape import bent, pressed_shape
+from data_schemas import FingerDesign, LightPanel, SimulateError
+from data_schemas._design_parts import TactileCamera
+from sim.optics import TEXELS_ALONG, bake_walls, last_band, open_scene, paint_bands, sweep_light_angle
+from sim.optics._painted_walls import TEXELS_UP
+from sim.optics._path_rules import even_points
+from sim.optics._probes import probes_on
+from sim.optics._render import lit_integrator
+from sim.surface_meshes import bent, pressed_shape
 
 CAMERA = TactileCamera(width_px=64, height_px=48)
 TIP = LightPanel(position_mm=(0.0, -10.0, 71.0), angle_deg=150.0)
@@ -64,8 +61,8 @@ def test_all_angles_at_once_see_what_each_angle_sees(llvm, paints, change):
 
 @pytest.mark.renderer
 def test_the_panel_keeps_light_of_the_walls_away_in_each_of_its_poses(llvm, paints):
-    from sim.optics.angle_paths import AnglePaths
-    from sim.optics.band_integrator import band_integrator
+    from sim.optics._angle_paths import AnglePaths
+    from sim.optics._band_paths import band_integrator
 
     # before the middle of the pad: flat over it at 90 deg, on edge at 0 deg
     light = LightPanel(position_mm=(0.0, -14.0, 35.0), width_mm=30.0, height_mm=20.0, angle_deg=90.0)

@@ -4,12 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import ImportFormatError
-from data_schemas.optical_design import TactileCamera
-from finray_calib.reports.camera_view_figure import camera_view_png
-from sim.experiments.camera_view import camera_view
-from sim.optics.finger_view import coat_positions
+from data_schemas import FingerDesign, ImportFormatError
+from data_schemas._design_parts import TactileCamera
+from finray_calib.reports._finger_pictures import camera_view_png
+from sim.optics import camera_view
+from sim.optics._optical_layout import coat_positions
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=160, height_px=120))
 

@@ -5,14 +5,14 @@ import time
 import numpy as np
 import pytest
 
-from data_schemas.errors import SimulateError
-from sim.optics.chain_images import (
+from data_schemas import SimulateError
+from sim.optics import (
     chain_matrix,
+    chain_steps,
     conversion_gains,
-    mix,
+    mix_chains,
     require_same_reflectance,
     require_small_reemission,
-    steps,
 )
 
 CHAINS = ("led>red", "led>green", "led", "led>green>red")
@@ -22,11 +22,11 @@ LONGEST_S = 0.05
 
 
 def test_steps_of_a_chain():
-    assert steps("led") == ()
-    assert steps("led>green>red") == (("led", "green"), ("green", "red"))
+    assert chain_steps("led") == ()
+    assert chain_steps("led>green>red") == (("led", "green"), ("green", "red"))
     for wrong in ("red", "led>blue", "led>led", ""):
         with pytest.raises(SimulateError, match="is no chain of fluorescence"):
-            steps(wrong)
+            chain_steps(wrong)
 
 
 def test_each_conversion_counts_once_for_each_time_it_happens():
@@ -75,9 +75,9 @@ def test_a_changed_reflectance_needs_a_render():
 def test_mixed_images_are_the_matrix_product_in_every_pixel():
     rng = np.random.default_rng(2)
     images, matrix = rng.random((7, 9, 4)).astype(np.float32), rng.random((3, 4))
-    np.testing.assert_allclose(mix(images, matrix), np.einsum("mn,ijn->ijm", matrix, images), rtol=1e-6)
+    np.testing.assert_allclose(mix_chains(images, matrix), np.einsum("mn,ijn->ijm", matrix, images), rtol=1e-6)
     with pytest.raises(SimulateError, match=r"\(3, 4\) does not fit images of shape \(7, 9, 3\)"):
-        mix(images[..., :3], matrix)
+        mix_chains(images[..., :3], matrix)
 
 
 def test_a_new_paint_and_camera_take_less_than_fifty_milliseconds():
@@ -91,7 +91,7 @@ def test_a_new_paint_and_camera_take_less_than_fifty_milliseconds():
         weights = np.array([1.2, 1.0, 2.0])[:, None] * (
             np.eye(3) @ chain_matrix(chains, conversion_gains(before, after))
         )
-        assert mix(images, weights).shape == (480, 640, 3)
+        assert mix_chains(images, weights).shape == (480, 640, 3)
         took.append(time.process_time() - begun)
     # processor time, the least of five: the machine may be busy with something else
     assert min(took) < LONGEST_S

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from sim.mechanics.corner_grading import CornerGrading, fitted_between, graded
-from sim.mechanics.mesh import Tie
-from sim.mechanics.skeleton import skeleton_layout
-from sim.mechanics.skeleton_side_view import skeleton_side_view
-from sim.mechanics.ties import TiedNodes
+from data_schemas import FingerDesign
+from sim.mechanics import skeleton_layout
+from sim.mechanics._mesh import CornerGrading, Tie, fitted_between, graded
+from sim.mechanics._skeleton import skeleton_side_view
+from sim.mechanics._ties import TiedNodes
 
 DESIGN = FingerDesign()
 

@@ -5,16 +5,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data_schemas.curves import SpectralCurve
-from data_schemas.design import FingerDesign
-from data_schemas.errors import CurveError
-from data_schemas.optical_design import Coating, LightPanel, TactileCamera
-from data_schemas.standard_curves import assumed_camera_response
+from data_schemas import Coating, CurveError, FingerDesign, LightPanel, SpectralCurve
+from data_schemas._design_parts import TactileCamera
+from data_schemas.storage import assumed_camera_response
 from rigs.simulated.sensor import bayer_planes
-from sim.experiments import digital_twin, light_angle, press, tactile_camera
-from sim.experiments.painted_finger import PaintedFinger
-from sim.optics.paint_bands import paint_bands
-from sim.optics.wall_emission import FIRST_CHAINS
+from sim.experiments import PaintedFinger
+from sim.experiments import _light_angle as light_angle
+from sim.experiments import _rendered_press as press
+from sim.experiments import _tactile_camera as digital_twin
+from sim.experiments import _tactile_camera as tactile_camera
+from sim.optics import FIRST_CHAINS, paint_bands
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=128, height_px=96))
 SIGMAS = 5.0

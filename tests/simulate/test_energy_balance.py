@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from data_schemas.errors import SimulateError
-from sim.optics.fluorescent_paint import FluorescentPaint
-from sim.optics.variants import choose_variant, open_renderer
+from data_schemas import SimulateError
+from sim.optics import choose_variant, open_renderer
+from sim.optics._fluorescent_paint import FluorescentPaint
 
 pytestmark = pytest.mark.renderer
 
@@ -121,7 +121,7 @@ def plate_photons(scene, paints, name, density, value, arriving, seed):
     """
     import mitsuba as mi
 
-    from sim.optics.fluorescent_spectrum import fluorescent_spectrum
+    from sim.optics._fluorescent_paint import fluorescent_spectrum
     from tests.simulate import painted_scenes as ps
 
     integrator = fluorescent_spectrum(scene, paints, ps.WAVELENGTH_NM, ps.LED_PER_NM, max_depth=60)

@@ -8,19 +8,15 @@ import pytest
 from matplotlib.figure import Figure
 from scipy.optimize import minimize
 
-from data_schemas.design import FingerDesign
-from data_schemas.indenter import Indenter
-from data_schemas.optical_design import TactileCamera
-from data_schemas.press_mechanics import PressMechanics
-from finray_calib.reports.finger_figure import finger_page_png, finger_png
-from finray_calib.reports.finger_outline import finger_outline, outer_edges, side_polygons
-from finray_calib.reports.labelled_parts import spread
-from finray_calib.reports.pressed_finger_figure import _draw_curve, pressed_finger_png
-from finray_calib.reports.touch_sections import compare_section, simulate_section
-from sim.experiments.camera_view import camera_view
-from sim.presets import preset_design
-from sim.surface_meshes.finger_shape import pressed_shape, rest_shape
-from sim.surface_meshes.stored_shape import store_shapes
+from data_schemas import FingerDesign, Indenter, PressMechanics
+from data_schemas._design_parts import TactileCamera
+from finray_calib.demo._report import compare_section, simulate_section
+from finray_calib.reports import finger_outline, finger_page_png, pressed_finger_png
+from finray_calib.reports._finger_pictures import _draw_curve, finger_png
+from finray_calib.reports._finger_views import outer_edges, side_polygons, spread
+from sim import preset_design
+from sim.optics import camera_view
+from sim.surface_meshes import pressed_shape, rest_shape, store_shapes
 from tests.documentation.example_records import example_results
 
 SMALL = TactileCamera(width_px=160, height_px=120)

@@ -7,34 +7,37 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.gel_pad import Film, GelPad
-from data_schemas.mechanical_design import (
+from data_schemas import (
     Backing,
     ElasticSolid,
-    MeshPreset,
+    Film,
+    FingerDesign,
+    GelPad,
+    LightPanel,
     NeoHookeSolid,
     OgdenSolid,
+    SimulateError,
     Skeleton,
 )
-from data_schemas.optical_design import LightPanel, Mirror
-from sim.mechanics.finger_mesh import STEPS, MeshSteps, finger_mesh
-from sim.mechanics.mesh import Block, FingerMesh, Tie
-from sim.mechanics.pad_mesh import pad_mesh
-from sim.mechanics.printed_parts import mould_stl, part_stl
-from sim.mechanics.skeleton import BOND_MM, back_curve_mm, skeleton_layout
-from sim.mechanics.skeleton_mesh import skeleton_mesh
-from sim.presets import PRESETS, preset_design
-from sim.surface_meshes.back_mirror import layout_scale, mirror_shape
-from sim.surface_meshes.hexahedra import (
-    boundary_quads,
-    corner_jacobians_mm3,
-    hexahedra_volume_mm3,
-    split_quads,
-    surface_quality,
+from data_schemas._design_parts import MeshPreset, Mirror
+from sim import PRESETS, preset_design
+from sim.mechanics import (
+    STEPS,
+    Block,
+    FingerMesh,
+    back_curve_mm,
+    finger_mesh,
+    mould_stl,
+    pad_mesh,
+    part_stl,
+    skeleton_layout,
+    skeleton_mesh,
 )
-from sim.surface_meshes.stl import stl_bytes
+from sim.mechanics._finger_mesh import MeshSteps
+from sim.mechanics._mesh import Tie
+from sim.mechanics._skeleton import BOND_MM
+from sim.surface_meshes import boundary_quads, corner_jacobians_mm3, layout_scale, mirror_shape, split_quads, stl_bytes
+from sim.surface_meshes._hexahedra import hexahedra_volume_mm3, surface_quality
 
 DESIGN = FingerDesign()
 CYLINDER = GelPad(shape="cylindrical", radius_mm=60.0, film=Film())

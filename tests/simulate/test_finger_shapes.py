@@ -3,28 +3,26 @@ import tomllib
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.gel_pad import GelPad
-from data_schemas.indenter import Indenter
-from data_schemas.optical_design import LightPanel
-from data_schemas.provenance import provenance
+from data_schemas import FingerDesign, FingerSurfaces, GelPad, Indenter, LightPanel, SimulateError, provenance
 from data_schemas.storage import read_record, write_record
-from data_schemas.surfaces import FingerSurfaces
-from sim.design_toml import design_toml
-from sim.presets import PRESETS, preset_design
-from sim.surface_meshes.finger_shape import FingerShape, bent, pressed_shape, rest_shape
-from sim.surface_meshes.intersections import check_no_intersections
-from sim.surface_meshes.pressed_pad import (
-    BLEND_MM,
+from sim import PRESETS, design_toml, preset_design
+from sim.surface_meshes import (
+    FingerShape,
+    Surface,
+    bent,
+    check_closed,
+    check_no_intersections,
     contact_distance,
     contact_half_width_mm,
     pressed_height_mm,
+    pressed_shape,
     rest_height_mm,
+    rest_shape,
+    restore_shapes,
+    store_shapes,
     without_press,
 )
-from sim.surface_meshes.stored_shape import restore_shapes, store_shapes
-from sim.surface_meshes.surface import Surface, check_closed
+from sim.surface_meshes._pressed_pad import BLEND_MM
 
 DESIGN = FingerDesign()
 ORIGIN = provenance("pytest", {}, seed=None)

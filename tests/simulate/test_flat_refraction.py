@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad, quad
 
-from data_schemas.gel_pad import GelPad
-from data_schemas.optical_design import LightPanel
-from sim.optics.panel_frame import panel_frame
+from data_schemas import GelPad, LightPanel
+from sim.optics import panel_frame
 from tests.simulate.flat_refraction import fresnel_transmittance, refracted_irradiance, trace_crossing
 
 PAD = GelPad()

@@ -15,10 +15,10 @@ from benchmarks.fluorescence_levels import (
     paints,
     windows_of_bands,
 )
-from data_schemas.design import FingerDesign
-from data_schemas.optical_design import Coating, Enclosure, LightPanel, Mirror
-from sim.optics.paint_bands import paint_bands
-from sim.surface_meshes.finger_shape import bent, pressed_shape
+from data_schemas import Coating, FingerDesign, LightPanel
+from data_schemas._design_parts import Enclosure, Mirror
+from sim.optics import paint_bands
+from sim.surface_meshes import bent, pressed_shape
 
 # light reaches the walls straight from the panel, and each other, but hardly by chance: little noise
 BLACK = FingerDesign(
@@ -33,7 +33,7 @@ BENDING_RADIUS_MM = 120.0
 
 def wall_bands(renderer, scene, shape, integrator, bands_of, seeds):
     """Return mean red and green radiance that the two walls send into the gel, (seed, wall)."""
-    from sim.optics.wall_emission import wall_map
+    from sim.optics._painted_walls import wall_map
 
     found = []
     for seed in seeds:
@@ -55,11 +55,10 @@ def wall_bands(renderer, scene, shape, integrator, bands_of, seeds):
 @pytest.mark.renderer
 def test_walls_emit_what_path_wise_fluorescence_emits_and_a_wrong_bake_is_found(llvm):
     """Where only direct light reaches the walls, 3 % less of it in the bake is many standard errors."""
-    from sim.optics.band_integrator import band_paths
-    from sim.optics.chain_images import chain_matrix
-    from sim.optics.fluorescent_bands import fluorescent_bands
-    from sim.optics.lit_scene import lit_integrator, open_scene
-    from sim.optics.wall_baking import bake_walls
+    from sim.optics import bake_walls, chain_matrix, open_scene
+    from sim.optics._band_paths import band_paths
+    from sim.optics._fluorescent_paint import fluorescent_bands
+    from sim.optics._render import lit_integrator
 
     shape = bent(pressed_shape(BLACK), BENDING_RADIUS_MM)
     bands = paint_bands(*paints().values(), BLACK.light)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from data_schemas.errors import MissingExtraError, SimulateError
-from data_schemas.optical_design import LightPanel
-from sim.optics import variants
-from sim.optics.fluorescent_paint import FluorescentPaint, fluorescent_paint
-from sim.optics.paint_bands import PaintOptics, led_band, paint_bands
+from data_schemas import LightPanel, MissingExtraError, SimulateError
+from sim.optics import PaintOptics, paint_bands
+from sim.optics import _renderer as variants
+from sim.optics._fluorescent_paint import FluorescentPaint, fluorescent_paint
+from sim.optics._paint_bands import led_band
 
 W = np.array([400.0, 450.0, 600.0, 700.0])
 NONE = np.zeros(4)
@@ -46,7 +46,7 @@ def test_full_spectra_need_the_absorption(paints):
 
 @pytest.mark.renderer
 def test_band_matrices_are_checked(llvm):
-    from sim.optics.fluorescent_bands import fluorescent_bands
+    from sim.optics._fluorescent_paint import fluorescent_bands
 
     scene = llvm.load_dict(llvm.cornell_box())
     with pytest.raises(SimulateError, match="paint red: the band matrix must be 3 x 3 numbers >= 0"):
@@ -59,8 +59,7 @@ def test_band_matrices_are_checked(llvm):
 
 @pytest.mark.renderer
 def test_each_integrator_needs_its_variant(llvm, llvm_choice):
-    from sim.optics.fluorescent_bands import fluorescent_bands
-    from sim.optics.fluorescent_spectrum import fluorescent_spectrum
+    from sim.optics._fluorescent_paint import fluorescent_bands, fluorescent_spectrum
 
     with pytest.raises(SimulateError, match="full spectra need a spectral variant of the renderer, but llvm_ad_rgb"):
         fluorescent_spectrum(llvm.load_dict(llvm.cornell_box()), {}, W, NONE)

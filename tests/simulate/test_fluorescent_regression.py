@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.optics.variants import choose_variant, open_renderer
+from sim.optics import choose_variant, open_renderer
 from tests.simulate.test_mitsuba_scenes import cornell_box, renders
 from tests.simulate.z_test import holm, z_test
 
@@ -25,7 +25,7 @@ MATRICES = {
 
 
 def box_renders(matrices, seeds):
-    from sim.optics.fluorescent_bands import fluorescent_bands
+    from sim.optics._fluorescent_paint import fluorescent_bands
 
     scene = cornell_box(light=(0.0, 0.0, 20.0))
     integrator = fluorescent_bands(scene, matrices, max_depth=20)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.optics.variants import choose_variant, open_renderer
+from sim.optics import choose_variant, open_renderer
 
 pytestmark = pytest.mark.renderer
 
@@ -18,7 +18,7 @@ def spectral(llvm_choice):
 
 
 def furnace(name, wavelengths, seeds=SEEDS, rays=RAYS):
-    from sim.optics.fluorescent_spectrum import fluorescent_spectrum
+    from sim.optics._fluorescent_paint import fluorescent_spectrum
     from tests.simulate import painted_scenes as ps
 
     scene = ps.painted_cavity(ps.spectrum(ps.LED_PER_NM))
@@ -68,7 +68,7 @@ def test_a_conductor_without_its_ends_is_not_a_number(spectral):
     """The cause of the rare non-finite pixel: a curve that falls to zero where it ends; held ends cure it."""
     import mitsuba as mi
 
-    from sim.optics.fluorescent_spectrum import held_spectrum
+    from sim.optics._fluorescent_paint import held_spectrum
     from tests.simulate.painted_scenes import spectrum
 
     wavelength, n, k = np.array([400.0, 550.0, 700.0]), np.array([0.49, 0.96, 1.83]), np.array([4.9, 6.7, 8.3])

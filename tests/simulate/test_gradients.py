@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import MissingExtraError, SimulateError
-from data_schemas.optical_design import Enclosure, LightPanel, Mirror
-from sim.optics import gel_face
-from sim.optics.gradients import moved, probe_gradient
-from sim.optics.paint_bands import paint_bands
-from sim.surface_meshes.finger_shape import bent, pressed_shape
+from data_schemas import FingerDesign, LightPanel, MissingExtraError, SimulateError
+from data_schemas._design_parts import Enclosure, Mirror
+from sim.optics import _refraction as gel_face
+from sim.optics import paint_bands, probe_gradient
+from sim.optics._gradients import moved
+from sim.surface_meshes import bent, pressed_shape
 
 # nothing outside the gel returns light, so that almost all of it is connected
 DARK = {"mirror": Mirror(reflectance=0.0), "enclosure": Enclosure(cloth_reflectance=0.0, base_reflectance=0.0)}

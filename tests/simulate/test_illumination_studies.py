@@ -4,17 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.illumination import FluorescentRendering, LightAngleIntensity, TwoLights
-from data_schemas.optical_design import LightPanel
-from data_schemas.standard_curves import assumed_camera_response
-from data_schemas.storage import read_record
+from data_schemas import FingerDesign, FluorescentRendering, LightAngleIntensity, LightPanel, SimulateError, TwoLights
+from data_schemas.storage import assumed_camera_response, read_record
 from finray_calib.cli.main import main
-from finray_calib.reports.fluorescent_rendering_figure import fluorescent_rendering_png
-from finray_calib.reports.light_angle_figure import light_angle_png
-from sim.experiments import fluorescent_rendering, light_intensity, two_lights
-from sim.experiments.painted_finger import PaintedFinger
+from finray_calib.reports import fluorescent_rendering_png, light_angle_png
+from sim.experiments import PaintedFinger
+from sim.experiments import _fluorescent_rendering as fluorescent_rendering
+from sim.experiments import _illumination as light_intensity
+from sim.experiments import _illumination as two_lights
 from tests.simulate.flat_refraction import refracted_irradiance
 
 SOURCES = {"red": "test", "green": "test"}

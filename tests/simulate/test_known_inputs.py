@@ -6,15 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.fit import PaintCalibration
-from data_schemas.optical_design import TactileCamera
-from data_schemas.standard_curves import assumed_camera_response
-from sim.experiments.known_inputs import DRAWS, known_inputs
-from sim.experiments.painted_finger import PaintedFinger
-from sim.optics.chain_images import chain_matrix, conversion_gains
-from sim.optics.paint_bands import BAND_NAMES, paint_bands
+from data_schemas import FingerDesign, PaintCalibration, SimulateError
+from data_schemas._design_parts import TactileCamera
+from data_schemas.storage import assumed_camera_response
+from sim.experiments import PaintedFinger
+from sim.experiments._rendered_press import DRAWS, known_inputs
+from sim.optics import BAND_NAMES, chain_matrix, conversion_gains, paint_bands
 
 CHAINS = ("led>red", "led>green", "led", "led>green>red")
 RESPONSE_SD = assumed_camera_response()[0].uncertainty_rel

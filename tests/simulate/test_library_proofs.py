@@ -10,15 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import MissingExtraError, SimulateError
-from data_schemas.indenter import Indenter
-from sim import library_proofs
-from sim.library_proofs import proof_failure
-from sim.mechanics import contact_library, press_contact
-from sim.mechanics.contact_library import contact_library_failure
-from sim.mechanics.press_contact import chosen_contact, left_out
-from sim.optics import variants
+from data_schemas import FingerDesign, Indenter, MissingExtraError, SimulateError
+from sim import _library_proofs as library_proofs
+from sim import proof_failure
+from sim.mechanics import _contact_library as contact_library
+from sim.mechanics import _press_contact as press_contact
+from sim.mechanics import chosen_contact, left_out
+from sim.mechanics._contact_library import contact_library_failure
+from sim.optics import _renderer as variants
 
 ROUGH = FingerDesign(indenter=Indenter(friction=0.3))
 DYING = "tests.simulate.test_library_proofs"

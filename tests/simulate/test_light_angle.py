@@ -5,13 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.standard_curves import assumed_camera_response
-from finray_calib.spectra.skew_cauchy import SkewCauchy
-from sim.experiments import light_angle
-from sim.experiments.painted_finger import PaintedFinger
-from sim.optics.angle_sweep import AngleSweep
-from sim.optics.paint_bands import PaintOptics, paint_bands
+from data_schemas import FingerDesign
+from data_schemas.storage import assumed_camera_response
+from finray_calib.spectra import SkewCauchy
+from sim.experiments import PaintedFinger
+from sim.experiments import _light_angle as light_angle
+from sim.optics import AngleSweep, PaintOptics, paint_bands
 
 GRID_NM = np.arange(380.0, 781.0)
 DRAWS = {"red": (600.0, np.log(50.0), 1.0, np.log(0.003)), "green": (520.0, np.log(40.0), 0.5, np.log(0.004))}

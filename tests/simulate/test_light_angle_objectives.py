@@ -3,24 +3,25 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.optical_design import LightPanel, TactileCamera
-from data_schemas.simulate import AngleConstraints, AngleObjective
-from data_schemas.standard_curves import assumed_camera_response
-from sim.experiments import facet_table as tables
-from sim.experiments import light_angle_objectives as objectives
-from sim.experiments.facet_table import exposed_table, facet_shares, facet_slopes, frames_e
-from sim.experiments.light_angle import light_angle_sweep
-from sim.experiments.painted_finger import PaintedFinger
-from sim.experiments.tactile_camera import EXPOSURE_S, tactile_sensor
-from sim.optics.angle_batches import at_angle, measure_together
-from sim.optics.angle_sweep import sweep_light_angle
-from sim.optics.facets import seen_points, tilt_shares, tilted
-from sim.optics.paint_bands import paint_bands
-from sim.optics.panel_conflicts import in_the_way
-from sim.optics.probes import probes_on
-from sim.surface_meshes.finger_shape import FingerShape, gel_faces, rest_shape
+from data_schemas import AngleConstraints, AngleObjective, FingerDesign, LightPanel, SimulateError
+from data_schemas._design_parts import TactileCamera
+from data_schemas.storage import assumed_camera_response
+from sim.experiments import PaintedFinger, light_angle_sweep
+from sim.experiments import _light_angle as objectives
+from sim.experiments import _light_angle as tables
+from sim.experiments._light_angle import exposed_table, facet_shares, facet_slopes, frames_e, in_the_way
+from sim.experiments._tactile_camera import EXPOSURE_S, tactile_sensor
+from sim.optics import (
+    measure_together,
+    paint_bands,
+    seen_points,
+    sweep_light_angle,
+    tilt_shares,
+    tilted_facets,
+    with_light_angle,
+)
+from sim.optics._probes import probes_on
+from sim.surface_meshes import FingerShape, gel_faces, rest_shape
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=64, height_px=48))
 ANGLES_DEG = [0.0, 60.0]
@@ -49,8 +50,8 @@ def test_a_facet_is_as_bright_as_a_coat_that_has_its_tilt(llvm, paints):
     on_strip = [slice(0, 12), slice(12, 24)]
     ramps = sweep_light_angle(DESIGN, paints, llvm, ANGLES_DEG, REPEATS, 3, 1000, places, shape=with_ramps())
     rest, bands = rest_shape(DESIGN), paint_bands(paints["red"], paints["green"], DESIGN.light)
-    facets = tilted(np.tile([[0.0, 1.0, 0.0]], (24, 1)), SLOPE * np.concatenate([np.eye(2), -np.eye(2)]))
-    designs = [at_angle(DESIGN, angle) for angle in ANGLES_DEG]
+    facets = tilted_facets(np.tile([[0.0, 1.0, 0.0]], (24, 1)), SLOPE * np.concatenate([np.eye(2), -np.eye(2)]))
+    designs = [with_light_angle(DESIGN, angle) for angle in ANGLES_DEG]
     traced = measure_together(
         designs, rest, bands, llvm, probes_on(DESIGN, rest, places), facets, 1000, REPEATS, 5, None
     )
@@ -74,7 +75,7 @@ def test_facets_share_their_noise_and_the_derivative_does_not_depend_on_the_step
     np.testing.assert_allclose(points.probes.points_mm[:, [0, 2]], points.places_mm, atol=0.01)
     steps = np.tan(np.radians([2.0, 4.0]))
     slopes = np.array([[s * x, s * z] for s in steps for x, z in ((1, 0), (-1, 0), (0, 1), (0, -1))])
-    facets = tilted(points.normals, np.concatenate([[[0.0, 0.0]], slopes]))
+    facets = tilted_facets(points.normals, np.concatenate([[[0.0, 0.0]], slopes]))
     bands = paint_bands(paints["red"], paints["green"], DESIGN.light)
     traced = measure_together([DESIGN], rest_shape(DESIGN), bands, llvm, points.probes, facets, 2000, 4, 1, None)[0]
     # mean over the pad, (repeat, facet, band)
@@ -93,7 +94,7 @@ def test_facets_share_their_noise_and_the_derivative_does_not_depend_on_the_step
 
 
 def test_tilted_normals_stand_on_the_slopes():
-    facets = tilted(np.array([[0.0, 1.0, 0.0]]), np.array([[0.3, 0.0], [0.0, -0.2]]))
+    facets = tilted_facets(np.array([[0.0, 1.0, 0.0]]), np.array([[0.3, 0.0], [0.0, -0.2]]))
     np.testing.assert_allclose(facets.normals[0, 0], np.array([-0.3, 1.0, 0.0]) / np.sqrt(1.09), atol=1e-12)
     np.testing.assert_allclose(facets.normals[1, 0], np.array([0.0, 1.0, 0.2]) / np.sqrt(1.04), atol=1e-12)
 

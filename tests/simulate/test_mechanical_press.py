@@ -3,15 +3,10 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.indenter import Indenter
-from sim.experiments.mechanical_press import press_records
-from sim.mechanics.press import press_finger
-from sim.mechanics.pressed_finger import contact_distance, contact_pressure_mpa
-from sim.surface_meshes.intersections import check_no_intersections
-from sim.surface_meshes.stored_shape import restore_shapes
-from sim.surface_meshes.surface import check_closed
+from data_schemas import FingerDesign, Indenter, SimulateError
+from sim.experiments import press_records
+from sim.mechanics import contact_distance, contact_pressure_mpa, press_finger
+from sim.surface_meshes import check_closed, check_no_intersections, restore_shapes
 
 DESIGN = FingerDesign(indenter=Indenter(depth_mm=1.0))
 

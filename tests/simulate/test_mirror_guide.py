@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.optical_design import LightPanel, TactileCamera
-from sim.optics.gel_face import inner_face
-from sim.optics.guide_lobes import CELLS_ACROSS, CELLS_ALONG, ROUTES, fit_lobes
-from sim.optics.paint_bands import paint_bands
-from sim.optics.scene import finger_scene
-from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP
-from sim.surface_meshes.finger_shape import bent, pressed_shape
+from data_schemas import FingerDesign, LightPanel
+from data_schemas._design_parts import TactileCamera
+from sim.optics import TEXELS_ALONG, inner_face, paint_bands
+from sim.optics._mirror_guide import CELLS_ACROSS, CELLS_ALONG, ROUTES, fit_lobes
+from sim.optics._painted_walls import TEXELS_UP
+from sim.optics._scene import finger_scene
+from sim.surface_meshes import bent, pressed_shape
 
 CAMERA = TactileCamera(width_px=96, height_px=72)
 RAYS, SEEDS = 40_000, 10
@@ -43,7 +42,7 @@ def test_a_drawn_distribution_is_found_again():
 def test_density_of_the_drawn_directions_integrates_to_one(llvm):
     import drjit as dr
 
-    from sim.optics.mirror_guide import Lobe, MirrorGuide
+    from sim.optics._mirror_guide import Lobe, MirrorGuide
 
     guide = MirrorGuide(np.zeros((CELLS_ACROSS * CELLS_ALONG, 4, 12)))
     number = llvm.Float
@@ -84,7 +83,7 @@ def led_of_rays(renderer, scene, shape, design, integrator, first_seed):
 
 def means_and_variances(llvm, paints, design, shape):
     """Per band: mean, its error and the variance of a ray, without and with the guide."""
-    from sim.optics.band_integrator import band_integrator, mirror_guide
+    from sim.optics._band_paths import band_integrator, mirror_guide
 
     scene = finger_scene(design, shape, paint_bands(paints["red"], paints["green"], design.light), llvm)
     glow = {f"led>{wall}": np.ones((TEXELS_ALONG, TEXELS_UP)) for wall in ("red", "green")}

@@ -9,12 +9,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from data_schemas.camera_calibration import CameraCalibration
-from data_schemas.errors import FinrayError, ImportFormatError, SimulateError
-from sim.optics.opencv_camera import camera_matrix_of, ray_table, rays_of_pixels
-from sim.optics.opencv_file import read_calibration
-from sim.optics.opencv_sensor import opencv_sensor
-from sim.optics.variants import LLVM_VARIANT
+from data_schemas import CameraCalibration, FinrayError, ImportFormatError, SimulateError
+from sim.optics import read_calibration
+from sim.optics._calibrated_camera import camera_matrix_of, opencv_sensor, ray_table, rays_of_pixels
+from sim.optics._renderer import LLVM_VARIANT
 
 LARGEST_ERROR_PX = 1e-3
 MATRIX = np.array([[310.0, 0.0, 322.5], [0.0, 312.0, 236.0], [0.0, 0.0, 1.0]])

@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.gel_pad import Film, GelPad
-from data_schemas.optical_design import LightPanel
-from sim.optics.curved_refraction import curved_irradiance, refract_through
-from sim.optics.gel_face import film_transmittance, fresnel_transmittance, inner_face
-from sim.surface_meshes.finger_shape import bent, rest_shape
+from data_schemas import Film, FingerDesign, GelPad, LightPanel
+from sim.optics import inner_face, refract_through
+from sim.optics._refraction import curved_irradiance, film_transmittance, fresnel_transmittance
+from sim.surface_meshes import bent, rest_shape
 from tests.simulate.flat_refraction import refracted_irradiance, trace_crossing
 
 DESIGN = FingerDesign(pad=GelPad(film=None))

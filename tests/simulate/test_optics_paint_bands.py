@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from data_schemas.errors import SimulateError
-from data_schemas.optical_design import LightPanel
-from sim.optics.paint_bands import PaintOptics, band_mean, camera_matrix, led_band, led_upper_edge_nm, paint_bands
+from data_schemas import LightPanel, SimulateError
+from sim.optics import PaintOptics, camera_matrix, paint_bands
+from sim.optics._paint_bands import band_mean, led_band, led_upper_edge_nm
 from tests.simulate.conftest import gaussian
 
 LIGHT = LightPanel()

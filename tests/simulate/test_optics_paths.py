@@ -5,14 +5,12 @@ from itertools import product
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.optical_design import LightPanel, TactileCamera
-from sim.optics.gel_face import inner_face
-from sim.optics.paint_bands import paint_bands
-from sim.optics.scene import finger_scene
-from sim.optics.variants import choose_variant, open_renderer
-from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP, direct_irradiance, texel_uv
-from sim.surface_meshes.finger_shape import bent, pressed_shape, rest_shape
+from data_schemas import FingerDesign, LightPanel
+from data_schemas._design_parts import TactileCamera
+from sim.optics import TEXELS_ALONG, choose_variant, inner_face, open_renderer, paint_bands
+from sim.optics._painted_walls import TEXELS_UP, direct_irradiance, texel_uv
+from sim.optics._scene import finger_scene
+from sim.surface_meshes import bent, pressed_shape, rest_shape
 
 CAMERA = TactileCamera(width_px=96, height_px=72)
 # large panels, of which one has a narrow beam: paths meet them by chance often enough to be compared with
@@ -58,7 +56,7 @@ def led_means(renderer, scene, shape, integrator, design=DESIGN, first_seed=0):
 
 @pytest.mark.renderer
 def test_connection_on_and_off_have_equal_means_on_a_bent_finger_with_film_and_two_beams(llvm, paints):
-    from sim.optics.band_integrator import band_integrator
+    from sim.optics._band_paths import band_integrator
 
     scene, shape = build(llvm, paints)
     on, on_error = led_means(llvm, scene, shape, band_integrator(scene, DESIGN, shape), first_seed=100)
@@ -70,7 +68,7 @@ def test_connection_on_and_off_have_equal_means_on_a_bent_finger_with_film_and_t
 
 @pytest.mark.renderer
 def test_channels_are_the_chains_in_order_and_linear_in_the_emission(llvm, paints):
-    from sim.optics.band_integrator import band_integrator
+    from sim.optics._band_paths import band_integrator
 
     scene, shape = build(llvm, paints)
     even = np.ones((TEXELS_ALONG, TEXELS_UP))
@@ -91,7 +89,7 @@ def test_channels_are_the_chains_in_order_and_linear_in_the_emission(llvm, paint
 @pytest.mark.renderer
 def test_more_chains_at_one_wall_than_a_packet_of_texels_holds(llvm, paints):
     """Texels are fetched four chains at a time: nine chains end at the red wall here, and one at the green."""
-    from sim.optics.band_integrator import band_integrator
+    from sim.optics._band_paths import band_integrator
 
     scene, shape = build(llvm, paints)
     along = np.linspace(1.0, 2.0, TEXELS_ALONG)[:, None] * np.ones(TEXELS_UP)
@@ -133,7 +131,7 @@ def test_one_panel_plus_one_panel_lights_the_painted_walls_like_two():
 
 @pytest.mark.renderer
 def test_one_panel_plus_one_panel_equals_two(llvm, paints):
-    from sim.optics.band_integrator import band_integrator
+    from sim.optics._band_paths import band_integrator
 
     faint = {"power_rel": 1e-9}
     cases = (
@@ -158,7 +156,7 @@ def test_an_integrator_belongs_to_the_variant_that_is_set(llvm_choice, paints):
     shape, bands = rest_shape(DESIGN), paint_bands(paints["red"], paints["green"], DESIGN.light)
     for choice in (spectral, llvm_choice, spectral, llvm_choice):
         renderer = open_renderer(choice)
-        from sim.optics.band_integrator import band_integrator  # the first time in whatever variant is set
+        from sim.optics._band_paths import band_integrator  # the first time in whatever variant is set
 
         integrator = band_integrator(finger_scene(DESIGN, shape, bands, renderer), DESIGN, shape)
         assert isinstance(integrator, renderer.Integrator)

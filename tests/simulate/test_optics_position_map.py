@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from sim.optics.position_map import PositionMap
-from sim.surface_meshes.finger_shape import bent, rest_shape
-from sim.surface_meshes.surface import Surface, grid_surface
+from data_schemas import FingerDesign, SimulateError
+from sim.optics._position_map import PositionMap
+from sim.surface_meshes import Surface, bent, rest_shape
+from sim.surface_meshes._finger_shape import grid_surface
 
 RADIUS_MM = 80.0
 WIDTH_MM, LENGTH_MM = 35.0, 70.0

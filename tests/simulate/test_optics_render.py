@@ -6,19 +6,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.gel_pad import GelPad
-from data_schemas.indenter import Indenter
-from data_schemas.optical_design import LightPanel, Mirror, TactileCamera
-from sim.optics.angle_sweep import sweep_light_angle
-from sim.optics.paint_bands import paint_bands
-from sim.optics.render import render_press
-from sim.optics.scene import finger_scene
-from sim.optics.variants import choose_variant, open_renderer
-from sim.optics.wall_baking import BAKE_SAMPLES
-from sim.surface_meshes.finger_shape import pressed_shape, rest_shape
-from sim.surface_meshes.pressed_pad import without_press
+from data_schemas import FingerDesign, GelPad, Indenter, LightPanel, SimulateError
+from data_schemas._design_parts import Mirror, TactileCamera
+from sim.optics import BAKE_SAMPLES, choose_variant, open_renderer, paint_bands, render_press, sweep_light_angle
+from sim.optics._scene import finger_scene
+from sim.surface_meshes import pressed_shape, rest_shape, without_press
 from tests.simulate.flat_refraction import trace_crossing
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=96, height_px=72))
@@ -175,7 +167,7 @@ def test_a_press_changes_the_light_near_the_contact_and_hardly_elsewhere(llvm, p
 
 @pytest.mark.renderer
 def test_direct_light_without_mirror_follows_the_cosine_of_the_refracted_elevation(llvm, paints):
-    from sim.optics.band_integrator import band_integrator
+    from sim.optics._band_paths import band_integrator
 
     angles, curve = np.arange(0.0, 91.0, 15.0), []
     point, sampler = np.array([0.0, 6.0, 24.0]), llvm.load_dict({"type": "independent"})

@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.gel_pad import GelPad
-from data_schemas.optical_design import Coating, Enclosure, LightPanel, Mirror, TactileCamera
-from sim.optics import scene as scene_module
-from sim.optics.finger_view import camera_pose, coat_positions, pixel_directions
-from sim.optics.paint_bands import paint_bands
-from sim.optics.scene import band_film, camera_sensor, finger_scene, panel_shape
-from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP, texel_uv, wall_map
-from sim.surface_meshes.finger_shape import pressed_shape
+from data_schemas import Coating, FingerDesign, GelPad, LightPanel
+from data_schemas._design_parts import Enclosure, Mirror, TactileCamera
+from sim.optics import TEXELS_ALONG, camera_pose, paint_bands
+from sim.optics import _scene as scene_module
+from sim.optics._optical_layout import coat_positions, pixel_directions
+from sim.optics._painted_walls import TEXELS_UP, texel_uv, wall_map
+from sim.optics._scene import band_film, camera_sensor, finger_scene, panel_shape
+from sim.surface_meshes import pressed_shape
 from tests.simulate.flat_refraction import refracted_irradiance
 
 SMALL_CAMERA = TactileCamera(width_px=64, height_px=48)
@@ -148,7 +147,7 @@ def test_refracted_irradiance_agrees_with_brute_force_paths(llvm, black_paints, 
 
 @pytest.mark.renderer
 def test_refractive_connection_has_the_mean_of_plain_paths_and_less_noise(llvm, paints):
-    from sim.optics.band_integrator import band_integrator
+    from sim.optics._band_paths import band_integrator
 
     design = FingerDesign(camera=SMALL_CAMERA)
     scene = finger_scene(design, pressed_shape(design), bands_of(paints, design), llvm)

@@ -3,14 +3,14 @@ import sys
 
 import pytest
 
-from data_schemas.errors import MissingExtraError
-from finray_calib.cli.options import open_engine
-from sim.optics import variants
+from data_schemas import MissingExtraError
+from finray_calib.cli._run import open_engine
+from sim.optics import _renderer as variants
 
 
 def test_importing_the_optics_does_not_import_the_renderer():
     code = (
-        "import sys, sim, sim.optics.render, sim.optics.angle_sweep, sim.optics.scene\n"
+        "import sys, sim, sim.optics._render, sim.optics._angle_sweep, sim.optics._scene\n"
         "raise SystemExit('mitsuba' in sys.modules or 'drjit' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

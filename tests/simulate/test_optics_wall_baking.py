@@ -5,18 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.gel_pad import GelPad
-from data_schemas.optical_design import Coating, Enclosure, LightPanel, Mirror, TactileCamera
-from sim.optics.lit_scene import open_scene
-from sim.optics.paint_bands import PaintOptics, paint_bands
-from sim.optics.variants import choose_variant, open_renderer
-from sim.optics.wall_baking import bake_walls, indirect_irradiance, light_walls
-from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP, WALLS, direct_irradiance, last_band, texel_uv
-from sim.surface_meshes.finger_shape import pressed_shape, rest_shape
+from data_schemas import Coating, FingerDesign, GelPad, LightPanel
+from data_schemas._design_parts import Enclosure, Mirror, TactileCamera
+from sim.optics import (
+    TEXELS_ALONG,
+    WALLS,
+    PaintOptics,
+    bake_walls,
+    choose_variant,
+    last_band,
+    open_renderer,
+    open_scene,
+    paint_bands,
+)
+from sim.optics._painted_walls import TEXELS_UP, direct_irradiance, indirect_irradiance, light_walls, texel_uv
+from sim.surface_meshes import pressed_shape, rest_shape
 
 CAMERA = TactileCamera(width_px=64, height_px=48)
-# in a scalar variant the film is an approximation, see sim.optics.scene
+# in a scalar variant the film is an approximation, see sim.optics._scene
 BARE = GelPad(film=None)
 STANDARD_ERRORS = 3.0
 REPEATS = 8
@@ -60,7 +66,7 @@ def test_connected_paths_find_what_stock_paths_find_beyond_the_direct_light(llvm
 
 @pytest.mark.renderer
 def test_a_guide_leaves_the_light_of_a_bake_and_takes_noise_out(llvm, paints):
-    from sim.optics.band_integrator import mirror_guide
+    from sim.optics._band_paths import mirror_guide
 
     scene, design, shape, _ = finger(FingerDesign(camera=CAMERA), paints, llvm)
     guide = mirror_guide(scene, design, shape)

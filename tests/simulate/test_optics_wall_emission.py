@@ -4,22 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad
 
-from data_schemas.design import FingerDesign
-from data_schemas.gel_pad import GelPad
-from data_schemas.optical_design import LightPanel
-from sim.optics.paint_bands import paint_bands
-from sim.optics.panel_frame import panel_frame
-from sim.optics.wall_emission import (
-    WALLS,
-    direct_irradiance,
-    excited,
-    last_band,
-    paper_emission,
-    texel_uv,
-    unbaked_walls,
-    wall_map,
-)
-from sim.surface_meshes.finger_shape import bent, pressed_shape, rest_shape
+from data_schemas import FingerDesign, GelPad, LightPanel
+from sim.optics import WALLS, last_band, paint_bands, panel_frame, paper_emission
+from sim.optics._painted_walls import direct_irradiance, excited, texel_uv, unbaked_walls, wall_map
+from sim.surface_meshes import bent, pressed_shape, rest_shape
 from tests.simulate.flat_refraction import refracted_irradiance
 
 

@@ -6,17 +6,13 @@ import re
 import numpy as np
 import pytest
 
-from data_schemas.curve_files import read_donaldson_matrix
-from data_schemas.curves import DonaldsonMatrix, SpectralCurve
-from data_schemas.errors import SimulateError
-from data_schemas.paper_paints import PaperPaints
-from data_schemas.storage import read_record
-from finray_calib.cli import study
+from data_schemas import DonaldsonMatrix, PaperPaints, SimulateError, SpectralCurve
+from data_schemas.storage import read_donaldson_matrix, read_record
+from finray_calib.cli import _study as study
 from finray_calib.cli.main import main
-from finray_calib.reports.paper_paints_figure import paper_paints_png
-from sim.experiments.paint_stand_in import measure_stand_in
-from sim.experiments.paint_stand_in_fits import LASER_NM
-from sim.experiments.paper_paints import reproduce_paper_paints
+from finray_calib.reports import paper_paints_png
+from sim.experiments import reproduce_paper_paints
+from sim.experiments._paint_stand_in import LASER_NM, measure_stand_in
 
 RED, GREEN = "hercules_orange_ink", ("textile_yellow", "postit_yellow_3m")
 

@@ -7,17 +7,13 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from data_schemas.camera_calibration import CameraCalibration
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.optical_design import LightPanel, TactileCamera
-from sim.optics.finger_view import camera_pose, coat_positions, pixel_directions
-from sim.optics.lines_of_sight import NOTHING, _meet
-from sim.optics.paint_bands import paint_bands
-from sim.optics.pixel_maps import camera_rays, pixel_maps
-from sim.optics.scene import finger_scene
-from sim.surface_meshes.finger_shape import FingerShape, bent, pressed_shape, rest_shape
-from sim.surface_meshes.surface import vertex_normals
+from data_schemas import CameraCalibration, FingerDesign, LightPanel, SimulateError
+from data_schemas._design_parts import TactileCamera
+from sim.optics import camera_pose, paint_bands, pixel_maps
+from sim.optics._optical_layout import coat_positions, pixel_directions
+from sim.optics._pixel_maps import NOTHING, _meet, camera_rays
+from sim.optics._scene import finger_scene
+from sim.surface_meshes import FingerShape, bent, pressed_shape, rest_shape, vertex_normals
 
 SMALL = FingerDesign(camera=TactileCamera(width_px=160, height_px=120))
 # the mirror's 241 facets and the coat's 0.1 mm grid against their smooth forms
@@ -134,7 +130,7 @@ def test_calibrated_pinhole_sees_what_the_ideal_one_sees(scalar):
 
 
 def test_normals_of_a_sphere_point_outward():
-    from sim.surface_meshes.surface import grid_surface
+    from sim.surface_meshes._finger_shape import grid_surface
 
     theta, phi = np.linspace(0.5, 2.5, 80), np.linspace(0.0, 2.0, 80)
     t, p = np.meshgrid(theta, phi, indexing="ij")

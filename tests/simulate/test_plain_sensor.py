@@ -5,11 +5,10 @@ import pytest
 from pydantic import ValidationError
 from scipy.stats import t as student_t
 
-from data_schemas.errors import SimulateError
-from data_schemas.gel_pad import Film, GelPad
-from data_schemas.indenter import Indenter
-from data_schemas.plain_sensor import CHANNELS, CameraBelow, ColouredLight, PlainSensor
-from sim.optics.plain_sensor import light_frame, plain_sensor_integrator, plain_sensor_scene, render_plain_sensor
+from data_schemas import CHANNELS, ColouredLight, Film, GelPad, Indenter, PlainSensor, SimulateError
+from data_schemas._design import CameraBelow
+from sim.optics import plain_sensor_integrator, plain_sensor_scene, render_plain_sensor
+from sim.optics._plain_sensor import light_frame
 
 CAMERA = CameraBelow(width_px=32, height_px=32, field_of_view_deg=27.0)
 BALL = Indenter(shape="ball", radius_mm=4.0, depth_mm=1.0, position_mm=10.0)

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.optics.cubic_splines import cell_and_fraction
-from sim.optics.lookup_tables import LookupTable, Tally, cell_at
+from sim.optics._path_rules import LookupTable, Tally, cell_at
+from sim.optics._position_map import cell_and_fraction
 
 HERE = Path(__file__).parents[2]
 OTHER_PROCESSOR = [("rgb", "x86-64-v3"), ("spectral", "x86-64-v3")] if platform.machine() == "x86_64" else []

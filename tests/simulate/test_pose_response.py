@@ -6,16 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.optical_design import TactileCamera
-from data_schemas.standard_curves import assumed_camera_response
-from finray_calib.compare.render_layers import render_layers
-from sim.experiments import pose_response as module
-from sim.experiments.painted_finger import PaintedFinger
-from sim.experiments.pose_response import POSE_STEPS_MM, pose_response
-from sim.experiments.press import simulate_press
-from sim.optics.wall_baking import BAKE_SAMPLES
+from data_schemas import FingerDesign, SimulateError
+from data_schemas._design_parts import TactileCamera
+from data_schemas.storage import assumed_camera_response
+from finray_calib.compare._region_sums import render_layers
+from sim.experiments import PaintedFinger, pose_response, simulate_press
+from sim.experiments import _rendered_press as module
+from sim.experiments._rendered_press import POSE_STEPS_MM
+from sim.optics import BAKE_SAMPLES
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=64, height_px=48))
 CHAINS = ("led>red", "led>green", "led")

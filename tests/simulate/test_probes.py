@@ -4,13 +4,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import LinearNDInterpolator
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.gel_pad import GelPad
-from data_schemas.indenter import Indenter
-from sim.optics.probes import default_probe_points_mm, probes_on
-from sim.surface_meshes.finger_shape import bent, pressed_shape, rest_shape
-from sim.surface_meshes.pressed_pad import pressed_height_mm
+from data_schemas import FingerDesign, GelPad, Indenter, SimulateError
+from sim.optics._probes import default_probe_points_mm, probes_on
+from sim.surface_meshes import bent, pressed_height_mm, pressed_shape, rest_shape
 
 DESIGN = FingerDesign()
 XZ_MM = np.array([[-11.0, 20.0], [3.0, 35.0], [11.0, 61.0]])

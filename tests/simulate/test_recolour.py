@@ -5,24 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import CompareError, SimulateError
-from data_schemas.optical_design import TactileCamera
-from data_schemas.provenance import provenance
-from data_schemas.simulate import KnownInputs, SimulatedPress
-from data_schemas.standard_curves import assumed_camera_response
-from data_schemas.storage import read_record, write_record
+from data_schemas import CompareError, FingerDesign, KnownInputs, SimulatedPress, SimulateError, provenance
+from data_schemas._design_parts import TactileCamera
+from data_schemas.storage import assumed_camera_response, read_record, write_record
 from finray_calib.cli import main
-from finray_calib.compare.comparison_record import compare_press
-from finray_calib.compare.prepared_images import prepare_images
-from finray_calib.compare.render_layers import render_layers
-from sim.experiments import painted_finger
-from sim.experiments.painted_finger import PaintedFinger
-from sim.experiments.press import light_record, simulate_press
-from sim.experiments.recolour import recoloured
-from sim.experiments.tactile_camera import simulated_capture
-from sim.optics.paint_bands import PaintOptics, camera_matrix, paint_bands
-from sim.optics.wall_baking import BAKE_SAMPLES
+from finray_calib.compare import compare_press
+from finray_calib.compare._prepared_images import prepare_images
+from finray_calib.compare._region_sums import render_layers
+from sim.experiments import PaintedFinger, recoloured, simulate_press, simulated_capture
+from sim.experiments import _painted_finger as painted_finger
+from sim.experiments._rendered_press import light_record
+from sim.optics import BAKE_SAMPLES, PaintOptics, camera_matrix, paint_bands
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=96, height_px=72))
 NO_SHA: dict[str, str] = {}

@@ -7,27 +7,28 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.optical_design import TactileCamera
-from sim.mechanics.finger_mesh import finger_mesh
-from sim.mechanics.structured_grid import hexahedra_on_grid
-from sim.optics.pixel_maps import pixel_maps
-from sim.optics.position_map import PositionMap
-from sim.presets import PRESETS, preset_design
-from sim.surface_meshes.back_mirror import mirror_shape
-from sim.surface_meshes.finger_shape import GEL_FACES, bent, rest_shape
-from sim.surface_meshes.from_mesh import DARK_BODIES, coat_nodes, shape_from_mesh
-from sim.surface_meshes.hexahedra import (
+from data_schemas import FingerDesign, SimulateError
+from data_schemas._design_parts import TactileCamera
+from sim import PRESETS, preset_design
+from sim.mechanics import finger_mesh
+from sim.mechanics._mesh import hexahedra_on_grid
+from sim.optics import pixel_maps
+from sim.optics._position_map import PositionMap
+from sim.surface_meshes import (
+    GEL_FACES,
+    Surface,
+    bent,
     boundary_quads,
-    hexahedra_volume_mm3,
-    smooth_normals,
+    check_closed,
+    check_no_intersections,
+    coat_nodes,
+    mirror_shape,
+    rest_height_mm,
+    rest_shape,
+    shape_from_mesh,
     split_quads,
-    surface_quality,
 )
-from sim.surface_meshes.intersections import check_no_intersections
-from sim.surface_meshes.pressed_pad import rest_height_mm
-from sim.surface_meshes.surface import Surface, check_closed
+from sim.surface_meshes._hexahedra import DARK_BODIES, hexahedra_volume_mm3, smooth_normals, surface_quality
 
 DESIGN = FingerDesign()
 ROUNDING_MM = 1e-10

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.optical_design import TactileCamera
-from data_schemas.simulate import SimulatedPress
-from finray_calib.compare.comparison_record import compare_press
-from finray_calib.compare.linear_image import rgb_image
-from sim.experiments.colour_spread import colour_spread
-from sim.experiments.tactile_camera import BandImages, camera_capture, simulated_capture
+from data_schemas import FingerDesign, SimulatedPress, SimulateError
+from data_schemas._design_parts import TactileCamera
+from finray_calib.compare import compare_press
+from finray_calib.sensing import rgb_image
+from sim.experiments import simulated_capture
+from sim.experiments._optics_products import colour_spread
+from sim.experiments._tactile_camera import BandImages, camera_capture
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=256, height_px=192, response_at_led_uncertainty_rel=0.2))
 MATRIX = np.array([[1.0, 0.0, 0.05], [0.0, 1.0, 0.2], [0.0, 0.1, 1.0]])
@@ -112,8 +111,8 @@ def test_colours_spread_by_the_share_of_led_light():
 
 
 def test_spectral_images_integrate_to_the_bands(paints):
-    from sim.experiments.optics_products import band_densities_per_nm, spectral_grid_nm
-    from sim.optics.paint_bands import paint_bands
+    from sim.experiments._optics_products import band_densities_per_nm, spectral_grid_nm
+    from sim.optics import paint_bands
 
     bands = paint_bands(paints["red"], paints["green"], DESIGN.light)
     grid = spectral_grid_nm(bands)

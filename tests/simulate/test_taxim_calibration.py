@@ -5,20 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.errors import SimulateError
-from data_schemas.gel_pad import GelPad
-from data_schemas.indenter import Indenter
-from data_schemas.plain_sensor import CameraBelow, PlainSensor
-from sim.experiments import taxim_finger
-from sim.experiments.taxim_calibration import (
-    DEPTHS_REL,
-    mm_per_px,
-    planned_presses,
-    render_ball_presses,
-    surface_of,
-)
-from sim.surface_meshes.pressed_pad import contact_half_width_mm, pressed_height_mm
+from data_schemas import FingerDesign, GelPad, Indenter, PlainSensor, SimulateError
+from data_schemas._design import CameraBelow
+from sim.experiments import _ball_presses as taxim_finger
+from sim.experiments import render_ball_presses
+from sim.experiments._ball_presses import DEPTHS_REL, mm_per_px, planned_presses, surface_of
+from sim.surface_meshes import contact_half_width_mm, pressed_height_mm
 
 SENSOR = PlainSensor(camera=CameraBelow(width_px=48, height_px=48, field_of_view_deg=26.0))
 DOME = GelPad(shape="ellipsoidal", length_mm=20.0, width_mm=20.0, thickness_mm=5.0, semi_axes_mm=(22.0, 14.0, 22.0))
@@ -29,7 +21,7 @@ class FlatRenderer:
 
     def __init__(self, monkeypatch):
         for name in ("plain_sensor_scene", "plain_sensor_integrator"):
-            monkeypatch.setattr(f"sim.experiments.taxim_calibration.{name}", lambda *_: None)
+            monkeypatch.setattr(f"sim.experiments._ball_presses.{name}", lambda *_: None)
 
     def render(self, *_, **__):
         return np.ones((48, 48, 3))

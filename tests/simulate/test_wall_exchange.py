@@ -5,15 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from data_schemas.design import FingerDesign
-from data_schemas.gel_pad import GelPad
-from data_schemas.optical_design import Coating, Enclosure, Mirror, TactileCamera
-from sim.optics.lit_scene import open_scene
-from sim.optics.paint_bands import BAND_NAMES, PaintBands, paint_bands
-from sim.optics.wall_baking import polynomial_basis
-from sim.optics.wall_emission import TEXELS_ALONG, TEXELS_UP, WALLS, texel_uv
-from sim.optics.wall_exchange import WallExchange
-from sim.surface_meshes.finger_shape import rest_shape
+from data_schemas import Coating, FingerDesign, GelPad
+from data_schemas._design_parts import Enclosure, Mirror, TactileCamera
+from sim.optics import BAND_NAMES, TEXELS_ALONG, WALLS, PaintBands, open_scene, paint_bands
+from sim.optics._painted_walls import TEXELS_UP, WallExchange, polynomial_basis, texel_uv
+from sim.surface_meshes import rest_shape
 
 TEXELS = TEXELS_ALONG * TEXELS_UP
 COEFFICIENTS = polynomial_basis(1, 1).shape[1]
@@ -141,7 +137,7 @@ def test_orders_in_an_empty_box_are_those_of_a_dense_inverse():
 @pytest.mark.renderer
 def test_traced_walls_of_a_black_finger_see_each_other_by_their_form_factor(llvm, black_paints):
     """The renderer's own paths, index 1 and everything black: straight lines between two rectangles 6 x 70 mm."""
-    from sim.optics.angle_paths import AnglePaths
+    from sim.optics._angle_paths import AnglePaths
 
     design = FingerDesign(
         camera=TactileCamera(width_px=64, height_px=48),

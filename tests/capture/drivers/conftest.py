@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.limited_parsing import end_child
+from data_schemas.storage._array_files import end_child
 from tests.capture.drivers.programs import wait_until
 
 ENDED_WITHIN_S = 10.0

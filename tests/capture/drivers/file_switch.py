@@ -18,10 +18,9 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.devices import DeviceIdentity
-from data_schemas.errors import LostError, RefusedError, UnsafeError
-from rigs import drivers
-from rigs.protocols import OffWords, Operator
+from data_schemas import DeviceIdentity, LostError, RefusedError, UnsafeError
+from rigs import OffWords, Operator
+from rigs import _drivers as drivers
 
 # Ends when nobody holds the other end of its pipe any more.
 LINE = """

@@ -11,10 +11,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from rigs.lights import firmware
+from rigs import lights
 from tests.capture.drivers.programs import free_port, require, wait_until
 
-SOURCE = Path(firmware.__file__).parent / "laser.c"
+SOURCE = Path(lights.__file__).parent / "firmware" / "laser.c"
 
 
 class Line(NamedTuple):

@@ -17,7 +17,7 @@ from typing import Self
 
 import pytest
 
-from rigs.transports.indi_server import IndiAddress, devices_at
+from rigs.transports._indi_client import IndiAddress, devices_at
 from tests.capture.drivers.programs import answers, free_port, require, wait_until
 
 CCD, WHEEL, PANEL = "CCD Simulator", "Filter Simulator", "Light Panel Simulator"

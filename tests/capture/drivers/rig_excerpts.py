@@ -1,7 +1,6 @@
 """Rig-file excerpts of INDI devices, shared by the tests of their drivers."""
 
-from data_schemas.band_pass_filter import BandPassFilter
-from data_schemas.devices import CameraSettings, FilterWheelSettings
+from data_schemas import BandPassFilter, CameraSettings, FilterWheelSettings
 
 
 def wheel_settings(address: str, driver: str = "indi", count: int = 3) -> FilterWheelSettings:

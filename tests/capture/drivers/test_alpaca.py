@@ -11,13 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutError, UnsafeError, WrongPositionError
+from data_schemas import CaptureError, LostError, RefusedError, TimedOutError, UnsafeError, WrongPositionError
+from rigs import TerminalOperator
 from rigs.filter_wheels import alpaca
 from rigs.filter_wheels.alpaca import AlpacaFilterWheel, open_wheel
-from rigs.host import TerminalOperator
+from rigs.lights import ServerLight
 from rigs.lights.alpaca import AlpacaPanel, Calibrator, Relay, open_switch
-from rigs.lights.server_light import ServerLight
-from rigs.transports.alpaca_client import AlpacaAddress, AlpacaClient, alpaca_address
+from rigs.transports import AlpacaClient, alpaca_address
+from rigs.transports._alpaca_client import AlpacaAddress
 from tests.capture.drivers.alpaca_server import AlpacaServer, scripted
 from tests.capture.drivers.programs import free_port, wait_until
 from tests.capture.drivers.rig_excerpts import wheel_settings

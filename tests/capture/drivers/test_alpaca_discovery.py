@@ -11,7 +11,7 @@ import pytest
 
 from rigs.filter_wheels import alpaca as wheels
 from rigs.lights import alpaca as lights
-from rigs.transports import alpaca_discovery
+from rigs.transports import _alpaca_client as alpaca_discovery
 from tests.capture.drivers.alpaca_server import scripted
 from tests.capture.drivers.programs import others_python
 

@@ -10,11 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.devices import CameraSettings
-from data_schemas.errors import BadFrameError, LostError, MissingExtraError, RefusedError, TimedOutError
-from rigs.cameras import aravis, aravis_library
-from rigs.cameras.genicam_camera import GenicamCamera
-from rigs.capture.tactile_camera import TactileCamera
+from data_schemas import BadFrameError, CameraSettings, LostError, MissingExtraError, RefusedError, TimedOutError
+from rigs.cameras import GenicamCamera, aravis
+from rigs.cameras import aravis as aravis_library
+from rigs.capture._exposure import TactileCamera
 from tests.capture.drivers.fake_gigevision_camera import SERIAL, FakeCamera, fake_camera
 from tests.capture.drivers.programs import require
 

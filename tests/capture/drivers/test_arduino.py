@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutError, UnsafeError
+from data_schemas import CaptureError, LostError, RefusedError, TimedOutError, UnsafeError
 from rigs.lights import arduino
-from rigs.lights.arduino import ArduinoSwitch, found, open_switch
-from rigs.lights.arduino_lines import BAUD, Said, parse
-from rigs.transports.serial_link import SerialLink, UsbSerialPort
+from rigs.lights.arduino import BAUD, ArduinoSwitch, Said, found, open_switch, parse
+from rigs.transports import SerialLink
+from rigs.transports._serial_link import UsbSerialPort
 from tests.capture.drivers.firmware_in_qemu import Tap, build, firmware_board
 from tests.capture.drivers.serial_replay import TRANSCRIPTS, read_transcript, replayed
 

@@ -4,8 +4,8 @@ import time
 
 import pytest
 
-from data_schemas.errors import WrongPositionError
-from rigs.filter_wheels.arrival import Arrival
+from data_schemas import WrongPositionError
+from rigs.filter_wheels import Arrival
 
 ELSEWHERE_S = 0.05
 

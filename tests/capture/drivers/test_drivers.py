@@ -6,14 +6,10 @@ from typing import Any
 
 import pytest
 
-from data_schemas.devices import CameraSettings, LampSettings, LaserSettings
-from data_schemas.errors import RefusedError
-from data_schemas.rig import RigFile
-from rigs import drivers
-from rigs.drivers import open_camera, open_lamp
-from rigs.host import TerminalOperator
+from data_schemas import CameraSettings, LampSettings, LaserSettings, RefusedError, RigFile
+from rigs import TerminalOperator, open_camera, open_lamp, open_rig
+from rigs import _drivers as drivers
 from rigs.light_guard import GuardedLight
-from rigs.open_rig import open_rig
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.rig_excerpts import wheel_settings
 
@@ -62,7 +58,7 @@ def test_a_laser_waits_for_a_capture_that_hangs_only_so_long(tmp_path: Path, mon
         patience_s.append(given_s)
         raise RefusedError("seen")
 
-    monkeypatch.setattr("rigs.open_rig.open_laser", record)
+    monkeypatch.setattr("rigs._open_rig.open_laser", record)
     laser = {"wavelength_nm": 450.0, "power_mw": 4.5, "laser_class": "3R"}
     rig = RigFile(
         name="rig",

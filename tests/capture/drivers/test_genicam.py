@@ -9,20 +9,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_schemas.devices import CameraSettings, DeviceIdentity
-from data_schemas.errors import BadFrameError, LostError, RefusedError
-from rigs.call_thread import CallThread, NoAnswerError
-from rigs.cameras.genicam import (
+from data_schemas import BadFrameError, CameraSettings, DeviceIdentity, LostError, RefusedError
+from rigs import CallThread, NoAnswerError
+from rigs.cameras import Delivered, GenicamCamera
+from rigs.cameras._genicam import (
     ConnectionBrokenError,
     FeatureError,
+    RawPixels,
     configure,
+    image,
+    raw_pixels,
     read_settings,
     require_new,
+    right_aligned,
     set_exposure,
 )
-from rigs.cameras.genicam_camera import GenicamCamera
-from rigs.cameras.genicam_device import Delivered, image
-from rigs.cameras.genicam_pixels import RawPixels, raw_pixels, right_aligned
 
 SETTINGS = CameraSettings(driver="gentl", address="here.cti", width_px=64, height_px=64, bit_depth=10, gain_db=3.0)
 

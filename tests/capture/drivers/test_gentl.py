@@ -5,11 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.devices import CameraSettings
-from data_schemas.errors import LostError, MissingExtraError, RefusedError
+from data_schemas import CameraSettings, LostError, MissingExtraError, RefusedError
 from rigs.cameras import gentl
-from rigs.cameras.genicam import FeatureError, RawPixels, configure, set_exposure
-from rigs.cameras.genicam_device import image
+from rigs.cameras._genicam import FeatureError, RawPixels, configure, image, set_exposure
 from tests.capture.drivers.programs import require_module
 
 SIDE_PX = 400

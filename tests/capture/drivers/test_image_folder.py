@@ -12,14 +12,12 @@ import tifffile
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_schemas.bayer import rggb_frame
-from data_schemas.capture import CaptureSession
-from data_schemas.devices import CameraSettings
-from data_schemas.errors import BadFrameError, MissingExtraError, RefusedError
-from rigs.cameras.dng_file import read_dng
+from data_schemas import BadFrameError, CameraSettings, CaptureSession, MissingExtraError, RefusedError
+from data_schemas.storage import rggb_frame
+from rigs.cameras import read_dng, read_raw
+from rigs.cameras._image_files import BRCM_ORDERS, read_exposure_s
 from rigs.cameras.image_folder import open_camera
-from rigs.cameras.raw_files import BRCM_ORDERS, read_exposure_s, read_raw
-from rigs.capture.read_session import read_frame_of
+from rigs.capture import read_frame_of
 from tests.capture.drivers.programs import require_module
 
 HEIGHT_PX, WIDTH_PX, BIT_DEPTH = 64, 96, 10

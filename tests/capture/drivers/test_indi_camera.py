@@ -8,16 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.errors import BadFrameError, LostError, RefusedError, TimedOutError
+from data_schemas import BadFrameError, LostError, RefusedError, TimedOutError
+from rigs import Camera, RawFrame, TerminalOperator
 from rigs.cameras import indi
-from rigs.cameras.fits_image import CardValue, FitsImage
-from rigs.cameras.indi import open_camera
-from rigs.cameras.indi_frames import IndiFrames
+from rigs.cameras.indi import CardValue, FitsImage, IndiFrames, open_camera
 from rigs.filter_wheels.indi import open_wheel
-from rigs.host import TerminalOperator
 from rigs.lights.indi import open_switch
-from rigs.protocols import Camera, RawFrame
-from rigs.transports.indi_client import IndiClient
+from rigs.transports import IndiClient
 from tests.capture.drivers.indi_server import CCD, PANEL, SIMULATORS, WHEEL, IndiServer
 from tests.capture.drivers.rig_excerpts import camera_settings, wheel_settings
 from tests.capture.drivers.serial_replay import TRANSCRIPTS, read_transcript, replayed
@@ -247,7 +244,7 @@ def test_the_filter_header_follows_the_wheel_that_the_camera_listens_to(server: 
 def test_detection_lists_each_kind_of_device(server: IndiServer, monkeypatch: pytest.MonkeyPatch) -> None:
     from rigs.filter_wheels import indi as wheels
     from rigs.lights import indi as lights
-    from rigs.transports import indi_server
+    from rigs.transports import _indi_client as indi_server
 
     monkeypatch.setattr(indi_server, "DEFAULT_PORT", server.port)
     place = f"localhost:{server.port}"

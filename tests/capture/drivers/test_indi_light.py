@@ -5,11 +5,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from data_schemas.errors import LostError, RefusedError, TimedOutError, UnsafeError
+from data_schemas import LostError, RefusedError, TimedOutError, UnsafeError
+from rigs import LightSwitch
+from rigs.lights._server_light import ASK_EVERY_S
 from rigs.lights.indi import open_switch
-from rigs.lights.server_light import ASK_EVERY_S
-from rigs.protocols import LightSwitch
-from rigs.transports.indi_client import IndiClient
+from rigs.transports import IndiClient
 from tests.capture.drivers.indi_server import PANEL, IndiServer
 from tests.capture.drivers.serial_replay import TRANSCRIPTS, read_transcript, replayed
 

@@ -12,21 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_schemas.errors import BadFrameError, LostError, RefusedError, TimedOutError
-from rigs.cameras.fits_image import BLOCK_BYTES, read_fits_image
+from data_schemas import BadFrameError, LostError, RefusedError, TimedOutError
+from rigs.cameras.indi import BLOCK_BYTES, read_fits_image
 from rigs.lights.indi import open_switch
-from rigs.transports import indi_messages
-from rigs.transports.indi_client import IndiClient
-from rigs.transports.indi_messages import (
-    IndiElement,
-    IndiMessage,
-    IndiReader,
-    blob_bytes,
-    get_properties,
-    new_vector,
-    number,
-)
-from rigs.transports.indi_server import IndiAddress, devices_at, indi_address
+from rigs.transports import IndiClient, blob_bytes, indi_address, new_vector
+from rigs.transports import _indi_messages as indi_messages
+from rigs.transports._indi_client import IndiAddress, devices_at
+from rigs.transports._indi_messages import IndiElement, IndiMessage, IndiReader, get_properties, number
 from tests.capture.drivers.programs import free_port
 from tests.capture.drivers.serial_replay import TRANSCRIPTS, read_transcript
 

@@ -8,13 +8,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutError, WrongPositionError
-from rigs.filter_wheels import indi
-from rigs.filter_wheels.arrival import Arrival, require_slot, require_slots
+from data_schemas import CaptureError, LostError, RefusedError, TimedOutError, WrongPositionError
+from rigs import FilterWheel, TerminalOperator
+from rigs.filter_wheels import Arrival, indi, require_slot, require_slots
 from rigs.filter_wheels.indi import open_wheel
-from rigs.host import TerminalOperator
-from rigs.protocols import FilterWheel
-from rigs.transports.indi_client import IndiClient
+from rigs.transports import IndiClient
 from tests.capture.drivers.indi_server import REAL_WHEELS, WHEEL, IndiServer
 from tests.capture.drivers.programs import require_module
 from tests.capture.drivers.rig_excerpts import wheel_settings

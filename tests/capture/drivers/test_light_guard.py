@@ -13,12 +13,10 @@ from statistics import median
 
 import pytest
 
-from data_schemas.devices import LampSettings, LaserSettings
-from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutError, UnsafeError
-from rigs.drivers import open_lamp, open_laser
-from rigs.host import TerminalOperator
+from data_schemas import CaptureError, LampSettings, LaserSettings, LostError, RefusedError, TimedOutError, UnsafeError
+from rigs import TerminalOperator, open_lamp, open_laser
 from rigs.light_guard import GuardedLight, guarded_light
-from rigs.light_guard.messages import HungUpError, channel, error_from, error_words, receive, send
+from rigs.light_guard._held_light import HungUpError, channel, error_from, error_words, receive, send
 from rigs.light_guard.watch import GUARD_SILENT_S, OtherProcess
 from rigs.lights.indi import open_switch
 from tests.capture.drivers import file_switch

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.errors import LostError
+from data_schemas import LostError
 from rigs.light_guard import guarded_light
+from rigs.light_guard._held_light import LATE_ON_S, RETRY_FOR_S, HeldLight, HungUpError, channel, receive
 from rigs.light_guard.guard_process import LOOK_ALONE_S, LOOK_EVERY_S
-from rigs.light_guard.held_light import LATE_ON_S, RETRY_FOR_S, HeldLight
-from rigs.light_guard.messages import HungUpError, channel, receive
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.light_owner import guards, start_owner, the_guard
 from tests.capture.drivers.programs import wait_until

@@ -4,12 +4,16 @@ import io
 
 import pytest
 
-from data_schemas.band_pass_filter import BandPassFilter
-from data_schemas.capture import Target
-from data_schemas.devices import FilterWheelSettings, LampSettings
-from data_schemas.errors import CaptureError, RefusedError, UnsafeError
-from rigs.drivers import open_lamp, open_wheel
-from rigs.host import TerminalOperator
+from data_schemas import (
+    BandPassFilter,
+    CaptureError,
+    FilterWheelSettings,
+    LampSettings,
+    RefusedError,
+    Target,
+    UnsafeError,
+)
+from rigs import TerminalOperator, open_lamp, open_wheel
 from rigs.lights.manual import open_switch
 
 WHEEL = FilterWheelSettings(

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from data_schemas.devices import CameraSettings
-from data_schemas.errors import BadFrameError, LostError, MissingExtraError, RefusedError, TimedOutError
-from finray_calib.radiometry.frame_stack import MONOCHROME, FrameStack, StackStatistics
-from finray_calib.radiometry.photon_transfer import photon_transfer
+from data_schemas import BadFrameError, CameraSettings, LostError, MissingExtraError, RefusedError, TimedOutError
+from finray_calib.radiometry import FrameStack, photon_transfer
+from finray_calib.radiometry._photon_transfer import MONOCHROME, StackStatistics
 from rigs.cameras.micro_manager import MicroManagerCamera, open_camera
 from tests.capture.drivers.programs import require_module
 
@@ -169,7 +168,7 @@ FAULTY_PIXELS = """
 import json, sys
 from pathlib import Path
 import numpy as np
-from data_schemas.rig import CameraSettings
+from data_schemas._rig import CameraSettings
 from rigs.cameras.micro_manager import open_camera
 settings = CameraSettings.model_validate_json(sys.argv[2])
 with open_camera(settings, Path(sys.argv[1])) as camera:

@@ -19,14 +19,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_schemas.devices import CameraSettings
-from data_schemas.errors import BadFrameError, CaptureError, LostError, RefusedError, TimedOutError
-from rigs.cameras.jpeg_picture import decoded_jpeg, jpeg_size_px
+from data_schemas import BadFrameError, CameraSettings, CaptureError, LostError, RefusedError, TimedOutError
+from rigs import SystemClock
+from rigs.cameras._image_files import decoded_jpeg, jpeg_size_px
 from rigs.cameras.mjpeg import open_camera
-from rigs.capture.exchange import CheckedCamera
-from rigs.capture.plan import Step
-from rigs.host import SystemClock
-from rigs.transports.multipart_stream import MultipartStream, Part
+from rigs.capture._exposure import CheckedCamera
+from rigs.capture._plan import Step
+from rigs.transports import MultipartStream, Part
 from tests.capture.drivers.programs import answers, free_port, require, wait_until
 
 TRANSCRIPTS = Path(__file__).parent / "transcripts"
@@ -350,7 +349,7 @@ def test_senseless_stream_is_refused(piece, error, message):
 
 
 def test_part_without_end_is_refused(monkeypatch):
-    monkeypatch.setattr("rigs.transports.multipart_stream.LONGEST_PART_BYTES", 10_000)
+    monkeypatch.setattr("rigs.transports._timed_http.LONGEST_PART_BYTES", 10_000)
     with (
         serving([part(bytes(40_000), length=False)]) as address,
         opened(address) as camera,

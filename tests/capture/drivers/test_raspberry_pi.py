@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas.devices import CameraSettings
-from data_schemas.errors import BadFrameError, LostError, MissingExtraError, RefusedError, TimedOutError
-from rigs.cameras.raspberry_pi import found, open_camera
-from rigs.cameras.raspberry_pi_raw import RawLayout
+from data_schemas import BadFrameError, CameraSettings, LostError, MissingExtraError, RefusedError, TimedOutError
+from rigs.cameras.raspberry_pi import RawLayout, found, open_camera
 from tests.capture.drivers import picamera2_stand_in
 
 WIDTH_PX, HEIGHT_PX = 96, 64  # 98 x 66 of a BGGR sensor, less what does not begin with red

@@ -18,8 +18,9 @@ from hypothesis import strategies as st
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutError
-from rigs.transports.serial_link import LONGEST_ANSWER_BYTES, SerialLink, usb_serial_ports
+from data_schemas import CaptureError, LostError, RefusedError, TimedOutError
+from rigs.transports import SerialLink, usb_serial_ports
+from rigs.transports._serial_link import LONGEST_ANSWER_BYTES
 from tests.capture.drivers.programs import free_port
 
 # Deadlines are kept to one poll (0.02 s); the rest is for a busy machine.

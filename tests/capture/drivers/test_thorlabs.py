@@ -12,16 +12,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_schemas.band_pass_filter import BandPassFilter
-from data_schemas.devices import FilterWheelSettings
-from data_schemas.errors import CaptureError, LostError, RefusedError, TimedOutError, WrongPositionError
-from rigs.drivers import open_wheel
+from data_schemas import (
+    BandPassFilter,
+    CaptureError,
+    FilterWheelSettings,
+    LostError,
+    RefusedError,
+    TimedOutError,
+    WrongPositionError,
+)
+from rigs import FilterWheel, TerminalOperator, open_wheel
 from rigs.filter_wheels import thorlabs
-from rigs.filter_wheels.thorlabs import ANSWER_S
-from rigs.filter_wheels.thorlabs_dialogue import Dialogue
-from rigs.host import TerminalOperator
-from rigs.protocols import FilterWheel
-from rigs.transports.serial_link import SerialLink, UsbSerialPort
+from rigs.filter_wheels.thorlabs import ANSWER_S, Dialogue
+from rigs.transports import SerialLink
+from rigs.transports._serial_link import UsbSerialPort
 from tests.capture.drivers.programs import free_port, others_python, require, wait_until
 from tests.capture.drivers.serial_replay import TRANSCRIPTS, read_transcript, replayed
 from tests.capture.drivers.thorlabs_wheel import EmulatedWheel, emulated_wheel

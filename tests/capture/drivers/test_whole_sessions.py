@@ -8,14 +8,21 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas.capture import CaptureSession, PaintPlan, RegionOfInterest, Target
-from data_schemas.devices import CameraSettings, FilterWheelSettings, LampSettings, LaserSettings, OutsideLayer
-from data_schemas.rig import RigFile
+from data_schemas import (
+    CameraSettings,
+    CaptureSession,
+    FilterWheelSettings,
+    LampSettings,
+    LaserSettings,
+    OutsideLayer,
+    PaintPlan,
+    RegionOfInterest,
+    RigFile,
+    Target,
+)
 from data_schemas.storage import read_toml
-from rigs.capture.paint_session import capture_paint_session
-from rigs.capture.read_session import read_frame_of, read_session
-from rigs.presets import simulated_rig
-from rigs.toml_text import write_rig
+from rigs import simulated_rig, write_rig
+from rigs.capture import capture_paint_session, read_frame_of, read_session
 from tests.capture.drivers.fake_gigevision_camera import fake_camera
 from tests.capture.drivers.firmware_in_qemu import build, firmware_board
 from tests.capture.drivers.indi_server import CCD, PANEL, SIMULATORS, WHEEL, IndiServer

@@ -1,0 +1,405 @@
+"""Capture plans, what a capture session stores, and tactile captures.
+
+A paint session photographs a paint through the filters of the rig. A tactile session holds presses on a finished
+finger: its rig is a camera alone, for the finger brings its own light.
+"""
+
+from typing import Annotated, ClassVar, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from data_schemas._arrays import ArraySpec, check_dimensions
+from data_schemas._curves import SpectralCurve, check_named_curves
+from data_schemas._model import Model, Record
+from data_schemas._rig import CameraSettings, DeviceIdentity, RigFile
+from data_schemas._units import (
+    AngleDeg,
+    DurationS,
+    EnergyJ,
+    ExposureS,
+    Fraction,
+    LengthMm,
+    PositionMm,
+    RelativeUncertainty,
+    SignalDn,
+)
+
+LightState = Literal["off", "lamp", "laser", "room"]
+Target = Literal["white", "sample", "sample beside ColorChecker"]
+FrameType = Literal[
+    "dark",
+    "white",
+    "reflectance",
+    "fluorescence",
+    "laser white",
+    "room light",
+    "fluorescence repeat",
+    "tilted fluorescence",
+]
+Encoding = Literal["linear", "unknown"]
+PixelLayout = Literal["RGB", "Bayer RGGB"]
+
+
+UncertaintyMm = Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})]
+UncertaintyDeg = Annotated[float, Field(ge=0.0, le=90.0, json_schema_extra={"unit": "deg"})]
+CurrentMa = Annotated[float, Field(gt=0.0, le=1e5, json_schema_extra={"unit": "mA"})]
+
+
+class RegionOfInterest(Model):
+    """Rectangle of the painted (and white) area in pixels of the raw frame."""
+
+    row_px: Annotated[int, Field(ge=0)]
+    column_px: Annotated[int, Field(ge=0)]
+    height_px: Annotated[int, Field(ge=0)]
+    width_px: Annotated[int, Field(ge=0)]
+
+
+class PaintPlan(Record):
+    """Plan of a paint session (TOML): which paint, where it lies in the frame, how to expose."""
+
+    kind: Literal["paint"] = "paint"
+    paint_name: str
+    filters: tuple[str, ...] | None = Field(
+        default=None, description="names in capture order; all of the rig if left out"
+    )
+    excitation_filter: str = Field(default="450", description="the filter that passes the laser line")
+    region: RegionOfInterest
+    target_fraction: Annotated[float, Field(gt=0.1, lt=0.95)] = Field(
+        default=0.7, description="brightest pixel of the region as a fraction of full scale"
+    )
+    bracket: tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...] = Field(
+        default=(1.0, 0.25), min_length=1, description="exposures of each step relative to the metered one"
+    )
+    darks_per_exposure: Annotated[int, Field(ge=1, le=50)] = 2
+    second_tilt_deg: Annotated[float, Field(ge=5.0, le=75.0, json_schema_extra={"unit": "deg"})] | None = Field(
+        default=None,
+        description="second angle between the laser beam and the sample's normal (the first is 0): tests whether the "
+        "paint is diffuse; left out, the sample is not tilted",
+    )
+    second_tilt_filters: tuple[str, str] | None = Field(
+        default=None, description="the two filters of the tilted sample, such as the two brightest of the paint"
+    )
+
+    @model_validator(mode="after")
+    def _filters_once(self) -> "PaintPlan":
+        for field, names in (("filters", self.filters or ()), ("second_tilt_filters", self.second_tilt_filters or ())):
+            twice = sorted({n for n in names if names.count(n) > 1})
+            if twice:
+                raise ValueError(f"{field}: {twice[0]!r} is named twice; name each filter once")
+        return self
+
+    @model_validator(mode="after")
+    def _tilt_is_whole(self) -> "PaintPlan":
+        if (self.second_tilt_deg is None) != (self.second_tilt_filters is None):
+            raise ValueError("second_tilt_deg and second_tilt_filters go together: give both or leave both out")
+        return self
+
+
+class Frame(Model):
+    """One stored raw frame: what was asked, what the devices read back, and the file's checksum."""
+
+    sequence: Annotated[int, Field(ge=0)]
+    file: str = Field(pattern=r"^frames/[A-Za-z0-9_.-]+\.tiff$")
+    frame_type: FrameType
+    target: Target
+    light: LightState
+    filter_name: str | None
+    slot_before: int | None
+    slot_after: int | None
+    exposure_requested_s: ExposureS
+    exposure_s: ExposureS
+    captured_utc: str
+    middle_s: DurationS = Field(default=0.0, description="middle of the exposure on the journal's monotonic clock")
+    laser_dose_j: EnergyJ = Field(
+        default=0.0,
+        description="laser light that fell on the sample from the start of the session to the middle of this exposure: "
+        "power x time with the laser on and the sample in view, metering included",
+    )
+    frame_id: int | None = Field(default=None, description="the camera's own number of the frame; it may wrap")
+    device_time_s: float | None = Field(default=None, description="the camera's own time of the frame")
+    lights_before: tuple[Literal["lamp", "laser"], ...] = Field(
+        default=(), description="lights that read back as on before the exposure"
+    )
+    lights_after: tuple[Literal["lamp", "laser"], ...] = Field(default=(), description="the same after it")
+    settings: dict[str, str | float] = Field(
+        default={}, description="other settings as the camera reads them back, by name (gain, pixel format)"
+    )
+    attempts: Annotated[int, Field(ge=1, le=100)] = Field(
+        default=1, description="exposures it took; more than one where frames were refused"
+    )
+    tilt_deg: AngleDeg = Field(default=0.0, description="between the laser beam and the sample's normal")
+    saturated_fraction: Fraction = Field(description="pixels of the region at full scale")
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+
+class FilterProof(Model):
+    """Whether the frames themselves show the filters that the wheel claims."""
+
+    verdict: Literal["confirmed", "contradicted", "cannot tell"]
+    text: str
+
+
+class CaptureSession(Record):
+    """A finished paint session: plan, rig, response curves and the list of frames (a folder on disk)."""
+
+    schema_version: ClassVar[int] = 3
+    written_by: ClassVar[str] = "'finray capture'"
+
+    plan: PaintPlan
+    rig: RigFile
+    camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
+    filter_curves: dict[str, SpectralCurve] = Field(
+        default={}, description="measured transmission of the filters that name one, by the filter's name"
+    )
+    lamp: SpectralCurve
+    frames: tuple[Frame, ...]
+    devices: tuple[DeviceIdentity, ...] = Field(default=(), description="what the devices said they are")
+    filter_proof: FilterProof | None = Field(
+        default=None, description="judged from the white frames under the lamp and the laser's line"
+    )
+    white_rates_dn_per_s: tuple[tuple[float, float, float], ...] = Field(
+        default=(), description="red, green, blue rates of the white tile behind each filter: the session's fingerprint"
+    )
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _curves_are_those_of_the_filters(self) -> "CaptureSession":
+        check_named_curves(self.rig.filter_wheel.filters, self.filter_curves)
+        return self
+
+
+class IndenterPose(Model):
+    """What was pressed, where and how deep; the circle or strip it touches. Uncertainties are standard ones."""
+
+    shape: Literal["cylinder", "ball", "cuboid", "mesh"]
+    radius_mm: LengthMm
+    depth_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})] | None
+    position_mm: PositionMm | None = Field(description="along the pad, from the base")
+    tilt_deg: AngleDeg | None = Field(default=None, description="between the indenter's axis and the pad's normal")
+    depth_uncertainty_mm: UncertaintyMm | None = None
+    position_uncertainty_mm: UncertaintyMm | None = None
+    tilt_uncertainty_deg: UncertaintyDeg | None = None
+
+
+class ContactCircle(Model):
+    """Contact region of a ball in pixels of the image."""
+
+    row_px: float
+    column_px: float
+    radius_px: Annotated[float, Field(gt=0.0)]
+
+
+class TactileCapture(Record):
+    """Images of one press: contact, no contact and a repeat of no contact, with everything needed to compare.
+
+    Images are raw counts (DN). Layout "Bayer RGGB" has shape (H, W, 1); "RGB" has (H, W, 3). With encoding
+    "unknown" the values went through an unknown camera curve and are not proportional to light.
+    """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray capture'"
+
+    name: str
+    contact: Annotated[NDArray[np.uint16], ArraySpec("<u2", ("row", "column", "sample"), "DN")]
+    no_contact: Annotated[NDArray[np.uint16], ArraySpec("<u2", ("row", "column", "sample"), "DN")]
+    repeat_no_contact: Annotated[NDArray[np.uint16], ArraySpec("<u2", ("row", "column", "sample"), "DN")] | None
+    layout: PixelLayout
+    encoding: Encoding
+    bit_depth: Literal[8, 10, 12, 14, 16]
+    black_level_dn: SignalDn
+    exposure_s: ExposureS | None
+    light_angle_deg: AngleDeg | None
+    indenter: IndenterPose
+    contact_circle: ContactCircle | None
+    mm_per_px: LengthMm | None
+    source: str
+    rig: str | None = Field(
+        default=None, description="whose name it is: captures of one rig at different angles may be compared absolutely"
+    )
+    light_angle_uncertainty_deg: UncertaintyDeg | None = Field(default=None, description="standard uncertainty")
+    mm_per_px_u_rel: RelativeUncertainty | None = Field(
+        default=None, description="relative standard uncertainty of mm_per_px; none: not known"
+    )
+    led_current_ma: CurrentMa | None = Field(default=None, description="of the blue LED panel")
+    exposure_bracket_s: tuple[ExposureS, ...] = Field(
+        default=(), description="all exposures of the press, this one among them; the session holds the others' frames"
+    )
+
+    @model_validator(mode="after")
+    def _images_agree(self) -> "TactileCapture":
+        check_dimensions(self)
+        samples = {"RGB": 3, "Bayer RGGB": 1}[self.layout]
+        if self.contact.shape[2] != samples:
+            raise ValueError(f"layout {self.layout} needs {samples} sample(s) per pixel, got {self.contact.shape[2]}")
+        rows, columns = self.contact.shape[:2]
+        if self.layout != "RGB" and (rows % 2 or columns % 2):
+            raise ValueError(f"layout {self.layout} needs even rows and columns (2 x 2 cells), got {rows} x {columns}")
+        return self
+
+
+BRACKET_POWERS: Final = (4, 22)
+"""Two to this power in microseconds: 16 us to 4.2 s, as rigs with Raspberry Pi cameras take it."""
+MICROSECOND_S: Final = 1e-6
+
+TactileFrameType = Literal["board", "no contact", "contact"]
+
+
+class TactileRig(Record):
+    """Rig of a tactile session (TOML): the finger's camera. There is no filter wheel and no laser to describe."""
+
+    name: str
+    camera: CameraSettings
+
+    @model_validator(mode="after")
+    def _camera_is_real(self) -> "TactileRig":
+        if self.camera.driver == "simulated":
+            raise ValueError(
+                "camera.driver: the simulated bench holds no finger; name a real camera, or simulate a press with "
+                "'finray simulate'"
+            )
+        return self
+
+
+class PressIndenter(Model):
+    """What is pressed into the pad."""
+
+    shape: Literal["cylinder", "ball"]
+    radius_mm: LengthMm
+
+
+class PlannedPress(Model):
+    """One press: where and how deep, with standard uncertainties."""
+
+    depth_mm: Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})]
+    position_mm: PositionMm = Field(description="along the pad, from the base")
+    tilt_deg: AngleDeg = Field(default=0.0, description="between the indenter's axis and the pad's normal")
+    depth_uncertainty_mm: UncertaintyMm
+    position_uncertainty_mm: UncertaintyMm
+    tilt_uncertainty_deg: UncertaintyDeg | None = None
+
+    def pose(self, indenter: PressIndenter) -> IndenterPose:
+        """Return the pose of `indenter` in this press."""
+        return IndenterPose(**indenter.model_dump(), **self.model_dump())
+
+
+class CharucoBoard(Model):
+    """The ChArUco board whose images calibrate the camera's geometry."""
+
+    squares: tuple[Annotated[int, Field(ge=3, le=100)], Annotated[int, Field(ge=3, le=100)]] = Field(
+        description="along the rows, along the columns"
+    )
+    square_mm: LengthMm
+    marker_mm: LengthMm
+    dictionary: str = Field(
+        pattern=r"^DICT_((4X4|5X5|6X6|7X7)_(50|100|250|1000)|ARUCO_ORIGINAL)$", description="OpenCV's name of it"
+    )
+    images: Annotated[int, Field(ge=1, le=200)] = 10
+    on_pad: bool = Field(
+        default=False, description="the first place is flat where the coat of the pad is: it gives mm per pixel"
+    )
+
+    @model_validator(mode="after")
+    def _marker_fits_its_square(self) -> "CharucoBoard":
+        if self.marker_mm >= self.square_mm:
+            raise ValueError(
+                f"marker_mm = {self.marker_mm:g} mm must be smaller than square_mm = {self.square_mm:g} mm"
+            )
+        return self
+
+
+class TactilePlan(Record):
+    """Plan of a tactile session (TOML): which finger, what is pressed where, how to expose, how the finger is lit."""
+
+    kind: Literal["tactile"] = "tactile"
+    name: str = Field(description="names the session's folder and its captures")
+    design: str = Field(description="finger or sensor: its design file, or name and number")
+    indenter: PressIndenter
+    presses: tuple[PlannedPress, ...] = Field(default=(), description="asked of the operator one after another")
+    poses_csv: str | None = Field(
+        default=None,
+        description="in place of 'presses': CSV file of poses that a stage reports, with their fields as header; "
+        "relative to the plan",
+    )
+    repeats: Annotated[int, Field(ge=1, le=100)] = Field(default=1, description="of each press, retracted between")
+    no_contact_images: Annotated[int, Field(ge=1, le=50)] = Field(default=2, description="before and after each press")
+    exposures_s: tuple[ExposureS, ...] = Field(
+        default=(), description="of every image; over MJPEG one, which is set at the camera's server"
+    )
+    bracket_powers: tuple[Annotated[int, Field(ge=0, le=31)], Annotated[int, Field(ge=0, le=31)]] | None = Field(
+        default=None,
+        description="in place of 'exposures_s': all powers of two of a microsecond from the first to the last that the "
+        f"rig's camera allows, such as [{BRACKET_POWERS[0]}, {BRACKET_POWERS[1]}]",
+    )
+    led_current_ma: CurrentMa = Field(description="of the blue LED panel")
+    light_angle_deg: AngleDeg = Field(description="measured: the panel's normal from the pad plane")
+    light_angle_uncertainty_deg: UncertaintyDeg
+    mm_per_px: LengthMm | None = Field(
+        default=None, description="side of a raw pixel on the pad, as 'finray study pixel-scale' measures it"
+    )
+    mm_per_px_u_rel: RelativeUncertainty | None = Field(
+        default=None, description="relative standard uncertainty; none: not known"
+    )
+    board: CharucoBoard | None = None
+
+    @model_validator(mode="after")
+    def _poses_come_once(self) -> "TactilePlan":
+        if bool(self.presses) == (self.poses_csv is not None):
+            raise ValueError("needs either [[presses]] tables or poses_csv, one of the two")
+        return self
+
+    @model_validator(mode="after")
+    def _exposures_come_once(self) -> "TactilePlan":
+        if bool(self.exposures_s) == (self.bracket_powers is not None):
+            raise ValueError("needs either exposures_s or bracket_powers, one of the two")
+        if len(set(self.exposures_s)) < len(self.exposures_s):
+            raise ValueError("exposures_s: an exposure is listed twice; list each once")
+        if self.bracket_powers is not None and self.bracket_powers[0] > self.bracket_powers[1]:
+            raise ValueError("bracket_powers: the first must not exceed the last")
+        return self
+
+    def bracket_s(self, camera: CameraSettings) -> tuple[float, ...]:
+        """Return the exposures (s), increasing; of a bracket those that the rig's camera allows."""
+        if self.bracket_powers is None:
+            return tuple(sorted(self.exposures_s))
+        first, last = self.bracket_powers
+        powers_s = (2**power * MICROSECOND_S for power in range(first, last + 1))
+        return tuple(t for t in powers_s if camera.shortest_exposure_s <= t <= camera.longest_exposure_s)
+
+
+class TactileFrame(Model):
+    """One stored frame: what was asked, what the camera read back, and the file's checksum."""
+
+    sequence: Annotated[int, Field(ge=0)]
+    file: str = Field(pattern=r"^frames/[A-Za-z0-9_.-]+\.tiff$")
+    frame_type: TactileFrameType
+    place: Annotated[int, Field(ge=0)] = Field(
+        description="number of the contact, from 1; of no-contact images that of the contact before them (0: none); of "
+        "board images that of the board's place"
+    )
+    exposure_requested_s: ExposureS
+    exposure_s: ExposureS | None = Field(description="none where the camera does not say")
+    captured_utc: str
+    captured_s: DurationS = Field(description="end of the exposure on the journal's monotonic clock")
+    frame_id: int | None = None
+    device_time_s: float | None = None
+    settings: dict[str, str | float] = Field(default={}, description="as the camera reads them back, by name")
+    attempts: Annotated[int, Field(ge=1, le=100)] = 1
+    saturated_fraction: Fraction = Field(description="pixels with a value at full scale")
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+
+class TactileSession(Record):
+    """A finished tactile session (a folder on disk): plan, rig, frames, and a ``TactileCapture`` of each contact."""
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray capture'"
+
+    plan: TactilePlan
+    rig: TactileRig
+    presses: tuple[PlannedPress, ...] = Field(description="of the plan or of its poses_csv")
+    frames: tuple[TactileFrame, ...]
+    captures: tuple[str, ...] = Field(description="files of the tactile captures, in the order of the contacts")
+    devices: tuple[DeviceIdentity, ...] = ()
+    notes: tuple[str, ...] = ()

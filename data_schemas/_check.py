@@ -1,0 +1,178 @@
+"""Acceptance checks of a rig: the plan, what the devices showed, and the report with a verdict for each check."""
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from data_schemas._capture import FilterProof, RegionOfInterest
+from data_schemas._model import Model, Record
+from data_schemas._rig import DeviceIdentity, RigFile
+from data_schemas._units import DurationS, ExposureS, Fraction, RelativeUncertainty, Seed, SignalDn
+
+CheckVerdict = Literal["PASS", "FAIL", "UNDECIDED", "ERROR"]
+LightLayer = Literal["block", "guard", "dead-man"]
+Witness = Literal["its own connection", "a new connection", "the camera"]
+Section = Literal[
+    "opening", "handshake", "wheel", "dark frames", "filters", "revisits", "exposures", "light off", "closing"
+]
+RateDnPerS = Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "DN/s"})]
+PositiveS = Annotated[float, Field(gt=0.0, le=60.0, json_schema_extra={"unit": "s"})]
+
+
+class CheckLimits(Model):
+    """Largest allowed values; a check passes when its value is inside with 95 % confidence."""
+
+    handshake_s: PositiveS = Field(default=2.0, description="one answer of a device to who it is and how it stands")
+    move_s: PositiveS = Field(default=5.0, description="longest of the moves of the wheel")
+    revisit_rel: RelativeUncertainty = Field(
+        default=0.01, description="RMS change of the white signal when the wheel goes away and comes back"
+    )
+    black_level_dn: SignalDn = Field(default=2.0, description="dark level apart from the rig file's black_level_dn")
+    read_noise_rel: RelativeUncertainty = Field(
+        default=0.25, description="read noise apart from the rig file's read_noise_e, relative to it"
+    )
+    dark_rate_dn_per_s: RateDnPerS = Field(
+        default=2.0, description="growth of the dark level with the exposure: dark current and leaking light"
+    )
+    exposure_ratio_rel: RelativeUncertainty = Field(
+        default=0.01, description="signal at 2 t and 4 t apart from 2 and 4 times that at t"
+    )
+    light_off_s: PositiveS = Field(default=1.0, description="from the mishap until the laser is off, each layer")
+
+
+class CheckPlan(Record):
+    """Plan of an acceptance check (TOML): where to look, how often, and what is allowed."""
+
+    kind: Literal["check"] = "check"
+    check_name: str = Field(description="names the folder of the report")
+    filters: tuple[str, ...] | None = Field(default=None, description="names to be checked; all of the rig if left out")
+    region: RegionOfInterest = Field(description="evenly lit part of the white tile")
+    target_fraction: Annotated[float, Field(gt=0.1, lt=0.95)] = Field(
+        default=0.7, description="brightest pixel of the region as a fraction of full scale"
+    )
+    wheel_moves: Annotated[int, Field(ge=0, le=1000)] = Field(default=20, description="random moves")
+    revisits: Annotated[int, Field(ge=0, le=100)] = Field(
+        default=8, description="times that the wheel leaves its brightest filter and comes back"
+    )
+    darks_per_exposure: Annotated[int, Field(ge=2, le=100)] = 6
+    longest_dark_s: ExposureS = Field(default=1.0, description="exposure of the longest dark frames")
+    exposure_rounds: Annotated[int, Field(ge=4, le=100)] = Field(
+        default=6, description="times that each of the exposures t, 2 t and 4 t is taken"
+    )
+    light_off_repeats: Annotated[int, Field(ge=1, le=20)] = Field(default=3, description="mishaps of each layer")
+    seed: Seed = Field(default=1, description="of the random moves")
+    limits: CheckLimits = CheckLimits()
+
+    @model_validator(mode="after")
+    def _filters_once(self) -> "CheckPlan":
+        twice = sorted({n for n in self.filters or () if (self.filters or ()).count(n) > 1})
+        if twice:
+            raise ValueError(f"filters: {twice[0]!r} is named twice; name each filter once")
+        return self
+
+
+class Handshake(Model):
+    """What a device said of itself, and how long each asking took."""
+
+    role: Literal["camera", "filter wheel", "laser", "lamp"]
+    driver: str = Field(description="as the rig file names it")
+    identity: DeviceIdentity | None
+    durations_s: tuple[DurationS, ...]
+    error: str | None = None
+
+
+class WheelMove(Model):
+    """One move; `arrived_slot` is asked afresh after it."""
+
+    from_slot: int | None
+    to_slot: int
+    arrived_slot: int | None
+    duration_s: DurationS
+
+
+class Revisit(Model):
+    """Relative change of the white signal between two frames, without and with a move away and back between them."""
+
+    still_rel: float
+    moved_rel: float
+
+
+class DarkFrames(Model):
+    """Dark frames of one exposure time, reduced to the region."""
+
+    exposure_s: ExposureS
+    means_dn: tuple[float, ...] = Field(min_length=2, description="mean count of each frame")
+    noise_dn: SignalDn = Field(description="temporal standard deviation of a pixel, from differences of frames")
+    at_zero_fraction: Fraction = Field(description="share of counts that are 0, where noise is cut off")
+    pixels: Annotated[int, Field(ge=1)]
+
+
+class ExposureLevel(Model):
+    """White frames of one exposure time and dark frames of the same, reduced to the region."""
+
+    exposure_s: ExposureS = Field(description="as the camera reads it back")
+    white_dn: tuple[float, ...] = Field(min_length=4)
+    dark_dn: tuple[float, ...] = Field(min_length=4)
+
+
+class LightOff(Model):
+    """Mishaps that one safety layer of the laser had to meet.
+
+    The laser went off between `earliest_s` and `latest_s` after each mishap. A mishap after which it was still on
+    when the watch ended has no latest time and is counted in `still_on`.
+    """
+
+    layer: LightLayer
+    missing: str | None = Field(default=None, description="why the layer does not exist or could not be watched")
+    witness: Witness | None = None
+    earliest_s: tuple[DurationS, ...] = ()
+    latest_s: tuple[DurationS, ...] = ()
+    still_on: Annotated[int, Field(ge=0)] = 0
+    watched_s: DurationS = 0.0
+    error: str | None = None
+
+
+class CheckFacts(Model):
+    """What the devices showed; nothing in it is judged but the filters, which need the frames."""
+
+    handshakes: tuple[Handshake, ...] = ()
+    moves: tuple[WheelMove, ...] = ()
+    darks: tuple[DarkFrames, ...] = ()
+    filter_proof: FilterProof | None = None
+    revisit_filter: str | None = None
+    revisits: tuple[Revisit, ...] = ()
+    levels: tuple[ExposureLevel, ...] = ()
+    light_off: tuple[LightOff, ...] = ()
+    errors: dict[Section, str] = Field(default={}, description="what broke a section off, by section")
+
+
+class CheckResult(Model):
+    """One check: the value with its standard uncertainty against the limit."""
+
+    section: Section
+    name: str
+    what: str
+    value: float | None = Field(description="None where nothing was measured, or nothing is a number")
+    unit: str
+    sd: Annotated[float, Field(ge=0.0)] | None = Field(description="standard uncertainty of the value, in its unit")
+    low: float | None = Field(description="lowest allowed value; None where there is none")
+    high: float | None = Field(description="highest allowed value; None where there is none")
+    limit: str = Field(description="what is allowed, in words")
+    p_conform: Fraction | None = Field(
+        default=None, description="probability that the quantity keeps its limits (JCGM 106); None without a number"
+    )
+    verdict: CheckVerdict
+    evidence: str
+
+
+class AcceptanceReport(Record):
+    """The outcome of an acceptance check of a rig: one result for each check, and the facts they follow from."""
+
+    schema_version: ClassVar[int] = 3
+    written_by: ClassVar[str] = "'finray check run'"
+    plan: CheckPlan
+    rig: RigFile
+    facts: CheckFacts
+    results: tuple[CheckResult, ...]
+    verdict: CheckVerdict = Field(description="FAIL before ERROR before UNDECIDED before PASS")
+    notes: tuple[str, ...] = ()

@@ -1,0 +1,353 @@
+"""What a comparison writes: how far a render is from a capture, beside doing nothing and repeating; also forces.
+
+A batch holds each pair's headline, their mean, and what failed. A force comparison holds a measured force over
+displacement against a simulated press, with what is uncertain in both.
+"""
+
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from data_schemas._arrays import ArraySpec
+from data_schemas._design import FingerIdentity
+from data_schemas._model import Model, Record
+from data_schemas._sensing import LocalScale, ScaleRange
+from data_schemas._units import RelativeUncertainty
+
+
+class Interval(Model):
+    """Point estimate with a 95 % interval."""
+
+    estimate: float
+    low95: float
+    high95: float
+
+
+class InputUncertainty(Model):
+    """One line of the uncertainty budget: what this input alone does, all others at their best values.
+
+    Attributes
+    ----------
+    evaluation
+        "A": from repeated observations (posterior draws, repeated images, halves of a render); "B": from other
+        knowledge (a stated uncertainty of the camera, of the pose).
+    skill_u, objective_u_rel
+        Standard uncertainty of the headline skill and of the objective's relative error.
+    """
+
+    input: str
+    evaluation: Literal["A", "B"]
+    source: str
+    skill_u: float
+    objective_u_rel: float | None
+
+
+class MonteCarlo(Model):
+    """How the intervals were propagated (JCGM 101): draws, and to how many digits they are stable."""
+
+    draws: int
+    significant_digits: Annotated[int, Field(ge=0, le=2, description="of the headline's standard uncertainty")]
+    not_included: tuple[str, ...] = Field(description="what the intervals do not know, in plain words")
+
+
+class ValidationCell(Model):
+    """Mean level of one part of the region in one channel, simulated against captured (ASME V&V 20).
+
+    All numbers are relative to the captured level. The simulation is within its validation uncertainty where
+    ``abs(error_rel) <= 2 u_validation_rel``; else the model is wrong by about ``error_rel``. The area metric is the
+    area between the distribution of the simulation (its uncertain inputs) and that of the capture; its two signed parts
+    add up to it.
+    """
+
+    row: Annotated[int, Field(ge=0, le=2)]
+    column: Annotated[int, Field(ge=0, le=2)]
+    channel: Literal["red", "green", "blue"]
+    pixels: int
+    error_rel: float
+    u_numerical_rel: float
+    u_input_rel: float
+    u_data_rel: float
+    u_validation_rel: float
+    within: bool
+    area_too_bright_rel: float
+    area_too_dark_rel: float
+
+
+class ObjectiveError(Model):
+    """Simulated against captured value of the sweep's own objective, per channel, as draws.
+
+    log_ratio_draws: ln(k simulated / captured) of the brightness beside the indenter in red, green, blue, with the
+    exposure factor k of the no-contact images. log_exposure_draws: ln of k per second of exposure and mA of the LED;
+    subtracted from log_ratio it leaves the absolute ratio, of which only differences between captures of one rig mean
+    something. None where exposure or current is not known. Reports on the same paints and camera share their draws, so
+    that the covariance of two reports is that of their draws.
+    """
+
+    error_rel: Interval
+    log_ratio_draws: Annotated[NDArray[np.float64], ArraySpec("<f8", ("draw", "3"))]
+    log_exposure_draws: Annotated[NDArray[np.float64], ArraySpec("<f8", ("draw",))] | None
+    source: str = Field(description="checksums of the paints and name of the camera whose draws are shared")
+    rig: str | None = Field(default=None, description="what the capture was taken with; None: not known")
+
+
+class ErrorRow(Model):
+    """One row of the table: a candidate image against the captured contact image in one region."""
+
+    candidate: Literal["do nothing", "simulation", "floor"]
+    skill: Interval = Field(
+        description="1 - squared error relative to that of the no-contact image; none is above 1, where the interval "
+        "ends, but an estimate may be: the noise is taken out, and what is left scatters to both sides. An interval "
+        "from 1 to 1 beside an estimate above 1 means that model and noise disagree: less is left than noise explains"
+    )
+    skill_per_channel: tuple[float | None, float | None, float | None] = Field(
+        description="None where contact does not change the channel"
+    )
+    relative_rms: tuple[Interval, Interval, Interval] | None = Field(
+        description="per channel; None where values are not linear light"
+    )
+    difference_gradient_rms_per_px: Interval | None = Field(
+        default=None, description="of the gradient of (image - its no-contact image), relative to the pad's level"
+    )
+    chromaticity_rms: Interval | None = Field(default=None, description="of R and G over R + G + B; None in noise")
+    ms_ssim: float | None = Field(default=None, description="multi-scale SSIM of the frame; None in small images")
+    ciede2000_mean: float | None = Field(default=None, description="as displayed, mean over the region")
+    ciede2000_p95: float | None = Field(default=None, description="as displayed, 95th percentile over the region")
+    flip_mean: float | None = Field(default=None, description="as displayed, mean over the region; needs extra 'flip'")
+    psnr_db: float | None = Field(description="None for identical images")
+    ssim: float | None = Field(
+        description="mean of the SSIM map over the region; for comparison with papers; None without a complete window"
+    )
+
+
+class RegionError(Model):
+    """All rows for one region."""
+
+    region: str
+    factor: float = Field(description="region size in contact half-widths")
+    pixels: int
+    clipped_fraction: float
+    rows: tuple[ErrorRow, ...]
+
+
+class SensingRow(Model):
+    """One candidate as the sensor itself would see it: normals and depth from its colours against the captured ones."""
+
+    candidate: Literal["do nothing", "simulation", "floor"]
+    normal_angle_mean_deg: Interval
+    normal_angle_p95_deg: Interval
+    depth_rms_mm: Interval
+
+
+class SensingError(Model):
+    """Error in sensing space over the headline region: one map from colour to normals, applied to both sides.
+
+    ``held_out_explained_rel`` is what the map explains of the squared slopes of presses that did not teach it, median
+    and range over random halves. The ``outside_share`` are pixels whose change of colour no calibration press showed.
+    """
+
+    normal_map: str
+    presses: int
+    held_out_explained_rel: Interval = Field(
+        description="median, least and greatest over random halves of the presses; no 95 % interval"
+    )
+    outside_share_simulated: float
+    outside_share_captured: float
+    rows: tuple[SensingRow, ...]
+    mm_per_px_u_rel: RelativeUncertainty | None = Field(
+        default=None, description="of the scale that the map and its depths rest on; None: not known"
+    )
+
+
+class RegionExtent(Model):
+    """How far a region reaches on the pad, along the rows and the columns of the picture at the patch's middle."""
+
+    region: str
+    along_x_mm: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "mm"})]
+    along_y_mm: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "mm"})]
+    along_x_u_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})]
+    along_y_u_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})]
+
+
+class PatchScale(Model):
+    """Millimetres per raw pixel of the capture where the comparison looked.
+
+    ``extents`` are those of the pixels that belong to a region, for the pad at rest; half a pixel at either end is in
+    their standard uncertainty.
+    """
+
+    middle: LocalScale = Field(description="at the middle of the contact patch")
+    over_patch: ScaleRange
+    over_pad: ScaleRange
+    extents: tuple[RegionExtent, ...]
+
+
+class PhotometricErrorReport(Record):
+    """Comparison of one simulated press with one tactile capture.
+
+    The headline is the skill score over the contact patch dilated to twice its half-width: 0 is doing nothing,
+    the floor row is what a repeat of the no-contact image costs. Where the camera's noise is taken out (linear light
+    with a repeat) a score may lie above it; elsewhere no score above it says anything.
+    """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray compare'"
+
+    simulated: str
+    captured: str
+    finger: FingerIdentity | None = Field(
+        default=None, description="that was rendered; None: not known (no design, or an older version)"
+    )
+    label: str
+    values: Literal["linear light", "encoded values, encoding unknown"]
+    block_px: Annotated[int, Field(ge=1, description="images were averaged over blocks of this side")]
+    headline_region: str
+    headline_skill: Interval
+    regions: tuple[RegionError, ...]
+    ssim_full_frame: dict[str, float | None]
+    ssim_settings: str
+    exposure_factor: float | None = Field(description="one factor for all channels; None when not fitted")
+    exposure_factor_sd: float | None
+    channel_weights: tuple[float, float, float]
+    objective_error: ObjectiveError | None = Field(
+        description="None where values are not linear light, or no input of the press has a known uncertainty"
+    )
+    light_angle_deg: float | None
+    light_angle_uncertainty_deg: float | None = None
+    interval_covers: str = Field(description="what the intervals cover, in plain words")
+    monte_carlo: MonteCarlo | None = Field(default=None, description="None where no input has a known uncertainty")
+    budget: tuple[InputUncertainty, ...] = ()
+    validation: tuple[ValidationCell, ...] = ()
+    sensing: SensingError | None = Field(default=None, description="None where no normal map was given")
+    patch_scale: PatchScale | None = Field(default=None, description="None where no pixel scale was given")
+    findings: tuple[str, ...] = Field(default=(), description="of the checks of registration, channels and exposure")
+    forced_mismatch: bool = Field(
+        default=False, description="compared although the checks say that the images do not belong together"
+    )
+    error_map: Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column"), allow_nan=True)]
+    withheld: tuple[str, ...] = Field(default=(), description="figures that are not given, and why")
+    notes: tuple[str, ...] = ()
+
+
+class ComparedPair(Model):
+    """One press of a batch: its files, and either its report or why there is none."""
+
+    name: str
+    simulated: str
+    captured: str
+    report: str | None = Field(default=None, description="file of the report, relative to the batch")
+    skill: Interval | None = Field(default=None, description="headline of the report")
+    floor_skill: Interval | None = Field(default=None, description="what a repeat of the no-contact image would score")
+    findings: tuple[str, ...] = ()
+    error: str | None = Field(default=None, description="why this pair could not be compared")
+
+
+class ComparisonBatch(Record):
+    """Comparison of several simulated presses with their captures.
+
+    The mean skill is over presses, each counting once; its interval draws presses with replacement, so that it says
+    what other presses of this kind would give, which the intervals of single reports do not know.
+    """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray compare' with folders"
+
+    pairs: tuple[ComparedPair, ...]
+    headline_region: str | None = Field(description="None where no pair could be compared")
+    mean_skill: Interval | None = Field(
+        description="None with fewer than two compared pairs; an interval from 1 to 1 beside a larger estimate means "
+        "that model and noise disagree"
+    )
+    worst: tuple[str, ...] = Field(default=(), description="names of the pairs of lowest skill, the lowest first")
+    notes: tuple[str, ...] = ()
+
+
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class ForceEstimate(Model):
+    """Point estimate with a 95 % interval; without ends where the comparison withholds its intervals."""
+
+    estimate: float
+    low95: float | None
+    high95: float | None
+
+
+class ForcePoint(Model):
+    """One measured point. Errors are simulated minus measured, with the first touch fitted where it is."""
+
+    displacement_mm: float = Field(description="as measured")
+    depth_mm: float = Field(description="push from first touch, at which the simulation is read")
+    force_n: float = Field(description="as measured")
+    simulated_n: ForceEstimate = Field(description="95 % over the design's inputs and the numerics, at this push")
+    error_n: float
+    u_numerical_n: NotNegative
+    u_input_n: NotNegative
+    u_data_n: NotNegative
+    u_validation_n: NotNegative = Field(description="root of the sum of the three squares")
+    within: bool | None = Field(description="abs(error_n) <= 2 u_validation_n; None: withheld")
+
+
+class ForceInput(Model):
+    """One line of the budget: what an input alone does to the force at the deepest measured point."""
+
+    input: str
+    evaluation: Literal["A", "B"]
+    source: str
+    u_rel: NotNegative | None = Field(description="standard uncertainty of the input; None for what is no input")
+    ln_force_per_ln_input: float | None = Field(description="d ln F / d ln x; None for what is no input")
+    force_u_rel: NotNegative = Field(description="standard uncertainty over the simulated force")
+
+
+class ForceRow(Model):
+    """A candidate curve against the measured one."""
+
+    candidate: Literal["do nothing", "simulation"]
+    rms_rel: ForceEstimate = Field(
+        description="root mean square of the error over that of the measured force, noise taken out of both; the "
+        "interval holds the model's own error, whatever the inputs really are"
+    )
+
+
+class ForceThird(Model):
+    """Mean error over a third of the displacement (ASME V&V 20): the model's error lies in error +- 2 u_validation."""
+
+    from_mm: float
+    to_mm: float
+    points: int
+    force_n: float = Field(description="mean of the measured force")
+    error_n: float
+    u_numerical_n: NotNegative
+    u_input_n: NotNegative
+    u_data_n: NotNegative
+    u_validation_n: NotNegative
+    within: bool | None = Field(description="None: withheld")
+
+
+class FirstTouch(Model):
+    """Measured displacement at which the indenter first touches: the one nuisance, fitted by least squares."""
+
+    offset_mm: ForceEstimate
+    u_mm: NotNegative
+
+
+class ForceComparison(Record):
+    """A measured force over displacement against a simulated press."""
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray compare PRESS.mechanics.json --force CSV'"
+
+    simulated: str
+    label: str = Field(description="engine and mesh of the press")
+    measured: str
+    points: tuple[ForcePoint, ...]
+    rows: tuple[ForceRow, ...]
+    first_touch: FirstTouch | None = Field(description="None where the displacement counts from first touch")
+    thirds: tuple[ForceThird, ...] = Field(description="of the measured displacement; a third without points is absent")
+    budget: tuple[ForceInput, ...]
+    draws: int
+    not_included: tuple[str, ...] = Field(description="what the intervals do not know, in plain words")
+    withheld: str = Field(
+        default="", description="why there are no intervals and verdicts, and how to get them; empty where there are"
+    )

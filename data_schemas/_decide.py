@@ -1,0 +1,104 @@
+"""Decision on the angle of the blue light."""
+
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from data_schemas._arrays import ArraySpec
+from data_schemas._model import Model, Record
+from data_schemas._units import AngleDeg, Fraction
+
+Floats = NDArray[np.float64]
+Verdict = Literal["decided", "tie", "undecided", "model-limited"]
+Curve = Annotated[Floats, ArraySpec("<f8", ("angle",))]
+
+
+class AngleStatement(Model):
+    """What is claimed about the decided angle."""
+
+    p_within_5deg: Fraction
+    expected_regret: float = Field(description="expected loss relative to the best angle")
+    regret_95: float = Field(description="loss that is not exceeded with 95 % probability")
+    equivalent_deg: tuple[tuple[AngleDeg, AngleDeg], ...] = Field(
+        description="angles whose loss stays within the tolerance with 95 % probability"
+    )
+    p_within_tolerance: Fraction | None = Field(
+        default=None, description="that the loss is within the tolerance; none in records of older versions"
+    )
+
+
+class DecidingCapture(Model):
+    """One physical capture: how far the simulated objective is from the captured one at its angle.
+
+    value and sd: the captured objective on the scale of the decision's curve, to be drawn as a point beside it.
+    """
+
+    captured: str
+    light_angle_deg: AngleDeg
+    light_angle_uncertainty_deg: Annotated[float, Field(ge=0.0, le=90.0)]
+    error_rel: float = Field(
+        description="simulated over captured objective, minus one; of absolute ratios without the scale of the rig"
+    )
+    error_u_rel: float = Field(description="its standard uncertainty, with that of the angle")
+    value: float
+    sd: float
+
+
+class AngleProposal(Model):
+    """The angle at which one more observation is expected to help most (knowledge gradient)."""
+
+    angle_deg: AngleDeg
+    gain_rel: float = Field(description="expected rise of the best expected objective, relative to it")
+    noise_rel: float = Field(description="assumed standard uncertainty of the observation, relative")
+
+
+class OtherObjective(Model):
+    """What the decided angle loses under another objective of the sweep."""
+
+    name: str
+    best_deg: AngleDeg = Field(description="where this objective has its optimum")
+    loss_rel: float = Field(description="at the decided angle, against that optimum: mean")
+    loss_90_rel: tuple[float, float] = Field(description="its 5 % and 95 % quantiles")
+    disagrees: bool | None = Field(description="with 95 % probability beyond the tolerance; None: not to be told")
+    statement: str
+
+
+class LightAngleDecision(Record):
+    """The angle to mount the light at, the probability and the risk, on the real finger and by simulation alone.
+
+    Without captures (`validated` is False) the sim-to-real error has its prior and the verdict is never "decided" or
+    "tie". Records written before that rule carry no `discrepancy_rel` then, and claim what the simulation alone does.
+    """
+
+    schema_version: ClassVar[int] = 3
+    written_by: ClassVar[str] = "'finray decide'"
+
+    objective: str
+    angle_deg: AngleDeg
+    angle_simulation_only_deg: AngleDeg
+    verdict: Verdict
+    at_range_end: bool = Field(default=False, description="the optimum may lie outside the sweep: widen it")
+    sentence: str
+    tolerance_rel: Fraction
+    validated: bool = Field(description="False: not validated against a capture")
+    discrepancy_rel: float | None = Field(
+        description="sim-to-real error of the objective at an angle without capture, one standard deviation: median; "
+        "assumed where no capture tells it"
+    )
+    discrepancy_95_rel: tuple[float, float] | None = Field(default=None, description="its central 95 % interval")
+    captures: tuple[DecidingCapture, ...] = ()
+    statement: AngleStatement = Field(description="of the real finger, with the sim-to-real error")
+    statement_simulation_only: AngleStatement
+    grid_deg: Annotated[Floats, ArraySpec("<f8", ("angle",), "deg")]
+    mean: Curve = Field(description="of the real finger, as simulation and captures (or the prior) tell together")
+    low95: Curve
+    high95: Curve
+    mean_simulation_only: Curve
+    low95_simulation_only: Curve
+    high95_simulation_only: Curve
+    next_render: AngleProposal | None = Field(default=None, description="None where no render would change anything")
+    next_capture: AngleProposal | None = Field(default=None, description="None where no capture would change anything")
+    other_objectives: tuple[OtherObjective, ...] = ()
+    notes: tuple[str, ...] = ()

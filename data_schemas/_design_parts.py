@@ -1,0 +1,415 @@
+"""Parts of a finger's design: gel pad, indenter, the optical half and the mechanical half; mm, N, MPa.
+
+The optical half is coating, light panels, mirror, camera and what closes the finger; the mechanical half is skeleton,
+materials and fineness of the mesh.
+"""
+
+import math
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import AfterValidator, Field, model_validator
+
+from data_schemas._model import Model
+from data_schemas._units import AngleDeg, Fraction, LengthMm, PositionMm, RelativeUncertainty, WavelengthNm, WidthNm
+
+RefractiveIndex = Annotated[float, Field(ge=1.0, le=2.5)]
+
+
+class Film(Model):
+    """Clear polyester (Mylar) sheet on the inner face of the gel."""
+
+    thickness_mm: LengthMm = 0.1
+    refractive_index: RefractiveIndex = 1.65
+
+
+class GelPad(Model):
+    """A gel pad; sizes are always length x width, the thickness is that of the crown in the middle.
+
+    Shapes of the coated face: flat; cylindrical with its axis along the pad; a section of an ellipsoid with its
+    centre under the middle of the pad. Another shape is one more case of :meth:`drop_mm`, the height function
+    that mesh and optics take; the mould's STEP file and the first touch of an STL have cases of their own.
+    """
+
+    shape: Literal["flat", "cylindrical", "ellipsoidal"] = "flat"
+    length_mm: LengthMm = 70.0
+    width_mm: LengthMm = 35.0
+    thickness_mm: LengthMm = 6.0
+    radius_mm: LengthMm | None = Field(default=None, description="of a cylindrical pad")
+    semi_axes_mm: tuple[LengthMm, LengthMm, LengthMm] | None = Field(
+        default=None, description="a (across the pad), b (through it), c (along it) of an ellipsoidal pad"
+    )
+    refractive_index: RefractiveIndex = Field(default=1.41, description="at 589 nm")
+    abbe_number: Annotated[float, Field(ge=10.0, le=200.0)] = Field(
+        default=50.0, description="(n - 1) / (n at 486 nm - n at 656 nm): how the index falls with wavelength"
+    )
+    film: Film | None = Field(default=None, description="sheet on the inner face; none without this table")
+
+    @model_validator(mode="after")
+    def _shape_is_complete(self) -> "GelPad":
+        needs = {"cylindrical": "radius_mm", "ellipsoidal": "semi_axes_mm"}
+        for shape, name in needs.items():
+            if (getattr(self, name) is not None) != (self.shape == shape):
+                state = "missing" if self.shape == shape else f"given for a {self.shape} pad"
+                raise ValueError(f'{name} is {state}; it belongs to shape = "{shape}" and only to that')
+        half_width, half_length = self.width_mm / 2.0, self.length_mm / 2.0
+        if self.radius_mm is not None and self.radius_mm <= half_width:
+            raise ValueError(
+                f"radius_mm = {self.radius_mm:g} mm must be more than half the width of the pad ({half_width:g} mm)"
+            )
+        if self.semi_axes_mm is not None:
+            a, _, c = self.semi_axes_mm
+            if (half_width / a) ** 2 + (half_length / c) ** 2 >= 1.0:
+                raise ValueError(
+                    f"semi_axes_mm: an ellipsoid of {a:g} mm across and {c:g} mm along does not cover the corners of a "
+                    f"pad of {self.length_mm:g} x {self.width_mm:g} mm; needs (width/2a)^2 + (length/2c)^2 < 1"
+                )
+        edge_mm = self.thickness_mm - self.drop_mm(half_width, half_length)
+        if edge_mm <= 0.0:
+            raise ValueError(
+                f"thickness_mm = {self.thickness_mm:g} mm leaves no gel at the corners, where the face lies "
+                f"{self.thickness_mm - edge_mm:.3g} mm below the crown; make the pad thicker or its radii larger"
+            )
+        return self
+
+    def drop_mm(self, x_mm: ArrayLike, z_from_middle_mm: ArrayLike) -> Any:
+        """Return how far the undeformed coated face lies below its crown, shape of the broadcast arguments.
+
+        Cylinder: r - sqrt(r^2 - x^2). Ellipsoid: b (1 - sqrt(1 - (x/a)^2 - (z/c)^2)). Inside the pad only.
+        """
+        x, z = np.broadcast_arrays(np.asarray(x_mm, dtype=np.float64), np.asarray(z_from_middle_mm, dtype=np.float64))
+        if self.radius_mm is not None:
+            return self.radius_mm - np.sqrt(self.radius_mm**2 - x**2)
+        if self.semi_axes_mm is not None:
+            a, b, c = self.semi_axes_mm
+            return b * (1.0 - np.sqrt(1.0 - (x / a) ** 2 - (z / c) ** 2))
+        return np.zeros(x.shape)
+
+    def index_at(self, wavelength_nm: float) -> float:
+        """Return the refractive index by Cauchy's n = A + B / wavelength^2 through index and Abbe number.
+
+        Valid over the visible range, 380 to 780 nm.
+        """
+        b_nm2 = (self.refractive_index - 1.0) / self.abbe_number / (486.1**-2 - 656.3**-2)
+        return self.refractive_index + b_nm2 * (wavelength_nm**-2 - 589.3**-2)
+
+
+# below it not even a fine mesh has a patch
+_LEAST_DEPTH_MM = 0.02
+
+
+class Indenter(Model):
+    """A rigid body that is pressed in from the coat, along the pad's normal, from where it first touches.
+
+    A cylinder without ends (its axis across the pad, along x), a ball, a cuboid with rounded edges, or a closed
+    triangle mesh in its own axes. ``rotation_deg`` turns it about x, then y, then z.
+    """
+
+    shape: Literal["cylinder", "ball", "cuboid", "mesh"] = "cylinder"
+    radius_mm: LengthMm = Field(default=10.0, description="of a cylinder or a ball")
+    size_mm: tuple[LengthMm, LengthMm, LengthMm] | None = Field(
+        default=None, description="of a cuboid: across the pad, along its normal, along it"
+    )
+    edge_radius_mm: LengthMm = Field(default=1.0, description="of a cuboid's edges and corners")
+    file: str | None = Field(default=None, description="of a mesh: closed STL in mm; relative to the design")
+    depth_mm: Annotated[float, Field(ge=0.0, le=20.0, json_schema_extra={"unit": "mm"})] = Field(
+        default=1.5, description=f"0 without a press, else at least {_LEAST_DEPTH_MM:g} mm"
+    )
+    position_mm: PositionMm = Field(default=35.0, description="of its middle (a mesh: its origin) along the pad")
+    across_mm: PositionMm = Field(default=0.0, description="of its middle (a mesh: its origin) from the middle line")
+    rotation_deg: tuple[AngleDeg, AngleDeg, AngleDeg] = (0.0, 0.0, 0.0)
+    friction: Annotated[float, Field(ge=0.0, le=2.0, json_schema_extra={"unit": "1"})] = Field(
+        default=0.0, description="Coulomb's coefficient between indenter and coat"
+    )
+
+    @model_validator(mode="after")
+    def _shape_is_complete(self) -> "Indenter":
+        for shape, name in (("cuboid", "size_mm"), ("mesh", "file")):
+            if (getattr(self, name) is not None) != (self.shape == shape):
+                state = "missing" if self.shape == shape else f"given for a {self.shape}"
+                raise ValueError(f'{name} is {state}; it belongs to shape = "{shape}" and only to that')
+        if 0.0 < self.depth_mm < _LEAST_DEPTH_MM:
+            raise ValueError(
+                f"depth_mm = {self.depth_mm:g} mm is less than a press that any mesh resolves ({_LEAST_DEPTH_MM:g} mm);"
+                f" it looks like a number in metres: write {1e3 * self.depth_mm:g}"
+            )
+        if self.size_mm is not None and 2.0 * self.edge_radius_mm > min(self.size_mm):
+            raise ValueError(
+                f"edge_radius_mm = {self.edge_radius_mm:g} mm must be at most half the cuboid's least size, "
+                f"{min(self.size_mm) / 2.0:g} mm"
+            )
+        return self
+
+    def idle_fields(self) -> dict[str, str]:
+        """Return the sizes of other shapes."""
+        of_shapes = {"radius_mm": ("cylinder", "ball"), "edge_radius_mm": ("cuboid",)}
+        return {
+            name: f'it is of a {" or a ".join(shapes)}, not of shape = "{self.shape}"; leave it out, or change shape'
+            for name, shapes in of_shapes.items()
+            if self.shape not in shapes
+        }
+
+
+class Coating(Model):
+    """Aluminium-flake coating on the touched face: a blend of a rough conductor and a diffuse part."""
+
+    roughness_alpha: Annotated[float, Field(gt=0.0, le=1.0, description="GGX alpha")] = 0.25
+    diffuse_share: Fraction = 0.35
+    diffuse_reflectance: Fraction = 0.6
+
+
+class LightPanel(Model):
+    """Blue LED panel outside the gel, below the inner face."""
+
+    angle_deg: AngleDeg = 30.0
+    position_mm: tuple[PositionMm, PositionMm, PositionMm] = (0.0, -10.0, -1.0)
+    width_mm: LengthMm = 20.0
+    height_mm: LengthMm = 4.0
+    peak_wavelength_nm: WavelengthNm = 450.0
+    fwhm_nm: WidthNm = 20.0
+    power_rel: Annotated[float, Field(gt=0.0, le=100.0)] = Field(
+        default=1.0, description="radiance along the normal, relative to the other panel"
+    )
+    beam_exponent: Annotated[float, Field(ge=1.0, le=50.0)] = Field(
+        default=1.0,
+        description="m of an intensity ~ cos^m of the angle from the normal; 1 is Lambertian, and the half angle "
+        "of the beam is acos(0.5^(1/m)): 60, 45 and 33 deg for m = 1, 2 and 4",
+    )
+
+    @model_validator(mode="after")
+    def _outside_the_gel(self) -> "LightPanel":
+        if self.position_mm[1] >= 0.0:
+            raise ValueError(
+                f"position_mm: y must be negative (outside the gel, whose inner face is y = 0 mm), got "
+                f"{self.position_mm[1]} mm"
+            )
+        return self
+
+
+class Mirror(Model):
+    """Flexible mirror on the back beam, slightly convex."""
+
+    reflectance: Fraction = 0.88
+    radius_mm: Annotated[float, Field(gt=50.0, le=1e6, json_schema_extra={"unit": "mm"})] = 400.0
+
+
+class TactileCamera(Model):
+    """Camera at the base that sees the pad through the mirror."""
+
+    field_of_view_deg: Annotated[float, Field(ge=20.0, le=150.0, json_schema_extra={"unit": "deg"})] = 120.0
+    width_px: Annotated[int, Field(ge=64, le=4096)] = 640
+    height_px: Annotated[int, Field(ge=48, le=4096)] = 480
+    bit_depth: Literal[8, 10, 12, 14, 16] = 10
+    calibration: str | None = Field(
+        default=None,
+        description="OpenCV calibration (YAML or JSON: camera_matrix, distortion, pinhole or fisheye); without it, "
+        "an ideal pinhole of this field of view",
+    )
+    response_at_led_uncertainty_rel: RelativeUncertainty = Field(
+        default=0.3, description="standard uncertainty of the response of each channel in the LED's band"
+    )
+    response: str = Field(
+        default="assumed",
+        description="'assumed' (smooth stand-in curves) or a CSV file with the header "
+        "wavelength_nm,red_percent,green_percent,blue_percent",
+    )
+
+    @model_validator(mode="after")
+    def _whole_bayer_cells(self) -> "TactileCamera":
+        if self.width_px % 2 or self.height_px % 2:
+            raise ValueError(
+                f"width_px and height_px must be even (Bayer cells), got {self.width_px} x {self.height_px}"
+            )
+        return self
+
+    def idle_fields(self) -> dict[str, str]:
+        """Return the field of view where a calibration tells it."""
+        if self.calibration is None:
+            return {}
+        return {"field_of_view_deg": "camera.calibration tells where each pixel looks; leave one of them out"}
+
+
+class Enclosure(Model):
+    """What closes the finger: cloth on the sides, the printed base; both dark."""
+
+    cloth_reflectance: Fraction = 0.04
+    base_reflectance: Fraction = 0.05
+
+
+# unit -> what a number that is 1000 times too small, too large, or 10^6 times too large may have been given in
+_MISTAKEN = {
+    "mm": {1e3: "metres", 1e-3: "micrometres"},
+    "MPa": {1e3: "GPa", 1e-3: "kPa", 1e-6: "Pa"},
+}
+
+
+def check_magnitude(value: float, low: float, high: float, unit: str) -> float:
+    """Return a number that lies within bounds.
+
+    Raises
+    ------
+    ValueError
+        When it does not; the message names the unit that it seems to have been given in.
+    """
+    if low <= value <= high:
+        return value
+    meant = [(value * factor, name) for factor, name in _MISTAKEN[unit].items() if low <= value * factor <= high]
+    hint = "".join(f"; it looks like a number in {name}: write {right:g}" for right, name in meant[:1])
+    raise ValueError(f"{value:g} {unit} is outside {low:g} to {high:g} {unit}{hint}")
+
+
+def _within(low: float, high: float, unit: str) -> AfterValidator:
+    """Return the check of a number's magnitude."""
+    return AfterValidator(lambda value: check_magnitude(value, low, high, unit))
+
+
+def _field(unit: str, low: float, high: float) -> Any:
+    """Return a field that carries unit and bounds into the JSON Schema."""
+    return Field(json_schema_extra={"unit": unit, "minimum": low, "maximum": high}, allow_inf_nan=False)
+
+
+SheetMm = Annotated[float, _field("mm", 0.02, 2.0), _within(0.02, 2.0, "mm")]
+WallMm = Annotated[float, _field("mm", 0.2, 20.0), _within(0.2, 20.0, "mm")]
+# of a skeleton, from a soft silicone to a stiff plastic
+_SHEAR_MPA = (0.05, 1e3)
+SizeMm = Annotated[float, _field("mm", 1.0, 500.0), _within(1.0, 500.0, "mm")]
+SoftMpa = Annotated[float, _field("MPa", 0.01, 10.0), _within(0.01, 10.0, "MPa")]
+StiffMpa = Annotated[float, _field("MPa", 50.0, 1e5), _within(50.0, 1e5, "MPa")]
+OgdenMpa = Annotated[float, _field("MPa", -1e3, 1e3), _within(-1e3, 1e3, "MPa")]
+PoissonRatio = Annotated[float, Field(ge=0.0, lt=0.5)]
+BulkOverShear = Annotated[
+    float,
+    Field(ge=2.0, le=1e4, description="K / mu at small strain; the paper does not give it (20 is nu = 0.475)"),
+]
+Preset = Literal["coarse", "medium", "fine"]
+RibAngleDeg = Annotated[float, Field(ge=-60.0, le=60.0, json_schema_extra={"unit": "deg"})]
+
+
+class Backing(Model):
+    """Semi-rigid plate on the outer side of the back fin, against twisting."""
+
+    thickness_mm: WallMm = 0.8
+    from_z_mm: PositionMm = Field(default=-5.0, description="below the hollow (about -4 mm) it joins the base plate")
+    to_z_mm: PositionMm = 60.0
+
+    @model_validator(mode="after")
+    def _has_a_length(self) -> "Backing":
+        if self.to_z_mm - self.from_z_mm < 1.0:
+            raise ValueError(
+                f"to_z_mm = {self.to_z_mm:g} mm must lie at least 1 mm above from_z_mm = {self.from_z_mm:g} mm"
+            )
+        return self
+
+
+class Skeleton(Model):
+    """Two fins, joined by ribs at both sides of a hollow, between a base plate and a solid tip.
+
+    The front fin is a frame around the pad's window, the back fin a plate that carries the mirror; the back fin
+    follows the mirror. The paper gives none of these dimensions but the thickness of the mirror.
+    """
+
+    width_mm: SizeMm | None = Field(
+        default=None, description="of the fins; by default the mirror (pad + 2 mm), a gap of 0.5 mm and the ribs"
+    )
+    tip_starts_mm: SizeMm | None = Field(
+        default=None, description="z where the hollow ends and the solid tip begins; by default just past the mirror"
+    )
+    tip_length_mm: SizeMm = 6.0
+    base_thickness_mm: SizeMm = Field(default=6.0, description="of the base plate under the camera")
+    front_fin_thickness_mm: WallMm = 1.6
+    back_fin_thickness_mm: WallMm = 1.6
+    flange_mm: WallMm = Field(
+        default=1.0,
+        description="how far the film (or, without one, a skin of adhesive) reaches beyond the pad on all sides, where "
+        "it is glued on the front fin; the fin's window is as large as the pad",
+    )
+    rib_count: Annotated[int, Field(ge=0, le=40)] = 6
+    rib_spacing_mm: SizeMm | None = Field(
+        default=None, description="between centres, along the front fin; by default even from base to tip"
+    )
+    rib_thickness_mm: WallMm = 1.2
+    rib_width_mm: WallMm = Field(default=3.0, description="across the finger, of the rib at each side of the hollow")
+    rib_angle_deg: RibAngleDeg = Field(default=0.0, description="from the pad's normal; positive when the back is up")
+    mirror_thickness_mm: SheetMm = 0.15
+    backing: Backing | None = Field(default=None, description="none without this table")
+
+    @model_validator(mode="after")
+    def _ribs_stand_apart(self) -> "Skeleton":
+        # the cosine: the spacing runs along the fin, the thickness across the rib
+        needed = self.rib_thickness_mm / math.cos(math.radians(self.rib_angle_deg))
+        if self.rib_spacing_mm is not None and self.rib_count > 1 and self.rib_spacing_mm <= needed:
+            raise ValueError(
+                f"rib_spacing_mm = {self.rib_spacing_mm:g} mm makes the ribs overlap: it must be more than "
+                f"rib_thickness_mm / cos(rib_angle_deg) = {needed:.3g} mm"
+            )
+        return self
+
+    def idle_fields(self) -> dict[str, str]:
+        """Return the fields of ribs that are not there."""
+        without = {"rib_spacing_mm": 2, "rib_thickness_mm": 1, "rib_angle_deg": 1}
+        return super().idle_fields() | {
+            name: f"it needs rib_count = {needed} or more, which is {self.rib_count}; leave it out, or add ribs"
+            for name, needed in without.items()
+            if self.rib_count < needed
+        }
+
+
+class OgdenSolid(Model):
+    """Ogden rubber: energy sum of 2 mu_i / alpha_i^2 (l1^alpha_i + l2^alpha_i + l3^alpha_i - 3), mu0 = sum of mu_i.
+
+    Constants of the form mu_i / alpha_i (...) become these by mu_i alpha_i / 2. The paper prints that other form, with
+    which its constants give mu0 = -0.617 MPa, an unstable solid; in the form here they give 7.918 MPa.
+    """
+
+    mu_mpa: tuple[OgdenMpa, ...] = (6.279, 1.639)
+    alpha: tuple[float, ...] = (1.6663, -7.136)
+    bulk_over_shear: BulkOverShear = 20.0
+
+    @model_validator(mode="after")
+    def _terms_are_complete(self) -> "OgdenSolid":
+        if len(self.mu_mpa) != len(self.alpha) or not self.mu_mpa or 0.0 in self.alpha:
+            raise ValueError(
+                f"mu_mpa and alpha need one value per term and no alpha of 0, got {list(self.mu_mpa)} MPa and "
+                f"{list(self.alpha)}"
+            )
+        if sum(self.mu_mpa) <= 0.0:
+            raise ValueError(
+                f"mu_mpa: the initial shear modulus, their sum, is {sum(self.mu_mpa):g} MPa and must be positive; "
+                "constants of the form mu / alpha (...) must be multiplied by alpha / 2"
+            )
+        try:
+            check_magnitude(sum(self.mu_mpa), *_SHEAR_MPA, "MPa")
+        except ValueError as outside:
+            raise ValueError(f"mu_mpa: the initial shear modulus, their sum: {outside}") from None
+        return self
+
+
+class NeoHookeSolid(Model):
+    """Neo-Hookean rubber: energy C10 (I1 - 3), initial shear modulus 2 C10."""
+
+    c10_mpa: SoftMpa = 0.1333
+    bulk_over_shear: BulkOverShear = 20.0
+
+
+class ElasticSolid(Model):
+    """Linear elastic solid (St. Venant-Kirchhoff at large rotations)."""
+
+    youngs_modulus_mpa: StiffMpa
+    poisson_ratio: PoissonRatio
+
+
+class MechanicalMaterials(Model):
+    """What the parts are made of, by the paper's table; it gives the gel's constants as those of PDMS."""
+
+    skeleton: OgdenSolid = OgdenSolid()
+    gel: NeoHookeSolid = NeoHookeSolid()
+    onyx: ElasticSolid = ElasticSolid(youngs_modulus_mpa=2100.0, poisson_ratio=0.38)
+    mirror: ElasticSolid = ElasticSolid(youngs_modulus_mpa=2800.0, poisson_ratio=0.4)
+    film: ElasticSolid = ElasticSolid(youngs_modulus_mpa=5000.0, poisson_ratio=0.38)
+
+
+class MeshPreset(Model):
+    """How finely the finger is meshed: pad of about 2 mm, 1 mm, or the paper's 0.4 mm."""
+
+    preset: Preset = "coarse"

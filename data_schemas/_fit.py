@@ -1,0 +1,438 @@
+"""What is fitted to a paint: emission spectrum with its uncertainty, absorption, maps, or that it does not emit.
+
+:class:`PaintCalibration` is the whole, with the posterior of the spectrum, absorption and Stokes shift, and the
+reflectance of the ColorChecker patch that looks most like the paint in room light. :class:`PaintMap` holds the
+emission pixel by pixel, :class:`PaintWithoutEmission` a sample without emission and what the verdict rests on.
+"""
+
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from data_schemas._arrays import ArraySpec, check_dimensions
+from data_schemas._capture import RegionOfInterest
+from data_schemas._curves import SpectralCurve
+from data_schemas._model import Estimate, Model, Record
+from data_schemas._radiometry import Optics
+from data_schemas._units import Fraction, WavelengthNm
+
+Floats = NDArray[np.float64]
+Patches = Annotated[Floats, ArraySpec("<f8", ("24", "3"), "DN")]
+DeltaE = Annotated[float, Field(ge=0.0, description="CIEDE2000", json_schema_extra={"unit": "1"})]
+
+
+class PatchDistance(Model):
+    """How different the paint looks from one patch."""
+
+    patch: str
+    delta_e: DeltaE
+
+
+class ColourCheckerMatch(Model):
+    """The paint's colour in the room-light frame, matched to the closest of the 24 patches.
+
+    patches
+        All patches, closest first.
+    reflectance
+        Measured reflectance of the closest patch; its relative uncertainty is that of such a match, as a share of the
+        root mean square of the paint's curve.
+    reflectance_sd
+        The same as a standard uncertainty of the paint's reflectance, equal at all wavelengths.
+    at_filters
+        The curve averaged over each filter's pass band, with `reflectance_sd`.
+    camera_median_delta_e, camera_largest_delta_e
+        CIEDE2000 between a patch and its prediction by a camera matrix fitted to the other 23.
+    patch_mean_dn, patch_sd_dn, paint_mean_dn
+        Linear camera values (dark level removed): mean and standard deviation over the pixels of each patch, and the
+        mean over the painted region.
+    corners_px
+        Corners of the chart (column, row) in pixels of the raw frame, first the one beside "dark skin".
+    """
+
+    patches: tuple[PatchDistance, ...] = Field(min_length=24, max_length=24)
+    reflectance: SpectralCurve
+    reflectance_sd: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "1"})]
+    at_filters: tuple[Estimate, ...]
+    camera_median_delta_e: DeltaE
+    camera_largest_delta_e: DeltaE
+    patch_mean_dn: Patches
+    patch_sd_dn: Patches
+    paint_mean_dn: Annotated[Floats, ArraySpec("<f8", ("3",), "DN")]
+    corners_px: Annotated[Floats, ArraySpec("<f8", ("4", "2"), "px")]
+    frame_file: str
+    statement: str
+
+
+OverExcitation = Annotated[Floats, ArraySpec("<f8", ("excitation",))]
+
+
+class Reradiation(Model):
+    """Posterior of what a paint absorbs, relative to the laser line; with the emission it gives the whole matrix.
+
+    The absorptance counts photons. Energy follows as D(out, in) = e(out) a(in)/a(laser) in/laser for out > in,
+    with e the emission per nm under the laser.
+    """
+
+    excitation_nm: Annotated[Floats, ArraySpec("<f8", ("excitation",), "nm")]
+    laser_nm: WavelengthNm
+    absorption_rel: OverExcitation = Field(description="posterior mean of a(excitation) / a(laser)")
+    low95: OverExcitation
+    high95: OverExcitation
+    absorption_rel_draws: Annotated[Floats, ArraySpec("<f8", ("draw", "excitation"))] = Field(
+        description="paired one to one with the emission draws they were made from"
+    )
+    stokes_shift_nm: Estimate = Field(description="maximum of emission minus maximum of absorption, nm")
+    stokes_shift_draws_nm: Annotated[Floats, ArraySpec("<f8", ("draw",), "nm")]
+    measured_at_nm: tuple[WavelengthNm, ...] = Field(description="excitation lights with a measured yield")
+    prior_driven: bool = Field(
+        description="True while the Stokes shift is hardly narrower than its prior: too little was measured"
+    )
+    prior: dict[str, str] = Field(description="prior of each parameter in words, with its origin")
+    distinct_shapes: int = Field(ge=0, description="effective number of absorption shapes among the weighted ones")
+    rejected_share: Fraction = Field(description="share of draws replaced: they emitted more than the paint absorbs")
+    violating_share: Fraction = Field(description="share of draws kept although they emit more than the paint absorbs")
+    statement: str = Field(description="what the measurement fixes and what stays belief")
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "Reradiation":
+        check_dimensions(self)
+        return self
+
+
+NO_SPECTRUM = (
+    "'finray fit' found no emission in this sample, so there is no spectrum to simulate, map, compare or export. Give "
+    "the fit of a fluorescent paint; if this should be one, look at its limit and at the laser, and measure it again"
+)
+_WHOLE_FROM_SD = 10.0
+EmissionVerdict = Literal["emission measured", "no emission"]
+
+
+class EmissionDetection(Model):
+    """Whether band signals hold emission beyond reflected laser, leak and stray light, as ISO 11843 decides."""
+
+    verdict: EmissionVerdict
+    statistic_sd: float = Field(
+        description="emission over its standard deviation in a sample without any, largest over many shapes"
+    )
+    threshold_sd: float = Field(description="what the stated share of simulated blanks exceeds")
+    blanks_above: Fraction = Field(description="share of simulated blanks with at least this statistic")
+    blanks: int = Field(ge=1, description="number of simulated blanks: same rig and reflectance, no emission")
+    false_alarm: Fraction = Field(description="share of blanks that the threshold calls emission")
+    yield_limit: Annotated[float, Field(ge=0.0)] | None = Field(
+        description="energy yield that this session would have called emission with 95 % probability; none where "
+        "emission was measured, whose own stray light would count"
+    )
+    limit_low_nm: WavelengthNm = Field(description="the limit holds for emission with its mode above this")
+    limit_high_nm: WavelengthNm = Field(description="and below this")
+
+    @property
+    def measured(self) -> bool:
+        """Whether emission was measured."""
+        return self.verdict == "emission measured"
+
+    @property
+    def statement(self) -> str:
+        """The verdict as one sentence."""
+        size = f"{self.statistic_sd:.0f}" if self.statistic_sd >= _WHOLE_FROM_SD else f"{self.statistic_sd:.1f}"
+        beyond = (
+            f"beyond reflected laser, leak and stray light the signal is {size} standard deviations, "
+            f"threshold {self.threshold_sd:.2g}"
+        )
+        if self.yield_limit is None:
+            return f"{self.verdict}: {beyond}"
+        return (
+            f"{self.verdict}: yield below {self.yield_limit:.2g} with 95 % (modes from {self.limit_low_nm:.0f} to "
+            f"{self.limit_high_nm:.0f} nm); {beyond}"
+        )
+
+
+class PaintWithoutEmission(Record):
+    """A sample in whose band signals no emission was found: a limit of its yield in place of a spectrum."""
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray fit'"
+
+    paint_name: str
+    detection: EmissionDetection
+    reflectance_at_laser: float = Field(ge=0.0, description="from the filter at the laser line; 1 where it is lost")
+    reflectance: tuple[Estimate, ...] = Field(description="reflectance at each filter under the lamp")
+    optics: Optics
+    usable: Annotated[NDArray[np.bool_], ArraySpec("|b1", ("filter", "3"))]
+    measured: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))]
+    measured_sd: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))]
+    blank: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))] = Field(
+        description="expected of a sample that reflects as much and emits nothing; 0 where not usable"
+    )
+    blank_sd: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))] = Field(
+        description="its standard deviation over noise, leaks, tolerances and calibration"
+    )
+    warnings: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "PaintWithoutEmission":
+        check_dimensions(self, {"optics.filters": "filter", "reflectance": "filter"})
+        return self
+
+
+Curve = Annotated[Floats, ArraySpec("<f8", ("wavelength",))]
+FamilyCurves = Annotated[Floats, ArraySpec("<f8", ("family", "wavelength"))]
+SamplingMethod = Literal["importance sampling", "adapted importance sampling", "resample-move", "emcee"]
+
+
+class ChainCheck(Model):
+    """A run of emcee: the fallback of importance sampling, or the independent check of it."""
+
+    walkers: int
+    steps: int
+    converged: bool = Field(
+        description="longer than 50 autocorrelation times, R-hat at most 1.01, 400 effective samples"
+    )
+    acceptance_fraction: float
+    autocorrelation_time: dict[str, float]
+    r_hat: dict[str, float] = Field(description="rank-normalised split R-hat, bulk and folded")
+    effective_samples: dict[str, float]
+    mean_shift_sd: dict[str, float] = Field(
+        description="difference of the posterior means to the stored draws, in posterior standard deviations; empty "
+        "where emcee made the draws itself"
+    )
+
+
+class Diagnostics(Model):
+    """Whether the draws deserve trust."""
+
+    method: SamplingMethod
+    trusted: bool = Field(
+        description="importance sampling: Pareto k at most 0.7 and 800 effective draws; resample-move: memory at most "
+        "0.15; emcee: converged"
+    )
+    pareto_k: float | None = Field(description="shape of the weights' tail; none where it cannot be estimated")
+    effective_samples: float = Field(description="of moved draws: how many of them differ")
+    ln_evidence: float
+    ln_evidence_sd: float
+    maxima: tuple[float, ...] = Field(description="log posterior of the distinct maxima that were found, best first")
+    memory: Fraction | None = Field(
+        default=None,
+        description="of moved draws: largest correlation with what they were before the last moves (ranks of "
+        "parameters and of the density, place among the maxima)",
+    )
+    chain: ChainCheck | None = Field(default=None, description="emcee, where it took over or was asked for as a check")
+
+
+class BandResidual(Model):
+    """How well the fit explains one filter (three channels together)."""
+
+    filter_name: str
+    center_nm: WavelengthNm
+    chi_square: float
+    degrees_of_freedom: int
+    posterior_predictive_p: Fraction
+    explained: bool = Field(description="False where the posterior predictive p is below 0.01")
+    calibration_pull: Estimate = Field(
+        description="posterior of the filter's calibration error in prior standard deviations"
+    )
+
+
+class DiscrepancySettings(Model):
+    """Hyper-parameters of the discrepancy between paint and family."""
+
+    amplitude_rel: Fraction
+    length_nm: float
+    floor_rel: Fraction
+    reabsorption_rel: Fraction
+    origin: str
+
+
+class FamilyResult(Model):
+    """What one family of emission curves makes of the same bands."""
+
+    name: str
+    title: str
+    with_discrepancy: bool
+    quantities: dict[str, Estimate] = Field(description="mode_nm, fwhm_nm, skew, peak_per_nm, energy_yield")
+    ln_evidence: float
+    ln_evidence_sd: float
+    probability: Fraction | None = Field(
+        description="among the families with discrepancy, all equally likely beforehand; none without discrepancy"
+    )
+    left_out_bands: float | None = Field(description="sum of ln p(band | other bands), nats; higher predicts better")
+    left_out_bands_sd: float | None = Field(description="standard error of its difference to the default family's")
+    left_out_pareto_k: float | None = Field(
+        description="largest over the bands, none where it cannot be estimated; above 0.5 the sum is only "
+        "indicative, and too high"
+    )
+    chi_square: float
+    method: SamplingMethod
+    pareto_k: float | None = Field(description="none where it cannot be estimated")
+
+
+class PriorSensitivity(Model):
+    """Shift of a posterior mean, in its standard deviations, when all priors are made half and twice as wide."""
+
+    halved: float
+    doubled: float
+
+
+class PaintCalibration(Record):
+    """Emission spectrum of one paint with its uncertainty.
+
+    The emission is a bispectral radiance factor per nm for excitation at the laser line (nm^-1): a curve of the
+    family plus the discrepancy. ``paper`` holds the paper's skew-Cauchy without discrepancy, in its symbols:
+    location_nm = lambda_0 (not the peak), scale_nm = gamma, skewness = omega, amplitude_nm = h.
+    """
+
+    schema_version: ClassVar[int] = 5
+    written_by: ClassVar[str] = "'finray fit'"
+    other_kinds: ClassVar[Mapping[str, str]] = {"PaintWithoutEmission": NO_SPECTRUM}
+
+    paint_name: str
+    detection: EmissionDetection | None = Field(
+        default=None, description="that there is emission, and how sure that is; none: not judged, by an older version"
+    )
+    family: str
+    family_title: str
+    family_choice: str = Field(description="why this family, and how sure that is")
+    discrepancy: DiscrepancySettings
+    parameters: dict[str, Estimate] = Field(description="quantities of the emission, then the sampled parameters")
+    paper: dict[str, Estimate]
+    prior: dict[str, str] = Field(description="prior of each sampled parameter, in words")
+    prior_sensitivity: dict[str, PriorSensitivity]
+    sampled: tuple[str, ...]
+    map_estimate: dict[str, float]
+    draws: Annotated[Floats, ArraySpec("<f8", ("draw", "parameter"))]
+    prior_draws: Annotated[Floats, ArraySpec("<f8", ("prior draw", "parameter"))]
+    wavelength_nm: Annotated[Floats, ArraySpec("<f8", ("wavelength",), "nm")]
+    emission_per_nm: Curve
+    emission_low95_per_nm: Curve
+    emission_high95_per_nm: Curve
+    emission_low68_per_nm: Curve
+    emission_high68_per_nm: Curve
+    emission_draws_per_nm: Annotated[Floats, ArraySpec("<f8", ("curve draw", "wavelength"), "1/nm")]
+    energy_yield: Estimate = Field(description="emitted over incident energy, emission above the laser line to 780 nm")
+    band_integrals: tuple[Estimate, ...] = Field(
+        description="emission through each filter: integral of emission times transmission over that of transmission"
+    )
+    families: tuple[FamilyResult, ...]
+    family_emission_per_nm: FamilyCurves
+    family_low95_per_nm: FamilyCurves
+    family_high95_per_nm: FamilyCurves
+    reflectance: tuple[Estimate, ...] = Field(description="non-fluorescent reflectance at each filter")
+    reflectance_method: str
+    colour_match: ColourCheckerMatch | None = None
+    reradiation: Reradiation
+    optics: Optics
+    usable: Annotated[NDArray[np.bool_], ArraySpec("|b1", ("filter", "3"))]
+    measured: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))]
+    measured_sd: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))]
+    predicted: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))]
+    predicted_sd: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))]
+    bands: tuple[BandResidual, ...]
+    chi_square: float
+    usable_values: int = Field(ge=0, description="number of band values that entered the fit")
+    diagnostics: Diagnostics
+    warnings: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "PaintCalibration":
+        along_filters = dict.fromkeys(("optics.filters", "bands", "reflectance", "band_integrals"), "filter")
+        check_dimensions(self, {"sampled": "parameter", "families": "family", **along_filters})
+        return self
+
+
+Floats32 = NDArray[np.float32]
+PlainMap = Annotated[Floats32, ArraySpec("<f4", ("row", "column"), allow_nan=True)]
+MapNm = Annotated[Floats32, ArraySpec("<f4", ("row", "column"), "nm", allow_nan=True)]
+MapPerNm = Annotated[Floats32, ArraySpec("<f4", ("row", "column"), "1/nm", allow_nan=True)]
+BlockMap = Annotated[Floats, ArraySpec("<f8", ("block row", "block column"), allow_nan=True)]
+BlockMapNm = Annotated[Floats, ArraySpec("<f8", ("block row", "block column"), "nm", allow_nan=True)]
+MappedQuantity = Literal["mode_nm", "peak_per_nm", "energy_yield"]
+
+
+class PaintSpread(Model):
+    """How much one quantity of the paint differs from pixel to pixel, in the unit of the quantity.
+
+    The noise of the pixels is subtracted, and so is the pull of the prior: a noisy camera does not make a paint look
+    uneven, and a strong prior does not make it look even.
+    """
+
+    estimate: float = Field(description="median over the pixels")
+    sd: Annotated[float, Field(ge=0.0)] = Field(description="robust standard deviation between pixels, without noise")
+    high: Annotated[float, Field(ge=0.0)] = Field(
+        description="the same if the pixels' noise were 10 % less than stated"
+    )
+    noise_share: Fraction = Field(description="share of the noise in the scatter of the pixels (variance)")
+    resolved: bool = Field(description="the paint's part exceeds what a 10 % error of the stated noise could feign")
+    pixels: Annotated[int, Field(ge=0)] = Field(description="pixels counted: those that the prior does not dominate")
+
+
+class PaintSpot(Model):
+    """A block of pixels whose yield departs from the paint's median."""
+
+    row_px: int = Field(description="centre of the block in the raw frame")
+    column_px: int
+    deviation_rel: float = Field(description="yield over the median, minus 1")
+    deviation_sd_rel: float
+    mode_shift_nm: float = Field(description="mode minus the median")
+
+
+class PaintMap(Record):
+    """Emission of every raw pixel, fitted from the bands that its own Bayer channel sees.
+
+    The bands are first divided, filter by filter and channel by channel, by what the region's signal exceeds the
+    region's family curve: calibration errors and the paint's departure from the family are common to all pixels.
+    The map shows how pixels differ from the region; ``region`` holds its values, whose uncertainty all pixels share.
+    Standard deviations hold what differs between pixels. Those of width, peak and yield are relative: 95 % limits
+    are value * exp(+-1.96 sd / value). NaN where a pixel could not be fitted. The reflectance at the laser is linear
+    in the signals and may scatter below 0.
+    """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray fit --map'"
+
+    paint_name: str
+    family: str
+    area: RegionOfInterest = Field(description="what the maps cover, in pixels of the raw frame")
+    mode_nm: MapNm
+    mode_sd_nm: MapNm
+    fwhm_nm: MapNm
+    fwhm_sd_nm: MapNm
+    peak_per_nm: MapPerNm
+    peak_sd_per_nm: MapPerNm
+    energy_yield: PlainMap
+    energy_yield_sd: PlainMap
+    shape_name: str = Field(description="the family's own parameter: kappa or ln_asymmetry")
+    shape_value: PlainMap
+    shape_sd: PlainMap
+    reflectance_at_laser: PlainMap
+    reflectance_at_laser_sd: PlainMap
+    chi_square: PlainMap = Field(description="squared residuals of the bands in standard deviations, prior left out")
+    bands_used: Annotated[NDArray[np.uint8], ArraySpec("|u1", ("row", "column"))]
+    converged: Annotated[NDArray[np.bool_], ArraySpec("|b1", ("row", "column"))]
+    region: dict[str, Estimate] = Field(description="the region's fit: centre of the prior, error common to all pixels")
+    prior_sd: dict[str, float] = Field(description="prior of a pixel around the region's fit")
+    prior_in_words: str
+    band_factor: Annotated[Floats, ArraySpec("<f8", ("filter", "3"), allow_nan=True)] = Field(
+        description="region's signal over its family curve; NaN where a filter and channel is not used"
+    )
+    fitted_pixels: Annotated[int, Field(ge=1)]
+    unusable_pixels: Annotated[int, Field(ge=0)] = Field(description="masked, or fewer than four usable bands")
+    unconverged_pixels: Annotated[int, Field(ge=0)]
+    uniformity: dict[MappedQuantity, PaintSpread]
+    block_px: Annotated[int, Field(ge=2)] = Field(description="side of a block")
+    block_mode_nm: BlockMapNm = Field(description="median over a block; NaN with too few pixels")
+    block_mode_sd_nm: BlockMapNm
+    block_energy_yield: BlockMap
+    block_energy_yield_sd: BlockMap
+    worst_spots: tuple[PaintSpot, ...] = Field(description="blocks whose yield departs most, worst first")
+
+    @model_validator(mode="after")
+    def _sizes_agree(self) -> "PaintMap":
+        check_dimensions(self)
+        rows, columns = self.chi_square.shape
+        if (self.area.height_px, self.area.width_px) != (rows, columns):
+            raise ValueError(
+                f"area is {self.area.height_px} x {self.area.width_px} px but the maps have {rows} x {columns}"
+            )
+        return self

@@ -1,0 +1,193 @@
+"""The base of every model that crosses a file or the command line: frozen, and unknown keys are errors.
+
+With the estimate, one number with its uncertainty, and plain-language explanations of what is wrong with a record.
+"""
+
+import difflib
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Final, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import CoreSchema, core_schema
+
+from data_schemas._provenance import Provenance
+
+_NUMBERS: Final = {"float", "int"}
+# Where pydantic's schema of a type holds those of its parts.
+_PARTS: Final = ("schema", "fields", "items_schema", "choices", "keys_schema", "values_schema", "model_fields")
+
+
+def _without_coercion(schema: Any) -> Any:
+    """Return pydantic's schema of a type with numbers that take numbers only, and truth values that take these only."""
+    if isinstance(schema, list | tuple):
+        return type(schema)(_without_coercion(part) for part in schema)
+    if not isinstance(schema, dict):
+        return schema
+    if schema.get("type") in _NUMBERS:
+        return core_schema.no_info_before_validator_function(_number, schema)
+    if schema.get("type") == "bool":
+        return {**schema, "strict": True}
+    if "type" not in schema:  # names of fields
+        return {name: _without_coercion(part) for name, part in schema.items()}
+    return {**schema, **{part: _without_coercion(schema[part]) for part in _PARTS if part in schema}}
+
+
+def _number(value: Any) -> Any:
+    """Refuse what is no number, although pydantic would make one of it."""
+    if isinstance(value, bool | str | bytes):
+        raise ValueError(f"must be a number, got {value!r}"[:120])
+    return value
+
+
+class Model(BaseModel):
+    """Frozen pydantic model; an unknown or misspelt key is an error, never a silent default."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=False, validate_default=True)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Take truth values and texts for no numbers, and numbers and texts for no truth values."""
+        strict: CoreSchema = _without_coercion(handler(source))
+        return strict
+
+    def idle_fields(self) -> dict[str, str]:
+        """Return dotted paths of fields that other fields leave without effect, each with the reason.
+
+        A stored record may hold them; in a file that a person writes they are refused.
+        """
+        return {
+            f"{name}.{path}": why
+            for name in type(self).model_fields
+            if isinstance(part := getattr(self, name), Model)
+            for path, why in part.idle_fields().items()
+        }
+
+
+class Record(Model):
+    """A product of a stage: stored by :mod:`data_schemas.storage._records` with its kind, version and provenance.
+
+    Attributes
+    ----------
+    schema_version
+        Raised whenever the schema changes; see :mod:`data_schemas.storage._records`.
+    written_by
+        The command that writes the record, for whoever holds a file of an earlier version.
+    other_kinds
+        Kinds that a user may give in place of this one, each with the reason why it cannot serve.
+    provenance
+        Who, when, with what and from which inputs; filled by the storage when the record is written.
+    """
+
+    schema_version: ClassVar[int] = 1
+    written_by: ClassVar[str] = "the command that wrote it"
+    other_kinds: ClassVar[Mapping[str, str]] = {}
+    provenance: Provenance | None = None
+
+
+class Estimate(Model):
+    """Posterior summary of one number: median, standard deviation and equal-tailed intervals."""
+
+    estimate: float
+    sd: Annotated[float, Field(ge=0.0)]
+    low68: float
+    high68: float
+    low95: float
+    high95: float
+
+
+LARGEST_NUMBER_OF_FAULTS = 5
+OUT_OF_BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
+
+
+def explain(error: ValidationError, model: type[BaseModel]) -> str:
+    """Return one line per fault: the field, what is wrong, what is allowed (with its unit).
+
+    Parameters
+    ----------
+    error
+        What pydantic raised when it validated `model`.
+    model
+        The model that was validated.
+    """
+    # A default that follows from another field has no fault of its own where that field is wrong.
+    faults = [fault for fault in error.errors() if fault["type"] != "default_factory_not_called"]
+    lines = [_fault(fault, model) for fault in faults[:LARGEST_NUMBER_OF_FAULTS]]
+    if len(faults) > LARGEST_NUMBER_OF_FAULTS:
+        lines.append(f"and {len(faults) - LARGEST_NUMBER_OF_FAULTS} more faults")
+    return "; ".join(lines)
+
+
+def _fault(fault: Any, model: type[BaseModel]) -> str:
+    """Explain one fault."""
+    location = [str(part) for part in fault["loc"]]
+    field = _path(fault["loc"])
+    message = str(fault["msg"]).removeprefix("Value error, ").removeprefix("Assertion failed, ")
+    if fault["type"] == "extra_forbidden":
+        known = sorted(_fields_at(model, location[:-1]) - {"provenance"})
+        near = difflib.get_close_matches(location[-1], known, 1, cutoff=0.5)
+        hint = f"did you mean '{near[0]}'? " if near else ""
+        return f"'{field}': unknown key; {hint}known keys are {', '.join(known)}"
+    if fault["type"] == "missing":
+        return f"'{field}': is missing and must be given"
+    unit = _unit_at(model, location)
+    given = fault.get("input")
+    shown = (
+        f", got {given!r}" if isinstance(given, str | int | float | bool) and not message.endswith(repr(given)) else ""
+    )
+    place = f"'{field}'{f' (in {unit})' if unit else ''}: " if field else ""
+    hint = f"; is it in {unit}?" if unit and unit != "1" and fault["type"] in OUT_OF_BOUNDS else ""
+    return f"{place}{message[:1].lower()}{message[1:]}{shown}{hint}"
+
+
+def _path(location: tuple[str | int, ...]) -> str:
+    """Return ``filters (entry 1).center_nm``: people count from one."""
+    path = "".join(f" (entry {part + 1})" if isinstance(part, int) else f".{part}" for part in location)
+    return path.removeprefix(".")
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    """Return the pydantic models inside an annotation (unions, tuples, dicts)."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [m for inner in get_args(annotation) for m in _models_in(inner)]
+
+
+def _fields_at(model: type[BaseModel], location: list[str]) -> set[str]:
+    """Return the field names allowed at a location inside a model."""
+    models = [model]
+    for part in location:
+        fields = [m.model_fields[part].annotation for m in models if part in m.model_fields]
+        inner = [n for annotation in fields for n in _models_in(annotation)]
+        models = inner or models
+    return {name for m in models for name in m.model_fields}
+
+
+def _unit_at(model: type[BaseModel], location: list[str]) -> str | None:
+    """Return the unit of the field at a location, or of its entries, or None."""
+    models = [model]
+    unit = None
+    for part in location:
+        for m in models:
+            if part in m.model_fields:
+                unit = _unit_of(m.model_fields[part])
+        models = [
+            n for m in models if part in m.model_fields for n in _models_in(m.model_fields[part].annotation)
+        ] or models
+    return unit
+
+
+def _unit_of(field: FieldInfo) -> str | None:
+    """Return the unit that a field or, in a tuple, all its entries are declared with."""
+    extra = field.json_schema_extra
+    if isinstance(extra, dict) and "unit" in extra:
+        return str(extra["unit"])
+    units = {_unit_of(part) for part in _fields_in(field.annotation)}
+    return units.pop() if len(units) == 1 else None
+
+
+def _fields_in(annotation: Any) -> list[FieldInfo]:
+    """Return the pydantic fields inside an annotation (unions, tuples)."""
+    if isinstance(annotation, FieldInfo):
+        return [annotation]
+    return [field for inner in get_args(annotation) for field in _fields_in(inner)]

@@ -1,0 +1,165 @@
+"""Who made a product, when, with which software and machine, from which inputs and with which seed."""
+
+import platform
+import shlex
+import subprocess
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Final
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from data_schemas._units import Seed
+from data_schemas.storage import digest_as_read
+
+NUMERICAL_PACKAGES: Final = (
+    "numpy", "scipy", "numba", "llvmlite", "mitsuba", "drjit", "ipctk", "pypardiso", "mkl", "emcee", "nlopt",
+    "colour-science", "opencv-contrib-python-headless", "rawpy",
+)  # fmt: skip
+"""Packages whose versions can change a stored number; of these the installed ones are recorded."""
+_SOURCES: Final = ("data_schemas", "rigs", "finray_calib", "sim", "pyproject.toml")
+_SIMD_FLAGS: Final = ("avx512f", "avx2", "avx", "sve", "asimd")
+
+
+class Provenance(BaseModel):
+    """Origin of a stored product, embedded in every record."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    created_utc: str = Field(description="ISO 8601 time of writing, UTC")
+    command: str = Field(description="the finray command that reproduces the product, as typed into a shell")
+    package_version: str
+    git_commit: str | None = Field(description="commit of the source tree, if it was run from one")
+    git_dirty: bool | None = Field(
+        default=None, description="whether the sources differed from that commit; none where that is not known"
+    )
+    python_version: str
+    input_sha256: dict[str, str] = Field(description="name of each input file -> SHA-256 of its bytes")
+    seed: Seed | None = Field(description="seed of the random generator, where there is chance")
+    packages: dict[str, str] = Field(
+        default={}, description="version of each installed package that can change a stored number"
+    )
+    processor: str | None = Field(
+        default=None, description="model and widest vector unit, which change the order of sums and so last digits"
+    )
+    renderer: str | None = Field(default=None, description="variant of the renderer, where one was opened")
+
+    @property
+    def arguments(self) -> tuple[str, ...] | None:
+        """The words after "finray" on the command line, or None where the product was not made by one.
+
+        ``shlex.join`` wrote the command and ``shlex.split`` takes it apart again without loss; no shell sees it.
+        """
+        try:
+            program, *words = shlex.split(self.command)
+        except ValueError:
+            return None
+        return tuple(words) if program == "finray" and words else None
+
+
+@cache
+def package_version() -> str:
+    """Return the installed version of finray-calib."""
+    try:
+        return version("finray-calib")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+@cache
+def _source_tree() -> tuple[str | None, bool | None]:
+    """Return the commit of the source tree that holds this package, and whether its sources were changed since."""
+    root = Path(__file__).resolve().parent.parent
+    if not (root / ".git").exists():
+        return None, None
+    commit = _git(root, "rev-parse", "HEAD")
+    changed = _git(root, "status", "--porcelain", "--", *_SOURCES)
+    return (commit or "").strip() or None, None if changed is None else bool(changed.strip())
+
+
+def _git(root: Path, *words: str) -> str | None:
+    """Return what git says, or None where it does not answer."""
+    try:
+        done = subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True, timeout=5, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout if done.returncode == 0 else None
+
+
+@cache
+def numerical_packages() -> dict[str, str]:
+    """Return name -> version of the installed packages of :data:`NUMERICAL_PACKAGES`."""
+    found = {}
+    for name in NUMERICAL_PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+@cache
+def processor() -> str:
+    """Return the model of the processor and its widest vector unit, as far as the system tells."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    said = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
+    flags = set(said.get("flags", said.get("Features", "")).split())
+    widest = next((flag for flag in _SIMD_FLAGS if flag in flags), None)
+    words = (said.get("model name"), platform.machine(), widest)
+    return ", ".join(word for word in words if word) or "unknown"
+
+
+_opened_renderer: list[str] = []
+
+
+def note_renderer(variant: str) -> None:
+    """State the renderer's variant that this process has opened; provenance written from now on names it."""
+    _opened_renderer[:] = [variant]
+
+
+def digest_of_input(path: Path) -> str:
+    """Return the SHA-256 of an input's bytes as this process read them, whatever the file holds by now.
+
+    Raises
+    ------
+    LookupError
+        Nothing has read the file through :mod:`data_schemas.storage._foreign_files`: a fault of the program.
+    """
+    digest = digest_as_read(path)
+    if digest is None:
+        raise LookupError(f"{path}: named as an input and never read")
+    return digest
+
+
+def provenance(command: str, inputs: Mapping[str, str] | None = None, seed: int | None = None) -> Provenance:
+    """Record the origin of a product that is made now.
+
+    Parameters
+    ----------
+    command
+        The command line that reproduces the product.
+    inputs
+        Name of each input file -> SHA-256 of its bytes.
+    seed
+        Seed of the random generator, where there is chance.
+    """
+    commit, dirty = _source_tree()
+    return Provenance(
+        created_utc=datetime.now(UTC).isoformat(timespec="seconds"),
+        command=command,
+        package_version=package_version(),
+        git_commit=commit,
+        git_dirty=dirty,
+        python_version=platform.python_version(),
+        input_sha256=dict(inputs or {}),
+        seed=seed,
+        packages=numerical_packages(),
+        processor=processor(),
+        renderer=_opened_renderer[0] if _opened_renderer else None,
+    )

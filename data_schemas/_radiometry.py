@@ -1,0 +1,209 @@
+"""Band signals: what radiometry makes of a paint session, and what the fitter reads."""
+
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from data_schemas._arrays import ArraySpec, check_dimensions
+from data_schemas._capture import RegionOfInterest
+from data_schemas._curves import SpectralCurve, check_named_curves
+from data_schemas._model import Model, Record
+from data_schemas._rig import BandPassFilter, LaserSettings, WhiteReference
+from data_schemas._units import AngleDeg, EnergyJ
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Flag = Literal["ok", "weak", "saturated"]
+ASYMMETRY = 1e-6
+"""Of correlations: far above rounding, far below what a fit could feel."""
+LEAST_EIGENVALUE = 1e-9
+"""Of correlations. What all values share is some per cent of them, and their own noise never a millionth of that."""
+
+
+class Optics(Model):
+    """The known curves of the rig, as used for every band integral."""
+
+    filters: tuple[BandPassFilter, ...]
+    excitation_filter: str
+    laser: LaserSettings
+    lamp: SpectralCurve
+    white_reference: WhiteReference
+    camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
+    filter_curves: dict[str, SpectralCurve] = Field(
+        default={}, description="measured transmission of the filters that name one, by the filter's name"
+    )
+
+    @model_validator(mode="after")
+    def _curves_are_those_of_the_filters(self) -> "Optics":
+        check_named_curves(self.filters, self.filter_curves)
+        return self
+
+    @model_validator(mode="after")
+    def _excitation_filter_exists(self) -> "Optics":
+        names = [f.name for f in self.filters]
+        if self.excitation_filter not in names:
+            raise ValueError(
+                f"excitation_filter {self.excitation_filter!r} is none of the filters ({', '.join(names)})"
+            )
+        return self
+
+
+class Bleaching(Model):
+    """Loss of emission by the laser's light: ``-d ln F / d dose`` from the first laser filter and its repeat."""
+
+    filter_name: str
+    loss_per_j: float = Field(description="relative loss per joule of laser light on the sample", allow_inf_nan=False)
+    sd_per_j: Annotated[float, Field(ge=0.0)]
+    dose_span_j: EnergyJ = Field(description="dose between the first frames and their repeat")
+    resolved: bool = Field(
+        description="the loss exceeds three standard deviations and was corrected (to the dose of the first laser "
+        "frame); otherwise nothing was corrected and the trend is part of the covariance"
+    )
+
+
+class TiltRatio(Model):
+    """Signal of the tilted over the untilted sample through one filter, over the cosine of the tilt.
+
+    1 for a diffuse paint: its irradiance falls with the cosine, its radiance is the same in all directions.
+    """
+
+    filter_name: str
+    tilt_deg: AngleDeg
+    cosine_factor: float
+    sd: Annotated[float, Field(ge=0.0)]
+    diffuse: bool = Field(description="1 lies within two standard deviations")
+
+
+class BandSignals(Record):
+    """One value per filter x Bayer channel (red, green, blue) over the painted region, with full covariance.
+
+    fluorescence
+        ``(F / W) / V``: sample under the laser over white under the lamp, both through the same filter and
+        channel, relative to the laser irradiance ``V = sum_c w_c (white under the laser / white under the
+        lamp)`` through the excitation filter. A plain ratio to white under the laser would divide by nothing
+        at 500-660 nm.
+    reflectance
+        Sample over white, both under the lamp, times the white reference's reflectance: the total radiance
+        factor under that lamp; it includes fluorescence that the lamp excites.
+    The covariances are over the flattened (filter, channel) index, filter-major; :attr:`notes` list what they hold.
+    """
+
+    schema_version: ClassVar[int] = 3
+    written_by: ClassVar[str] = "'finray radiometry'"
+
+    paint_name: str
+    optics: Optics
+    fluorescence: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))]
+    fluorescence_covariance: Annotated[Floats, ArraySpec("<f8", ("signal", "signal"))]
+    reflectance: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))]
+    reflectance_covariance: Annotated[Floats, ArraySpec("<f8", ("signal", "signal"))]
+    channel_weights: Annotated[Floats, ArraySpec("<f8", ("3",))]
+    flags: tuple[tuple[Flag, Flag, Flag], ...]
+    saturated_fraction: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))]
+    region_pixels: Annotated[int, Field(ge=1)]
+    bleaching: Bleaching | None = Field(default=None, description="none when no filter was captured twice")
+    tilt_ratios: tuple[TiltRatio, ...] = Field(default=(), description="test of a diffuse paint, if it was captured")
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _sizes_agree(self) -> "BandSignals":
+        n = len(self.optics.filters)
+        for name in ("fluorescence", "reflectance", "saturated_fraction"):
+            if getattr(self, name).shape != (n, 3):
+                raise ValueError(f"{name} has shape {getattr(self, name).shape}, wanted filters x channels = ({n}, 3)")
+        for name in ("fluorescence_covariance", "reflectance_covariance"):
+            if getattr(self, name).shape != (3 * n, 3 * n):
+                raise ValueError(f"{name} has shape {getattr(self, name).shape}, wanted ({3 * n}, {3 * n})")
+        if len(self.flags) != n:
+            raise ValueError(f"flags has {len(self.flags)} rows for {n} filters")
+        return self
+
+    @model_validator(mode="after")
+    def _covariances_are_possible(self) -> "BandSignals":
+        kept = np.flatnonzero(self.usable().ravel())
+        for name in ("fluorescence_covariance", "reflectance_covariance"):
+            _require_covariance(name, getattr(self, name)[np.ix_(kept, kept)])
+        return self
+
+    def usable(self) -> NDArray[np.bool_]:
+        """Return the (filter, channel) mask of values the fitter may use."""
+        return np.array([[flag == "ok" for flag in row] for row in self.flags])
+
+    def at_excitation(self) -> NDArray[np.bool_]:
+        """Return the (filter,) mask of the filter at the laser line, which shows reflected laser light."""
+        return np.array([band.name == self.optics.excitation_filter for band in self.optics.filters])
+
+
+def _require_covariance(name: str, covariance: Floats) -> None:
+    """Refuse a covariance of usable values that no measurement can have: zero, not finite, or not positive definite."""
+    variance = np.diagonal(covariance)
+    if not np.isfinite(covariance).all():
+        raise ValueError(f"{name} holds values that are not finite; every usable value needs its variance")
+    if not (variance > 0).all():
+        raise ValueError(
+            f"{name} has a variance of {variance.min():g} for a usable value; every usable value has noise: state its "
+            "variance (photon and read noise at least), or flag the value as weak"
+        )
+    sd = np.sqrt(variance)
+    correlation = covariance / np.outer(sd, sd)
+    if np.abs(correlation - correlation.T).max(initial=0.0) > ASYMMETRY:
+        raise ValueError(f"{name} is not symmetric: give C_ij and C_ji alike")
+    least = float(np.linalg.eigvalsh((correlation + correlation.T) / 2).min(initial=1.0))
+    if least < LEAST_EIGENVALUE:
+        raise ValueError(
+            f"{name} is not positive definite over the usable values (least eigenvalue of the correlations "
+            f"{least:.2g}, at least {LEAST_EIGENVALUE:g} is allowed): some combination of values would have no noise; "
+            "give every value a variance of its own"
+        )
+
+
+class PixelSignals(Record):
+    """Fluorescence of every raw pixel behind every filter, in its own Bayer channel.
+
+    fluorescence
+        ``(F / W) / V`` as in :class:`BandSignals`, with the laser's level at the pixel: V of the region times the
+        profile of the laser spot there. The weights of a region's channel hold for its pixels. NaN where the white
+        is too dim, an exposure is lost, or the laser does not reach.
+    fluorescence_sd
+        What differs from pixel to pixel: photon and read noise, quantisation, dark offset, profile. What the
+        pixels share is `common_sd_rel`. The white tile's own texture stays in the map.
+    profile
+        Laser over lamp irradiance relative to the region's mean, smoothed.
+    """
+
+    schema_version: ClassVar[int] = 3
+    written_by: ClassVar[str] = "'finray radiometry --pixels'"
+
+    paint_name: str
+    optics: Optics
+    area: RegionOfInterest = Field(description="what the arrays cover, in pixels of the raw frame")
+    fluorescence: Annotated[Floats32, ArraySpec("<f4", ("filter", "row", "column"), allow_nan=True)]
+    fluorescence_sd: Annotated[Floats32, ArraySpec("<f4", ("filter", "row", "column"), allow_nan=True)]
+    channel: Annotated[NDArray[np.uint8], ArraySpec("|u1", ("row", "column"))] = Field(
+        description="0 red, 1 green, 2 blue"
+    )
+    usable: Annotated[NDArray[np.bool_], ArraySpec("|b1", ("row", "column"))] = Field(
+        description="the laser's profile is known and at least four filters have a value"
+    )
+    profile: Annotated[Floats32, ArraySpec("<f4", ("row", "column"), allow_nan=True)]
+    profile_sd_rel: Annotated[Floats32, ArraySpec("<f4", ("row", "column"), allow_nan=True)]
+    common_sd_rel: Annotated[Floats, ArraySpec("<f8", ("filter", "3"), allow_nan=True)] = Field(
+        description="standard deviation of the region's value, common to all pixels of a filter and channel"
+    )
+    channel_weights: Annotated[Floats, ArraySpec("<f8", ("3",))]
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _sizes_agree(self) -> "PixelSignals":
+        check_dimensions(self, {"optics.filters": "filter"})
+        rows, columns = self.channel.shape
+        if (self.area.height_px, self.area.width_px) != (rows, columns):
+            raise ValueError(
+                f"area is {self.area.height_px} x {self.area.width_px} px but the arrays have {rows} x {columns}"
+            )
+        if self.channel.size and self.channel.max() > 2:
+            # compiled functions take it as an index and check none
+            raise ValueError(f"channel holds {self.channel.max()}, but a pixel is 0 (red), 1 (green) or 2 (blue)")
+        return self

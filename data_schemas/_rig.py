@@ -1,0 +1,343 @@
+"""The calibration rig as its owner describes it (TOML): camera, filter wheel, filters, lights, white reference.
+
+Every device names its ``driver`` and, unless it is simulated, the ``address`` at which it is found.
+``driver = "simulated"`` opens the simulated bench; the ``[simulated]`` table then says what is painted on it. What a
+device says that it is, is its :class:`DeviceIdentity`.
+"""
+
+from collections.abc import Callable
+from datetime import date, datetime
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from data_schemas._model import Model, Record
+from data_schemas._units import (
+    ChargeE,
+    ExposureS,
+    Fraction,
+    OpticalDensity,
+    PowerMw,
+    RelativeUncertainty,
+    Seed,
+    SignalDn,
+    WavelengthNm,
+    WidthNm,
+)
+
+# A band-pass of a catalogue: centre within 1.5 nm and width within 1 nm of nominal, evenly likely: 1.5 / sqrt(3) and
+# 1 / sqrt(3), rounded up. A spectrophotometer's wavelength scale is good to 0.15 nm, and so is a certificate.
+CATALOGUE_CENTER_NM, CATALOGUE_FWHM_NM, MEASURED_CURVE_NM = 0.9, 0.6, 0.15
+
+
+def _where_none_is_given(catalogue_nm: float) -> Callable[[dict[str, Any]], float]:
+    """Return the standard uncertainty (nm) of a filter's centre or width for a measured curve or a catalogue's data."""
+    return lambda given: catalogue_nm if given.get("curve") is None else MEASURED_CURVE_NM
+
+
+def _uncertainty_text(catalogue_nm: float) -> str:
+    """Say which standard uncertainty holds where none is given."""
+    return (
+        f"standard uncertainty; left out: {catalogue_nm:g} nm for a filter known from a catalogue only, "
+        f"{MEASURED_CURVE_NM:g} nm with a measured curve. Give the value of a certificate"
+    )
+
+
+FilterUncertaintyNm = Annotated[float, Field(ge=0.0, le=10.0, json_schema_extra={"unit": "nm"})]
+
+
+class BandPassFilter(Model):
+    """One filter of the wheel; slots count from 1.
+
+    Nominal transmission: ``peak 2^(-|2 (l - center) / fwhm|^(2 shape_order)) + 10^-OD``. A measured curve takes its
+    place; centre and width are then labels, and shape and peak are not used.
+    The fitter carries the standard uncertainties; those of centre and width shift and stretch a measured curve.
+    """
+
+    slot: Annotated[int, Field(ge=1, le=64)]
+    name: str
+    curve: str | None = Field(
+        default=None,
+        description="CSV file of the measured transmission (0 to 1) with the header wavelength_nm,transmission, over "
+        "the range in which it stands above the instrument's noise; its centre must lie within 5 nm of center_nm",
+    )
+    center_nm: WavelengthNm
+    center_uncertainty_nm: FilterUncertaintyNm = Field(
+        default_factory=_where_none_is_given(CATALOGUE_CENTER_NM), description=_uncertainty_text(CATALOGUE_CENTER_NM)
+    )
+    fwhm_nm: WidthNm = 10.0
+    fwhm_uncertainty_nm: FilterUncertaintyNm = Field(
+        default_factory=_where_none_is_given(CATALOGUE_FWHM_NM), description=_uncertainty_text(CATALOGUE_FWHM_NM)
+    )
+    shape_order: Annotated[float, Field(ge=1.0, le=10.0, description="1 Gaussian, 2 hard-coated flat top")] = 2.0
+    peak_transmission: Annotated[float, Field(gt=0.0, le=1.0)] = 0.6
+    blocking_od: OpticalDensity = Field(
+        default=5.0, description="floor of the transmission, also of a measured curve, and all of it outside its range"
+    )
+    blocking_uncertainty_od: Annotated[float, Field(ge=0.0, le=3.0, json_schema_extra={"unit": "1"})] = 0.2
+
+
+CameraDriver = Literal["simulated", "aravis", "gentl", "mjpeg", "picamera2", "indi", "micro-manager", "folder"]
+WheelDriver = Literal["simulated", "thorlabs", "indi", "alpaca", "manual"]
+LaserDriver = Literal["simulated", "arduino", "indi", "alpaca"]
+LampDriver = Literal["simulated", "arduino", "indi", "alpaca", "manual"]
+NO_ADDRESS = ("simulated", "manual")
+"""Drivers without a device of their own."""
+
+BayerPattern = Literal["RGGB"]
+
+
+def _require_address(driver: str, address: str) -> None:
+    """Refuse a driver without an address, and an address that nothing would use."""
+    if driver in NO_ADDRESS and address:
+        raise ValueError(f"address: driver '{driver}' has none; leave it out")
+    if driver not in NO_ADDRESS and not address:
+        raise ValueError(f"address: driver '{driver}' needs one, such as 'finray rig detect' prints")
+
+
+class CameraSettings(Model):
+    """Bayer camera of the rig."""
+
+    driver: CameraDriver = "simulated"
+    address: str = Field(
+        default="",
+        description="aravis: camera name, serial number or IP address; gentl: path of the producer (.cti) and "
+        "'#serial'; mjpeg: http://host:port/path; picamera2: number of the camera; indi: host:port/device; "
+        "micro-manager: configuration file (.cfg); folder: folder of images",
+    )
+    model: str = "CM3-U3-13Y3C-CS"
+    width_px: Annotated[int, Field(ge=64, le=8192, multiple_of=2)] = 1280
+    height_px: Annotated[int, Field(ge=64, le=8192, multiple_of=2)] = 1024
+    bit_depth: Literal[8, 10, 12, 14, 16] = 10
+    bayer_pattern: BayerPattern = "RGGB"
+    black_level_dn: SignalDn = 16.0
+    gain_e_per_dn: Annotated[float, Field(gt=0.0, le=1e4, json_schema_extra={"unit": "e/DN"})] = 6.5
+    gain_db: Annotated[float, Field(ge=0.0, le=60.0, json_schema_extra={"unit": "dB"})] = Field(
+        default=0.0, description="amplification that the driver sets and reads back, where the camera has one"
+    )
+    read_noise_e: ChargeE = 9.0
+    shortest_exposure_s: ExposureS = 1e-4
+    longest_exposure_s: ExposureS = 30.0
+    response: str = Field(
+        default="assumed",
+        description="'assumed' (smooth stand-in curves) or a CSV file with the header "
+        "wavelength_nm,red_percent,green_percent,blue_percent",
+    )
+
+    @model_validator(mode="after")
+    def _is_reachable(self) -> "CameraSettings":
+        _require_address(self.driver, self.address)
+        return self
+
+    @model_validator(mode="after")
+    def _exposures_in_order(self) -> "CameraSettings":
+        if self.longest_exposure_s <= self.shortest_exposure_s:
+            raise ValueError(
+                f"longest_exposure_s = {self.longest_exposure_s:g} s must exceed shortest_exposure_s = "
+                f"{self.shortest_exposure_s:g} s"
+            )
+        return self
+
+
+class FilterWheelSettings(Model):
+    """Filter wheel and what is in its slots."""
+
+    driver: WheelDriver = "simulated"
+    address: str = Field(
+        default="",
+        description="thorlabs: serial port (/dev/ttyUSB0) or pyserial URL; indi: host:port/device; "
+        "alpaca: http://host:port/number",
+    )
+    model: str = "8-position wheel"
+    filters: tuple[BandPassFilter, ...]
+
+    @model_validator(mode="after")
+    def _is_reachable(self) -> "FilterWheelSettings":
+        _require_address(self.driver, self.address)
+        return self
+
+    @model_validator(mode="after")
+    def _no_duplicates(self) -> "FilterWheelSettings":
+        columns: dict[str, list[str]] = {
+            "name": [f.name for f in self.filters],
+            "slot": [str(f.slot) for f in self.filters],
+            "center_nm": [f"{f.center_nm:g}" for f in self.filters],
+        }
+        for what, values in columns.items():
+            twice = sorted({v for v in values if values.count(v) > 1})
+            if twice:
+                raise ValueError(f"{what} {twice[0]} stands in two filters; list each filter once, with its own {what}")
+        if not self.filters:
+            raise ValueError("lists no filter; give at least one [[filter_wheel.filters]] table")
+        return self
+
+
+LIGHT_ADDRESS = (
+    "arduino: serial port (/dev/ttyACM0) or pyserial URL; indi: host:port/device; alpaca: http://host:port/switch/0/1 "
+    "(device and switch number) or http://host:port/covercalibrator/0"
+)
+
+
+def _day_text(value: object) -> object:
+    """Return a day of a TOML file as text; text must be a day."""
+    if isinstance(value, date) and not isinstance(value, datetime):
+        return value.isoformat()
+    if isinstance(value, str):
+        date.fromisoformat(value)
+    return value
+
+
+IsoDay = Annotated[str, Field(pattern=r"^\d{4}-\d{2}-\d{2}$"), BeforeValidator(_day_text)]
+
+
+class OutsideLayer(Model):
+    """Hardware outside the computer that switches a laser off, and when it was last seen to do so."""
+
+    kind: Literal["interlock", "relay with pulse", "dead-man"] = Field(
+        description="interlock: opening the box cuts the supply; relay with pulse: it opens unless it is pulsed; "
+        "dead-man: the controller itself switches off when it hears nothing"
+    )
+    tested_on: IsoDay = Field(description="day of the last test, with the laser on")
+    test: Annotated[str, Field(min_length=10, max_length=200)] = Field(description="what was done and what was seen")
+
+
+class LaserSettings(Model):
+    """Excitation laser. The class and power are named so that nobody switches it on unknowingly."""
+
+    driver: LaserDriver = "simulated"
+    address: str = Field(default="", description=LIGHT_ADDRESS)
+    wavelength_nm: WavelengthNm = 450.0
+    fwhm_nm: WidthNm = 2.0
+    power_mw: PowerMw = 4.5
+    laser_class: Literal["1", "1M", "2", "2M", "3R", "3B", "4"] = Field(
+        default="3R", description="hazard class as on its label (IEC 60825-1); never inferred from the power"
+    )
+    outside_layer: OutsideLayer | None = Field(
+        default=None,
+        description="what switches it off outside the computer; class 3R and above go on only with one, which the "
+        "driver 'arduino' brings in its firmware",
+    )
+
+    @model_validator(mode="after")
+    def _real_laser_is_named(self) -> "LaserSettings":
+        _require_address(self.driver, self.address)
+        missing = {"wavelength_nm", "power_mw", "laser_class"} - self.model_fields_set
+        if self.driver != "simulated" and missing:
+            raise ValueError(
+                f"a real laser is switched on only when the rig file states its {', '.join(sorted(missing))}; read "
+                "them from its label"
+            )
+        return self
+
+
+class LampSettings(Model):
+    """White lamp of known relative spectrum."""
+
+    driver: LampDriver = "simulated"
+    address: str = Field(default="", description=LIGHT_ADDRESS)
+    spectrum: Literal["planck-2856K"] = Field(
+        default="planck-2856K",
+        description="relative spectral irradiance on the sample (tungsten halogen lamp)",
+    )
+
+    @model_validator(mode="after")
+    def _is_reachable(self) -> "LampSettings":
+        _require_address(self.driver, self.address)
+        return self
+
+
+class DeviceIdentity(Model):
+    """What a device says it is; empty where it does not say."""
+
+    role: Literal["camera", "filter wheel", "laser", "lamp"]
+    driver: str
+    address: str = ""
+    vendor: str = ""
+    model: str = ""
+    serial: str = ""
+    firmware: str = ""
+
+
+class WhiteReference(Model):
+    """Diffuse white tile with its reflectance (spectrally flat) and standard uncertainty."""
+
+    reflectance: Fraction = 0.98
+    uncertainty_rel: RelativeUncertainty = 0.005
+
+
+class HiddenPaint(Model):
+    """A paper-family paint on the simulated bench; its numbers are the truth the fitter does not see."""
+
+    name: str
+    mode_nm: WavelengthNm
+    fwhm_nm: WidthNm
+    asinh_skewness: Annotated[float, Field(ge=-6.0, le=6.0)]
+    energy_yield: Fraction = Field(description="emitted over incident energy at the laser line")
+    absorption_peak_nm: WavelengthNm
+    reflectance_at_laser: Fraction = 0.05
+    reflectance_long_wavelength: Fraction = 0.75
+    bleaching_per_j: Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "1/J"})] = Field(
+        default=0.0, description="relative loss of emission per joule of laser light on the sample"
+    )
+
+
+class SimulatedBench(Model):
+    """What the simulated bench holds; ignored by real drivers."""
+
+    seed: Seed = 1
+    paint: HiddenPaint | None = None
+    material: str | None = Field(default=None, description="CSV file of a measured re-radiation matrix")
+
+    @model_validator(mode="after")
+    def _one_sample(self) -> "SimulatedBench":
+        if (self.paint is None) == (self.material is None):
+            raise ValueError("needs exactly one of 'paint' (hidden parameters) and 'material' (a CSV file)")
+        return self
+
+
+class RigFile(Record):
+    """A whole rig."""
+
+    schema_version: ClassVar[int] = 2
+
+    name: str
+    camera: CameraSettings = CameraSettings()
+    filter_wheel: FilterWheelSettings
+    laser: LaserSettings = LaserSettings()
+    lamp: LampSettings = LampSettings()
+    white_reference: WhiteReference = WhiteReference()
+    simulated: SimulatedBench | None = None
+
+    @model_validator(mode="after")
+    def _simulated_needs_a_bench(self) -> "RigFile":
+        drivers = (self.camera.driver, self.filter_wheel.driver, self.laser.driver, self.lamp.driver)
+        if 0 < drivers.count("simulated") < len(drivers):
+            raise ValueError(
+                "simulated and real devices cannot share a rig: the simulated bench does not see what real ones do; "
+                "name a real driver for the camera, filter_wheel, laser and lamp, or for none of them"
+            )
+        if "simulated" in drivers and self.simulated is None:
+            raise ValueError("a simulated device needs a [simulated] table that names a paint or a material")
+        return self
+
+    @model_validator(mode="after")
+    def _one_address_each(self) -> "RigFile":
+        laser, lamp = ((light.driver, light.address) for light in (self.laser, self.lamp))
+        if laser == lamp and self.laser.address:
+            raise ValueError(
+                f"laser and lamp are both driver '{laser[0]}' at {laser[1]}: one switch cannot be both; correct the "
+                "address of one of them"
+            )
+        wheel = self.filter_wheel
+        for role, light in (("laser", self.laser), ("lamp", self.lamp)):
+            if (wheel.driver, light.driver) == ("thorlabs", "arduino") and wheel.address == light.address:
+                raise ValueError(
+                    f"filter_wheel and {role} are both at {wheel.address}: a serial port holds one device; correct the "
+                    "address of one of them"
+                )
+        return self
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the simulated bench stands in for all devices."""
+        return self.camera.driver == "simulated"

@@ -1,0 +1,189 @@
+"""How a sensor senses: geometry of its camera, millimetres per pixel on the pad, and the map from colour to normal.
+
+A camera is described as OpenCV's models do, by intrinsic matrix and lens distortion. The pixel scale holds along both
+directions of the picture, with uncertainty. The normal map is what calibration presses taught.
+"""
+
+from typing import Annotated, ClassVar, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from data_schemas._arrays import ArraySpec, check_dimensions
+from data_schemas._capture import CharucoBoard, Encoding
+from data_schemas._model import Model, Record
+from data_schemas._units import LengthMm, RelativeUncertainty
+
+DistortionModel = Literal["pinhole", "fisheye"]
+PINHOLE_COEFFICIENTS: Final = (0, 4, 5, 8, 12, 14)
+FISHEYE_COEFFICIENTS: Final = (0, 4)
+
+Pixels = Annotated[float, Field(allow_inf_nan=False, json_schema_extra={"unit": "px"})]
+FocalPx = Annotated[float, Field(gt=0.0, allow_inf_nan=False, json_schema_extra={"unit": "px"})]
+Coefficient = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class CameraCalibration(Model):
+    """Focal lengths, principal point and distortion of one camera at one picture size.
+
+    Pixel centres have whole coordinates, as in OpenCV: the picture reaches from -0.5 to width - 0.5. Pinhole: x'' =
+    distorted(X/Z, Y/Z), u = fx x'' + cx. Fisheye: theta_d = theta (1 + k1 theta^2 + ... + k4 theta^8) for the angle
+    theta from the axis, which may exceed 90 deg.
+    """
+
+    model: DistortionModel
+    width_px: Annotated[int, Field(ge=2, le=32768)]
+    height_px: Annotated[int, Field(ge=2, le=32768)]
+    focal_px: tuple[FocalPx, FocalPx] = Field(description="fx, fy")
+    centre_px: tuple[Pixels, Pixels] = Field(description="cx, cy")
+    distortion: tuple[Coefficient, ...] = Field(
+        default=(), description="pinhole: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1..s4 [tx ty]]]]; fisheye: k1 k2 k3 k4"
+    )
+    source: str = Field(description="file that the numbers come from")
+
+    @model_validator(mode="after")
+    def _coefficients_fit_the_model(self) -> "CameraCalibration":
+        allowed = PINHOLE_COEFFICIENTS if self.model == "pinhole" else FISHEYE_COEFFICIENTS
+        if len(self.distortion) not in allowed:
+            raise ValueError(
+                f"distortion: a {self.model} model has {', '.join(map(str, allowed[:-1]))} or {allowed[-1]} "
+                f"coefficients, got {len(self.distortion)}"
+            )
+        return self
+
+
+Scale = Annotated[float, Field(gt=0.0, allow_inf_nan=False, json_schema_extra={"unit": "mm/px"})]
+LARGEST_WIDENED_FACTOR = 1000.0
+OffsetMm = Annotated[float, Field(ge=-100.0, le=100.0, json_schema_extra={"unit": "mm"})]
+OffsetUMm = Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})]
+
+
+class LocalScale(Model):
+    """Scale at one place of the picture: lengths on the pad that one pixel along a row and along a column spans.
+
+    ``mean_mm_per_px`` is the root of the area of a pixel on the pad: what a radius or a blur is converted with.
+    Uncertainties are relative standard ones.
+    """
+
+    column_px: float
+    row_px: float
+    along_x_mm_per_px: Scale
+    along_y_mm_per_px: Scale
+    mean_mm_per_px: Scale
+    along_x_u_rel: RelativeUncertainty
+    along_y_u_rel: RelativeUncertainty
+    mean_u_rel: RelativeUncertainty
+
+
+class ScaleRange(Model):
+    """Least and greatest scale over a part of the picture."""
+
+    along_x_low_mm_per_px: Scale
+    along_x_high_mm_per_px: Scale
+    along_y_low_mm_per_px: Scale
+    along_y_high_mm_per_px: Scale
+
+
+class ScaleContribution(Model):
+    """One line of the budget of the mean scale at the middle of the board."""
+
+    input: str
+    u_rel: RelativeUncertainty
+
+
+class BoardResidual(Model):
+    """How well one picture of the board fits."""
+
+    file: str
+    corners: Annotated[int, Field(ge=1)]
+    rms_px: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "px"})]
+    mirrored: bool = False
+
+
+class PixelScale(Record):
+    """A calibrated lens, the plane of the pad as a board on it showed it, and the scale between both.
+
+    ``covariance`` is that of the lens (fx, fy, cx, cy, distortion) and the board's place (rotation vector, translation
+    in mm), in this order; every ``u_rel`` follows from it, the board's tolerance and where the coat lies.
+    """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray study pixel-scale'"
+
+    board: CharucoBoard
+    square_u_rel: RelativeUncertainty = Field(description="standard uncertainty of the side of a square, as declared")
+    coat_behind_board_mm: OffsetMm = Field(
+        default=0.0, description="from the printed face to the coat, away from the camera; as declared"
+    )
+    coat_behind_board_u_mm: OffsetUMm = Field(default=0.0, description="standard uncertainty, as declared")
+    calibration: CameraCalibration
+    place: tuple[float, float, float, float, float, float] = Field(
+        description="of the board on the pad: rotation vector (rad) and translation (mm) from board to camera"
+    )
+    covariance: Annotated[NDArray[np.float64], ArraySpec("<f8", ("parameter", "parameter"))]
+    widened_factor: Annotated[float, Field(ge=1.0, le=LARGEST_WIDENED_FACTOR)] = Field(
+        default=1.0, description="on the standard deviations of the covariance, where resampled pictures scatter more"
+    )
+    corner_sd_px: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "px"})]
+    degrees_of_freedom: Annotated[int, Field(ge=1)]
+    pad_picture: BoardResidual
+    lens_pictures: tuple[BoardResidual, ...]
+    middle: LocalScale = Field(description="at the middle of the board on the pad")
+    over_board: ScaleRange = Field(description="over the part of the picture that the board on the pad covers")
+    budget: tuple[ScaleContribution, ...]
+    resampled_u_rel: RelativeUncertainty = Field(
+        description="of the mean scale at the middle, from resampled pictures and corners; beside the covariance's"
+    )
+    map_columns_px: Annotated[NDArray[np.float64], ArraySpec("<f8", ("map_column",), "px")]
+    map_rows_px: Annotated[NDArray[np.float64], ArraySpec("<f8", ("map_row",), "px")]
+    map_mm_per_px: Annotated[NDArray[np.float64], ArraySpec("<f8", ("map_row", "map_column", "3"), "mm/px", True)] = (
+        Field(description="along x, along y, mean; NaN where the picture does not see the plane")
+    )
+    map_u_rel: Annotated[NDArray[np.float64], ArraySpec("<f8", ("map_row", "map_column", "3"), "1", True)]
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "PixelScale":
+        check_dimensions(self)
+        expected = 4 + len(self.calibration.distortion) + 6
+        if self.covariance.shape[0] != expected:
+            raise ValueError(f"covariance: {self.covariance.shape[0]} rows, lens and place have {expected} numbers")
+        return self
+
+
+Floats = NDArray[np.float64]
+
+
+class NormalMapRecord(Record):
+    """A polynomial from change of colour and place in the picture to the slope of the gel, with its held-out score.
+
+    Terms as :func:`finray_calib.sensing.polynomial_terms` orders them. A Bayer capture counts as one pixel
+    per 2 x 2 cell. Scores are over random halves of the presses: the share of the squared slopes that the map explains
+    on the half that did not teach it, and the mean angle of its normals.
+    """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray study normal-map'"
+
+    name: str
+    degree: Annotated[int, Field(ge=1, le=6)]
+    coefficients: Annotated[Floats, ArraySpec("<f8", ("term", "2"), "mm/mm")]
+    lowest_change_rel: Annotated[Floats, ArraySpec("<f8", ("3",))]
+    highest_change_rel: Annotated[Floats, ArraySpec("<f8", ("3",))]
+    height_px: Annotated[int, Field(ge=1)]
+    width_px: Annotated[int, Field(ge=1)]
+    mm_per_px: LengthMm
+    mm_per_px_u_rel: RelativeUncertainty | None = Field(
+        default=None, description="relative standard uncertainty, as the captures state it; none: not known"
+    )
+    encoding: Encoding = Field(description="of the captures that taught it; it senses those of the same encoding only")
+    presses: Annotated[int, Field(ge=1)]
+    held_out_explained_rel: Annotated[Floats, ArraySpec("<f8", ("split",))]
+    held_out_angle_deg: Annotated[Floats, ArraySpec("<f8", ("split",), "deg")]
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "NormalMapRecord":
+        check_dimensions(self)
+        return self

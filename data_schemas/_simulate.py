@@ -1,0 +1,415 @@
+"""What the simulation writes: a rendered press, a sweep of the light angle, what pressing takes, deformed surfaces.
+
+The mechanics writes push, force and energy, increment by increment, and the surfaces that the optics renders.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from data_schemas._arrays import ArraySpec, check_dimensions
+from data_schemas._curves import SpectralCurve
+from data_schemas._design import FingerDesign
+from data_schemas._design_parts import Preset
+from data_schemas._model import Model, Record
+from data_schemas._units import AngleDeg, Fraction
+
+Image = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "3"))]
+Distance = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column"), "contact half-width", allow_nan=True)]
+Bands = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "band"), "W/m2/sr, relative")]
+Chains = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "chain"), "W/m2/sr, relative")]
+Floats = NDArray[np.float64]
+Layers = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "layer"), "W/m2/sr, relative")]
+PoseLayers = Annotated[
+    NDArray[np.float32], ArraySpec("<f4", ("pose", "row", "column", "layer"), "W/m2/sr/mm, relative")
+]
+OfWalls = Annotated[Floats, ArraySpec("<f8", ("wall", "3"))]
+
+
+class RenderedLight(Model):
+    """Paints, LED and camera that the colours of a render rest on; what :mod:`sim.experiments._recolour` starts from.
+
+    bands: spectral density of red emission, green emission and LED, unit integral. Rows of the tables are walls,
+    columns bands: mean reflectance, and the share of the band's energy that the wall emits in its own band.
+    """
+
+    walls: tuple[str, ...] = ("red", "green")
+    bands: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
+    reflectance: OfWalls
+    conversion: OfWalls
+    response: tuple[SpectralCurve, SpectralCurve, SpectralCurve] = Field(description="of the camera: red, green, blue")
+    white_balance: tuple[float, float, float] = Field(default=(1.0, 1.0, 1.0), description="gains, in camera_matrix")
+
+    @model_validator(mode="after")
+    def _tables_agree(self) -> "RenderedLight":
+        check_dimensions(self, {"walls": "wall"})
+        return self
+
+
+class KnownInputs(Model):
+    """What a render's colours and shape depend on and how sure that is; from it follow uncertainties of a comparison.
+
+    Layers are the chains of a press, or its bands where chains do not stand apart. Draw d of an input multiplies the
+    entry (camera channel, layer) of the matrix from layers to RGB by its factor; factors of different inputs multiply.
+    One key is one source of draws: two presses with the same key share its draws, number by number.
+    """
+
+    names: tuple[str, ...] = Field(description="such as 'red paint', 'green paint', 'camera response'")
+    keys: tuple[str, ...] = Field(description="of each input: what its draws rest on, for example a checksum")
+    evaluations: tuple[Literal["A", "B"], ...]
+    sources: tuple[str, ...] = Field(description="where the uncertainty comes from, in plain words")
+    factors: Annotated[NDArray[np.float32], ArraySpec("<f4", ("input", "draw", "3", "layer"))]
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "KnownInputs":
+        check_dimensions(self, {"names": "input", "keys": "input", "evaluations": "input", "sources": "input"})
+        return self
+
+
+class PoseResponse(Model):
+    """How the contact image changes with the indenter's pose: derivatives of its layers by central differences."""
+
+    names: tuple[Literal["depth_mm", "position_mm"], ...]
+    steps_mm: tuple[float, ...] = Field(description="the difference was taken over twice this")
+    derivative: PoseLayers
+    half_difference: PoseLayers = Field(description="half the difference of the derivatives of both halves")
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "PoseResponse":
+        check_dimensions(self, {"names": "pose", "steps_mm": "pose"})
+        return self
+
+
+class SimulatedPress(Record):
+    """Contact and no-contact images in the camera's linear RGB, or a simple prediction in encoded values.
+
+    distance is the distance from the contact's centre in units of its half-width (radius), NaN off the pad:
+    the contact patch is distance <= 1. Band images and the camera matrix are stored with a render, so that a
+    new yield, white balance or camera needs no new render: RGB = camera_matrix @ bands. A render that kept the light
+    of each chain of fluorescence apart ("led>green>red": green emission turned into red) holds it in ``*_chains``;
+    chains below half a per cent of their band were left out. A recoloured press keeps the chains as they were rendered,
+    with ``rendered_light``; all its other images are those of ``shown_light``.
+    """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray simulate'"
+
+    name: str
+    label: str = Field(description="how the images came about, for example 'rendered, level b, llvm_ad_rgb'")
+    method: Literal["rendered", "table"]
+    encoding: Literal["linear", "unknown"]
+    no_contact: Image
+    contact: Image
+    distance: Distance
+    variance: Image | None = Field(description="variance of the contact image from render noise")
+    no_contact_bands: Bands | None = None
+    contact_bands: Bands | None = None
+    contact_bands_variance: Bands | None = None
+    bands: tuple[str, ...] = ()
+    no_contact_chains: Chains | None = None
+    contact_chains: Chains | None = None
+    chains: tuple[str, ...] = ()
+    no_contact_half_difference: Layers | None = Field(
+        default=None, description="half the difference of the two independent halves that the layers are the mean of"
+    )
+    contact_half_difference: Layers | None = None
+    layer_matrix: Annotated[Floats, ArraySpec("<f8", ("3", "layer"))] | None = Field(
+        default=None, description="from layers (chains, or bands without them) to the RGB of the images"
+    )
+    known_inputs: KnownInputs | None = None
+    pose_response: PoseResponse | None = None
+    rendered_light: RenderedLight | None = None
+    shown_light: RenderedLight | None = None
+    camera_matrix: Annotated[Floats, ArraySpec("<f8", ("3", "band"))] | None = None
+    light_angle_deg: AngleDeg | None
+    design: FingerDesign | None
+    paints: dict[str, str] = Field(default={}, description="colour -> SHA-256 of the paint calibration")
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _images_agree(self) -> "SimulatedPress":
+        check_dimensions(self, {"bands": "band", "chains": "chain"})
+        return self
+
+
+class AngleObjective(Model):
+    """A further objective over the light angle; as many repeats as it was measured with."""
+
+    name: str
+    meaning: str
+    unit: str
+    larger_is_better: bool
+    values: Annotated[Floats, ArraySpec("<f8", ("angle", "repeat"))]
+
+    @model_validator(mode="after")
+    def _positive(self) -> "AngleObjective":
+        if not (self.values > 0.0).all():
+            raise ValueError(f"{self.name}: values must be positive, the least is {self.values.min():g} {self.unit}")
+        return self
+
+    @property
+    def utility(self) -> Floats:
+        """What is largest at the best angle: the values, or their inverse where smaller is better."""
+        return self.values if self.larger_is_better else np.asarray(1.0 / self.values)
+
+
+class AngleConstraints(Model):
+    """What an angle must meet besides being good: no clipped pixels, and room for the panel.
+
+    Where the exposure is chosen anew for each angle so that it clips no more, the first is met by construction, and
+    ``exposure_rel`` is its price.
+    """
+
+    clipped_share: Annotated[Floats, ArraySpec("<f8", ("angle",), "1")] = Field(
+        description="of the pixels of the pressed coat with a channel at full scale, at that angle's exposure"
+    )
+    clipped_limit_share: Fraction
+    exposure_rel: Annotated[Floats, ArraySpec("<f8", ("angle",), "1")] = Field(
+        description="exposure time, relative to the shortest of the sweep, that brings the coat to its level"
+    )
+    in_the_way: tuple[str, ...] = Field(description="per angle, what the panel passes through; empty: it fits")
+
+    @property
+    def allowed(self) -> NDArray[np.bool_]:
+        """Which angles meet all constraints, (angle,)."""
+        fits = np.array([not name for name in self.in_the_way], dtype=np.bool_)
+        return np.asarray(fits & (self.clipped_share < self.clipped_limit_share))
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "AngleConstraints":
+        check_dimensions(self, {"in_the_way": "angle"})
+        return self
+
+
+NARROWEST_SWEEP_DEG = 4.0
+_STEPS_OF_A_PAIR = 2
+
+
+def look_like_radians(angles_deg: Sequence[float] | Floats) -> bool:
+    """Return whether angles span less than 4 deg in more than two steps, as a sweep given in radians does."""
+    angles = np.asarray(angles_deg, dtype=np.float64)
+    return len(angles) > _STEPS_OF_A_PAIR + 1 and float(np.ptp(angles)) < NARROWEST_SWEEP_DEG
+
+
+def narrow_sweep_text(angles_deg: Sequence[float] | Floats) -> str:
+    """Say why a narrow sweep is refused, and how to have it all the same."""
+    first, last = float(np.min(angles_deg)), float(np.max(angles_deg))
+    return (
+        f"{len(angles_deg)} angles of the light from {first:g} to {last:g} deg span less than {NARROWEST_SWEEP_DEG:g} "
+        f"deg: in radians that would be {np.degrees(first):.0f} to {np.degrees(last):.0f} deg. Give the angles in "
+        "degrees, or --narrow-sweep if they are meant so"
+    )
+
+
+class LightAngleSweep(Record):
+    """A named objective at probe points beside the indenter, over the angle of the blue panel.
+
+    ``values[:, r]`` shares every random draw (paint, noise seed) across angles, so that a common scale cannot
+    change the ranking of angles.
+    """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray simulate --angles'"
+
+    name: str
+    objective: str = Field(description="name and meaning of the objective")
+    label: str
+    angles_deg: Annotated[Floats, ArraySpec("<f8", ("angle",), "deg")]
+    values: Annotated[Floats, ArraySpec("<f8", ("angle", "repeat"))]
+    channels: Annotated[Floats, ArraySpec("<f8", ("angle", "repeat", "3"))] | None = Field(
+        default=None,
+        description="red, green and blue of the objective, whose mean is values; None in sweeps of older versions",
+    )
+    basis: Annotated[Floats, ArraySpec("<f8", ("angle", "repeat", "probe", "band"))]
+    bands: tuple[str, ...]
+    probe_points_mm: Annotated[Floats, ArraySpec("<f8", ("probe", "3"), "mm")]
+    other_objectives: tuple[AngleObjective, ...] = ()
+    constraints: AngleConstraints | None = None
+    design: FingerDesign
+    paints: dict[str, str]
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "LightAngleSweep":
+        lists = {} if self.constraints is None else {"constraints.clipped_share": "angle"}
+        check_dimensions(self, {"bands": "band", **lists})
+        for objective in self.other_objectives:
+            if len(objective.values) != len(self.angles_deg):
+                raise ValueError(
+                    f"{objective.name} has {len(objective.values)} angles, the sweep has {len(self.angles_deg)}"
+                )
+        return self
+
+
+PerIncrement = NDArray[np.float64]
+Torque = Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "N mm"})]
+ContactKind = Literal["penalty", "barrier"]
+PartOfEnergy = Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N mm", allow_nan=True)]
+
+
+class VariedPress(Model):
+    """The same press of a design with one number changed, or the first part of it."""
+
+    field: str = Field(description="dotted path of the number in the design; of a list, all its numbers")
+    change_rel: Annotated[float, Field(gt=-1.0, description="its change over its value in the design")]
+    depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")]
+    force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
+        description="along the pad's normal"
+    )
+    failure: str = Field(default="", description="why there are no forces, or why the push ended early")
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "VariedPress":
+        check_dimensions(self)
+        return self
+
+
+class PressSensitivities(Model):
+    """How the force of a press answers to numbers of the design, changed one at a time."""
+
+    preset: Preset
+    depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
+        description="of the design as it is, on this mesh"
+    )
+    force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
+        description="along the pad's normal, of the design as it is"
+    )
+    varied: tuple[VariedPress, ...]
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "PressSensitivities":
+        check_dimensions(self)
+        return self
+
+
+class PressMechanics(Record):
+    """Force against push of one finger under a rigid indenter; the surfaces stand in a record of their own."""
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray simulate'"
+
+    name: str
+    label: str = Field(description="engine and mesh, for example 'finite elements, coarse mesh, 38676 unknowns'")
+    preset: Preset
+    mesh_excess_rel: Annotated[float, Field(ge=0.0)] | None = Field(
+        default=None,
+        description="by how much this preset's force exceeds that of an infinitely fine mesh, as extrapolated for the "
+        "70 x 35 finger; None in older versions",
+    )
+    depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
+        description="push of the indenter from first touch"
+    )
+    force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "N")] = Field(
+        description="force on the indenter: across the finger, along the pad's normal, along the finger"
+    )
+    energy_n_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N mm", allow_nan=True)] = Field(
+        description="energy that is stored: strain, ties and contact; NaN where another program's results do not tell "
+        "it. Records without contact_energy_n_mm hold with the barrier also that of its drive and the last friction"
+    )
+    contact_energy_n_mm: PartOfEnergy | None = Field(default=None, description="of the energy, that of the contact")
+    friction_work_n_mm: PartOfEnergy | None = Field(
+        default=None, description="work lost to friction from first touch on; each increment's last force on its slip"
+    )
+    iterations: Annotated[NDArray[np.int64], ArraySpec("<i8", ("increment",))]
+    largest_pressure_mpa: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "MPa"})] = Field(
+        description="at one point of the coat; a value of the mesh where the patch is not several elements wide"
+    )
+    unreached: str = Field(description="why the push ended early; empty when it did not")
+    wanted_force_n: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "N"})] | None = Field(
+        default=None, description="of a press to a force, in place of design.indenter.depth_mm; None of one to a depth"
+    )
+    slip_torque_per_friction_n_mm: Torque | None = Field(
+        default=None,
+        description="torque about the pad's normal at which the object begins to turn at the last increment, over "
+        "Coulomb's coefficient, by the frictionless pressures there; None with friction, or in older versions",
+    )
+    tipping_torque_n_mm: Torque | None = Field(
+        default=None, description="torque about the finger's long axis that the normal forces alone hold then"
+    )
+    design: FingerDesign
+    sensitivities: PressSensitivities | None = Field(
+        default=None, description="presses of the design with one number changed; none unless asked for"
+    )
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "PressMechanics":
+        check_dimensions(self)
+        return self
+
+
+class PressIncrement(Record):
+    """The state of a finger at one increment of a press, from which the press can go on."""
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray simulate --only mechanics'"
+
+    preset: Preset
+    depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
+        description="push from first touch, of this and all increments before"
+    )
+    force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "N")]
+    energy_n_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N mm")]
+    contact_energy_n_mm: PartOfEnergy | None = None
+    friction_work_n_mm: PartOfEnergy | None = None
+    contact: ContactKind | None = Field(default=None, description="None in increments of older versions")
+    indenter_sha256: str | None = Field(
+        default=None, description="of the STL of a mesh of the user; None without one, or in older versions"
+    )
+    iterations: Annotated[NDArray[np.int64], ArraySpec("<i8", ("increment",))]
+    nodes_mm: Annotated[NDArray[np.float64], ArraySpec("<f8", ("node", "3"), "mm")] = Field(
+        description="of the mesh at rest, by which it is known again"
+    )
+    displacement_mm: Annotated[NDArray[np.float64], ArraySpec("<f8", ("node", "3"), "mm")]
+    modes_mm: Annotated[NDArray[np.float64], ArraySpec("<f8", ("hexahedron", "3", "3"), "mm")] = Field(
+        description="incompatible modes of the hexahedra that have them, in the order of the mesh's blocks"
+    )
+    design: FingerDesign
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "PressIncrement":
+        check_dimensions(self)
+        return self
+
+
+Counts = Annotated[NDArray[np.int64], ArraySpec("<i8", ("part",))]
+
+
+class FingerSurfaces(Record):
+    """Triangle meshes of a finger's parts, one after the other, in mm in the axes of the undeformed pad.
+
+    Part k owns the next ``vertex_counts[k]`` vertices and ``triangle_counts[k]`` triangles, whose corners are counted
+    within the part. Names and texture coordinates are those of :class:`sim.surface_meshes.FingerShape`.
+    """
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray simulate'"
+
+    name: str
+    label: str = Field(description="where the shape comes from, for example 'at rest'")
+    push_mm: float | None = Field(
+        default=None, description="how far the indenter was pushed from first touch; none where it is not known"
+    )
+    parts: tuple[str, ...]
+    vertex_counts: Counts
+    triangle_counts: Counts
+    vertices_mm: Annotated[NDArray[np.float64], ArraySpec("<f8", ("vertex", "3"), "mm")]
+    rest_vertices_mm: Annotated[NDArray[np.float64], ArraySpec("<f8", ("vertex", "3"), "mm")] = Field(
+        description="the same vertices without contact"
+    )
+    uv: Annotated[NDArray[np.float64], ArraySpec("<f8", ("vertex", "2"))]
+    triangles: Annotated[NDArray[np.int64], ArraySpec("<i8", ("triangle", "3"))]
+    contact_distance: Annotated[
+        NDArray[np.float64], ArraySpec("<f8", ("coat vertex",), "contact half-width", allow_nan=True)
+    ] = Field(description="per vertex of the coat; the contact is where it is at most 1, NaN without contact")
+
+    @model_validator(mode="after")
+    def _counts_add_up(self) -> "FingerSurfaces":
+        check_dimensions(self, {"parts": "part"})
+        for counts, rows in ((self.vertex_counts, self.vertices_mm), (self.triangle_counts, self.triangles)):
+            if (counts < 0).any() or counts.sum() != len(rows):
+                raise ValueError(f"the counts of the parts add up to {counts.sum()}, but there are {len(rows)} rows")
+        return self

@@ -1,0 +1,330 @@
+"""What studies write: the paper's optical experiments, stiffness of fingers, the paper's statements on paints.
+
+The optical experiments, on one finger, vary the emitter of the painted walls, the number of panels and the angle of
+the panel. Stiffness, in bending and twist, comes with whether its order depends on assumed dimensions. Statements are
+tested on measured materials.
+"""
+
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from data_schemas._arrays import ArraySpec, check_dimensions
+from data_schemas._curves import SpectralCurve
+from data_schemas._design import FingerDesign
+from data_schemas._fit import Reradiation, SamplingMethod
+from data_schemas._model import Estimate, Model, Record
+from data_schemas._units import AngleDeg, Fraction, LengthMm, PositionMm, WavelengthNm
+
+Floats = NDArray[np.float64]
+Alternatives = Annotated[
+    NDArray[np.float32], ArraySpec("<f4", ("alternative", "row", "column", "band"), "radiance of the panel")
+]
+OnCoat = Annotated[NDArray[np.bool_], ArraySpec("|b1", ("row", "column"))]
+CameraMatrix = Annotated[Floats, ArraySpec("<f8", ("3", "band"))]
+
+
+class _Study(Record):
+    """What every study says of its finger."""
+
+    name: str
+    label: str = Field(description="how the images came about")
+    design: FingerDesign
+    paints: dict[str, str] = Field(description="colour -> where the paint's optics come from")
+    samples: int = Field(description="paths per pixel, or per probe and repeat")
+    notes: tuple[str, ...] = ()
+
+
+class LevelDifference(Model):
+    """How far an image with the paper's emitter is from the one with baked walls, over blocks of the coat.
+
+    Errors are norms of differences over the norm of the baked image.
+    """
+
+    level: str
+    state: Literal["no contact", "contact"]
+    band: str
+    mean_ratio: float = Field(description="mean over the coat without contact, relative to the baked walls")
+    block_error_rel: float
+    shape_error_rel: float = Field(description="the same with equal mean brightness (mean_ratio taken out)")
+    noise_rel: float = Field(description="render noise of one baked image; the differences share its random numbers")
+
+
+class FluorescentRendering(_Study):
+    """The paper's emitter (level a, by the distance from the light) beside baked walls (level b)."""
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray study fluorescent-rendering'"
+
+    levels: tuple[str, ...]
+    bands: tuple[str, ...]
+    no_contact_bands: Alternatives
+    contact_bands: Alternatives
+    camera_matrix: CameraMatrix
+    on_coat: OnCoat
+    block_px: int
+    differences: tuple[LevelDifference, ...]
+    walls: tuple[str, ...]
+    z_mm: Annotated[Floats, ArraySpec("<f8", ("z",), "mm")]
+    wall_radiance_rel: Annotated[Floats, ArraySpec("<f8", ("alternative", "wall", "z"))] = Field(
+        description="emitted radiance without contact, mean over the wall's height, in units of the panel's"
+    )
+    second_order_rel: Annotated[Floats, ArraySpec("<f8", ("wall", "z"))] = Field(
+        description="part of the baked radiance that light of other paint has excited"
+    )
+    wall_error_rel: Annotated[Floats, ArraySpec("<f8", ("alternative", "wall"))] = Field(
+        description="norm of the difference to the baked radiance along z at equal means, over its norm"
+    )
+    second_order_wall_share: dict[str, float]
+    second_order_coat_share: dict[str, float] = Field(description="by band, of the light of the coat without contact")
+    angles_deg: Annotated[Floats, ArraySpec("<f8", ("angle",), "deg")]
+    wall_by_angle_rel: Annotated[Floats, ArraySpec("<f8", ("angle", "wall", "z"))] = Field(
+        description="baked radiance at other light angles; the paper's rule knows no angle"
+    )
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "FluorescentRendering":
+        check_dimensions(self, {"levels": "alternative", "bands": "band", "walls": "wall"})
+        return self
+
+
+class Uniformity(Model):
+    """How evenly the coat is lit without contact."""
+
+    lights: str
+    channel: str = Field(description="a band, or R, G, B of the camera")
+    variation_rel: float = Field(description="standard deviation over the coat by area, over the mean; noise taken out")
+    middle_variation_rel: float = Field(description="the same over the middle 70 % of the length")
+    min_to_max_ratio: float = Field(description="darkest to brightest along z, means over the width")
+    noise_rel: float = Field(description="render noise of one cell of the coat, over the mean")
+
+
+class TwoLights(_Study):
+    """One panel at the base against panels at base and tip."""
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray study two-lights'"
+
+    lights: tuple[str, ...]
+    bands: tuple[str, ...]
+    channels: tuple[str, ...]
+    no_contact_bands: Alternatives
+    contact_bands: Alternatives
+    camera_matrix: CameraMatrix
+    on_coat: OnCoat
+    tip_light_position_mm: tuple[PositionMm, PositionMm, PositionMm]
+    tip_light_angle_deg: AngleDeg
+    cell_mm: LengthMm
+    uniformity: tuple[Uniformity, ...]
+    z_mm: Annotated[Floats, ArraySpec("<f8", ("z",), "mm")]
+    along_rel: Annotated[Floats, ArraySpec("<f8", ("alternative", "channel", "z"), allow_nan=True)] = Field(
+        description="means over the width, relative to the mean with one panel; NaN where the camera sees nothing"
+    )
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "TwoLights":
+        check_dimensions(self, {"lights": "alternative", "bands": "band", "channels": "channel"})
+        return self
+
+
+class BrightestAngle(Model):
+    """Where a curve over the light angle has its maximum; 95 % limits over repeats (jackknife, Student's t)."""
+
+    mirror: str
+    probe: str
+    band: str
+    angle_deg: float
+    low95_deg: float
+    high95_deg: float
+    loss_at_printed_rel: float = Field(description="what the printed angle costs, relative to the maximum")
+    loss_at_printed_low95_rel: float
+    loss_at_printed_high95_rel: float
+    past_90_rel: float = Field(description="value at the last angle, relative to that at 90 deg")
+
+
+class LightAngleIntensity(_Study):
+    """Brightness beside the indenter over the angle of the panel, with and without the mirror."""
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray study light-angle'"
+
+    mirrors: tuple[str, ...]
+    probes: tuple[str, ...]
+    bands: tuple[str, ...]
+    probe_points_mm: Annotated[Floats, ArraySpec("<f8", ("probe", "3"), "mm")]
+    led_depth_mm: LengthMm = Field(description="of the panel's centre below the inner face")
+    angles_deg: Annotated[Floats, ArraySpec("<f8", ("angle",), "deg")]
+    radiance_rel: Annotated[Floats, ArraySpec("<f8", ("mirror", "angle", "repeat", "probe", "band"))]
+    elevation_deg: Annotated[Floats, ArraySpec("<f8", ("probe",), "deg")] = Field(
+        description="of the refracted path from the panel's centre to the probe: where its direct light is brightest"
+    )
+    elevation_by_depth_deg: dict[str, tuple[float, ...]] = Field(
+        description="the same per probe for other depths of the panel (mm)"
+    )
+    printed_angle_deg: AngleDeg
+    maxima: tuple[BrightestAngle, ...]
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "LightAngleIntensity":
+        check_dimensions(self, {"mirrors": "mirror", "probes": "probe", "bands": "band"})
+        return self
+
+
+Measure = Literal["bending_n_per_mm", "sideways_n_per_mm", "pad_n_per_mm", "twist_n_mm_per_deg"]
+
+
+class StiffnessRow(Model):
+    """One finger with one dimension changed; values are secants at the study's loads."""
+
+    design: str
+    changed: str = Field(description="field of the design that differs from it; empty for the design itself")
+    change_rel: float = Field(default=0.0, description="its change over its value in the design")
+    bending_n_per_mm: float | None = Field(default=None, description="force at the tip, away from the pad's side")
+    sideways_n_per_mm: float | None = Field(default=None, description="force at the tip across the finger")
+    pad_n_per_mm: float | None = Field(default=None, description="force under the middle of the pad, along its normal")
+    twist_n_mm_per_deg: float | None = Field(default=None, description="turn of the tip end about the long axis")
+    slip_torque_per_friction_n_mm: float | None = Field(
+        default=None,
+        description="torque about the pad's normal at which a gripped cylinder begins to turn, over Coulomb's "
+        "coefficient; of designs as they are",
+    )
+    tipping_torque_n_mm: float | None = Field(
+        default=None,
+        description="torque about the finger's long axis that the gripping force alone holds; of designs as they are",
+    )
+    grip_failure: str = Field(default="", description="why there are no torques of a design as it is; empty else")
+    failure: str = Field(default="", description="why there are no values: the changed parts do not fit, or stuck")
+
+
+class StiffnessOrder(Model):
+    """Whether two fingers keep their order in one measure."""
+
+    measure: Measure
+    stiffer: str
+    softer: str
+    ratio: float = Field(description="stiffer over softer, as designed")
+    smallest_ratio: float = Field(description="with the same dimension changed in both by the same share")
+    at: str = Field(description="the change at which the ratio is smallest; empty for none")
+    independent_ratio: float = Field(description="softest of the stiffer over stiffest of the softer, of all changes")
+    note: str = ""
+
+
+class FingerStiffness(Record):
+    """Stiffnesses of some designs, and of each with its assumed dimensions changed one at a time."""
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray study finger-stiffness'"
+
+    label: str
+    designs: tuple[FingerDesign, ...]
+    tip_force_n: float
+    pad_force_n: float
+    twist_deg: float
+    grip_force_n: float | None = Field(
+        default=None, description="of a cylinder of 20 mm across the middle of the pad; None in older versions"
+    )
+    share: float = Field(description="of a dimension, by which it is changed up and down")
+    rows: tuple[StiffnessRow, ...]
+    orders: tuple[StiffnessOrder, ...]
+    notes: tuple[str, ...] = ()
+
+
+OverEmission = Annotated[Floats, ArraySpec("<f8", ("wavelength",), "1/nm")]
+PaintColour = Literal["red", "green"]
+StatementVerdict = Literal["holds", "holds in part", "does not hold", "cannot be tested"]
+
+
+class CurveFit(Model):
+    """One family of curves fitted by least squares to all of a measured emission or absorption."""
+
+    family: str
+    parameters: dict[str, float]
+    mode_nm: WavelengthNm
+    fwhm_nm: float
+    curve: SpectralCurve
+    residual_rel: float = Field(description="norm of the difference to the whole measured curve over its norm")
+
+
+class BandFit(Model):
+    """Posterior of a whole emission from eight filter bands in three channels, judged by the measured emission."""
+
+    family: str
+    with_discrepancy: bool = Field(description="whether the paint may leave the family's curve")
+    parameters: dict[str, Estimate] = Field(description="mode_nm and fwhm_nm; of the paper's family also its own")
+    wavelength_nm: Annotated[Floats, ArraySpec("<f8", ("wavelength",), "nm")]
+    mean_per_nm: OverEmission
+    low95_per_nm: OverEmission
+    high95_per_nm: OverEmission
+    residual_rel: float = Field(description="norm of the mean's difference to the measured emission over its norm")
+    covered_share: Fraction = Field(
+        description="share of the measured samples above 5 % of the peak within the pointwise 95 % band"
+    )
+    method: SamplingMethod
+    trusted: bool = Field(description="whether the draws support 95 % limits")
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "BandFit":
+        check_dimensions(self)
+        return self
+
+
+class ColourPatch(Model):
+    """Distance of a ColorChecker patch from a measured reflectance."""
+
+    name: str
+    error_rel: float = Field(description="norm of the difference over the norm of the measured reflectance")
+
+
+class PaintStandIn(Model):
+    """What a measured material says about the quantities that the paper states for a paint."""
+
+    colour: PaintColour
+    material: str
+    source: str
+    emission: SpectralCurve = Field(description="radiance factor per nm under the laser line (nm^-1)")
+    absorption: SpectralCurve = Field(description="photons absorbed, relative to the laser line")
+    emission_peak_nm: WavelengthNm
+    absorption_peak_nm: WavelengthNm
+    stokes_shift_nm: float = Field(description="maximum of emission minus maximum of absorption")
+    stokes_shift_low_nm: float = Field(description="the same to the longest wavelength on the absorption plateau")
+    stokes_shift_high_nm: float = Field(description="the same to the shortest wavelength on the absorption plateau")
+    printed_stokes_shift_nm: float
+    absorption_edge_nm: WavelengthNm = Field(description="where absorption has fallen to half, towards the red")
+    laser_absorption_factor: float = Field(description="a(laser) / maximum")
+    filter_bands: dict[str, float] = Field(description="radiance factor in the band of each filter, per 10 nm")
+    energy_yield: float = Field(description="emitted over incident energy, laser line to 780 nm")
+    photon_yield: float = Field(description="emitted over incident photons")
+    printed_patch: ColourPatch
+    closest_patch: ColourPatch
+    paper_curve: CurveFit = Field(description="the paper's family, whole emission seen")
+    our_curve: CurveFit = Field(description="our default family, whole emission seen")
+    absorption_curve: CurveFit = Field(description="the paper's family, whole absorption seen")
+    paper_fit: BandFit = Field(description="emission from the filter bands, the paper's family alone")
+    our_fit: BandFit = Field(description="emission from the filter bands, our default family with discrepancy")
+    one_laser: Reradiation = Field(description="our absorption from the yield under the laser alone")
+    several_lights: Reradiation = Field(description="our absorption from the yields under several lights")
+
+
+class PaperStatement(Model):
+    """One statement of the paper beside what the stand-ins say."""
+
+    subject: str
+    paper: str
+    measure: str = Field(description="what is given for each stand-in")
+    ours: dict[str, str] = Field(description="by material")
+    verdict: StatementVerdict
+    why: str
+
+
+class PaperPaints(Record):
+    """The paper's statements on its two paints, and ours on measured stand-ins."""
+
+    schema_version: ClassVar[int] = 2
+    written_by: ClassVar[str] = "'finray study paper-paints'"
+
+    laser_nm: WavelengthNm
+    stand_ins: tuple[PaintStandIn, ...]
+    statements: tuple[PaperStatement, ...]
+    caveat: str

@@ -1,0 +1,135 @@
+"""The only reader and writer of records, and the door for every other file.
+
+What is stored is atomic (whole or absent, never overwritten), sealed (SHA-256 of the envelope), versioned (files of
+earlier versions are migrated as they are read) and committed together: a `ProductSet` of several files counts with
+its last name. What others wrote comes in by `read_bytes` and `open_regular`: limits are checked before anything is
+parsed, the bytes are hashed as they are read, and parsers that may crash run in a child process with limits of time
+and memory.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from data_schemas.storage._array_files import (
+        FIRST_RED,
+        LARGEST_DECODED_BYTES,
+        BayerOrder,
+        parse_file,
+        parse_in_child,
+        read_frame,
+        read_npy,
+        read_npz,
+        require_decoded_size,
+        rggb_frame,
+        tiff_image,
+        write_frame,
+    )
+    from data_schemas.storage._child_process import (
+        OBJECTS_PER_COLLECTION,
+        Child,
+        call_in_child,
+        is_child,
+        progress_teller,
+        tell,
+    )
+    from data_schemas.storage._curve_files import (
+        LAMP_TEMPERATURE_K,
+        assumed_camera_response,
+        camera_response,
+        halogen_lamp,
+        planck_relative,
+        read_camera_response,
+        read_donaldson_matrix,
+        read_filter_curve,
+        read_filter_curves,
+        read_table,
+    )
+    from data_schemas.storage._folder_manifest import (
+        MANIFEST_NAME,
+        FileFault,
+        FileState,
+        manifest_faults,
+        manifest_text,
+        sha256_now,
+        write_manifest,
+    )
+    from data_schemas.storage._foreign_files import (
+        LARGEST_TEXT_BYTES,
+        LARGEST_TOML_BYTES,
+        digest_as_read,
+        finite_number,
+        open_regular,
+        parse_json,
+        read_bytes,
+        read_csv,
+        read_json,
+        read_text,
+        read_toml_tables,
+    )
+    from data_schemas.storage._product_set import ProductSet, clear_leftovers
+    from data_schemas.storage._records import A_RECORD, migrate, read_record, read_toml, write_record
+    from data_schemas.storage._whole_files import lock, refuse_taken, sha256_of, write_bytes
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "A_RECORD",
+    "FIRST_RED",
+    "LAMP_TEMPERATURE_K",
+    "LARGEST_DECODED_BYTES",
+    "LARGEST_TEXT_BYTES",
+    "LARGEST_TOML_BYTES",
+    "MANIFEST_NAME",
+    "OBJECTS_PER_COLLECTION",
+    "BayerOrder",
+    "Child",
+    "FileFault",
+    "FileState",
+    "ProductSet",
+    "assumed_camera_response",
+    "call_in_child",
+    "camera_response",
+    "clear_leftovers",
+    "digest_as_read",
+    "finite_number",
+    "halogen_lamp",
+    "is_child",
+    "lock",
+    "manifest_faults",
+    "manifest_text",
+    "migrate",
+    "open_regular",
+    "parse_file",
+    "parse_in_child",
+    "parse_json",
+    "planck_relative",
+    "progress_teller",
+    "read_bytes",
+    "read_camera_response",
+    "read_csv",
+    "read_donaldson_matrix",
+    "read_filter_curve",
+    "read_filter_curves",
+    "read_frame",
+    "read_json",
+    "read_npy",
+    "read_npz",
+    "read_record",
+    "read_table",
+    "read_text",
+    "read_toml",
+    "read_toml_tables",
+    "refuse_taken",
+    "require_decoded_size",
+    "rggb_frame",
+    "sha256_now",
+    "sha256_of",
+    "tell",
+    "tiff_image",
+    "write_bytes",
+    "write_frame",
+    "write_manifest",
+    "write_record",
+]

@@ -1,0 +1,446 @@
+"""The door through which the bytes of every file come in: checked before they are parsed, hashed as they are read.
+
+Every reader of the packages takes its bytes from :func:`read_bytes` or :func:`open_regular`. These take regular files
+only, so that a named pipe or a device never hangs a command, and no more bytes than such a file can rightly have. The
+SHA-256 of what was read is remembered: :func:`digest_as_read` gives provenance the checksum of the bytes that were
+parsed, whatever happens to the file afterwards.
+
+The parsers here are strict: no key twice, finite numbers only, limits of depth and count before anything is built.
+Arrays and images are read by :mod:`data_schemas.storage._array_files`.
+"""
+
+import csv
+import hashlib
+import io
+import json
+import math
+import os
+import re
+import stat
+import threading
+import tomllib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from data_schemas import FinrayError, RecordError
+
+MB: Final = 1 << 20
+LARGEST_TEXT_BYTES: Final = 64 * MB
+"""Of a file that people or programs write as text: JSON, CSV."""
+LARGEST_TOML_BYTES: Final = MB
+"""More than a person writes."""
+LARGEST_IMAGE_BYTES: Final = 1024 * MB
+LARGEST_ARRAY_FILE_BYTES: Final = 8192 * MB
+DEEPEST_JSON: Final = 64
+DEEPEST_TOML: Final = 16
+MOST_VALUES: Final = 2_000_000
+MOST_COLUMNS: Final = 4096
+LONGEST_WHOLE_NUMBER: Final = 2**64
+
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a named pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+# Possessive, and content with a missing end quote: linear in the length whatever it holds.
+_JSON_TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*+"?|[\[\]{},]', re.DOTALL)
+_TOML_WORDS = re.compile(
+    r"""
+    \"{3} (?:[^\\"]|\\.|"(?!""))*+ (?:\"{3})?
+    | '{3} (?:[^']|'(?!''))*+ (?:'{3})?
+    | " (?:[^"\\\n]|\\.)*+ "?
+    | ' [^'\n]*+ '?
+    | \#[^\n]*+
+    """,
+    re.DOTALL | re.VERBOSE,
+)
+_TOML_CHAIN = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{DEEPEST_TOML}}}")
+_NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+_SURROGATE = re.compile("[\ud800-\udfff]")
+
+
+class _Digests:
+    """SHA-256 of files as they were last read, by absolute path and by the path behind links; any thread may ask."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._by_path: dict[str, str] = {}
+
+    def remember(self, path: Path, digest: str) -> None:
+        names = {os.path.abspath(path), os.path.realpath(path)}
+        with self._lock:
+            self._by_path.update(dict.fromkeys(names, digest))
+
+    def of(self, path: Path) -> str | None:
+        with self._lock:
+            return self._by_path.get(os.path.abspath(path)) or self._by_path.get(os.path.realpath(path))
+
+
+_AS_READ = _Digests()
+
+
+def digest_as_read(path: Path) -> str | None:
+    """Return the SHA-256 (64 hex digits) of a file's bytes as this program last read them; None if it read none."""
+    return _AS_READ.of(path)
+
+
+def open_regular(path: Path, what: str = "a regular file", error: type[FinrayError] = RecordError) -> io.BufferedReader:
+    """Open a regular file for reading, without ever waiting for a pipe or a device.
+
+    Parameters
+    ----------
+    path
+        File; a link to one is followed.
+    what
+        What should lie there, for messages: "a stored record (.json)".
+    error
+        Class of the error.
+
+    Raises
+    ------
+    FinrayError
+        Of the class `error`: there is nothing, or no regular file, or it may not be read.
+    """
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        raise error(f"{path}: no such file; give the path of {what}") from None
+    except NotADirectoryError:
+        raise error(f"{path}: no such file, for a part of the path is no folder; give the path of {what}") from None
+    except (OSError, ValueError) as fault:
+        kind = _kind_at(path)
+        if kind is not None:
+            raise error(f"{path}: is {kind}; give the path of {what}") from None
+        reason = fault.strerror if isinstance(fault, OSError) else fault
+        raise error(f"{str(path)!r}: cannot be read ({reason}); check the path and its permissions") from None
+    kind = _kind_of(os.fstat(handle).st_mode)
+    if kind is not None:
+        os.close(handle)
+        raise error(f"{path}: is {kind}; give the path of {what}")
+    return os.fdopen(handle, "rb")
+
+
+def read_bytes(
+    path: Path,
+    what: str = "a regular file",
+    error: type[FinrayError] = RecordError,
+    largest_bytes: int = LARGEST_IMAGE_BYTES,
+) -> bytes:
+    """Return the bytes of a regular file and remember their SHA-256 for :func:`digest_as_read`.
+
+    Parameters
+    ----------
+    path
+        File; a link to one is followed.
+    what
+        What should lie there, for messages: "a stored record (.json)".
+    error
+        Class of the error.
+    largest_bytes
+        Longer files are refused before they are read.
+
+    Raises
+    ------
+    FinrayError
+        Of the class `error`: there is nothing, or no regular file, it is too long, or may not be read.
+    """
+    size = 0
+    try:
+        with open_regular(path, what, error) as file:
+            size = os.fstat(file.fileno()).st_size
+            content = file.read(size + 1) if size <= largest_bytes else b""
+            # a file of a pseudo file system says 0 and may have no end, and any file may grow while it is read
+            while size < len(content) <= largest_bytes and (more := file.read(MB)):
+                content += more
+    except OSError as fault:
+        raise error(f"{path}: cannot be read ({fault.strerror}); check the file and its medium") from None
+    except MemoryError:
+        raise error(f"{path}: has {size / MB:.4g} MB, more than the memory that is free; end other programs") from None
+    if max(size, len(content)) > largest_bytes:
+        raise error(
+            f"{path}: is longer than {largest_bytes} bytes ({largest_bytes / MB:.3g} MB), the most that is read as "
+            f"{what.removeprefix('the path of ')}; give the right file"
+        )
+    _AS_READ.remember(path, hashlib.sha256(content).hexdigest())
+    return content
+
+
+def read_text(
+    path: Path,
+    what: str = "a text file",
+    error: type[FinrayError] = RecordError,
+    largest_bytes: int = LARGEST_TEXT_BYTES,
+    encoding: str = "utf-8",
+) -> str:
+    """Return the text of a regular file; see :func:`read_bytes`.
+
+    Raises
+    ------
+    FinrayError
+        Of the class `error`: as :func:`read_bytes`, or the bytes are not text of this encoding.
+    """
+    try:
+        return read_bytes(path, what, error, largest_bytes).decode(encoding)
+    except UnicodeDecodeError as fault:
+        raise error(
+            f"{path}: cannot be read as {encoding.upper().removesuffix('-SIG')} text ({fault}); give {what}"
+        ) from None
+
+
+def parse_json(
+    content: bytes, where: object, error: type[FinrayError] = RecordError, deepest: int = DEEPEST_JSON
+) -> Any:
+    """Parse JSON: no key twice, no NaN and no infinite number, no half characters, at most `deepest` levels.
+
+    Parameters
+    ----------
+    content
+        UTF-8.
+    where
+        File or device it came from, for messages.
+    error
+        Class of the error.
+    deepest
+        Levels of objects and lists within each other.
+
+    Raises
+    ------
+    FinrayError
+        Of the class `error`: it is no such JSON.
+    """
+    try:
+        _require_shallow_json(content, deepest)
+        text = content.decode("utf-8")
+        parsed = json.loads(
+            text,
+            object_pairs_hook=_object_without_repeats,
+            parse_constant=_refuse_constant,
+            parse_float=_finite,
+            parse_int=_whole,
+        )
+        if b"\\u" in content:
+            _refuse_half_characters(parsed)
+    except (ValueError, RecursionError) as fault:
+        raise error(f"{where}: cannot be read as JSON ({fault}); was it edited or cut off?") from None
+    return parsed
+
+
+def read_json(
+    path: Path,
+    what: str = "a JSON file",
+    error: type[FinrayError] = RecordError,
+    largest_bytes: int = LARGEST_TEXT_BYTES,
+) -> Any:
+    """Read a JSON file; see :func:`read_bytes` and :func:`parse_json`."""
+    return parse_json(read_bytes(path, what, error, largest_bytes), path, error)
+
+
+def parse_toml(content: bytes, where: object, error: type[FinrayError] = RecordError) -> dict[str, Any]:
+    """Parse TOML: no NaN and no infinite number, at most :data:`DEEPEST_TOML` levels, no longer than a person writes.
+
+    Raises
+    ------
+    FinrayError
+        Of the class `error`: it is no such TOML.
+    """
+    try:
+        text = content.decode("utf-8")
+        _require_shallow_toml(text)
+        parsed = tomllib.loads(text)
+        _refuse_odd_numbers(parsed)
+        _refuse_half_characters(parsed)
+    except (ValueError, RecursionError) as fault:
+        raise error(f"{where}: cannot be read as TOML ({fault})") from None
+    return parsed
+
+
+def read_toml_tables(path: Path, what: str = "a TOML file", error: type[FinrayError] = RecordError) -> dict[str, Any]:
+    """Read a TOML file; see :func:`read_bytes` and :func:`parse_toml`."""
+    return parse_toml(read_bytes(path, what, error, LARGEST_TOML_BYTES), path, error)
+
+
+def read_csv(
+    path: Path,
+    what: str = "a CSV file",
+    error: type[FinrayError] = RecordError,
+    comments: bool = False,
+    skip_space: bool = False,
+) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Read a CSV file with a header row.
+
+    Parameters
+    ----------
+    path, what, error
+        See :func:`read_bytes`.
+    comments
+        Leave out lines that begin with ``#``.
+    skip_space
+        Leave out blanks behind a comma.
+
+    Returns
+    -------
+    tuple
+        Names of the columns, and (line, cells) of every row that is not empty; rows may be shorter than the header.
+
+    Raises
+    ------
+    FinrayError
+        Of the class `error`: as :func:`read_text`, a quote is not closed, a column's name stands twice, a row is longer
+        than the header, or the table has too many cells.
+    """
+    text = read_text(path, what, error, encoding="utf-8-sig")
+    lines: Iterable[str] = io.StringIO(text, newline="")
+    if comments:
+        lines = ("\n" if line.startswith("#") else line for line in lines)
+    reader = csv.reader(lines, strict=True, skipinitialspace=skip_space)
+    rows: list[tuple[int, list[str]]] = []
+    cells_in_all = 0
+    try:
+        for cells in reader:
+            cells_in_all += len(cells)
+            if len(cells) > MOST_COLUMNS or cells_in_all > MOST_VALUES:
+                raise error(
+                    f"{path}, line {reader.line_num}: more than {MOST_COLUMNS} columns or {MOST_VALUES} cells in all; "
+                    f"give {what}"
+                )
+            if any(cell.strip() for cell in cells):
+                rows.append((reader.line_num, cells))
+    except csv.Error as fault:
+        raise error(
+            f"{path}, line {reader.line_num}: cannot be read as CSV ({fault}); close or remove its quotes"
+        ) from None
+    header = [name.strip() for name in rows[0][1]] if rows else []
+    long = next(((line, cells) for line, cells in rows[1:] if any(c.strip() for c in cells[len(header) :])), None)
+    if long is not None:
+        raise error(
+            f"{path}, line {long[0]}: has {len(long[1])} columns, the header has {len(header)}; commas stand between "
+            "columns, the decimal mark is a point"
+        )
+    twice = next((name for name in header if name and header.count(name) > 1), None)
+    if twice is not None:
+        raise error(f"{path}: the column {twice!r} stands twice in the header; remove one")
+    return header, rows[1:]
+
+
+def finite_number(text: str) -> float:
+    """Return a finite decimal number, as spreadsheets and programs write it: ``-1.5e3``.
+
+    Raises
+    ------
+    ValueError
+        It is none; NaN, infinity, and Python's underscores are none.
+    """
+    word = text.strip()
+    if _NUMBER.fullmatch(word) is None or not math.isfinite(value := float(word)):
+        raise ValueError(f"{word[:40]!r} is no finite number")
+    return value
+
+
+def _kind_at(path: Path) -> str | None:
+    """Return what lies at a path that cannot be opened, if it is no regular file."""
+    try:
+        return _kind_of(os.stat(path).st_mode)
+    except (OSError, ValueError):
+        return None
+
+
+def _kind_of(mode: int) -> str | None:
+    """Return what a file is in words; None for a regular one."""
+    if stat.S_ISREG(mode):
+        return None
+    return next((words for is_kind, words in _KINDS if is_kind(mode)), "no regular file")
+
+
+def _require_shallow_json(content: bytes, deepest: int) -> None:
+    """Refuse deep nesting and endless lists, looking at brackets and commas outside of strings only."""
+    openings = content.count(b"[") + content.count(b"{")
+    if openings <= deepest and content.count(b",") <= MOST_VALUES:
+        return
+    depth = values = 0
+    for token in _JSON_TOKEN.finditer(content):
+        mark = content[token.start()]
+        if mark in b"[{":
+            depth += 1
+            values += 1
+        elif mark in b"]}":
+            depth -= 1
+        elif mark in b",":
+            values += 1
+        if depth > deepest:
+            raise ValueError(f"more than {deepest} lists or objects within each other")
+        if values > MOST_VALUES:
+            raise ValueError(f"more than {MOST_VALUES} values")
+
+
+def _require_shallow_toml(text: str) -> None:
+    """Refuse deep nesting and long dotted keys outside of strings and comments."""
+    bare = _TOML_WORDS.sub("x", text)
+    if _TOML_CHAIN.search(bare):
+        raise ValueError(f"a key of more than {DEEPEST_TOML} parts")
+    depth = 0
+    for mark in re.findall(r"[\[\]{}]", bare):
+        depth += 1 if mark in "[{" else -1
+        if depth > DEEPEST_TOML:
+            raise ValueError(f"more than {DEEPEST_TOML} lists or tables within each other")
+
+
+def _object_without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object, whose keys must differ."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        seen: set[str] = set()
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        raise ValueError(f"the key {twice[:80]!r} stands twice in one object; keep one")
+    return found
+
+
+def _refuse_constant(word: str) -> Any:
+    raise ValueError(f"{word} is no number; missing values are null")
+
+
+def _finite(word: str) -> float:
+    """Return a decimal number that a double can hold."""
+    value = float(word)
+    if math.isinf(value):
+        raise ValueError(f"the number {word[:40]} is too large")
+    return value
+
+
+def _whole(word: str) -> int:
+    """Return a whole number of at most 64 bits."""
+    if len(word) > 20 or abs(value := int(word)) > LONGEST_WHOLE_NUMBER:
+        raise ValueError(f"the whole number {word[:40]} is too large (at most 2^64)")
+    return value
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Yield every text of a parsed document."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _texts(inner)
+    elif isinstance(value, dict):
+        for key, inner in value.items():
+            yield key
+            yield from _texts(inner)
+
+
+def _refuse_half_characters(parsed: Any) -> None:
+    """Refuse one half of a surrogate pair, which no file and no screen can show."""
+    if any(_SURROGATE.search(text) for text in _texts(parsed)):
+        raise ValueError("a text holds half of a character (a lone \\ud800 to \\udfff)")
+
+
+def _refuse_odd_numbers(value: Any) -> None:
+    """Refuse NaN, infinite and endless numbers in TOML tables."""
+    if isinstance(value, dict | list):
+        for inner in value.values() if isinstance(value, dict) else value:
+            _refuse_odd_numbers(inner)
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"{value} is no finite number; leave the key out if it is not known")
+    elif isinstance(value, int) and abs(value) > LONGEST_WHOLE_NUMBER:
+        raise ValueError("a whole number is too large (at most 2^64)")

@@ -1,0 +1,416 @@
+"""The only reader and writer of records: JSON plus arrays, atomic, sealed, versioned; TOML where a person writes.
+
+A stored record is one JSON file (an envelope with kind, schema version, the record and its seal); arrays of more than
+:data:`INLINE_VALUES` values stand in one ``.npz`` file beside it, whose name carries its SHA-256. The array
+file gets its name first and the JSON last, so a record is either whole or absent. The seal is the SHA-256
+of the rest of the envelope, checked when the record is read: it detects accidents and edits, not forgery, as whoever
+changes a record on purpose can compute it anew.
+
+The version of a kind is raised whenever its schema changes: a field is added, removed, renamed, or allows something
+else. ``tests/schemas/frozen/KIND/vN`` keeps the schema of every version and a file of it, and a test fails when
+the schema changed and the version did not. A file of an earlier version is migrated when it is read, one small
+function for each step of one version; nothing is rewritten on the disk. ``docs/explanation/versions-of-records.md``
+tells how to add a field.
+"""
+
+import hashlib
+import io
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from data_schemas import ChecksumError, NewerSchemaError, Provenance, Record, RecordError, explain
+from data_schemas.storage._array_files import DeclaredArray, read_declared_arrays
+from data_schemas.storage._foreign_files import (
+    LARGEST_ARRAY_FILE_BYTES,
+    digest_as_read,
+    read_bytes,
+    read_json,
+    read_toml_tables,
+)
+from data_schemas.storage._product_set import ProductSet, refuse_unfinished
+from data_schemas.storage._whole_files import refuse_taken
+
+INLINE_VALUES = 512
+A_RECORD = "a stored record (.json)"
+R = TypeVar("R", bound=Record)
+Complete = Callable[[dict[str, Any]], dict[str, Any]]
+
+
+def write_record(record: Record, path: Path, provenance: Provenance, products: ProductSet | None = None) -> Path:
+    """Store a record at `path` (a new ``.json`` file) and return the path.
+
+    Parameters
+    ----------
+    record, path
+        The record and its file.
+    provenance
+        Its origin.
+    products
+        The set that it is stored with; alone (with its array file) where left out. The record holds the SHA-256 of the
+        files that were added before it and lie in its folder or below: a page, a picture.
+
+    Raises
+    ------
+    RecordError
+        The file exists already: a stored record is never overwritten.
+    """
+    if products is None:
+        refuse_taken(path)
+        with ProductSet(path) as alone:
+            return write_record(record, path, provenance, alone)
+    content = record.model_copy(update={"provenance": provenance}).model_dump(mode="python")
+    arrays: dict[str, NDArray[Any]] = {}
+    body = _to_json(content, "", arrays)
+    array_file = None
+    if arrays:
+        buffer = io.BytesIO()
+        np.savez(buffer, allow_pickle=False, **arrays)
+        digest = hashlib.sha256(buffer.getvalue()).hexdigest()
+        array_file = {"file": f"{path.stem}.{digest[:12]}.npz", "sha256": digest}
+        # One with the same content, left where its record was moved away, serves as well.
+        products.add(path.with_name(array_file["file"]), buffer.getvalue(), same_serves=True)
+    array_name = None if array_file is None else array_file["file"]
+    companions = {name: digest for name, digest in products.added_below(path.parent).items() if name != array_name}
+    envelope = {
+        "kind": type(record).__name__,
+        "schema_version": record.schema_version,
+        "array_file": array_file,
+        **({"companions": companions} if companions else {}),
+        "record": body,
+    }
+    envelope["content_sha256"] = content_sha256(envelope)
+    return products.add(path, (json.dumps(envelope, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode())
+
+
+def content_sha256(envelope: Mapping[str, Any]) -> str:
+    """Return the seal of an envelope: SHA-256 of all that it holds beside the seal, as canonical JSON.
+
+    Canonical is: UTF-8, keys sorted, no spaces, numbers as Python writes them (the shortest decimal that reads back as
+    the same number). Indentation and the order of keys do not matter, every value does.
+    """
+    content = {key: value for key, value in envelope.items() if key != "content_sha256"}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()
+
+
+def _to_json(value: Any, name: str, arrays: dict[str, NDArray[Any]]) -> Any:
+    """Return `value` ready for JSON; large arrays go to `arrays` and leave a reference."""
+    if isinstance(value, np.ndarray):
+        if value.size > INLINE_VALUES:
+            arrays[name] = value
+            return {"array": name, "shape": list(value.shape), "dtype": value.dtype.str}
+        return _nan_to_none(value.tolist())
+    if isinstance(value, dict):
+        return {key: _to_json(v, f"{name}.{key}".lstrip("."), arrays) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_to_json(v, f"{name}.{i}".lstrip("."), arrays) for i, v in enumerate(value)]
+    return value
+
+
+def _nan_to_none(value: Any) -> Any:
+    """Replace NaN in nested lists by None (JSON has no NaN)."""
+    if isinstance(value, list):
+        return [_nan_to_none(v) for v in value]
+    return None if isinstance(value, float) and value != value else value
+
+
+def read_record(path: Path, record_type: type[R]) -> R:
+    """Read a stored record and check its kind, version, checksum and every field.
+
+    Raises
+    ------
+    RecordError
+        The file is missing, not JSON, of another kind or a version that cannot be migrated, or a field is not what it
+        must be.
+    NewerSchemaError
+        The record was written by a newer version.
+    ChecksumError
+        The record was changed after it was written, or its array file is missing or was changed.
+    """
+    refuse_unfinished(path)
+    envelope = _load_json(path)
+    kind = envelope.get("kind")
+    if kind != record_type.__name__:
+        why = f": {record_type.other_kinds[str(kind)]}" if str(kind) in record_type.other_kinds else ""
+        raise RecordError(
+            f"{path}: is a {kind or 'file of unknown kind'}, a {record_type.__name__} is needed here{why}"
+        )
+    version = _required_version(path, envelope.get("schema_version"))
+    refuse_newer(path, version, record_type)
+    _check_seal(path, envelope, record_type)
+    body = envelope.get("record")
+    if not isinstance(body, dict):
+        raise RecordError(f"{path}: 'record' must be a JSON object")
+    arrays = _load_arrays(path, envelope.get("array_file"), _declared_arrays(path, body))
+    try:
+        return record_type.model_validate(migrate(path, record_type, version, _with_arrays(path, body, arrays)))
+    except ValidationError as error:
+        raise RecordError(f"{path}: {explain(error, record_type)}{_older_hint(envelope, version)}") from None
+
+
+def _required_version(path: Path, version: Any) -> int:
+    """Return the number of a version, or refuse what is none."""
+    if type(version) is not int or version < 1:
+        raise RecordError(f"{path}: schema_version is {version!r}; it must be a whole number from 1")
+    return version
+
+
+def _check_seal(path: Path, envelope: dict[str, Any], record_type: type[Record]) -> None:
+    """Refuse a record that was changed after it was written; records of versions before seals have none."""
+    seal, kind = envelope.get("content_sha256"), record_type.__name__
+    if seal is None and not is_sealed(kind, envelope["schema_version"]):
+        return
+    if seal != content_sha256(envelope):
+        what = "carries no seal" if seal is None else "does not agree with its seal"
+        raise ChecksumError(
+            f"{path}: {what} (content_sha256), so that it was changed after it was written; restore the file, or run "
+            f"{record_type.written_by} again"
+        )
+
+
+def _older_hint(envelope: dict[str, Any], version: int) -> str:
+    """Return what may explain that a record of the time before frozen schemas does not fit."""
+    if is_sealed(str(envelope.get("kind")), version):
+        return ""
+    origin = envelope["record"].get("provenance")
+    commit = origin.get("git_commit") if isinstance(origin, dict) else None
+    return (
+        f". Several schemas were stored as version {version} before versions rose with them; this file was written by "
+        f"{f'commit {commit}' if commit else 'an unknown commit'}: read it with that one, or make the record again"
+    )
+
+
+def _load_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object."""
+    loaded = read_json(path, A_RECORD)
+    if not isinstance(loaded, dict):
+        raise RecordError(f"{path}: is not a stored record (a JSON object with 'kind' and 'record')")
+    return loaded
+
+
+def _is_reference(value: dict[str, Any]) -> bool:
+    """Return whether an object stands for an array of the array file."""
+    return value.keys() == {"array", "shape", "dtype"}
+
+
+def _declared_arrays(path: Path, value: Any) -> dict[str, DeclaredArray]:
+    """Return name -> shape and type of the arrays that a record refers to."""
+    found: dict[str, DeclaredArray] = {}
+    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        found |= _declared_arrays(path, inner)
+    if isinstance(value, dict) and _is_reference(value):
+        name, shape, dtype = value["array"], value["shape"], value["dtype"]
+        whole = isinstance(shape, list) and all(type(length) is int and length >= 0 for length in shape)
+        if not (isinstance(name, str) and whole and isinstance(dtype, str)):
+            raise RecordError(f"{path}: {str(value)[:80]} must name an array, its shape and its type")
+        found[name] = DeclaredArray(tuple(shape), dtype)
+    return found
+
+
+def _load_arrays(path: Path, array_file: Any, declared: dict[str, DeclaredArray]) -> dict[str, NDArray[Any]]:
+    """Read what a record declares from its array file, after checking the file's name and checksum."""
+    if array_file is None:
+        return {}
+    try:
+        name, digest = str(array_file["file"]), str(array_file["sha256"])
+    except (TypeError, KeyError):
+        raise RecordError(f"{path}: array_file must hold 'file' and 'sha256'") from None
+    if not name or name == ".." or Path(name).name != name:
+        raise RecordError(f"{path}: array_file.file = {name!r} must be a plain file name beside the record")
+    source = path.with_name(name)
+    if not source.exists():
+        raise ChecksumError(f"{source}: is missing; it holds the arrays of {path.name}: keep the two files together")
+    content = read_bytes(source, f"the arrays of {path.name}", RecordError, LARGEST_ARRAY_FILE_BYTES)
+    if digest_as_read(source) != digest:
+        raise ChecksumError(f"{source}: its SHA-256 differs from the one in {path.name}; the file was changed")
+    return read_declared_arrays(content, declared, source)
+
+
+def _with_arrays(path: Path, value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
+    """Replace array references by the arrays."""
+    if isinstance(value, dict):
+        if _is_reference(value):
+            if value["array"] not in arrays:
+                raise RecordError(f"{path}: array {value['array']!r} is in no array_file of the record")
+            return arrays[value["array"]]
+        return {key: _with_arrays(path, v, arrays) for key, v in value.items()}
+    if isinstance(value, list):
+        return [_with_arrays(path, v, arrays) for v in value]
+    return value
+
+
+def read_toml(path: Path, record_type: type[R], complete: Complete = dict) -> R:
+    """Read a plan, rig or design file that a person wrote (TOML).
+
+    It may name the version of its kind as ``schema_version`` above its first table, as files that finray writes do;
+    without it the file is of today's version.
+
+    Parameters
+    ----------
+    path
+        The file.
+    record_type
+        Its kind.
+    complete
+        Given what the file says, returns what is validated: a ready-made product whose numbers the file changes.
+
+    Raises
+    ------
+    RecordError
+        The file is missing, longer than a person writes or not TOML, or a field is unknown, missing, out of range or
+        without effect.
+    NewerSchemaError
+        The file is of a newer version.
+    """
+    loaded = read_toml_tables(path)
+    version = _required_version(path, loaded.pop("schema_version", record_type.schema_version))
+    if any(field.is_required() and name not in loaded for name, field in record_type.model_fields.items()):
+        version = min(version, record_type.schema_version)  # a file of another kind: what it lacks tells more
+    try:
+        read = record_type.model_validate(complete(migrate(path, record_type, version, loaded)))
+    except ValidationError as error:
+        raise RecordError(f"{path}: {explain(error, record_type)}") from None
+    for field, why in read.idle_fields().items():
+        if _is_written(loaded, field):
+            raise RecordError(f"{path}: {field} has no effect: {why}")
+    return read
+
+
+def _is_written(table: Any, field: str) -> bool:
+    """Return whether a dotted path stands in a table."""
+    name, _, inner = field.partition(".")
+    return isinstance(table, dict) and name in table and (not inner or _is_written(table[name], inner))
+
+
+Body = dict[str, Any]
+Migration = Callable[[Body], Body]
+
+_STORED_BEFORE_SEALS: Final = (
+    "AcceptanceReport", "BandSignals", "CameraCharacterisation", "CameraSession", "CaptureSession", "ComparisonBatch",
+    "FingerStiffness", "FingerSurfaces", "FluorescentRendering", "ForceComparison", "LightAngleDecision",
+    "LightAngleIntensity", "LightAngleSweep", "NormalMapRecord", "PaintCalibration", "PaintMap", "PaperPaints",
+    "PhotometricErrorReport", "PixelScale", "PixelSignals", "PressIncrement", "PressMechanics", "SimulatedPress",
+    "TactileCapture", "TactileSession", "TwoLights",
+)  # fmt: skip
+LAST_UNSEALED: Final[dict[str, int]] = {**dict.fromkeys(_STORED_BEFORE_SEALS, 1), "PaintCalibration": 2}
+"""Kind -> last version whose files carry no seal. Several schemas were stored under these numbers, as versions were not
+raised with the schema before: which one a file has, only its provenance tells (the commit of the source tree)."""
+
+
+def _as_it_is(body: Body) -> Body:
+    """Return a record whose new fields all have a value that says "not known"."""
+    return body
+
+
+MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
+    # provenance may name packages, processor, renderer and changed sources; the envelope carries a seal
+    **dict.fromkeys(LAST_UNSEALED.items(), _as_it_is),
+    # the probability that the loss is within the tolerance
+    ("LightAngleDecision", 2): _as_it_is,
+    # whether there is emission at all; none: not judged
+    ("PaintCalibration", 3): _as_it_is,
+    # a laser may declare what switches it off outside the computer
+    ("RigFile", 1): _as_it_is,
+    ("CaptureSession", 2): _as_it_is,
+    ("CameraSession", 2): _as_it_is,
+    ("BandSignals", 2): _as_it_is,
+    ("PixelSignals", 2): _as_it_is,
+    ("AcceptanceReport", 2): _as_it_is,
+    ("PaintCalibration", 4): _as_it_is,
+    ("PaintWithoutEmission", 1): _as_it_is,
+}
+"""(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
+
+NOT_MIGRATED: Final[dict[tuple[str, int], str]] = {
+    ("PaintCalibration", 1): "it holds draws of another model of the paint, without the discrepancy",
+}
+"""(kind, version) -> why the next version cannot be made from it."""
+
+
+def refuse_newer(path: Path, version: int, record_type: type[Record]) -> None:
+    """Refuse a file of a version that this finray does not know.
+
+    Raises
+    ------
+    NewerSchemaError
+        The version is later than today's.
+    """
+    if version > record_type.schema_version:
+        raise NewerSchemaError(
+            f"{path}: schema_version {version} was written by a newer finray; this one reads up to "
+            f"{record_type.schema_version}: update with 'pip install -U finray-calib'"
+        )
+
+
+def migrate(path: Path, record_type: type[Record], version: int, body: Body) -> Body:
+    """Return the content of a record as today's version holds it; a field of another type is left to the reader.
+
+    Raises
+    ------
+    NewerSchemaError
+        The version is later than today's.
+    RecordError
+        A step between cannot be made from what is stored, or does not find what it migrates.
+    """
+    refuse_newer(path, version, record_type)
+    kind, today = record_type.__name__, record_type.schema_version
+    for step in range(version, today):
+        if (kind, step) not in MIGRATIONS:
+            why = f" ({NOT_MIGRATED[kind, step]})" if (kind, step) in NOT_MIGRATED else ""
+            raise RecordError(
+                f"{path}: was written by version {version} of the {kind} record, which differs from today's version "
+                f"{today}{why}; run {record_type.written_by} again"
+            )
+        try:
+            body = MIGRATIONS[kind, step](body)
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as fault:
+            raise RecordError(
+                f"{path}: cannot be read as version {step} of the {kind} record ({type(fault).__name__}: {fault}); "
+                f"was it edited? Run {record_type.written_by} again"
+            ) from None
+    return body
+
+
+def is_sealed(kind: str, version: int) -> bool:
+    """Return whether files of this version carry the SHA-256 of their content."""
+    return version > LAST_UNSEALED.get(kind, 0)
+
+
+def normalised_schema(schema: dict[str, Any], *, by_people: bool) -> dict[str, Any]:
+    """Return a JSON Schema without words, so that two are equal where they allow the same files.
+
+    Parameters
+    ----------
+    schema
+        As pydantic makes it.
+    by_people
+        Whether people write such files: what they leave out takes its default, which counts therefore, and they write
+        no provenance. In a stored record every field stands written, and no default counts.
+    """
+    words = {"title", "description", "examples", "$schema"} | (set() if by_people else {"default"})
+    kept: dict[str, Any] = _without_words(schema, frozenset(words))
+    if by_people:
+        definitions = kept.get("$defs", {})
+        definitions.pop("Provenance", None)
+        for model in (kept, *definitions.values()):
+            model.get("properties", {}).pop("provenance", None)
+    return kept
+
+
+def _without_words(value: Any, words: frozenset[str], *, names: bool = False) -> Any:
+    """Return part of a schema without its words; where keys are `names` of fields, all of them stay."""
+    if isinstance(value, dict):
+        return {
+            key: _without_words(inner, words, names=not names and key in {"properties", "$defs"})
+            for key, inner in value.items()
+            if names or key not in words
+        }
+    if isinstance(value, list):
+        return [_without_words(inner, words) for inner in value]
+    return value

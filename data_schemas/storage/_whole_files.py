@@ -1,0 +1,165 @@
+"""Files that are either whole or absent, never overwritten, and known by their SHA-256.
+
+A file is written under a hidden name first (a part, ``.NAME.TOKEN.finray.part``), which is locked as long as its
+writer lives: the parts of dead writers are collected by :mod:`data_schemas.storage._product_set`. A name that is
+taken is refused by the file system itself: of two writers at the same moment one wins. Products of several files are
+written by :class:`ProductSet <data_schemas.storage._product_set.ProductSet>`.
+"""
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import os
+import secrets
+from pathlib import Path
+
+from data_schemas import RecordError
+from data_schemas.storage._foreign_files import open_regular
+
+# What os.link says on file systems without hard links (FAT, some network and container mounts).
+NO_HARD_LINKS = frozenset({errno.EPERM, errno.EACCES, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS})
+# What os.fsync says of a folder where the file system has no such thing.
+NO_FOLDER_SYNC = frozenset({errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS})
+PART_ENDING = ".finray.part"
+LONGEST_NAME_BYTES = 180
+"""Of a name within a hidden name; file systems take 255 in all."""
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes as 64 hex digits."""
+    with open_regular(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a new file so that it is either whole or absent: part file, fsync, link to its name, fsync of the folder.
+
+    Raises
+    ------
+    RecordError
+        Something has this name already: nothing stored is overwritten.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part, handle = _new_part(path)
+    try:
+        write_all(handle, content)
+        give_name(part, path)
+        try:
+            sync_folder(path.parent)
+        except OSError:
+            with contextlib.suppress(OSError):  # what may not be on the disk does not count as stored
+                path.unlink()
+            raise
+    finally:
+        with contextlib.suppress(OSError):  # collected by the next writer in this folder
+            part.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def refuse_taken(path: Path) -> None:
+    """Refuse a name that something has already.
+
+    Raises
+    ------
+    RecordError
+        It exists.
+    """
+    if path.exists():
+        raise taken(path)
+
+
+def taken(path: Path) -> RecordError:
+    """Return the error for a name that is taken."""
+    return RecordError(f"{path}: exists already and is not overwritten; choose another --out or move it away")
+
+
+def part_name(name: str, token: str) -> str:
+    """Return the hidden name of a file or folder that is being written."""
+    return f".{short_name(name)}.{token}{PART_ENDING}"
+
+
+def short_name(name: str) -> str:
+    """Return a name that leaves room for a hidden name's marks: itself, or its beginning with a digest of it."""
+    encoded = name.encode("utf-8", "surrogateescape")
+    if len(encoded) <= LONGEST_NAME_BYTES:
+        return name
+    return f"{name[: LONGEST_NAME_BYTES // 8]}-{hashlib.sha256(encoded).hexdigest()[:16]}"
+
+
+def new_token() -> str:
+    """Return what tells the hidden files of one writer from those of another: 8 hex digits."""
+    return secrets.token_hex(4)
+
+
+def lock(handle: int) -> bool | None:
+    """Try to lock an open file for this process, until it is closed; the lock vanishes with the process, too.
+
+    Returns
+    -------
+    bool or None
+        Whether it is ours; None where the file system has no locks.
+    """
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return None
+    return True
+
+
+def is_ours(handle: int) -> bool:
+    """Lock a file that was just created; False where someone took it for a leftover before it was locked."""
+    return lock(handle) is not False and os.fstat(handle).st_nlink > 0
+
+
+def write_all(handle: int, content: bytes) -> None:
+    """Have all bytes in an open file, and the file on the disk."""
+    rest = memoryview(content)
+    while rest:
+        rest = rest[os.write(handle, rest) :]
+    os.fsync(handle)
+
+
+def give_name(part: Path, path: Path) -> None:
+    """Turn a finished part file into `path`, which must be free; linking refuses a taken name in one step.
+
+    Raises
+    ------
+    RecordError
+        The name is taken.
+    """
+    try:
+        os.link(part, path)
+    except FileExistsError:
+        raise taken(path) from None
+    except OSError as error:
+        if error.errno not in NO_HARD_LINKS:
+            raise
+        # Without hard links a moment is left between look and rename.
+        if path.exists():
+            raise taken(path) from None
+        part.replace(path)
+
+
+def sync_folder(folder: Path) -> None:
+    """Have the names in a folder on the disk."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in NO_FOLDER_SYNC:
+            raise
+    finally:
+        os.close(handle)
+
+
+def _new_part(path: Path) -> tuple[Path, int]:
+    """Create the locked part file of a single file; return it and its open descriptor."""
+    while True:
+        part = path.with_name(part_name(path.name, new_token()))
+        handle = os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+        if is_ours(handle):
+            return part, handle
+        os.close(handle)

@@ -1,0 +1,294 @@
+r"""Does a measured quantity conform to its limits, and how a check decides it (JCGM 106:2012, ISO 14253-1).
+
+All numbers of one call are in one unit, that of the quantity; probabilities are 0 to 1.
+
+A quantity with estimate y and standard uncertainty u (or given by draws) conforms to the tolerance interval
+:math:`[T_L, T_U]` with the conformance probability :math:`p_c = P(T_L \le \eta \le T_U)`. A decision rule accepts where
+y lies in an acceptance interval: inside the tolerance interval by a guard band w (guarded acceptance, ISO 14253-1),
+equal to it (simple acceptance, w = 0), or outside it (guarded rejection, w < 0); w = r U with U = 2 u.
+
+A check has guard bands on both sides of every limit: y passes an upper limit T when
+
+.. math:: y + k u \le T, \quad k = 1.645,
+
+and fails it when ``y - k u > T``; between the two it is undecided. With a normally distributed value a quantity at the
+limit passes, and fails, in 5 % of all checks each; one beyond it passes more rarely.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from data_schemas import CheckResult, CheckVerdict, FinrayError, Section
+
+Floats = NDArray[np.float64]
+Zone = Literal["accept", "not decided", "reject"]
+
+COVERAGE_FACTOR: Final = 2.0
+"""Of the expanded uncertainty U = 2 u, which covers 95 % of a normal distribution."""
+ISO_14253_1_FACTOR: Final = 1.645 / COVERAGE_FACTOR
+"""Guard band over U for 95 % conformance probability at the end of the guard band (edition of 2017)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ToleranceInterval:
+    """Hold the lowest and highest conforming value; None where there is no limit.
+
+    Raises
+    ------
+    FinrayError
+        There is no limit at all, or the lower one is above the upper one.
+    """
+
+    low: float | None
+    high: float | None
+
+    def __post_init__(self) -> None:
+        finite = [limit for limit in (self.low, self.high) if limit is not None]
+        if not finite or not np.isfinite(finite).all():
+            raise FinrayError(
+                f"tolerance interval [{self.low}, {self.high}]: give a finite lower limit, a finite upper limit, or "
+                "both; None stands for no limit"
+            )
+        if len(finite) == 2 and finite[0] > finite[1]:
+            raise FinrayError(
+                f"tolerance interval [{self.low}, {self.high}]: the lower limit must not be above the upper limit"
+            )
+
+    @property
+    def edges(self) -> tuple[float, float]:
+        """Both limits, infinite where there is none."""
+        return (-np.inf if self.low is None else self.low, np.inf if self.high is None else self.high)
+
+    def narrowed(self, guard: float) -> tuple[float, float]:
+        """Return the limits moved inwards by a guard band (outwards where it is negative)."""
+        low, high = self.edges
+        return low + guard, high - guard
+
+
+def conformance_probability(estimate: float, sd: float, tolerance: ToleranceInterval) -> float:
+    """Return the probability that a normally distributed quantity conforms.
+
+    p_c = Phi((T_U - y) / u) - Phi((T_L - y) / u). For u = 0: 1 or 0; a limit itself conforms.
+
+    Parameters
+    ----------
+    estimate, sd : float
+        Estimate y and standard uncertainty u, in the unit of the limits.
+    tolerance : ToleranceInterval
+
+    Returns
+    -------
+    float
+        The specific consumer's risk of accepting this item is 1 - p_c, the producer's of rejecting it p_c.
+
+    Raises
+    ------
+    FinrayError
+        The uncertainty is negative, infinite or not a number.
+
+    References
+    ----------
+    JCGM 106:2012, 7.2 to 7.4 and 9.3.
+    """
+    check_sd(sd)
+    if np.isinf(sd):
+        raise FinrayError("standard uncertainty inf: nothing is known, so no probability follows; measure again")
+    low, high = tolerance.edges
+    if sd == 0.0:
+        return float(low <= estimate <= high)
+    below, above = (low - estimate) / sd, (high - estimate) / sd
+    # in the tail that is the farther one, so that nothing cancels
+    return float(norm.cdf(-below) - norm.cdf(-above)) if below > 0 else float(norm.cdf(above) - norm.cdf(below))
+
+
+def conformance_probability_of_draws(draws: Floats, tolerance: ToleranceInterval) -> tuple[float, float]:
+    """Return the share of draws (D,) of a quantity that conform, and its standard error for independent draws.
+
+    Valid for any distribution (JCGM 101). With n of D draws inside, p = n / D; the standard error is that of
+    (n + 1) / (D + 2), so that it is not zero where no draw or every draw conforms.
+
+    Raises
+    ------
+    FinrayError
+        There are no draws, or some are not numbers.
+    """
+    if draws.size == 0 or not np.isfinite(draws).all():
+        raise FinrayError(
+            f"{draws.size} draws, {int((~np.isfinite(draws)).sum())} of them not finite: give at least one draw of the "
+            "quantity, and only finite ones"
+        )
+    low, high = tolerance.edges
+    inside = int(((draws >= low) & (draws <= high)).sum())
+    share = (inside + 1) / (draws.size + 2)
+    return inside / draws.size, float(np.sqrt(share * (1 - share) / draws.size))
+
+
+def guard_band(sd: float, guard_factor: float = ISO_14253_1_FACTOR) -> float:
+    """Return the guard band w = r U, U = 2 u, in the unit of the uncertainty.
+
+    Parameters
+    ----------
+    sd : float
+        Standard uncertainty u.
+    guard_factor : float
+        r. Of ISO 14253-1: 0.82; 0 is simple acceptance; 1 guards by the whole expanded uncertainty; negative values
+        are guarded rejection.
+
+    Raises
+    ------
+    FinrayError
+        The uncertainty is negative or not a number.
+
+    References
+    ----------
+    JCGM 106:2012, 8.3.2 and 8.3.3.
+    """
+    check_sd(sd)
+    return guard_factor * COVERAGE_FACTOR * sd
+
+
+def guard_factor_for(probability: float) -> float:
+    """Return the factor r of the guard band at whose end one limit is kept with a conformance probability.
+
+    r = Phi^-1(p) / 2: 0 for 50 %, 0.82 for 95 %, 1 for 97.7 %.
+
+    Raises
+    ------
+    FinrayError
+        The probability is not between 0 and 1.
+    """
+    if not 0.0 < probability < 1.0:
+        raise FinrayError(
+            f"conformance probability {probability}: must lie between 0 and 1, both excluded; 0.95 is usual"
+        )
+    return float(norm.ppf(probability)) / COVERAGE_FACTOR
+
+
+def zone(estimate: float, sd: float, tolerance: ToleranceInterval, guard_factor: float = ISO_14253_1_FACTOR) -> Zone:
+    """Return the verdict of a rule with guard bands on both sides of every limit.
+
+    "accept": at least w inside all limits. "reject": more than w outside one of them. "not decided" between. With a
+    factor of 0 (simple acceptance) nothing stays undecided.
+
+    Parameters
+    ----------
+    estimate, sd : float
+        In the unit of the limits.
+    tolerance : ToleranceInterval
+    guard_factor : float
+        Guard band over expanded uncertainty, 0 or more.
+
+    Raises
+    ------
+    FinrayError
+        The factor is negative: acceptance and rejection would overlap.
+    """
+    if guard_factor < 0.0:
+        raise FinrayError(f"guard factor {guard_factor}: must be 0 or more for a rule with three verdicts")
+    guard = guard_band(sd, guard_factor)
+    low, high = tolerance.edges
+    if estimate + guard < low or estimate - guard > high:
+        return "reject"
+    return "accept" if estimate - guard >= low and estimate + guard <= high else "not decided"
+
+
+def check_sd(sd: float) -> None:
+    """Refuse a standard uncertainty that is negative or not a number."""
+    if not sd >= 0.0:
+        raise FinrayError(f"standard uncertainty {sd}: must be 0 or more, in the unit of the quantity")
+
+
+GUARD_FACTOR: Final = ISO_14253_1_FACTOR * COVERAGE_FACTOR
+"""Of the standard uncertainty: 95 % of a normal distribution lie on one side."""
+_WORST_FIRST: Final[tuple[CheckVerdict, ...]] = ("FAIL", "ERROR", "UNDECIDED", "PASS")
+_VERDICTS: Final[dict[Zone, CheckVerdict]] = {"accept": "PASS", "not decided": "UNDECIDED", "reject": "FAIL"}
+
+
+def verdict_of(value: float, sd: float, low: float | None, high: float | None) -> CheckVerdict:
+    """Return whether a value is inside its limits.
+
+    Parameters
+    ----------
+    value, sd
+        The value and its standard uncertainty, in one unit.
+    low, high
+        Lowest and highest allowed value; None where there is none.
+    """
+    if low is None and high is None:
+        return "PASS"
+    return _VERDICTS[zone(value, sd, ToleranceInterval(low, high))]
+
+
+def overall(results: tuple[CheckResult, ...]) -> CheckVerdict:
+    """Return the worst verdict: FAIL before ERROR before UNDECIDED before PASS; without results UNDECIDED."""
+    found = {result.verdict for result in results}
+    return next((verdict for verdict in _WORST_FIRST if verdict in found), "UNDECIDED")
+
+
+def measured(
+    section: Section,
+    name: str,
+    what: str,
+    value: float,
+    sd: float,
+    unit: str,
+    evidence: str,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+) -> CheckResult:
+    """Return the result of a check with a number, judged against its limits."""
+    return CheckResult(
+        section=section,
+        name=name,
+        what=what,
+        value=value,
+        unit=unit,
+        sd=sd,
+        low=low,
+        high=high,
+        limit=limit_text(low, high, unit),
+        p_conform=_p_conform(value, sd, low, high),
+        verdict=verdict_of(value, sd, low, high),
+        evidence=evidence,
+    )
+
+
+def _p_conform(value: float, sd: float, low: float | None, high: float | None) -> float | None:
+    """Return the probability that the quantity keeps its limits; None where its uncertainty is unbounded."""
+    if low is None and high is None:
+        return 1.0
+    return conformance_probability(value, sd, ToleranceInterval(low, high)) if math.isfinite(sd) else None
+
+
+def unmeasured(
+    section: Section, name: str, what: str, verdict: CheckVerdict, evidence: str, limit: str = ""
+) -> CheckResult:
+    """Return the result of a check that has no number."""
+    return CheckResult(
+        section=section,
+        name=name,
+        what=what,
+        value=None,
+        unit="",
+        sd=None,
+        low=None,
+        high=None,
+        limit=limit,
+        verdict=verdict,
+        evidence=evidence,
+    )
+
+
+def limit_text(low: float | None, high: float | None, unit: str) -> str:
+    """Return limits in words."""
+    if low is None:
+        text = "" if high is None else f"at most {high:.4g} {unit}"
+    else:
+        text = f"at least {low:.4g} {unit}" if high is None else f"{low:.4g} to {high:.4g} {unit}"
+    return text.strip()

@@ -1,0 +1,312 @@
+"""``finray capture``: run a capture plan on a rig and store the session, or go on with an interrupted one.
+
+The plan says which kind of session it is: paint, camera or tactile.
+"""
+
+import argparse
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from finray_calib.cli._run import (
+    Progress,
+    add_out,
+    command_line,
+    file_name,
+    input_digests,
+    interruptible,
+    naming,
+    progress_bar,
+    require_new_session,
+    say,
+    warn,
+)
+
+if TYPE_CHECKING:
+    from data_schemas import CameraSession, CaptureSession, LaserSettings, RigFile, TactileSession
+    from rigs.capture import Interrupted
+
+
+CAPTURE_HELP = "capture a paint sample through filters, the frames that characterise a camera, or presses on a finger"
+CAPTURE_DESCRIPTION = """\
+Run a capture plan; its 'kind' says which. "paint": dark frames before and after, the white reference, the sample
+under lamp and laser through every filter, and a room-light frame, at exposures at which nothing saturates.
+"camera": flat frames of the white tile from dark to beyond saturation and dark frames of the same exposures.
+"tactile": presses on a finger, each between images of no contact; its rig file describes a camera alone.
+Writes a folder with raw 16-bit TIFF frames, a journal, checksums and session.json. An interrupted session goes on
+where it stopped with --resume."""
+
+
+def add_capture(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb."""
+    parser = verbs.add_parser(
+        "capture",
+        help=CAPTURE_HELP,
+        description=CAPTURE_DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("plan", type=Path, nargs="?", metavar="PLAN", help="plan file (TOML): kind, name, region")
+    parser.add_argument("--rig", type=Path, metavar="RIG", help="rig file (TOML): camera, wheel, lights")
+    parser.add_argument(
+        "--resume", type=Path, metavar="SESSION", help="go on with an interrupted session; takes no PLAN and no --rig"
+    )
+    parser.add_argument(
+        "--dry-run", action="store_true", help="open the rig, check the plan, print time and disk; nothing moves"
+    )
+    parser.add_argument(
+        "--like", type=Path, metavar="SESSION", help="earlier session on this rig that the white frames must resemble"
+    )
+    add_out(parser, "NAME-session/")
+    parser.set_defaults(run=run_capture)
+
+
+def run_capture(arguments: argparse.Namespace) -> None:
+    """Capture and report."""
+    from data_schemas import CaptureError
+
+    if arguments.resume is not None:
+        if arguments.plan is not None or arguments.rig is not None or arguments.out is not None:
+            raise CaptureError("--resume takes plan, rig and folder from the session; leave out PLAN, --rig and --out")
+        if arguments.dry_run:
+            raise CaptureError("--resume goes on at once, and --dry-run is for a session that is to begin; give one")
+        with interruptible(arguments.resume):
+            resume(arguments.resume, arguments.like)
+        return
+    if arguments.plan is None or arguments.rig is None:
+        raise CaptureError("give a PLAN and its --rig, or --resume with the folder of an interrupted session")
+    KINDS[_plan_kind(arguments.plan, tuple(KINDS))](arguments)
+
+
+def _plan_kind(path: Path, known: tuple[str, ...]) -> str:
+    """Return the kind of a plan; what is no TOML at all is left to the reader of plans, which says why."""
+    from data_schemas import RecordError
+    from data_schemas.storage import read_toml_tables
+
+    try:
+        kind = read_toml_tables(path).get("kind", "paint")
+    except RecordError:
+        return "paint"
+    if kind not in known:
+        raise RecordError(f"{path}: 'kind' is {kind!r}; it must be one of {', '.join(map(repr, known))}")
+    return str(kind)
+
+
+def capture_tactile(arguments: argparse.Namespace) -> None:
+    """Capture a tactile session, or list what it would ask for."""
+    from data_schemas import CaptureError, TactilePlan, TactileRig
+    from data_schemas.storage import read_toml
+    from rigs.capture import capture_tactile_session, planned_presses, session_bytes, tactile_shots
+
+    if arguments.like is not None:
+        raise CaptureError("--like is for plans of kind 'paint'; leave it out")
+    plan, rig = read_toml(arguments.plan, TactilePlan), read_toml(arguments.rig, TactileRig)
+    presses = planned_presses(plan, arguments.plan.parent)
+    with naming(CaptureError, arguments.plan):
+        shots = tactile_shots(plan, rig.camera, len(presses))
+    if arguments.dry_run:
+        say(
+            f"{len(presses)} presses, {plan.repeats} times each; {len(shots)} frames, "
+            f"{1e-6 * session_bytes(rig, plan, len(presses), len(shots)):.0f} MB at most"
+        )
+        say(f"{len({shot.group for shot in shots})} things to do by hand")
+        say(f"{sum(shot.exposure_s for shot in shots):.0f} s of exposure; the camera was not opened")
+        return
+    out = require_new_session(arguments.out or Path(f"{file_name(plan.name)}-session"))
+    poses = [] if plan.poses_csv is None else [arguments.plan.parent / plan.poses_csv]
+    sources = input_digests([arguments.plan, arguments.rig, *poses])
+    with interruptible(out):
+        session = capture_tactile_session(
+            rig, plan, presses, (arguments.rig.parent, out), command_line(), _tell_operator, sources=sources
+        )
+    _report_tactile(out, session)
+
+
+def resume_tactile(folder: Path) -> None:
+    """Go on with an interrupted tactile session."""
+    from rigs.capture import capture_tactile_session, read_interrupted_presses
+
+    interrupted = read_interrupted_presses(folder)
+    say(f"{folder}: {len(interrupted.frames)} frames are there and unchanged")
+    session = capture_tactile_session(
+        interrupted.rig,
+        interrupted.plan,
+        interrupted.presses,
+        (interrupted.rig_folder, folder),
+        command_line(),
+        _tell_operator,
+        interrupted=interrupted,
+    )
+    _report_tactile(folder, session)
+
+
+def _tell_operator(done: int, total: int, what: str) -> None:
+    """Tell the progress in lines: a bar would hide what the operator is asked."""
+    warn(f"  {done}/{total} {what}")
+
+
+def _report_tactile(out: Path, session: "TactileSession") -> None:
+    """Say what was stored."""
+    say(f"{out}: {len(session.frames)} frames of '{session.plan.name}', {len(session.captures)} tactile captures")
+    for note in session.notes:
+        say(f"  note: {note}")
+
+
+def capture_paint(arguments: argparse.Namespace) -> None:
+    """Capture a paint session, or say what it would take."""
+    from data_schemas import CaptureError, PaintPlan, RigFile
+    from data_schemas.storage import read_toml
+    from rigs import open_rig, rig_locked
+    from rigs.capture import capture_paint_session, forecast, paint_steps, read_session, require_ready
+    from rigs.light_guard import require_outside_layer
+
+    plan, rig = read_toml(arguments.plan, PaintPlan), read_toml(arguments.rig, RigFile)
+    with naming(CaptureError, arguments.plan):
+        steps = paint_steps(plan, rig)
+    with naming(CaptureError, arguments.rig):
+        require_outside_layer(rig.laser)
+    if arguments.dry_run:
+        with rig_locked(rig), open_rig(rig, arguments.rig.parent) as opened:
+            require_ready(opened, steps)
+        expected = forecast(plan, rig, steps)
+        say(f"{expected.steps} steps, at most {expected.most_frames} frames, {1e-6 * expected.disk_bytes:.0f} MB")
+        say(f"{expected.targets} times another target, {expected.moves} moves of the wheel")
+        say(f"about {expected.typical_s / 60:.0f} min; {expected.longest_s / 60:.0f} min if every exposure is longest")
+        say("the rig is ready; nothing was moved, lit or stored")
+        return
+    last_good = None if arguments.like is None else read_session(arguments.like)
+    out = require_new_session(arguments.out or Path(f"{file_name(plan.paint_name)}-session"))
+    sources = input_digests([arguments.plan, arguments.rig])
+    with interruptible(out), _telling(rig) as progress:
+        session = capture_paint_session(
+            rig, plan, arguments.rig.parent, out, command_line(), progress, last_good=last_good, sources=sources
+        )
+    _report(out, session, plan.paint_name)
+
+
+def capture_camera(arguments: argparse.Namespace) -> None:
+    """Capture a camera session."""
+    from data_schemas import CameraPlan, CaptureError, RigFile
+    from data_schemas.storage import read_toml
+    from rigs.capture import camera_step, capture_camera_session
+
+    if arguments.dry_run or arguments.like is not None:
+        raise CaptureError("--dry-run and --like are for plans of kind 'paint'; leave them out")
+    plan, rig = read_toml(arguments.plan, CameraPlan), read_toml(arguments.rig, RigFile)
+    out = require_new_session(arguments.out or Path(f"{file_name(plan.camera_name)}-session"))
+    sources = input_digests([arguments.plan, arguments.rig])
+    with naming(CaptureError, arguments.plan):
+        camera_step(plan, rig)
+    with interruptible(out), _telling(rig) as progress:
+        session = capture_camera_session(
+            rig, plan, arguments.rig.parent, out, command_line(), progress, sources=sources
+        )
+    _report(out, session, plan.camera_name)
+
+
+KINDS: dict[str, Callable[[argparse.Namespace], None]] = {
+    "paint": capture_paint,
+    "camera": capture_camera,
+    "tactile": capture_tactile,
+}
+
+
+def resume(folder: Path, like: Path | None) -> None:
+    """Go on with an interrupted session."""
+    from data_schemas import CaptureError
+    from rigs.capture import complete_session, is_tactile, lacks_manifest, read_interrupted, read_session
+
+    if lacks_manifest(folder):
+        complete_session(folder)
+        say(f"{folder}: was finished but for its checksums, which are written now; nothing else is left to resume")
+        return
+    tactile = is_tactile(folder)
+    interrupted = None if tactile else read_interrupted(folder)
+    if like is not None and (interrupted is None or interrupted.kind != "paint"):
+        raise CaptureError("--like is for sessions of kind 'paint'; leave it out")
+    if interrupted is None:
+        resume_tactile(folder)
+        return
+    if interrupted.kind not in ("paint", "camera"):
+        raise CaptureError(f"{folder}: sessions of kind '{interrupted.kind}' cannot be resumed; capture it again")
+    say(f"{folder}: {len(interrupted.frames)} frames are there and unchanged")
+    if interrupted.kind == "camera":
+        _resume_camera(folder, interrupted)
+    else:
+        _resume_paint(folder, interrupted, None if like is None else read_session(like))
+
+
+def _resume_paint(folder: Path, interrupted: "Interrupted", last_good: "CaptureSession | None") -> None:
+    """Go on with a paint session."""
+    from data_schemas import PaintPlan
+    from rigs.capture import capture_paint_session
+
+    plan, rig = interrupted.plan(PaintPlan), interrupted.rig()
+    with _telling(rig) as progress:
+        session = capture_paint_session(
+            rig,
+            plan,
+            interrupted.rig_folder,
+            folder,
+            command_line(),
+            progress,
+            interrupted=interrupted,
+            last_good=last_good,
+        )
+    _report(folder, session, plan.paint_name)
+
+
+def _resume_camera(folder: Path, interrupted: "Interrupted") -> None:
+    """Go on with a camera session."""
+    from data_schemas import CameraPlan
+    from rigs.capture import capture_camera_session
+
+    plan, rig = interrupted.plan(CameraPlan), interrupted.rig()
+    with _telling(rig) as progress:
+        session = capture_camera_session(
+            rig, plan, interrupted.rig_folder, folder, command_line(), progress, interrupted=interrupted
+        )
+    _report(folder, session, plan.camera_name)
+
+
+@contextmanager
+def _telling(rig: "RigFile") -> Iterator[Progress]:
+    """Show the progress; before a real laser its safety line. A bar would hide what the operator is asked."""
+    with _bar_or_lines(rig) as progress:
+        if not rig.is_simulated:
+            for line in safety_lines(rig.laser):
+                warn(line)
+        yield progress
+
+
+def _bar_or_lines(rig: "RigFile") -> AbstractContextManager[Progress]:
+    """Return a bar on the simulated rig, lines on a real one."""
+    return progress_bar("capture") if rig.is_simulated else _lines()
+
+
+@contextmanager
+def _lines() -> Iterator[Progress]:
+    """Tell the progress in lines."""
+    yield lambda done, total, what: warn(f"  {done}/{total} {what}")
+
+
+def safety_lines(laser: "LaserSettings") -> tuple[str, ...]:
+    """Return what everybody in the room must know, with what switches the laser off and what does not."""
+    from rigs.light_guard import has_dead_man, off_lines
+
+    return (
+        f"LASER {laser.wavelength_nm:g} nm, {laser.power_mw:g} mW, class {laser.laser_class}: it will be switched on. "
+        f"Wear goggles for {laser.wavelength_nm:g} nm, close the box, keep others out",
+        *(f"  {line}" for line in off_lines(has_dead_man(laser), laser.outside_layer)),
+    )
+
+
+def _report(out: Path, session: "CaptureSession | CameraSession", name: str) -> None:
+    """Say what was stored."""
+    from data_schemas import CaptureSession
+
+    say(f"{out}: {len(session.frames)} frames of '{name}'")
+    if isinstance(session, CaptureSession) and session.filter_proof is not None:
+        say(f"  filters: {session.filter_proof.verdict}: {session.filter_proof.text}")
+    for note in session.notes:
+        say(f"  note: {note}")

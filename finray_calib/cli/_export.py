@@ -1,0 +1,387 @@
+"""``finray export``: a calibrated paint, a press, a sensor or a request for captures in the formats of other programs.
+
+Formats of a paint for spectra and renderers, the press of a design as an input deck of Abaqus or CalculiX, a
+calibration folder that Taxim's programs render from, and a page that tells a lab which captures to take.
+"""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from finray_calib.cli._design import read_design
+from finray_calib.cli._run import (
+    DEFAULT_INCREMENTS,
+    Progress,
+    add_out,
+    add_paint,
+    add_seed,
+    command_line,
+    design_inputs,
+    file_name,
+    increment_count,
+    input_digests,
+    naming,
+    open_engine,
+    paint_files,
+    progress_bar,
+    require_new,
+    say,
+)
+
+if TYPE_CHECKING:
+    from sim.experiments import BallPresses
+
+
+DIALECTS = ("abaqus", "calculix")
+PRESETS = ("coarse", "medium", "fine")  # as in data_schemas, which is too slow to load for --help
+
+
+def add_deck_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a deck."""
+    deck = parser.add_argument_group("decks")
+    deck.add_argument("--dialect", choices=DIALECTS, help="program that the deck is for")
+    deck.add_argument("--preset", choices=PRESETS, help="fineness of the mesh (default: the design's)")
+    deck.add_argument(
+        "--increments", type=increment_count, metavar="N", help=f"steps of the push (default {DEFAULT_INCREMENTS})"
+    )
+
+
+def refuse_deck_options(arguments: argparse.Namespace) -> None:
+    """Refuse what belongs to a deck, where a paint is exported.
+
+    Raises
+    ------
+    RecordError
+        When an option of a deck is given.
+    """
+    from data_schemas import RecordError
+
+    given = [f"--{name}" for name in ("dialect", "preset", "increments") if getattr(arguments, name) is not None]
+    if given:
+        raise RecordError(f"{' and '.join(given)}: belongs to a deck; write: finray export deck DESIGN {given[0]} ...")
+
+
+def run_deck(arguments: argparse.Namespace) -> None:
+    """Write the deck and report."""
+    from data_schemas import SimulateError
+    from data_schemas.storage import write_bytes
+    from sim.mechanics.other_engines import finger_deck
+
+    path = _one_design(arguments)
+    design = read_design(path)
+    out = require_new(arguments.out or Path(f"{file_name(design.name)}.inp"))
+    increments = arguments.increments or DEFAULT_INCREMENTS
+    with naming(SimulateError, path):
+        lines = finger_deck(design, arguments.dialect, arguments.preset, increments, command_line())
+    write_bytes(out, "".join(f"{line}\n" for line in lines).encode("ascii", "replace"))
+    say(f"{out}: {design.name}, {arguments.preset or design.mesh.preset} mesh, for {arguments.dialect}")
+
+
+def _one_design(arguments: argparse.Namespace) -> Path:
+    """Return the design that follows the word deck, after a check of the options."""
+    from data_schemas import RecordError
+
+    if arguments.dialect is None:
+        raise RecordError(f"a deck needs --dialect: one of {', '.join(DIALECTS)}")
+    for name in ("format", "led", "camera_response"):
+        if getattr(arguments, name) is not None:
+            raise RecordError(f"--{name.replace('_', '-')} belongs to a paint; leave it out for a deck")
+    if len(arguments.paint) != 2:  # the word and the file
+        raise RecordError("a deck needs one design: finray export deck DESIGN.toml --dialect calculix")
+    design: Path = arguments.paint[1]
+    return design
+
+
+PRESSES = 48
+BALL_DIAMETER_MM = 4.0
+SAMPLES = 64
+PAINTS = "wall_paint"
+"""Where --paint stands among the arguments; "paint" is the file to export."""
+
+
+def add_taxim_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a Taxim folder."""
+    taxim = parser.add_argument_group("Taxim folders")
+    taxim.add_argument("--presses", type=_count, metavar="N", help=f"ball presses to render (default {PRESSES})")
+    taxim.add_argument(
+        "--ball-diameter-mm", type=_length, metavar="D", help=f"of the ball (default {BALL_DIAMETER_MM:g})"
+    )
+    taxim.add_argument("--samples", type=_count, metavar="N", help=f"paths per pixel (default {SAMPLES})")
+    add_paint(taxim, "paint calibration of a finger's wall; without paints the design is a classic sensor", PAINTS)
+
+
+def _count(text: str) -> int:
+    """Parse a number of presses or paths."""
+    if not text.isdecimal() or not 1 <= int(text) <= 100_000:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from 1 to 100000")
+    return int(text)
+
+
+def _length(text: str) -> float:
+    """Parse a length in mm."""
+    try:
+        length_mm = float(text)
+    except ValueError:
+        length_mm = 0.0
+    if not 0.0 < length_mm <= 100.0:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a number of mm above 0 and at most 100")
+    return length_mm
+
+
+def refuse_taxim_options(arguments: argparse.Namespace) -> None:
+    """Refuse what belongs to a Taxim folder, where something else is exported.
+
+    Raises
+    ------
+    RecordError
+        When an option of a Taxim folder is given.
+    """
+    from data_schemas import RecordError
+
+    names = ("presses", "ball_diameter_mm", "samples")
+    given = [f"--{name.replace('_', '-')}" for name in names if getattr(arguments, name) is not None]
+    given += ["--paint"] if getattr(arguments, PAINTS) else []
+    if given:
+        raise RecordError(
+            f"{' and '.join(given)}: belongs to a Taxim folder: finray export taxim SENSOR {given[0]} ..."
+        )
+
+
+def run_taxim(arguments: argparse.Namespace) -> None:
+    """Render, write the folder and report."""
+    from data_schemas import RecordError, provenance
+    from data_schemas.storage import ProductSet
+    from finray_calib.exchange import FEWEST_PRESSES, taxim_files
+
+    refuse_deck_options(arguments)
+    for name in ("format", "led", "camera_response"):
+        if getattr(arguments, name) is not None:
+            raise RecordError(f"--{name.replace('_', '-')} belongs to a paint; leave it out for a Taxim folder")
+    if len(arguments.paint) != 2:  # the word and the file
+        raise RecordError("a Taxim folder needs one sensor or finger: finray export taxim SENSOR.toml")
+    if arguments.presses is not None and arguments.presses < FEWEST_PRESSES:  # found before anything is rendered
+        raise RecordError(
+            f"--presses {arguments.presses}: a shading table needs at least {FEWEST_PRESSES} presses; ask for more, or "
+            f"leave it out for {PRESSES}"
+        )
+    default = Path(f"{file_name(arguments.paint[1].stem)}.taxim")
+    out = require_new(arguments.out or default)
+    with progress_bar("rendering") as progress:
+        presses, inputs = _finger(arguments, progress) if getattr(arguments, PAINTS) else _sensor(arguments, progress)
+    origin = provenance(command_line(), input_digests(inputs), arguments.seed)
+    files, table = taxim_files(presses, arguments.seed, origin.model_dump(mode="json"))
+    with ProductSet(out) as products:
+        for name, content in files.items():
+            products.add(out / name, content)
+    median, least, most = table.explained_median_range()
+    say(f"{out}: Taxim calibration folder of {table.presses} presses, {presses.mm_per_px:.4g} mm per px")
+    say(f"  {presses.label}")
+    say(f"  explains {median:.3f} [{least:.3f}, {most:.3f}] of the contact's change on presses it has not seen")
+    say(f"  slopes up to {table.steepest_deg:.0f} deg; shadows beside a contact are not exported")
+
+
+def _sensor(arguments: argparse.Namespace, progress: Progress) -> "tuple[BallPresses, list[Path]]":
+    """Render a classic sensor."""
+    from data_schemas import PlainSensor
+    from data_schemas.storage import read_toml
+    from sim.experiments import render_ball_presses
+
+    path: Path = arguments.paint[1]
+    _refuse_finger(path)
+    sensor = read_toml(path, PlainSensor)
+    return render_ball_presses(sensor, open_engine("auto"), *_amounts(arguments), progress), [path]
+
+
+def _refuse_finger(path: Path) -> None:
+    """Refuse the design of a finger, whose walls need paints."""
+    from data_schemas import FinrayError, RecordError
+
+    try:
+        design = read_design(path)
+    except FinrayError:
+        return
+    raise RecordError(
+        f"{path}: is the design of a finger, '{design.name}', whose walls need paints: add "
+        "--paint red=PAINT.paint.json and --paint green=PAINT.paint.json; without paints a Taxim "
+        "folder is that of a classic sensor"
+    )
+
+
+def _finger(arguments: argparse.Namespace, progress: Progress) -> "tuple[BallPresses, list[Path]]":
+    """Render a finger with its paints."""
+    from data_schemas import PaintCalibration
+    from data_schemas.storage import read_record
+    from sim.experiments import paint_finger, paint_optics, render_finger_presses
+
+    path: Path = arguments.paint[1]
+    files = paint_files(arguments, dest=PAINTS)
+    design = read_design(path)
+    paints = {colour: paint_optics(read_record(file, PaintCalibration)) for colour, file in files.items()}
+    finger = paint_finger(design, paints, path.parent, open_engine("auto"))
+    return render_finger_presses(finger, *_amounts(arguments), progress), [
+        *design_inputs(design, path),
+        *files.values(),
+    ]
+
+
+def _amounts(arguments: argparse.Namespace) -> tuple[float, int, int, int]:
+    """Return the ball's radius, the number of presses, the seed and the paths per pixel."""
+    radius_mm = (arguments.ball_diameter_mm or BALL_DIAMETER_MM) / 2.0
+    return radius_mm, arguments.presses or PRESSES, arguments.seed, arguments.samples or SAMPLES
+
+
+def run_capture_request(arguments: argparse.Namespace) -> None:
+    """Write page and plans, and report."""
+    from data_schemas import RecordError, SimulateError
+    from data_schemas.storage import ProductSet
+    from finray_calib.exchange import PlannedView, capture_request
+    from finray_calib.reports import finger_outline
+    from sim.optics import camera_view
+
+    refuse_deck_options(arguments)
+    refuse_taxim_options(arguments)
+    for name in ("format", "led", "camera_response"):
+        if getattr(arguments, name) is not None:
+            raise RecordError(f"--{name.replace('_', '-')} belongs to a paint; leave it out for a capture request")
+    if len(arguments.paint) != 2:  # the word and the file
+        raise RecordError("a capture request needs one design: finray export capture-request DESIGN.toml")
+    path: Path = arguments.paint[1]
+    design = read_design(path)
+    out = require_new(arguments.out or Path(f"{file_name(design.name)}.request.md"))
+    with naming(SimulateError, path):
+        finger_outline(design, path.parent)  # nobody can print, and then capture, parts that do not fit
+        seen = camera_view(design, path.parent, open_engine("auto"))
+    scale, u_rel = seen.mm_per_px
+    view = PlannedView(*seen.seen_mm, mm_per_px=scale, mm_per_px_u_rel=u_rel)
+    request = capture_request(design, path.name, out.name.removesuffix(".md"), view)
+    plans = {require_new(out.with_name(name)): text for name, text in request.plans.items()}
+    with ProductSet(out) as products:
+        for plan, text in plans.items():
+            products.add(plan, text.encode())
+        products.add(out, request.page.encode())
+    say(f"{out}: what to capture of {design.name}")
+    for plan in plans:
+        say(f"{plan}: plan for 'finray capture'")
+
+
+HELP = "write a paint, a press or a sensor for other programs (CSV, netCDF, Mitsuba, CalculiX, Taxim), or a request"
+USAGE = """finray export [-h] PAINT --format FORMAT [options]
+       finray export [-h] deck DESIGN --dialect {abaqus,calculix} [--preset NAME] [--increments N] [--out FILE.inp]
+       finray export [-h] taxim SENSOR [--paint COLOUR=FILE] [--presses N] [--ball-diameter-mm D] [--samples N]
+       finray export [-h] capture-request DESIGN [--out FILE.md]"""
+DESCRIPTION = """\
+Write a paint fitted by 'finray fit' in the format of another program, or the press of a finger design (TOML) as an
+input deck of a finite-element program.
+
+  csv              emission with 68 % and 95 % limits
+  json             emission, absorption, reflectance and parameters with limits
+  netcdf           posterior, prior, data and diagnostics; opens in ArviZ; needs
+                   pip install 'finray-calib[netcdf]'
+  spdx             mean emission as IES TM-27-14; opens in colour-science
+  mitsuba          mean emission as a spectrum file of Mitsuba
+  rgb-reradiation  light x camera R, G, B: what returns by reflectance and by fluorescence, with uncertainty (JSON)
+  exr              mean reradiation matrix as bispectral OpenEXR (Fichet 2021); needs
+                   pip install 'finray-calib[exr]'
+
+Formats that hold no uncertainty say so in their header.
+
+Decks (mm, N, MPa) hold mesh, materials, contact and push, and say in their header what is assumed. What CalculiX makes
+of one, 'finray simulate DESIGN --only mechanics --engine calculix' reads back.
+
+Taxim: ball presses all over a classic sensor (TOML), or with --paint a finger, are rendered, and the folder written
+from which Taxim's programs render. It holds slope and place only: what it explains of unseen presses is told.
+A capture request tells a lab which captures of a finger to take: a page, and plans for 'finray capture'."""
+# Named here as well because the parser is built before anything heavy is imported; a test compares the two lists.
+SUFFIXES = {
+    "csv": ".csv",
+    "json": ".export.json",
+    "netcdf": ".nc",
+    "spdx": ".spdx",
+    "mitsuba": ".spd",
+    "rgb-reradiation": ".rgb.json",
+    "exr": ".exr",
+}
+
+# What else than a paint is exported, by its first word; all of it shares the paint's parser.
+OTHERS = {"deck": run_deck, "taxim": run_taxim, "capture-request": run_capture_request}
+
+
+def add_export(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb."""
+    parser = verbs.add_parser(
+        "export", help=HELP, usage=USAGE, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "paint",
+        type=Path,
+        nargs="+",
+        metavar="PAINT",
+        help="record written by 'finray fit'; or 'deck', 'taxim' or 'capture-request' and a design",
+    )
+    parser.add_argument("--format", choices=list(SUFFIXES), help="of a paint, see above")
+    add_deck_options(parser)
+    add_taxim_options(parser)
+    parser.add_argument(
+        "--led",
+        type=Path,
+        metavar="CSV",
+        action="append",
+        help="light of rgb-reradiation (wavelength_nm,power_rel); give it again for a second light (default: a "
+        "Gaussian of 450 nm, FWHM 20 nm, labelled assumed)",
+    )
+    parser.add_argument(
+        "--camera-response",
+        type=Path,
+        metavar="CSV",
+        help="camera of rgb-reradiation (wavelength_nm,red_percent,green_percent,blue_percent; default: assumed)",
+    )
+    add_out(parser, "PAINT with the suffix of the format, DESIGN.inp, SENSOR.taxim or DESIGN.request.md")
+    add_seed(parser)
+    parser.set_defaults(run=run_export)
+
+
+def run_export(arguments: argparse.Namespace) -> None:
+    """Export and report."""
+    from data_schemas import PaintCalibration, RecordError, provenance
+    from data_schemas.storage import assumed_camera_response, read_camera_response, read_record, write_bytes
+    from finray_calib.exchange import PAINT_FORMATS, ExportOptions, assumed_led, read_light
+
+    other = OTHERS.get(str(arguments.paint[0]))
+    if other is not None:
+        other(arguments)
+        return
+    file = _one_paint(arguments)
+    curves = [*(arguments.led or []), *([arguments.camera_response] if arguments.camera_response else [])]
+    if curves and arguments.format != "rgb-reradiation":
+        raise RecordError(
+            f"--led and --camera-response belong to --format rgb-reradiation; leave them out for {arguments.format}"
+        )
+    paint = read_record(file, PaintCalibration)
+    out = require_new(arguments.out or Path(file_name(paint.paint_name) + SUFFIXES[arguments.format]))
+    options = ExportOptions(
+        lights=tuple(read_light(path) for path in arguments.led or ()) or (assumed_led(),),
+        response=(
+            read_camera_response(arguments.camera_response) if arguments.camera_response else assumed_camera_response()
+        ),
+        seed=arguments.seed,
+    )
+    origin = provenance(command_line(), input_digests([file, *curves]), arguments.seed)
+    write_bytes(out, PAINT_FORMATS[arguments.format](paint, origin, options))
+    say(f"{out}: paint '{paint.paint_name}' as {arguments.format}")
+
+
+def _one_paint(arguments: argparse.Namespace) -> Path:
+    """Return the paint, after a check that nothing of a deck is asked for."""
+    from data_schemas import RecordError
+
+    refuse_deck_options(arguments)
+    refuse_taxim_options(arguments)
+    if arguments.format is None:
+        raise RecordError(
+            f"--format is missing; give one of {', '.join(SUFFIXES)}. For the deck of a finger: finray export deck "
+            "DESIGN --dialect calculix"
+        )
+    if len(arguments.paint) > 1:
+        raise RecordError(f"{len(arguments.paint)} files are given; export writes one paint at a time")
+    paint: Path = arguments.paint[0]
+    return paint

@@ -1,0 +1,243 @@
+"""``finray fit``: the emission spectrum of a paint with its uncertainty, of a region or pixel by pixel."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from finray_calib.cli._run import (
+    add_out,
+    add_seed,
+    command_line,
+    file_name,
+    input_digests,
+    naming,
+    progress_bar,
+    require_new,
+    say,
+)
+
+if TYPE_CHECKING:
+    from data_schemas import BandSignals, ColourCheckerMatch, PaintCalibration, PaintMap, PaintWithoutEmission
+
+
+HELP = "fit the emission spectrum of a paint, with uncertainty"
+DESCRIPTION = """\
+Fit the emission spectrum of a paint to band signals. Four families of curves are fitted, each with a Gaussian
+process for what a real paint does beyond its family; the bands and measured paints decide which one is reported, and
+the paper's skew-Cauchy is always shown beside it. A sample without emission beyond reflected laser, leak and stray
+light gets a limit of its yield in place of a spectrum. Writes posterior draws, the spectrum with its 95 % band, how
+well each filter is explained, and how far the draws can be trusted."""
+FAMILY_NAMES = ("auto", "log_normal_wavenumber", "zheng2014", "skew_t", "gaussian_mixture")
+
+
+def add_fit(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb."""
+    parser = verbs.add_parser(
+        "fit", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "bands",
+        type=Path,
+        metavar="BANDS",
+        help="record written by 'finray radiometry' (with --map: its pixel signals)",
+    )
+    parser.add_argument(
+        "--family", choices=FAMILY_NAMES, default="auto", help="family to report (default: the bands choose)"
+    )
+    parser.add_argument("--no-discrepancy", action="store_true", help="take the paint to be exactly of the family")
+    parser.add_argument("--check", action="store_true", help="sample again with emcee, as an independent check")
+    parser.add_argument(
+        "--other-light",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="BANDS",
+        help="band signals of the same paint under another excitation light (repeatable): constrains the absorption",
+    )
+    parser.add_argument(
+        "--room-light",
+        type=Path,
+        metavar="SESSION",
+        help="take the reflectance from the ColorChecker patch closest to the paint in this session's room-light frame "
+        "(the paper's way, 30 %% uncertain), instead of the one measured under the lamp",
+    )
+    parser.add_argument("--report", type=Path, metavar="PAGE", help="also write a page (HTML) that explains the fit")
+    parser.add_argument(
+        "--map", action="store_true", help="fit every pixel; BANDS are the pixel signals of the session"
+    )
+    parser.add_argument("--paint", type=Path, metavar="PAINT", help="with --map: the fit of the region")
+    add_out(parser, "PAINT.paint.json, with --map PAINT.map.json")
+    add_seed(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Fit and report."""
+    _refuse_ignored(arguments)
+    if arguments.map:
+        run_map(arguments)
+        return
+    from data_schemas import BandSignals, FitError, PaintWithoutEmission, provenance
+    from data_schemas.storage import ProductSet, read_record, write_record
+    from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, FitOptions, calibrate_paint
+
+    bands = read_record(arguments.bands, BandSignals)
+    others = [read_record(path, BandSignals) for path in arguments.other_light]
+    out = require_new(arguments.out or Path(f"{file_name(bands.paint_name)}.paint.json"))
+    if arguments.report is not None:
+        require_new(arguments.report)
+    options = FitOptions(
+        family=None if arguments.family == "auto" else arguments.family,
+        discrepancy=NO_DISCREPANCY if arguments.no_discrepancy else PAINT_DISCREPANCY,
+        check_by_emcee=arguments.check,
+    )
+    match = _colour_match(arguments.room_light, bands)
+    files = [arguments.bands, *arguments.other_light]
+    with progress_bar("fit"), naming(FitError, *files):
+        paint = calibrate_paint(bands, arguments.seed, options, others, match)
+    if arguments.room_light is not None:
+        from rigs.capture import SESSION_NAME
+
+        files.append(arguments.room_light / SESSION_NAME)
+    with ProductSet(out) as products:
+        if arguments.report is not None:
+            products.add(arguments.report, _page(paint, bands, input_digests(files)).encode())
+        write_record(paint, out, provenance(command_line(), input_digests(files), arguments.seed), products)
+    if isinstance(paint, PaintWithoutEmission):
+        say(f"{out}: NO EMISSION of '{paint.paint_name}', no spectrum")
+        say(f"  {paint.detection.statement}")
+        say("  is this the fluorescent sample, and was the laser on? --report PAGE shows it beside a blank")
+    else:
+        _say_result(paint, out)
+    if arguments.report is not None:
+        say(f"{arguments.report}: open it in a browser")
+
+
+def _page(paint: "PaintCalibration | PaintWithoutEmission", bands: "BandSignals", digests: "dict[str, str]") -> str:
+    """Return the page of a fit, or of a sample without emission."""
+    from data_schemas import PaintWithoutEmission
+
+    if isinstance(paint, PaintWithoutEmission):
+        from finray_calib.reports import no_emission_page
+
+        return no_emission_page(paint, command_line(), digests)
+    from finray_calib.reports import paint_report
+
+    return paint_report(paint, bands)
+
+
+def _refuse_ignored(arguments: argparse.Namespace) -> None:
+    """Refuse options that the fit asked for, of the region or of every pixel, would ignore."""
+    from data_schemas import FitError
+
+    of_the_region = {
+        "--family": arguments.family != "auto",
+        "--no-discrepancy": arguments.no_discrepancy,
+        "--check": arguments.check,
+        "--other-light": bool(arguments.other_light),
+        "--room-light": arguments.room_light is not None,
+        "--report": arguments.report is not None,
+    }
+    given = [name for name, is_given in of_the_region.items() if is_given]
+    if arguments.map and given:
+        raise FitError(
+            f"{given[0]}: is for the fit of the region, whose family and rig imperfections a map takes over from "
+            "--paint; leave it out, or leave out --map"
+        )
+    if arguments.paint is not None and not arguments.map:
+        raise FitError("--paint: is the fit of the region that --map starts from; give --map too, or leave it out")
+
+
+def _colour_match(session_folder: Path | None, bands: "BandSignals") -> "ColourCheckerMatch | None":
+    """Return the match of the paint to a ColorChecker patch, if a session is given."""
+    if session_folder is None:
+        return None
+    from data_schemas import FitError
+    from finray_calib.fit import colour_checker_reflectance
+    from rigs.capture import read_frame_of, read_session
+
+    session = read_session(session_folder)
+    with naming(FitError, session_folder):
+        return colour_checker_reflectance(session, lambda frame: read_frame_of(session_folder, frame), bands.optics)
+
+
+def _say_result(paint: "PaintCalibration", out: Path) -> None:
+    """Tell the numbers and how far they can be trusted."""
+    from finray_calib.reports import pareto_text
+
+    say(f"{out}: emission of '{paint.paint_name}' ({paint.family_title})")
+    for name, label, unit in (
+        ("mode_nm", "mode", " nm"),
+        ("fwhm_nm", "FWHM", " nm"),
+        ("energy_yield", "yield", ""),
+        ("reflectance_at_laser", "reflectance at the laser", ""),
+    ):
+        value, digits = paint.parameters[name], 1 if unit else 3
+        low, high = f"{value.low95:.{digits}f}", f"{value.high95:.{digits}f}"
+        say(f"  {label:26s} {value.estimate:.{digits}f} [{low}, {high}]{unit} (95 %)")
+    if paint.colour_match is not None:
+        say(f"  {paint.colour_match.statement}")
+    stokes = paint.reradiation.stokes_shift_nm
+    belief = ", from the prior: the lights do not measure it" if paint.reradiation.prior_driven else ""
+    say(f"  {'Stokes shift':26s} {stokes.estimate:.0f} [{stokes.low95:.0f}, {stokes.high95:.0f}] nm (95 %{belief})")
+    say(f"  family: {paint.family_choice}")
+    trust = "trusted" if paint.diagnostics.trusted else "NOT trusted"
+    if paint.detection is not None:
+        say(f"  {paint.detection.statement}")
+    say(f"  draws: {paint.diagnostics.method}, {trust} (Pareto k {pareto_text(paint.diagnostics.pareto_k)})")
+    for warning in paint.warnings:
+        say(f"  warning: {warning}")
+
+
+def run_map(arguments: argparse.Namespace) -> None:
+    """Fit every pixel, store the map with its figure, and report.
+
+    Parameters
+    ----------
+    arguments
+        ``bands``: path of the pixel signals; ``paint``: path of the region's fit, required; ``out``: path or none.
+
+    Raises
+    ------
+    FitError
+        No fit of the region was given, or pixels and fit do not go together.
+    """
+    from data_schemas import FitError, PaintCalibration, PixelSignals, provenance
+    from data_schemas.storage import ProductSet, read_record, write_record
+    from finray_calib.fit import map_paint
+    from finray_calib.reports import paint_map_figure
+
+    if arguments.paint is None:
+        raise FitError(
+            f"{arguments.bands}: a map needs the fit of the region of the same session; run 'finray fit BANDS' first "
+            "and add --paint PAINT.paint.json"
+        )
+    pixels = read_record(arguments.bands, PixelSignals)
+    paint = read_record(arguments.paint, PaintCalibration)
+    out = require_new(arguments.out or Path(f"{file_name(pixels.paint_name)}.map.json"))
+    picture = require_new(out.with_suffix(".svg"))
+    with progress_bar("fit every pixel"), naming(FitError, arguments.bands, arguments.paint):
+        fitted = map_paint(pixels, paint)
+    drawn = paint_map_figure(fitted).encode()
+    digests = input_digests([arguments.bands, arguments.paint])
+    with ProductSet(out) as products:
+        products.add(picture, drawn)
+        write_record(fitted, out, provenance(command_line(), digests), products)
+    say(f"{out}: '{fitted.paint_name}' in {fitted.fitted_pixels} pixels ({fitted.family}); figure {picture}")
+    _report_map(fitted)
+
+
+def _report_map(fitted: "PaintMap") -> None:
+    """Say how uniform the paint is and what could not be fitted."""
+    from finray_calib.reports import spot_sentence, spots_note, spread_sentence
+
+    for quantity in fitted.uniformity:
+        say(f"  {spread_sentence(fitted, quantity)}")
+    if fitted.unusable_pixels:
+        say(f"  {fitted.unusable_pixels} pixels are masked or have fewer than four usable bands")
+    if fitted.unconverged_pixels:
+        say(f"  warning: {fitted.unconverged_pixels} pixels did not converge")
+    if fitted.worst_spots:
+        say(f"  spots whose yield departs. {spots_note(fitted)}")
+    for spot in fitted.worst_spots:
+        say(f"  {spot_sentence(spot)}")

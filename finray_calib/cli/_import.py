@@ -1,0 +1,289 @@
+"""``finray import``: what other labs and programs captured or computed becomes records.
+
+Sensor folders of 9DTact, ball presses of Taxim and gs_sdk, images of a Raspberry Pi camera, folders of band images, and
+results files of Abaqus.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from finray_calib.cli._design import read_design
+from finray_calib.cli._run import add_out, command_line, file_name, input_digests, naming, require_new, say
+
+if TYPE_CHECKING:
+    from data_schemas import SimulatedPress, TactileCapture
+
+
+IMPORT_HELP = "import what other labs and programs captured or computed (9DTact, Taxim, gs_sdk, Raspberry Pi, Abaqus)"
+NINE_DTACT = """\
+Import a sensor folder of 9DTact as a tactile capture. With --predict-from, also write a simple prediction of
+the press: the darkening-to-depth table of the other sensor applied to this one, labelled "table, not
+rendered". Compare the two with 'finray compare'."""
+RASPBERRY_PI = """\
+Import the images of one press as a tactile capture: contact, no_contact and, if there is one,
+repeat_no_contact (all DNG or 16-bit TIFF, or all PNG or JPEG), the metadata of each image beside it
+(contact.json, from rpicam-still --metadata) and press.toml (name, [indenter]). Images with auto exposure or
+auto white balance are refused."""
+CAPTURE_OUT = "FOLDER.capture.json, with --predict-from also FOLDER.press.json beside it"
+
+
+def add_import(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb and its formats."""
+    parser = verbs.add_parser("import", help=IMPORT_HELP, description=IMPORT_HELP)
+    formats = parser.add_subparsers(dest="format", metavar="FORMAT", title="formats", required=True)
+    dtact = _add_format(formats, "9dtact", "sensor folder of 9DTact", NINE_DTACT)
+    dtact.add_argument(
+        "--predict-from", type=Path, metavar="FOLDER", help="other sensor whose table makes a prediction"
+    )
+    pi = _add_format(formats, "raspberry-pi", "images of one press, taken with rpicam-still", RASPBERRY_PI)
+    pi.add_argument("--tuning", type=Path, metavar="FILE", help="libcamera tuning file that the camera used")
+    pi.add_argument("--undo-colour", action="store_true", help="undo colour matrix and white balance (PNG, JPEG)")
+    pi.add_argument("--flatten-shading", action="store_true", help="flatten the lens shading by the tuning (raw)")
+    pi.add_argument("--bayer-order", choices=["RGGB", "BGGR", "GRBG", "GBRG"], help="of 16-bit TIFFs")
+    pi.add_argument("--bit-depth", type=int, choices=[8, 10, 12, 14, 16], help="of 16-bit TIFFs")
+    add_ball_press_formats(formats)
+    add_bands_format(formats)
+    add_abaqus_format(formats)
+
+
+def _add_format(
+    formats: "argparse._SubParsersAction[argparse.ArgumentParser]", name: str, help_line: str, description: str
+) -> argparse.ArgumentParser:
+    """Register a format of tactile captures."""
+    parser = formats.add_parser(
+        name, help=help_line, description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of one sensor or one press")
+    add_out(parser, CAPTURE_OUT if name == "9dtact" else "FOLDER.capture.json")
+    parser.set_defaults(run=run_import, predict_from=None, tuning=None)
+    return parser
+
+
+def run_import(arguments: argparse.Namespace) -> None:
+    """Import and report."""
+    from data_schemas import ImportFormatError, provenance
+    from data_schemas.storage import ProductSet, digest_as_read, write_record
+
+    folder: Path = arguments.folder
+    out = require_new(arguments.out or Path(f"{folder.resolve().name}.capture.json"))
+    press_out = out.with_name(f"{out.name.removesuffix('.json').removesuffix('.capture')}.press.json")
+    if arguments.predict_from is not None:
+        if arguments.predict_from.resolve() == folder.resolve():
+            raise ImportFormatError(
+                f"--predict-from {arguments.predict_from}: a sensor's own table predicts what it was made from; give "
+                "the folder of another sensor"
+            )
+        require_new(press_out)
+    capture, press = _raspberry_pi(arguments) if arguments.format == "raspberry-pi" else _nine_dtact(arguments)
+    sources = [f for f in (folder, arguments.predict_from) if f is not None]
+    files = sorted(f for source in sources for f in source.rglob("*") if digest_as_read(f) is not None)
+    files += [] if arguments.tuning is None else [arguments.tuning]
+    origin = provenance(command_line(), input_digests(files))
+    with ProductSet(out) as products:
+        if press is not None:
+            write_record(press, press_out, origin, products)
+        write_record(capture, out, origin, products)
+    rows, columns = capture.contact.shape[:2]
+    say(f"{out}: {capture.name}, {columns} x {rows} px, encoding {capture.encoding}")
+    say(f"  {capture.source}")
+    if press is not None:
+        say(f"{press_out}: {press.name} ({press.label})")
+
+
+def _nine_dtact(arguments: argparse.Namespace) -> "tuple[TactileCapture, SimulatedPress | None]":
+    """Import a 9DTact sensor folder, with a prediction if asked."""
+    from finray_calib.exchange import nine_dtact_capture, nine_dtact_prediction
+
+    other: Path | None = arguments.predict_from
+    return nine_dtact_capture(arguments.folder), None if other is None else nine_dtact_prediction(
+        arguments.folder, other
+    )
+
+
+def _raspberry_pi(arguments: argparse.Namespace) -> "tuple[TactileCapture, None]":
+    """Import a folder of Raspberry Pi images."""
+    from finray_calib.exchange import RaspberryPiOptions, raspberry_pi_capture, read_tuning
+
+    options = RaspberryPiOptions(
+        tuning=None if arguments.tuning is None else read_tuning(arguments.tuning),
+        undo_colour=arguments.undo_colour,
+        flatten_shading=arguments.flatten_shading,
+        bayer_order=arguments.bayer_order,
+        bit_depth=arguments.bit_depth,
+    )
+    return raspberry_pi_capture(arguments.folder, options), None
+
+
+BANDS_HELP = "import a folder of wavelength-named TIFF images of a paint"
+BANDS_DESCRIPTION = """\
+Reduce TIFF images that another lab took of a paint through band-pass filters (paint and white reference under
+the lamp, paint and white reference under the laser) to band signals for 'finray fit'. The folder must hold a
+bands.toml that says which image shows what, and what camera, filters and laser were used: see
+docs/how-to/import-band-images.md."""
+
+
+def add_bands_format(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb."""
+    parser = verbs.add_parser(
+        "bands", help=BANDS_HELP, description=BANDS_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="holds bands.toml and the images")
+    add_out(parser, "PAINT.bands.json")
+    parser.set_defaults(run=run_bands)
+
+
+def run_bands(arguments: argparse.Namespace) -> None:
+    """Import and report."""
+    import_bands(arguments.folder, arguments.out)
+
+
+def import_bands(folder: Path, out: Path | None) -> None:
+    """Reduce a folder of band images, store the band signals and say what is in them."""
+    from data_schemas import RadiometryError, provenance
+    from data_schemas.storage import write_record
+    from finray_calib.exchange import import_band_folder
+
+    if out is not None:
+        require_new(out)
+    with naming(RadiometryError, folder):
+        bands, digests = import_band_folder(folder)
+    out = require_new(out or Path(f"{file_name(bands.paint_name)}.bands.json"))
+    inputs = {(folder / name).as_posix(): digest for name, digest in digests.items()}
+    write_record(bands, out, provenance(command_line(), inputs))
+    usable = int(bands.usable().sum())
+    say(f"{out}: {len(bands.flags)} filters, {usable} usable values over {bands.region_pixels} px")
+    for note in bands.notes:
+        say(f"  note: {note}")
+
+
+TAXIM = """\
+Import the ball presses of a Taxim calibration folder (dataPack.npz, params.json) as tactile captures: 8-bit
+values of unknown encoding, with the labelled contact circle. Pickled parts (shadowTable.npz) are never
+loaded; what is left out is told."""
+BALL_PRESSES = """\
+Import a folder of ball presses as tactile captures. It holds background.png (no contact) and either the
+catalog.csv of gs_sdk (a folder per press with gelsight.png and label.npz) or plain images with circles.csv
+(image,column_px,row_px,radius_px). Presses without a labelled circle are left out, and told."""
+NEXT = "finray study normal-map"
+
+
+def add_ball_press_formats(formats: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register both formats."""
+    for name, help_line, description, run in (
+        ("taxim", "ball presses of a Taxim calibration folder", TAXIM, run_taxim),
+        ("ball-presses", "background, ball presses and labelled circles (gs_sdk)", BALL_PRESSES, run_ball_presses),
+    ):
+        parser = formats.add_parser(
+            name, help=help_line, description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
+        parser.add_argument("folder", type=Path, metavar="FOLDER", help="the calibration folder")
+        taxim = name == "taxim"
+        ball = "default: 4, as of Taxim's own folders" if taxim else "needed unless the catalog gives it"
+        scale = "default: pixmm of params.json" if taxim else "needed; not px per mm"
+        parser.add_argument("--ball-diameter-mm", type=float, metavar="D", help=f"of the ball ({ball})")
+        parser.add_argument(
+            "--mm-per-px", type=float, metavar="S", required=not taxim, help=f"side of a pixel on the gel ({scale})"
+        )
+        add_out(parser, "FOLDER.captures, a folder with a capture of each press")
+        parser.set_defaults(run=run)
+
+
+def run_taxim(arguments: argparse.Namespace) -> None:
+    """Import a Taxim folder and report."""
+    from finray_calib.exchange import DATA_PACK, PARAMETERS, read_taxim
+
+    folder: Path = arguments.folder
+    out = _new_folder(arguments)
+    found = read_taxim(folder, arguments.ball_diameter_mm, arguments.mm_per_px)
+    files = [path for path in (folder / DATA_PACK, folder / PARAMETERS) if path.is_file()]
+    _store(found.captures, files, out)
+    for line in found.assumed:
+        say(f"  assumed: {line}")
+    _tell_left_out(found.left_out)
+
+
+def run_ball_presses(arguments: argparse.Namespace) -> None:
+    """Import a folder of ball presses and report."""
+    from data_schemas.storage import digest_as_read
+    from finray_calib.exchange import read_ball_presses
+
+    folder: Path = arguments.folder
+    out = _new_folder(arguments)
+    found = read_ball_presses(folder, arguments.mm_per_px, arguments.ball_diameter_mm)
+    files = sorted(p for p in folder.rglob("*") if digest_as_read(p) is not None)
+    _store(found.captures, files, out)
+    _tell_left_out(found.left_out)
+
+
+def _new_folder(arguments: argparse.Namespace) -> Path:
+    """Return the folder to write, which must be new."""
+    return require_new(arguments.out or Path(f"{arguments.folder.resolve().name}.captures"))
+
+
+def _store(captures: "Sequence[TactileCapture]", files: list[Path], out: Path) -> None:
+    """Write a capture of each press and say so."""
+    from data_schemas import provenance
+    from data_schemas.storage import ProductSet, write_record
+
+    origin = provenance(command_line(), input_digests(files))
+    with ProductSet(out) as products:
+        for number, capture in enumerate(captures, start=1):
+            write_record(capture, out / f"press-{number:03d}.capture.json", origin, products)
+    rows, columns = captures[0].contact.shape[:2]
+    say(f"{out}: {len(captures)} captures, {columns} x {rows} px, encoding {captures[0].encoding}")
+    say(f"  {captures[0].source}; a normal map of them: {NEXT} {out}/*.capture.json")
+
+
+def _tell_left_out(lines: Sequence[str]) -> None:
+    """Say what of the folder was left out."""
+    for line in lines:
+        say(f"  left out: {line}")
+
+
+ABAQUS_HELP = "import the results file of a deck that Abaqus has run"
+ABAQUS_DESCRIPTION = """\
+Read the displacements of a finger from the results file (ASCII .fil) of a deck that 'finray export deck DESIGN
+--dialect abaqus' wrote: forces and pushes, and the surfaces of the pressed finger for 'finray simulate DESIGN
+--surfaces'. Give the design and mesh of the deck."""
+PRESETS = ("coarse", "medium", "fine")
+
+
+def add_abaqus_format(formats: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the format."""
+    parser = formats.add_parser(
+        "abaqus", help=ABAQUS_HELP, description=ABAQUS_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("results", type=Path, metavar="FILE.fil", help="results file in ASCII")
+    parser.add_argument("--design", type=Path, required=True, metavar="DESIGN", help="the deck's design (TOML)")
+    parser.add_argument("--preset", choices=PRESETS, help="the deck's mesh (default: the design's)")
+    add_out(parser, "DESIGN.surfaces.json, beside it DESIGN.mechanics.json")
+    parser.set_defaults(run=run_abaqus)
+
+
+def run_abaqus(arguments: argparse.Namespace) -> None:
+    """Import and report."""
+    from data_schemas import ImportFormatError, provenance
+    from data_schemas.storage import ProductSet, write_record
+    from sim.experiments import press_records
+    from sim.mechanics.other_engines import pressed_by_abaqus, read_fil
+
+    design = read_design(arguments.design)
+    out = require_new(arguments.out or Path(f"{file_name(design.name)}.surfaces.json"))
+    stem = out.name.removesuffix(".json").removesuffix(".surfaces")
+    forces_out = require_new(out.with_name(f"{stem}.mechanics.json"))
+    fields = read_fil(arguments.results)
+    with naming(ImportFormatError, arguments.results):
+        pressed = pressed_by_abaqus(design, fields, arguments.preset)
+    mechanics, surfaces = press_records(design, pressed, arguments.preset, "Abaqus")
+    origin = provenance(command_line(), input_digests([arguments.design, arguments.results]), None)
+    with ProductSet(out) as products:
+        write_record(mechanics, forces_out, origin, products)
+        write_record(surfaces, out, origin, products)
+    say(f"{forces_out}: {mechanics.label}")
+    for depth, force in zip(mechanics.depth_mm, mechanics.force_n, strict=True):
+        say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
+    if mechanics.unreached:
+        say(f"  the push ended early: {mechanics.unreached}")
+    say(f"{out}: for 'finray simulate DESIGN --only optics --surfaces {out.name}'")

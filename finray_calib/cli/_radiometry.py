@@ -1,0 +1,178 @@
+"""``finray radiometry``: turn the frames of a session into band signals with covariance, or characterise a camera."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from finray_calib.cli._run import (
+    add_out,
+    command_line,
+    file_name,
+    input_digests,
+    naming,
+    progress_bar,
+    require_new,
+    say,
+)
+
+if TYPE_CHECKING:
+    from data_schemas import BandSignals, CameraCharacterisation, CaptureSession
+
+
+HELP = "turn captured frames into one value per filter and channel, with covariance"
+DESCRIPTION = """\
+Correct a paint session for dark level and exposure, refer it to the white reference, and write one value per
+filter and Bayer channel over the painted region: fluorescence (under the laser) and reflectance (under the
+lamp), each with its full covariance and quality flags. A camera session becomes a camera characterisation."""
+
+
+def add_radiometry(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb."""
+    parser = verbs.add_parser(
+        "radiometry", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("session", type=Path, metavar="SESSION", help="folder written by 'finray capture'")
+    add_out(parser, "PAINT.bands.json, CAMERA.camera.json")
+    parser.add_argument(
+        "--camera", type=Path, metavar="FILE", help="use the gain, read noise and black level of this characterisation"
+    )
+    parser.add_argument(
+        "--pixels",
+        action="store_true",
+        help="also write PAINT.pixels.json: every pixel of the region behind each filter",
+    )
+    parser.add_argument(
+        "--accept-repeat",
+        action="store_true",
+        help="take a filter and its own repeat that disagree for one fading sample",
+    )
+    parser.add_argument("--whole-frame", action="store_true", help="with --pixels: every pixel of the frame")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Reduce what was captured and report."""
+    from data_schemas import RadiometryError
+    from rigs.capture import session_kind
+
+    if arguments.whole_frame and not arguments.pixels:
+        raise RadiometryError("--whole-frame: says how far the map of --pixels reaches; give --pixels too")
+    if session_kind(arguments.session) == "paint":
+        reduce_paint(
+            arguments.session, arguments.out, arguments.camera, arguments.pixels, arguments.whole_frame,
+            arguments.accept_repeat,
+        )  # fmt: skip
+        return
+    if arguments.camera is not None or arguments.pixels:
+        raise RadiometryError(f"{arguments.session}: is a camera session; --camera and --pixels are for paint sessions")
+    characterise(arguments.session, arguments.out)
+
+
+def reduce_paint(
+    folder: Path, out: Path | None, camera: Path | None, pixels: bool, whole_frame: bool, accept_repeat: bool = False
+) -> None:
+    """Write the band signals of a paint session and, if asked for, the map of its pixels.
+
+    Parameters
+    ----------
+    folder
+        Folder of the session.
+    out
+        Where to write; a name after the paint if None.
+    camera
+        Characterisation of the camera whose gain, read noise and black level are used, if any.
+    pixels, whole_frame
+        Whether to write the map of the region's pixels, and whether it covers the whole frame.
+    accept_repeat
+        Whether a filter and its own repeat may disagree.
+    """
+    from data_schemas import RadiometryError, provenance
+    from data_schemas.storage import ProductSet, write_record
+    from finray_calib.radiometry import bands_of_steps, pixel_signals, session_steps
+    from rigs.capture import SESSION_NAME, read_frame_of, read_session
+
+    session = _with_camera(read_session(folder), camera)
+    out = require_new(out or Path(f"{file_name(session.plan.paint_name)}.bands.json"))
+    stem = out.name.removesuffix(".json").removesuffix(".bands")
+    map_out = require_new(out.with_name(f"{stem}.pixels.json")) if pixels else None
+    inputs = [folder / SESSION_NAME, *([] if camera is None else [camera])]
+    origin = provenance(command_line(), input_digests(inputs))
+    with progress_bar("radiometry"), naming(RadiometryError, folder):
+        steps = session_steps(session, lambda frame: read_frame_of(folder, frame))
+        bands = bands_of_steps(session, steps, accept_repeat)
+        if map_out is not None:
+            mapped = pixel_signals(session, lambda frame: read_frame_of(folder, frame), steps, bands, whole_frame)
+    with ProductSet(out) as products:
+        if map_out is not None:
+            write_record(mapped, map_out, origin, products)
+        write_record(bands, out, origin, products)
+    _report(bands, out)
+    if map_out is not None:
+        say(f"{map_out}: {int(mapped.usable.sum())} usable of {mapped.usable.size} pixels")
+
+
+def _with_camera(session: "CaptureSession", path: Path | None) -> "CaptureSession":
+    """Give the session the gain, read noise and black level of a characterised camera."""
+    from data_schemas import CameraCharacterisation
+    from data_schemas.storage import read_record
+
+    if path is None:
+        return session
+    measured = read_record(path, CameraCharacterisation)
+    camera = measured.applied_to(session.rig.camera)
+    note = (
+        f"camera characterisation '{measured.camera_name}' used: gain {camera.gain_e_per_dn:.4g} e/DN, read noise "
+        f"{camera.read_noise_e:.3g} e, black level {camera.black_level_dn:.4g} DN"
+    )
+    rig = session.rig.model_copy(update={"camera": camera})
+    return session.model_copy(update={"rig": rig, "notes": (*session.notes, note)})
+
+
+def _report(bands: "BandSignals", out: Path) -> None:
+    """Say what was written and what is wrong with it."""
+    say(f"{out}: {len(bands.flags)} filters x 3 channels over {bands.region_pixels} px")
+    for band, row in zip(bands.optics.filters, bands.flags, strict=True):
+        bad = [f"{name} {flag}" for name, flag in zip(("red", "green", "blue"), row, strict=True) if flag != "ok"]
+        if bad:
+            say(f"  filter {band.name}: {', '.join(bad)}")
+    for note in bands.notes:
+        say(f"  note: {note}")
+
+
+def characterise(folder: Path, out: Path | None) -> None:
+    """Write the characterisation of a camera.
+
+    Parameters
+    ----------
+    folder
+        Folder of the camera session.
+    out
+        Where to write; a name after the camera if None.
+    """
+    from data_schemas import RadiometryError, provenance
+    from data_schemas.storage import write_record
+    from finray_calib.radiometry import characterise_camera
+    from rigs.capture import SESSION_NAME, read_camera_session, read_frame_of
+
+    session = read_camera_session(folder)
+    out = require_new(out or Path(f"{file_name(session.plan.camera_name)}.camera.json"))
+    with progress_bar("radiometry"), naming(RadiometryError, folder):
+        camera = characterise_camera(session, lambda frame: read_frame_of(folder, frame))
+    write_record(camera, out, provenance(command_line(), input_digests([folder / SESSION_NAME])))
+    _report_camera(camera, out)
+
+
+def _report_camera(camera: "CameraCharacterisation", out: Path) -> None:
+    """Say the main numbers of every channel."""
+    say(f"{out}: camera '{camera.camera_name}'")
+    for channel in camera.channels:
+        gain, read, full = channel.gain_e_per_dn, channel.read_noise_e, channel.full_well_e
+        noise = f"{read.estimate:.3g} +- {read.sd:.2g} e" if read.resolved else f"below {read.high95:.3g} e"
+        well = "not reached" if full is None else f"{full.estimate:.4g} e"
+        say(
+            f"  {channel.channel}: gain {gain.estimate:.4g} +- {gain.sd:.2g} e/DN, read noise {noise}, "
+            f"full well {well}, linear within {100 * channel.linearity_error_rel.estimate:.2g} %"
+        )
+    for label, texts in (("warning", camera.warnings), ("note", camera.notes)):
+        for text in texts:
+            say(f"  {label}: {text}")

@@ -1,0 +1,233 @@
+"""``finray rig`` and ``finray check``: write a rig file, find devices, show what they report, and accept the rig."""
+
+import argparse
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from finray_calib.cli._capture import safety_lines
+from finray_calib.cli._run import (
+    Progress,
+    add_out,
+    command_line,
+    file_name,
+    input_digests,
+    interruptible,
+    naming,
+    progress_bar,
+    require_new,
+    say,
+    warn,
+)
+
+if TYPE_CHECKING:
+    from data_schemas import RigFile
+    from rigs import FoundDevice, Role
+
+
+RIG_HELP = "write a rig file, find devices, and show what the devices of a rig report"
+INIT_HELP = "write a commented rig file to start from"
+INIT_DESCRIPTION = """\
+Write a rig file with a comment on every value, made after a preset. On a terminal the devices that are found are
+offered; otherwise the preset's own are written, and what to fill in is said."""
+DETECT_HELP = "list the cameras, filter wheels and lights that can be found"
+DETECT_DESCRIPTION = """\
+Ask every driver what it can find, and print driver and address as a rig file names them. Serial ports behind USB are
+opened for a moment; most Arduino boards restart then."""
+SHOW_HELP = "show what each device of a rig reports"
+SHOW_DESCRIPTION = """\
+Open each device of a rig on its own and print what it is, where the wheel stands, whether the lights are off, what
+switches them off when a process or the computer fails, one dark exposure of the camera, and the filters. Nothing moves
+and the lights stay off. A device that cannot be reached hides no other; the exit status is 2 then."""
+
+
+def add_rig(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb and what it can do."""
+    parser = verbs.add_parser("rig", help=RIG_HELP, description=RIG_HELP)
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", title="actions", required=True)
+    init = actions.add_parser("init", help=INIT_HELP, description=INIT_DESCRIPTION)
+    init.add_argument("--preset", choices=("paper",), default="paper", help="whose set-up (default: paper)")
+    add_out(init, "rig.toml")
+    init.set_defaults(run=run_init)
+    detect = actions.add_parser("detect", help=DETECT_HELP, description=DETECT_DESCRIPTION)
+    detect.set_defaults(run=run_detect)
+    show = actions.add_parser("show", help=SHOW_HELP, description=SHOW_DESCRIPTION)
+    show.add_argument("rig", type=Path, metavar="RIG", help="rig file (TOML)")
+    show.set_defaults(run=run_show)
+
+
+def run_init(arguments: argparse.Namespace) -> None:
+    """Write a rig file."""
+    from rigs import paper_rig, to_fill_in, write_rig
+
+    out = require_new(arguments.out or Path("rig.toml"))
+    chosen = chosen_devices()
+    say(f"rig file: {write_rig(paper_rig(chosen), out)}")
+    for text in to_fill_in(chosen):
+        say(f"  fill in or compare: {text}")
+    say(f"then: finray rig show {out}")
+
+
+def run_detect(arguments: argparse.Namespace) -> None:
+    """Print what is found."""
+    from rigs import detect
+
+    detection = detect()
+    rows = [("device", "driver", "address", "what it is")]
+    rows += [(d.kind, d.driver, d.address, d.what) for d in detection.devices]
+    widths = [max(len(row[column]) for row in rows) for column in range(3)]
+    for row in rows if detection.devices else ():
+        say("  ".join([*(f"{row[column]:{widths[column]}}" for column in range(3)), row[3]]))
+    if not detection.devices:
+        say("no device found")
+    for note in detection.notes:
+        warn(f"note: {note}")
+    if detection.not_searched:
+        warn(f"note: not searched for: {', '.join(detection.not_searched)}; their addresses are yours to give")
+
+
+def run_show(arguments: argparse.Namespace) -> None:
+    """Print what every device reports."""
+    from data_schemas import CaptureError, RigFile, TactileRig
+    from data_schemas.storage import read_toml
+    from rigs import look_at, look_at_tactile
+
+    if _has_a_wheel(arguments.rig):
+        rig = read_toml(arguments.rig, RigFile)
+        name, parts = rig.name, look_at(rig, arguments.rig.parent)
+    else:
+        tactile = read_toml(arguments.rig, TactileRig)
+        name, parts = tactile.name, look_at_tactile(tactile, arguments.rig.parent)
+    say(name)
+    failed = []
+    for part in parts:
+        say(f"\n{part.title}")
+        for line in part.lines:
+            say(f"  {line}")
+        for warning in part.warnings:
+            say(f"  warning: {warning}")
+        if part.error is not None:
+            say(f"  ERROR: {part.error}")
+            failed.append(part.title)
+    if failed:
+        raise CaptureError(f"{arguments.rig}: errors above at {'; '.join(failed)}; correct them and show the rig again")
+
+
+def _has_a_wheel(path: Path) -> bool:
+    """Whether a rig file is that of a paint rig; what is no TOML at all is left to its reader, which says why."""
+    from data_schemas import RecordError
+    from data_schemas.storage import read_toml_tables
+
+    try:
+        tables = read_toml_tables(path)
+    except RecordError:
+        return True
+    return tables.keys() - {"schema_version"} != {"name", "camera"}
+
+
+def chosen_devices() -> "dict[Role, FoundDevice]":
+    """Return the devices that the user takes, by their role; none where nobody can be asked."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return {}
+    from rigs import detect
+
+    warn("looking for devices ...")
+    detection = detect()
+    for note in detection.notes:
+        warn(f"note: {note}")
+    return choose(detection.devices)
+
+
+def choose(devices: "tuple[FoundDevice, ...]") -> "dict[Role, FoundDevice]":
+    """Offer each device for each role that it can have, until one is taken."""
+    roles: dict[Role, str] = {"camera": "camera", "filter wheel": "filter wheel", "laser": "light", "lamp": "light"}
+    chosen: dict[Role, FoundDevice] = {}
+    for role, kind in roles.items():
+        for device in devices:
+            if device.kind != kind or device in chosen.values() or not _offered(role, device):
+                continue
+            chosen[role] = device
+            break
+    return chosen
+
+
+def _offered(role: str, device: "FoundDevice") -> bool:
+    """Ask whether a device is to be used; Enter means yes, the end of the input no."""
+    sys.stderr.write(f"{role} found: {device.what} ({device.driver}, {device.address}); use it? [Y/n] ")
+    sys.stderr.flush()
+    answer = sys.stdin.readline()
+    return bool(answer) and answer.strip().lower() in ("", "y", "yes")
+
+
+CHECK_HELP = "check a rig with its hardware in the loop (acceptance)"
+CHECK_RUN_HELP = "try every device of a rig and judge it against limits"
+CHECK_RUN_DESCRIPTION = """\
+Try every device of a rig: handshakes, moves of the wheel, filters in their slots, dark level, exposure ratios, and how
+long the laser stays on after a mishap. Every check has a value, its standard uncertainty, a limit and a verdict: PASS,
+FAIL, UNDECIDED, or ERROR when a device broke it off.
+Writes a folder with check.json, junit.xml and report.html. The white tile must be in view, the box closed.
+Exit status: 0 when nothing failed (also with undecided checks, which are named), 1 after FAIL or ERROR, 2 after a
+mistake in plan, rig file or arguments."""
+NOT_ACCEPTED = 1
+
+
+def add_check(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb and what it can do."""
+    acts = verbs.add_parser("check", help=CHECK_HELP, description=CHECK_HELP).add_subparsers(
+        dest="act", metavar="ACT", title="acts", required=True
+    )
+    parser = acts.add_parser(
+        "run",
+        help=CHECK_RUN_HELP,
+        description=CHECK_RUN_DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "plan", type=Path, metavar="PLAN", help='plan file (TOML): kind = "check", name, region, limits'
+    )
+    parser.add_argument("--rig", type=Path, required=True, metavar="RIG", help="rig file (TOML): camera, wheel, lights")
+    add_out(parser, "NAME-check/")
+    parser.set_defaults(run=run_check)
+
+
+def run_check(arguments: argparse.Namespace) -> int:
+    """Check, store the report and return the exit status."""
+    from data_schemas import CaptureError, CheckPlan, RigFile, provenance
+    from data_schemas.storage import ProductSet, read_toml, write_record
+    from finray_calib.acceptance import judge, result_line
+    from finray_calib.exchange import junit_xml
+    from finray_calib.reports import check_report
+    from rigs.capture import check_filters, record_facts
+
+    plan, rig = read_toml(arguments.plan, CheckPlan), read_toml(arguments.rig, RigFile)
+    out = require_new(arguments.out or Path(f"{file_name(plan.check_name)}-check"))
+    with naming(CaptureError, arguments.plan):
+        check_filters(plan, rig)
+    with interruptible(out), _telling(rig) as progress:
+        facts, notes = record_facts(rig, plan, arguments.rig.parent, progress)
+    origin = provenance(command_line(), input_digests([arguments.plan, arguments.rig]), plan.seed)
+    report = judge(facts, plan, rig, notes).model_copy(update={"provenance": origin})
+    with ProductSet(out) as products:
+        products.add(out / "junit.xml", junit_xml(report, origin))
+        products.add(out / "report.html", check_report(report).encode())
+        write_record(report, out / "check.json", origin, products)
+    for result in report.results:
+        say(result_line(result))
+    for note in report.notes:
+        say(f"note: {note}")
+    say(f"{out}: {report.verdict}; see report.html, junit.xml, check.json")
+    return NOT_ACCEPTED if report.verdict in ("FAIL", "ERROR") else 0
+
+
+@contextmanager
+def _telling(rig: "RigFile") -> Iterator[Progress]:
+    """Show the progress; on a real rig in lines, below the safety line of its laser."""
+    if rig.is_simulated:
+        with progress_bar("check") as progress:
+            yield progress
+        return
+    for line in safety_lines(rig.laser):
+        warn(line)
+    yield lambda done, total, what: warn(f"  {done + 1}/{total} {what}")

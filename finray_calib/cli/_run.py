@@ -1,0 +1,401 @@
+"""What every verb needs to run: shared options, files it may write, progress, interruption and a process of its own.
+
+A verb names its inputs by their SHA-256, never overwrites a file, and shows its progress as a bar or in lines. Ctrl-C,
+SIGTERM and a closed terminal end a capture cleanly, with a word on how to go on. A long verb runs in a process of its
+own: whatever kills that process, the user gets a sentence and a log.
+"""
+
+import argparse
+import contextlib
+import io
+import logging
+import os
+import re
+import shlex
+import signal
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+from data_schemas import DiedError, FinrayError, RecordError, SimulateError
+from data_schemas.storage import Child, is_child, progress_teller, tell
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    from data_schemas import FingerDesign
+    from sim.optics import Preference
+
+
+Progress = Callable[[int, int, str], None]
+LONGEST_NAME = 80
+LOG_INTERVAL_S = 20.0  # between the lines of a long command whose output goes to a file
+DEFAULT_INCREMENTS = 4
+DEFAULT_SEED = 1
+
+
+def add_out(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add ``--out``; stored files are never overwritten."""
+    parser.add_argument("--out", type=Path, metavar="PATH", help=f"where to write (default: {default}); must be new")
+
+
+def add_seed(parser: argparse.ArgumentParser) -> None:
+    """Add ``--seed``; the same seed gives the same numbers."""
+    parser.add_argument(
+        "--seed", type=_whole_number, default=DEFAULT_SEED, metavar="N",
+        help=f"random seed (default: {DEFAULT_SEED})",
+    )  # fmt: skip
+
+
+def increment_count(text: str) -> int:
+    """Parse a number of increments."""
+    if not text.isdecimal() or not 1 <= int(text) <= 1000:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from 1 to 1000")
+    return int(text)
+
+
+def _whole_number(text: str) -> int:
+    """Parse a seed."""
+    try:
+        seed = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+    if not 0 <= seed < 2**63:
+        raise argparse.ArgumentTypeError(f"{seed} is out of range; give 0 or more")
+    return seed
+
+
+def add_paint(
+    parser: argparse._ActionsContainer, what: str = "paint calibration of a wall", dest: str = "paint"
+) -> None:
+    """Add ``--paint``, given once for each wall; read it with :func:`paint_files`."""
+    parser.add_argument(
+        "--paint", dest=dest, action="append", default=[], type=_paint_file, metavar="COLOUR=FILE",
+        help=f"{what}: --paint red=FILE --paint green=FILE",
+    )  # fmt: skip
+
+
+def _paint_file(text: str) -> tuple[str, Path]:
+    """Parse COLOUR=FILE."""
+    colour, separator, file = text.partition("=")
+    if not separator or colour not in {"red", "green"} or not file:
+        raise argparse.ArgumentTypeError(f"{text!r} must be red=FILE or green=FILE")
+    return colour, Path(file)
+
+
+def paint_files(arguments: argparse.Namespace, without: str = "", dest: str = "paint") -> dict[str, Path]:
+    """Return colour -> file of ``--paint``: both colours, or none where `without` says what stands in then."""
+    given: list[tuple[str, Path]] = getattr(arguments, dest)
+    files = dict(given)
+    if len(files) < len(given):
+        raise SimulateError("--paint: a colour is given twice; give one file for red and one for green")
+    if len(files) == 1 and without:
+        raise SimulateError(f"--paint: give both red=FILE and green=FILE, or neither for {without}")
+    return files
+
+
+def add_paints_as_given(parser: argparse._ActionsContainer) -> None:
+    """Add the option that accepts paints which :func:`refuse_swapped_paints` takes to be swapped."""
+    parser.add_argument(
+        "--paints-as-given", action="store_true",
+        help="the paint of the red wall emits at shorter wavelengths than that of the green one, and is meant so",
+    )  # fmt: skip
+
+
+def refuse_swapped_paints(
+    modes_nm: Mapping[str, float], files: Mapping[str, Path], arguments: argparse.Namespace
+) -> None:
+    """Refuse a red paint whose emission has its mode below the green one's, unless the paints are meant so.
+
+    Raises
+    ------
+    SimulateError
+        The files of the two colours look swapped.
+    """
+    if len(modes_nm) < len(("red", "green")) or arguments.paints_as_given:
+        return
+    red_nm, green_nm = modes_nm["red"], modes_nm["green"]
+    if red_nm < green_nm:
+        raise SimulateError(
+            f"--paint: red={files['red']} emits most at {red_nm:.0f} nm, below green={files['green']} at "
+            f"{green_nm:.0f} nm: the two look swapped. Exchange them, or give --paints-as-given if they are meant so"
+        )
+
+
+def open_engine(preference: "Preference") -> "ModuleType":
+    """Open the renderer, and tell when another one than usual was taken because something is missing."""
+    from sim.optics import choose_variant, open_renderer
+
+    choice = choose_variant(preference)
+    if choice.fell_back:
+        warn(f"{choice.variant} renders: {choice.note}")
+    return open_renderer(choice)
+
+
+def command_line() -> str:
+    """Return the command that is running, for the provenance of what it writes."""
+    return shlex.join(["finray", *sys.argv[1:]])
+
+
+def say(text: str) -> None:
+    """Tell the user a result."""
+    sys.stdout.write(text + "\n")
+
+
+def warn(text: str) -> None:
+    """Tell the user something that is not a result."""
+    sys.stderr.write(text + "\n")
+
+
+def file_name(name: str) -> str:
+    """Return a paint's or finger's name as a plain file name: ASCII letters, digits and ``_ . ( ) + -``, at most 80.
+
+    Other characters become "-". A name never starts with a dot, which would hide the file or leave the folder, nor
+    with a dash, which the next command would take for an option; what is empty then is "unnamed".
+    """
+    return re.sub(r"[^A-Za-z0-9_.()+-]", "-", name).lstrip(".-")[:LONGEST_NAME] or "unnamed"
+
+
+def require_new(path: Path) -> Path:
+    """Return `path` if nothing is there yet, found before any work is done; what dead writers left there is removed."""
+    from data_schemas.storage import clear_leftovers
+
+    clear_leftovers(path.parent)
+    if path.exists():
+        raise RecordError(f"{path}: exists already and is not overwritten; choose another --out or move it away")
+    return require_place(path)
+
+
+def require_new_session(path: Path) -> Path:
+    """Return the folder of a session if nothing is there, or only what a capture left that was killed as it began."""
+    from rigs.capture import is_unborn
+
+    return require_place(path) if is_unborn(path) else require_new(path)
+
+
+def new_page_beside(record: Path) -> Path:
+    """Return the name of the page beside a record, FILE.html for FILE.json, if nothing is there yet."""
+    if record.suffix == ".html":
+        raise RecordError(f"{record}: is to be a record; choose an --out that ends in .json, the page goes beside it")
+    return require_new(record.with_suffix(".html"))
+
+
+def require_place(path: Path) -> Path:
+    """Return `path` if its nearest existing folder can be written to."""
+    above = next(folder for folder in path.absolute().parents if folder.exists())
+    if not above.is_dir():
+        raise RecordError(f"{path}: cannot be written, because {above} is no folder; choose another --out")
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise RecordError(
+            f"{path}: cannot be written, because the folder {above} does not allow it; choose another --out or change "
+            "its permissions"
+        )
+    return path
+
+
+@contextmanager
+def naming(kind: type[FinrayError], *paths: Path) -> Iterator[None]:
+    """Put the names of the files in front of an error of this kind, whose raiser does not know them."""
+    try:
+        yield
+    except kind as error:
+        raise type(error)(f"{' and '.join(map(str, paths))}: {error}") from None
+
+
+def design_inputs(design: "FingerDesign", path: Path) -> list[Path]:
+    """Return the design's file and those that it names."""
+    named = [design.camera.calibration, None if design.camera.response == "assumed" else design.camera.response]
+    return [path, *(path.parent / name for name in named if name is not None)]
+
+
+def input_digests(paths: Iterable[Path]) -> dict[str, str]:
+    """Return path as given -> SHA-256 of the bytes that were read; names alone collide (red/paint.json, green/...)."""
+    from data_schemas import digest_of_input
+
+    return {path.as_posix(): digest_of_input(path) for path in paths}
+
+
+@contextmanager
+def progress_bar(title: str) -> Iterator[Progress]:
+    """Show a progress bar on standard error while the block runs; in a log file or a pipe, a line now and then."""
+    if is_child():  # its parent shows it
+        tell({"bar": title})
+        yield progress_teller()
+        tell({"bar": None})
+        return
+    if not sys.stderr.isatty():
+        yield _lines_now_and_then(title)
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=None)
+
+        def update(done: int, total: int, what: str) -> None:
+            bar.update(task, completed=done, total=total, description=f"{title}: {what}")
+
+        yield update
+
+
+def _lines_now_and_then(title: str) -> Progress:
+    """Return what writes how far a long block is, at most one line in :data:`LOG_INTERVAL_S`."""
+    last_s = time.monotonic()
+
+    def update(done: int, total: int, what: str) -> None:
+        nonlocal last_s
+        if time.monotonic() - last_s >= LOG_INTERVAL_S:
+            last_s = time.monotonic()
+            warn(f"{title}: {what} ({done} of {total})")
+
+    return update
+
+
+@contextmanager
+def interruptible(out: Path) -> Iterator[None]:
+    """Let SIGTERM and a closed terminal end a capture as Ctrl-C does, and say how to go on."""
+    from data_schemas import FinrayError
+    from rigs.capture import JOURNAL_NAME, SESSION_NAME, lacks_manifest
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    except (KeyboardInterrupt, FinrayError, OSError):
+        if (out / JOURNAL_NAME).exists() and (not (out / SESSION_NAME).exists() or lacks_manifest(out)):
+            warn(f"{out}: holds what was captured so far; go on with: finray capture --resume {out}")
+        raise
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@dataclass(frozen=True, slots=True)
+class LongWork:
+    """What a long verb is about to do, for the sentence that its user reads when its process dies.
+
+    Attributes
+    ----------
+    words
+        What it is called, such as "the press by finite elements".
+    kept
+        What is kept of it, and what the same command then does.
+    beside
+        The file beside which its log is put.
+    """
+
+    words: str
+    kept: str
+    beside: Path | None = None
+
+
+Describe = Callable[[argparse.Namespace], LongWork]
+
+
+def run_in_own_process(work: LongWork, words: Sequence[str]) -> int:
+    """Run ``finray WORDS`` in a process of its own, pass on what it says, and return its exit status.
+
+    Raises
+    ------
+    DiedError
+        The process died; the message names what it did, its log and what to do.
+    """
+    log = _log_file(work.beside, words[0])
+    was_there = log.exists()
+    with Child(["finray_calib.cli._run"]) as child, _Screen() as screen:
+        try:
+            status = child.call("finray_calib.cli._run:run_verb", {"words": list(words)}, log=log, hear=screen.show)
+        except DiedError as died:
+            raise DiedError(
+                f"{work.words} {died}. Its log is {log}. {work.kept}; if that fails again, 'finray doctor' tells what "
+                "this machine lacks"
+            ) from None
+        except KeyboardInterrupt:
+            _tidy(log, was_there)
+            raise
+    _tidy(log, was_there)
+    return int(status)
+
+
+def _log_file(beside: Path | None, verb: str) -> Path:
+    """Return a file beside the output, or that of this verb in the folder of temporary files."""
+    place = (beside or Path(f"finray-{verb}")).absolute()
+    if place.parent.is_dir() and os.access(place.parent, os.W_OK | os.X_OK):
+        return place.with_name(f"{place.name.removesuffix('.json').removesuffix('.press')}.log")
+    return Path(tempfile.gettempdir()) / f"finray-{verb}-{os.getpid()}.log"
+
+
+def _tidy(log: Path, was_there: bool) -> None:
+    """Remove the log of a verb that did not die, unless an earlier one wrote it."""
+    if not was_there:
+        log.unlink(missing_ok=True)
+
+
+class _Screen:
+    """Shows what the process tells: results, warnings and how far it is."""
+
+    def __init__(self) -> None:
+        self._bars = ExitStack()
+        self._bar: Progress | None = None
+
+    def __enter__(self) -> "_Screen":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bars.close()
+
+    def show(self, message: Any) -> None:
+        """Show one message."""
+        if isinstance(message, list):
+            if self._bar is not None:
+                self._bar(*message)
+        elif "bar" in message:
+            self._bars.close()
+            self._bar = None if message["bar"] is None else self._bars.enter_context(progress_bar(message["bar"]))
+        else:
+            stream = sys.stdout if message["to"] == "out" else sys.stderr
+            stream.write(message["text"])
+            stream.flush()
+
+
+class _Telling(io.TextIOBase):
+    """A standard stream whose text the parent process shows."""
+
+    def __init__(self, to: str) -> None:
+        self._to = to
+
+    def write(self, text: str) -> int:
+        """Send the text."""
+        tell({"to": self._to, "text": text})
+        return len(text)
+
+
+def run_verb(words: list[str]) -> int:
+    """Be the process of a verb: run it, and tell the parent what it says; warnings of packages go to the log."""
+    from finray_calib.cli.main import main
+
+    log = sys.stderr
+    logging.lastResort = logging.StreamHandler(log)
+
+    def to_log(message: Any, category: Any, filename: str, lineno: int, file: Any = None, line: Any = None) -> None:
+        log.write(warnings.formatwarning(message, category, filename, lineno, line))
+
+    warnings.showwarning = to_log
+    sys.argv = ["finray", *words]
+    with contextlib.redirect_stdout(_Telling("out")), contextlib.redirect_stderr(_Telling("err")):
+        return main(words)

@@ -1,0 +1,443 @@
+"""``finray simulate --only mechanics``: press a finger by finite elements.
+
+Options that only the mechanics reads, increments that are kept for an interrupted press, and what the console says of a
+press whose penalty rests on few nodes.
+"""
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, TypedDict
+
+from finray_calib.cli._design import read_design
+from finray_calib.cli._run import (
+    DEFAULT_INCREMENTS,
+    Progress,
+    command_line,
+    file_name,
+    increment_count,
+    input_digests,
+    naming,
+    progress_bar,
+    require_new,
+    say,
+    warn,
+)
+
+if TYPE_CHECKING:
+    from data_schemas import FingerDesign, PressMechanics, PressSensitivities, Provenance
+    from sim.mechanics import ContactChoice, PressedFinger
+
+
+# an increment at the whole push, but for rounding
+_SAME_DEPTH = 1e-9
+
+
+class _Said(TypedDict, total=False):
+    """What :func:`~sim.experiments.press_records` is told beside the press itself."""
+
+    engine: str
+    notes: tuple[str, ...]
+    sensitivities: "PressSensitivities"
+    wanted_force_n: float
+
+
+def _indenter_file(design: "FingerDesign", folder: Path) -> list[Path]:
+    """Read the STL of an indenter, for its checksum; one that is missing is told of by who parses it."""
+    from data_schemas.storage import read_bytes
+
+    path = folder / (design.indenter.file or "")
+    if not path.is_file():
+        return []
+    read_bytes(path, "an indenter (STL)")
+    return [path]
+
+
+def mechanics_paths(out: Path, resume: Path | None = None, goes_on: bool = False) -> dict[str, Path]:
+    """Return the records of the press and of its surfaces, the mesh and the picture; all must be new.
+
+    So must be the folder of the increments, but for a press that goes on from an increment in it, or that the same
+    command has begun.
+    """
+    stem = out.name.removesuffix(".json").removesuffix(".press")
+    endings = {
+        "mechanics": ".mechanics.json",
+        "surfaces": ".surfaces.json",
+        "mesh": ".vtu",
+        "picture": ".mechanics.png",
+    }
+    files = {what: require_new(out.with_name(stem + ending)) for what, ending in endings.items()}
+    from data_schemas import RecordError
+
+    increments = increments_of(out)
+    if goes_on:
+        return {**files, "increments": increments}
+    if resume is None or resume.parent.absolute() != increments.absolute():
+        require_new(increments)
+    elif any(_number(stored) > _number(resume) for stored in increments.glob("*.json")):
+        raise RecordError(f"{resume}: later increments stand beside it; give another --out to leave them as they are")
+    return {**files, "increments": increments}
+
+
+def increments_of(out: Path) -> Path:
+    """Return the folder of the increments of a press."""
+    return out.with_name(out.name.removesuffix(".json").removesuffix(".press") + ".increments")
+
+
+def _number(increment: Path) -> int:
+    """Return the number of a stored increment."""
+    return int(increment.stem) if increment.stem.isdecimal() else 0
+
+
+def last_increment(resume: Path) -> Path:
+    """Return the record to go on from: a file, or the last one in a folder of increments."""
+    from data_schemas import RecordError
+
+    if not resume.is_dir():
+        return resume
+    stored = sorted(resume.glob("*.json"), key=_number)
+    if not stored:
+        raise RecordError(f"{resume}: holds no increment of a press; give a folder or file that --only mechanics wrote")
+    return stored[-1]
+
+
+def interrupted_increments(increments: Path, depth_mm: float, origin: "Provenance") -> tuple[bool, Path | None]:
+    """Return whether the same command has begun this press, and the increment after which it goes on (none: the start).
+
+    Parameters
+    ----------
+    increments
+        Folder of the increments.
+    depth_mm
+        The whole push; an increment at it is computed again, as its press was not stored.
+    origin
+        Of the press that is to be: command, version and inputs must be those of the stored increments.
+    """
+    from data_schemas import PressIncrement
+    from data_schemas.storage import clear_leftovers, read_record
+
+    clear_leftovers(increments)
+    if increments.is_dir() and not any(increments.iterdir()):
+        return True, None  # interrupted before its first increment was stored
+    last = None
+    stored = sorted(increments.glob("*.json"), key=_number)
+    for path in stored:
+        record = read_record(path, PressIncrement)
+        if record.provenance is None or _same_run(record.provenance) != _same_run(origin):
+            return False, None
+        if record.depth_mm[-1] < depth_mm * (1.0 - _SAME_DEPTH):
+            last = path
+    return bool(stored), last
+
+
+def _same_run(origin: "Provenance") -> tuple[object, ...]:
+    """Return what two runs of one command have in common, whichever increment they went on from."""
+    inputs = {name: digest for name, digest in origin.input_sha256.items() if ".increments/" not in name}
+    return origin.command, origin.package_version, origin.git_commit, inputs
+
+
+def run_mechanics(arguments: argparse.Namespace) -> None:
+    """Press the design's indenter in, store forces, surfaces, mesh and picture, and tell the curve.
+
+    Raises
+    ------
+    SimulateError
+        When the push ended early, or the presses with one number changed could not be made, after what was reached
+        has been stored, and at least a picture.
+    """
+    require_mechanics_only(arguments)
+    from data_schemas import NoEquilibriumError, SimulateError, provenance
+    from data_schemas.storage import read_bytes, write_bytes
+
+    design, folder = read_design(arguments.design), arguments.design.parent
+    resume = None if arguments.resume is None else last_increment(arguments.resume)
+    out = arguments.out or Path(f"{file_name(design.name)}.press.json")
+    read = [arguments.design, *_indenter_file(design, folder)]
+    goes_on = False
+    if resume is None:
+        begun = increments_of(out)
+        goes_on, resume = interrupted_increments(
+            begun, design.indenter.depth_mm, provenance(command_line(), input_digests(read), None)
+        )
+    files = mechanics_paths(out, resume, goes_on)
+    if goes_on:
+        where = "begins again" if resume is None else f"goes on after increment {resume.stem}"
+        warn(f"{files['increments']}: this press was interrupted; it {where}")
+    if resume is not None:
+        read_bytes(resume, "a stored increment of a press (.json)")
+        read.append(resume)
+    origin = provenance(command_line(), input_digests(read), None)
+    try:
+        with progress_bar("simulate") as progress, naming(SimulateError, arguments.design):
+            pressed, said = _pressed(arguments, design, resume, files["increments"], origin, progress)
+            unvaried = _vary(arguments, design, pressed, said, progress)
+    except NoEquilibriumError as stuck:
+        if resume is not None:
+            raise
+        from finray_calib.reports import untouched_finger_png
+
+        write_bytes(files["picture"], untouched_finger_png(design, str(stuck), folder))
+        raise NoEquilibriumError(f"{stuck}. {files['picture']} shows where the indenter touches") from stuck
+    changed = [name for name, digest in input_digests(read).items() if digest != origin.input_sha256[name]]
+    if changed:
+        raise SimulateError(f"{changed[0]}: was changed while the press was computed from it; run the command again")
+    _store(design, pressed, said, files, origin, folder)
+    if unvaried:
+        raise SimulateError(f"{unvaried}. The press itself is stored; for these, try a smaller push")
+
+
+def _pressed(
+    arguments: argparse.Namespace,
+    design: "FingerDesign",
+    resume: Path | None,
+    increments: Path,
+    origin: "Provenance",
+    progress: Progress,
+) -> "tuple[PressedFinger, _Said]":
+    """Press by what was asked for; return also what must be said about it."""
+    from finray_calib.spectra import machine_threads
+
+    count, threads, folder = arguments.increments or DEFAULT_INCREMENTS, machine_threads(), arguments.design.parent
+    if arguments.engine == "calculix":
+        from sim.mechanics.other_engines import calculix_notes, calculix_version, press_finger_calculix
+
+        engine = f"CalculiX {calculix_version()}"
+        pressed = press_finger_calculix(design, None, count, threads, progress)
+        return pressed, {"engine": engine, "notes": calculix_notes(design)}
+    if arguments.force is not None:
+        from sim.mechanics import press_to_force
+
+        pressed = press_to_force(design, arguments.force, None, count, threads, folder, progress)
+        return pressed, {"wanted_force_n": arguments.force}
+    from sim.mechanics import left_out
+
+    if leaves := left_out(design, arguments.contact):
+        warn(leaves)
+    return _pressed_to_depth(design, count, resume, increments, origin, progress, arguments.contact, folder), {}
+
+
+def _vary(
+    arguments: argparse.Namespace, design: "FingerDesign", pressed: "PressedFinger", said: _Said, progress: Progress
+) -> str:
+    """Press with one number changed, if that was asked for, and add it to what is said; return why it failed."""
+    if not arguments.sensitivities or pressed.unreached:
+        return ""
+    from data_schemas import SimulateError
+    from finray_calib.spectra import machine_threads
+    from sim.experiments import press_sensitivities
+
+    folder, contact = arguments.design.parent, arguments.contact
+    try:
+        said["sensitivities"] = press_sensitivities(design, pressed, machine_threads(), progress, contact, folder)
+    except SimulateError as failed:
+        unvaried = f"there are no presses with one number changed: {failed}"
+        said["notes"] = (unvaried,)
+        return unvaried
+    return ""
+
+
+def _pressed_to_depth(
+    design: "FingerDesign",
+    count: int,
+    resume: Path | None,
+    kept: Path,
+    origin: "Provenance",
+    progress: Progress,
+    contact: "ContactChoice",
+    folder: Path,
+) -> "PressedFinger":
+    """Press, or go on pressing, and store each increment."""
+    from data_schemas import PressIncrement
+    from data_schemas.storage import read_record, write_record
+    from finray_calib.spectra import machine_threads
+    from sim.experiments import increment_record, stored_press
+    from sim.mechanics import press_finger
+
+    digest = origin.input_sha256.get((folder / (design.indenter.file or "")).as_posix())
+    before = None if resume is None else stored_press(read_record(resume, PressIncrement), design, contact, digest)
+
+    def store(pressed: "PressedFinger") -> None:
+        record = increment_record(design, pressed, indenter_sha256=digest)
+        path = kept / f"{len(pressed.depth_mm):03d}.json"
+        if not path.exists():  # the last one of an interrupted press is computed again
+            write_record(record, path, origin)
+
+    return press_finger(
+        design, None, count, machine_threads(), progress, resume=before, store=store, contact=contact, folder=folder
+    )
+
+
+def _store(
+    design: "FingerDesign",
+    pressed: "PressedFinger",
+    said: "_Said",
+    files: dict[str, Path],
+    origin: "Provenance",
+    folder: Path,
+) -> None:
+    """Write records, mesh and picture, and tell the curve."""
+    from data_schemas import SimulateError
+    from data_schemas.storage import ProductSet, write_record
+    from finray_calib.exchange import vtu_bytes
+    from finray_calib.reports import pressed_finger_png
+    from sim.experiments import press_records
+    from sim.mechanics import contact_pressure_mpa
+
+    mechanics, surfaces = press_records(design, pressed, **said)
+    touched = contact_pressure_mpa(pressed)
+    with ProductSet(files["mechanics"]) as products:
+        products.add(files["mesh"], vtu_bytes(pressed.mesh, pressed.displacement_mm[-1], touched))
+        products.add(files["picture"], pressed_finger_png(mechanics, surfaces, folder))
+        write_record(surfaces, files["surfaces"], origin, products)
+        write_record(mechanics, files["mechanics"], origin, products)
+    say(f"{files['mechanics']}: {mechanics.label}")
+    for depth, force in zip(mechanics.depth_mm, mechanics.force_n, strict=True):
+        say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
+    if mechanics.slip_torque_per_friction_n_mm is not None:
+        say(
+            f"  torque at slip {mechanics.slip_torque_per_friction_n_mm:.3g} N mm times the coefficient of friction, "
+            f"about the pad's normal; {mechanics.tipping_torque_n_mm:.3g} N mm about the finger's axis without friction"
+        )
+    if mechanics.sensitivities is not None:
+        say(f"  {len(mechanics.sensitivities.varied)} presses with one number changed, for 'finray compare --force'")
+    say(f"{files['surfaces']}: for 'finray simulate DESIGN --only optics --surfaces {files['surfaces'].name}'")
+    say(f"{files['mesh']}: the pressed mesh, for ParaView")
+    say(f"{files['picture']}: the finger before and after, and its force")
+    tell_few_nodes(pressed, mechanics)
+    if mechanics.unreached:
+        reached = f"{mechanics.depth_mm[-1]:.4g} of {design.indenter.depth_mm:g} mm"
+        if mechanics.wanted_force_n is not None:
+            reached = f"{mechanics.force_n[-1, 1]:.4g} of {mechanics.wanted_force_n:g} N"
+        raise SimulateError(
+            f"the push ended early, at {reached}: {mechanics.unreached}. What was reached is stored and can be rendered"
+        )
+
+
+LARGEST_FORCE_N = 1000.0
+
+
+def add_mechanics_options(parser: argparse.ArgumentParser) -> None:
+    """Add what only the mechanics reads."""
+    parser.add_argument(
+        "--increments", type=increment_count, metavar="N",
+        help=f"with --only mechanics: steps of the push (default {DEFAULT_INCREMENTS})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--force", type=_force, metavar="NEWTON",
+        help="with --only mechanics: press until the indenter pushes with this force, frictionless, in place of the "
+        "design's depth_mm",
+    )  # fmt: skip
+    parser.add_argument(
+        "--resume", type=Path, metavar="INCREMENT",
+        help="with --only mechanics: go on from a stored increment, or the last one in a folder NAME.increments",
+    )  # fmt: skip
+    parser.add_argument(
+        "--contact", choices=["auto", "penalty", "barrier"], default="auto",
+        help="with --only mechanics: penalty (fast, no friction), barrier (friction, any indenter, contact of ribs) or "
+        "auto (default: penalty where it can)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--sensitivities", action="store_true",
+        help="with --only mechanics: also press with each uncertain modulus and thickness changed (some 15 presses), "
+        "so that 'finray compare --force' can carry their uncertainty",
+    )  # fmt: skip
+
+
+def _force(text: str) -> float:
+    """Parse a force."""
+    try:
+        force_n = float(text)
+    except ValueError:
+        force_n = math.nan
+    if not 0.0 < force_n <= LARGEST_FORCE_N:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a force in N above 0 and at most {LARGEST_FORCE_N:g}")
+    return force_n
+
+
+def require_mechanics_only(arguments: argparse.Namespace) -> None:
+    """Refuse what only the optics reads, and what does not go together."""
+    from data_schemas import SimulateError
+
+    optical: dict[str, object] = {
+        "paint": [],
+        "angles": None,
+        "objectives": "intensity",
+        "surfaces": None,
+        "level": "b",
+        "samples": None,
+        "denoise": False,
+        "pose_response": False,
+    }
+    for name, default in optical.items():
+        if getattr(arguments, name) != default:
+            option = name.replace("_", "-")
+            raise SimulateError(f"--{option} belongs to the optics; leave it out with --only mechanics")
+    if arguments.seed is not None:
+        raise SimulateError("--seed: a press knows no chance; leave it out with --only mechanics")
+    if arguments.engine not in {"auto", "calculix"}:
+        raise SimulateError(f"--engine {arguments.engine} renders; give calculix with --only mechanics, or none")
+    calculix, forced, resumes = (
+        arguments.engine == "calculix",
+        arguments.force is not None,
+        arguments.resume is not None,
+    )
+    if calculix and arguments.contact != "auto":
+        raise SimulateError("--contact: CalculiX has a contact of its own; leave out --contact, or --engine calculix")
+    if forced and (calculix or resumes or arguments.sensitivities or arguments.contact == "barrier"):
+        raise SimulateError(
+            "--force presses from first touch by the penalty of the elements here; leave out --force, or --resume, "
+            "--sensitivities, --contact barrier and --engine"
+        )
+    if arguments.sensitivities and (calculix or resumes):
+        raise SimulateError("--sensitivities need a whole press by the elements here; leave out --resume and --engine")
+    if calculix and resumes:
+        raise SimulateError("--resume: CalculiX presses from first touch; leave out --resume, or --engine calculix")
+
+
+def require_optics_only(arguments: argparse.Namespace) -> None:
+    """Refuse what only the mechanics reads."""
+    from data_schemas import SimulateError
+
+    mechanical: dict[str, tuple[object, str]] = {
+        "contact": ("auto", "is that of the finite elements"),
+        "force": (None, "is that of a press by finite elements"),
+        "sensitivities": (False, "are those of a force"),
+        "resume": (None, "goes on with a press of finite elements"),
+        "increments": (None, "are steps of finite elements"),
+    }
+    if arguments.engine == "calculix":
+        raise SimulateError("--engine calculix presses, it does not render; add --only mechanics, or leave it out")
+    for name, (default, what) in mechanical.items():
+        if getattr(arguments, name) != default:
+            raise SimulateError(f"--{name} {what}; add --only mechanics or leave it out")
+
+
+def tell_few_nodes(pressed: "PressedFinger", mechanics: "PressMechanics") -> None:
+    """Warn of a force that rests on few nodes; refuse one that rests on none.
+
+    Raises
+    ------
+    SimulateError
+        When the indenter touches no node of the coat at the end of its push.
+    """
+    from data_schemas import SimulateError
+    from sim.mechanics import LARGEST_UNTOLD_REL, STEPS, chord_shortfall_rel
+
+    if pressed.kind != "penalty":
+        return
+    push_mm, step_mm = float(mechanics.depth_mm[-1]), STEPS[mechanics.preset].pad_mm
+    force_n = float(mechanics.force_n[-1, 1])
+    finer = "a finer [mesh] preset"
+    remedy = f"press with {finer if mechanics.wanted_force_n is not None else f'--contact barrier, or with {finer}'}"
+    if force_n <= 0.0:
+        raise SimulateError(
+            f"at a push of {push_mm:.4g} mm the indenter touches no node of the coat, whose elements are {step_mm:g} "
+            f"mm wide: the force of {force_n:.3g} N is the mesh's, not the finger's; {remedy}. What was computed is "
+            "stored"
+        )
+    short = chord_shortfall_rel(mechanics.design, mechanics.preset, push_mm)
+    if short > LARGEST_UNTOLD_REL:
+        warn(
+            f"warning: the coat's elements of {step_mm:g} mm are wide for this indenter and push of {push_mm:.4g} mm: "
+            f"at this push the force is some {short:.0%} too low; {remedy}"
+        )

@@ -1,0 +1,326 @@
+"""``finray study pixel-scale`` and ``finray study normal-map``: from pictures to millimetres, from colours to normals.
+
+A printed ChArUco board gives the lens and the millimetres per pixel on the pad; ball presses give the map that senses a
+surface normal from a colour.
+"""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from finray_calib.cli._run import add_out, add_seed, command_line, input_digests, naming, require_new, say, warn
+
+if TYPE_CHECKING:
+    from numpy import float64
+    from numpy.typing import NDArray
+
+    from data_schemas import CharucoBoard, PixelScale, TactileCapture
+
+
+PIXEL_SCALE_HELP = "calibrate the camera and measure millimetres per pixel on the pad, with a ChArUco board"
+PIXEL_SCALE_DESCRIPTION = """\
+Calibrate the lens and measure how many millimetres a pixel spans on the pad, along rows and along columns,
+with standard uncertainty. Needed are one picture of a ChArUco board that lies where the coat of the pad is,
+and four or more (ten are good) with the board turned and tilted, all with the camera as it stands in the
+finger. Pictures through the mirror are recognised. Writes the record, and beside it the lens (FILE.lens.yaml)
+for 'camera.calibration' of a design."""
+
+
+def add_pixel_scale_study(studies: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the study."""
+    parser = studies.add_parser(
+        "pixel-scale",
+        help=PIXEL_SCALE_HELP,
+        description=PIXEL_SCALE_DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "lens", type=Path, nargs="+", metavar="PICTURE",
+        help="the board turned and tilted; or the folder of one tactile session, whose plan has the board on_pad",
+    )  # fmt: skip
+    parser.add_argument("--pad", type=Path, metavar="PICTURE", help="the board where the pad's coat is")
+    parser.add_argument("--plan", type=Path, metavar="TOML", help="tactile plan whose [board] says what was printed")
+    parser.add_argument("--squares", metavar="NxM", help="squares along and across, for example 7x5")
+    parser.add_argument("--square-mm", type=float, metavar="MM", help="side of a printed square, measured")
+    parser.add_argument("--marker-mm", type=float, metavar="MM", help="side of a marker")
+    parser.add_argument("--dictionary", default="DICT_4X4_50", metavar="NAME", help="of OpenCV (default: DICT_4X4_50)")
+    parser.add_argument(
+        "--square-u-mm", type=float, metavar="MM", help="standard uncertainty of the side of a square; needed"
+    )
+    parser.add_argument(
+        "--coat-behind-mm", type=float, default=0.0, metavar="MM",
+        help="how far the coat lies behind the printed face, seen from the camera; negative: before it (default: 0)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--coat-behind-u-mm", type=float, default=0.0, metavar="MM", help="its standard uncertainty (default: 0)"
+    )
+    parser.add_argument("--lens-model", choices=("fisheye", "pinhole"), help="default: the one that fits better")
+    parser.add_argument("--monochrome", action="store_true", help="16-bit pictures are grey, not Bayer counts")
+    add_out(parser, "pixel-scale.json")
+    add_seed(parser)
+    parser.set_defaults(run=run_pixel_scale)
+
+
+def run_pixel_scale(arguments: argparse.Namespace) -> None:
+    """Calibrate, store and report."""
+    from data_schemas import CompareError, provenance
+    from data_schemas.storage import ProductSet, write_record
+    from finray_calib.exchange import calibration_yaml, read_board_picture
+    from finray_calib.sensing import Declared, find_board, pixel_scale, require_plausible
+
+    out = require_new(arguments.out or Path("pixel-scale.json"))
+    lens_file = require_new(out.with_suffix(".lens.yaml"))
+    board, pad, others = board_pictures(arguments)
+    require_plausible(board)
+    declared = Declared(*tolerances(arguments, board.square_mm))
+    files = [pad, *others]
+    pictures = {str(path): read_board_picture(path, arguments.monochrome) for path in files}
+    sizes = {picture.shape for picture in pictures.values()}
+    if len(sizes) > 1:
+        raise CompareError(f"the pictures have several sizes (rows x columns): {sorted(sizes)}; one camera has one")
+    views = [find_board(pictures[str(pad)], board, str(pad))]
+    for path in others:
+        try:
+            views.append(find_board(pictures[str(path)], board, str(path)))
+        except CompareError as error:
+            warn(f"left out: {error}")
+    height, width = next(iter(sizes))
+    record = pixel_scale(
+        views[0], views[1:], (width, height), board, declared, arguments.seed, arguments.lens_model, pictures
+    )
+    inputs = input_digests([*files, *([arguments.plan] if arguments.plan else [])])
+    with ProductSet(out) as products:
+        products.add(lens_file, calibration_yaml(record.calibration))
+        write_record(record, out, provenance(command_line(), inputs, arguments.seed), products)
+    say(_in_words(record, out, lens_file))
+
+
+def _in_words(record: "PixelScale", out: Path, lens_file: Path) -> str:
+    """Return what the user wants to know at once."""
+    middle, over = record.middle, record.over_board
+    lens = record.calibration
+    u_middle = sorted(((line.u_rel, line.input) for line in record.budget), reverse=True)
+    lines = [
+        f"{out}, {lens_file}: {lens.model} lens from {len(record.lens_pictures)} pictures, corners to "
+        f"{record.corner_sd_px:.2f} px",
+        f"  at column {middle.column_px:.0f}, row {middle.row_px:.0f} (middle of the board on the pad), standard "
+        "uncertainty u:",
+        f"    along x  {middle.along_x_mm_per_px:.5g} mm/px, u = {middle.along_x_u_rel:.2%}",
+        f"    along y  {middle.along_y_mm_per_px:.5g} mm/px, u = {middle.along_y_u_rel:.2%}",
+        f"    mean     {middle.mean_mm_per_px:.5g} mm/px, u = {middle.mean_u_rel:.2%} "
+        f"({', '.join(f'{name} {u:.2%}' for u, name in u_middle)})",
+        f"  over the board {over.along_x_low_mm_per_px:.4g} to {over.along_x_high_mm_per_px:.4g} mm/px along x, "
+        f"{over.along_y_low_mm_per_px:.4g} to {over.along_y_high_mm_per_px:.4g} mm/px along y",
+        f"  in a plan: mm_per_px = {middle.mean_mm_per_px:.5g}, mm_per_px_u_rel = {middle.mean_u_rel:.2g}",
+        *(f"  note: {note}" for note in record.notes),
+    ]
+    return "\n".join(lines)
+
+
+def board_pictures(arguments: argparse.Namespace) -> "tuple[CharucoBoard, Path, list[Path]]":
+    """Return the board, the picture of it on the pad, and the others, of files or of a session."""
+    from data_schemas import CompareError
+
+    files: list[Path] = arguments.lens
+    if len(files) == 1 and files[0].is_dir():
+        if any(value is not None for value in (arguments.pad, arguments.plan, arguments.squares)):
+            raise CompareError(f"{files[0]}: a session knows its pictures and its board; leave the other options out")
+        return _session_pictures(files[0])
+    if arguments.pad is None:
+        raise CompareError("--pad: missing; give the picture of the board where the coat of the pad is")
+    return _board(arguments), arguments.pad, _others(files, arguments.pad)
+
+
+def _others(files: list[Path], pad: Path) -> list[Path]:
+    """Return the pictures without that on the pad, which ``*.png`` gives once more; each counts once."""
+    from data_schemas import CompareError
+
+    others = [file for file in files if file.resolve() != pad.resolve()]
+    seen: set[Path] = set()
+    for file in others:
+        if file.resolve() in seen:
+            raise CompareError(f"{file}: is given twice; a picture counts once, name each of them once")
+        seen.add(file.resolve())
+    return others
+
+
+def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
+    """Return board and pictures of a tactile session: of each place that of the longest exposure that hardly clips."""
+    from data_schemas import CompareError, TactileSession
+    from data_schemas.storage import read_frame, read_record
+    from rigs.capture import MOST_SATURATED_FRACTION
+
+    session = read_record(folder / "session.json", TactileSession)
+    board = session.plan.board
+    if board is None or not board.on_pad:
+        raise CompareError(
+            f"{folder}: its plan does not say that the first picture shows the board on the pad ([board], on_pad = "
+            "true); give the pictures by name, and with --pad that of the board on the pad"
+        )
+    chosen: list[Path] = []
+    for place in range(1, board.images + 1):
+        frames = [f for f in session.frames if (f.frame_type, f.place) == ("board", place)]
+        frames.sort(key=lambda frame: frame.exposure_requested_s)
+        good = [frame for frame in frames if frame.saturated_fraction <= MOST_SATURATED_FRACTION]
+        if frames:
+            frame = good[-1] if good else frames[0]
+            read_frame(folder / frame.file, frame.sha256)
+            chosen.append(folder / frame.file)
+        elif place == 1:
+            raise CompareError(
+                f"{folder}: holds no picture of the board's first place, on the pad (was the session interrupted?): "
+                "capture it again, or give the pictures by name, and with --pad that of the board on the pad"
+            )
+    return board, chosen[0], chosen[1:]
+
+
+def _board(arguments: argparse.Namespace) -> "CharucoBoard":
+    """Return the board of the plan or of the options."""
+    from pydantic import ValidationError
+
+    from data_schemas import CharucoBoard, CompareError, TactilePlan, explain
+    from data_schemas.storage import read_toml
+
+    given = {name: getattr(arguments, name) for name in ("squares", "square_mm", "marker_mm")}
+    if arguments.plan is not None:
+        if any(value is not None for value in given.values()):
+            raise CompareError("--plan says what the board is; leave --squares, --square-mm and --marker-mm out")
+        plan = read_toml(arguments.plan, TactilePlan)
+        if plan.board is None:
+            raise CompareError(f"{arguments.plan}: has no [board] table; add it, or give --squares and --square-mm")
+        return plan.board
+    missing = [f"--{name.replace('_', '-')}" for name, value in given.items() if value is None]
+    if missing:
+        raise CompareError(
+            f"{', '.join(missing)}: missing, without the size of the printed squares no length is known; give them "
+            "(mm), or --plan with a [board] table"
+        )
+    along, separator, across = given["squares"].partition("x")
+    if not separator or not along.isdigit() or not across.isdigit():
+        raise CompareError(f"--squares {given['squares']}: must be two whole numbers such as 7x5")
+    try:
+        return CharucoBoard(
+            squares=(int(along), int(across)),
+            square_mm=given["square_mm"],
+            marker_mm=given["marker_mm"],
+            dictionary=arguments.dictionary,
+        )
+    except ValidationError as error:
+        raise CompareError(f"board: {explain(error, CharucoBoard)}") from None
+
+
+def tolerances(arguments: argparse.Namespace, square_mm: float) -> tuple[float, float, float]:
+    """Return u of the squares (relative), distance of the coat and its u (mm), if they are in range."""
+    from math import isfinite
+
+    from data_schemas import CompareError
+
+    u_mm: float | None = arguments.square_u_mm
+    behind_mm, behind_u_mm = float(arguments.coat_behind_mm), float(arguments.coat_behind_u_mm)
+    if u_mm is None:
+        raise CompareError(
+            "--square-u-mm: missing; measure all squares of a row with a calliper: its standard uncertainty (for "
+            "'within 0.05 mm' 0.05 / sqrt(3)) over the number of squares is that of one"
+        )
+    if not 0.0 <= u_mm <= 0.1 * square_mm:
+        raise CompareError(
+            f"--square-u-mm {u_mm:g}: must be 0 to {0.1 * square_mm:g} mm, a tenth of a square of {square_mm:g} mm"
+        )
+    if not (isfinite(behind_mm) and abs(behind_mm) <= 100.0 and 0.0 <= behind_u_mm <= 100.0):
+        raise CompareError(
+            f"--coat-behind-mm {behind_mm:g}, --coat-behind-u-mm {behind_u_mm:g}: must be -100 to 100 mm, and 0 to "
+            "100 mm"
+        )
+    return u_mm / square_mm, behind_mm, behind_u_mm
+
+
+NORMAL_MAP_HELP = "fit the map from colour to surface normal to captures of ball presses"
+NORMAL_MAP_DESCRIPTION = """\
+Fit the map from change of colour (and place in the picture) to surface normal, as a tactile sensor uses it, to
+at least 12 captures of ball presses with a known contact circle, and score it on random halves of them that it
+has not seen. 'finray import taxim' and 'finray import ball-presses' make such captures; those of
+'finray capture' get their circles from --circles."""
+
+
+def add_normal_map_study(studies: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the study."""
+    parser = studies.add_parser(
+        "normal-map",
+        help=NORMAL_MAP_HELP,
+        description=NORMAL_MAP_DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("captures", type=Path, nargs="+", metavar="CAPTURE", help="tactile captures of ball presses")
+    parser.add_argument(
+        "--circles", type=Path, metavar="CSV",
+        help="contact circles: image,column_px,row_px,radius_px, image being the capture's file name",
+    )  # fmt: skip
+    parser.add_argument(
+        "--scale", type=Path, metavar="FILE",
+        help="mm per pixel as 'finray study pixel-scale' measured it, in place of what the captures state",
+    )  # fmt: skip
+    add_out(parser, "normal-map.json")
+    add_seed(parser)
+    parser.set_defaults(run=run_normal_map)
+
+
+def run_normal_map(arguments: argparse.Namespace) -> None:
+    """Fit, store and report."""
+    from data_schemas import CompareError, TactileCapture, provenance
+    from data_schemas.storage import read_record, write_record
+    from finray_calib.sensing import normal_map_record, require_ball_press
+
+    out = require_new(arguments.out or Path("normal-map.json"))
+    files: list[Path] = arguments.captures
+    captures = _circled([read_record(path, TactileCapture) for path in files], files, arguments.circles)
+    captures = _scaled(captures, arguments.scale)
+    for path, capture in zip(files, captures, strict=True):
+        with naming(CompareError, path):
+            require_ball_press(capture)
+    others = "" if len(files) == 1 else f" and {len(files) - 1} more"
+    with naming(CompareError, Path(f"{files[0]}{others}")):
+        record = normal_map_record(captures, out.name.removesuffix(".json"), arguments.seed)
+    inputs = [*files, *(path for path in (arguments.circles, arguments.scale) if path)]
+    write_record(record, out, provenance(command_line(), input_digests(inputs), arguments.seed))
+    splits = len(record.held_out_angle_deg)
+    say(f"{out}: normal map of {record.presses} presses, {record.width_px} x {record.height_px} px")
+    say(f"  on presses it has not seen ({splits} random halves: median [least, most])")
+    say(f"  explains {_spread(record.held_out_explained_rel, 3)} of the squared slopes; 0 is knowing nothing")
+    say(f"  mean angle of its normals {_spread(record.held_out_angle_deg, 1)} deg")
+
+
+def _circled(captures: "list[TactileCapture]", files: list[Path], circles: Path | None) -> "list[TactileCapture]":
+    """Give captures the contact circles of a file."""
+    from data_schemas import CompareError
+    from finray_calib.exchange import read_circles
+
+    if circles is None:
+        return captures
+    found = read_circles(circles)
+    missing = [path.name for path in files if path.name not in found]
+    if missing:
+        raise CompareError(f"{circles}: no circle for {missing[0]}; add a line, or leave that capture out")
+    return [
+        capture.model_copy(update={"contact_circle": found[path.name]})
+        for capture, path in zip(captures, files, strict=True)
+    ]
+
+
+def _scaled(captures: "list[TactileCapture]", scale: Path | None) -> "list[TactileCapture]":
+    """Give captures the mean scale of a file, at the middle of the board on the pad."""
+    from data_schemas import CompareError, PixelScale
+    from data_schemas.storage import read_record
+    from finray_calib.sensing import with_measured_scale
+
+    if scale is None:
+        return captures
+    found = read_record(scale, PixelScale)
+    with naming(CompareError, scale):
+        return [with_measured_scale(capture, found) for capture in captures]
+
+
+def _spread(values: "NDArray[float64]", digits: int) -> str:
+    """Return median and range in words."""
+    import numpy as np
+
+    return f"{np.median(values):.{digits}f} [{values.min():.{digits}f}, {values.max():.{digits}f}]"

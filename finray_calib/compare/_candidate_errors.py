@@ -1,0 +1,400 @@
+"""How far each candidate image is from the captured one: the table of every region, and the error in sensing space.
+
+With the error of the colour alone, red and green as shares of all light, which points at paints and LED. In sensing
+space one normal map is applied to every candidate and to the capture.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import CompareError, ErrorRow, Interval, NormalMapRecord, RegionError, SensingRow, TactileCapture
+from data_schemas import SensingError as SensingRecord
+from finray_calib.compare._comparison import Comparison
+from finray_calib.compare._displayed_images import ShownCandidate
+from finray_calib.compare._input_draws import Drawn, ends
+from finray_calib.compare._photometric_error import ErrorDraws, RegionResult
+from finray_calib.compare._regions import usable_pixels
+from finray_calib.sensing import SensingError, check_senses, full_scale_dn, normal_map_of, sensing_error
+
+Floats = NDArray[np.float64]
+#: Below ten times its noise the sum is no divisor: shares would be biased by more than 1 %.
+LEAST_SUM_TO_NOISE = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class ChromaticityError:
+    """Hold the error of the chromaticity over a region.
+
+    Attributes
+    ----------
+    rms : float
+        Root mean square of the distance in the plane of R / (R + G + B) and G / (R + G + B); a share is 0..1.
+    mean_red, mean_green : float
+        Mean of simulated - captured share: the systematic part.
+    noise_rms : float
+        What noise alone would have given; its square was subtracted. 0 if no variance was given.
+    pixels_used : int
+        Pixels whose sum exceeds ten times its noise in both images.
+    """
+
+    rms: float
+    mean_red: float
+    mean_green: float
+    noise_rms: float
+    pixels_used: int
+
+
+def chromaticity_error(
+    simulated: Floats,
+    captured: Floats,
+    mask: NDArray[np.bool_],
+    simulated_variance: Floats | None = None,
+    captured_variance: Floats | None = None,
+) -> ChromaticityError:
+    r"""Return the RMS distance of the chromaticities (r, g) = (R, G) / (R + G + B).
+
+    .. math:: e^2 = \langle (r_S - r_D)^2 + (g_S - g_D)^2 \rangle - \langle u_r^2 + u_g^2 \rangle_S
+                    - \langle u_r^2 + u_g^2 \rangle_D, \quad
+              u_r^2 = [(1 - r)^2 u_R^2 + r^2 (u_G^2 + u_B^2)] / (R + G + B)^2
+
+    The noise is to first order, with channels independent. Valid for linear light with the black level removed; an
+    exposure factor does not change it.
+
+    Parameters
+    ----------
+    simulated, captured : ndarray, shape (H, W, 3)
+    mask : ndarray of bool, shape (H, W)
+    simulated_variance, captured_variance : ndarray, shape (H, W, 3), optional
+        Noise variance of each pixel, in the square of the image's unit. Pixels whose sum is below ten times its noise
+        in one image are left out; without a variance those whose sum is not positive.
+
+    Returns
+    -------
+    ChromaticityError
+
+    Raises
+    ------
+    CompareError
+        If shapes differ or no pixel is usable.
+    """
+    first, first_noise = _shares(simulated, simulated_variance)
+    second, second_noise = _shares(captured, captured_variance)
+    difference, noise_square = first - second, first_noise + second_noise
+    used = usable_pixels(mask, difference, np.broadcast_to(noise_square[..., None], difference.shape))
+    noise = float(noise_square[used].mean())
+    square = float((difference[used] ** 2).sum(axis=1).mean())
+    red, green = difference[used].mean(axis=0)
+    return ChromaticityError(
+        float(np.sqrt(max(square - noise, 0.0))), float(red), float(green), float(np.sqrt(noise)), int(used.sum())
+    )
+
+
+def _shares(image: Floats, variance: Floats | None) -> tuple[Floats, Floats]:
+    """Return red and green share (H, W, 2), NaN where the sum is too small, and their summed noise variance (H, W)."""
+    total = np.asarray(image.sum(axis=2))
+    noise_square = np.zeros_like(total) if variance is None else np.asarray(variance.sum(axis=2))
+    enough = (total > 0) & (total > LEAST_SUM_TO_NOISE * np.sqrt(noise_square))
+    divisor = np.where(enough, total, np.nan)
+    share = image[..., :2] / divisor[..., None]
+    if variance is None:
+        return share, np.zeros_like(total)
+    others = noise_square[..., None] - variance[..., :2]
+    noise = ((1 - share) ** 2 * variance[..., :2] + share**2 * others).sum(axis=2) / divisor**2
+    return share, noise
+
+
+Bools = NDArray[np.bool_]
+LARGEST_SKILL = 1.0
+"""Of a simulation without error."""
+
+_WITHHELD: Final = {"relative_rms": None, "difference_gradient_rms_per_px": None, "chromaticity_rms": None}
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedRegion:
+    """Hold what the rows of one region share.
+
+    Attributes
+    ----------
+    captured, captured_variance : ndarray, shape (H, W, 3)
+        Contact image and its noise.
+    used : ndarray of bool, shape (H, W)
+        Pixels of the region.
+    result : RegionResult
+        Draws of the region; estimates are their medians.
+    best : RegionResult or None
+        Where given, estimates are taken from it.
+    channel_weights : ndarray, shape (3,)
+    data_range_dn : float
+        Full scale above black.
+    linear : bool
+        Whether values are proportional to light.
+    is_headline : bool
+        Whether this is the headline region, which FLIP is taken over.
+    told : ndarray of bool, shape (3,)
+        Channels that contact changes beyond noise; the others have no skill of their own.
+    """
+
+    captured: Floats
+    captured_variance: Floats
+    used: Bools
+    result: RegionResult
+    best: RegionResult | None
+    channel_weights: Floats
+    data_range_dn: float
+    linear: bool
+    is_headline: bool
+    told: Bools
+
+
+def error_row(name: str, candidate: ShownCandidate, region: ComparedRegion, drawn_images: Floats | None) -> ErrorRow:
+    """Return the metrics of one candidate in one region.
+
+    Parameters
+    ----------
+    name, candidate
+        Which one, and its image.
+    region
+        Where, and against what.
+    drawn_images : ndarray, shape (draws, P, 3), or None
+        The candidate for draws of the inputs at the region's pixels.
+    """
+    images, centre = region.result.images, (region.best or region.result).images
+    skills = images.skill(name, region.channel_weights), centre.skill(name, region.channel_weights)
+    channels = np.where(region.told, np.median(centre.channel_skill(name), axis=0), np.nan)
+    mean_square = float(((candidate.image[region.used] - region.captured[region.used]) ** 2).mean())
+    differences = candidate.colour_difference[region.used]
+    ssim = candidate.similarity.mean_within(region.used)
+    linear = _of_linear_light(name, candidate, region, drawn_images) if region.linear else _WITHHELD
+    return ErrorRow.model_validate(
+        {
+            "candidate": name,
+            "skill": skill_interval(*skills),
+            "skill_per_channel": tuple(float(v) if np.isfinite(v) else None for v in channels),
+            **linear,
+            "psnr_db": 10.0 * np.log10(region.data_range_dn**2 / mean_square) if mean_square > 0.0 else None,
+            "ssim": ssim if np.isfinite(ssim) else None,
+            "ms_ssim": candidate.ms_ssim,
+            "flip_mean": candidate.flip if region.is_headline else None,
+            "ciede2000_mean": float(differences.mean()),
+            "ciede2000_p95": float(np.quantile(differences, 0.95)),
+        }
+    )
+
+
+def _of_linear_light(
+    name: str, candidate: ShownCandidate, region: ComparedRegion, drawn_images: Floats | None
+) -> dict[str, Any]:
+    """Return the metrics that only values proportional to light allow."""
+    result, centre = region.result, region.best or region.result
+    rms = result.images.relative_rms(name), centre.images.relative_rms(name)
+    gradients, central = result.gradients, centre.gradients
+    return {
+        "relative_rms": tuple(interval(rms[0][:, c], rms[1][:, c]) for c in range(3)),
+        "difference_gradient_rms_per_px": None
+        if gradients is None or central is None
+        else interval(gradients.relative_rms_of_all(name), central.relative_rms_of_all(name)),
+        # the floor is made of the capture itself and shares its noise
+        "chromaticity_rms": _chromaticity(
+            candidate,
+            region,
+            0.0 * region.captured_variance if name == "floor" else region.captured_variance,
+            drawn_images,
+        ),
+    }
+
+
+def interval(draws: Floats, centre: Floats) -> Interval:
+    """Return the 95 % interval of draws with the median of `centre` as estimate."""
+    low, high = ends(draws)
+    return Interval(estimate=float(np.median(centre)), low95=float(low), high95=float(high))
+
+
+def skill_interval(draws: Floats, centre: Floats) -> Interval:
+    """Return the 95 % interval of a skill, which ends at 1 at the latest; the estimate stays as it is.
+
+    No skill exceeds 1, so that an interval cut there holds the true one as often as before. With the noise taken out an
+    estimate scatters about its truth to both sides: one above 1 is not cut, or means over presses would be too low.
+    """
+    found = interval(draws, centre)
+    return found.model_copy(
+        update={"low95": min(found.low95, LARGEST_SKILL), "high95": min(found.high95, LARGEST_SKILL)}
+    )
+
+
+def _chromaticity(
+    candidate: ShownCandidate, region: ComparedRegion, captured_variance: Floats, drawn: Floats | None
+) -> Interval | None:
+    """Return the chromaticity error over the region with the spread of the drawn images; None of too noisy images."""
+    used = region.used
+    variance, of_capture = (v[used][None] for v in (candidate.variance, captured_variance))
+    real = region.captured[used][None]
+    everywhere = np.ones(real.shape[:2], dtype=np.bool_)
+    images = candidate.image[used][None] if drawn is None else drawn
+    try:
+        values = np.array([chromaticity_error(i[None], real, everywhere, variance, of_capture).rms for i in images])
+    except CompareError:
+        return None
+    # noise that makes up all of it leaves nothing to tell
+    return interval(values, values) if np.median(values) > 0.0 else None
+
+
+CHROMATICITY_DRAWS = 100
+
+
+def region_records(
+    comparison: Comparison,
+    draws: ErrorDraws,
+    candidates: dict[str, ShownCandidate],
+    clipped: NDArray[np.bool_],
+    capture: TactileCapture,
+    conditioned: Drawn | None,
+) -> tuple[RegionError, ...]:
+    """Return the table of every region.
+
+    Parameters
+    ----------
+    comparison, draws
+        Both sides, and the draws of every region.
+    candidates
+        The images by name.
+    clipped : ndarray of bool, shape (H, W)
+        Where a captured image is at full scale.
+    capture
+        Tells encoding and full scale.
+    conditioned
+        Draws of the inputs, for the interval of the simulation's chromaticity; without them it has no width.
+    """
+    weights = None if conditioned is None else _drawn_weights(comparison, conditioned)
+    records = []
+    for i, (region, used) in enumerate(zip(comparison.regions, comparison.used, strict=True)):
+        compared = _compared(comparison, draws, capture, i)
+        drawn = {} if weights is None else {"simulation": _drawn_images(comparison, weights, used)}
+        records.append(
+            RegionError(
+                region=region.name,
+                factor=region.factor,
+                pixels=int(used.sum()),
+                clipped_fraction=float(clipped[region.mask].mean()),
+                rows=tuple(error_row(name, c, compared, drawn.get(name)) for name, c in candidates.items()),
+            )
+        )
+    return tuple(records)
+
+
+def _compared(comparison: Comparison, draws: ErrorDraws, capture: TactileCapture, i: int) -> ComparedRegion:
+    """Return what the rows of region `i` share."""
+    captured = comparison.captured
+    return ComparedRegion(
+        captured=captured.contact,
+        captured_variance=captured.variance(captured.contact),
+        used=comparison.used[i],
+        result=draws.regions[i],
+        best=None if draws.whole is None else draws.whole[i],
+        channel_weights=comparison.channel_weights,
+        data_range_dn=full_scale_dn(capture),
+        linear=capture.encoding == "linear",
+        is_headline=i == len(comparison.regions) - 1,
+        told=comparison.sums[i].told,
+    )
+
+
+def _drawn_weights(comparison: Comparison, drawn: Drawn) -> Floats:
+    """Return the weights of the render's layers at the level of the capture, (draws, 3, L), for the first draws."""
+    return (comparison.exposure_of(drawn.matrix)[:, None, None] * drawn.weights)[:CHROMATICITY_DRAWS]
+
+
+def _drawn_images(comparison: Comparison, weights: Floats, used: NDArray[np.bool_]) -> Floats:
+    """Return the render at the pixels of a region, (draws, P, 3)."""
+    poses = () if comparison.inputs is None else comparison.inputs.pose_names
+    first, second = comparison.layers.halves("contact", used, poses)
+    return np.asarray(np.einsum("dcl,pl->dpc", weights, (first + second) / 2.0))
+
+
+SENSED_DRAWS = 40
+"""Of the inputs: whole images are sensed; the ends of an interval of 40 draws are its second smallest and largest."""
+
+
+def sensing_record(
+    comparison: Comparison,
+    normal_map: NormalMapRecord,
+    capture: TactileCapture,
+    candidates: dict[str, Floats],
+    block_px: int,
+    conditioned: Drawn | None,
+) -> SensingRecord:
+    """Sense every candidate image and the capture with one map, over the headline region.
+
+    Parameters
+    ----------
+    comparison
+        Both sides.
+    normal_map
+        Of the capture's sensor.
+    capture
+        Refused where the map was taught by another encoding.
+    candidates
+        Name -> image (H, W, 3) at the level of the capture.
+    block_px
+        Side of the blocks that the images are means of.
+    conditioned
+        Draws of the inputs, for the interval of the simulation; without them an interval has no width.
+
+    Raises
+    ------
+    CompareError
+        The map belongs to another encoding or size.
+    """
+    check_senses(normal_map, capture)
+    senses = normal_map_of(normal_map)
+    captured, layers, k = comparison.captured, comparison.layers, comparison.best_exposure
+    rest = k * layers.rgb(layers.no_contact)
+    mm_per_px = normal_map.mm_per_px * block_px
+
+    def sensed(image: Floats, without: Floats) -> SensingError:
+        used = comparison.used[-1]
+        return sensing_error(senses, image, without, captured.contact, captured.no_contact, used, mm_per_px)
+
+    found = {name: sensed(i, rest if name == "simulation" else captured.no_contact) for name, i in candidates.items()}
+    spread = [] if conditioned is None else [sensed(*pair) for pair in _drawn_renders(comparison, conditioned)]
+    scores = normal_map.held_out_explained_rel
+    return SensingRecord(
+        normal_map=normal_map.name,
+        presses=normal_map.presses,
+        held_out_explained_rel=Interval(
+            estimate=float(np.median(scores)), low95=float(scores.min()), high95=float(scores.max())
+        ),
+        outside_share_simulated=found["simulation"].outside_share_simulated,
+        outside_share_captured=found["simulation"].outside_share_captured,
+        mm_per_px_u_rel=normal_map.mm_per_px_u_rel,
+        rows=tuple(_sensing_row(name, error, spread if name == "simulation" else []) for name, error in found.items()),
+    )
+
+
+def _drawn_renders(comparison: Comparison, drawn: Drawn) -> list[tuple[Floats, Floats]]:
+    """Return the render with and without contact for the first draws."""
+    layers, weights = comparison.layers, drawn.weights[:SENSED_DRAWS]
+    exposure = comparison.exposure_of(drawn.matrix[:SENSED_DRAWS])
+    count = layers.matrix.shape[1]
+    poses = [layers.pose_names.index(n) for n in (comparison.inputs.pose_names if comparison.inputs else ())]
+    contact = np.concatenate([layers.contact, *(layers.pose[n] for n in poses)], axis=-1)
+    return [
+        (k * (contact @ w.T), k * (layers.no_contact @ w[:, :count].T)) for k, w in zip(exposure, weights, strict=True)
+    ]
+
+
+def _sensing_row(name: str, error: SensingError, spread: list[SensingError]) -> SensingRow:
+    """Return the record of one candidate."""
+    fields = ("normal_angle_mean_deg", "normal_angle_p95_deg", "depth_rms_mm")
+    return SensingRow.model_validate(
+        {"candidate": name, **{f: _sensed_interval(getattr(error, f), [getattr(s, f) for s in spread]) for f in fields}}
+    )
+
+
+def _sensed_interval(best: float, draws: list[float]) -> Interval:
+    """Return the interval of some draws; the value itself where there are none."""
+    low, high = ends(np.array(draws)) if draws else (best, best)
+    return Interval(estimate=float(np.median(draws)) if draws else best, low95=float(low), high95=float(high))

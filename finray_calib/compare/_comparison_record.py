@@ -1,0 +1,342 @@
+"""From one simulated press and one tactile capture to the photometric error report.
+
+What goes before it: do the images belong together, and does the camera stand where it should. What goes with it: what a
+reader must know, namely what the intervals cover, what they leave out, and what is withheld.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import (
+    CompareError,
+    InputUncertainty,
+    MonteCarlo,
+    NormalMapRecord,
+    ObjectiveError,
+    PhotometricErrorReport,
+    PixelScale,
+    SensingError,
+    SimulatedPress,
+    TactileCapture,
+    ValidationCell,
+    finger_identity,
+)
+from finray_calib.compare._candidate_errors import region_records, sensing_record
+from finray_calib.compare._comparison import LARGEST_HEADLINE_NOISE, Comparison, quiet_comparison
+from finray_calib.compare._displayed_images import SSIM_SETTINGS, ShownCandidate, full_frame_ssim, shown_candidates
+from finray_calib.compare._input_draws import POSE, Drawn, Inputs, Propagated, generator_of
+from finray_calib.compare._mismatch import find_mismatches, require_no_mismatch
+from finray_calib.compare._photometric_error import (
+    ErrorDraws,
+    captured_share,
+    error_draws,
+    objective_error,
+    ring_of,
+    uncertainty_budget,
+    validation_cells,
+)
+from finray_calib.compare._prepared_images import prepare_images, require_same_conditions
+from finray_calib.compare._regions import DILATED, FACTORS
+from finray_calib.compare._registration import move_press, register_press
+from finray_calib.sensing import patch_scale, rgb_image, scale_finding, with_measured_scale
+
+#: How the finding begins that says that the camera stands where the render has it.
+NO_DRIFT = "no drift of the camera to speak of"
+_ONE_PICTURE = (
+    "a drift of the camera cannot be told: the prediction begins from the capture's own image without contact, so that "
+    "both stand alike whatever the camera did"
+)
+_WHAT_TO_DO = (
+    "Check that the render has the camera, the design and the light angle of the capture, or calibrate the camera with "
+    "a ChArUco board and simulate with that calibration"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CheckOptions:
+    """What to do with what the checks find.
+
+    Attributes
+    ----------
+    registered : bool
+        Move the render by the drift of the camera that was found; else the drift is only told. The render stands where
+        the calibrated camera puts it, so that a drift is a fact about the rig, which a silent correction would hide.
+    despite_mismatch : bool
+        Compare images that do not belong together; the findings stand in the report.
+    normal_map : NormalMapRecord or None
+        Of the capture's sensor, for the error in sensing space.
+    pixel_scale : PixelScale or None
+        Of the capture's camera, for the sizes of patch and halo in mm; it takes the place of what the capture states.
+    """
+
+    registered: bool = False
+    despite_mismatch: bool = False
+    normal_map: NormalMapRecord | None = None
+    pixel_scale: PixelScale | None = None
+
+
+def compare_checked(
+    press: SimulatedPress, capture: TactileCapture, seed: int, options: CheckOptions | None = None
+) -> tuple[PhotometricErrorReport, SimulatedPress]:
+    """Compare a press with a capture after checking that they belong together.
+
+    Returns
+    -------
+    PhotometricErrorReport
+        What the checks found stands in its `findings`; `forced_mismatch` where they would have refused it.
+    SimulatedPress
+        The press as it was compared: moved, if that was asked for and the camera has drifted.
+
+    Raises
+    ------
+    CompareError
+        The images do not belong together, cannot be compared (see `compare_press`), or the registration that was asked
+        for cannot be trusted.
+    """
+    chosen = options or CheckOptions()
+    # before the images: a press elsewhere looks like another exposure
+    require_same_conditions(press, capture)
+    findings = find_mismatches(press, capture)
+    if not chosen.despite_mismatch:
+        require_no_mismatch(findings)
+    compared, told = _placed_press(press, capture, chosen.registered)
+    checks = (*(f"{f.about}: {f.text}" for f in findings), *told)
+    scale, scaled = None, capture
+    if chosen.pixel_scale is not None:
+        scaled = with_measured_scale(capture, chosen.pixel_scale)
+    report = compare_press(compared, scaled, seed, chosen.normal_map)
+    if chosen.pixel_scale is not None:
+        scale = patch_scale(chosen.pixel_scale, capture, compared.distance, FACTORS)
+        other = scale_finding(scale, capture)
+        checks = checks if other is None else (*checks, other)
+    forced = any(f.severity == "refuse" for f in findings)
+    found = {"findings": (*report.findings, *checks), "forced_mismatch": forced, "patch_scale": scale}
+    return report.model_copy(update=found), compared
+
+
+def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bool) -> tuple[SimulatedPress, list[str]]:
+    """Return the press, moved if asked, and what to tell of the camera's drift."""
+    if _begins_from(press, capture):
+        return press, [_ONE_PICTURE]
+    try:
+        found, state = register_press(press, capture)
+    except CompareError as error:
+        if registered:
+            raise CompareError(f"{error}. {_WHAT_TO_DO}, or compare without --register") from None
+        return press, [f"whether the camera stands where the render has it cannot be told: {error}. {_WHAT_TO_DO}"]
+    if not found.significant:
+        return press, [f"{NO_DRIFT}, by the images with {state}: {found}"]
+    if not registered:
+        return press, [f"the camera has drifted, by the images with {state}: {found}; --register moves the render"]
+    return move_press(press, found.to_render), [f"the render was moved, by the images with {state}: {found}"]
+
+
+def _begins_from(press: SimulatedPress, capture: TactileCapture) -> bool:
+    """Return whether the image without contact of a press is that of the capture itself."""
+    own = rgb_image(capture.no_contact, capture)
+    seen = np.isfinite(own)
+    return press.no_contact.shape == own.shape and np.array_equal(
+        press.no_contact[seen], own[seen].astype(press.no_contact.dtype)
+    )
+
+
+Floats = NDArray[np.float64]
+CONDITIONED_DRAWS = 2000
+"""Draws that the chromaticity's are the first of: fewer do not settle how inputs and levels hang together."""
+
+
+def compare_press(
+    press: SimulatedPress, capture: TactileCapture, seed: int, normal_map: NormalMapRecord | None = None
+) -> PhotometricErrorReport:
+    """Compare a render (or table prediction) with a capture over the contact patch and its halo.
+
+    Squared errors are those of the noise-free images: the render's noise is taken out by its two independent halves,
+    the camera's by what the two no-contact images tell of it. Intervals propagate paints, camera, pose, drift and noise
+    (JCGM 101); for images of which no input is known to be uncertain they come from parts of the region.
+
+    Parameters
+    ----------
+    press
+        Simulated contact and no-contact images with the distance map that defines the regions.
+    capture
+        Contact, no-contact and repeat images of the same press.
+    seed
+        Seed of the draws that belong to this capture alone.
+    normal_map
+        From colour to normals, of the capture's sensor: both sides are then compared in sensing space too.
+
+    Raises
+    ------
+    CompareError
+        The images differ in size, linear light would be compared with encoded values, contact changes nothing, or the
+        render is black.
+    """
+    linear, rng = capture.encoding == "linear", generator_of(capture, seed)
+    images, comparison = quiet_comparison(prepare_images(press, capture), capture)
+    draws = error_draws(comparison, rng)
+    candidates = shown_candidates(comparison, capture)
+    conditioned = _conditioned(comparison, rng)
+    records = region_records(comparison, draws, candidates, images.clipped, capture, conditioned)
+    headline = next(row for row in records[-1].rows if row.candidate == "simulation")
+    statements = _statements(comparison, images.distance, capture, draws, rng)
+    exposure = None if draws.propagated is None else draws.propagated.draws["exposure"]
+    red, green, blue = (float(w) for w in comparison.channel_weights)
+    return PhotometricErrorReport(
+        simulated=press.name,
+        captured=capture.name,
+        finger=None if press.design is None else finger_identity(press.design),
+        label=press.label,
+        values="linear light" if linear else "encoded values, encoding unknown",
+        block_px=images.block_px,
+        headline_region=DILATED,
+        headline_skill=headline.skill,
+        regions=records,
+        ssim_full_frame=full_frame_ssim(candidates),
+        ssim_settings=SSIM_SETTINGS,
+        exposure_factor=comparison.best_exposure if linear else None,
+        exposure_factor_sd=None if exposure is None else float(exposure.std(ddof=1)),
+        channel_weights=(red, green, blue),
+        objective_error=statements.objective,
+        light_angle_deg=capture.light_angle_deg,
+        light_angle_uncertainty_deg=capture.light_angle_uncertainty_deg,
+        interval_covers=COVERS_PARTS if draws.propagated is None else COVERS_INPUTS,
+        monte_carlo=monte_carlo(draws.propagated, press, comparison.inputs),
+        budget=statements.budget,
+        validation=statements.validation,
+        sensing=_sensing(comparison, normal_map, capture, candidates, images.block_px, rng),
+        error_map=_error_map(candidates["simulation"].image, comparison),
+        withheld=withheld(press, capture, draws.propagated is not None),
+        notes=notes_of(press, capture, images.block_px),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Statements:
+    """What only linear light allows: error of the sweep's objective, budget and validation."""
+
+    objective: ObjectiveError | None = None
+    budget: tuple[InputUncertainty, ...] = ()
+    validation: tuple[ValidationCell, ...] = ()
+
+
+def _conditioned(comparison: Comparison, rng: np.random.Generator) -> Drawn | None:
+    """Return draws of the inputs narrowed by the captured levels, None where no input has a known uncertainty."""
+    if comparison.inputs is None or comparison.layers.inputs is None:
+        return None
+    return comparison.conditioned(comparison.inputs.draw(CONDITIONED_DRAWS, rng), rng)
+
+
+def _statements(
+    comparison: Comparison, distance: Floats, capture: TactileCapture, draws: ErrorDraws, rng: np.random.Generator
+) -> _Statements:
+    """Return objective, budget and validation, for linear light whose inputs are known."""
+    inputs = comparison.inputs
+    if inputs is None or draws.propagated is None:
+        return _Statements()
+    captured = comparison.captured
+    usable: NDArray[np.bool_] = np.asarray(np.isfinite(captured.contact).all(axis=2), dtype=np.bool_)
+    ring = ring_of(distance, usable)
+    share = captured_share(comparison, ring, np.isfinite(distance))
+    return _Statements(
+        objective_error(comparison, inputs, ring, share, capture, rng),
+        uncertainty_budget(comparison, inputs, ring, share, capture, rng),
+        validation_cells(comparison, inputs, rng),
+    )
+
+
+def _sensing(
+    comparison: Comparison,
+    normal_map: NormalMapRecord | None,
+    capture: TactileCapture,
+    candidates: dict[str, ShownCandidate],
+    block_px: int,
+    rng: np.random.Generator,
+) -> SensingError | None:
+    """Return the error in sensing space, where there is a map to sense with."""
+    if normal_map is None:
+        return None
+    images = {name: candidate.image for name, candidate in candidates.items()}
+    return sensing_record(comparison, normal_map, capture, images, block_px, _conditioned(comparison, rng))
+
+
+def _error_map(simulated: Floats, comparison: Comparison) -> NDArray[np.float32]:
+    """Return the error per pixel: rms over channels of (simulated - captured) / mean no-contact level."""
+    captured = comparison.captured
+    level = np.nanmean(captured.no_contact, axis=(0, 1))
+    error: Floats = np.sqrt((((simulated - captured.contact) / level) ** 2).mean(axis=-1))
+    return error.astype(np.float32)
+
+
+COVERS_INPUTS = (
+    "the metric between the noise-free capture and the noise-free render with the true paints, camera and pose: what "
+    "the inputs of the budget leave open, with 95 % probability; noise is taken out of every error"
+)
+COVERS_PARTS = (
+    "how much a number depends on which part of the region was looked at (tiles drawn with replacement): no input of "
+    "this image has a known uncertainty"
+)
+ALWAYS_UNKNOWN = (
+    "another press, day or finger: that needs more captures",
+    "the fixed pattern of the camera, and light that the design does not hold",
+)
+
+
+def monte_carlo(draws: Propagated | None, press: SimulatedPress, inputs: Inputs | None) -> MonteCarlo | None:
+    """Say how the intervals were propagated and what they leave out."""
+    if draws is None or inputs is None:
+        return None
+    left_out = [*ALWAYS_UNKNOWN]
+    known = press.known_inputs.names if press.known_inputs is not None else ()
+    left_out += [
+        f"the {name}, of which the press holds no draws"
+        for name in ("red paint", "green paint", "camera response")
+        if name not in known
+    ]
+    left_out += [
+        f"the {POSE[name]}: the capture states no uncertainty of it, or the render no derivative (--pose-response)"
+        for name in POSE
+        if name not in inputs.pose_names
+    ]
+    return MonteCarlo(
+        draws=len(draws.draws["exposure"]),
+        significant_digits=draws.significant_digits,
+        not_included=tuple(left_out),
+    )
+
+
+def withheld(press: SimulatedPress, capture: TactileCapture, is_propagated: bool) -> tuple[str, ...]:
+    """Say which figures an unknown encoding, or a press of unknown inputs, does not allow."""
+    if is_propagated:
+        return ()
+    if capture.encoding == "linear":
+        return (
+            "the error of the sweep's objective, budget and validation are not given: no input of "
+            f"{press.name} has a known uncertainty",
+        )
+    return (
+        "relative RMS, gradient and colour error, exposure factor, objective and validation are not given: the "
+        f"encoding of {capture.name} is unknown, so its values are not proportional to light",
+    )
+
+
+def notes_of(press: SimulatedPress, capture: TactileCapture, block_px: int) -> tuple[str, ...]:
+    """Collect what a reader must know."""
+    notes, linear = list(press.notes), capture.encoding == "linear"
+    if block_px > 1:
+        notes.append(
+            f"compared over blocks of {block_px} x {block_px} px, at most a quarter of the contact's half-width, so "
+            f"that noise leaves the headline uncertain by {LARGEST_HEADLINE_NOISE:g}, or as little as such blocks allow"
+        )
+    if capture.repeat_no_contact is None:
+        notes.append("no repeat of the no-contact image: neither the floor nor the camera's noise is known")
+        notes.append(
+            "that there is a touch was told from noise as neighbouring pixels show it: noise that they share (JPEG, "
+            "interpolated colours) can pass for a touch"
+        )
+    elif not linear:
+        notes.append("the noise of encoded images is not known: it stays in their errors")
+    if linear and press.contact_half_difference is None:
+        notes.append("the render holds no halves: its noise stays in its errors")
+    return tuple(notes)

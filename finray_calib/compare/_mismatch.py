@@ -1,0 +1,446 @@
+"""Find images that do not belong together: channel order, exposure, encoding, bit depth and black level.
+
+Such mistakes spoil more comparisons than optics does, and a fitted factor would hide them. Every finding carries its
+numbers. What the images cannot tell gives no finding: a grey sensor does not show its channel order.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import CompareError, SimulatedPress, TactileCapture
+from finray_calib.compare._image_noise import block_mean
+from finray_calib.sensing import rgb_image
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Severity = Literal["refuse", "warn"]
+Subject = Literal["channel order", "exposure", "encoding", "levels"]
+#: Means over blocks bring noise of render and sensor below what the rules look for.
+_BLOCK_PX = 8
+_LEAST_BLOCKS = 24
+#: Beyond this many half-widths from the contact the light should be that of no contact.
+_OFF_CONTACT = 3.0
+#: Off-contact level of contact over no contact beside that of the render. Real repeats differ by 1 % (9DTact), digital
+#: twins by up to 1.5 %, very noisy ones by 5 %; a stop of exposure is 100 %.
+_WARN_LEVEL_REL, _REFUSE_LEVEL_REL = 0.05, 0.15
+_TIMES_REPEAT = 4.0
+#: Channel orders: noise floor of the rule between two captures (9DTact shows an exchange with 1.3 %), and between a
+#: render and a capture, where model errors of 30 % are common.
+_CAPTURES_DIFFER_REL, _RENDER_DIFFERS_REL = 0.01, 0.1
+#: Exponent between render and capture: sRGB gives 0.45; valid pairs gave 0.97 to 1.03 (rendered with light transport),
+#: 0.97 to 1.17 (without).
+_REFUSE_EXPONENT, _WARN_EXPONENT = 0.67, 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One mismatch, with its evidence in numbers and what to do."""
+
+    severity: Severity
+    about: Subject
+    text: str
+
+
+def find_mismatches(press: SimulatedPress, capture: TactileCapture) -> tuple[Finding, ...]:
+    """Look for mismatches between a render, a capture and the capture's own no-contact image.
+
+    * channel order: an exchange of channels fits clearly better than the order as stored (see `better_order`);
+    * exposure or gain: far from the contact, contact and no contact differ by more than the render and the repeat
+      explain;
+    * encoding: the capture grows with a power of the render's level, or has an offset (see `tone_curve`);
+    * bit depth and black level: see `level_findings`.
+
+    Parameters
+    ----------
+    press, capture
+        Of one size in pixels (cells of a Bayer capture).
+
+    Returns
+    -------
+    tuple of Finding
+        Those to refuse first.
+
+    Raises
+    ------
+    CompareError
+        The sizes differ.
+    """
+    contact, no_contact = rgb_image(capture.contact, capture), rgb_image(capture.no_contact, capture)
+    if press.contact.shape != contact.shape:
+        raise CompareError(
+            f"{press.name} has {press.contact.shape[1]} x {press.contact.shape[0]} px, {capture.name} has "
+            f"{contact.shape[1]} x {contact.shape[0]} px: simulate with the camera of the capture"
+        )
+    repeat = None if capture.repeat_no_contact is None else rgb_image(capture.repeat_no_contact, capture)
+    scene = _scene(press, contact, no_contact, repeat)
+    findings = [Finding("refuse" if sure else "warn", "levels", text) for sure, text in level_findings(capture)]
+    if scene is not None and press.encoding == capture.encoding:
+        findings += [*_order_findings(scene, capture.name), *_exposure_findings(scene, capture)]
+        if capture.encoding == "linear":
+            findings += _encoding_findings(scene, capture)
+    return tuple(sorted(findings, key=lambda f: f.severity != "refuse"))
+
+
+def require_no_mismatch(findings: Sequence[Finding]) -> None:
+    """Raise with all findings that must be refused; do nothing when there are only warnings.
+
+    Raises
+    ------
+    CompareError
+        At least one finding must be refused.
+    """
+    refused = [f.text for f in findings if f.severity == "refuse"]
+    if refused:
+        raise CompareError("the images do not belong together: " + "; ".join(refused))
+
+
+@dataclass(frozen=True, slots=True)
+class _Scene:
+    """Block means, shape (blocks, 3), over the blocks that every image sees; `off` marks those far from the contact."""
+
+    simulated: Floats
+    simulated_no_contact: Floats
+    contact: Floats
+    no_contact: Floats
+    repeat: Floats | None
+    off: Mask
+
+    @property
+    def has_surround(self) -> bool:
+        """Whether enough of the picture is far from the contact."""
+        return int(self.off.sum()) >= _LEAST_BLOCKS
+
+
+def _scene(press: SimulatedPress, contact: Floats, no_contact: Floats, repeat: Floats | None) -> _Scene | None:
+    """Return block means; None where too few blocks have light in every image."""
+    side = max(1, min(_BLOCK_PX, min(contact.shape[:2]) // 15))
+    images = [press.contact.astype(np.float64), press.no_contact.astype(np.float64), contact, no_contact]
+    images += [] if repeat is None else [repeat]
+    distance = block_mean(press.distance.astype(np.float64), side)
+    blocks = [block_mean(image, side) for image in images]
+    used = np.isfinite(distance)
+    for image in blocks:
+        used &= np.isfinite(image).all(axis=2) & (np.nan_to_num(image) > 0).all(axis=2)
+    if int(used.sum()) < _LEAST_BLOCKS:
+        return None
+    values = [image[used] for image in blocks]
+    return _Scene(
+        simulated=values[0],
+        simulated_no_contact=values[1],
+        contact=values[2],
+        no_contact=values[3],
+        repeat=None if repeat is None else values[4],
+        off=distance[used] > _OFF_CONTACT,
+    )
+
+
+def _order_findings(scene: _Scene, name: str) -> list[Finding]:
+    """Compare channel orders of contact with no contact, and of no contact with the render."""
+    findings = []
+    if scene.has_surround:
+        off = scene.off
+        drift = 0.0 if scene.repeat is None else _spread(scene.repeat[off], scene.no_contact[off])
+        better = better_order(scene.no_contact[off], scene.contact[off], max(_CAPTURES_DIFFER_REL, 2 * drift))
+        if better is not None:
+            findings.append(
+                Finding(
+                    "refuse" if better.clear else "warn",
+                    "channel order",
+                    f"the contact image of {name} fits its own no-contact image as {better}: store both in one order",
+                )
+            )
+    better = better_order(scene.simulated_no_contact, scene.no_contact, _RENDER_DIFFERS_REL)
+    if better is not None:
+        findings.append(
+            Finding(
+                "refuse" if better.clear else "warn",
+                "channel order",
+                f"the no-contact image of {name} fits the render as {better}: check the channel order of the capture "
+                "(OpenCV's is BGR), its Bayer pattern, and that no two paints are exchanged",
+            )
+        )
+    return findings
+
+
+def _spread(first: Floats, second: Floats) -> float:
+    """Return the standard deviation of the log ratio over pixels and channels."""
+    return float(np.log(first / second).std())
+
+
+def _exposure_findings(scene: _Scene, capture: TactileCapture) -> list[Finding]:
+    """Compare the level far from the contact with and without it."""
+    if not scene.has_surround:
+        return []
+    off = scene.off
+    real = scene.contact[off].sum(axis=0) / scene.no_contact[off].sum(axis=0)
+    expected = scene.simulated[off].sum(axis=0) / scene.simulated_no_contact[off].sum(axis=0)
+    factors = real / expected
+    # the middle one: a single channel may be dark
+    factor = float(np.median(factors))
+    drift = 0.0
+    if scene.repeat is not None:
+        drift = float(np.median(np.abs(np.log(scene.repeat[off].sum(axis=0) / scene.no_contact[off].sum(axis=0)))))
+    beyond, threshold = abs(np.log(factor)), _TIMES_REPEAT * drift
+    if beyond <= max(_WARN_LEVEL_REL, threshold):
+        return []
+    channels = ", ".join(f"{f:.3f}" for f in factors)
+    text = (
+        f"far from the contact (beyond {_OFF_CONTACT:g} half-widths) the contact image of {capture.name} is "
+        f"{factor:.3f} times as bright as its no-contact image, after what the render expects (red, green, blue: "
+        f"{channels}); the repeat differs by {drift:.1%}: "
+    )
+    stops = float(np.log2(factor))
+    if abs(stops - round(stops)) < 0.05 and abs(round(stops)) >= 2:
+        text += f"that is 2 to the power {round(stops)}, as between images of different bit depth; "
+    text += "capture both with the same exposure, gain, white balance and bit depth"
+    sure = beyond > max(_REFUSE_LEVEL_REL, threshold)
+    return [Finding("refuse" if sure else "warn", "exposure", text)]
+
+
+def _encoding_findings(scene: _Scene, capture: TactileCapture) -> list[Finding]:
+    """Compare the curve of the capture against the render's levels with a straight line through zero."""
+    curve = tone_curve(scene.simulated_no_contact, scene.no_contact)
+    if curve is None or _WARN_EXPONENT <= curve.exponent <= 1 / _WARN_EXPONENT:
+        return []
+    sure = not _REFUSE_EXPONENT <= curve.exponent <= 1 / _REFUSE_EXPONENT
+    text = (
+        f"the no-contact image of {capture.name} is recorded as linear, but its {curve.channel} channel grows with the "
+        f"render's level to the power {curve.exponent:.2f} (1 for linear light, 0.45 for sRGB; correlation "
+        f"{curve.correlation:.2f}): "
+    )
+    if curve.offset_fits_better:
+        text += (
+            f"a constant of {curve.offset_dn:.0f} DN on top of linear light explains it better: check black_level_dn "
+            "and stray light"
+        )
+    else:
+        text += "it went through a tone curve: capture raw frames, or record its encoding as unknown"
+    return [Finding("refuse" if sure else "warn", "encoding", text)]
+
+
+#: An exchange must at least halve the disagreement to be sure, and take a quarter off it to be mentioned.
+_SURE, _LIKELY = 0.5, 0.75
+
+
+@dataclass(frozen=True, slots=True)
+class BetterOrder:
+    """An order of channels that fits better than the stored one.
+
+    Attributes
+    ----------
+    order : str
+        Channels of the second image as they should be read, such as "BGR".
+    differs_rel, differs_as_stored_rel : float
+        Standard deviation of the logarithm of the ratio of both images with this order and as stored.
+    correlation, correlation_as_stored : float
+        Mean over channels of the correlation of the logarithms over the picture: the pattern, whatever the levels.
+    """
+
+    order: str
+    differs_rel: float
+    differs_as_stored_rel: float
+    correlation: float
+    correlation_as_stored: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether levels and patterns both speak for it."""
+        return self.differs_rel < _SURE * self.differs_as_stored_rel and self.correlation > self.correlation_as_stored
+
+    def __str__(self) -> str:
+        """Say it with its numbers."""
+        return (
+            f"{self.order} much better than as RGB (they differ by {self.differs_rel:.1%} against "
+            f"{self.differs_as_stored_rel:.1%} after one gain; their patterns correlate by {self.correlation:.2f} "
+            f"against {self.correlation_as_stored:.2f})"
+        )
+
+
+def better_order(first: Floats, second: Floats, floor_rel: float) -> BetterOrder | None:
+    """Return the order of the second image's channels that fits the first clearly better than the stored one.
+
+    The disagreement is the standard deviation of log(second / first) over pixels and channels: one gain for all
+    channels is free. Valid for channels that differ in level or in pattern; of a grey scene no order is better.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (P, 3)
+        Positive values of the same places.
+    floor_rel : float
+        Disagreement that is expected of a right order; below it nothing is said.
+
+    Returns
+    -------
+    BetterOrder or None
+    """
+    reference, values = np.log(first), np.log(second)
+    spreads = {order: float((values[:, order] - reference).std()) for order in permutations(range(3))}
+    stored = (0, 1, 2)
+    best = min(spreads, key=spreads.__getitem__)
+    if spreads[stored] <= floor_rel or spreads[best] >= _LIKELY * spreads[stored]:
+        return None
+    return BetterOrder(
+        "".join("RGB"[c] for c in best),
+        spreads[best],
+        spreads[stored],
+        _correlation(reference, values[:, best]),
+        _correlation(reference, values),
+    )
+
+
+def _correlation(first: Floats, second: Floats) -> float:
+    """Return the mean over channels of the correlation over pixels; a channel without any pattern counts 0."""
+    a, b = first - first.mean(axis=0), second - second.mean(axis=0)
+    norm = np.sqrt((a * a).sum(axis=0) * (b * b).sum(axis=0))
+    return float(np.divide((a * b).sum(axis=0), norm, out=np.zeros(3), where=norm > 0).mean())
+
+
+#: Below this correlation the two images do not show the same light, and no curve between their levels means anything.
+LEAST_CORRELATION = 0.9
+#: Standard deviation of the logarithm of the render's levels that a curve needs: a flat field has none.
+LEAST_CONTRAST = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class ToneCurve:
+    """Fit of a capture's levels to a render's, in the channel where they agree best.
+
+    Attributes
+    ----------
+    channel : str
+    exponent : float
+        p of capture = a render^p; 1 for linear light.
+    correlation : float
+        Of the logarithms of the levels.
+    offset_dn : float
+        b of capture = k render + b.
+    offset_fits_better : bool
+        Whether the straight line with offset leaves less than the power.
+    """
+
+    channel: str
+    exponent: float
+    correlation: float
+    offset_dn: float
+    offset_fits_better: bool
+
+
+def tone_curve(rendered: Floats, captured: Floats) -> ToneCurve | None:
+    """Fit the exponent between the levels of a render and of a capture.
+
+    p = sd(log D) / sd(log S): both have errors, so that neither may stand as the exact one. Channels are fitted apart
+    (a gain for each), and the one with the highest correlation speaks.
+
+    Parameters
+    ----------
+    rendered, captured : ndarray, shape (P, 3)
+        Positive levels of the same places.
+
+    Returns
+    -------
+    ToneCurve or None
+        None where the images have too little contrast or too little in common.
+    """
+    logs = np.log(rendered), np.log(captured)
+    contrasts = [values.std(axis=0) for values in logs]
+    enough = (contrasts[0] >= LEAST_CONTRAST) & (contrasts[1] >= LEAST_CONTRAST / 10)
+    correlations = [float(np.corrcoef(logs[0][:, c], logs[1][:, c])[0, 1]) if enough[c] else 0.0 for c in range(3)]
+    channel = int(np.argmax(correlations))
+    if correlations[channel] < LEAST_CORRELATION:
+        return None
+    level, real = rendered[:, channel], captured[:, channel]
+    exponent = float(contrasts[1][channel] / contrasts[0][channel])
+    power = level**exponent
+    power *= (real * power).sum() / (power * power).sum()
+    gain, offset = np.polyfit(level, real, 1)
+    line_error, power_error = (float(((fit - real) ** 2).sum()) for fit in (gain * level + offset, power))
+    return ToneCurve(
+        ("red", "green", "blue")[channel], exponent, correlations[channel], float(offset), line_error < power_error
+    )
+
+
+Counts = NDArray[np.uint16]
+#: Pixels that must stand at one highest level, and how many times the level below it, to be a clipped image.
+_LEAST_PILE, _PILE_TIMES = 50, 5
+#: A pile at a level that is close to the typical one is a flat image, not a clipped one.
+_PILE_ABOVE_MEDIAN = 1.2
+_DARKEST = 0.01
+_TIMES_NOISE = 5.0
+
+
+def level_findings(capture: TactileCapture) -> list[tuple[bool, str]]:
+    """Return (whether to refuse, text) for counts that contradict the recorded bit depth or black level.
+
+    * counts above full scale 2^bits - 1;
+    * many pixels at one highest level below full scale: data of a smaller depth, or clipped by a program, so that
+      clipped pixels would pass for light;
+    * all counts multiples of a number: a smaller depth shifted up;
+    * the darkest per cent of the no-contact image below the black level by more than five times its noise (known from
+      the repeat).
+    """
+    images = {"contact": capture.contact, "no-contact": capture.no_contact}
+    if capture.repeat_no_contact is not None:
+        images["repeated no-contact"] = capture.repeat_no_contact
+    full_scale_dn = 2**capture.bit_depth - 1
+    findings = []
+    for name, counts in images.items():
+        findings += _depth_findings(f"the {name} image of {capture.name}", counts, full_scale_dn, capture.bit_depth)
+    return findings + _black_findings(capture)
+
+
+def _depth_findings(name: str, counts: Counts, full_scale_dn: int, bits: int) -> list[tuple[bool, str]]:
+    """Compare the highest and the common levels with the recorded depth."""
+    highest = int(counts.max())
+    if highest > full_scale_dn:
+        return [(True, f"{name} holds {highest} DN, above the full scale of {bits} bit ({full_scale_dn} DN): {_MEND}")]
+    levels, pixels = np.unique(counts, return_counts=True)
+    findings = []
+    step = int(np.gcd.reduce(levels))
+    if step > 1 and len(levels) > 2:
+        findings.append(
+            (
+                False,
+                f"{name} holds multiples of {step} DN only, as data of fewer than {bits} bit that were shifted up: "
+                f"pixels clipped at {full_scale_dn // step * step} DN are not recognised; {_MEND}",
+            )
+        )
+    piled = len(levels) > 2 and pixels[-1] >= max(_LEAST_PILE, _PILE_TIMES * pixels[-2])
+    if highest < full_scale_dn and piled and highest > _PILE_ABOVE_MEDIAN * np.median(counts):
+        smaller = f", as in data of {(highest + 1).bit_length() - 1} bit" if (highest & (highest + 1)) == 0 else ""
+        findings.append(
+            (
+                True,
+                f"{pixels[-1]} values of {name} stand at exactly {highest} DN{smaller}, none above, and full scale is "
+                f"recorded as {full_scale_dn} DN ({bits} bit): they are clipped and would pass for light; {_MEND}",
+            )
+        )
+    return findings
+
+
+_MEND = "record the bit depth of the camera's own counts"
+
+
+def _black_findings(capture: TactileCapture) -> list[tuple[bool, str]]:
+    """Compare the darkest pixels with the recorded black level."""
+    if capture.repeat_no_contact is None:
+        return []
+    first, second = (image.astype(np.float64) for image in (capture.no_contact, capture.repeat_no_contact))
+    dark = first + second <= np.quantile(first + second, _DARKEST)
+    level_dn = float((first[dark] + second[dark]).mean() / 2)
+    noise_dn = float((first[dark] - second[dark]).std()) / np.sqrt(2)
+    below_dn = capture.black_level_dn - level_dn
+    if below_dn <= _TIMES_NOISE * noise_dn + 1.0:
+        return []
+    return [
+        (
+            True,
+            f"the darkest per cent of the no-contact image of {capture.name} lies at {level_dn:.1f} DN (noise "
+            f"{noise_dn:.1f} DN), below the recorded black level of {capture.black_level_dn:g} DN: light cannot be "
+            "negative; record the black level of a dark frame with the same settings",
+        )
+    ]

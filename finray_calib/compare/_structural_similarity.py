@@ -1,0 +1,331 @@
+"""Structural similarity, on one scale and on several, with the settings of its papers.
+
+With a mask, and safe against missing pixels. Its pointwise arithmetic is compiled: one pass over memory where array
+expressions take ten.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import CompareError
+from finray_calib.compare._image_noise import block_mean
+from finray_calib.spectra import compiled
+
+Floats = NDArray[np.float64]
+WINDOW_PX = 11
+_BORDER_PX = WINDOW_PX // 2
+_SIGMA_PX = 1.5
+_K1, _K2 = 0.01, 0.03
+#: Rows worked at once, in buffers that are allocated once: fresh memory for each band costs more than its arithmetic.
+_BAND_ROWS = 64
+
+
+@dataclass(frozen=True, slots=True)
+class StructuralSimilarity:
+    """Hold a map of structural similarity and its mean.
+
+    Attributes
+    ----------
+    ssim_map : ndarray, shape (H, W)
+        Mean over channels; NaN on the 5 px border and where the window touches a pixel that is not finite.
+    mean : float
+        Mean of the map, over the mask if one was given.
+    """
+
+    ssim_map: NDArray[np.float64]
+    mean: float
+
+    def mean_within(self, mask: NDArray[np.bool_]) -> float:
+        """Return the mean of the map over a boolean mask of shape (H, W).
+
+        NaN when no window centred in it is complete: the mask lies on the border, or every window holds a pixel
+        that is not finite.
+
+        Raises
+        ------
+        CompareError
+            If the mask has another shape.
+        """
+        return _mean_within(self.ssim_map, mask)
+
+
+def structural_similarity(
+    first: NDArray[np.float64] | NDArray[np.uint8],
+    second: NDArray[np.float64] | NDArray[np.uint8],
+    data_range_dn: float,
+    mask: NDArray[np.bool_] | None = None,
+) -> StructuralSimilarity:
+    """Return the structural similarity of two images.
+
+    SSIM = (2 mu_x mu_y + C1)(2 cov_xy + C2) / ((mu_x^2 + mu_y^2 + C1)(var_x + var_y + C2)), with means,
+    variances and covariance (of the population) under an 11 x 11 Gaussian window of sigma 1.5 px,
+    C1 = (0.01 L)^2 and C2 = (0.03 L)^2; averaged over channels, borders without a full window left out. The
+    whole-image mean says little about contact, which changes few pixels: print it beside that of the
+    no-contact image.
+
+    Parameters
+    ----------
+    first, second : ndarray of float or uint8, shape (H, W, C)
+        Images in one unit.
+    data_range_dn : float
+        Full scale L in that unit (255 for 8 bit); always stated, since the value depends on it.
+    mask : ndarray of bool, shape (H, W), optional
+        Window centres to average over; default all.
+
+    Returns
+    -------
+    StructuralSimilarity
+
+    Raises
+    ------
+    CompareError
+        If shapes differ, the images are smaller than the window, or the range is not positive.
+
+    References
+    ----------
+    Z. Wang et al., IEEE Transactions on Image Processing 13 (2004) 600.
+    """
+    x, y = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    if x.ndim != 3 or x.shape != y.shape or min(x.shape[:2]) < WINDOW_PX:
+        raise CompareError(
+            f"Structural similarity needs two images of one shape (height, width, channels) of at least "
+            f"{WINDOW_PX} x {WINDOW_PX} px, got {x.shape} and {y.shape}. Register and crop the render first."
+        )
+    if not data_range_dn > 0:
+        raise CompareError(f"The data range must be positive, got {data_range_dn}; give full scale, as 255 for 8 bit.")
+    all_finite = bool(np.isfinite(x.sum() + y.sum()))  # then every pixel is finite, at a small part of the time
+    if not all_finite:
+        missing = ~np.isfinite(_channel_sum(x + y))
+        x, y = (np.where(missing[..., None], 0.0, image) for image in (x, y))
+    ssim_map = np.full(x.shape[:2], np.nan)
+    inside = slice(_BORDER_PX, -_BORDER_PX)
+    for rows, luminance, structure in similarity_bands(x, y, data_range_dn):
+        channel_mean_of_product(luminance, structure, ssim_map[rows, inside])
+    if not all_finite:
+        window = np.ones((WINDOW_PX, WINDOW_PX), dtype=np.uint8)
+        ssim_map[cv2.dilate(missing.astype(np.uint8), window) > 0] = np.nan
+    everywhere = np.ones(x.shape[:2], dtype=np.bool_)
+    return StructuralSimilarity(ssim_map, _mean_within(ssim_map, everywhere if mask is None else mask))
+
+
+def similarity_bands(x: Floats, y: Floats, data_range_dn: float) -> Iterator[tuple[slice, Floats, Floats]]:
+    """Yield the two factors of the similarity, band by band over the rows that have a full window.
+
+    luminance = (2 mu_x mu_y + C1) / (mu_x^2 + mu_y^2 + C1), structure = (2 cov_xy + C2) / (var_x + var_y + C2).
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (H, W, C)
+        Finite.
+    data_range_dn : float
+
+    Yields
+    ------
+    rows : slice
+        Of the whole image.
+    luminance, structure : ndarray, shape (rows, W - 10, C)
+        Buffers, valid until the next band.
+    """
+    c1, c2 = (_K1 * data_range_dn) ** 2, (_K2 * data_range_dn) ** 2
+    height, width, channels = x.shape
+    columns = slice(_BORDER_PX, -_BORDER_PX)
+    x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
+    buffers = np.empty((6, _BAND_ROWS + 2 * _BORDER_PX, width, channels))
+    for start in range(_BORDER_PX, height - _BORDER_PX, _BAND_ROWS):
+        stop = min(start + _BAND_ROWS, height - _BORDER_PX)
+        band = slice(start - _BORDER_PX, stop + _BORDER_PX)
+        mean_x, mean_y, squares, product, *sources = buffers[:, : stop - start + 2 * _BORDER_PX]
+        second_moments(_rows(x[band]), _rows(y[band]), *map(_rows, sources))
+        for source, mean in ((x[band], mean_x), (y[band], mean_y), (sources[0], squares), (sources[1], product)):
+            cv2.GaussianBlur(source, (WINDOW_PX, WINDOW_PX), _SIGMA_PX, dst=mean)
+        similarity_factors(_rows(mean_x), _rows(mean_y), _rows(squares), _rows(product), c1, c2)
+        # the rows and columns without a full window are wrong, and left out
+        yield slice(start, stop), mean_x[_BORDER_PX:-_BORDER_PX, columns], product[_BORDER_PX:-_BORDER_PX, columns]
+
+
+def _rows(image: Floats) -> Floats:
+    """Return an image as (rows, columns x channels)."""
+    return image.reshape(len(image), -1)
+
+
+def _channel_sum(image: Floats) -> Floats:
+    """Return the sum over channels; numpy's own over three neighbours in memory takes as long as a filter."""
+    total = image[..., 0].copy()
+    for channel in range(1, image.shape[2]):
+        total += image[..., channel]
+    return total
+
+
+def _mean_within(ssim_map: NDArray[np.float64], mask: NDArray[np.bool_]) -> float:
+    """Return the mean of the finite map values inside a mask; NaN when there is none."""
+    if mask.shape != ssim_map.shape:
+        raise CompareError(
+            f"The mask has shape {mask.shape} but the images are {ssim_map.shape[0]} x {ssim_map.shape[1]} px. "
+            "Make the region for this image size."
+        )
+    values = ssim_map[mask]
+    values = values[np.isfinite(values)]
+    return float(values.mean()) if values.size else float("nan")
+
+
+Mask = NDArray[np.bool_]
+SCALE_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
+
+
+@dataclass(frozen=True, slots=True)
+class MultiScaleSimilarity:
+    """Hold a multi-scale similarity and the number of scales behind it.
+
+    Attributes
+    ----------
+    value : float
+    scales : int
+        5 in the paper; with fewer the value is another quantity, see `label`.
+    """
+
+    value: float
+    scales: int
+
+    @property
+    def label(self) -> str:
+        """Say which quantity it is."""
+        if self.scales == len(SCALE_WEIGHTS):
+            return "MS-SSIM, 5 scales (Wang 2003)"
+        return f"MS-SSIM with {self.scales} of 5 scales, weights renormalised: not comparable with 5"
+
+
+def multi_scale_similarity(
+    first: Floats,
+    second: Floats,
+    data_range_dn: float,
+    mask: Mask | None = None,
+    fewer_scales: bool = False,
+) -> MultiScaleSimilarity | None:
+    r"""Return the multi-scale structural similarity of two images.
+
+    .. math:: \langle l_5 s_5 \rangle^{w_5} \prod_{j=1}^{4} \langle s_j \rangle^{w_j}
+
+    for each channel, then the mean over channels, with the luminance and structure factors l, s of
+    `structural_similarity`, their means over complete windows, and each scale the mean over 2 x 2 pixels of the one
+    before: over those that are finite in both images. A negative mean counts as 0. A coarse pixel lies in the mask
+    where one of its pixels does.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (H, W, C)
+        Images in one unit.
+    data_range_dn : float
+        Full scale in that unit.
+    mask : ndarray of bool, shape (H, W), optional
+        Window centres to average over; default all.
+    fewer_scales : bool
+        Whether an image too small for five scales (shorter side below 176 px) may use as many as fit, with the weights
+        brought back to a sum of 1.
+
+    Returns
+    -------
+    MultiScaleSimilarity or None
+        None for an image that is too small, or where a scale has no complete window in the mask.
+
+    Raises
+    ------
+    CompareError
+        If shapes differ or the range is not positive.
+
+    References
+    ----------
+    Z. Wang, E. P. Simoncelli, A. C. Bovik, Asilomar Conference on Signals, Systems and Computers (2003) 1398.
+    """
+    x, y = (np.asarray(image, dtype=np.float64) for image in (first, second))
+    inside = np.ones(x.shape[:2], dtype=np.bool_) if mask is None else mask
+    if x.ndim != 3 or x.shape != y.shape or inside.shape != x.shape[:2]:
+        raise CompareError(
+            "Multi-scale similarity needs two images and a mask of one size (height, width, channels), got "
+            f"{x.shape}, {y.shape} and {inside.shape}. Register and crop the render first."
+        )
+    if not data_range_dn > 0:
+        raise CompareError(f"The data range must be positive, got {data_range_dn}; give full scale, as 255 for 8 bit.")
+    scales = _scales(min(x.shape[:2]))
+    if scales == 0 or (scales < len(SCALE_WEIGHTS) and not fewer_scales):
+        return None
+    missing = np.asarray(~np.isfinite(x + y).all(axis=2))
+    x, y = (np.where(missing[..., None], np.nan, image) for image in (x, y))
+    # the five published weights add up to 1.0001 and are taken as they are
+    weights = np.array(SCALE_WEIGHTS[:scales]) / (1.0 if scales == len(SCALE_WEIGHTS) else sum(SCALE_WEIGHTS[:scales]))
+    value = np.ones(x.shape[2])
+    for scale, weight in enumerate(weights):
+        if scale:
+            x, y = _halved(x), _halved(y)
+            inside = block_mean(inside.astype(np.float64), 2) > 0
+        structure, whole = _mean_factors(x, y, data_range_dn, inside)
+        value *= np.maximum(whole if scale == scales - 1 else structure, 0.0) ** weight
+    return MultiScaleSimilarity(float(value.mean()), scales) if np.isfinite(value).all() else None
+
+
+def _halved(image: Floats) -> Floats:
+    """Return the mean over the finite pixels of blocks of 2 x 2; NaN where there is none."""
+    finite = np.isfinite(image)
+    share = block_mean(finite.astype(np.float64), 2)
+    return block_mean(np.where(finite, image, 0.0), 2) / np.where(share > 0, share, np.nan)
+
+
+def _scales(side_px: int) -> int:
+    """Return how many scales have a complete window across the image, at most five."""
+    return sum(side_px >= WINDOW_PX * 2**scale for scale in range(len(SCALE_WEIGHTS)))
+
+
+def _mean_factors(x: Floats, y: Floats, data_range_dn: float, mask: Mask) -> tuple[Floats, Floats]:
+    """Return per channel the means of structure and of luminance x structure over the complete windows of a mask."""
+    missing = np.asarray(~np.isfinite(x + y).all(axis=2))
+    window = np.ones((WINDOW_PX, WINDOW_PX), dtype=np.uint8)
+    used = mask & (cv2.dilate(missing.astype(np.uint8), window) == 0)
+    if missing.any():
+        x, y = (np.where(missing[..., None], 0.0, image) for image in (x, y))
+    sums, windows = np.zeros((2, x.shape[2])), 0
+    for rows, luminance, structure in similarity_bands(x, y, data_range_dn):
+        chosen = used[rows, _BORDER_PX:-_BORDER_PX]
+        similar = structure[chosen]
+        sums += similar.sum(axis=0), (luminance[chosen] * similar).sum(axis=0)
+        windows += len(similar)
+    structure_mean, whole_mean = sums / windows if windows else np.full_like(sums, np.nan)
+    return structure_mean, whole_mean
+
+
+@compiled
+def second_moments(x: Floats, y: Floats, squares: Floats, product: Floats) -> None:
+    """Put x^2 + y^2 and x y of two (rows, values) arrays into the last two."""
+    for row in range(x.shape[0]):
+        for i in range(x.shape[1]):
+            a, b = x[row, i], y[row, i]
+            squares[row, i] = a * a + b * b
+            product[row, i] = a * b
+
+
+@compiled
+def similarity_factors(mean_x: Floats, mean_y: Floats, squares: Floats, product: Floats, c1: float, c2: float) -> None:
+    """Turn windowed moments, (rows, values), into the factors luminance and structure, in place of the first and last.
+
+    luminance = (2 mu_x mu_y + c1) / (mu_x^2 + mu_y^2 + c1), structure = (2 cov + c2) / (var_x + var_y + c2).
+    """
+    for row in range(mean_x.shape[0]):
+        for i in range(mean_x.shape[1]):
+            a, b = mean_x[row, i], mean_y[row, i]
+            ab, aabb = a * b, a * a + b * b
+            mean_x[row, i] = (2.0 * ab + c1) / (aabb + c1)
+            product[row, i] = (2.0 * (product[row, i] - ab) + c2) / (squares[row, i] - aabb + c2)
+
+
+@compiled
+def channel_mean_of_product(first: Floats, second: Floats, result: Floats) -> None:
+    """Put the mean over channels of the product of two (rows, columns, channels) arrays into the third."""
+    channels = first.shape[2]
+    for row in range(first.shape[0]):
+        for column in range(first.shape[1]):
+            total = 0.0
+            for channel in range(channels):
+                total += first[row, column, channel] * second[row, column, channel]
+            result[row, column] = total / channels

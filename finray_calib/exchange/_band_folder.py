@@ -1,0 +1,585 @@
+"""Folders of wavelength-named TIFF images of other labs as band signals.
+
+``bands.toml`` says what a person must say about such a folder before it can be reduced. Images are found by name, read,
+and laid out as the RGGB mosaic that radiometry reduces; filters, camera response and lamp are nominal or measured.
+"""
+
+import glob
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError, model_validator
+
+from data_schemas import (
+    BandPassFilter,
+    BandSignals,
+    CameraSettings,
+    CaptureSession,
+    ChargeE,
+    CurveError,
+    ExposureS,
+    FilterUncertaintyNm,
+    FilterWheelSettings,
+    Frame,
+    FrameType,
+    ImportFormatError,
+    LampSettings,
+    LaserSettings,
+    LightState,
+    Model,
+    OpticalDensity,
+    PaintPlan,
+    Record,
+    RegionOfInterest,
+    RigFile,
+    SignalDn,
+    SpectralCurve,
+    Target,
+    WavelengthNm,
+    WhiteReference,
+    WidthNm,
+    coverage_notes,
+    digest_of_input,
+    half_maximum_nm,
+)
+from data_schemas.storage import (
+    assumed_camera_response,
+    halogen_lamp,
+    read_bytes,
+    read_camera_response,
+    read_filter_curve,
+    read_table,
+    read_toml,
+    tiff_image,
+)
+from finray_calib.exchange._led_camera_matrix import read_light
+from finray_calib.radiometry import band_signals, monochrome_bands
+
+Layout = Literal["monochrome", "RGB", "Bayer RGGB", "Bayer BGGR", "Bayer GRBG", "Bayer GBRG"]
+Pattern = Annotated[str, Field(min_length=1, description="file name below the folder; {filter} and * are filled in")]
+ExposurePerFilter = ExposureS | dict[str, ExposureS]
+
+
+class ImportedCamera(Model):
+    """The camera that took the images; values must be proportional to light above the black level."""
+
+    encoding: Literal["linear"] = Field(description="images that went through a gamma or tone curve cannot be reduced")
+    layout: Layout
+    bit_depth: Literal[8, 10, 12, 14, 16]
+    left_aligned_bits: Annotated[int, Field(ge=0, le=8)] = Field(
+        default=0, description="bits by which the values are shifted up in the file (12 bit stored as 16: 4)"
+    )
+    black_level_dn: SignalDn = Field(default=0.0, description="used where no dark frames are given")
+    black_level_uncertainty_dn: SignalDn = 0.5
+    gain_e_per_dn: Annotated[float, Field(gt=0.0, le=1e4, json_schema_extra={"unit": "e/DN"})]
+    read_noise_e: ChargeE
+    response: str = Field(
+        default="assumed",
+        description="CSV: wavelength_nm,red_percent,green_percent,blue_percent, or wavelength_nm,response_percent of a "
+        "monochrome camera; assumed: smooth stand-in curves, flat for a monochrome camera",
+    )
+
+
+class ImportedFilter(Model):
+    """One band-pass filter, by its nominal values or by a measured curve (CSV: wavelength_nm,transmission)."""
+
+    name: Annotated[str, Field(min_length=1)]
+    center_nm: WavelengthNm | None = None
+    fwhm_nm: WidthNm | None = None
+    curve: str | None = None
+    center_uncertainty_nm: FilterUncertaintyNm | None = Field(
+        default=None, description="standard uncertainty; left out: that of a measured curve or of a catalogue's data"
+    )
+    fwhm_uncertainty_nm: FilterUncertaintyNm | None = None
+    blocking_od: OpticalDensity = 4.0
+    blocking_uncertainty_od: Annotated[float, Field(ge=0.0, le=3.0, json_schema_extra={"unit": "1"})] = 0.3
+
+    @model_validator(mode="after")
+    def _known_by_one_way(self) -> "ImportedFilter":
+        nominal = (self.center_nm is not None, self.fwhm_nm is not None)
+        if self.curve is None and not all(nominal):
+            raise ValueError(f"filter {self.name!r} needs center_nm and fwhm_nm, or curve (a CSV file)")
+        if self.curve is not None and any(nominal):
+            raise ValueError(f"filter {self.name!r}: curve and center_nm or fwhm_nm contradict each other; give one")
+        return self
+
+
+class ImageFiles(Model):
+    """Where the images are: file names below the folder, with {filter} for a filter's name and * for anything."""
+
+    white: Pattern = Field(description="white reference under the lamp, through each filter")
+    reflectance: Pattern = Field(description="paint under the lamp, through each filter")
+    fluorescence: Pattern = Field(description="paint under the laser, through each filter")
+    laser_white: Pattern = Field(description="white reference under the laser, through the excitation filter")
+
+    @model_validator(mode="after")
+    def _filter_is_named(self) -> "ImageFiles":
+        for field in ("white", "reflectance", "fluorescence"):
+            if "{filter}" not in getattr(self, field):
+                raise ValueError(
+                    f"{field} = {getattr(self, field)!r} must hold {{filter}}, the place of the filter's name"
+                )
+        return self
+
+
+class Exposures(Model):
+    """Exposure times (s): one number, or one per filter by its name; `files` says single files, and wins."""
+
+    white: ExposurePerFilter
+    reflectance: ExposurePerFilter
+    fluorescence: ExposurePerFilter
+    laser_white: ExposureS
+    files: dict[str, ExposureS] = Field(default_factory=dict)
+
+
+class DarkFrames(Model):
+    """Dark frames of one exposure time."""
+
+    exposure_s: ExposureS
+    files: Pattern
+
+
+class BandFolder(Record):
+    """Description of a folder of band images (TOML)."""
+
+    paint_name: Annotated[str, Field(min_length=1)]
+    excitation_filter: str = Field(description="name of the filter that passes the laser line")
+    camera: ImportedCamera
+    region: RegionOfInterest
+    laser: LaserSettings = LaserSettings()
+    lamp: str = Field(
+        default="planck-2856K", description="or a CSV file (wavelength_nm,power_rel) of its relative spectral power"
+    )
+    white_reference: WhiteReference = WhiteReference()
+    filters: Annotated[tuple[ImportedFilter, ...], Field(min_length=1)]
+    files: ImageFiles
+    exposure_s: Exposures
+    darks: tuple[DarkFrames, ...] = ()
+
+    @model_validator(mode="after")
+    def _filters_agree(self) -> "BandFolder":
+        names = [f.name for f in self.filters]
+        twice = sorted({n for n in names if names.count(n) > 1})
+        if twice:
+            raise ValueError(f"filters: {twice[0]!r} is listed twice; list each filter once")
+        if self.excitation_filter not in names:
+            raise ValueError(
+                f"excitation_filter {self.excitation_filter!r} is none of the filters ({', '.join(names)})"
+            )
+        for field in ("white", "reflectance", "fluorescence"):
+            times = getattr(self.exposure_s, field)
+            missing = [n for n in names if isinstance(times, dict) and n not in times]
+            if missing:
+                raise ValueError(f"exposure_s.{field}: filter {missing[0]!r} is missing; give a time for each filter")
+        return self
+
+
+Counts = NDArray[np.uint16]
+# Row and column within the 2 x 2 cell where each layout keeps red, the green beside red, the green beside blue, blue.
+_CELLS: dict[str, tuple[tuple[int, int], ...]] = {
+    "Bayer RGGB": ((0, 0), (0, 1), (1, 0), (1, 1)),
+    "Bayer BGGR": ((1, 1), (1, 0), (0, 1), (0, 0)),
+    "Bayer GRBG": ((0, 1), (0, 0), (1, 1), (1, 0)),
+    "Bayer GBRG": ((1, 0), (1, 1), (0, 0), (0, 1)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class BandImage:
+    """One file: what it shows, through which filter, for how long."""
+
+    path: Path
+    frame_type: FrameType
+    filter_name: str | None
+    exposure_s: float
+
+
+def find_images(folder: Path, description: BandFolder) -> list[BandImage]:
+    """Return the images that the description names, darks first, in the order of the names.
+
+    Raises
+    ------
+    ImportFormatError
+        A pattern leaves the folder or matches no file, two patterns match the same file, or `exposure_s.files` names
+        a file that no pattern matches.
+    """
+    files, times = description.files, description.exposure_s
+    names = [f.name for f in description.filters]
+    images = [
+        BandImage(path, "dark", None, dark.exposure_s)
+        for dark in description.darks
+        for path in _matches(folder, "darks.files", dark.files, None)
+    ]
+    kinds: tuple[tuple[FrameType, str, list[str]], ...] = (
+        ("white", "white", names),
+        ("laser white", "laser_white", [description.excitation_filter]),
+        ("reflectance", "reflectance", names),
+        ("fluorescence", "fluorescence", names),
+    )
+    for frame_type, field, filters in kinds:
+        time = getattr(times, field)
+        for name in filters:
+            exposure_s: float = time[name] if isinstance(time, dict) else time
+            for path in _matches(folder, f"files.{field}", getattr(files, field), name):
+                own_s = times.files.get(path.relative_to(folder).as_posix(), exposure_s)
+                images.append(BandImage(path, frame_type, name, own_s))
+    _check_names(folder, images, times.files)
+    return images
+
+
+def read_image(path: Path, camera: ImportedCamera) -> Counts:
+    """Return an image as an RGGB mosaic of counts (DN).
+
+    A monochrome image stays as it is: all four sites of a cell are the same channel. Of an RGB image each site keeps
+    its own channel. An odd last row or column is left out.
+
+    Raises
+    ------
+    ImportFormatError
+        The file is no single image of the declared layout, not 8 or 16 bits deep, or brighter than its bit depth.
+    """
+    stored = tiff_image(read_bytes(path, "a band image (TIFF)", ImportFormatError), path, ImportFormatError)
+    wanted = 3 if camera.layout == "RGB" else 2
+    if stored.ndim != wanted or (wanted == 3 and stored.shape[2] != 3) or stored.dtype not in (np.uint8, np.uint16):
+        raise ImportFormatError(
+            f"{path}: holds {stored.dtype} of shape {stored.shape}; camera.layout = '{camera.layout}' needs one 8- or "
+            f"16-bit image of {'rows x columns x 3' if wanted == 3 else 'rows x columns'} per file"
+        )
+    counts: Counts = stored.astype(np.uint16) >> np.uint16(camera.left_aligned_bits)
+    full_scale_dn = 2**camera.bit_depth - 1
+    if counts.max() > full_scale_dn:
+        raise ImportFormatError(
+            f"{path}: the brightest value is {counts.max()} DN, above the {full_scale_dn} DN of camera.bit_depth = "
+            f"{camera.bit_depth}; correct bit_depth, or left_aligned_bits if the values are shifted up in the file"
+        )
+    return _mosaic(counts, camera.layout)
+
+
+def _mosaic(counts: Counts, layout: Layout) -> Counts:
+    """Return the counts with red, green, green, blue at the sites of an RGGB cell."""
+    rows, columns = counts.shape[0] & ~1, counts.shape[1] & ~1
+    even = counts[:rows, :columns]
+    if layout == "monochrome":
+        return even
+    mosaic = np.empty((rows, columns), dtype=np.uint16)
+    for site, cell in enumerate(_CELLS["Bayer RGGB"]):
+        if layout == "RGB":
+            mosaic[cell[0] :: 2, cell[1] :: 2] = even[cell[0] :: 2, cell[1] :: 2, (0, 1, 1, 2)[site]]
+        else:
+            row, column = _CELLS[layout][site]
+            mosaic[cell[0] :: 2, cell[1] :: 2] = even[row::2, column::2]
+    return mosaic
+
+
+def _matches(folder: Path, field: str, pattern: str, filter_name: str | None) -> list[Path]:
+    """Return the files below the folder that a pattern names."""
+    parts = PurePosixPath(pattern)
+    if parts.is_absolute() or ".." in parts.parts:
+        raise ImportFormatError(f"bands.toml, {field} = {pattern!r}: leads out of the folder; name files in {folder}")
+    filled = pattern.replace("{filter}", glob.escape(filter_name or ""))
+    found = sorted(path for path in folder.glob(filled) if path.is_file())
+    if not found:
+        through = "" if filter_name is None else f", filter {filter_name}"
+        raise ImportFormatError(
+            f"{folder}: no file matches {filled!r} ({field}{through}); correct bands.toml or add the image"
+        )
+    return found
+
+
+def _check_names(folder: Path, images: list[BandImage], timed: dict[str, float]) -> None:
+    """Refuse a file that stands for two things, and an exposure time of a file that is not used."""
+    seen: dict[Path, BandImage] = {}
+    for image in images:
+        other = seen.setdefault(image.path, image)
+        if other is not image:
+            raise ImportFormatError(
+                f"{image.path}: is both {_words(other)} and {_words(image)}; make the patterns of bands.toml tell them "
+                "apart (for example '{filter}nm.tif' instead of '{filter}*')"
+            )
+    used = {path.relative_to(folder).as_posix() for path in seen}
+    unused = sorted(set(timed) - used)
+    if unused:
+        raise ImportFormatError(
+            f"bands.toml, exposure_s.files: no pattern matches {unused[0]!r}; correct the file name"
+        )
+
+
+def _words(image: BandImage) -> str:
+    """Say what an image stands for."""
+    return f"'{image.frame_type}'" + ("" if image.filter_name is None else f" through filter {image.filter_name}")
+
+
+Floats = NDArray[np.float64]
+_SCENE: Mapping[str, tuple[Target, LightState]] = {
+    "dark": ("white", "off"),
+    "white": ("white", "lamp"),
+    "laser white": ("white", "laser"),
+    "reflectance": ("sample", "lamp"),
+    "fluorescence": ("sample", "laser"),
+}
+
+
+def import_band_folder(folder: Path) -> tuple[BandSignals, dict[str, str]]:
+    """Reduce a folder of band images and its ``bands.toml`` to band signals, with the arithmetic of paint sessions.
+
+    Of a monochrome camera the green column holds the signals; red and blue are flagged "weak" and never used.
+
+    Parameters
+    ----------
+    folder
+        Holds ``bands.toml``, the images and the curves that it names.
+
+    Returns
+    -------
+    BandSignals, dict
+        The signals, and file name below the folder -> SHA-256 of every file that was used.
+
+    Raises
+    ------
+    ImportFormatError
+        An image is missing or not what the description says.
+    RecordError
+        ``bands.toml`` is missing or a field of it is wrong.
+    CurveError
+        A curve file is unusable.
+    RadiometryError
+        The images cannot be reduced: saturated bands, missing darks, an empty region.
+    """
+    description = read_toml(folder / DESCRIPTION_NAME, BandFolder)
+    require_inside(folder, description)
+    images = find_images(folder, description)
+    _check_darks(images)
+    frames = [_frame(n, image) for n, image in enumerate(images)]
+    paths = {frame.file: image.path for frame, image in zip(frames, images, strict=True)}
+    shape = _common_shape(images, description)
+    black: dict[str, Floats] = {}
+    if not description.darks:
+        for frame, level_dn in _black_frames(description, images):
+            frames.append(frame)
+            black[frame.file] = np.full(shape, level_dn)
+
+    def read(frame: Frame) -> Any:
+        if frame.file in black:
+            return black[frame.file]
+        return read_image(paths[frame.file], description.camera)
+
+    session = _session(folder, description, tuple(frames))
+    bands = band_signals(session, read)
+    used = [*(path.relative_to(folder).as_posix() for path in paths.values()), *named_files(description)]
+    digests = {name: digest_of_input(folder / name) for name in used}
+    return (monochrome_bands(bands) if description.camera.layout == "monochrome" else bands), digests
+
+
+def _frame(sequence: int, image: BandImage) -> Frame:
+    """Return the frame record of an image; what the folder does not tell keeps a neutral value."""
+    target, light = _SCENE[image.frame_type]
+    return Frame(
+        sequence=sequence,
+        file=f"frames/{sequence:05d}-{re.sub('[^A-Za-z0-9_.-]', '-', image.path.name)}.tiff",
+        frame_type=image.frame_type,
+        target=target,
+        light=light,
+        filter_name=image.filter_name,
+        slot_before=None,
+        slot_after=None,
+        exposure_requested_s=image.exposure_s,
+        exposure_s=image.exposure_s,
+        captured_utc="unknown",
+        saturated_fraction=0.0,
+        sha256="0" * 64,  # of no stored frame: the images are inputs, whose digests stand in the provenance
+    )
+
+
+def _black_frames(description: BandFolder, images: list[BandImage]) -> list[tuple[Frame, float]]:
+    """Return dark frames made of the declared black level: two per exposure time, apart by its uncertainty.
+
+    Radiometry reads half the difference d of before and after as a rectangular uncertainty d / sqrt(3).
+    """
+    spread_dn = np.sqrt(3.0) * description.camera.black_level_uncertainty_dn
+    frames: list[tuple[Frame, float]] = []
+    for side in (-1.0, 1.0):
+        for exposure_s in sorted({image.exposure_s for image in images}):
+            image = BandImage(Path(), "dark", None, exposure_s)
+            level_dn = description.camera.black_level_dn + side * spread_dn
+            frames.append((_frame(len(images) + len(frames), image), level_dn))
+    return frames
+
+
+def _check_darks(images: list[BandImage]) -> None:
+    """Refuse dark frames that miss an exposure time in use."""
+    dark_s = {image.exposure_s for image in images if image.frame_type == "dark"}
+    for image in images:
+        if dark_s and image.exposure_s not in dark_s:
+            raise ImportFormatError(
+                f"{image.path}: was exposed for {image.exposure_s:g} s, but the dark frames are of "
+                f"{', '.join(f'{s:g}' for s in sorted(dark_s))} s; add a [[darks]] table of this time, or leave all "
+                "out and give camera.black_level_dn"
+            )
+
+
+def _common_shape(images: list[BandImage], description: BandFolder) -> tuple[int, ...]:
+    """Return the shape of all images (px), read one at a time; refuse images of different sizes."""
+    first: tuple[int, ...] = ()
+    for image in images:
+        shape = read_image(image.path, description.camera).shape
+        first = first or shape
+        if shape != first:
+            raise ImportFormatError(
+                f"{image.path}: is {shape[0]} x {shape[1]} px, but {images[0].path.name} is {first[0]} x {first[1]} "
+                "px; all images must come from the same camera settings"
+            )
+    return first
+
+
+def _session(folder: Path, description: BandFolder, frames: tuple[Frame, ...]) -> CaptureSession:
+    """Return the folder as the paint session that radiometry reduces; it is never stored."""
+    camera = description.camera
+    filter_curves = filter_curves_of(folder, description)
+    wheel = wheel_of(folder, description, filter_curves)
+    response, lamp = response_of(folder, description), lamp_of(folder, description)
+    # Constructed, not validated: a rig wants drivers or a simulated bench, and an imported folder has neither.
+    rig = RigFile.model_construct(
+        name=f"imported from {folder.resolve().name}",
+        camera=CameraSettings(
+            bit_depth=camera.bit_depth,
+            black_level_dn=camera.black_level_dn,
+            gain_e_per_dn=camera.gain_e_per_dn,
+            read_noise_e=camera.read_noise_e,
+            response=camera.response,
+        ),
+        filter_wheel=wheel,
+        laser=description.laser,
+        lamp=LampSettings(),
+        white_reference=description.white_reference,
+        simulated=None,
+        provenance=None,
+    )
+    return CaptureSession.model_construct(
+        provenance=None,
+        plan=PaintPlan(
+            paint_name=description.paint_name,
+            filters=tuple(f.name for f in description.filters),
+            excitation_filter=description.excitation_filter,
+            region=description.region,
+        ),
+        rig=rig,
+        camera_response=response,
+        filter_curves=filter_curves,
+        lamp=lamp,
+        frames=frames,
+        notes=_notes(folder, description) + coverage_notes(wheel.filters, filter_curves, (*response, lamp)),
+    )
+
+
+def _notes(folder: Path, description: BandFolder) -> tuple[str, ...]:
+    """Say what a reader of the signals must know of their origin."""
+    notes = [f"imported from {folder.resolve().name} ({description.camera.layout}); laser dose unknown"]
+    if not description.darks:
+        notes.append(
+            f"no dark frames: black level {description.camera.black_level_dn:g} DN with standard uncertainty "
+            f"{description.camera.black_level_uncertainty_dn:g} DN, as declared"
+        )
+    if description.camera.response == "assumed":
+        notes.append("the camera response is assumed")
+    return tuple(notes)
+
+
+DESCRIPTION_NAME = "bands.toml"
+HALOGEN = "planck-2856K"
+MONOCHROME_COLUMNS = ["wavelength_nm", "response_percent"]
+
+
+def require_inside(folder: Path, description: BandFolder) -> None:
+    """Refuse curve files outside of the folder, as for images: a folder from elsewhere must not read others.
+
+    Raises
+    ------
+    CurveError
+        A curve's path is absolute or leads out of the folder.
+    """
+    for name in named_files(description):
+        if not (folder / name).resolve().is_relative_to(folder.resolve()):
+            raise CurveError(f"{folder / DESCRIPTION_NAME}: {name!r} leads out of the folder; put the curve beside it")
+
+
+def filter_curves_of(folder: Path, description: BandFolder) -> dict[str, SpectralCurve]:
+    """Return the measured transmissions of the filters that name one, by the filter's name."""
+    return {given.name: read_filter_curve(folder / given.curve) for given in description.filters if given.curve}
+
+
+def wheel_of(folder: Path, description: BandFolder, curves: Mapping[str, SpectralCurve]) -> FilterWheelSettings:
+    """Return the filters, with centre and width of their measured curves where they have one, as those of a wheel.
+
+    Raises
+    ------
+    CurveError
+        A curve holds no whole pass band, or two filters are the same.
+    """
+    try:
+        filters = tuple(
+            _filter(slot, given, curves.get(given.name)) for slot, given in enumerate(description.filters, 1)
+        )
+        return FilterWheelSettings(filters=filters)
+    except ValidationError as error:
+        fault = error.errors()[0]["msg"].removeprefix("Value error, ")
+        raise CurveError(f"{folder / DESCRIPTION_NAME}, filters: {fault}; are all wavelengths in nm?") from None
+
+
+def _filter(slot: int, given: ImportedFilter, curve: SpectralCurve | None) -> BandPassFilter:
+    """Return a filter by its nominal values, or by centre and width of its measured curve."""
+    known = given.model_dump(exclude_none=True)
+    if curve is not None:
+        low_nm, high_nm = half_maximum_nm(curve)
+        known |= {"center_nm": 0.5 * (low_nm + high_nm), "fwhm_nm": high_nm - low_nm}
+    return BandPassFilter.model_validate({"slot": slot, **known})
+
+
+def response_of(folder: Path, description: BandFolder) -> tuple[SpectralCurve, SpectralCurve, SpectralCurve]:
+    """Return the camera's response; three times the same for a monochrome camera."""
+    camera = description.camera
+    if camera.layout != "monochrome":
+        return (
+            assumed_camera_response()
+            if camera.response == "assumed"
+            else read_camera_response(folder / camera.response)
+        )
+    if camera.response == "assumed":
+        one = SpectralCurve(
+            name="monochrome", wavelength_nm=np.array([380.0, 780.0]), values=np.ones(2), source="assumed flat"
+        )
+    else:
+        one = _monochrome_response(folder / camera.response)
+    return one, one, one
+
+
+def _monochrome_response(path: Path) -> SpectralCurve:
+    """Read the response of a monochrome camera, 0..1."""
+    header, table = read_table(path)
+    if header != MONOCHROME_COLUMNS:
+        raise CurveError(
+            f"{path}: header is {','.join(header)[:80]}; a monochrome response needs {','.join(MONOCHROME_COLUMNS)}"
+        )
+    if (table[:, 1] < 0).any() or not table[:, 1].any():
+        raise CurveError(f"{path}: response_percent must be 0 or more and somewhere above 0")
+    try:
+        return SpectralCurve(name="monochrome", wavelength_nm=table[:, 0], values=table[:, 1] / 100, source=path.name)
+    except ValidationError as error:
+        raise CurveError(f"{path}: {error.errors()[0]['msg'].removeprefix('Value error, ')}") from None
+
+
+def lamp_of(folder: Path, description: BandFolder) -> SpectralCurve:
+    """Return the lamp's relative spectral power."""
+    return halogen_lamp() if description.lamp == HALOGEN else read_light(folder / description.lamp)
+
+
+def named_files(description: BandFolder) -> list[str]:
+    """Return the names of the description and of the curve files that it refers to."""
+    named = [f.curve for f in description.filters]
+    named.append(None if description.camera.response == "assumed" else description.camera.response)
+    named.append(None if description.lamp == HALOGEN else description.lamp)
+    return [DESCRIPTION_NAME, *(name for name in named if name is not None)]

@@ -1,0 +1,281 @@
+"""The formats in which a calibrated paint leaves finray: the register of all, and those that are text.
+
+Text are CSV with intervals, the spectrum file of Mitsuba, one small, plain JSON object that explains itself to programs
+that know nothing of finray, and an IES TM-27-14 file (.spdx) by way of a spectral distribution of colour-science.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import Estimate, PaintCalibration, Provenance, SpectralCurve
+from finray_calib.exchange._led_camera_matrix import CameraResponse
+from finray_calib.exchange._paint_spectra import PaintSpectra, readable_json
+
+if TYPE_CHECKING:
+    from colour import SpectralDistribution
+
+
+CSV_COLUMNS = (
+    "wavelength_nm",
+    "emission_per_nm",
+    "low68_per_nm",
+    "high68_per_nm",
+    "low95_per_nm",
+    "high95_per_nm",
+)
+QUANTITY = "bispectral radiance factor per nm of emission (energy), unit 1/nm"
+
+
+def origin_lines(paint: PaintCalibration, origin: Provenance) -> tuple[str, ...]:
+    """Return which paint this is, what the numbers mean and where they come from, one statement per line."""
+    laser_nm = paint.optics.laser.wavelength_nm
+    return (
+        f"paint: {paint.paint_name}",
+        f"quantity: {QUANTITY}, for excitation at {laser_nm:g} nm; its integral is emitted over incident energy",
+        f"family: {paint.family_title}; {paint.family_choice}",
+        *(f"warning: {warning}" for warning in paint.warnings),
+        f"made by: {origin.command} (finray-calib {origin.package_version}, {origin.created_utc})",
+        *(f"from: {name}, SHA-256 {digest}" for name, digest in origin.input_sha256.items()),
+    )
+
+
+def csv_text(paint: PaintCalibration, origin: Provenance) -> str:
+    """Return the emission with its pointwise 68 % and 95 % limits as CSV; comment lines start with #.
+
+    Parameters
+    ----------
+    paint
+        Record written by ``finray fit``.
+    origin
+        Provenance of the export.
+    """
+    columns = (
+        paint.wavelength_nm,
+        paint.emission_per_nm,
+        paint.emission_low68_per_nm,
+        paint.emission_high68_per_nm,
+        paint.emission_low95_per_nm,
+        paint.emission_high95_per_nm,
+    )
+    reflectance = (
+        f"reflectance at {band.center_nm:g} nm: {value.estimate:.4g}, sd {value.sd:.2g}"
+        for band, value in zip(paint.optics.filters, paint.reflectance, strict=True)
+    )
+    rows = (",".join(f"{value:.7g}" for value in row) for row in np.column_stack(columns))
+    return _lines((*origin_lines(paint, origin), *reflectance), (",".join(CSV_COLUMNS), *rows))
+
+
+def mitsuba_text(paint: PaintCalibration, origin: Provenance) -> str:
+    """Return the mean emission as pairs of wavelength (nm) and value, as Mitsuba's ``spectrum`` plugin reads it.
+
+    Under the irradiance E (W/m2) at the laser line a diffuse paint emits the spectral radiance E / pi times this
+    curve (W/(m2 sr nm)). Mitsuba holds no uncertainty; the header says so.
+
+    Parameters
+    ----------
+    paint
+        Record written by ``finray fit``.
+    origin
+        Provenance of the export.
+    """
+    lines = (
+        *origin_lines(paint, origin),
+        "use: radiance of the paint in W/(m2 sr nm) = irradiance at the excitation in W/m2 / pi x this curve",
+        "missing here: uncertainty (export csv, json or netcdf), reflectance, dependence on excitation (export exr)",
+    )
+    pairs = zip(paint.wavelength_nm, np.maximum(paint.emission_per_nm, 0.0), strict=True)
+    return _lines(lines, (f"{wavelength_nm:g} {value:.7g}" for wavelength_nm, value in pairs))
+
+
+def _lines(comments: tuple[str, ...], rows: tuple[str, ...] | Iterator[str]) -> str:
+    """Join comment lines (a line break inside one would end it) and rows."""
+    return "".join(f"# {' '.join(line.split())}\n" for line in comments) + "".join(f"{row}\n" for row in rows)
+
+
+Floats = NDArray[np.float64]
+DIGITS = 6
+
+
+def json_text(paint: PaintCalibration, spectra: PaintSpectra, origin: Provenance) -> str:
+    """Return emission, absorption and reflectance with 68 % and 95 % limits, and the parameters, as JSON.
+
+    Parameters
+    ----------
+    paint
+        Record written by ``finray fit``.
+    spectra
+        Its curves.
+    origin
+        Provenance of the export.
+    """
+    low95, low68, high68, high95 = np.quantile(spectra.absorption_rel_draws, [0.025, 0.16, 0.84, 0.975], axis=0)
+    content = {
+        "what": "fluorescent paint: emission, absorption and reflectance with uncertainty",
+        "paint": paint.paint_name,
+        "family": paint.family_title,
+        "family_choice": paint.family_choice,
+        "warnings": list(paint.warnings),
+        "model": "radiance factor per nm (energy): D(out, in) = emission_per_nm(out) * absorption_rel(in) * in / "
+        "excitation_nm for out > in, else 0; reflectance is apart",
+        "emission": {
+            "quantity": QUANTITY,
+            "excitation_nm": spectra.laser_nm,
+            "wavelength_nm": _numbers(paint.wavelength_nm),
+            "mean_per_nm": _numbers(paint.emission_per_nm),
+            "low68_per_nm": _numbers(paint.emission_low68_per_nm),
+            "high68_per_nm": _numbers(paint.emission_high68_per_nm),
+            "low95_per_nm": _numbers(paint.emission_low95_per_nm),
+            "high95_per_nm": _numbers(paint.emission_high95_per_nm),
+        },
+        "absorption": {
+            "quantity": "photons absorbed relative to those at the laser line",
+            "statement": spectra.statement,
+            "excitation_nm": _numbers(spectra.excitation_nm),
+            "mean_rel": _numbers(spectra.absorption_rel),
+            "low68_rel": _numbers(low68),
+            "high68_rel": _numbers(high68),
+            "low95_rel": _numbers(low95),
+            "high95_rel": _numbers(high95),
+        },
+        "reflectance": [
+            {"center_nm": band.center_nm, "filter": band.name, **_estimate(value)}
+            for band, value in zip(paint.optics.filters, paint.reflectance, strict=True)
+        ],
+        "parameters": {name: _estimate(value) for name, value in paint.parameters.items()},
+        "energy_yield": _estimate(paint.energy_yield),
+        "provenance": origin.model_dump(mode="json"),
+    }
+    return readable_json(content)
+
+
+def _numbers(values: Floats) -> list[float]:
+    """Return the values rounded to what any uncertainty here can use."""
+    return [float(f"{value:.{DIGITS}g}") for value in values]
+
+
+def _estimate(value: Estimate) -> dict[str, Any]:
+    """Return median, standard deviation and limits."""
+    return value.model_dump(mode="json")
+
+
+def as_spectral_distribution(paint: PaintCalibration) -> "SpectralDistribution":
+    """Return the mean emission as ``colour.SpectralDistribution`` (1/nm on a grid in nm).
+
+    Parameters
+    ----------
+    paint
+        Record written by ``finray fit``. The class holds no uncertainty.
+    """
+    from colour import SpectralDistribution
+
+    pairs = dict(zip(paint.wavelength_nm.tolist(), paint.emission_per_nm.tolist(), strict=True))
+    return SpectralDistribution(pairs, name=f"emission of {paint.paint_name}")
+
+
+def spdx_bytes(paint: PaintCalibration, origin: Provenance) -> bytes:
+    """Return the mean emission as an IES TM-27-14 XML file.
+
+    The layout has no field for uncertainty nor a quantity for a radiance factor: the quantity is "other" and the
+    comments say what it is and what is missing.
+
+    Parameters
+    ----------
+    paint
+        Record written by ``finray fit``.
+    origin
+        Provenance of the export.
+    """
+    from colour import SpectralDistribution_IESTM2714
+
+    missing = "missing here: uncertainty (export csv, json or netcdf)"
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "paint.spdx"
+        distribution = SpectralDistribution_IESTM2714(
+            str(file),
+            data=as_spectral_distribution(paint),
+            spectral_quantity="other",
+            reflection_geometry="other",
+            transmission_geometry="other",
+            bandwidth_FWHM=float(paint.wavelength_nm[1] - paint.wavelength_nm[0]),
+            bandwidth_corrected=True,
+        )
+        header = distribution.header
+        header.description = f"emission of fluorescent paint {paint.paint_name}"
+        header.document_creator = f"finray-calib {origin.package_version}"
+        header.document_creation_date = origin.created_utc
+        header.comments = "; ".join((*origin_lines(paint, origin), missing))
+        for unknown in ("manufacturer", "catalog_number", "unique_identifier", "laboratory"):
+            setattr(header, unknown, "unknown")
+        for unknown in ("measurement_equipment", "report_number", "report_date"):
+            setattr(header, unknown, "unknown")
+        distribution.write()
+        return file.read_bytes()
+
+
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """What some formats need beside the paint: lights and camera of the reduced matrix, seed of replicated data."""
+
+    lights: Sequence[SpectralCurve]
+    response: CameraResponse
+    seed: int
+
+
+def _csv(paint: PaintCalibration, origin: Provenance, options: ExportOptions) -> bytes:
+
+    return csv_text(paint, origin).encode()
+
+
+def _json(paint: PaintCalibration, origin: Provenance, options: ExportOptions) -> bytes:
+    from finray_calib.exchange._paint_spectra import paint_spectra
+
+    return json_text(paint, paint_spectra(paint), origin).encode()
+
+
+def _netcdf(paint: PaintCalibration, origin: Provenance, options: ExportOptions) -> bytes:
+    from finray_calib.exchange._inference_data import netcdf_bytes
+    from finray_calib.exchange._paint_spectra import paint_spectra
+
+    return netcdf_bytes(paint, paint_spectra(paint), origin, np.random.default_rng(options.seed))
+
+
+def _spdx(paint: PaintCalibration, origin: Provenance, options: ExportOptions) -> bytes:
+
+    return spdx_bytes(paint, origin)
+
+
+def _mitsuba(paint: PaintCalibration, origin: Provenance, options: ExportOptions) -> bytes:
+
+    return mitsuba_text(paint, origin).encode()
+
+
+def _rgb_reradiation(paint: PaintCalibration, origin: Provenance, options: ExportOptions) -> bytes:
+    from finray_calib.exchange._led_camera_matrix import led_camera_json
+    from finray_calib.exchange._paint_spectra import paint_spectra
+
+    return led_camera_json(paint_spectra(paint), options.lights, options.response, origin).encode()
+
+
+def _exr(paint: PaintCalibration, origin: Provenance, options: ExportOptions) -> bytes:
+    from finray_calib.exchange._bispectral_exr import exr_bytes
+    from finray_calib.exchange._paint_spectra import paint_spectra
+
+    return exr_bytes(paint_spectra(paint), origin)
+
+
+PaintFormat = Callable[[PaintCalibration, Provenance, ExportOptions], bytes]
+PAINT_FORMATS: dict[str, PaintFormat] = {
+    "csv": _csv,
+    "json": _json,
+    "netcdf": _netcdf,
+    "spdx": _spdx,
+    "mitsuba": _mitsuba,
+    "rgb-reradiation": _rgb_reradiation,
+    "exr": _exr,
+}

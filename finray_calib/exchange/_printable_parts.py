@@ -1,0 +1,289 @@
+"""The printed parts of a finger and the mould of its pad as files for slicers (STL) and CAD programs (STEP).
+
+STEP files (ISO 10303-21, AP214) hold exact planes, cylinders and ellipsoids, no facets.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import FingerDesign
+from sim.mechanics import Part, mould_sizes, mould_solid, mould_stl, part_solid, part_stl
+from sim.surface_meshes import Edge, EllipseArc, Face, HollowCylinder, HollowEllipsoid, Plane, Solid
+
+PrintFormat = Literal["stl", "step"]
+
+
+@dataclass(frozen=True, slots=True)
+class PrintablePart:
+    """One part: its size across, along the pad's normal and along the finger, what to know of it, files by format."""
+
+    name: str
+    size_mm: tuple[float, float, float]
+    note: str
+    files: dict[PrintFormat, bytes]
+
+
+def printable_parts(
+    design: FingerDesign,
+    formats: Sequence[PrintFormat] = ("stl", "step"),
+    one_piece: bool = False,
+    lining_mm: float | None = None,
+) -> tuple[PrintablePart, ...]:
+    """Return what a finger is printed from, in mm and in the finger's axes, so that the parts fit together.
+
+    Skeleton and base plate are prints of their own, because the base is stiffer; so is the backing, where there is one.
+    Each part is one closed body. Equal designs give equal bytes.
+
+    Parameters
+    ----------
+    design
+        Finger.
+    formats
+        "stl": triangles. "step": planes, and the exact cylinder or ellipsoid on the bottom of the mould; curved fins
+        are strips of 1 mm, 0.3 um from their curve, in both.
+    one_piece
+        Skeleton and base plate as one body, for a finger that is printed of one material.
+    lining_mm
+        Sheet laid on the bottom of the mould; by default 0.1 mm, and none in an ellipsoidal mould.
+
+    Raises
+    ------
+    SimulateError
+        When the parts do not fit together, or a lining is given to an ellipsoidal mould.
+    """
+    names: list[Part] = ["skeleton_and_base"] if one_piece else ["skeleton", "base_plate"]
+    if design.skeleton.backing is not None:
+        names.append("backing")
+    parts = [_part(name, part_solid(design, name), partial(part_stl, design, name), design, formats) for name in names]
+    sizes = mould_sizes(design, lining_mm)
+    as_stl = partial(mould_stl, design, sizes.wall_mm, sizes.floor_mm, sizes.lining_mm)
+    note = f"lay a sheet of {sizes.lining_mm:g} mm on its bottom" if sizes.lining_mm else ""
+    return (*parts, _part("mould", mould_solid(design, sizes), as_stl, design, formats, note))
+
+
+def _part(
+    name: str,
+    solid: Solid,
+    as_stl: Callable[[], bytes],
+    design: FingerDesign,
+    formats: Sequence[PrintFormat],
+    note: str = "",
+) -> PrintablePart:
+    """Return a part with its files."""
+    files: dict[PrintFormat, bytes] = {}
+    if "stl" in formats:
+        files["stl"] = as_stl()
+    if "step" in formats:
+        files["step"] = step_bytes(solid, f"{name} of {design.name}")
+    x, y, z = np.ptp(solid.corners_mm, axis=0)
+    return PrintablePart(name, (float(x), float(y), float(z)), note, files)
+
+
+Floats = NDArray[np.float64]
+# corners of curved faces lie on them up to rounding
+_UNCERTAINTY_MM = 1e-6
+
+
+def step_bytes(solid: Solid, name: str) -> bytes:
+    """Return a solid as a STEP file in mm; equal solids give equal bytes (the file bears no date).
+
+    Parameters
+    ----------
+    solid
+        Solid.
+    name
+        Of the part, as CAD programs show it.
+    """
+    file = _StepFile()
+    shell = file.add("CLOSED_SHELL", "''", _list(_faces(file, solid)))
+    body = file.add("MANIFOLD_SOLID_BREP", _text(name), shell)
+    origin = file.placement(np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
+    shape = file.add("ADVANCED_BREP_SHAPE_REPRESENTATION", _text(name), _list([origin, body]), _units(file))
+    file.add("SHAPE_DEFINITION_REPRESENTATION", _product(file, name), shape)
+    header = (
+        "ISO-10303-21;\nHEADER;\nFILE_DESCRIPTION((''),'2;1');\n"
+        f"FILE_NAME({_text(name)},'',(''),(''),'finray-calib','','');\n"
+        "FILE_SCHEMA(('AUTOMOTIVE_DESIGN { 1 0 10303 214 1 1 1 1 }'));\nENDSEC;\nDATA;\n"
+    )
+    return (header + "".join(file.lines) + "ENDSEC;\nEND-ISO-10303-21;\n").encode("ascii")
+
+
+class _StepFile:
+    """Numbered lines of the data section; equal directions share one line."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self._known: dict[str, str] = {}
+
+    def add(self, kind: str, *values: str) -> str:
+        """Add an entity and return its name."""
+        return self.add_text(f"{kind}({','.join(values)})")
+
+    def add_text(self, text: str) -> str:
+        """Add an entity of several kinds, written out, and return its name."""
+        name = f"#{len(self.lines) + 1}"
+        self.lines.append(f"{name}={text};\n")
+        return name
+
+    def point(self, place_mm: Floats) -> str:
+        """Add a point."""
+        return self.add("CARTESIAN_POINT", "''", _numbers(place_mm))
+
+    def direction(self, vector: Floats) -> str:
+        """Add a direction, once."""
+        text = _numbers(vector / np.linalg.norm(vector))
+        if text not in self._known:
+            self._known[text] = self.add("DIRECTION", "''", text)
+        return self._known[text]
+
+    def placement(self, place_mm: Floats, axis: Floats, across: Floats) -> str:
+        """Add a place with its z axis and its x axis."""
+        return self.add("AXIS2_PLACEMENT_3D", "''", self.point(place_mm), self.direction(axis), self.direction(across))
+
+
+def _faces(file: _StepFile, solid: Solid) -> list[str]:
+    """Add corners, edges and faces, and return the faces."""
+    corners = [file.add("VERTEX_POINT", "''", file.point(corner)) for corner in solid.corners_mm]
+    edges = [
+        file.add("EDGE_CURVE", "''", corners[edge.start], corners[edge.end], _curve(file, edge, solid), ".T.")
+        for edge in solid.edges
+    ]
+    return [_face(file, face, edges) for face in solid.faces]
+
+
+def _curve(file: _StepFile, edge: Edge, solid: Solid) -> str:
+    """Add the curve of an edge."""
+    if edge.arc is not None:
+        return _ellipse(file, edge.arc)
+    start, end = solid.corners_mm[edge.start], solid.corners_mm[edge.end]
+    vector = file.add("VECTOR", "''", file.direction(end - start), "1.")
+    return file.add("LINE", "''", file.point(start), vector)
+
+
+def _ellipse(file: _StepFile, arc: EllipseArc) -> str:
+    """Add an ellipse, its larger semi-axis first, as some readers want it."""
+    u, v = (arc.u_mm, arc.v_mm) if arc.u_mm @ arc.u_mm >= arc.v_mm @ arc.v_mm else (arc.v_mm, -arc.u_mm)
+    place = file.placement(arc.centre_mm, np.cross(u, v), u)
+    long_mm, short_mm = (float(np.linalg.norm(axis)) for axis in (u, v))
+    if np.isclose(long_mm, short_mm, rtol=1e-12, atol=0.0):
+        return file.add("CIRCLE", "''", place, _number(long_mm))
+    return file.add("ELLIPSE", "''", place, _number(long_mm), _number(short_mm))
+
+
+def _face(file: _StepFile, face: Face, edges: list[str]) -> str:
+    """Add a face with its bounds."""
+    surface, outward = _surface(file, face.surface)
+    bounds = []
+    for place, loop in enumerate(face.loops):
+        runs = [file.add("ORIENTED_EDGE", "''", "*", "*", edges[edge], _logical(forward)) for edge, forward in loop]
+        kind = "FACE_BOUND" if place else "FACE_OUTER_BOUND"
+        bounds.append(file.add(kind, "''", file.add("EDGE_LOOP", "''", _list(runs)), ".T."))
+    return file.add("ADVANCED_FACE", "''", _list(bounds), surface, _logical(outward))
+
+
+def _surface(file: _StepFile, surface: Plane | HollowCylinder | HollowEllipsoid) -> tuple[str, bool]:
+    """Add a surface; tell whether its own normal points out of the solid."""
+    if isinstance(surface, Plane):
+        place = file.placement(surface.point_mm, surface.normal, _across(surface.normal))
+        return file.add("PLANE", "''", place), True
+    if isinstance(surface, HollowCylinder):
+        place = file.placement(surface.centre_mm, surface.axis, _across(surface.axis))
+        return file.add("CYLINDRICAL_SURFACE", "''", place, _number(surface.radius_mm)), False
+    return _ellipsoid(file, surface), True
+
+
+def _across(axis: Floats) -> Floats:
+    """Return a direction perpendicular to another."""
+    return np.asarray(np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))]))
+
+
+def _ellipsoid(file: _StepFile, surface: HollowEllipsoid) -> str:
+    """Add the cap of an ellipsoid as a rational patch of second degree, which is exact; d/du x d/dv points inward.
+
+    Coefficients of a product of at most quadratic polynomials in u and v at the patch's control points are its polar
+    forms: 1, u, u^2 become 1, (-U, 0, U) and (U^2, -U^2, U^2) on -U .. U.
+    """
+    (one, u, uu), (_, v, vv) = (
+        (np.ones(3), most * np.array([-1.0, 0.0, 1.0]), most**2 * np.array([1.0, -1.0, 1.0]))
+        for most in (surface.tan_half_across, surface.tan_half_along)
+    )
+    u, uu, v, vv = (np.outer(u, one), np.outer(uu, one), np.outer(one, v), np.outer(one, vv))
+    weights = 1.0 + uu + vv
+    unit = np.stack([2.0 * u, 1.0 - uu - vv, 2.0 * v], axis=-1) / weights[..., None]
+    poles = surface.centre_mm + unit * surface.semi_axes_mm
+    points = _list(_list(file.point(pole) for pole in row) for row in poles)
+    return file.add_text(
+        f"(BOUNDED_SURFACE()B_SPLINE_SURFACE(2,2,{points},.UNSPECIFIED.,.F.,.F.,.F.)"
+        "B_SPLINE_SURFACE_WITH_KNOTS((3,3),(3,3),(0.,1.),(0.,1.),.UNSPECIFIED.)GEOMETRIC_REPRESENTATION_ITEM()"
+        f"RATIONAL_B_SPLINE_SURFACE({_list(_numbers(row) for row in weights)})REPRESENTATION_ITEM('')SURFACE())"
+    )
+
+
+def _units(file: _StepFile) -> str:
+    """Add the units: mm, rad, sr."""
+    length = file.add_text("(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT(.MILLI.,.METRE.))")
+    angle = file.add_text("(NAMED_UNIT(*)PLANE_ANGLE_UNIT()SI_UNIT($,.RADIAN.))")
+    solid_angle = file.add_text("(NAMED_UNIT(*)SI_UNIT($,.STERADIAN.)SOLID_ANGLE_UNIT())")
+    uncertainty = file.add(
+        "UNCERTAINTY_MEASURE_WITH_UNIT",
+        f"LENGTH_MEASURE({_number(_UNCERTAINTY_MM)})",
+        length,
+        "'distance_accuracy_value'",
+        "''",
+    )
+    return file.add_text(
+        f"(GEOMETRIC_REPRESENTATION_CONTEXT(3)GLOBAL_UNCERTAINTY_ASSIGNED_CONTEXT(({uncertainty}))"
+        f"GLOBAL_UNIT_ASSIGNED_CONTEXT(({length},{angle},{solid_angle}))REPRESENTATION_CONTEXT('',''))"
+    )
+
+
+def _product(file: _StepFile, name: str) -> str:
+    """Add what the shape is the shape of."""
+    context = file.add("APPLICATION_CONTEXT", "'automotive design'")
+    file.add("APPLICATION_PROTOCOL_DEFINITION", "'international standard'", "'automotive_design'", "2000", context)
+    of_product = file.add("PRODUCT_CONTEXT", "''", context, "'mechanical'")
+    product = file.add("PRODUCT", _text(name), _text(name), "''", _list([of_product]))
+    file.add("PRODUCT_RELATED_PRODUCT_CATEGORY", "'part'", "$", _list([product]))
+    version = file.add("PRODUCT_DEFINITION_FORMATION", "''", "''", product)
+    of_design = file.add("PRODUCT_DEFINITION_CONTEXT", "'part definition'", context, "'design'")
+    definition = file.add("PRODUCT_DEFINITION", "'design'", "''", version, of_design)
+    return file.add("PRODUCT_DEFINITION_SHAPE", "''", "''", definition)
+
+
+def _list(values: Iterable[str]) -> str:
+    """Return values in brackets."""
+    return f"({','.join(values)})"
+
+
+def _numbers(values: Floats) -> str:
+    """Return real numbers in brackets."""
+    return _list(_number(float(value)) for value in values)
+
+
+def _number(value: float) -> str:
+    """Return a real number so that it is read back exactly: with a point, its exponent with a capital E."""
+    digits, _, exponent = repr(value + 0.0).partition("e")
+    return (digits if "." in digits else digits + ".") + (f"E{int(exponent)}" if exponent else "")
+
+
+def _logical(value: bool) -> str:
+    """Return a truth value."""
+    return ".T." if value else ".F."
+
+
+def _text(value: str) -> str:
+    """Return a string: quotes and backslashes doubled, other than printable ASCII as UTF-16 or UTF-32 numbers."""
+    written = []
+    for letter in value:
+        if " " <= letter <= "~":
+            written.append(letter * 2 if letter in "'\\" else letter)
+        elif ord(letter) < 0x10000:
+            written.append(f"\\X2\\{ord(letter):04X}\\X0\\")
+        else:
+            written.append(f"\\X4\\{ord(letter):08X}\\X0\\")
+    return f"'{''.join(written)}'"

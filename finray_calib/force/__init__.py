@@ -1,0 +1,18 @@
+"""Compare measured and simulated force over displacement: error, its uncertainty, and a validation statement.
+
+The error E = F(d - d_0) - F_measured(d), d_0 the displacement of first touch, is judged against
+u_val^2 = u_numerical^2 + u_input^2 + u_data^2 (ASME V&V 20): mesh, constants and dimensions of the design, and the
+measurement. Where nothing is known of them, errors are given without verdicts.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from finray_calib.force._force_comparison import compare_force
+    from finray_calib.force._force_curves import ForceCurve, MeasuredForce
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = ["ForceCurve", "MeasuredForce", "compare_force"]

@@ -1,0 +1,400 @@
+"""The tree from a record down to what was captured, every file of it hashed again, and whether a folder is whole.
+
+An input is looked for by its recorded name, relative to the record, to the folders above it and to the working
+directory, and then by its SHA-256 among the files beside the record. What is found is compared with the SHA-256 that
+the record holds; records are checked against their seals as well, sessions frame by frame.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
+
+from pydantic import ValidationError
+
+from data_schemas import FinrayError, Provenance, RecordError
+from data_schemas.json_schemas import STORED
+from data_schemas.storage import (
+    A_RECORD,
+    MANIFEST_NAME,
+    FileFault,
+    FileState,
+    manifest_faults,
+    read_json,
+    read_record,
+    sha256_now,
+)
+from rigs.capture import JOURNAL_NAME, SESSION_KINDS, SESSION_NAME, verify_session
+
+KINDS: Final = {record_type.__name__: record_type for record_type in STORED}
+FOLDERS_ABOVE: Final = 4
+"""Of a record, in which its inputs are looked for by name."""
+MOST_NEIGHBOURS: Final = 200
+"""Files beside a record that are hashed in search of an input whose name changed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Traced:
+    """A file of the tree.
+
+    Attributes
+    ----------
+    name
+        As the record that was made from it names it.
+    path
+        Where it was found; None where it was not.
+    kind
+        Kind of a record, "file" of anything else.
+    faults
+        What is wrong with it, with its own files (arrays, pages, frames) and with its name.
+    notes
+        What cannot be told of it, or does no harm.
+    inputs
+        What it was made from.
+    frames
+        Frames of a session that are as they were captured.
+    is_repeated
+        Whether its inputs stand at an earlier place of the tree.
+    is_dirty
+        Whether it was made by sources that differed from the commit that it names.
+    """
+
+    name: str
+    path: Path | None
+    kind: str
+    faults: tuple[FileFault, ...] = ()
+    notes: tuple[str, ...] = ()
+    inputs: tuple["Traced", ...] = ()
+    frames: int = 0
+    is_repeated: bool = False
+    is_dirty: bool = False
+
+    def all(self) -> Iterator["Traced"]:
+        """Yield this file and all below it, each place of the tree once."""
+        yield self
+        for part in self.inputs:
+            yield from part.all()
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether nothing is wrong with it and all below it."""
+        return not any(part.faults for part in self.all())
+
+
+class Tracer:
+    """Traces records; what was hashed once is not hashed again.
+
+    Parameters
+    ----------
+    working
+        Directory in which recorded names may start beside the folders of the record.
+    """
+
+    def __init__(self, working: Path | None = None):
+        self._working = Path.cwd() if working is None else working
+        self._digests: dict[Path, str] = {}
+        self._traced: dict[Path, Traced] = {}
+        self._open: set[Path] = set()
+
+    @property
+    def digests(self) -> Mapping[Path, str]:
+        """SHA-256 of the files that were hashed, by resolved path."""
+        return self._digests
+
+    def trace(self, path: Path) -> Traced:
+        """Trace a stored record.
+
+        Raises
+        ------
+        RecordError
+            There is no such file, or it is no record at all.
+        """
+        if not path.exists() or path.is_dir():
+            raise RecordError(f"{path}: no such file; give the path of {A_RECORD}")
+        traced = self._traced_file(str(path), path, None, None)
+        if traced.kind == "file" and not traced.faults:
+            raise RecordError(f"{path}: is not a stored record (a JSON object with 'kind' and 'record')")
+        return traced
+
+    def _traced_file(self, name: str, path: Path, wanted: str | None, consumer: Provenance | None) -> Traced:
+        """Trace a file that was found, and compare it with the SHA-256 that is wanted."""
+        place = path.resolve()
+        if place in self._open:
+            return Traced(name, path, "file", (FileFault(path, "changed", "is made from itself"),))
+        if place in self._traced:
+            before = self._traced[place]
+            own = Traced(name, path, before.kind, frames=before.frames, is_repeated=True)
+        else:
+            self._open.add(place)
+            own = self._own(name, path)
+            self._open.discard(place)
+            before = self._traced[place] = own
+        return replace(own, faults=(*self._unlike(path, wanted, consumer, before), *own.faults))
+
+    def _own(self, name: str, path: Path) -> Traced:
+        """Trace a file by itself."""
+        if path.suffix != ".json":
+            return Traced(name, path, "file")
+        try:
+            envelope = read_json(path, A_RECORD)
+        except FinrayError as error:
+            return Traced(name, path, "file", (_changed(path, error),))
+        kind = envelope.get("kind") if isinstance(envelope, dict) else None
+        if kind not in KINDS:
+            return Traced(name, path, "file")
+        return self._record(name, path, envelope, kind)
+
+    def _record(self, name: str, path: Path, envelope: dict[str, Any], kind: str) -> Traced:
+        """Trace a record: its seal, the files that belong to it, and its inputs."""
+        faults = [*self._belonging(path, envelope)]
+        provenance = _provenance(envelope)
+        try:
+            read_record(path, KINDS[kind])
+        except FinrayError as error:
+            if not faults:  # else they say it already
+                faults.append(_changed(path, error))
+        notes = [] if "content_sha256" in envelope else ["carries no seal: it is of a version before seals"]
+        frames = 0
+        if kind in SESSION_KINDS and path.name == SESSION_NAME:
+            check = verify_session(path.parent)
+            self._digests.update({file.resolve(): digest for file, digest in check.digests.items()})
+            faults = [*check.faults]
+            notes += [*check.notes]
+            frames = sum(file.parent.name == "frames" for file in check.digests)
+        inputs = () if provenance is None else self._inputs(path, provenance)
+        is_dirty = provenance is not None and bool(provenance.git_dirty)
+        return Traced(name, path, kind, tuple(faults), tuple(notes), inputs, frames, is_dirty=is_dirty)
+
+    def _belonging(self, path: Path, envelope: dict[str, Any]) -> Iterator[FileFault]:
+        """Yield what is wrong with the array file and the companions of a record."""
+        array_file, companions = envelope.get("array_file"), envelope.get("companions")
+        named: dict[str, str] = dict(companions) if isinstance(companions, dict) else {}
+        if isinstance(array_file, dict):
+            named[str(array_file.get("file"))] = str(array_file.get("sha256"))
+        for name, digest in named.items():
+            file = path.parent / name
+            if not file.resolve().is_relative_to(path.parent.resolve()):
+                yield FileFault(path, "changed", f"names {name!r}, which is outside of its folder")
+            elif not file.is_file():
+                yield FileFault(file, "missing", f"is missing; it belongs to {path.name}")
+            elif self._digest(file) != digest:
+                yield FileFault(file, "changed", f"was changed: its SHA-256 is not the one in {path.name}")
+
+    def _inputs(self, path: Path, provenance: Provenance) -> tuple[Traced, ...]:
+        """Trace the inputs of a record."""
+        return tuple(
+            self._input(path, name, digest, provenance) for name, digest in sorted(provenance.input_sha256.items())
+        )
+
+    def _input(self, path: Path, name: str, digest: str, provenance: Provenance) -> Traced:
+        """Find and trace one input of a record."""
+        named = [file for file in self._candidates(path.parent, name) if file.is_file()]
+        for file in named:
+            if self._digest(file) == digest:
+                return self._traced_file(name, file, digest, provenance)
+        for file in self._neighbours(path.parent, PurePosixPath(name).suffix):
+            if self._digest(file) == digest:
+                found = self._traced_file(name, file, digest, provenance)
+                return replace(found, notes=(f"found by its SHA-256 as {file}", *found.notes))
+        if named:
+            return self._traced_file(name, named[0], digest, provenance)
+        missing = FileFault(path.parent / name, "missing", f"is missing; {path.name} was made from it")
+        return Traced(name, None, "file", (missing,))
+
+    def _candidates(self, folder: Path, name: str) -> Iterator[Path]:
+        """Yield where a recorded name may lead, the likeliest first."""
+        recorded = Path(name)
+        if recorded.is_absolute():
+            yield recorded
+        above = [folder, *folder.resolve().parents[:FOLDERS_ABOVE]]
+        if not recorded.is_absolute():
+            for start in (folder, self._working, *above[1:]):
+                yield start / recorded
+        parts = recorded.parts
+        for first in range(1, len(parts)):
+            for start in above:
+                yield start.joinpath(*parts[first:])
+
+    def _neighbours(self, folder: Path, suffix: str) -> list[Path]:
+        """Return files beside a record that an input may be, under another name."""
+        files = (file for file in sorted(folder.iterdir()) if file.suffix == suffix and file.is_file())
+        return [file for _, file in zip(range(MOST_NEIGHBOURS), files, strict=False)]
+
+    def _unlike(
+        self, path: Path, wanted: str | None, consumer: Provenance | None, own: Traced
+    ) -> tuple[FileFault, ...]:
+        """Return what is wrong with a file whose SHA-256 is not the wanted one."""
+        if wanted is None or self._digest(path) == wanted or own.faults:
+            return ()
+        made = _created(path) if own.kind in KINDS else None
+        used = None if consumer is None else _time(consumer.created_utc)
+        if made is not None and used is not None and made >= used:
+            text = f"was made anew at {made.isoformat()}, after what was made from it: make that again"
+            return (FileFault(path, "stale", text),)
+        return (FileFault(path, "changed", "is not the file that was read: its SHA-256 is another"),)
+
+    def _digest(self, file: Path) -> str | None:
+        """Return the SHA-256 of a file as it is now; None where it cannot be read."""
+        place = file.resolve()
+        if place not in self._digests:
+            try:
+                self._digests[place] = sha256_now(place)
+            except RecordError:
+                return None
+        return self._digests[place]
+
+
+def findings(traced: Traced) -> tuple[FileFault, ...]:
+    """Return all faults of a tree, each once, missing files first."""
+    order: dict[FileState, int] = {"missing": 0, "changed": 1, "stale": 2}
+    faults = dict.fromkeys(fault for part in traced.all() for fault in part.faults)
+    return tuple(sorted(faults, key=lambda fault: (order[fault.state], fault.path)))
+
+
+def _changed(path: Path, error: FinrayError) -> FileFault:
+    """Return the fault of a file that its reader refuses."""
+    return FileFault(path, "changed", str(error).removeprefix(f"{path}: "))
+
+
+def _created(path: Path) -> datetime | None:
+    """Return when a record was written."""
+    try:
+        envelope = read_json(path, A_RECORD)
+        return _time(envelope["record"]["provenance"]["created_utc"])
+    except (FinrayError, KeyError, TypeError):
+        return None
+
+
+def _provenance(envelope: dict[str, Any]) -> Provenance | None:
+    """Return the origin that a record names, be it damaged or not."""
+    try:
+        return Provenance.model_validate(envelope["record"]["provenance"])
+    except (ValidationError, KeyError, TypeError):
+        return None
+
+
+def _time(text: str) -> datetime | None:
+    """Return a time of day, or None where the text is none."""
+    try:
+        return datetime.fromisoformat(text)
+    except (TypeError, ValueError):
+        return None
+
+
+DEMO_MARK: Final = ("demo.json", "report.html")
+"""Files of a finished demo, which writes checksums of all its files last."""
+
+
+@dataclass(frozen=True, slots=True)
+class FolderCheck:
+    """What was found in a folder.
+
+    Attributes
+    ----------
+    records
+        The records, with what they were made from.
+    faults
+        What is not as it was written; empty for a whole folder.
+    notes
+        What cannot be told, or does no harm.
+    hashed
+        Number of files of the folder that were hashed.
+    """
+
+    records: tuple[Traced, ...]
+    faults: tuple[FileFault, ...]
+    notes: tuple[str, ...]
+    hashed: int
+
+
+def verify_folder(folder: Path) -> FolderCheck:
+    """Re-hash all files of a folder that a record, a session or checksums bind, and name what is not as it was.
+
+    Raises
+    ------
+    RecordError
+        There is no such folder, or nothing in it that could be checked.
+    """
+    if not folder.is_dir():
+        raise RecordError(f"{folder}: no such folder; give the folder of a session or of products")
+    tracer, records = Tracer(), list[Traced]()
+    faults: dict[FileFault, None] = {}
+    notes: dict[str, None] = {}
+    for path in _visible(folder):
+        if path.suffix == ".json":
+            records += _record(tracer, path, faults)
+    for traced in records:
+        faults |= dict.fromkeys(findings(traced))
+        notes |= dict.fromkeys(f"{part.path or part.name}: {note}" for part in traced.all() for note in part.notes)
+    for session in _sessions(folder):
+        check = verify_session(session)
+        faults |= dict.fromkeys(check.faults)
+        notes |= dict.fromkeys(f"{session / SESSION_NAME}: {note}" for note in check.notes)
+    bound = set(tracer.digests) | _files_of(records)
+    for listed in (path.parent for path in _visible(folder) if path.name == MANIFEST_NAME):
+        of_manifest, unlisted = manifest_faults(listed, tracer.digests)
+        told = {fault.path.resolve() for fault in faults}
+        faults |= dict.fromkeys(fault for fault in of_manifest if fault.path.resolve() not in told)
+        bound |= {path.resolve() for path in listed.rglob("*") if path not in (listed / MANIFEST_NAME, *unlisted)}
+    dirty = {part.path for traced in records for part in traced.all() if part.is_dirty}
+    if dirty:
+        notes[f"{len(dirty)} records were made by sources that differed from the commit that they name"] = None
+    faults |= dict.fromkeys(_missing_checksums(folder))
+    notes |= dict.fromkeys(_unbound(folder, bound))
+    hashed = sum(path.resolve() in bound for path in _visible(folder))
+    if not (records or faults or hashed):
+        raise RecordError(f"{folder}: holds no stored record, session or checksums; give a folder that finray wrote")
+    return FolderCheck(tuple(records), tuple(faults), tuple(notes), hashed)
+
+
+def _record(tracer: Tracer, path: Path, faults: dict[FileFault, None]) -> Iterator[Traced]:
+    """Yield a JSON file traced as a record, if it is one; one that cannot be read is a fault."""
+    try:
+        envelope = read_json(path)
+    except FinrayError as error:
+        faults[FileFault(path, "changed", str(error).removeprefix(f"{path}: "))] = None
+        return
+    if isinstance(envelope, dict) and envelope.get("kind") in KINDS:
+        yield tracer.trace(path)
+
+
+def _visible(folder: Path) -> list[Path]:
+    """Return the files of a folder and below it that are not hidden."""
+    return sorted(
+        path
+        for path in folder.rglob("*")
+        if path.is_file() and not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    )
+
+
+def _sessions(folder: Path) -> list[Path]:
+    """Return the folders of sessions, those among them that lost their record or journal as well."""
+    marks = {path.parent for path in _visible(folder) if path.name == JOURNAL_NAME}
+    marks |= {path.parent.parent for path in _visible(folder) if path.parent.name == "frames"}
+    return sorted(mark for mark in marks if mark.is_relative_to(folder))
+
+
+def _files_of(records: list[Traced]) -> set[Path]:
+    """Return the records themselves, resolved, which their seals bind."""
+    return {part.path.resolve() for traced in records for part in traced.all() if part.path is not None}
+
+
+def _missing_checksums(folder: Path) -> Iterator[FileFault]:
+    """Yield finished demos whose checksums are missing."""
+    for mark in _visible(folder):
+        demo = mark.parent
+        if mark.name != DEMO_MARK[0] or not all((demo / name).is_file() for name in DEMO_MARK):
+            continue
+        if not (demo / MANIFEST_NAME).is_file():
+            yield FileFault(demo / MANIFEST_NAME, "missing", "the checksums of a finished demo are missing")
+
+
+def _unbound(folder: Path, bound: set[Path]) -> Iterator[str]:
+    """Yield what no record and no checksums speak of."""
+    names = {MANIFEST_NAME}
+    loose = [path for path in _visible(folder) if path.resolve() not in bound and path.name not in names]
+    if loose:
+        shown = ", ".join(str(path.relative_to(folder)) for path in loose[:5])
+        more = f" and {len(loose) - 5} more" if len(loose) > 5 else ""
+        yield f"not checked, as no record and no checksums name them: {shown}{more}"

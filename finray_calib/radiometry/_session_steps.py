@@ -1,0 +1,228 @@
+"""All merged steps of a paint session, checked for what is missing or lost, with the covariance of their signals.
+
+The covariance holds what each step has of its own, and what steps share. The level of the laser is taken on the white
+reference, referred to the lamp.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import CaptureSession, FrameType, RadiometryError
+from finray_calib.radiometry._step_signals import (
+    LARGEST_SATURATED_FRACTION,
+    DarkLevel,
+    ExposureSignal,
+    ReadFrame,
+    StepKey,
+    StepSignal,
+    dark_levels,
+    exposure_signals,
+    light_repeatability_rel,
+    mean_log_ratio,
+    merge_exposures,
+)
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SessionSteps:
+    """Merged signals of a session; the tuples run along the captured filters.
+
+    Attributes
+    ----------
+    names
+        Names of the captured filters, in the order of the wheel.
+    excitation
+        Index of the filter that passes the laser.
+    white, reflectance, fluorescence
+        White under the lamp, sample under the lamp, sample under the laser.
+    laser_white
+        White under the laser through the excitation filter.
+    repeat
+        The first laser filter again at the end, if it was captured.
+    tilted
+        The tilted sample under the laser, if it was captured.
+    darks
+        Dark levels by exposure time asked for (s).
+    repeatability_rel
+        Repeatability of the light of one frame.
+    """
+
+    names: tuple[str, ...]
+    excitation: int
+    white: tuple[StepSignal, ...]
+    reflectance: tuple[StepSignal, ...]
+    fluorescence: tuple[StepSignal, ...]
+    laser_white: StepSignal
+    repeat: StepSignal | None
+    tilted: tuple[StepSignal, ...]
+    darks: dict[float, DarkLevel]
+    repeatability_rel: float
+
+
+def session_steps(session: CaptureSession, read: ReadFrame) -> SessionSteps:
+    """Reduce every frame of a session, one at a time, and merge the exposures of each step.
+
+    Raises
+    ------
+    RadiometryError
+        A step, a dark frame or a whole band is missing or saturated, or the region is empty.
+    """
+    names = captured_filters(session)
+    if session.plan.excitation_filter not in names:
+        raise RadiometryError(
+            f"session.plan.excitation_filter: {session.plan.excitation_filter!r} is none of the captured filters "
+            f"({', '.join(names)})"
+        )
+    darks = dark_levels(session, read)
+    grouped = exposure_signals(session, read, darks)
+    repeatability_rel = light_repeatability_rel(grouped, _fading_per_j(grouped, session.plan.excitation_filter))
+    steps = {key: merge_exposures(exposures, repeatability_rel) for key, exposures in grouped.items()}
+    return SessionSteps(
+        names=names,
+        excitation=names.index(session.plan.excitation_filter),
+        white=_of_type(steps, "white", names),
+        reflectance=_of_type(steps, "reflectance", names),
+        fluorescence=_of_type(steps, "fluorescence", names),
+        laser_white=_of_type(steps, "laser white", (session.plan.excitation_filter,))[0],
+        repeat=next((step for (kind, _), step in steps.items() if kind == "fluorescence repeat"), None),
+        tilted=tuple(step for (kind, _), step in steps.items() if kind == "tilted fluorescence"),
+        darks=darks,
+        repeatability_rel=repeatability_rel,
+    )
+
+
+def captured_filters(session: CaptureSession) -> tuple[str, ...]:
+    """Return the names of the filters of the plan in the order of the wheel."""
+    planned = session.plan.filters
+    return tuple(f.name for f in session.rig.filter_wheel.filters if planned is None or f.name in planned)
+
+
+def signals_of(steps: tuple[StepSignal, ...]) -> Floats:
+    """Return the merged signals (DN/s), shape (steps, 3); NaN where every exposure is saturated."""
+    return np.array([step.signal_dn_per_s for step in steps])
+
+
+def _fading_per_j(grouped: dict[StepKey, list[ExposureSignal]], excitation_filter: str) -> dict[StepKey, float]:
+    """Return a first estimate of the loss per joule for every step that shows emission under the laser."""
+    repeat = next((exposures[0] for (kind, _), exposures in grouped.items() if kind == "fluorescence repeat"), None)
+    if repeat is None or repeat.frame.filter_name is None:
+        return {}
+    first = grouped.get(("fluorescence", repeat.frame.filter_name))
+    ratio = mean_log_ratio(first[0], repeat) if first else None
+    span_j = repeat.frame.laser_dose_j - first[0].frame.laser_dose_j if first else 0.0
+    if ratio is None or span_j <= 0:
+        return {}
+    return {key: -ratio[0] / span_j for key in grouped if "fluorescence" in key[0] and key[1] != excitation_filter}
+
+
+def _of_type(steps: dict[StepKey, StepSignal], kind: FrameType, names: tuple[str, ...]) -> tuple[StepSignal, ...]:
+    """Return the steps of one type over the filters; a missing step or a wholly saturated band is an error."""
+    found = []
+    for name in names:
+        step = steps.get((kind, name))
+        if step is None:
+            raise RadiometryError(
+                f"session.frames: no '{kind}' frame through filter {name}; capture the session again with this filter"
+            )
+        if np.isnan(step.signal_dn_per_s).all():
+            raise RadiometryError(
+                f"{step.exposures[0].frame.file}: filter {name} is saturated in all channels and exposures ('{kind}', "
+                f"{step.saturated_fraction.min():.1%} of the region at full scale, at most "
+                f"{LARGEST_SATURATED_FRACTION:.2%} is allowed): capture again with a lower plan.target_fraction or "
+                "a shorter exposure in plan.bracket"
+            )
+        found.append(step)
+    return tuple(found)
+
+
+def signal_covariance(steps: Sequence[StepSignal], darks: dict[float, DarkLevel], repeatability_rel: float) -> Floats:
+    r"""Return the covariance of the merged signals of some steps.
+
+    .. math:: C = \mathrm{diag}(n) + \sum_j u_j u_j^T
+
+    with one column u for each error that several signals share: the light level of one frame (common to its
+    channels), the dark level of one exposure time (per channel, common to all steps that use it), and the dark
+    drift at one exposure time (common to channels and steps). Lost signals (NaN) have zeros.
+
+    Parameters
+    ----------
+    steps
+        M steps.
+    darks
+        Dark levels by exposure time asked for (s).
+    repeatability_rel
+        Relative standard deviation of the light level of one frame.
+
+    Returns
+    -------
+    ndarray
+        (3 M, 3 M) in (DN/s)^2, step-major.
+    """
+    noise = np.array([np.nan_to_num(step.noise_variance) for step in steps])
+    columns = [*_light_columns(steps, repeatability_rel), *_dark_columns(steps, darks)]
+    shared = np.array([column.ravel() for column in columns]).reshape(len(columns), noise.size)
+    return np.asarray(np.diag(noise.ravel()) + shared.T @ shared)
+
+
+def _light_columns(steps: Sequence[StepSignal], repeatability_rel: float) -> list[Floats]:
+    """Return one (M, 3) column per frame: its light level."""
+    columns = []
+    for k, step in enumerate(steps):
+        for share in step.shares:
+            column = np.zeros((len(steps), 3))
+            column[k] = repeatability_rel * share * np.nan_to_num(step.signal_dn_per_s)
+            columns.append(column)
+    return columns
+
+
+def _dark_columns(steps: Sequence[StepSignal], darks: dict[float, DarkLevel]) -> list[Floats]:
+    """Return four (M, 3) columns per exposure time: the dark level of each channel, and the drift."""
+    columns = []
+    for exposure_s, dark in darks.items():
+        slope = np.zeros((len(steps), 3))  # change of the signals for 1 DN of this dark level
+        for k, step in enumerate(steps):
+            for share, exposure in zip(step.shares, step.exposures, strict=True):
+                if exposure.frame.exposure_requested_s == exposure_s:
+                    slope[k] -= share / exposure.frame.exposure_s
+        if slope.any():
+            columns += [slope * np.sqrt(dark.noise_variance) * (np.arange(3) == c) for c in range(3)]
+            columns.append(slope * np.sqrt(dark.drift_variance_dn2))
+    return columns
+
+
+def channel_weights(steps: SessionSteps) -> Floats:
+    """Return inverse-variance weights (3,), sum 1, of the channels for the laser level V.
+
+    Raises
+    ------
+    RadiometryError
+        No channel sees the laser on the white reference.
+    """
+    laser, lamp = steps.laser_white, steps.white[steps.excitation]
+    v, w = laser.signal_dn_per_s, lamp.signal_dn_per_s
+    good = (v > 0) & (w > 0)  # false for lost channels (NaN)
+    v, w = np.where(good, v, 1.0), np.where(good, w, 1.0)
+    variance = (laser.noise_variance / v**2 + lamp.noise_variance / w**2) * (v / w) ** 2
+    weight = np.where(good, 1 / np.where(good, variance, 1.0), 0.0)
+    if weight.sum() == 0:
+        raise RadiometryError(
+            "the white reference under the laser gives no signal through the excitation filter: is the laser on the "
+            "tile, and does plan.excitation_filter name the filter of the laser line?"
+        )
+    return np.asarray(weight / weight.sum())
+
+
+def laser_level(steps: SessionSteps, weights: Floats) -> float:
+    """Return V = sum_c w_c (white under the laser / white under the lamp) through the excitation filter."""
+    lamp = positive(steps.white[steps.excitation].signal_dn_per_s)
+    return float((weights * np.nan_to_num(steps.laser_white.signal_dn_per_s) / lamp).sum())
+
+
+def positive(signal: Floats) -> Floats:
+    """Replace unusable (NaN, zero or negative) denominators by 1; their entries carry a flag."""
+    return np.where(np.isfinite(signal) & (signal > 0), signal, 1.0)

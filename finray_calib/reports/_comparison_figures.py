@@ -1,0 +1,259 @@
+"""Figures of a comparison: error map, changes by the touch, scores, budget, level by part, and force over the push."""
+
+from collections.abc import Callable
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from data_schemas import ForceComparison, InputUncertainty, PhotometricErrorReport, ValidationCell
+from finray_calib.reports._comparison_statements import row_of
+from finray_calib.reports._images import Floats, TouchChanges, coarser
+from finray_calib.reports._plain_text import percent, signed_percent
+from finray_calib.reports._style import (
+    BLUE,
+    CANDIDATES,
+    INK,
+    MUTED,
+    ORANGE,
+    VERMILLION,
+    legend_above,
+    new_figure,
+    png_bytes,
+    styled,
+    svg_text,
+)
+
+SHOWN_PERCENTILE = 99.0
+"""The colour scale ends here, in per cent of the pixels, so that single glints do not flatten the map."""
+
+
+@styled()
+def error_map_figure(
+    report: PhotometricErrorReport, outline: NDArray[np.bool_], window: tuple[slice, slice] | None = None
+) -> str:
+    """Draw the error map with its colour bar and the outline of the headline region.
+
+    Parameters
+    ----------
+    report
+        Comparison whose map is drawn.
+    outline
+        (H, W) mask of the headline region, on any grid of the same view.
+    window
+        Rows and columns of that grid to show; all when None.
+    """
+    error = coarser(np.abs(report.error_map).astype(np.float64))
+    height, width = outline.shape
+    rows, columns = window or (slice(0, height), slice(0, width))
+    view = (min(rows.stop, height) - rows.start) / (min(columns.stop, width) - columns.start)
+    figure = new_figure(5.4, 5.4 * 0.8 * view + 0.1)
+    axes = figure.subplots()
+    top = float(np.nanpercentile(error, SHOWN_PERCENTILE))
+    extent = (0.0, float(width), float(height), 0.0)
+    drawn = axes.imshow(error, cmap="cividis", vmin=0.0, vmax=top if top > 0 else 1.0, extent=extent)
+    draw_outline(axes, outline, "--")
+    axes.set(xlim=(columns.start, min(columns.stop, width)), ylim=(min(rows.stop, height), rows.start))
+    axes.set_axis_off()
+    bar = figure.colorbar(drawn, ax=axes, shrink=0.9, extend="max")
+    bar.set_label("error / untouched level (1)")
+    return svg_text(figure)
+
+
+def draw_outline(axes: Axes, mask: NDArray[np.bool_], line: str) -> None:
+    """Draw the border of a region, in its own pixels, as a dark line on a white one that is seen on any ground."""
+    if not mask.any() or mask.all():
+        return
+    centers = np.arange(mask.shape[1]) + 0.5, np.arange(mask.shape[0]) + 0.5
+    axes.contour(*centers, mask.astype(float), levels=[0.5], colors="white", linewidths=2.6)
+    axes.contour(*centers, mask.astype(float), levels=[0.5], colors=INK, linewidths=1.2, linestyles=line)
+
+
+@styled()
+def score_figure(report: PhotometricErrorReport) -> str:
+    """Draw the skill of doing nothing, of the simulation and of a repeat, region by region."""
+    figure = new_figure(5.4, 0.85 * len(report.regions) + 1.2)
+    axes = figure.subplots()
+    named: set[str] = set()
+    for place, region in enumerate(report.regions):
+        for offset, (candidate, (marker, colour)) in zip((0.22, 0.0, -0.22), CANDIDATES.items(), strict=True):
+            row = row_of(region, candidate)
+            if row is None:
+                continue
+            skill = row.skill
+            error = [[max(skill.estimate - skill.low95, 0.0)], [max(skill.high95 - skill.estimate, 0.0)]]
+            axes.errorbar(
+                [skill.estimate],
+                [place + offset],
+                xerr=error,
+                fmt=marker,
+                color=colour,
+                markersize=6.5,
+                linewidth=1.6,
+                label=None if candidate in named else candidate,
+            )
+            named.add(candidate)
+    axes.axvline(0, color=MUTED, linewidth=1)
+    axes.axvline(1, color=MUTED, linewidth=1, linestyle=":")
+    axes.set(ylim=(len(report.regions) - 0.5, -0.5), xlabel="skill (1): 0 is doing nothing, 1 is perfect")
+    axes.set_yticks(range(len(report.regions)), [_wrapped(region.region) for region in report.regions])
+    axes.grid(visible=False, axis="y")
+    figure.legend(loc="outside upper left", ncols=3)
+    return svg_text(figure)
+
+
+def _wrapped(name: str) -> str:
+    """Break a long name after the word nearest to its middle; a dollar sign is shown, not read as mathematics."""
+    breaks = [i for i, letter in enumerate(name) if letter == " "]
+    if len(name) > 14 and breaks:
+        at = min(breaks, key=lambda i: abs(i - len(name) / 2))
+        name = f"{name[:at]}\n{name[at + 1 :]}"
+    return name.replace("$", r"\$")
+
+
+_LINES = ("-", "--")
+
+
+def change_figures(changes: TouchChanges) -> tuple[str, str, str]:
+    """Draw captured change, simulated change and simulated minus captured, all on one scale with regions outlined."""
+    maps = (changes.captured, changes.simulated, changes.simulated - changes.captured)
+    captured, simulated, left = (_change_figure(values, changes) for values in maps)
+    return captured, simulated, left
+
+
+@styled()
+def _change_figure(values: Floats, changes: TouchChanges) -> str:
+    """Draw one map."""
+    height, width = changes.regions[0].shape
+    figure = new_figure(4.0, 4.0 * height / width + 0.75)
+    axes = figure.subplots()
+    # cividis is brighter for larger values, so that brighter than untouched is bright also in a grey print
+    drawn = axes.imshow(
+        values, cmap="cividis", vmin=-changes.scale, vmax=changes.scale, extent=(0.0, float(width), float(height), 0.0)
+    )
+    for mask, line in zip(changes.regions, _LINES, strict=False):
+        draw_outline(axes, mask, line)
+    axes.set_axis_off()
+    bar = figure.colorbar(drawn, ax=axes, location="bottom", aspect=30, extend="both")
+    bar.set_label("change / untouched level (1)")
+    return svg_text(figure)
+
+
+_LOOK = {"A": ("from repeated observations (A)", BLUE, ""), "B": ("from other knowledge (B)", ORANGE, "///")}
+_LINE_LENGTH = 24
+
+
+@styled()
+def budget_figure(bars: list[tuple[InputUncertainty, float]], text: Callable[[float], str], label: str) -> str:
+    """Draw one bar for each input, the longest on top, with its value written at its end.
+
+    Parameters
+    ----------
+    bars
+        Inputs and the standard uncertainty that each makes alone.
+    text
+        How a value is written.
+    label
+        What the values are, with their unit.
+    """
+    ranked = sorted(bars, key=lambda bar: bar[1])
+    top = max((value for _, value in ranked), default=0.0) or 1.0
+    figure = new_figure(5.6, 0.46 * len(ranked) + 1.2)
+    axes = figure.subplots()
+    seen: set[str] = set()
+    for place, (line, value) in enumerate(ranked):
+        name, colour, hatch = _LOOK[line.evaluation]
+        named = None if line.evaluation in seen else name
+        seen.add(line.evaluation)
+        axes.barh(place, value, height=0.6, color=colour, edgecolor=INK, hatch=hatch, linewidth=0.6, label=named)
+        axes.text(value + 0.015 * top, place, text(value), va="center", fontsize=9)
+    axes.set_yticks(range(len(ranked)), [_in_lines(line.input) for line, _ in ranked])
+    axes.set(xlim=(0.0, 1.25 * top), xlabel=label)
+    axes.locator_params(axis="x", nbins=5)
+    axes.grid(visible=False, axis="y")
+    figure.legend(loc="outside upper left", ncols=2, columnspacing=1.2)
+    return svg_text(figure)
+
+
+def _in_lines(name: str) -> str:
+    """Return a name in at most two lines that leave room for the bars; a dollar sign is no mathematics here."""
+    lines = [""]
+    for word in name.split():
+        longer = f"{lines[-1]} {word}".strip()
+        if len(longer) <= _LINE_LENGTH or not lines[-1]:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    if len(lines) > 2:
+        lines = [lines[0], f"{lines[1]}\N{HORIZONTAL ELLIPSIS}"]
+    return "\n".join(line[: _LINE_LENGTH + 1] for line in lines).replace("$", r"\$")
+
+
+_PARTS, _GAP = 3, 0.04
+
+
+@styled()
+def validation_figure(cells: tuple[ValidationCell, ...]) -> str:
+    """Draw 3 x 3 parts of one channel: error and 2 u; parts outside it are framed, hatched and named."""
+    figure = new_figure(4.0, 3.5)
+    axes = figure.subplots()
+    for cell in cells:
+        _cell(axes, cell)
+    axes.set(xlim=(-0.03, _PARTS + 0.03), ylim=(_PARTS + 0.03, -0.03))
+    axes.set_axis_off()
+    return svg_text(figure)
+
+
+def _cell(axes: Axes, cell: ValidationCell) -> None:
+    """Draw one part."""
+    corner, side = (cell.column + _GAP, cell.row + _GAP), 1.0 - 2 * _GAP
+    axes.add_patch(Rectangle(corner, side, side, facecolor="none", edgecolor=MUTED, linewidth=0.8))
+    if not cell.within:
+        axes.add_patch(Rectangle(corner, side, 0.2, facecolor="none", edgecolor=ORANGE, hatch="////", linewidth=0.0))
+        axes.add_patch(Rectangle(corner, side, side, facecolor="none", edgecolor=INK, linewidth=2.4))
+    weight, colour = ("normal", MUTED) if cell.within else ("bold", INK)
+    lines = (
+        (0.40, signed_percent(cell.error_rel), 11.0, INK, weight),
+        (0.62, f"2 u = {percent(2 * cell.u_validation_rel)}", 9.0, MUTED, "normal"),
+        (0.82, "within" if cell.within else "outside", 9.0, colour, weight),
+    )
+    for down, text, size, ink, bold in lines:
+        axes.text(
+            cell.column + 0.5, cell.row + down, text, ha="center", va="center", fontsize=size, color=ink, weight=bold
+        )
+
+
+@styled()
+def force_figure_png(comparison: ForceComparison) -> bytes:
+    """Return a picture of a force comparison as PNG bytes.
+
+    Above, the simulated force with its 95 % band over the design's inputs, and the measured points; below, simulated
+    minus measured with 2 u_val. Points beyond 2 u_val are crosses. Without band and crosses where they are withheld.
+    """
+    points = sorted(comparison.points, key=lambda point: point.depth_mm)
+    depth = np.array([p.depth_mm for p in points])
+    measured, error = np.array([p.force_n for p in points]), np.array([p.error_n for p in points])
+    curve = np.array([p.simulated_n.estimate for p in points])
+    # withheld ends are no numbers
+    low, high = np.array([(p.simulated_n.low95, p.simulated_n.high95) for p in points], dtype=np.float64).T
+    doubled = 2.0 * np.array([p.u_validation_n for p in points])
+    told, within = not comparison.withheld, np.array([p.within is not False for p in points])
+    figure = new_figure(7.0, 6.4)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
+    if told:
+        above.fill_between(depth, low, high, color=BLUE, alpha=0.2, lw=0.0, label="its 95 % band (inputs and numerics)")
+        below.fill_between(depth, -doubled, doubled, color=MUTED, alpha=0.25, lw=0.0, label="2 u_val")
+    above.plot(depth, curve, color=BLUE, label="simulated")
+    near = ", within 2 u_val" if told else ""
+    for own, marker, colour, said in ((within, "o", INK, near), (~within, "X", VERMILLION, ", beyond it")):
+        if own.any():
+            above.plot(depth[own], measured[own], marker, color=colour, ms=4, label=f"measured{said}")
+            below.plot(depth[own], error[own], marker, color=colour, ms=4)
+    below.axhline(0.0, color=MUTED, lw=0.8)
+    above.set(ylabel="force along the pad's normal (N)")
+    below.set(xlabel="push from first touch (mm)", ylabel="simulated - measured (N)")
+    if told:
+        below.legend(loc="best")
+    legend_above(figure, above, 2)
+    return png_bytes(figure)

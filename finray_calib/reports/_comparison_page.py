@@ -1,0 +1,358 @@
+"""The page of one comparison: one HTML file with everything inside, the verdict first, readable without scripts.
+
+Capture, render, what the touch changes in both, the error, all metrics, the budget of the uncertainty, and where the
+level agrees.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from data_schemas import (
+    InputUncertainty,
+    PhotometricErrorReport,
+    SensingError,
+    SimulatedPress,
+    TactileCapture,
+    package_version,
+)
+from finray_calib.reports import _comparison_statements as words
+from finray_calib.reports._comparison_figures import (
+    budget_figure,
+    change_figures,
+    error_map_figure,
+    score_figure,
+    validation_figure,
+)
+from finray_calib.reports._comparison_statements import (
+    CHANNELS,
+    budget_table,
+    headline,
+    metric_table,
+    row_of,
+    sensing_table,
+    validation_table,
+)
+from finray_calib.reports._images import (
+    TouchChanges,
+    TouchPictures,
+    clipped_remark,
+    display_remark,
+    pad_window,
+    require_one_grid,
+    touch_changes,
+    touch_pictures,
+)
+from finray_calib.reports._page import (
+    Content,
+    Part,
+    Picture,
+    drawing,
+    files_table,
+    images_table,
+    raster,
+    render_page,
+    scale_table,
+)
+from finray_calib.reports._plain_text import Json, fixed, percent, plain, signed_percent, significant
+
+TEMPLATE = "result_page.html.j2"
+
+
+def comparison_page(
+    report: PhotometricErrorReport,
+    press: SimulatedPress,
+    capture: TactileCapture,
+    command: str,
+    digests: Mapping[str, str],
+) -> str:
+    """Return the page of a comparison as self-contained HTML; equal input gives equal text.
+
+    Parameters
+    ----------
+    report
+        The comparison.
+    press, capture
+        What was compared, on one grid.
+    command
+        The command that reproduces it.
+    digests
+        Name of each input file -> SHA-256.
+
+    Raises
+    ------
+    RecordError
+        Render and capture are not on one grid.
+    """
+    require_one_grid(press, capture)
+    objective, parts = words.objective_sentence(report), words.validation_sentence(report.validation)
+    found = (words.verdict_meaning(report), *(text for text in (objective, parts) if text is not None))
+    return render_page(
+        TEMPLATE,
+        verb="finray compare",
+        title=f"{report.simulated} against {report.captured}",
+        lead=f"How far a simulated touch is from a real one. Simulation: {report.label}. Compared "
+        f"{words.grid_phrase(report)}; values: {report.values}.",
+        verdict=words.comparison_verdict(report),
+        sentence=words.simulation_sentence(report),
+        key_numbers=_key_numbers(report),
+        findings=found,
+        limits=words.limits(report),
+        notes=report.notes,
+        sections=tuple(_sections(report, press, capture)),
+        command=command,
+        files=files_table(digests, package_version()),
+        summary=_summary(report, command, digests),
+    )
+
+
+def _key_numbers(report: PhotometricErrorReport) -> tuple[tuple[str, str, str], ...]:
+    """Return (label, value, remark) of the few numbers that stand beside the verdict."""
+    skill, floor = report.headline_skill, row_of(headline(report), "floor")
+    repeated = ("not known", "no repeat of the no-contact image was captured")
+    if floor is not None:
+        noise = "with its noise, which the simulation's score is free of"
+        if not words.is_noise_taken_out(report):
+            noise = "with its noise, which is in the simulation's score too"
+        repeated = (words.repeat_text(floor.skill.estimate), noise)
+    between = f"95 %: {fixed(skill.low95, 2)} to {fixed(skill.high95, 2)}"
+    numbers = [
+        ("Skill of the simulation", fixed(skill.estimate, 2), between),
+        ("Doing nothing", "0", "the untouched image in its place"),
+        ("A repeated capture", *repeated),
+    ]
+    if report.objective_error is not None:
+        error = report.objective_error.error_rel
+        between = f"95 %: {signed_percent(error.low95)} to {signed_percent(error.high95)}"
+        numbers.append(("Brightness beside the indenter", signed_percent(error.estimate), between))
+    return tuple(numbers)
+
+
+def _sections(report: PhotometricErrorReport, press: SimulatedPress, capture: TactileCapture) -> list[Part]:
+    """Return images, metrics, uncertainty, parts and origin, as far as there are any."""
+    parts = [images_part(report, press, capture), _metrics(report)]
+    if report.budget:
+        parts.append(budget_part(report))
+    if report.validation:
+        parts.append(validation_part(report))
+    if report.sensing is not None:
+        parts.append(_sensed(report.sensing))
+    scales = () if report.patch_scale is None else (scale_table(report.patch_scale),)
+    lead = " ".join((words.exposure_sentence(report), *words.scale_sentences(report)))
+    parts.append(Part("What was compared", Content(lead=lead, tables=(*scales, images_table(press, capture)))))
+    return parts
+
+
+def _sensed(sensing: SensingError) -> Part:
+    """Show the error in sensing space."""
+    score = sensing.held_out_explained_rel
+    simulation = next(row for row in sensing.rows if row.candidate == "simulation")
+    outside = max(sensing.outside_share_simulated, sensing.outside_share_captured)
+    remarks = [
+        f"The map '{sensing.normal_map}' was taught by {sensing.presses} presses; of presses that it had not seen it "
+        f"explains {percent(score.estimate)} of the squared slopes ({percent(score.low95)} to {percent(score.high95)} "
+        "over random halves). A wrong map is wrong on both sides alike, and its errors partly cancel here."
+    ]
+    if outside > 0.0:
+        remarks.append(f"{percent(outside)} of the pixels show a change of colour that no calibration press showed.")
+    if sensing.mm_per_px_u_rel is not None:
+        # the step of the integration and the size of the calibration ball in pixels both carry the scale
+        remarks.append(
+            f"All depths rest on one scale, whose standard uncertainty of {percent(sensing.mm_per_px_u_rel)} is not in "
+            f"their intervals; it changes them by about {percent(2.0 * sensing.mm_per_px_u_rel)}, all alike."
+        )
+    angle = simulation.normal_angle_mean_deg
+    return Part(
+        "As the sensor would see it",
+        Content(
+            lead="One map from colour to surface normals is applied to render and capture. The normals differ by "
+            f"{fixed(angle.estimate, 1)} deg in the mean ({fixed(angle.low95, 1)} to {fixed(angle.high95, 1)} deg).",
+            tables=(sensing_table(sensing),),
+            remarks=tuple(remarks),
+            has_wide_tables=True,
+        ),
+    )
+
+
+def _metrics(report: PhotometricErrorReport) -> Part:
+    """Show every metric of every region."""
+    return Part(
+        "All metrics",
+        Content(
+            lead="Every number stands beside doing nothing (the untouched image in place of the simulation) and the "
+            "floor (a second capture without contact in place of the first). A metric that rates doing nothing nearly "
+            "as good as the simulation cannot tell them apart. Square brackets: 95 % interval.",
+            tables=tuple(metric_table(report, region) for region in report.regions),
+            remarks=(f"SSIM: {report.ssim_settings}.",),
+            has_wide_tables=True,
+        ),
+    )
+
+
+def _summary(report: PhotometricErrorReport, command: str, digests: Mapping[str, str]) -> Json:
+    """Return every number of the page; draws and map stay in the record."""
+    objective = report.objective_error
+    draws = {"log_ratio_draws", "log_exposure_draws"}
+    numbers: Json = plain(
+        {
+            "photometric_error": {
+                **report.model_dump(mode="json", exclude={"error_map", "provenance", "objective_error"}),
+                "objective_error": None if objective is None else objective.model_dump(mode="json", exclude=draws),
+            },
+            "command": command,
+            "input_sha256": dict(digests),
+            "package_version": package_version(),
+        }
+    )
+    return numbers
+
+
+_BLANK = " Blank: not compared (clipped, or not on the pad)."
+
+
+def images_part(report: PhotometricErrorReport, press: SimulatedPress, capture: TactileCapture) -> Part:
+    """Show capture, render, what the touch changes in both, and the error."""
+    factors = tuple(region.factor for region in report.regions)
+    blank = _BLANK if np.isnan(report.error_map).any() else ""
+    pictures = _pictures(report, touch_pictures(press, capture, factors))
+    changes = _changes(report, touch_changes(press, capture, factors), blank)
+    rows = (pictures, changes, (_error(report, press, blank), _scores(report)))
+    return Part("Images", Content(lead=display_remark(press), picture_rows=rows))
+
+
+def _pictures(report: PhotometricErrorReport, shown: TouchPictures) -> tuple[Picture, ...]:
+    """Show the pad as captured and as simulated."""
+    return (
+        raster(
+            shown.captured_untouched,
+            "Captured image of the untouched pad.",
+            f"Captured, no contact.{clipped_remark(shown.clipped[0])}",
+        ),
+        raster(
+            shown.captured,
+            "Captured image of the pressed pad, scored regions outlined.",
+            f"Captured, contact. Outlined: the regions that are scored.{clipped_remark(shown.clipped[1])}",
+        ),
+        raster(
+            shown.simulated,
+            f"Simulated image of the pressed pad. {words.simulation_sentence(report)}",
+            "Simulated, contact. What to see: inside the outlines it should look like the capture, but for noise.",
+        ),
+    )
+
+
+def _changes(report: PhotometricErrorReport, changes: TouchChanges, blank: str) -> tuple[Picture, ...]:
+    """Show what the touch changes in capture and render, and what is left over."""
+    captured, simulated, left = change_figures(changes)
+    return (
+        drawing(
+            captured,
+            "Map of what the touch changes in the capture.",
+            f"Change by the touch, captured: bright is brighter than untouched, dark is darker.{blank}",
+            is_small=True,
+        ),
+        drawing(
+            simulated,
+            "Map of what the touch changes in the simulation.",
+            "Change by the touch, simulated, on the same scale. What to see: it should agree with the captured one.",
+            is_small=True,
+        ),
+        drawing(
+            left,
+            f"Map of simulated minus captured change. {words.verdict_meaning(report)}",
+            "Simulated minus captured, on the same scale. What to see: it should be even.",
+            is_small=True,
+        ),
+    )
+
+
+def _error(report: PhotometricErrorReport, press: SimulatedPress, blank: str) -> Picture:
+    """Show where the simulation is wrong."""
+    typical, large = (float(np.nanpercentile(np.abs(report.error_map), p)) for p in (50, 95))
+    return drawing(
+        error_map_figure(report, press.distance <= headline(report).factor, pad_window(press)),
+        words.error_alternative(report, typical, large),
+        "Error of the simulation, RMS over the channels, relative to the untouched level; outlined: the region of the "
+        "headline score. What to see: bright spots are where the simulation is wrong; the noise of both images is part "
+        f"of it.{blank}",
+    )
+
+
+def _scores(report: PhotometricErrorReport) -> Picture:
+    """Return the figure of the skill."""
+    return drawing(
+        score_figure(report),
+        words.simulation_sentence(report),
+        "Skill by region, with 95 % intervals. What to see: the nearer the circle is to 1, the less is left to gain; "
+        "the diamond is a repeated capture, with its noise; at 0 the simulation is worth as much as an image of "
+        "the untouched pad.",
+    )
+
+
+_STEADY = ("not yet steady to one significant digit", "steady to one significant digit", "steady to two digits")
+"""By the number of steady digits of the headline's standard uncertainty."""
+
+
+def budget_part(report: PhotometricErrorReport) -> Part:
+    """Show what each input adds to the uncertainty."""
+    largest = max(report.budget, key=lambda line: line.skill_u)
+    run = report.monte_carlo
+    steady = ""
+    if run is not None:
+        digits = _STEADY[run.significant_digits]
+        steady = f" The intervals come from {run.draws} draws of all inputs together (JCGM 101), {digits}."
+    share = largest.skill_u**2 / (sum(line.skill_u**2 for line in report.budget) or 1.0)
+    lead = (
+        f"The largest contribution is {largest.input}: {percent(share)} of the sum of squares of the lines below, "
+        f"which need not add up to the whole.{steady}"
+    )
+    return Part("Uncertainty", Content(lead, (_bars(report),), tables=(budget_table(report),)))
+
+
+def _bars(report: PhotometricErrorReport) -> tuple[Picture, ...]:
+    """Show what each input adds to the skill, and to the brightness where that is known."""
+    see = "What to see: to make the interval narrower, work on the longest bar first."
+    skill = [(line, line.skill_u) for line in report.budget]
+    brightness = [(line, line.objective_u_rel) for line in report.budget if line.objective_u_rel is not None]
+    pictures = [
+        drawing(
+            budget_figure(skill, lambda u: significant(u, 2), "standard uncertainty of the skill (1)"),
+            f"Bars: {_ranking(skill)} add most to the uncertainty of the skill.",
+            f"What each input adds to the uncertainty of the skill when it alone varies. {see}",
+        )
+    ]
+    if brightness:
+        pictures.append(
+            drawing(
+                budget_figure(brightness, percent, "standard uncertainty of the brightness, relative (1)"),
+                f"Bars: {_ranking(brightness)} add most to the uncertainty of the brightness beside the indenter.",
+                f"The same for the brightness beside the indenter. {see}",
+            )
+        )
+    return tuple(pictures)
+
+
+def _ranking(bars: list[tuple[InputUncertainty, float]]) -> str:
+    """Return the names of the two longest bars."""
+    ranked = sorted(bars, key=lambda bar: -bar[1])
+    return " and ".join(line.input for line, _ in ranked[:2])
+
+
+def validation_part(report: PhotometricErrorReport) -> Part:
+    """Show in which parts and channels the level agrees."""
+    sentence = words.validation_sentence(report.validation) or ""
+    pictures = []
+    for channel in CHANNELS:
+        cells = tuple(cell for cell in report.validation if cell.channel == channel)
+        found = f"{channel}: {sum(cell.within for cell in cells)} of {len(cells)} parts within"
+        pictures.append(drawing(validation_figure(cells), f"Error of the level, {found}.", found, is_small=True))
+    lead = "Area: what lies between the distributions of simulation and capture, split by sign."
+    numbers = Content(lead, tables=(validation_table(report),), has_wide_tables=True)
+    detail = Part("Numbers of every part", numbers, is_detail=True)
+    remark = (
+        "Error of the mean level in the parts of the scored region, as they lie in the image. Within: the error is "
+        "smaller than twice the validation uncertainty u of render, inputs and capture. Outside (thick frame, "
+        "hatched): the simulation is wrong there by about the error."
+    )
+    title = "Where the level agrees (ASME V&V 20)"
+    return Part(title, Content(sentence, (tuple(pictures),), (remark,), parts=(detail,)))

@@ -1,0 +1,457 @@
+"""What a comparison says, in plain sentences and tables, all of them computed from the report.
+
+Every metric stands beside doing nothing and the floor, in light, and in normals and depth; then what each input adds to
+the uncertainty, and every part of the image against it.
+"""
+
+from collections.abc import Callable
+from math import hypot, sqrt
+from typing import Literal
+
+from data_schemas import (
+    ErrorRow,
+    Interval,
+    PhotometricErrorReport,
+    RecordError,
+    RegionError,
+    SensingError,
+    SensingRow,
+    ValidationCell,
+)
+from finray_calib.reports._page import ReportTable, TableGroup, one_group
+from finray_calib.reports._plain_text import (
+    NO_VALUE,
+    fixed,
+    interval_text,
+    percent,
+    signed_percent,
+    significant,
+    skill_text,
+)
+
+Verdict = Literal[
+    "As good as this capture can tell",
+    "Better than no simulation",
+    "Not told apart from no simulation",
+    "Worse than no simulation",
+]
+_WELL_KNOWN = 0.9
+"""A skill that may be below this is not told to be as good as the capture can tell, wherever its interval ends."""
+_PART_ROWS, _PART_COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "right")
+
+
+def headline(report: PhotometricErrorReport) -> RegionError:
+    """Return the region that the report's headline score belongs to.
+
+    Raises
+    ------
+    RecordError
+        When the report holds no region of that name.
+    """
+    for region in report.regions:
+        if region.region == report.headline_region:
+            return region
+    raise RecordError(
+        f"photometric error report: headline region '{report.headline_region}' is not among its regions "
+        f"({', '.join(repr(r.region) for r in report.regions)}); run compare again"
+    )
+
+
+def row_of(region: RegionError, candidate: str) -> ErrorRow | None:
+    """Return the row of one candidate; None when it is absent (no repeat image, no floor)."""
+    return next((row for row in region.rows if row.candidate == candidate), None)
+
+
+def comparison_verdict(report: PhotometricErrorReport) -> Verdict:
+    """Return where the interval of the skill lies: below or about 0 (doing nothing), above it, or at the floor."""
+    skill, floor = report.headline_skill, row_of(headline(report), "floor")
+    if skill.high95 < 0:
+        return "Worse than no simulation"
+    if skill.low95 <= 0:
+        return "Not told apart from no simulation"
+    if floor is not None and skill.high95 >= floor.skill.low95 and skill.low95 >= _WELL_KNOWN:
+        return "As good as this capture can tell"
+    return "Better than no simulation"
+
+
+def verdict_meaning(report: PhotometricErrorReport) -> str:
+    """Say what the verdict lets the reader do."""
+    left = percent(max(1 - report.headline_skill.estimate, 0.0))
+    skill, floor = report.headline_skill, row_of(headline(report), "floor")
+    wide = ""
+    if floor is not None and skill.high95 >= floor.skill.low95:
+        wide = (
+            f" The interval is wide: it may be as good as the capture can tell, or explain only {percent(skill.low95)}."
+        )
+    meaning: dict[Verdict, str] = {
+        "As good as this capture can tell": "No difference between render and capture is shown beyond that of two "
+        "captures of the same thing. A better simulation could not be told from this one with this capture.",
+        "Better than no simulation": f"The simulation predicts what the touch changes, but not all of it: {left} of "
+        f"the squared change is left over. The error map shows where.{wide}",
+        "Not told apart from no simulation": "This capture gives no reason to prefer the simulation to an image of the "
+        "untouched pad. Do not rely on the simulated touch; look at the findings, the pose and the light first.",
+        "Worse than no simulation": "An image of the untouched pad is nearer to the capture than the simulated touch. "
+        "Do not rely on it; look at the findings, the pose and the light first.",
+    }
+    return meaning[comparison_verdict(report)]
+
+
+def simulation_sentence(report: PhotometricErrorReport) -> str:
+    """Say how much of what the touch changes in the image the simulation explains, against both bounds."""
+    skill, floor = report.headline_skill, row_of(headline(report), "floor")
+    score = skill_text(skill.estimate, skill.low95, skill.high95)
+    if skill.high95 < 0:
+        meaning = f"The simulated touch is worse than leaving the image unchanged: skill {score}"
+    elif skill.low95 <= 0:
+        meaning = f"The simulated touch cannot be told from leaving the image unchanged: skill {score}"
+    else:
+        # with the noise taken out an estimate may lie above 1
+        share = "all" if skill.estimate >= 1 else percent(skill.estimate)
+        meaning = f"The simulated touch explains {share} of the squared change in the image: skill {score}"
+    bound, taken_out = "no repeat was captured, so the camera's noise is unknown and lowers the score", ""
+    if floor is not None:
+        repeated = repeat_text(floor.skill.estimate)
+        bound = f"a repeated capture in its place scores {repeated}; the noise of encoded values stays in both scores"
+    if floor is not None and is_noise_taken_out(report):
+        bound = f"a repeated capture in its place, whose noise is not, scores {repeated}"
+        taken_out = " (the camera's noise is taken out)"
+    return (
+        f"{meaning} over the region \u201c{report.headline_region}\u201d. Doing nothing scores 0, a perfect simulation "
+        f"1{taken_out}; {bound}."
+    )
+
+
+def is_noise_taken_out(report: PhotometricErrorReport) -> bool:
+    """Return whether the scores are free of the camera's noise: linear light, and a repeat to tell its noise from."""
+    return report.values == "linear light" and row_of(headline(report), "floor") is not None
+
+
+def level_a_sentence(report: PhotometricErrorReport, report_level_a: PhotometricErrorReport) -> str:
+    """Say how the paper's emitter scores beside the default one."""
+    default, paper = (
+        skill_text(skill.estimate, skill.low95, skill.high95)
+        for skill in (report.headline_skill, report_level_a.headline_skill)
+    )
+    return (
+        "With the paper's emitter (walls textured by distance, the same from every angle) the skill over "
+        f"\u201c{report_level_a.headline_region}\u201d is {paper}; with walls that re-emit the light reaching them "
+        f"(the default) it is {default}."
+    )
+
+
+def repeat_text(skill: float) -> str:
+    """Return the floor row's skill; what rounds to a perfect 1 is said to be above 0.999."""
+    return "above 0.999" if skill > 0.999 else fixed(skill, 3)
+
+
+def grid_phrase(report: PhotometricErrorReport) -> str:
+    """Say over which pixels or blocks images were compared."""
+    if report.block_px == 1:
+        return "pixel by pixel"
+    return f"over blocks of {report.block_px} x {report.block_px} px, which average out render noise"
+
+
+def objective_sentence(report: PhotometricErrorReport) -> str | None:
+    """Say how far the brightness beside the indenter is off; None where it was not measured."""
+    if report.objective_error is None:
+        return None
+    error = report.objective_error.error_rel
+    low, high = signed_percent(error.low95), signed_percent(error.high95)
+    if error.low95 <= 0 <= error.high95:
+        return (
+            f"Beside the indenter no difference in brightness is seen: {signed_percent(error.estimate)}, 95 %: {low} "
+            f"to {high}. This is what 'finray decide' takes from this comparison."
+        )
+    side = "brighter" if error.estimate > 0 else "darker"
+    return (
+        f"Beside the indenter the simulation is {percent(abs(error.estimate))} {side} than the capture (95 %: {low} "
+        f"to {high}). This is what 'finray decide' takes from this comparison."
+    )
+
+
+def validation_sentence(cells: tuple[ValidationCell, ...]) -> str | None:
+    """Say in how many parts the level agrees, and where it is worst; None without cells."""
+    if not cells:
+        return None
+    within = sum(cell.within for cell in cells)
+    if within == len(cells):
+        return f"Level by part: all {within} parts and channels agree within the validation uncertainty."
+    worst = max((cell for cell in cells if not cell.within), key=lambda cell: abs(cell.error_rel))
+    return (
+        f"Level by part: {within} of {len(cells)} parts and channels agree within the validation uncertainty; the "
+        f"largest error outside it is {signed_percent(worst.error_rel)} in {worst.channel}, {place(worst)}."
+    )
+
+
+def place(cell: ValidationCell) -> str:
+    """Return where in the image a cell lies."""
+    return f"{_PART_ROWS[cell.row]} {_PART_COLUMNS[cell.column]}"
+
+
+def limits(report: PhotometricErrorReport) -> tuple[str, ...]:
+    """Return what the numbers do not know: reach of the intervals, withheld figures, findings of the checks."""
+    told = [f"The intervals cover {report.interval_covers.rstrip('.')}."]
+    if report.monte_carlo is not None:
+        run = report.monte_carlo
+        told += [f"Not in the intervals: {reason.rstrip('.')}." for reason in run.not_included]
+        if run.significant_digits == 0:
+            told.append(
+                f"The Monte Carlo run of {run.draws} draws ended before the uncertainty was steady to one significant "
+                "digit: the ends of the interval may change with another seed."
+            )
+    skills = (report.headline_skill, *(row.skill for region in report.regions for row in region.rows))
+    if any(skill.estimate > 1 and skill.low95 >= 1 for skill in skills):
+        told.append(
+            "An interval from 1 to 1 beside an estimate above 1 is the rest of one that lies above 1 altogether: model "
+            "and noise disagree. Less is left of the difference than the noise that was taken out, so that this noise "
+            "is too large, or the capture was used to make the render."
+        )
+    if any(skill.estimate > 1 > skill.low95 for skill in skills):
+        told.append(
+            "An estimate of a skill above 1 means 1 within its uncertainty: the noise is taken out, and what is left "
+            "scatters about the true skill, which cannot exceed 1. Intervals end there."
+        )
+    if report.values != "linear light":
+        told.append(
+            "The images hold encoded values of an unknown camera curve, not light: scores compare code values only."
+        )
+    told += [f"Withheld: {reason.rstrip('.')}." for reason in report.withheld]
+    told += [f"Check: {finding.rstrip('.')}." for finding in report.findings]
+    return tuple(told)
+
+
+def exposure_sentence(report: PhotometricErrorReport) -> str:
+    """Say whether the render was scaled, and by what."""
+    if report.exposure_factor is None:
+        return "The render was not scaled."
+    sd = report.exposure_factor_sd
+    known = "" if sd is None or sd <= 0 else f", known to {percent(sd / report.exposure_factor)} (standard uncertainty)"
+    return (
+        f"The render was multiplied by one exposure factor, the same for all channels{known}. No other correction was "
+        "fitted, so an error of a paint or of the light stays visible."
+    )
+
+
+def scale_sentences(report: PhotometricErrorReport) -> tuple[str, ...]:
+    """Say how large the contact patch is on the pad; nothing where the scale was not given."""
+    scale = report.patch_scale
+    if scale is None:
+        return ()
+    middle, patch = scale.middle, scale.extents[0]
+    return (
+        f"At the patch a raw pixel spans {middle.along_x_mm_per_px:.4g} mm along x and {middle.along_y_mm_per_px:.4g} "
+        f"mm along y (standard uncertainties {percent(middle.along_x_u_rel)} and {percent(middle.along_y_u_rel)}); the "
+        f"{patch.region} of the render is {patch.along_x_mm:.3g} mm by {patch.along_y_mm:.3g} mm.",
+    )
+
+
+def error_alternative(report: PhotometricErrorReport, typical_rel: float, large_rel: float) -> str:
+    """Say in words what the error map shows."""
+    skill = report.headline_skill
+    return (
+        f"Map of the error of the simulation: half of the image errs by less than {percent(typical_rel)} of the "
+        f"untouched level, one in twenty by more than {percent(large_rel)}. Skill {fixed(skill.estimate, 2)}."
+    )
+
+
+CHANNELS = ("red", "green", "blue")
+_CANDIDATES = ("do nothing", "simulation", "floor")
+_METRIC_COLUMNS = ("metric", "do nothing", "simulation", "floor (a repeat)", "better is")
+_Cell = Callable[[ErrorRow], str | None]
+
+
+def metric_table(report: PhotometricErrorReport, region: RegionError) -> ReportTable:
+    """List every metric of one region for the three candidates; metrics that nobody has are left out."""
+    groups = [TableGroup(title, _rows(region, rows)) for title, rows in _METRICS]
+    if region.region == report.headline_region:
+        shown = (_number(report.ssim_full_frame.get(name), 3) or NO_VALUE for name in _CANDIDATES)
+        paper = groups[-1]
+        row = ("SSIM of the whole frame", *shown, "higher; says little")
+        groups[-1] = TableGroup(paper.heading, (*paper.rows, row))
+    return ReportTable(_sentence(region_heading(report, region)), _METRIC_COLUMNS, tuple(g for g in groups if g.rows))
+
+
+def sensing_table(sensing: SensingError) -> ReportTable:
+    """List the error in sensing space of each candidate."""
+    by_name: dict[str, SensingRow] = {row.candidate: row for row in sensing.rows}
+    rows = [by_name.get(name) for name in _CANDIDATES]
+
+    def cells(pick: Callable[[SensingRow], Interval]) -> tuple[str, ...]:
+        return tuple(NO_VALUE if row is None else _interval(pick(row)) or NO_VALUE for row in rows)
+
+    body = (
+        ("angle between normals, mean (deg)", *cells(lambda r: r.normal_angle_mean_deg), "lower"),
+        ("angle between normals, 95th percentile (deg)", *cells(lambda r: r.normal_angle_p95_deg), "lower"),
+        ("depth, RMS (mm)", *cells(lambda r: r.depth_rms_mm), "lower"),
+    )
+    return one_group("Normals and depth from render and capture, over the headline region.", _METRIC_COLUMNS, body)
+
+
+def _rows(region: RegionError, metrics: tuple[tuple[str, str, _Cell], ...]) -> tuple[tuple[str, ...], ...]:
+    """Return one row for each metric that at least one candidate has."""
+    candidates = [row_of(region, name) for name in _CANDIDATES]
+    rows = []
+    for name, better, cell in metrics:
+        cells = [None if candidate is None else cell(candidate) for candidate in candidates]
+        if any(text is not None for text in cells):
+            rows.append((name, *(text or NO_VALUE for text in cells), better))
+    return tuple(rows)
+
+
+def _interval(value: Interval | None, factor: float = 1.0, unit: str = "") -> str | None:
+    """Return an estimate with its interval, or None."""
+    if value is None:
+        return None
+    return interval_text(factor * value.estimate, factor * value.low95, factor * value.high95, unit, most_decimals=4)
+
+
+def _number(value: float | None, places: int) -> str | None:
+    """Return a number with fixed decimals, or None."""
+    return None if value is None else fixed(value, places)
+
+
+def _channel_skill(channel: int) -> _Cell:
+    """Return the cell of one channel's skill."""
+    return lambda row: _number(row.skill_per_channel[channel], 3)
+
+
+def _channel_rms(channel: int) -> _Cell:
+    """Return the cell of one channel's relative RMS, per cent."""
+    return lambda row: None if row.relative_rms is None else _interval(row.relative_rms[channel], 100.0, "%")
+
+
+_METRICS: tuple[tuple[str, tuple[tuple[str, str, _Cell], ...]], ...] = (
+    (
+        "Share of the touch that is explained (skill)",
+        (
+            (
+                "all channels",
+                "higher; 1 is perfect",
+                lambda row: skill_text(row.skill.estimate, row.skill.low95, row.skill.high95),
+            ),
+            *((f"{name} alone", "higher; 1 is perfect", _channel_skill(i)) for i, name in enumerate(CHANNELS)),
+        ),
+    ),
+    (
+        "Size of the error in linear light",
+        (
+            *((f"relative RMS, {name}", "lower", _channel_rms(i)) for i, name in enumerate(CHANNELS)),
+            (
+                "gradient of the change, RMS (1/px)",
+                "lower",
+                lambda row: _interval(row.difference_gradient_rms_per_px),
+            ),
+            ("chromaticity, RMS (1)", "lower", lambda row: _interval(row.chromaticity_rms)),
+        ),
+    ),
+    (
+        "For comparison with papers",
+        (
+            ("PSNR (dB)", "higher", lambda row: _number(row.psnr_db, 1) or "identical"),
+            ("SSIM of the region", "higher; 1 is perfect", lambda row: _number(row.ssim, 3)),
+            ("MS-SSIM of the frame", "higher; 1 is perfect", lambda row: _number(row.ms_ssim, 3)),
+            ("CIEDE2000, mean", "lower; 1 is barely seen", lambda row: _number(row.ciede2000_mean, 2)),
+            ("CIEDE2000, 95th percentile", "lower", lambda row: _number(row.ciede2000_p95, 2)),
+            ("FLIP, mean", "lower", lambda row: _number(row.flip_mean, 3)),
+        ),
+    ),
+)
+
+
+def _sentence(text: str) -> str:
+    """Return the text with a capital."""
+    return text[:1].upper() + text[1:]
+
+
+def error_table(report: PhotometricErrorReport, report_level_a: PhotometricErrorReport | None = None) -> ReportTable:
+    """List do nothing, simulation, the paper's emitter where it was rendered, and floor for every region."""
+    paper = {} if report_level_a is None else {region.region: region for region in report_level_a.regions}
+    groups = tuple(
+        TableGroup(region_heading(report, region), _region_rows(region, paper.get(region.region)))
+        for region in report.regions
+    )
+    columns = ("candidate", "skill [95 %]", "skill R, G, B", "relative RMS R, G, B", "PSNR (dB)", "SSIM")
+    return ReportTable("Every candidate against the captured contact image", columns, groups)
+
+
+def region_heading(report: PhotometricErrorReport, region: RegionError) -> str:
+    """Return name and size of a region; blocks that were averaged count as one."""
+    unit = "pixels" if report.block_px == 1 else f"blocks of {report.block_px} x {report.block_px} px"
+    extent = "the contact half-width" if region.factor == 1 else f"{region.factor:g} contact half-widths"
+    return f"{region.region}: up to {extent}, {region.pixels} {unit}, {_clipped(region.clipped_fraction)}"
+
+
+def _region_rows(region: RegionError, paper: RegionError | None) -> tuple[tuple[str, ...], ...]:
+    """Return the rows of a region, with the paper's emitter below the simulation."""
+    rows: list[tuple[str, ...]] = []
+    for row in region.rows:
+        rows.append(_error_cells(row))
+        other = None if paper is None or row.candidate != "simulation" else row_of(paper, "simulation")
+        if other is not None:
+            rows.append(("simulation, paper's emitter", *_error_cells(other)[1:]))
+    return tuple(rows)
+
+
+def _clipped(fraction: float) -> str:
+    """Say how much of a region is clipped."""
+    return "none clipped" if fraction == 0 else f"{percent(fraction)} clipped"
+
+
+def _error_cells(row: ErrorRow) -> tuple[str, ...]:
+    """Return the cells of one candidate."""
+    spread = "withheld" if row.relative_rms is None else ", ".join(percent(rms.estimate) for rms in row.relative_rms)
+    return (
+        row.candidate,
+        skill_text(row.skill.estimate, row.skill.low95, row.skill.high95),
+        ", ".join("none" if value is None else fixed(value, 2) for value in row.skill_per_channel),
+        spread,
+        "identical" if row.psnr_db is None else fixed(row.psnr_db, 1),
+        "none" if row.ssim is None else fixed(row.ssim, 3),
+    )
+
+
+def budget_table(report: PhotometricErrorReport) -> ReportTable:
+    """List what each input adds to the uncertainty of the skill and of the brightness beside the indenter."""
+    lines = sorted(report.budget, key=lambda line: -line.skill_u)
+    total = sqrt(sum(line.skill_u**2 for line in lines))
+    rows = [
+        (
+            line.input,
+            significant(line.skill_u, 2),
+            percent(line.skill_u**2 / total**2) if total > 0 else NO_VALUE,
+            NO_VALUE if line.objective_u_rel is None else percent(line.objective_u_rel),
+            f"{line.evaluation}: {line.source}",
+        )
+        for line in lines
+    ]
+    objective = hypot(*(line.objective_u_rel or 0.0 for line in lines))
+    rows.append(
+        ("root sum of squares, as if independent", significant(total, 2), "100 %", percent(objective), NO_VALUE)
+    )
+    columns = ("input", "u of the skill (1)", "share", "u of the brightness", "known from")
+    return one_group("What each input adds: standard uncertainty u with this input alone", columns, rows, True)
+
+
+def validation_table(report: PhotometricErrorReport) -> ReportTable:
+    """List every part and channel: error, validation uncertainty and where it comes from, area metric."""
+    groups = tuple(
+        TableGroup(
+            channel,
+            tuple(
+                (
+                    place(cell),
+                    signed_percent(cell.error_rel),
+                    percent(2 * cell.u_validation_rel),
+                    "within" if cell.within else "outside",
+                    ", ".join(percent(u) for u in (cell.u_numerical_rel, cell.u_input_rel, cell.u_data_rel)),
+                    f"{percent(cell.area_too_bright_rel)}, {percent(cell.area_too_dark_rel)}",
+                    str(cell.pixels),
+                )
+                for cell in sorted(report.validation, key=lambda cell: (cell.row, cell.column))
+                if cell.channel == channel
+            ),
+        )
+        for channel in CHANNELS
+    )
+    columns = ("part", "error", "2 u", "verdict", "u of render, inputs, capture", "area too bright, too dark", "pixels")
+    return ReportTable("Mean level, simulated against captured, relative to the captured level", columns, groups)

@@ -1,0 +1,208 @@
+"""Figures of a decision: objective over the light angle, other objectives, and how the light is mounted. SVG text."""
+
+from itertools import cycle
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Arc, Rectangle, Wedge
+from matplotlib.ticker import MultipleLocator
+from numpy.typing import NDArray
+
+from data_schemas import FingerDesign, LightAngleDecision, LightAngleSweep
+from finray_calib.reports._style import (
+    BLUE,
+    GREEN,
+    INK,
+    MUTED,
+    ORANGE,
+    SKY,
+    VERMILLION,
+    legend_above,
+    new_figure,
+    styled,
+    svg_text,
+)
+
+Floats = NDArray[np.float64]
+
+
+def on_curve_scale(sweep: LightAngleSweep, decision: LightAngleDecision) -> Floats:
+    """Return the (angle, repeat) values of a sweep on the scale of the curve of the renders alone.
+
+    Each repeat is divided by its mean over the angles (a common scale cannot change the ranking) and multiplied
+    by the mean of the curve over the same angles.
+    """
+    curve = np.interp(sweep.angles_deg, decision.grid_deg, decision.mean_simulation_only)
+    return np.asarray(sweep.values / sweep.values.mean(axis=0) * curve.mean())
+
+
+@styled()
+def angle_figure(decision: LightAngleDecision, sweep: LightAngleSweep, true_sweep: LightAngleSweep | None) -> str:
+    """Draw the objective relative to the best of the mean curve, over the angle of the light.
+
+    The curve of the real finger with its band, the one of the renders alone (dashed where captures moved the former),
+    and captures as points with their standard uncertainties, doubled.
+    """
+    figure = new_figure(5.8, 4.1)
+    axes = figure.subplots()
+    grid, best = decision.grid_deg, float(decision.mean.max())
+    if decision.discrepancy_rel is not None:
+        axes.fill_between(
+            grid,
+            decision.low95 / best,
+            decision.high95 / best,
+            facecolor=SKY,
+            alpha=0.28,
+            edgecolor=BLUE,
+            linestyle=":",
+            label="95 % with captures" if decision.validated else "95 % with the assumed error",
+        )
+    low, high = decision.low95_simulation_only / best, decision.high95_simulation_only / best
+    axes.fill_between(grid, low, high, facecolor=BLUE, alpha=0.35, linewidth=0, label="95 % of the renders alone")
+    if decision.validated:
+        axes.plot(grid, decision.mean / best, color=BLUE, label="mean with captures")
+    style, name = ("--", "mean of the renders") if decision.validated else ("-", "mean curve")
+    axes.plot(grid, decision.mean_simulation_only / best, color=BLUE, linestyle=style, linewidth=1.2, label=name)
+    values = on_curve_scale(sweep, decision) / best
+    for repeat in range(values.shape[1]):
+        label = "renders" if repeat == 0 else None
+        axes.plot(sweep.angles_deg, values[:, repeat], "o", color=INK, markersize=3.2, alpha=0.7, label=label)
+    if true_sweep is not None:
+        truth = on_curve_scale(true_sweep, decision).mean(axis=1) / best
+        axes.plot(true_sweep.angles_deg, truth, "--D", color=VERMILLION, linewidth=1.3, markersize=3.5, label="truth")
+    _mark_captures(axes, decision, best)
+    _mark_decision(axes, decision)
+    axes.set(xlabel="angle of the blue light (deg)", ylabel="objective relative to its best (1)")
+    axes.set_xlim(float(grid[0]), float(grid[-1]))
+    axes.xaxis.set_major_locator(MultipleLocator(10 if np.ptp(grid) <= 130 else 30))
+    legend_above(figure, axes, 3)
+    return svg_text(figure)
+
+
+def _mark_captures(axes: Axes, decision: LightAngleDecision, best: float) -> None:
+    """Draw captures with twice the standard uncertainties of value and angle."""
+    if not decision.captures:
+        return
+    axes.errorbar(
+        [capture.light_angle_deg for capture in decision.captures],
+        [capture.value / best for capture in decision.captures],
+        xerr=[2 * capture.light_angle_uncertainty_deg for capture in decision.captures],
+        yerr=[2 * capture.sd / best for capture in decision.captures],
+        fmt="s",
+        color=ORANGE,
+        markeredgecolor=INK,
+        ecolor=INK,
+        markersize=6.5,
+        linewidth=1.4,
+        label="captures",
+    )
+
+
+def _mark_decision(axes: Axes, decision: LightAngleDecision) -> None:
+    """Hatch the equivalent angles and mark the decided one."""
+    for number, (low, high) in enumerate(decision.statement.equivalent_deg):
+        label = "equivalent angles" if number == 0 else None
+        # A single angle would have no width to be seen.
+        margin = 0.5 if high - low < 1 else 0.0
+        axes.axvspan(
+            low - margin, high + margin, facecolor="none", edgecolor=GREEN, hatch="///", linewidth=0.8, label=label
+        )
+    axes.axvline(
+        decision.angle_deg, color=MUTED, linewidth=1.6, linestyle="-.", label=f"chosen: {decision.angle_deg:.0f} deg"
+    )
+
+
+_LOOKS: tuple[tuple[str, str, str], ...] = (
+    (VERMILLION, "--", "^"),
+    (GREEN, "-.", "s"),
+    (ORANGE, ":", "D"),
+    (SKY, "-", "v"),
+)
+
+
+@styled()
+def other_objectives_figure(decision: LightAngleDecision, sweep: LightAngleSweep) -> str:
+    """Draw every objective relative to its best rendered angle: 1 is best for each of them."""
+    figure = new_figure(5.8, 4.1)
+    axes = figure.subplots()
+    lines = [("decided on", (BLUE, "-", "o"), sweep.values)]
+    lines += [(o.name, look, o.utility) for o, look in zip(sweep.other_objectives, cycle(_LOOKS), strict=False)]
+    for name, (colour, style, marker), utility in lines:
+        mean = utility.mean(axis=1)
+        axes.plot(
+            sweep.angles_deg,
+            mean / mean.max(),
+            color=colour,
+            linestyle=style,
+            marker=marker,
+            markersize=4.5,
+            linewidth=1.5,
+            label=name.replace("$", r"\$"),
+        )
+    if sweep.constraints is not None and not sweep.constraints.allowed.all():
+        _mark_forbidden(axes, sweep.angles_deg, ~sweep.constraints.allowed)
+    chosen = f"chosen: {decision.angle_deg:.0f} deg"
+    axes.axvline(decision.angle_deg, color=MUTED, linewidth=1.6, linestyle="-.", label=chosen)
+    axes.set(xlabel="angle of the blue light (deg)", ylabel="relative to its best (1)")
+    legend_above(figure, axes, 2)
+    return svg_text(figure)
+
+
+def _mark_forbidden(axes: Axes, angles_deg: NDArray[np.float64], forbidden: NDArray[np.bool_]) -> None:
+    """Cross out the rendered angles that clip or where the panel does not fit, half a step to both sides."""
+    edges = np.concatenate([angles_deg[:1], (angles_deg[1:] + angles_deg[:-1]) / 2, angles_deg[-1:]])
+    for number, index in enumerate(np.flatnonzero(forbidden)):
+        label = "not possible" if number == 0 else None
+        span = edges[index], edges[index + 1]
+        axes.axvspan(*span, facecolor="none", edgecolor=INK, hatch="xxx", linewidth=0.0, alpha=0.4, label=label)
+
+
+_BEFORE_MM, _AFTER_MM, _MARGIN_MM = 12.0, 34.0, 8.0
+_RAY_MM, _ARC_MM = 20.0, 13.0
+
+
+@styled()
+def mounting_figure(decision: LightAngleDecision, design: FingerDesign) -> str:
+    """Draw pad and panel from the side: along the pad to the right, into the pad upwards; lengths are to scale."""
+    along, into = design.light.position_mm[2], design.light.position_mm[1]
+    right = max(design.pad.length_mm, along) if design.pad.length_mm < _AFTER_MM else along + _AFTER_MM
+    low, high = into - _MARGIN_MM, max(design.pad.thickness_mm, into + _RAY_MM) + _MARGIN_MM / 2
+    left = along - (_BEFORE_MM if decision.angle_deg <= 90 else _RAY_MM + _MARGIN_MM)
+    figure = new_figure(5.6, 5.6 * (high - low) / (right - left) + 0.2)
+    axes = figure.subplots()
+    axes.add_patch(
+        Rectangle((0.0, 0.0), design.pad.length_mm, design.pad.thickness_mm, facecolor=SKY, alpha=0.3, edgecolor=MUTED)
+    )
+    axes.text(right - 3.0, design.pad.thickness_mm / 2, "pad", ha="right", va="center")
+    axes.plot([along, right], [into, into], color=MUTED, linewidth=0.9, linestyle="--")
+    axes.text(right, into - 0.6, "0 deg, along the pad", ha="right", va="top", fontsize=9, color=MUTED)
+    axes.plot([along, along], [into, into + _RAY_MM], color=MUTED, linewidth=0.9, linestyle="--")
+    axes.text(along - 0.8, into + _RAY_MM, "90 deg,\ninto the pad", ha="right", va="top", fontsize=9, color=MUTED)
+    for start, end in decision.statement.equivalent_deg:
+        axes.add_patch(
+            Wedge((along, into), _RAY_MM, start, end, facecolor="none", edgecolor=GREEN, hatch="///", linewidth=0.8)
+        )
+    _panel(axes, (along, into), decision.angle_deg, design.light.height_mm)
+    axes.set(xlim=(left, right), ylim=(low, high), aspect="equal")
+    axes.set_axis_off()
+    return svg_text(figure)
+
+
+def _panel(axes: Axes, place_mm: tuple[float, float], angle_deg: float, height_mm: float) -> None:
+    """Draw the panel from the side, its normal and the angle between normal and pad."""
+    angle = np.radians(angle_deg)
+    normal, edge = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)]) * height_mm / 2
+    centre = np.array(place_mm)
+    ends = np.stack([centre - edge, centre + edge])
+    axes.plot(*ends.T, color=BLUE, linewidth=5.0, solid_capstyle="butt")
+    axes.text(centre[0] - 1.5, centre[1] - 2.2, "light", ha="right", va="top", color=INK)
+    tip = centre + _RAY_MM * normal
+    axes.annotate(
+        "", (tip[0], tip[1]), place_mm, arrowprops={"arrowstyle": "-|>", "color": BLUE, "lw": 1.8, "shrinkA": 0}
+    )
+    axes.add_patch(Arc(place_mm, 2 * _ARC_MM, 2 * _ARC_MM, theta1=0.0, theta2=angle_deg, color=INK, linewidth=1.2))
+    middle = np.radians(angle_deg / 2)
+    write = centre + (_ARC_MM + 1.0) * np.array([np.cos(middle), np.sin(middle)])
+    axes.text(
+        write[0], write[1], f"{angle_deg:.0f} deg", va="center", weight="bold", color=INK, backgroundcolor="white"
+    )

@@ -1,0 +1,343 @@
+"""Pictures of a finger: its design with the camera's view below, and the finger pressed with its force over the push.
+
+The camera's view shows the parts in its frame with a millimetre grid, and how finely they are seen.
+"""
+
+import textwrap
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Polygon
+from numpy.typing import NDArray
+
+from data_schemas import FingerDesign, FingerSurfaces, PressMechanics
+from finray_calib.reports._finger_views import PART_COLOURS, FingerOutline, draw_front, draw_side, finger_outline
+from finray_calib.reports._style import (
+    BLUE,
+    GREEN,
+    HAIRLINE,
+    INK,
+    MUTED,
+    ORANGE,
+    SKY,
+    VERMILLION,
+    new_figure,
+    png_bytes,
+    styled,
+)
+from sim.mechanics import finger_mesh, side_outline_mm
+from sim.optics import CameraView
+from sim.surface_meshes import FingerShape, Surface, restore_shapes, shape_from_mesh
+
+_PAGE_IN, _CAMERA_VIEW_IN = 11.0, 4.8
+# titles and axes of both views
+_TITLES_IN = 2.0
+
+
+@styled()
+def finger_page_png(view: CameraView, folder: Path | None = None) -> bytes:
+    """Return the drawing of a finger with its camera's view below, as PNG bytes.
+
+    Without the folder where the design stands, the mesh of an indenter is not drawn.
+
+    Raises
+    ------
+    SimulateError
+        When the parts of the design do not fit together.
+    """
+    finger = finger_outline(view.design, folder)
+    figure = new_figure(_PAGE_IN, finger.views_in + _TITLES_IN + _CAMERA_VIEW_IN)
+    rows = figure.add_gridspec(2, 1, height_ratios=(finger.views_in + _TITLES_IN, _CAMERA_VIEW_IN))
+    _draw_finger(figure.add_subfigure(rows[0]), finger)
+    draw_camera_view_on(figure.add_subfigure(rows[1]), view)
+    return png_bytes(figure)
+
+
+@styled()
+def finger_png(design: FingerDesign, folder: Path | None = None) -> bytes:
+    """Return the drawing of a finger as PNG bytes: cut along its middle, and from its front, on one scale.
+
+    Raises
+    ------
+    SimulateError
+        When the parts of the design do not fit together.
+    """
+    finger = finger_outline(design, folder)
+    figure = new_figure(_PAGE_IN, finger.views_in + _TITLES_IN)
+    _draw_finger(figure, finger)
+    return png_bytes(figure)
+
+
+def _draw_finger(figure: Figure | SubFigure, finger: FingerOutline) -> None:
+    """Draw both views of a finger."""
+    low, high = finger.side_mm
+    side, front = figure.subplots(2, 1, sharex=True, height_ratios=(high - low, 2.0 * finger.front_mm))
+    ends, inch = finger.bounds_mm, finger.inch_mm
+    side.set(xlim=(ends[0][2] - 0.8 * inch, ends[1][2] + inch), ylim=(low, high))
+    front.set_ylim(-finger.front_mm, finger.front_mm)
+    draw_side(side, finger)
+    draw_front(front, finger)
+    figure.suptitle(f"{finger.design.name} (mm): z along the pad from its base, y along its outward normal, x across")
+    for axes in (side, front):
+        axes.set_aspect("equal")
+        axes.grid(visible=False)
+        axes.tick_params(labelbottom=True)
+
+
+_COLOURS = {"coat": "#f3efe6", "red": VERMILLION, "green": GREEN, "panel 1": BLUE, "panel 2": BLUE}
+_GRID_ALONG_MM, _GRID_ACROSS_MM = 10.0, 5.0
+
+
+@styled()
+def camera_view_png(view: CameraView) -> bytes:
+    """Return the figure of a camera's view as PNG bytes."""
+    return png_bytes(draw_camera_view(view))
+
+
+def draw_camera_view(view: CameraView) -> Figure:
+    """Draw the camera's frame on the left and the pad on the right."""
+    figure = new_figure(11.0, 4.6)
+    draw_camera_view_on(figure, view)
+    return figure
+
+
+def draw_camera_view_on(figure: Figure | SubFigure, view: CameraView) -> None:
+    """Draw the camera's frame on the left and the pad on the right of a figure or a part of one."""
+    frame, pad = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+    _draw_frame(frame, view)
+    shown = _draw_pad(pad, view)
+    bar = figure.colorbar(shown, ax=pad, shrink=0.9)
+    bar.set_label("sensor pixels per mm of the coat (geometric mean)")
+
+
+def _draw_frame(axes: Axes, view: CameraView) -> None:
+    """Draw which part each pixel sees, and lines of equal place on the coat."""
+    maps, camera = view.maps, view.design.camera
+    picture = np.full((*maps.part.shape, 3), to_rgb(INK))
+    for name in maps.parts:
+        picture[maps.sees(name)] = to_rgb(_COLOURS.get(name, MUTED))
+    extent = (0.0, float(camera.width_px), float(camera.height_px), 0.0)
+    axes.imshow(picture, extent=extent, interpolation="nearest")
+    place = maps.coat_mm(view.design)
+    rows, columns = maps.part.shape
+    x, y = (np.arange(columns) + 0.5) / columns * camera.width_px, (np.arange(rows) + 0.5) / rows * camera.height_px
+    for k, step, name, colour in ((0, _GRID_ALONG_MM, "z", MUTED), (1, _GRID_ACROSS_MM, "x", ORANGE)):
+        values = place[..., k]
+        levels = np.arange(np.ceil(np.nanmin(values) / step) * step, np.nanmax(values), step)
+        if levels.size:
+            lines = axes.contour(x, y, values, levels=levels, colors=colour, linewidths=0.9)
+            axes.clabel(lines, fmt=f"{name} %g", fontsize=7)
+    axes.grid(visible=False)
+    seen = ", ".join(
+        f"{label} {view.picture_share(name):.1%}"
+        for name, label in (("coat", "coat"), ("red", "red wall"), ("green", "green wall"))
+    )
+    axes.set(
+        title=f"camera's frame: {seen}\n(black: the cloth; blue: a light panel)",
+        xlabel="column (px)",
+        ylabel="row (px)",
+    )
+
+
+def _draw_pad(axes: Axes, view: CameraView) -> PolyCollection:
+    """Draw the pad and, at the places that are seen, how finely."""
+    pad = view.design.pad
+    fine = np.sqrt(view.px_per_mm_along * view.px_per_mm_across)
+    place = view.maps.coat_mm(view.design)[..., ::-1]
+    corners = np.stack([place[:-1, :-1], place[:-1, 1:], place[1:, 1:], place[1:, :-1]], axis=-2)
+    values = np.stack([fine[:-1, :-1], fine[:-1, 1:], fine[1:, 1:], fine[1:, :-1]], axis=-1)
+    whole = np.isfinite(corners).all(axis=(-1, -2)) & np.isfinite(values).any(axis=-1)
+    axes.set_facecolor(HAIRLINE)
+    shown = PolyCollection(corners[whole], array=np.nanmean(values[whole], axis=-1), cmap="viridis", edgecolors="face")
+    axes.add_collection(shown)
+    axes.set(
+        xlim=(-pad.width_mm / 2, pad.width_mm / 2),
+        ylim=(0.0, pad.length_mm),
+        aspect="equal",
+        title=f"pad: {view.coat_share:.0%} of the coat is seen (grey: not)",
+        xlabel="x across (mm)",
+        ylabel="z along, from the base (mm)",
+    )
+    axes.grid(visible=False)
+    return shown
+
+
+Floats = NDArray[np.float64]
+
+# a triangle turned further from the viewer is seen edge-on
+_LEAST_FACING = 0.05
+# vertices of one line along the finger share u to rounding
+_SAME_U = 1e-6
+
+
+@styled()
+def pressed_finger_png(mechanics: PressMechanics, surfaces: FingerSurfaces, folder: Path | None = None) -> bytes:
+    """Return a picture of a pressed finger as PNG bytes.
+
+    Left, the finger from its green side before the press, and after it, coloured by the length of the displacement
+    (no exaggeration); a dashed line is the coat along the middle. Right, force along the pad's normal against push.
+
+    Parameters
+    ----------
+    mechanics, surfaces
+        The two records of one press.
+    folder
+        Where the design stands; an indenter of the user, an STL relative to it, is drawn only with it.
+
+    Raises
+    ------
+    SimulateError
+        When the surfaces are broken.
+    """
+    rest, pressed = restore_shapes(surfaces)
+    depth_mm = float(mechanics.depth_mm[-1])
+    figure = new_figure(13.0, 8.8)
+    columns = figure.add_gridspec(1, 2, width_ratios=(2.0, 1.0))
+    views, curve = (figure.add_subfigure(columns[k]) for k in range(2))
+    before, after = views.subplots(2, 1, sharex=True, sharey=True)
+    _draw_before(before, rest)
+    _draw_indenter(before, mechanics.design, 0.0, folder)
+    shown = _draw_after(after, rest, pressed)
+    _draw_indenter(after, mechanics.design, depth_mm, folder)
+    views.colorbar(shown, ax=[before, after], shrink=0.8, label="displacement (mm)")
+    before.set_title("before: the indenter touches (dashed: the coat along the middle)")
+    after.set_title(f"after a push of {depth_mm:.2f} mm, to scale (grey: where it was)")
+    for axes in (before, after):
+        axes.set(aspect="equal", ylabel="y (mm)")
+        axes.grid(visible=False)
+        axes.autoscale_view()
+    after.set_xlabel("z along the finger, from the base of the pad (mm)")
+    _draw_curve(curve.subplots(), mechanics)
+    figure.suptitle(f"{mechanics.name}: {mechanics.label}")
+    return png_bytes(figure)
+
+
+@styled()
+def untouched_finger_png(design: FingerDesign, why: str, folder: Path | None = None) -> bytes:
+    """Return a picture of a finger whose press found no equilibrium at all, as PNG bytes: where the indenter touches.
+
+    Parameters
+    ----------
+    design
+        Finger and indenter.
+    why
+        What the press said, for the picture's title.
+    folder
+        Where the design stands; an STL relative to it is drawn only with it.
+    """
+    mesh = finger_mesh(design)
+    figure = new_figure(13.0, 6.0)
+    axes = figure.subplots()
+    _draw_before(axes, shape_from_mesh(design, mesh.nodes_mm, mesh.hexahedra))
+    _draw_indenter(axes, design, 0.0, folder)
+    axes.set_title("\n".join(textwrap.wrap(f"stopped where the indenter touches: {why}", 120)))
+    axes.set(aspect="equal", xlabel="z along the finger, from the base of the pad (mm)", ylabel="y (mm)")
+    axes.grid(visible=False)
+    axes.autoscale_view()
+    return png_bytes(figure)
+
+
+def _draw_before(axes: Axes, rest: FingerShape) -> None:
+    """Draw the finger at rest, coloured by part."""
+    for name in _farthest_first(rest):
+        polygons = _polygons(rest.surfaces[name], _facing(rest.surfaces[name]))
+        colour = PART_COLOURS.get(name, PART_COLOURS["gel"])
+        axes.add_collection(
+            PolyCollection(list(polygons), facecolors=colour, edgecolors="face", linewidths=0.7, snap=False)
+        )
+    _draw_lines(axes, rest)
+
+
+def _draw_after(axes: Axes, rest: FingerShape, pressed: FingerShape) -> PolyCollection:
+    """Draw the pressed finger, coloured by displacement, over the outlines of the finger at rest."""
+    polygons, moved_mm = [], []
+    for name in _farthest_first(rest):
+        before, after = rest.surfaces[name], pressed.surfaces[name]
+        facing = _facing(before)
+        axes.add_collection(LineCollection(list(_outlines(before, facing)), colors=MUTED, linewidths=0.6, alpha=0.6))
+        polygons.append(_polygons(after, facing))
+        distance = np.linalg.norm(after.vertices_mm - before.vertices_mm, axis=1)
+        moved_mm.append(distance[after.triangles[facing]].mean(axis=1))
+    values = np.concatenate(moved_mm)
+    shown = PolyCollection(
+        list(np.concatenate(polygons)),
+        array=values,
+        cmap="viridis",
+        edgecolors="face",
+        linewidths=0.7,
+        snap=False,
+    )
+    shown.set_clim(0.0, float(values.max()))
+    axes.add_collection(shown)
+    _draw_lines(axes, pressed)
+    return shown
+
+
+def _draw_lines(axes: Axes, shape: FingerShape) -> None:
+    """Draw the edge of the mirror, and the coat along the middle of the pad."""
+    for name, u, colour, style in (("mirror", 1.0, SKY, "-"), ("coat", 0.5, INK, "--")):
+        surface = shape.surfaces[name]
+        away = np.abs(surface.uv[:, 0] - u)
+        line = np.flatnonzero(away < away.min() + _SAME_U)
+        line = line[np.argsort(surface.uv[line, 1])]
+        axes.plot(surface.vertices_mm[line, 2], surface.vertices_mm[line, 1], style, color=colour, lw=1.4)
+
+
+def _draw_indenter(axes: Axes, design: FingerDesign, depth_mm: float, folder: Path | None) -> None:
+    """Draw the indenter at a push from first touch."""
+    outline = side_outline_mm(design, depth_mm, folder)
+    if outline is not None:
+        axes.add_patch(Polygon(outline, facecolor=HAIRLINE, edgecolor=MUTED, alpha=0.5, ls="--"))
+        z, y = outline.mean(axis=0)
+        axes.text(float(z), float(y), design.indenter.shape, ha="center", va="center", fontsize=8)
+
+
+def _draw_curve(axes: Axes, mechanics: PressMechanics) -> None:
+    """Draw the force along the pad's normal against the push, from nothing to the last increment."""
+    depth = np.concatenate([[0.0], mechanics.depth_mm])
+    force = np.concatenate([[0.0], mechanics.force_n[:, 1]])
+    axes.plot(depth, force, "-o", color=BLUE, markersize=4)
+    if mechanics.unreached:
+        if mechanics.wanted_force_n is not None:
+            label = f"the force that was wanted, {mechanics.wanted_force_n:g} N"
+            axes.axhline(mechanics.wanted_force_n, color=VERMILLION, ls=":", label=label)
+        else:
+            wanted = mechanics.design.indenter.depth_mm
+            axes.axvline(wanted, color=VERMILLION, ls=":", label=f"the push that was wanted, {wanted:g} mm")
+        axes.legend(loc="lower right")
+    axes.set(xlabel="push of the indenter from first touch (mm)", ylabel="force along the pad's normal (N)")
+    title = f"{force[-1]:.2f} N at {depth[-1]:.2f} mm"
+    if not force[-1] > 0.0:
+        title += ":\nnot the finger's: it touches no node or has been passed through"
+    # a little room below a force that pulls, none below nought
+    axes.set(xlim=(0.0, None), ylim=(min(0.0, 1.1 * force.min()), None), title=title)
+
+
+def _farthest_first(shape: FingerShape) -> list[str]:
+    """Return the parts by their greatest x: what is nearer to the viewer hides what is farther."""
+    return sorted(shape.surfaces, key=lambda name: float(shape.surfaces[name].vertices_mm[:, 0].max()))
+
+
+def _facing(surface: Surface) -> NDArray[np.int64]:
+    """Return the triangles that look to the viewer at x = infinity, farthest first."""
+    corners = surface.vertices_mm[surface.triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facing = np.flatnonzero(normal[:, 0] > _LEAST_FACING * np.linalg.norm(normal, axis=1))
+    return facing[np.argsort(corners[facing, :, 0].mean(axis=1), kind="stable")]
+
+
+def _polygons(surface: Surface, facing: NDArray[np.int64]) -> Floats:
+    """Return z and y of triangles, shape (m, 3, 2)."""
+    return surface.vertices_mm[surface.triangles[facing]][..., [2, 1]]
+
+
+def _outlines(surface: Surface, facing: NDArray[np.int64]) -> Floats:
+    """Return z and y of the edges that only one of these triangles has, shape (m, 2, 2)."""
+    triangles = surface.triangles[facing]
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    unique, times = np.unique(edges, axis=0, return_counts=True)
+    return np.asarray(surface.vertices_mm[unique[times == 1]][..., [2, 1]])

@@ -1,0 +1,412 @@
+"""The page of one fitted paint, and that of a sample in which no emission was found: one HTML file, the verdict first.
+
+The section on the fit shows one paint, or several side by side.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal
+
+from data_schemas import BandSignals, PaintCalibration, PaintWithoutEmission, package_version
+from finray_calib.reports import _fit_statements as said
+from finray_calib.reports._fit_figures import (
+    absorption_figure,
+    bands_figure,
+    blank_figure,
+    emission_figure,
+    families_figure,
+    marginals_figure,
+    reflectance_figure,
+)
+from finray_calib.reports._fit_statements import (
+    absorption_table,
+    bands_table,
+    chain_table,
+    families_table,
+    prior_table,
+    quantities_table,
+    sampling_table,
+    signals_table,
+)
+from finray_calib.reports._fitted_paint import FittedPaint, fit_summary
+from finray_calib.reports._page import Content, Part, Picture, drawing, files_table, provenance_table, render_page
+from finray_calib.reports._plain_text import estimate_text, fixed, percent, plain
+
+PAINT_TEMPLATE = "paint_report.html.j2"
+Verdict = Literal["Fit can be used", "Use with care", "Do not use"]
+
+
+def paint_report(paint: PaintCalibration, bands: BandSignals) -> str:
+    """Return the report of one fitted paint as a self-contained HTML page.
+
+    Parameters
+    ----------
+    paint
+        The calibration.
+    bands
+        The band signals that it was fitted to.
+
+    Returns
+    -------
+    str
+        HTML text; equal input gives equal text.
+    """
+    fitted = FittedPaint(bands, paint)
+    verdict = fit_verdict(paint)
+    return render_page(
+        PAINT_TEMPLATE,
+        paint_name=paint.paint_name,
+        verdict=verdict,
+        lead=_lead(fitted),
+        sentence=said.paint_sentence(fitted),
+        key_numbers=_fit_key_numbers(paint),
+        findings=_fit_findings(fitted, verdict),
+        limits=_fit_limits(fitted),
+        assumptions=_assumptions(fitted),
+        sections=(*fit_parts([fitted]), _fit_signals(fitted)),
+        provenance=None if paint.provenance is None else provenance_table(paint.provenance),
+        summary=plain(fit_summary(fitted)),
+    )
+
+
+def fit_verdict(paint: PaintCalibration) -> Verdict:
+    """Return whether the fit can be used: not when its draws cannot be trusted, with care when there is a warning."""
+    if not said.is_trusted(paint.diagnostics):
+        return "Do not use"
+    return "Use with care" if paint.warnings or not all(band.explained for band in paint.bands) else "Fit can be used"
+
+
+def _lead(paint: FittedPaint) -> str:
+    """Say what was measured."""
+    usable = paint.bands.usable()
+    return (
+        f"Emission spectrum of this paint for light at {paint.fit.optics.laser.wavelength_nm:g} nm, inferred from "
+        f"{int(usable.sum())} usable signals of {len(usable)} filters and three camera channels over "
+        f"{paint.bands.region_pixels} pixels."
+    )
+
+
+def _fit_key_numbers(paint: PaintCalibration) -> tuple[tuple[str, str, str], ...]:
+    """Return (label, value, remark) of the few numbers that stand beside the verdict."""
+    mode, width = paint.parameters["mode_nm"], paint.parameters["fwhm_nm"]
+    shift, light = paint.reradiation.stokes_shift_nm, paint.energy_yield
+    origin = "belief, not measured; " if paint.reradiation.prior_driven else ""
+    return (
+        ("Emits most at", f"{fixed(mode.estimate, 0)} nm", _interval(mode.low95, mode.high95, "nm")),
+        ("Full width at half maximum", f"{fixed(width.estimate, 0)} nm", _interval(width.low95, width.high95, "nm")),
+        ("Energy yield", percent(light.estimate), _interval(100 * light.low95, 100 * light.high95, "%")),
+        ("Stokes shift", f"{fixed(shift.estimate, 0)} nm", f"{origin}{_interval(shift.low95, shift.high95, 'nm')}"),
+    )
+
+
+def _interval(low: float, high: float, unit: str) -> str:
+    """Return a 95 % interval in words."""
+    return f"95 %: {fixed(low, 0)} to {fixed(high, 0)} {unit}"
+
+
+def _fit_findings(paint: FittedPaint, verdict: Verdict) -> tuple[str, ...]:
+    """Return the sentences below the verdict: why it is so, the bands, the family, the absorption."""
+    reasons = {
+        "Fit can be used": "The draws are trusted, every band is explained, and there are no warnings.",
+        "Use with care": f"The draws are trusted; read the warnings first ({len(paint.fit.warnings)}, below).",
+        "Do not use": "The draws of the posterior cannot be trusted, so neither can any number of this page.",
+    }
+    conclusion = said.bands_conclusion(paint)
+    return (
+        reasons[verdict],
+        f"{conclusion[:1].upper()}{conclusion[1:]}.",
+        said.family_statement(paint),
+        said.absorption_statement(paint),
+    )
+
+
+def _fit_limits(paint: FittedPaint) -> tuple[str, ...]:
+    """Return warnings, the sampling, the prior, and what the bands' record has noted."""
+    bands = paint.bands
+    lost = int((~bands.usable()).sum())
+    told = [f"Warning: {warning}." for warning in paint.fit.warnings]
+    told.append(f"Sampling: {said.sampling_statement(paint.fit.diagnostics)}")
+    told.append(said.prior_statement(paint))
+    told.append(f"{lost} of {bands.usable().size} signals are flagged and not used.")
+    return (*told, *(f"Radiometry: {note}." for note in bands.notes))
+
+
+def _assumptions(paint: FittedPaint) -> tuple[str, ...]:
+    """List what was taken for granted."""
+    optics, fit = paint.fit.optics, paint.fit
+    sources = sorted({curve.source for curve in optics.camera_response})
+    centers = ", ".join(f"{band.center_nm:g}" for band in optics.filters)
+    centre_nm, width_nm, leak_od = (
+        max(getattr(band, name) for band in optics.filters)
+        for name in ("center_uncertainty_nm", "fwhm_uncertainty_nm", "blocking_uncertainty_od")
+    )
+    return (
+        f"Camera response: {'; '.join(sources)}. Lamp: {optics.lamp.source}.",
+        f"Filters at {centers} nm, as the rig file states them: centres within {centre_nm:g} nm, widths within "
+        f"{width_nm:g} nm, blocking within {leak_od:g} OD (standard uncertainty, the largest of all filters).",
+        f"Emission: {fit.family_title} with a discrepancy of {percent(fit.discrepancy.amplitude_rel)}, from "
+        f"{fit.discrepancy.origin}.",
+        *([] if paint.bands.tilt_ratios else ["A diffuse paint: the same radiance in all directions."]),
+    )
+
+
+def _fit_signals(paint: FittedPaint) -> Part:
+    """Show what was fitted."""
+    lead = "What the fit was made from: one value per filter and channel over the painted region."
+    return Part("Band signals", Content(lead=lead, tables=(signals_table(paint),)))
+
+
+Paints = Sequence[FittedPaint]
+
+
+def fit_parts(paints: Paints) -> tuple[Part, ...]:
+    """Return emission, families, bands, absorption and reflectance, then prior and sampling as details."""
+    return (
+        Part("Emission", _emission(paints)),
+        Part("Families of curves", _families(paints)),
+        Part("Measured against predicted bands", _bands(paints)),
+        Part("Absorption", _absorption(paints)),
+        Part("Reflectance", _reflectance(paints)),
+        Part("Prior beliefs", _prior(paints), is_detail=True),
+        Part("Sampling", _sampling(paints), is_detail=True),
+    )
+
+
+def _row(paints: Paints, make: Callable[[FittedPaint], Picture]) -> tuple[tuple[Picture, ...], ...]:
+    """Return one picture of each paint in a row."""
+    return (tuple(make(paint) for paint in paints),)
+
+
+def _emission(paints: Paints) -> Content:
+    """Show the emission, the paper's curve beside it, and the truth where it is known."""
+    laser_nm = paints[0].fit.optics.laser.wavelength_nm
+    return Content(
+        lead=f"What the paint emits at each wavelength for light at {laser_nm:g} nm, per nm of emission, relative to a "
+        "perfect diffuse white.",
+        picture_rows=_row(paints, _emission_picture),
+        tables=tuple(quantities_table(paint) for paint in paints),
+        has_wide_tables=True,
+    )
+
+
+def _emission_picture(paint: FittedPaint) -> Picture:
+    """Return the emission figure."""
+    if paint.truth is None:
+        conclusion = said.paint_sentence(paint)
+        seen = "between the filters the bands widen, because nothing was measured there"
+    else:
+        conclusion = said.model_statement(paint, paint.truth)
+        seen = "the dashed line should run inside the bands"
+    text = f"fitted emission, and the paper's curve fitted to the same bands. What to see: {seen}."
+    return drawing(emission_figure(paint), conclusion, paint.titled(text))
+
+
+def _families(paints: Paints) -> Content:
+    """Show what each family makes of the same bands."""
+    return Content(
+        lead="Each family is a different idea of what an emission curve looks like. Evidence and probability say how "
+        "well a family predicts the bands before seeing them, all equally likely beforehand. The score of the left-out "
+        "bands says how well each band is predicted from the others: higher is better, \u00b1 is the standard error of "
+        "the difference to the default family, and scores with \u2248 are only indicative (Pareto k above 0.7).",
+        picture_rows=_row(paints, _families_picture),
+        remarks=tuple(said.family_statement(paint) for paint in paints),
+        tables=tuple(families_table(paint) for paint in paints),
+        has_wide_tables=True,
+    )
+
+
+def _families_picture(paint: FittedPaint) -> Picture:
+    """Return the figure of all families."""
+    return drawing(
+        families_figure(paint),
+        said.family_statement(paint),
+        paint.titled("mean emission by each family. What to see: where the lines part, the choice of family matters."),
+    )
+
+
+def _bands(paints: Paints) -> Content:
+    """Show how well each band is explained."""
+    return Content(
+        lead="The prediction is the family's curve seen through each filter, with the spread that discrepancy and "
+        "filters allow. The predictive p is the probability of a larger misfit if the model is right; a band below "
+        "0.01 is not explained. The pull is the filter's calibration error in units of its assumed uncertainty: "
+        "0 \u00b1 1 means that these data say nothing about it.",
+        picture_rows=_row(paints, _bands_picture),
+        tables=tuple(bands_table(paint) for paint in paints),
+        has_wide_tables=True,
+    )
+
+
+def _bands_picture(paint: FittedPaint) -> Picture:
+    """Return the figure of measured against predicted bands."""
+    return drawing(
+        bands_figure(paint),
+        f"{paint.titled('measured against predicted signal of each filter')}: {said.bands_conclusion(paint)}.",
+        paint.titled(
+            "signals of the red, green and blue channel on their prediction (box), each \u00b1 2 sd; hollow ones are "
+            f"not used. What to see: nearly all differences should lie in the grey strip. Here "
+            f"{said.bands_conclusion(paint)}."
+        ),
+    )
+
+
+def _absorption(paints: Paints) -> Content:
+    """Show what is known and believed of the absorption."""
+    return Content(
+        lead="How strongly other blue and green light would excite the paint, relative to the laser.",
+        picture_rows=_row(paints, _absorption_picture),
+        remarks=tuple(said.absorption_statement(paint) for paint in paints),
+        tables=tuple(absorption_table(paint) for paint in paints),
+    )
+
+
+def _absorption_picture(paint: FittedPaint) -> Picture:
+    """Return the figure of the absorption."""
+    seen = (
+        "the wide band is what measured paints do, not a measurement of this one; it is known at the dashed line only"
+    )
+    if not paint.fit.reradiation.prior_driven:
+        seen = "the band narrows at the measured lights (dashed)"
+    text = f"photons absorbed relative to the laser line, mean and 95 % band. What to see: {seen}."
+    return drawing(absorption_figure(paint), said.absorption_statement(paint), paint.titled(text))
+
+
+def _reflectance(paints: Paints) -> Content:
+    """Show the reflectance without fluorescence."""
+    return Content(
+        lead="What the paint sends back without changing the wavelength, at each filter.",
+        picture_rows=_row(paints, _reflectance_picture),
+    )
+
+
+def _reflectance_picture(paint: FittedPaint) -> Picture:
+    """Return the figure of the reflectance."""
+    values = [value.estimate for value in paint.fit.reflectance]
+    return drawing(
+        reflectance_figure(paint),
+        f"Without fluorescence {paint.subject} reflects {percent(min(values))} to {percent(max(values))} of the light, "
+        "depending on the filter.",
+        paint.titled(
+            "radiance factor under the lamp by channel, and the reflectance without fluorescence. What to see: points "
+            f"above the line carry fluorescence. Method: {paint.fit.reflectance_method}."
+        ),
+    )
+
+
+def _prior(paints: Paints) -> Content:
+    """Show what was believed, and how much the answer owes to it."""
+    discrepancy = paints[0].fit.discrepancy
+    return Content(
+        lead=f"Discrepancy: {percent(discrepancy.amplitude_rel)} of the curve with a correlation length of "
+        f"{discrepancy.length_nm:g} nm, on {percent(discrepancy.floor_rel)} of the peak as a floor, and "
+        f"{percent(discrepancy.reabsorption_rel)} of re-absorption at the blue edge. Origin: {discrepancy.origin}.",
+        picture_rows=_row(paints, _marginals_picture),
+        remarks=tuple(said.prior_statement(paint) for paint in paints),
+        tables=tuple(prior_table(paint) for paint in paints),
+    )
+
+
+def _marginals_picture(paint: FittedPaint) -> Picture:
+    """Return the figure of prior and posterior."""
+    mode = estimate_text(paint.fit.parameters["mode_nm"], "nm")
+    return drawing(
+        marginals_figure(paint),
+        f"Prior and posterior of {len(paint.fit.sampled)} parameters of {paint.subject}; the mode of the emission is "
+        f"narrowed to {mode}.",
+        paint.titled(
+            "what was believed before (hatched) and after (filled) the measurement. What to see: a filled peak much "
+            "narrower than the hatching was set by the measurement, not by the prior."
+        ),
+    )
+
+
+def _sampling(paints: Paints) -> Content:
+    """Show how the posterior was sampled."""
+    chains = [table for paint in paints if (table := chain_table(paint)) is not None]
+    return Content(
+        lead="The posterior is drawn by importance sampling, which diagnoses itself; where it falls short its draws "
+        "are moved until they forget their start, at last emcee takes over. emcee checks any of them where asked.",
+        remarks=tuple(paint.titled(said.sampling_statement(paint.fit.diagnostics)) for paint in paints),
+        tables=(*(sampling_table(paint) for paint in paints), *chains),
+    )
+
+
+NO_EMISSION_TEMPLATE = "result_page.html.j2"
+
+
+def no_emission_page(paint: PaintWithoutEmission, command: str, digests: Mapping[str, str]) -> str:
+    """Return the page of a sample without emission as self-contained HTML; equal input gives equal text.
+
+    Parameters
+    ----------
+    paint
+        The record.
+    command
+        The command that reproduces it.
+    digests
+        Name of each input file -> SHA-256.
+    """
+    found = paint.detection
+    return render_page(
+        NO_EMISSION_TEMPLATE,
+        verb="finray fit",
+        title=f"No emission: {paint.paint_name}",
+        lead=f"Whether this sample emits light when the laser at {paint.optics.laser.wavelength_nm:g} nm shines on it.",
+        verdict="No emission",
+        sentence=f"{found.statement[:1].upper()}{found.statement[1:]}.",
+        key_numbers=_key_numbers(paint),
+        findings=_findings(paint),
+        limits=_limits(paint),
+        notes=paint.warnings,
+        sections=(_signals(paint),),
+        command=command,
+        files=files_table(digests, package_version()),
+        summary=plain(paint.model_dump(mode="json", exclude={"provenance", "optics"})),
+    )
+
+
+def _key_numbers(paint: PaintWithoutEmission) -> tuple[tuple[str, str, str], ...]:
+    """Return (label, value, remark) of the few numbers that stand beside the verdict."""
+    found = paint.detection
+    limit = "not stated" if found.yield_limit is None else f"below {percent(found.yield_limit)}"
+    modes = f"with 95 %, modes from {found.limit_low_nm:.0f} to {found.limit_high_nm:.0f} nm"
+    return (
+        ("Energy yield", limit, modes),
+        ("Signal beyond a blank", f"{fixed(found.statistic_sd, 1)} sd", f"threshold {fixed(found.threshold_sd, 1)} sd"),
+        ("Reflects of the laser", percent(paint.reflectance_at_laser), "from the filter at its line"),
+    )
+
+
+def _findings(paint: PaintWithoutEmission) -> tuple[str, ...]:
+    """Return what to do, and what the decision rests on."""
+    found = paint.detection
+    return (
+        "There is no spectrum, no mode and no width in this record: the signals do not hold any. It cannot be "
+        "simulated with, mapped or exported.",
+        f"{percent(found.blanks_above)} of {found.blanks} simulated samples of the same rig and reflectance, which "
+        "emit nothing, show at least as much.",
+        "If this should be a fluorescent paint: look at whether the laser was on, the right sample in view and the "
+        "region inside it, and measure again with longer exposures.",
+    )
+
+
+def _limits(paint: PaintWithoutEmission) -> tuple[str, ...]:
+    """Return what the decision does not know."""
+    found = paint.detection
+    return (
+        f"Emission with its mode beyond {found.limit_high_nm:.0f} nm is not seen by these filters.",
+        "The limit rests on the filters' blocking as the rig file states it, and on an allowance for stray light of "
+        "0.03 % of the laser. Filters that leak more make blanks look like paints.",
+        f"Of samples without any emission {percent(found.false_alarm)} are called paints.",
+    )
+
+
+def _signals(paint: PaintWithoutEmission) -> Part:
+    """Show what was measured beside what a blank would show."""
+    picture = drawing(
+        blank_figure(paint),
+        "Measured band signals agree with those of a sample that reflects the laser and emits nothing.",
+        "Band signals and what is expected of a sample that reflects as much of the laser and emits nothing. Boxes: "
+        "two standard deviations of noise, leaks, tolerances and stray light. Open markers are not used.",
+    )
+    lead = "What was measured through each filter, and what reflected laser, leak and stray light alone would give."
+    return Part("Band signals", Content(lead, ((picture,),)))

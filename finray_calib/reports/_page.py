@@ -1,0 +1,250 @@
+"""What a page is made of: tables, pictures and sections in one self-contained HTML file made from a template.
+
+The first cell of a table's row is its heading. Also the tables on origin: what was compared with what, and the files.
+"""
+
+import base64
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from data_schemas import IndenterPose, PatchScale, Provenance, SimulatedPress, TactileCapture
+from finray_calib.reports._images import ByteImage, png_data_uri
+from finray_calib.reports._plain_text import NO_VALUE, unbroken
+from finray_calib.reports._style import svg_data_uri
+
+
+@dataclass(frozen=True, slots=True)
+class TableGroup:
+    """Rows under a common heading; an empty heading shows none."""
+
+    heading: str
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ReportTable:
+    """One table: caption, column headings and groups of rows."""
+
+    caption: str
+    columns: tuple[str, ...]
+    groups: tuple[TableGroup, ...]
+    is_words: bool = False
+
+
+def one_group(
+    caption: str, columns: tuple[str, ...], rows: Iterable[tuple[str, ...]], is_words: bool = False
+) -> ReportTable:
+    """Return a table of one group without a heading."""
+    return ReportTable(caption, columns, (TableGroup("", tuple(rows)),), is_words)
+
+
+def provenance_table(origin: Provenance) -> ReportTable:
+    """List origin, versions, processor, seed and input hashes; what an older record does not hold is left out."""
+    commit = origin.git_commit or "not run from a source tree"
+    rows: list[tuple[str, ...]] = [
+        ("made (UTC)", origin.created_utc),
+        ("finray-calib", origin.package_version),
+        ("source commit", f"{commit}, with changes that are not committed" if origin.git_dirty else commit),
+        ("Python", origin.python_version),
+        ("seed", "none" if origin.seed is None else str(origin.seed)),
+    ]
+    if origin.packages:
+        rows.append(("packages", ", ".join(f"{name} {number}" for name, number in sorted(origin.packages.items()))))
+    rows += [(what, said) for what, said in (("processor", origin.processor), ("renderer", origin.renderer)) if said]
+    rows += [(f"SHA-256 of {name}", digest) for name, digest in sorted(origin.input_sha256.items())]
+    return one_group("Where this report comes from", ("item", "value"), rows, is_words=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """An image inside the page; the alternative text carries its conclusion, the caption says what to see.
+
+    A row whose first picture is small holds three of them on a wide screen.
+    """
+
+    source: str
+    alternative: str
+    caption: str
+    is_raster: bool = False
+    is_small: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Content:
+    """What a section shows: a sentence, rows of pictures, remarks, tables, and parts with a heading of their own."""
+
+    lead: str
+    picture_rows: tuple[tuple[Picture, ...], ...] = ()
+    remarks: tuple[str, ...] = ()
+    tables: tuple[ReportTable, ...] = ()
+    parts: tuple["Part", ...] = ()
+    has_wide_tables: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A part of a section; a detail waits in a fold."""
+
+    title: str
+    content: Content
+    is_detail: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One stage of the report."""
+
+    stage: str
+    wall_time: str
+    content: Content
+
+
+def raster(rgb8: ByteImage, alternative: str, caption: str) -> Picture:
+    """Return an (H, W, 3) sRGB image as a picture."""
+    return Picture(png_data_uri(rgb8), alternative, caption, is_raster=True, is_small=True)
+
+
+def figure_png(png: bytes, alternative: str, caption: str) -> Picture:
+    """Return a figure that was drawn as PNG as a picture."""
+    source = f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
+    return Picture(source, alternative, caption)
+
+
+def drawing(svg: str, alternative: str, caption: str, is_small: bool = False) -> Picture:
+    """Return SVG text as a picture."""
+    return Picture(svg_data_uri(svg), alternative, caption, is_small=is_small)
+
+
+def images_table(press: SimulatedPress, capture: TactileCapture) -> ReportTable:
+    """List what was captured and what was rendered, each beside the other."""
+    made = press.provenance.created_utc if press.provenance else NO_VALUE
+    taken = capture.provenance.created_utc if capture.provenance else NO_VALUE
+    rows = [
+        ("name", capture.name, press.name),
+        ("what", capture.source, press.label),
+        ("stored (UTC)", taken, made),
+        ("image", _layout(capture), f"{press.contact.shape[1]} x {press.contact.shape[0]} px"),
+        ("values", _encoding(capture.encoding), _encoding(press.encoding)),
+        ("exposure", _unit(capture.exposure_s, "s"), "fitted, see above" if press.encoding == "linear" else NO_VALUE),
+        ("light angle", _with_u(capture.light_angle_deg, capture.light_angle_uncertainty_deg, "deg"),
+         _unit(press.light_angle_deg, "deg")),
+        ("LED current", _unit(capture.led_current_ma, "mA"), NO_VALUE),
+        ("indenter", *_indenter(capture.indenter, press)),
+        ("scale, as the capture states it", _scale(capture), NO_VALUE),
+        ("finger", NO_VALUE, "no design" if press.design is None else press.design.name),
+    ]  # fmt: skip
+    rows += [(f"{colour} paint", NO_VALUE, f"SHA-256 {digest}") for colour, digest in sorted(press.paints.items())]
+    return one_group("What was compared with what", ("item", "capture", "simulation"), rows, is_words=True)
+
+
+def files_table(digests: Mapping[str, str], version: str) -> ReportTable:
+    """List the files that went in, by content, and the version that read them."""
+    rows = [("finray-calib", version), *((f"SHA-256 of {name}", digest) for name, digest in sorted(digests.items()))]
+    return one_group("Program and input files", ("item", "value"), rows, is_words=True)
+
+
+def scale_table(scale: PatchScale) -> ReportTable:
+    """List millimetres per raw pixel along x and y at the patch and over patch and pad, and the regions' extents."""
+    middle, patch, pad = scale.middle, scale.over_patch, scale.over_pad
+    rows = [
+        (
+            "mm per pixel at the middle of the patch",
+            _known(middle.along_x_mm_per_px, middle.along_x_u_rel * middle.along_x_mm_per_px),
+            _known(middle.along_y_mm_per_px, middle.along_y_u_rel * middle.along_y_mm_per_px),
+        ),
+        *(
+            (
+                f"mm per pixel, range over the {name}",
+                f"{over.along_x_low_mm_per_px:.4g} to {over.along_x_high_mm_per_px:.4g}",
+                f"{over.along_y_low_mm_per_px:.4g} to {over.along_y_high_mm_per_px:.4g}",
+            )
+            for name, over in (("patch", patch), ("pad", pad))
+        ),
+        *(
+            (
+                f"{extent.region}, extent in mm",
+                _known(extent.along_x_mm, extent.along_x_u_mm),
+                _known(extent.along_y_mm, extent.along_y_u_mm),
+            )
+            for extent in scale.extents
+        ),
+    ]
+    columns = ("length", "along x (rows)", "along y (columns)")
+    return one_group("Scale of the capture's raw pixels on the pad", columns, rows, is_words=True)
+
+
+def _known(value: float, u: float) -> str:
+    """Return a value with its standard uncertainty, in its unit."""
+    return f"{value:.4g} (u = {u:.2g})"
+
+
+def _scale(capture: TactileCapture) -> str:
+    """Return the scale that the capture carries."""
+    u = (
+        None
+        if capture.mm_per_px is None or capture.mm_per_px_u_rel is None
+        else (capture.mm_per_px * capture.mm_per_px_u_rel)
+    )
+    return _with_u(capture.mm_per_px, u, "mm per pixel")
+
+
+def _layout(capture: TactileCapture) -> str:
+    """Return size, layout and depth of a captured image."""
+    height, width = capture.contact.shape[:2]
+    return (
+        f"{width} x {height} px, {capture.layout}, {capture.bit_depth} bit, black level {capture.black_level_dn:g} DN"
+    )
+
+
+def _encoding(encoding: str) -> str:
+    """Return what the values mean."""
+    return "linear light" if encoding == "linear" else "encoded, curve unknown"
+
+
+def _unit(value: float | None, unit: str) -> str:
+    """Return a value with its unit, or that it is not known."""
+    return "not recorded" if value is None else f"{value:.4g} {unit}"
+
+
+def _with_u(value: float | None, u: float | None, unit: str) -> str:
+    """Return a value with its standard uncertainty where that is known."""
+    text = _unit(value, unit)
+    return text if value is None or u is None else f"{text} (u = {u:.2g} {unit})"
+
+
+def _indenter(pose: IndenterPose, press: SimulatedPress) -> tuple[str, str]:
+    """Return what was pressed, in the capture and in the simulation."""
+    parts = [f"{pose.shape}, radius {pose.radius_mm:g} mm"]
+    if pose.depth_mm is not None:
+        parts.append(f"depth {_with_u(pose.depth_mm, pose.depth_uncertainty_mm, 'mm')}")
+    if pose.position_mm is not None:
+        parts.append(f"at {_with_u(pose.position_mm, pose.position_uncertainty_mm, 'mm')} along the pad")
+    if pose.tilt_deg is not None:
+        parts.append(f"tilt {_with_u(pose.tilt_deg, pose.tilt_uncertainty_deg, 'deg')}")
+    if press.design is None:
+        return "; ".join(parts), NO_VALUE
+    simulated = press.design.indenter
+    return "; ".join(parts), f"{simulated.shape}, depth {simulated.depth_mm:g} mm"
+
+
+def render_page(template: str, **values: object) -> str:
+    """Return a template filled with values; text is escaped, and a missing value is an error.
+
+    Parameters
+    ----------
+    template
+        File name in the folder of templates.
+    values
+        What the template names.
+    """
+    environment = Environment(
+        loader=PackageLoader("finray_calib.reports", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["unbroken"] = unbroken
+    return environment.get_template(template).render(**values)

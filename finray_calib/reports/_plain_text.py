@@ -1,0 +1,282 @@
+"""Numbers and tables as plain text: as many digits as the interval supports, tables of the terminal, plain JSON.
+
+A number that is not finite becomes null in JSON.
+"""
+
+import math
+import re
+from collections.abc import Iterator
+from textwrap import wrap
+from typing import Any
+
+import numpy as np
+
+from data_schemas import (
+    ErrorRow,
+    Estimate,
+    ForceComparison,
+    ForceEstimate,
+    ForceThird,
+    PhotometricErrorReport,
+    RegionError,
+)
+
+NO_VALUE = "\N{EN DASH}"
+"""Stands where there is no number to show."""
+
+_SIGNIFICANT_OF_HALF_WIDTH = 2
+_MOST_DECIMALS = 6
+
+
+def decimals_for(half_width: float) -> int:
+    """Return how many decimals show a half-width with two significant digits, at most 6; below 0 for tens."""
+    if not (math.isfinite(half_width) and half_width > 0):
+        return 3
+    magnitude = math.floor(math.log10(half_width))
+    return min(_SIGNIFICANT_OF_HALF_WIDTH - 1 - magnitude, _MOST_DECIMALS)
+
+
+def interval_text(estimate: float, low: float, high: float, unit: str = "", most_decimals: int = 6) -> str:
+    """Return ``597.1 [596.0, 598.3] nm``: estimate and interval, rounded to what the interval supports."""
+    if low == high == estimate:
+        return f"{significant(estimate)} {unit}".strip()
+    places = min(decimals_for((high - low) / 2), most_decimals)
+    return f"{fixed(estimate, places)} [{fixed(low, places)}, {fixed(high, places)}] {unit}".strip()
+
+
+def estimate_text(value: Estimate, unit: str = "", factor: float = 1.0) -> str:
+    """Return an estimate with its 95 % interval, times a factor for the unit."""
+    return interval_text(factor * value.estimate, factor * value.low95, factor * value.high95, unit)
+
+
+def fixed(value: float, places: int) -> str:
+    """Return a number with fixed decimals, rounded to tens and hundreds for decimals below 0.
+
+    A rounded zero has no sign, and what is not finite is named.
+    """
+    if math.isnan(value):
+        return "not given"
+    if math.isinf(value):
+        return "infinite" if value > 0 else "-infinite"
+    text = f"{round(value, places):.{max(places, 0)}f}"
+    return text.lstrip("-") if float(text) == 0 else text
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """Return a number with a few significant digits; very large and very small ones as a power of ten."""
+    if value == 0 or not math.isfinite(value):
+        return fixed(value, 0)
+    if not 1e-4 <= abs(value) < 1e5:
+        return f"{value:.{digits - 1}e}"
+    return fixed(value, digits - 1 - math.floor(math.log10(abs(value))))
+
+
+def percent(fraction: float) -> str:
+    """Return a fraction as per cent, as "below 0.1 %" when it rounds to less, and as "12 times" from 10 on."""
+    if 0 < abs(fraction) < 0.0005:
+        return "below 0.1 %"
+    if abs(fraction) >= 10:
+        return f"{fixed(fraction, 0)} times"
+    value = 100 * fraction
+    text = fixed(value, 0 if abs(value) >= 10 else 1)
+    return f"{text.removesuffix('.0')} %"
+
+
+def signed_percent(fraction: float) -> str:
+    """Return a fraction as per cent with its sign; what rounds to nothing is 0 %."""
+    text = percent(fraction) if abs(fraction) >= 0.0005 else "0 %"
+    return f"+{text}" if fraction >= 0.0005 else text
+
+
+def probability(value: float) -> str:
+    """Return a probability with two decimals; never 0 or 1, which no finite number of draws can show."""
+    if value > 0.99:
+        return "above 0.99"
+    return "below 0.01" if value < 0.01 else f"{value:.2f}"
+
+
+def pareto_text(k: float | None) -> str:
+    """Return the shape k of importance weights with two decimals; a dash where it cannot be estimated."""
+    return NO_VALUE if k is None else fixed(k, 2)
+
+
+def duration(seconds: float) -> str:
+    """Return a wall time in seconds or minutes."""
+    if seconds >= 120:
+        return f"{seconds / 60:.1f} min"
+    return f"{seconds:.1f} s" if seconds < 20 else f"{seconds:.0f} s"
+
+
+def skill_text(estimate: float, low: float, high: float) -> str:
+    """Return a skill score with its interval, at most three decimals."""
+    return interval_text(estimate, low, high, most_decimals=3)
+
+
+def unbroken(text: str) -> str:
+    """Return the text as a page shows it: +- as one sign, number and unit on one line, and so [low, high]."""
+    text = text.replace(" +- ", " \u00b1 ")
+    units = re.sub(r"(?<=[\d\]]) (?=(?:%|nm|deg|dB|DN|mm|ms|s|px|pixels)(?![\w/]))", "\u00a0", text)
+    return re.sub(r"\[[^\[\]]{0,40}\]", lambda found: found[0].replace(" ", "\u00a0"), units)
+
+
+Json = dict[str, Any]
+
+
+def plain(value: Any) -> Any:
+    """Return plain JSON types: numpy scalars and arrays as numbers and lists, null for what is not finite."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic | np.ndarray):
+        return plain(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def estimate_json(value: Estimate, truth: float | None = None) -> Json:
+    """Return estimate and 95 % interval, beside the truth where it is known."""
+    numbers: Json = {"estimate": value.estimate, "low95": value.low95, "high95": value.high95}
+    return numbers if truth is None else {**numbers, "truth": truth}
+
+
+WIDTH_COLUMNS = 100
+_COLUMNS = (
+    ("", 12),
+    ("skill [95 %]", 22),
+    ("skill R, G, B", 19),
+    ("rel. RMS R, G, B", 22),
+    ("PSNR dB", 9),
+    ("SSIM", 7),
+)
+_LABEL_COLUMNS = 40
+
+
+def comparison_lines(report: PhotometricErrorReport) -> str:
+    """Return regions by rows (do nothing, simulation, floor), at most 100 columns wide.
+
+    Parameters
+    ----------
+    report
+        The comparison to print.
+
+    Returns
+    -------
+    str
+        Lines separated by newlines, ending with one.
+    """
+    lines = [f"{_cut(report.simulated)} against {_cut(report.captured)}", _cut(report.label, WIDTH_COLUMNS)]
+    lines.append(f"values: {report.values}; exposure factor: {_exposure(report)}")
+    for region in report.regions:
+        lines += ["", _cut(_heading(report, region), WIDTH_COLUMNS), _line([title for title, _ in _COLUMNS])]
+        lines += [_line(_cells(row)) for row in region.rows]
+    skill = report.headline_skill
+    headline = skill_text(skill.estimate, skill.low95, skill.high95)
+    lines += ["", _cut(f"headline: skill {headline} over {report.headline_region}", WIDTH_COLUMNS)]
+    for reason in report.withheld:
+        lines += wrap(f"withheld: {reason}", WIDTH_COLUMNS, subsequent_indent="  ")
+    return "\n".join(lines) + "\n"
+
+
+def _heading(report: PhotometricErrorReport, region: RegionError) -> str:
+    """Return the name and size of a region."""
+    clipped = f", {region.clipped_fraction:.1%} clipped" if region.clipped_fraction > 0 else ""
+    unit = "px" if report.block_px == 1 else f"blocks of {report.block_px} x {report.block_px} px"
+    return f"{region.region} ({region.factor:g} half-widths, {region.pixels} {unit}{clipped})"
+
+
+def _exposure(report: PhotometricErrorReport) -> str:
+    """Return the exposure factor with its standard deviation, or that it was not fitted."""
+    if report.exposure_factor is None:
+        return "not fitted (1)"
+    spread = "" if report.exposure_factor_sd is None else f", sd {significant(report.exposure_factor_sd, 2)}"
+    return f"{significant(report.exposure_factor, 4)}{spread}"
+
+
+def _cells(row: ErrorRow) -> list[str]:
+    """Return the cells of one candidate."""
+    skill = skill_text(row.skill.estimate, row.skill.low95, row.skill.high95)
+    channels = " ".join("-" if value is None else fixed(value, 2) for value in row.skill_per_channel)
+    spread = "withheld" if row.relative_rms is None else " ".join(fixed(rms.estimate, 3) for rms in row.relative_rms)
+    return [
+        row.candidate,
+        skill,
+        channels,
+        spread,
+        "identical" if row.psnr_db is None else fixed(row.psnr_db, 1),
+        "none" if row.ssim is None else fixed(row.ssim, 3),
+    ]
+
+
+def _line(cells: list[str]) -> str:
+    """Return cells in columns; the first is aligned left, the others right."""
+    name, *rest = (f"{cell:>{width}}" for cell, (_, width) in zip(cells, _COLUMNS, strict=True))
+    return (f"{cells[0]:<{len(name)}}" + "  " + " ".join(rest)).rstrip()
+
+
+def _cut(text: str, columns: int = _LABEL_COLUMNS) -> str:
+    """Shorten a text to a number of columns."""
+    return text if len(text) <= columns else text[: columns - 3] + "..."
+
+
+_LARGEST_INPUTS = 6
+_WIDTH_COLUMNS = 120
+
+
+def force_lines(comparison: ForceComparison) -> str:
+    """Return the rows, the validation statement by thirds, and the budget, at most 120 columns wide."""
+    return "\n".join(_lines(comparison)) + "\n"
+
+
+def _lines(comparison: ForceComparison) -> Iterator[str]:
+    """Yield the lines."""
+    yield f"{comparison.simulated} against {comparison.measured}, {len(comparison.points)} points"
+    yield comparison.label
+    yield ""
+    yield f"{'':<12}relative RMS" + ("" if comparison.withheld else " [95 % of the model's own error]")
+    for row in comparison.rows:
+        rms = row.rms_rel
+        yield f"{row.candidate:<12}{rms.estimate:8.1%}" + _interval(rms, ".1%", "  ")
+    if comparison.first_touch is None:
+        yield "first touch: displacements count from it, nothing fitted"
+    else:
+        offset = comparison.first_touch.offset_mm
+        known = "" if comparison.withheld else f", u = {comparison.first_touch.u_mm:.3f} mm"
+        yield f"first touch: fitted at {offset.estimate:.3f} mm{_interval(offset, '.3f', ' ')}{known}"
+    yield ""
+    yield f"{'displacement mm':<18}{'force N':>9}{'error N':>9}{'u_num':>8}{'u_input':>8}{'u_D':>8}{'u_val':>8}"
+    yield from map(_third, comparison.thirds)
+    yield ""
+    yield "largest contributions to the simulated force at the deepest point:"
+    for line in comparison.budget[:_LARGEST_INPUTS]:
+        effect = (
+            ""
+            if line.u_rel is None
+            else f"; input {line.u_rel:.1%}, d ln F / d ln x = {line.ln_force_per_ln_input:+.2f}"
+        )
+        yield f"  {line.force_u_rel:6.1%}  {line.input} ({line.source}{effect})"
+    yield ""
+    if comparison.withheld:
+        yield from wrap(f"withheld: {comparison.withheld}", _WIDTH_COLUMNS, subsequent_indent="  ")
+    for missing in comparison.not_included:
+        yield f"not included: {missing}"
+
+
+def _interval(value: ForceEstimate, form: str, before: str) -> str:
+    """Return the ends of an interval in brackets; nothing where they are withheld."""
+    if value.low95 is None or value.high95 is None:
+        return ""
+    return f"{before}[{value.low95:{form}}, {value.high95:{form}}]"
+
+
+def _third(third: ForceThird) -> str:
+    """Return the line of a third."""
+    place = f"{third.from_mm:.3g} to {third.to_mm:.3g}"
+    uncertainties = (third.u_numerical_n, third.u_input_n, third.u_data_n, third.u_validation_n)
+    said = "verdict withheld"
+    if third.within is not None:
+        said = "within 2 u_val" if third.within else "the model is off by more than 2 u_val"
+    return (
+        f"{place:<18}{third.force_n:9.3f}{third.error_n:+9.3f}"
+        + "".join(f"{u:8.3f}" for u in uncertainties)
+        + f"  {said}"
+    )

@@ -1,0 +1,69 @@
+"""Sense with a tactile camera: its lens, the scale of its pixels on the pad, and its map from colour to normals.
+
+A ChArUco board gives lens and millimetres per pixel; presses of a ball teach the normal map n(dR, dG, dB, x, y), which
+turns the change of colour into slopes, and slopes into depth. Every result says how well it is known, or why it is
+refused. Also here: how well one light angle lets a camera tell normals. Arithmetic only: no files, no devices.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from finray_calib.sensing._angle_objectives import held_out_normal_error_deg, normal_sigma_deg, uniformity
+    from finray_calib.sensing._board_corners import BoardView, find_board, require_plausible
+    from finray_calib.sensing._lens_calibration import LensCalibration, calibrate_lens
+    from finray_calib.sensing._normal_map import (
+        NormalMap,
+        SensingError,
+        full_scale_dn,
+        poisson_depth_mm,
+        polynomial_terms,
+        rgb_image,
+        sensing_error,
+    )
+    from finray_calib.sensing._normal_map_fit import (
+        MINIMUM_PRESSES,
+        CalibrationPress,
+        check_senses,
+        fit_normal_map,
+        held_out_score,
+        normal_map_of,
+        normal_map_record,
+        require_ball_press,
+    )
+    from finray_calib.sensing._pixel_scale import Declared
+    from finray_calib.sensing._scale_record import patch_scale, pixel_scale, scale_finding, with_measured_scale
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "MINIMUM_PRESSES",
+    "BoardView",
+    "CalibrationPress",
+    "Declared",
+    "LensCalibration",
+    "NormalMap",
+    "SensingError",
+    "calibrate_lens",
+    "check_senses",
+    "find_board",
+    "fit_normal_map",
+    "full_scale_dn",
+    "held_out_normal_error_deg",
+    "held_out_score",
+    "normal_map_of",
+    "normal_map_record",
+    "normal_sigma_deg",
+    "patch_scale",
+    "pixel_scale",
+    "poisson_depth_mm",
+    "polynomial_terms",
+    "require_ball_press",
+    "require_plausible",
+    "rgb_image",
+    "scale_finding",
+    "sensing_error",
+    "uniformity",
+    "with_measured_scale",
+]

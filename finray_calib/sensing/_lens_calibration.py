@@ -1,0 +1,327 @@
+"""Calibrate a lens from views of a flat board: a bundle adjustment that also says how well everything is known.
+
+With a first calibration the corners are found again in the plane of the board, where the lens bends no edge.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import CharucoBoard, CompareError, DistortionModel
+from finray_calib.sensing._board_corners import BoardView
+
+Floats = NDArray[np.float64]
+
+COEFFICIENTS = {"pinhole": 5, "fisheye": 4}
+"""k1 k2 p1 p2 k3, and k1 to k4: what a picture of a board determines for common lenses."""
+LEAST_VIEWS = 4
+"""Besides that of the pad: three determine a lens, one more shows whether they agree."""
+POSE = 6
+LARGEST_RMS_PX = 3.0
+LARGEST_FOCAL_U_REL = 0.05
+_MOST_STEPS, _STEP_TOLERANCE_REL = 100, 1e-10
+_FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e8
+
+
+@dataclass(frozen=True, slots=True)
+class LensCalibration:
+    """A lens and the places of the board, with their joint covariance.
+
+    Attributes
+    ----------
+    model, width_px, height_px
+        OpenCV's distortion model and the size of the pictures.
+    lens
+        (n,) fx, fy, cx, cy and the coefficients of the distortion.
+    poses
+        (views, 6) rotation vector and translation in mm, from the board to the camera.
+    covariance
+        (n + 6 views, n + 6 views) s^2 (J'J)^-1 of lens and poses, in this order.
+    corner_sd_px
+        s: standard deviation of one coordinate of a corner, from the residuals.
+    view_rms_px
+        (views,) root mean square distance of the corners of a view from where they should be.
+    degrees_of_freedom
+        Of s.
+    """
+
+    model: DistortionModel
+    width_px: int
+    height_px: int
+    lens: Floats
+    poses: Floats
+    covariance: Floats
+    corner_sd_px: float
+    view_rms_px: Floats
+    degrees_of_freedom: int
+
+    @property
+    def focal_u_rel(self) -> float:
+        """Relative standard uncertainty of the focal length, the larger of both axes."""
+        return float((np.sqrt(np.diag(self.covariance)[:2]) / self.lens[:2]).max())
+
+
+def calibrate_lens(views: Sequence[BoardView], size_px: tuple[int, int], model: DistortionModel) -> LensCalibration:
+    """Fit a lens and the places of the board by least squares of the corners' residuals.
+
+    Parameters
+    ----------
+    views
+        Pictures of one board with one camera, four or more, turned and tilted.
+    size_px
+        Width and height.
+    model
+        "pinhole" or "fisheye".
+
+    Raises
+    ------
+    CompareError
+        There are too few views, the fit fails or leaves more than 3 px, or the boards leave the focal length open.
+
+    References
+    ----------
+    Z. Zhang, IEEE Trans. Pattern Analysis and Machine Intelligence 22 (2000) 1330; J. Kannala, S. S. Brandt, ibid. 28
+    (2006) 1335.
+    """
+    if len(views) < LEAST_VIEWS:
+        raise CompareError(
+            f"{len(views)} usable pictures of the board do not determine a lens: give {LEAST_VIEWS} or more (ten are "
+            "good), each with the board turned and tilted otherwise"
+        )
+    found = adjust(views, size_px, model, *_start(views, size_px, model))
+    rms = float(np.sqrt((found.view_rms_px**2).mean()))
+    if not rms <= LARGEST_RMS_PX:
+        worst = int(np.argmax(found.view_rms_px))
+        raise CompareError(
+            f"the {model} model leaves {rms:.1f} px between the corners and where they should be ({views[worst].name}: "
+            f"{found.view_rms_px[worst]:.1f} px), {LARGEST_RMS_PX:g} px are allowed: is the board flat, are squares "
+            "and dictionary those that were printed, was the focus left alone?"
+        )
+    if not found.focal_u_rel <= LARGEST_FOCAL_U_REL:
+        raise CompareError(
+            f"the focal length is known to {found.focal_u_rel:.0%} only, {LARGEST_FOCAL_U_REL:.0%} is allowed: the "
+            "boards lie too much alike. Take pictures with the board tilted by 20 to 45 deg in several directions, "
+            "some reaching into the corners"
+        )
+    return found
+
+
+def adjust(
+    views: Sequence[BoardView],
+    size_px: tuple[int, int],
+    model: DistortionModel,
+    lens: Floats,
+    poses: Floats,
+    weights: Floats | None = None,
+) -> LensCalibration:
+    """Refine lens and poses from a start by Levenberg-Marquardt; weights count views more than once.
+
+    Raises
+    ------
+    CompareError
+        The corners do not determine what is fitted.
+    """
+    counts = np.ones(len(views)) if weights is None else weights
+    n = len(lens)
+    state = np.concatenate([lens, poses.ravel()])
+    residuals, jacobian = _linearised(views, model, state, n, counts)
+    cost, damping = float(residuals @ residuals), _FIRST_DAMPING
+    for _ in range(_MOST_STEPS):
+        scale = np.linalg.norm(jacobian, axis=0)
+        scale[scale == 0.0] = 1.0
+        scaled = jacobian / scale
+        normal = scaled.T @ scaled
+        step = np.linalg.solve(normal + damping * np.eye(len(state)), scaled.T @ residuals) / scale
+        tried = state + step
+        new_residuals, new_jacobian = _linearised(views, model, tried, n, counts)
+        new_cost = float(new_residuals @ new_residuals)
+        if np.isfinite(new_cost) and new_cost <= cost:
+            done = cost - new_cost <= _STEP_TOLERANCE_REL * cost
+            state, residuals, jacobian, cost = tried, new_residuals, new_jacobian, new_cost
+            damping /= 10.0
+            if done:
+                break
+        else:
+            damping *= 10.0
+            if damping > _MOST_DAMPING:
+                break
+    return _described(views, size_px, model, state, n, residuals, jacobian, counts)
+
+
+def project(model: DistortionModel, lens: Floats, pose: Floats, places: Floats) -> tuple[Floats, Floats]:
+    """Return pixels (N, 2) of places (N, 3) and their derivatives (N, 2, n + 6) by lens and pose."""
+    matrix = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
+    points = np.ascontiguousarray(places, dtype=np.float64).reshape(-1, 1, 3)
+    n = len(lens)
+    if model == "fisheye":
+        pixels, columns = cv2.fisheye.projectPoints(points, pose[:3], pose[3:], matrix, lens[4:])
+        order = [*range(n), *range(n, n + POSE)]
+    else:
+        pixels, columns = cv2.projectPoints(points, pose[:3], pose[3:], matrix, lens[4:])
+        order = [*range(POSE, POSE + n), *range(POSE)]
+    derivatives = np.asarray(columns, dtype=np.float64)[:, order].reshape(-1, 2, n + POSE)
+    return np.asarray(pixels, dtype=np.float64).reshape(-1, 2), derivatives
+
+
+def _linearised(
+    views: Sequence[BoardView], model: DistortionModel, state: Floats, n: int, counts: Floats
+) -> tuple[Floats, Floats]:
+    """Return weighted residuals, measured minus projected, and the derivatives of what is projected."""
+    residuals, blocks = [], []
+    for index, view in enumerate(views):
+        first = n + POSE * index
+        places = np.column_stack([view.places_mm, np.zeros(len(view.places_mm))])
+        pixels, columns = project(model, state[:n], state[first : first + POSE], places)
+        root = np.sqrt(counts[index])
+        residuals.append(root * (view.pixels - pixels).ravel())
+        block = np.zeros((2 * len(places), len(state)))
+        columns = columns.reshape(-1, n + POSE)
+        block[:, :n], block[:, first : first + POSE] = columns[:, :n], columns[:, n:]
+        blocks.append(root * block)
+    return np.concatenate(residuals), np.concatenate(blocks)
+
+
+def _described(
+    views: Sequence[BoardView],
+    size_px: tuple[int, int],
+    model: DistortionModel,
+    state: Floats,
+    n: int,
+    residuals: Floats,
+    jacobian: Floats,
+    counts: Floats,
+) -> LensCalibration:
+    """Return what was fitted with its covariance."""
+    freedom = int(sum(2 * len(v.pixels) * (c > 0) for v, c in zip(views, counts, strict=True))) - len(state)
+    scale = np.linalg.norm(jacobian, axis=0)
+    variance = float(residuals @ residuals) / max(freedom, 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scaled = jacobian / scale
+    if freedom < 1 or not np.isfinite(scaled).all() or np.linalg.matrix_rank(scaled) < len(state):
+        raise CompareError(
+            f"the corners do not determine a {model} lens and the places of the board: take more pictures, with the "
+            "board tilted in several directions"
+        )
+    covariance = variance * np.linalg.inv(scaled.T @ scaled) / np.outer(scale, scale)
+    poses = state[n:].reshape(-1, POSE)
+    rms = []
+    for view, pose in zip(views, poses, strict=True):
+        places = np.column_stack([view.places_mm, np.zeros(len(view.places_mm))])
+        error = view.pixels - project(model, state[:n], pose, places)[0]
+        rms.append(np.sqrt((error**2).sum(axis=1).mean()))
+    return LensCalibration(
+        model, *size_px, state[:n], poses, covariance, float(np.sqrt(variance)), np.array(rms), freedom
+    )
+
+
+def _start(views: Sequence[BoardView], size_px: tuple[int, int], model: DistortionModel) -> tuple[Floats, Floats]:
+    """Return lens (n,) and poses (views, 6) as OpenCV calibrates them."""
+    places: list[Any] = [
+        np.column_stack([v.places_mm, np.zeros(len(v.places_mm))]).astype(np.float32).reshape(1, -1, 3) for v in views
+    ]
+    pixels: list[Any] = [v.pixels.astype(np.float32).reshape(1, -1, 2) for v in views]
+    try:
+        if model == "fisheye":
+            flags = cv2.CALIB_RECOMPUTE_EXTRINSIC + cv2.CALIB_FIX_SKEW
+            _, matrix, coefficients, turns, shifts = cv2.fisheye.calibrate(
+                places, pixels, size_px, np.eye(3), np.zeros(4), flags=flags
+            )
+        else:
+            _, matrix, coefficients, turns, shifts = cv2.calibrateCamera(places, pixels, size_px, None, None)
+    except cv2.error as error:
+        raise CompareError(
+            f"the {model} calibration fails ({' '.join(str(error.err).split())}): take more pictures, with the board "
+            "turned and tilted in several directions, some reaching into the corners"
+        ) from None
+    lens = np.concatenate(
+        [[matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]], np.ravel(coefficients)[: COEFFICIENTS[model]]]
+    )
+    poses = [np.concatenate([np.ravel(t), np.ravel(s)]) for t, s in zip(turns, shifts, strict=True)]
+    return lens.astype(np.float64), np.array(poses, dtype=np.float64)
+
+
+_HALF_SAMPLES = 10
+#: A smaller neighbourhood is all blur.
+_LEAST_HALF_PX = 3.0
+#: Further away the point found is another one.
+_LARGEST_MOVE_OF_WINDOW = 0.5
+
+
+def refined_views(
+    views: Sequence[BoardView],
+    pictures: Mapping[str, NDArray[np.uint8]],
+    lens: LensCalibration,
+    board: CharucoBoard,
+) -> list[BoardView]:
+    """Return the views with corners found in rectified neighbourhoods.
+
+    Least squares of grad I . (p - c) = 0: the corner is the point that all edges of its neighbourhood run through. In
+    the picture edges are bent and slanted, which moves corners of a wide lens by tenths of a pixel, all alike: a board
+    then seems larger than it is. The neighbourhood ends where markers begin.
+
+    Parameters
+    ----------
+    views
+        As they went into `lens`.
+    pictures
+        (H, W) by the name of the view; views without one stay as they are.
+    lens
+        Calibration by these views, good to a pixel.
+    board
+        What was printed.
+
+    References
+    ----------
+    W. Foerstner, E. Guelch, ISPRS Intercommission Workshop, Interlaken (1987) 281; A. Datta, J.-S. Kim, T. Kanade, IEEE
+    ICCV Workshops (2009) 1201.
+    """
+    half_mm = (board.square_mm - board.marker_mm) / 2.0
+    return [
+        view if view.name not in pictures else _refined(view, pictures[view.name], lens, pose, half_mm)
+        for view, pose in zip(views, lens.poses, strict=True)
+    ]
+
+
+def _refined(
+    view: BoardView, picture: NDArray[np.uint8], lens: LensCalibration, pose: Floats, half_mm: float
+) -> BoardView:
+    """Return a view with the corners that can be found again moved to where they are found."""
+    axis = np.linspace(-half_mm, half_mm, 2 * _HALF_SAMPLES + 1)
+    window = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+    weight = np.exp(-(window**2).sum(axis=1) / half_mm**2)
+    grey = picture.astype(np.float32)
+    pixels = view.pixels.copy()
+    for index, corner in enumerate(view.places_mm):
+        around = _on_picture(lens, pose, corner + window)
+        reach_px = np.linalg.norm(around - around.mean(axis=0), axis=1).max() / np.sqrt(2.0)
+        inside = (around >= 0.0).all() and (around <= np.array([lens.width_px - 1, lens.height_px - 1])).all()
+        if reach_px < _LEAST_HALF_PX or not inside:
+            continue
+        grid = around.astype(np.float32).reshape(len(axis), len(axis), 2)
+        patch = cv2.remap(grey, grid[..., 0], grid[..., 1], cv2.INTER_CUBIC)
+        move = _meeting_point(patch, window, weight)
+        if move is not None and np.abs(move).max() <= _LARGEST_MOVE_OF_WINDOW * half_mm:
+            pixels[index] = _on_picture(lens, pose, (corner + move)[None])[0]
+    return BoardView(view.name, view.places_mm, pixels, view.mirrored)
+
+
+def _meeting_point(patch: NDArray[np.number], window: Floats, weight: Floats) -> Floats | None:
+    """Return the point of a neighbourhood (its own coordinates) that its edges run through; None without corner."""
+    down, along = np.gradient(patch.astype(np.float64))
+    gradients = np.column_stack([along.ravel(), down.ravel()])
+    weighted = gradients * weight[:, None]
+    normal = weighted.T @ gradients
+    low, high = np.linalg.eigvalsh(normal)
+    # edges in one direction only meet nowhere
+    if low <= 0.05 * high:
+        return None
+    return np.asarray(np.linalg.solve(normal, weighted.T @ (gradients * window).sum(axis=1)))
+
+
+def _on_picture(lens: LensCalibration, pose: Floats, places: Floats) -> Floats:
+    """Return pixels (N, 2) of places (N, 2) on the board."""
+    return project(lens.model, lens.lens, pose, np.column_stack([places, np.zeros(len(places))]))[0]

@@ -1,0 +1,304 @@
+"""From the image of a tactile sensor to surface normals and depth: what it does when it senses.
+
+Captured counts become one RGB value per pixel with the black level removed. A map turns the change of colour against
+the no-contact image, and the place in the picture, into the slope of the gel; slopes are integrated to a depth, the
+least-squares solution of Poisson's equation by cosine transforms. Applied to a simulated and a captured press, the
+same map tells how far apart they are for a sensor.
+:func:`finray_calib.sensing.fit_normal_map` teaches the map with presses of a ball.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from itertools import combinations_with_replacement
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dctn, idctn
+
+from data_schemas import CompareError, TactileCapture
+
+Floats = NDArray[np.float64]
+
+
+def rgb_image(counts: NDArray[np.uint16], capture: TactileCapture) -> Floats:
+    """Return (H, W, 3) values in DN with the black level removed.
+
+    A Bayer frame becomes one RGB value per 2 x 2 cell (half the size, the two greens averaged): no value is
+    interpolated from neighbours. Values are proportional to light only where ``capture.encoding`` is "linear".
+    A value that was clipped in any sample of its cell is NaN.
+    """
+    full_scale = 2**capture.bit_depth - 1
+    return per_cell(np.where(counts >= full_scale, np.nan, counts - capture.black_level_dn), capture)
+
+
+def per_cell(values: Floats, capture: TactileCapture) -> Floats:
+    """Return (H, W, 3) of an RGB image as it is, of a Bayer image one RGB value per cell."""
+    if capture.layout == "RGB":
+        return values
+    plane = values[..., 0]
+    green = (plane[0::2, 1::2] + plane[1::2, 0::2]) / 2
+    return np.stack([plane[0::2, 0::2], green, plane[1::2, 1::2]], axis=-1)
+
+
+def full_scale_dn(capture: TactileCapture) -> float:
+    """Return full scale above black level, DN."""
+    return float(2.0**capture.bit_depth - 1.0 - capture.black_level_dn)
+
+
+Mask = NDArray[np.bool_]
+
+DEGREE: Final = 3
+"""56 terms in three colours and two coordinates."""
+_VARIABLES: Final = 5
+
+
+@dataclass(frozen=True, slots=True)
+class NormalMap:
+    """A polynomial from colour change and place to slopes.
+
+    Attributes
+    ----------
+    coefficients
+        (term, 2): slope along columns and along rows, mm per mm; terms as :func:`polynomial_terms` orders them.
+    degree
+        Of the polynomial.
+    low, high
+        (3,) range of the relative colour change that the presses covered; beyond it the map holds its value.
+    shape_px
+        Rows and columns of the images.
+    """
+
+    coefficients: Floats
+    degree: int
+    low: Floats
+    high: Floats
+    shape_px: tuple[int, int]
+
+    def slopes(self, image: Floats, no_contact: Floats, scale: float | None = None) -> Floats:
+        """Return the slopes (H, W, 2) of the gel along columns and rows: d depth / d place, depth into the gel.
+
+        Parameters
+        ----------
+        image, no_contact
+            (H, W, 3) in one unit; of the map's size, or averaged over square blocks of it.
+        scale
+            What the change of colour is relative to, by default :func:`mean_level` of `no_contact`.
+
+        Raises
+        ------
+        CompareError
+            When the images have another size than those that taught the map, or the no-contact image is black.
+        """
+        self._check_size(image)
+        self._check_size(no_contact)
+        rows, columns = image.shape[:2]
+        change = np.clip(relative_change(image, no_contact, scale), self.low, self.high)
+        x, y = coordinates((rows, columns))
+        terms = polynomial_terms(change.reshape(-1, 3), x.ravel(), y.ravel(), self.degree)
+        return np.asarray((terms @ self.coefficients).reshape(rows, columns, 2))
+
+    def outside_share(self, image: Floats, no_contact: Floats, region: Mask, scale: float | None = None) -> float:
+        """Return the share of the region's pixels whose change of colour no calibration press showed."""
+        change = relative_change(image, no_contact, scale)[region]
+        return float(np.mean(((change < self.low) | (change > self.high)).any(axis=-1)))
+
+    def _check_size(self, image: Floats) -> None:
+        """Refuse an image that is neither of the map's size nor averaged over blocks of it."""
+        rows, columns = self.shape_px
+        if image.ndim == 3 and image.shape[2] == 3:
+            block = max(1, round(rows / image.shape[0]))
+            if image.shape[:2] == (rows // block, columns // block):
+                return
+        raise CompareError(
+            f"the normal map was fitted to colour images of {columns} x {rows} px, got {size_in_words(image)}: fit a "
+            "map to presses of this camera"
+        )
+
+
+def polynomial_terms(rgb: Floats, x: Floats, y: Floats, degree: int = DEGREE) -> Floats:
+    """Return all monomials of colour and place up to a degree.
+
+    Parameters
+    ----------
+    rgb
+        (n, 3) change of colour, scaled to about 1.
+    x, y
+        (n,) place in the picture, -1 to 1.
+    degree
+        Highest degree, >= 0.
+
+    Returns
+    -------
+    (n, (degree + 5)! / (degree! 5!)): 1 first, then by degree; 21 terms for degree 2, 56 for 3.
+    """
+    variables = np.column_stack([rgb, x, y])
+    columns: dict[tuple[int, ...], int] = {(): 0}
+    for order in range(1, degree + 1):
+        for chosen in combinations_with_replacement(range(_VARIABLES), order):
+            columns[chosen] = len(columns)
+    terms = np.empty((len(variables), len(columns)), order="F")
+    terms[:, 0] = 1.0
+    for chosen, column in columns.items():
+        if chosen:  # a term of one degree less, times one variable more
+            np.multiply(terms[:, columns[chosen[:-1]]], variables[:, chosen[-1]], out=terms[:, column])
+    return terms
+
+
+def relative_change(image: Floats, no_contact: Floats, scale: float | None = None) -> Floats:
+    """Return (image - no_contact) / scale, by default the mean level of the no-contact image.
+
+    A scale common to all channels and pixels takes out exposure and brightness of the lights, and nothing else.
+    """
+    return np.asarray((image - no_contact) / (mean_level(no_contact) if scale is None else scale))
+
+
+def mean_level(no_contact: Floats) -> float:
+    """Return the mean of an image over all pixels and channels; NaN is left out.
+
+    Raises
+    ------
+    CompareError
+        When it is not above zero.
+    """
+    finite = np.isfinite(no_contact)
+    level = float(no_contact[finite].mean()) if finite.any() else 0.0
+    if not level > 0.0:
+        raise CompareError("the no-contact image is black or clipped everywhere; check the exposure and the file")
+    return level
+
+
+@cache
+def coordinates(shape_px: tuple[int, int]) -> tuple[Floats, Floats]:
+    """Return x along columns and y along rows of the pixels' centres, -1 to 1 from edge to edge, each (H, W)."""
+    y, x = ((2.0 * np.arange(size) + 1.0) / size - 1.0 for size in shape_px)
+    return np.tile(x, (shape_px[0], 1)), np.tile(y[:, None], (1, shape_px[1]))
+
+
+def angles_deg(one: Floats, other: Floats) -> Floats:
+    """Return the angle (...) between the normals (-slope, 1) of two fields of slopes (..., 2), deg."""
+    # the cross product of both normals; an arc cosine of the dot product would be blind to small angles
+    difference = one - other
+    turn = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
+    sine = np.sqrt((difference**2).sum(axis=-1) + turn**2)
+    return np.asarray(np.degrees(np.arctan2(sine, 1.0 + (one * other).sum(axis=-1))))
+
+
+def size_in_words(image: Floats) -> str:
+    """Return the size of an image in words."""
+    return f"{image.shape[1]} x {image.shape[0]} px" if image.ndim == 3 else f"shape {image.shape}"
+
+
+def poisson_depth_mm(slopes: Floats, mm_per_px: float) -> Floats:
+    """Return the depth whose differences from pixel to pixel come nearest to the slopes.
+
+    Minimises the sum over neighbours of (z_b - z_a - h (s_a + s_b) / 2)^2, h = `mm_per_px`; nothing is assumed at the
+    edges (Neumann). Exact for every depth that is a polynomial of second degree.
+
+    Parameters
+    ----------
+    slopes
+        (H, W, 2): d depth / d column and d depth / d row, mm per mm; finite.
+    mm_per_px
+        Side of a pixel on the gel.
+
+    Returns
+    -------
+    (H, W), mm, of mean zero: slopes do not tell a constant.
+    """
+    rows, columns = slopes.shape[:2]
+    divergence = np.zeros((rows, columns))
+    along = mm_per_px * (slopes[:, :-1, 0] + slopes[:, 1:, 0]) / 2.0
+    down = mm_per_px * (slopes[:-1, :, 1] + slopes[1:, :, 1]) / 2.0
+    divergence[:, :-1] += along
+    divergence[:, 1:] -= along
+    divergence[:-1] += down
+    divergence[1:] -= down
+    cosines = [2.0 - 2.0 * np.cos(np.pi * np.arange(size) / size) for size in (rows, columns)]
+    laplacian = -(cosines[0][:, None] + cosines[1])
+    spectrum = dctn(divergence, type=2, norm="ortho")
+    laplacian[0, 0] = 1.0
+    spectrum /= laplacian
+    spectrum[0, 0] = 0.0
+    return np.asarray(idctn(spectrum, type=2, norm="ortho"))
+
+
+@dataclass(frozen=True, slots=True)
+class SensingError:
+    """How far what is sensed in a render is from what is sensed in the capture.
+
+    Attributes
+    ----------
+    normal_angle_mean_deg, normal_angle_p95_deg
+        Angle between both normals over the region.
+    depth_rms_mm
+        Difference of both integrated depths over the region, its median removed.
+    outside_share_simulated, outside_share_captured
+        Share of the region's pixels whose change of colour no calibration press showed; there the map is held at its
+        last value, and above some per cent the other figures say little.
+    pixels
+        Of the region that could be used.
+    angle_deg
+        (H, W) the angle, NaN outside the region.
+    """
+
+    normal_angle_mean_deg: float
+    normal_angle_p95_deg: float
+    depth_rms_mm: float
+    outside_share_simulated: float
+    outside_share_captured: float
+    pixels: int
+    angle_deg: NDArray[np.float32]
+
+
+def sensing_error(
+    normal_map: NormalMap,
+    simulated: Floats,
+    simulated_no_contact: Floats,
+    captured: Floats,
+    no_contact: Floats,
+    region: Mask,
+    mm_per_px: float,
+) -> SensingError:
+    """Apply one normal map to a render and a capture, and compare normals and depth.
+
+    Parameters
+    ----------
+    normal_map
+        Fitted to calibration presses of the capture's sensor.
+    simulated, simulated_no_contact, captured, no_contact
+        (H, W, 3), in one unit and at one exposure (the render brought to the capture's level); NaN where clipped. All
+        changes are relative to the mean level of `no_contact`.
+    region
+        (H, W), the contact.
+    mm_per_px
+        Side of a pixel of these images on the gel.
+
+    Raises
+    ------
+    CompareError
+        When no pixel of the region is usable, or a size differs from that of the map.
+    """
+    images = (simulated, simulated_no_contact, captured, no_contact)
+    level = mean_level(no_contact)
+    slopes = [normal_map.slopes(image, rest, level) for image, rest in (images[:2], images[2:])]
+    usable: Mask = np.asarray(np.isfinite(np.concatenate(slopes, axis=-1)).all(axis=-1), dtype=np.bool_)
+    used: Mask = region & usable
+    if not used.any():
+        raise CompareError(
+            "the region has no pixel that is neither clipped nor missing in render and capture; reduce the exposure or "
+            "check the contact's place"
+        )
+    angle = angles_deg(slopes[0], slopes[1])
+    # a clipped pixel breaks both surfaces at the same place
+    depths = [poisson_depth_mm(np.where(usable[..., None], s, 0.0), mm_per_px) for s in slopes]
+    difference = (depths[0] - depths[1])[used]
+    return SensingError(
+        normal_angle_mean_deg=float(angle[used].mean()),
+        normal_angle_p95_deg=float(np.percentile(angle[used], 95.0)),
+        depth_rms_mm=float(np.sqrt(np.mean((difference - np.median(difference)) ** 2))),
+        outside_share_simulated=normal_map.outside_share(simulated, simulated_no_contact, used, level),
+        outside_share_captured=normal_map.outside_share(captured, no_contact, used, level),
+        pixels=int(used.sum()),
+        angle_deg=np.where(used, angle, np.nan).astype(np.float32),
+    )

@@ -1,0 +1,365 @@
+"""Teach a normal map with presses of a ball: fit, score on presses it has not seen, store, and read back."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import CompareError, ContactCircle, NormalMapRecord, TactileCapture
+from finray_calib.sensing._normal_map import (
+    DEGREE,
+    Floats,
+    Mask,
+    NormalMap,
+    angles_deg,
+    coordinates,
+    polynomial_terms,
+    relative_change,
+    rgb_image,
+    size_in_words,
+)
+
+MINIMUM_PRESSES: Final = 12
+"""With fewer the score on unseen presses is a matter of luck: 3 real presses gave anything from -17 to 0.88."""
+HELD_OUT_SPLITS: Final = 12
+
+# weight of the penalty on the coefficients, relative to the mean square of the terms
+_RIDGE_REL = 1e-6
+# a labelled circle ends about a pixel beside the true one: its rim teaches nothing
+_INSIDE_REL = 0.95
+# nearer the gel bulges by an amount that the ball does not tell; from here on it is taken as flat
+_FLAT_FROM_REL = 2.5
+# pixels of each kind per press that teach; more cost time and add nothing
+_PIXELS_PER_PRESS = 1500
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationPress:
+    """A press of a ball whose contact circle is known.
+
+    Attributes
+    ----------
+    contact, no_contact
+        Images (H, W, 3) in one unit; NaN where clipped.
+    row_px, column_px, radius_px
+        Centre and radius of the contact circle.
+    ball_radius_px
+        Radius of the ball in pixels of the image.
+    """
+
+    contact: Floats
+    no_contact: Floats
+    row_px: float
+    column_px: float
+    radius_px: float
+    ball_radius_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOutScore:
+    """Scores on the presses that a random half did not teach, one entry per split.
+
+    Attributes
+    ----------
+    explained
+        1 - squared error of the slopes relative to that of a flat gel, inside the contact circles; 0 is knowing
+        nothing.
+    angle_deg
+        Mean angle between sensed and true normal inside the circles.
+    """
+
+    explained: Floats
+    angle_deg: Floats
+
+
+def fit_normal_map(presses: Sequence[CalibrationPress], seed: int, degree: int = DEGREE) -> NormalMap:
+    """Fit a normal map to ball presses by ridge regression.
+
+    Inside a contact circle the gel has the ball's shape: slope = -offset / sqrt(R^2 - r^2). Beyond 2.5 radii it is
+    taken as flat; between, where the gel bulges, nothing is taught.
+
+    Parameters
+    ----------
+    presses
+        At least 12, spread over pad and depth, with images of one camera.
+    seed
+        Of the choice of pixels.
+    degree
+        Of the polynomial.
+
+    Raises
+    ------
+    CompareError
+        When there are too few presses, images differ in size, a circle lies outside its image or is larger than its
+        ball, or no press changes the picture.
+    """
+    lessons = _lessons(presses, seed, degree)
+    change = np.concatenate([lesson.change for lesson in lessons])
+    rows, columns = presses[0].contact.shape[:2]
+    return NormalMap(_solve(lessons), degree, change.min(axis=0), change.max(axis=0), (rows, columns))
+
+
+def held_out_score(
+    presses: Sequence[CalibrationPress], seed: int, degree: int = DEGREE, splits: int = HELD_OUT_SPLITS
+) -> HeldOutScore:
+    """Fit random halves of the presses and score each on the other half.
+
+    Parameters
+    ----------
+    presses, degree
+        As in :func:`fit_normal_map`, with the same refusals.
+    seed
+        Of the choice of pixels and of the splits.
+    splits
+        Number of random halves.
+    """
+    lessons = _lessons(presses, seed, degree)
+    rng = np.random.default_rng([seed, splits])
+    explained, angles = np.empty(splits), np.empty(splits)
+    for split in range(splits):
+        order = rng.permutation(len(lessons))
+        half = len(lessons) // 2
+        coefficients = _solve([lessons[i] for i in order[:half]])
+        unseen = [lessons[i] for i in order[half:]]
+        sensed = np.concatenate([u.terms @ coefficients for u in unseen])
+        true = np.concatenate([u.slopes for u in unseen])
+        explained[split] = 1.0 - ((sensed - true) ** 2).sum() / (true**2).sum()
+        angles[split] = angles_deg(sensed, true).mean()
+    return HeldOutScore(explained, angles)
+
+
+def ball_slopes(rows_px: Floats, columns_px: Floats, press: CalibrationPress) -> Floats:
+    """Return the slopes (n, 2) of the gel under a ball along columns and rows: -offset / sqrt(R^2 - r^2)."""
+    offset = np.column_stack([columns_px - press.column_px, rows_px - press.row_px])
+    height = np.sqrt(press.ball_radius_px**2 - (offset**2).sum(axis=1))
+    return np.asarray(-offset / height[:, None])
+
+
+@dataclass(frozen=True, slots=True)
+class _Lesson:
+    """What one press teaches: colour changes, normal equations, and terms and slopes of the pixels in the circle."""
+
+    change: Floats
+    normal: Floats
+    right: Floats
+    terms: Floats
+    slopes: Floats
+
+
+def _lessons(presses: Sequence[CalibrationPress], seed: int, degree: int) -> list[_Lesson]:
+    """Check the presses and choose their pixels."""
+    if len(presses) < MINIMUM_PRESSES:
+        raise CompareError(
+            f"a normal map needs at least {MINIMUM_PRESSES} ball presses, got {len(presses)}: with fewer its score on "
+            "unseen presses is a matter of luck; capture more, spread over the pad and over depths"
+        )
+    rng = np.random.default_rng(seed)
+    shape = presses[0].contact.shape[:2]
+    lessons = [_lesson(press, f"press {k}", shape, degree, rng) for k, press in enumerate(presses, start=1)]
+    if not any(np.ptp(lesson.change) > 0.0 for lesson in lessons):
+        raise CompareError("no press changes the picture: contact and no-contact images are the same; check the files")
+    return lessons
+
+
+def _lesson(
+    press: CalibrationPress, name: str, shape: tuple[int, ...], degree: int, rng: np.random.Generator
+) -> _Lesson:
+    """Choose pixels of a press and give their terms and slopes."""
+    _check_press(press, name, shape)
+    rows, columns = np.indices(shape, dtype=np.float64)
+    radii = np.hypot(rows - press.row_px, columns - press.column_px) / press.radius_px
+    finite = np.isfinite(press.contact).all(axis=-1) & np.isfinite(press.no_contact).all(axis=-1)
+    inside = _choose(finite & (radii <= _INSIDE_REL), rng)
+    if not inside.size:
+        raise CompareError(
+            f"{name}: no usable pixel in its contact circle of {press.radius_px:g} px around row {press.row_px:g}, "
+            f"column {press.column_px:g} in a picture of {shape[1]} x {shape[0]} px; check circle and exposure"
+        )
+    chosen = np.concatenate([inside, _choose(finite & (radii >= _FLAT_FROM_REL), rng)])
+    change = relative_change(press.contact, press.no_contact).reshape(-1, 3)[chosen]
+    x, y = (c.ravel()[chosen] for c in coordinates((shape[0], shape[1])))
+    slopes = ball_slopes(rows.ravel()[inside], columns.ravel()[inside], press)
+    terms = polynomial_terms(change, x, y, degree)
+    taught = terms[: len(inside)]  # the others are flat and add nothing to the right-hand side
+    return _Lesson(change, terms.T @ terms, taught.T @ slopes, taught, slopes)
+
+
+def _check_press(press: CalibrationPress, name: str, shape: tuple[int, ...]) -> None:
+    """Refuse a press whose images or circle cannot be."""
+    for kind, image in (("contact", press.contact), ("no-contact", press.no_contact)):
+        if image.shape != (*shape, 3):
+            raise CompareError(
+                f"{name}: its {kind} image has {size_in_words(image)}, the first press {shape[1]} x {shape[0]} px and "
+                "3 colours; a normal map is fitted to colour images of one camera"
+            )
+    if not 0.0 < press.radius_px < press.ball_radius_px:
+        raise CompareError(
+            f"{name}: its contact circle of {press.radius_px:g} px must be smaller than the ball of "
+            f"{press.ball_radius_px:.4g} px radius; check the ball's size (diameter or radius?) and mm per px"
+        )
+
+
+def _choose(mask: Mask, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Return flat indices of some pixels of a mask."""
+    found = np.flatnonzero(mask)
+    return found if found.size <= _PIXELS_PER_PRESS else rng.choice(found, _PIXELS_PER_PRESS, replace=False)
+
+
+def _solve(lessons: Sequence[_Lesson]) -> Floats:
+    """Return the coefficients (term, 2) of least squares with a small penalty on all but the constant."""
+    normal = np.sum([lesson.normal for lesson in lessons], axis=0)
+    right = np.sum([lesson.right for lesson in lessons], axis=0)
+    penalty = np.full(len(normal), _RIDGE_REL * np.trace(normal) / len(normal))
+    penalty[0] = 0.0
+    return np.asarray(np.linalg.solve(normal + np.diag(penalty), right))
+
+
+# scales of one camera differ by rounding only
+_SAME_SCALE_REL = 1e-6
+# a scale that was measured twice
+_NEAR_SCALE_REL = 0.02
+
+
+def normal_map_record(captures: Sequence[TactileCapture], name: str, seed: int) -> NormalMapRecord:
+    """Fit a normal map to captures of ball presses, with its score on presses it has not seen.
+
+    Parameters
+    ----------
+    captures
+        At least 12 of one camera, each with a contact circle, a ball's radius and mm per px.
+    name
+        Of the map.
+    seed
+        Of the choice of pixels and of the random halves.
+
+    Raises
+    ------
+    CompareError
+        When captures lack what is needed, do not belong together, or are too few.
+    """
+    presses = [calibration_press(capture) for capture in captures]
+    if captures:
+        _check_together(captures)
+    fitted = fit_normal_map(presses, seed)
+    score = held_out_score(presses, seed)
+    first = captures[0]
+    return NormalMapRecord(
+        name=name,
+        degree=fitted.degree,
+        coefficients=fitted.coefficients,
+        lowest_change_rel=fitted.low,
+        highest_change_rel=fitted.high,
+        height_px=fitted.shape_px[0],
+        width_px=fitted.shape_px[1],
+        mm_per_px=_scale_mm(first) * _cell_px(first),
+        mm_per_px_u_rel=first.mm_per_px_u_rel,
+        encoding=first.encoding,
+        presses=len(presses),
+        held_out_explained_rel=score.explained,
+        held_out_angle_deg=score.angle_deg,
+        notes=tuple(sorted({capture.source for capture in captures})),
+    )
+
+
+def normal_map_of(record: NormalMapRecord) -> NormalMap:
+    """Return the map of a record."""
+    return NormalMap(
+        coefficients=record.coefficients,
+        degree=record.degree,
+        low=record.lowest_change_rel,
+        high=record.highest_change_rel,
+        shape_px=(record.height_px, record.width_px),
+    )
+
+
+def check_senses(record: NormalMapRecord, capture: TactileCapture) -> None:
+    """Refuse to apply a map to a capture of another encoding or scale.
+
+    Raises
+    ------
+    CompareError
+        When the capture's encoding or scale is not that of the map's calibration presses.
+    """
+    if record.encoding != capture.encoding:
+        raise CompareError(
+            f"{capture.name} holds {capture.encoding} values, the normal map '{record.name}' was taught by "
+            f"{record.encoding} ones: fit it to presses of the same camera settings"
+        )
+    if capture.mm_per_px is not None:
+        scale_mm = capture.mm_per_px * _cell_px(capture)
+        if not np.isclose(scale_mm, record.mm_per_px, rtol=_NEAR_SCALE_REL, atol=0.0):
+            raise CompareError(
+                f"{capture.name} has {scale_mm:.4g} mm per pixel, the normal map '{record.name}' "
+                f"{record.mm_per_px:.4g}: slopes and depths would be wrong; fit the map to presses at this distance, "
+                "or where the capture states a planned scale give the measured one (--scale)"
+            )
+
+
+def calibration_press(capture: TactileCapture) -> CalibrationPress:
+    """Return the press of a capture with its circle in pixels of its colour image (a Bayer cell is one pixel).
+
+    Raises
+    ------
+    CompareError
+        When the capture is not of a ball, or its circle or scale is missing.
+    """
+    circle = require_ball_press(capture)
+    cell = _cell_px(capture)
+    return CalibrationPress(
+        contact=rgb_image(capture.contact, capture),
+        no_contact=rgb_image(capture.no_contact, capture),
+        row_px=(circle.row_px + 0.5) / cell - 0.5,
+        column_px=(circle.column_px + 0.5) / cell - 0.5,
+        radius_px=circle.radius_px / cell,
+        ball_radius_px=capture.indenter.radius_mm / _scale_mm(capture) / cell,
+    )
+
+
+def require_ball_press(capture: TactileCapture) -> ContactCircle:
+    """Return the contact circle of a capture that can teach a normal map.
+
+    Raises
+    ------
+    CompareError
+        When the capture is not of a ball, or its circle or scale is missing.
+    """
+    circle = capture.contact_circle
+    if capture.indenter.shape != "ball" or circle is None:
+        raise CompareError(
+            f"{capture.name}: a normal map is taught by presses of a ball with a known contact circle; this is a "
+            f"{capture.indenter.shape} {'without' if circle is None else 'with'} one"
+        )
+    _scale_mm(capture)
+    return circle
+
+
+def _scale_mm(capture: TactileCapture) -> float:
+    """Return mm per raw pixel."""
+    if capture.mm_per_px is None:
+        raise CompareError(f"{capture.name}: mm_per_px is missing, so the ball's size in pixels is not known; add it")
+    return capture.mm_per_px
+
+
+def _cell_px(capture: TactileCapture) -> int:
+    """Return the raw pixels along the side of a pixel of the colour image."""
+    return 1 if capture.layout == "RGB" else 2
+
+
+def _check_together(captures: Sequence[TactileCapture]) -> None:
+    """Refuse captures of different cameras or settings."""
+    first = captures[0]
+    for capture in captures[1:]:
+        for field in ("encoding", "layout", "bit_depth"):
+            one, other = getattr(first, field), getattr(capture, field)
+            if one != other:
+                raise CompareError(
+                    f"{capture.name} has {field} {other}, {first.name} {one}: a normal map is taught by captures of "
+                    "one camera with one setting"
+                )
+        if not np.isclose(_scale_mm(capture), _scale_mm(first), rtol=_SAME_SCALE_REL, atol=0.0):
+            raise CompareError(
+                f"{capture.name} has {_scale_mm(capture):g} mm per px, {first.name} {_scale_mm(first):g}: a normal map "
+                "is taught by captures of one camera at one distance"
+            )

@@ -1,0 +1,369 @@
+"""The scale on the pad as a record: made from pictures of a ChArUco board, read at a contact patch.
+
+Of the pictures one shows the board on the pad. For a comparison the record tells the millimetres per pixel at the
+contact patch, and how large its regions are.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import (
+    BoardResidual,
+    CameraCalibration,
+    CharucoBoard,
+    CompareError,
+    DistortionModel,
+    PatchScale,
+    PixelScale,
+    RegionExtent,
+    ScaleContribution,
+    TactileCapture,
+)
+from finray_calib.sensing._board_corners import BoardView, require_plausible
+from finray_calib.sensing._lens_calibration import (
+    LEAST_VIEWS,
+    POSE,
+    LensCalibration,
+    adjust,
+    calibrate_lens,
+    refined_views,
+)
+from finray_calib.sensing._pixel_scale import (
+    Declared,
+    ScaleDraws,
+    fitted_plane,
+    local_scale,
+    plane_places_mm,
+    plane_scale,
+    range_over_board,
+    resampled_scatter_rel,
+    scale_map,
+    scale_range,
+    scales_only,
+    seen_plane,
+    widened_factor,
+)
+
+MOST_OBLIQUE_DEG = 70.0
+LARGEST_U_REL = 0.05
+#: A picture of the pad that fits this much worse than the others was taken through something that these were not.
+_WORSE_FACTOR = 2.0
+
+
+def pixel_scale(
+    pad: BoardView,
+    lens_views: Sequence[BoardView],
+    size_px: tuple[int, int],
+    board: CharucoBoard,
+    declared: Declared,
+    seed: int,
+    model: DistortionModel | None = None,
+    pictures: Mapping[str, NDArray[np.uint8]] | None = None,
+) -> PixelScale:
+    """Calibrate the lens and the place of the board together, and state the scale on the pad.
+
+    Uncertainties are first order from the joint covariance; pictures drawn with replacement check it, and where they
+    scatter by half as much again, they decide.
+
+    Parameters
+    ----------
+    pad
+        The board where the pad is.
+    lens_views
+        The board in other places, turned and tilted; of the same camera with the same focus.
+    size_px
+        Width and height of the pictures.
+    board
+        What was printed.
+    declared
+        Tolerances that no picture shows.
+    seed
+        Of the resampling.
+    model
+        Of the lens; by default the one that fits better.
+    pictures
+        (H, W) by name of the view: corners are then found again in the plane of the board.
+
+    Raises
+    ------
+    CompareError
+        The board cannot be what it is said to be, the lens is not determined, the board on the pad is seen too
+        obliquely, or the scale is known to worse than 5 %.
+    """
+    require_plausible(board)
+    if len(lens_views) < LEAST_VIEWS:
+        raise CompareError(
+            f"{len(lens_views)} usable pictures of the board beside that on the pad: give {LEAST_VIEWS} or more (ten "
+            "are good), each with the board turned and tilted otherwise"
+        )
+    views = [pad, *lens_views]
+    found = _best_lens(views, size_px, model)
+    if pictures is not None:
+        views = refined_views(views, pictures, found, board)
+        pad, found = views[0], adjust(views, size_px, found.model, found.lens, found.poses)
+    _require_facing(found, pad)
+    resampled_u = resampled_scatter_rel(views, found, declared, pad.pixels.mean(axis=0), np.random.default_rng(seed))
+    return _record(views, found, board, declared, resampled_u)
+
+
+def _record(
+    views: Sequence[BoardView], found: LensCalibration, board: CharucoBoard, declared: Declared, resampled_u: float
+) -> PixelScale:
+    """Return the record of a fitted lens and board, of which the first view is that on the pad."""
+    pad = views[0]
+    middle_px = pad.pixels.mean(axis=0)
+    plane = fitted_plane(found, declared)
+    at_middle = plane_scale(plane, middle_px[None])
+    widened = widened_factor(resampled_u, at_middle)
+    if widened > 1.0:
+        plane = fitted_plane(found, declared, widened)
+        at_middle = plane_scale(plane, middle_px[None])
+    _require_known(at_middle, pad)
+    residuals = [
+        BoardResidual(file=view.name, corners=len(view.pixels), rms_px=float(rms), mirrored=view.mirrored)
+        for view, rms in zip(views, found.view_rms_px, strict=True)
+    ]
+    n = len(found.lens)
+    place = tuple(float(v) for v in found.poses[0])
+    return PixelScale(
+        board=board,
+        square_u_rel=declared.square_u_rel,
+        coat_behind_board_mm=declared.coat_behind_board_mm,
+        coat_behind_board_u_mm=declared.coat_behind_board_u_mm,
+        calibration=_calibration(found),
+        place=(place[0], place[1], place[2], place[3], place[4], place[5]),
+        covariance=found.covariance[: n + POSE, : n + POSE],
+        widened_factor=widened,
+        corner_sd_px=found.corner_sd_px,
+        degrees_of_freedom=found.degrees_of_freedom,
+        pad_picture=residuals[0],
+        lens_pictures=tuple(residuals[1:]),
+        middle=local_scale(at_middle, middle_px),
+        over_board=range_over_board(plane, pad),
+        budget=tuple(ScaleContribution(input=k, u_rel=float(v[0, 2])) for k, v in at_middle.parts_rel.items()),
+        resampled_u_rel=resampled_u,
+        **scale_map(plane, (found.width_px, found.height_px)),
+        notes=_notes(found, residuals, widened, resampled_u),
+    )
+
+
+def _best_lens(views: Sequence[BoardView], size_px: tuple[int, int], model: DistortionModel | None) -> LensCalibration:
+    """Return the calibration by a model, or by the one that leaves less."""
+    if model is not None:
+        return calibrate_lens(views, size_px, model)
+    found, refused = [], []
+    models: tuple[DistortionModel, ...] = ("fisheye", "pinhole")
+    for tried in models:
+        try:
+            found.append(calibrate_lens(views, size_px, tried))
+        except CompareError as error:
+            refused.append(error)
+    if not found:
+        raise refused[0]
+    return min(found, key=lambda lens: lens.corner_sd_px)
+
+
+def _calibration(found: LensCalibration) -> CameraCalibration:
+    """Return the lens as designs name it."""
+    fx, fy, cx, cy, *distortion = (float(v) for v in found.lens)
+    return CameraCalibration(
+        model=found.model,
+        width_px=found.width_px,
+        height_px=found.height_px,
+        focal_px=(fx, fy),
+        centre_px=(cx, cy),
+        distortion=tuple(distortion),
+        source="pictures of a ChArUco board",
+    )
+
+
+def _require_facing(found: LensCalibration, pad: BoardView) -> None:
+    """Refuse a board on the pad that is seen from the side."""
+    turn = cv2.Rodrigues(found.poses[0][:3])[0]
+    middle = turn[:, :2] @ pad.places_mm.mean(axis=0) + found.poses[0][3:]
+    cosine = float(abs(turn[:, 2] @ middle) / np.linalg.norm(middle))
+    angle_deg = float(np.rad2deg(np.arccos(min(cosine, 1.0))))
+    if angle_deg > MOST_OBLIQUE_DEG:
+        raise CompareError(
+            f"{pad.name}: the board on the pad is seen at {angle_deg:.0f} deg from its normal, up to "
+            f"{MOST_OBLIQUE_DEG:g} deg can be measured: is it flat on the pad, and is this the picture of it?"
+        )
+
+
+def _require_known(found: ScaleDraws, pad: BoardView) -> None:
+    """Refuse a scale that is hardly known."""
+    u_rel = float(found.u_rel[0].max())
+    if not u_rel <= LARGEST_U_REL:
+        worst = max(found.parts_rel, key=lambda name: float(found.parts_rel[name][0].max()))
+        raise CompareError(
+            f"{pad.name}: the scale is known to {u_rel:.0%} only, {LARGEST_U_REL:.0%} is allowed; most comes from "
+            f"'{worst}'. Show more of the board, larger in the picture, and take more pictures with it turned and "
+            "tilted"
+        )
+
+
+def _notes(
+    found: LensCalibration, residuals: Sequence[BoardResidual], widened: float, resampled_u: float
+) -> tuple[str, ...]:
+    """Say what speaks against the numbers."""
+    notes = []
+    if widened > 1.0:
+        notes.append(
+            f"the scale scatters by {resampled_u:.2%} when pictures are drawn with replacement, {widened:.1f} times "
+            "what independent corners allow: corners of a picture err together (is the board flat, are pictures "
+            "sharp?). Uncertainties are widened by this factor"
+        )
+    others = float(np.sqrt(np.mean([r.rms_px**2 for r in residuals[1:]])))
+    if residuals[0].rms_px > _WORSE_FACTOR * others:
+        notes.append(
+            f"{residuals[0].file}: the board on the pad fits to {residuals[0].rms_px:.2f} px, in the other pictures to "
+            f"{others:.2f} px: was it taken through the gel or a mirror that is not flat, or with another focus?"
+        )
+    if len({r.mirrored for r in residuals}) > 1:
+        notes.append("some pictures show the board mirrored, others do not; a flat mirror changes no length")
+    notes.append(
+        f"holds where the board lay, for the pad at rest; {found.model} model, {len(residuals) - 1} pictures for the "
+        "lens"
+    )
+    return tuple(notes)
+
+
+Floats = NDArray[np.float64]
+
+#: Two scales of one camera that differ by more than this many standard uncertainties, and by more than 1 %, are two.
+_TIMES_U, _ALLOWED_REL = 3.0, 0.01
+_MOST_PLACES = 20_000
+
+
+def patch_scale(
+    record: PixelScale, capture: TactileCapture, distance: NDArray[np.floating], factors: Mapping[str, float]
+) -> PatchScale:
+    """Return the scale at the contact patch and the extent of regions in mm.
+
+    Parameters
+    ----------
+    record
+        Scale of the capture's camera.
+    capture
+        Whose raw pixels they are.
+    distance
+        (H, W) from the contact's centre in half-widths, one value per pixel (per cell of a Bayer capture); NaN off the
+        pad.
+    factors
+        Name -> half-widths of each region.
+
+    Raises
+    ------
+    CompareError
+        The record is of pictures of another size, or the camera does not see the plane of the pad at the patch.
+    """
+    _require_same_picture(record, capture)
+    cell = 1 if capture.layout == "RGB" else 2
+    plane = seen_plane(record)
+    patch, pad = _thinned(_raw_pixels(distance <= 1.0, cell)), _thinned(_raw_pixels(np.isfinite(distance), cell))
+    if not len(patch):
+        raise CompareError(
+            f"{capture.name}: no pixel of the render lies within 1 half-width of the contact, so that the patch has no "
+            "size: is the contact in the picture?"
+        )
+    middle_px = patch.mean(axis=0)
+    at_middle = plane_scale(plane, middle_px[None])
+    seen = scales_only(plane, np.concatenate([patch, pad]))
+    if not at_middle.u_rel.max() <= LARGEST_U_REL:
+        raise CompareError(
+            f"{capture.name}: at column {middle_px[0]:.0f}, row {middle_px[1]:.0f}, the middle of the patch, the pixel "
+            f"scale is not known to {LARGEST_U_REL:.0%}: its camera does not see the plane of the pad there, or no "
+            "board came near. Is it of this camera? Then lay the board where the patch is"
+        )
+    along = _along_picture(plane_places_mm(plane, middle_px + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])))
+    side_mm, u_rel = cell * at_middle.mm_per_px[0, :2], at_middle.u_rel[0, :2]
+    extents = []
+    for name, factor in factors.items():
+        # what lies farthest out lies on the border
+        places = plane_places_mm(plane, _raw_pixels(_border(distance <= factor), cell))
+        extents.append(_extent(name, places @ along.T, side_mm, u_rel))
+    return PatchScale(
+        middle=local_scale(at_middle, middle_px),
+        over_patch=scale_range(seen[: len(patch)]),
+        over_pad=scale_range(seen[len(patch) :]),
+        extents=tuple(extents),
+    )
+
+
+def _extent(name: str, places_mm: Floats, side_mm: Floats, u_rel: Floats) -> RegionExtent:
+    """Return the extent of a region from the places (N, 2) of its border along both directions of the picture."""
+    spans = np.ptp(places_mm[np.isfinite(places_mm).all(axis=1)], axis=0) + side_mm
+    # either end lies anywhere in its pixel: variance side^2 / 12 each
+    u_mm = np.hypot(spans * u_rel, side_mm / np.sqrt(6.0))
+    return RegionExtent(
+        region=name,
+        along_x_mm=float(spans[0]),
+        along_y_mm=float(spans[1]),
+        along_x_u_mm=float(u_mm[0]),
+        along_y_u_mm=float(u_mm[1]),
+    )
+
+
+def with_measured_scale(capture: TactileCapture, record: PixelScale) -> TactileCapture:
+    """Return a capture that states the measured mean scale, at the middle of the board on the pad, and its uncertainty.
+
+    Raises
+    ------
+    CompareError
+        The record is of pictures of another size.
+    """
+    _require_same_picture(record, capture)
+    middle = record.middle
+    return capture.model_copy(update={"mm_per_px": middle.mean_mm_per_px, "mm_per_px_u_rel": middle.mean_u_rel})
+
+
+def scale_finding(found: PatchScale, capture: TactileCapture) -> str | None:
+    """Say that the capture's own scale is another one; None where it has none, or agrees."""
+    if capture.mm_per_px is None:
+        return None
+    measured, u_rel = found.middle.mean_mm_per_px, found.middle.mean_u_rel
+    apart = abs(float(np.log(capture.mm_per_px / measured)))
+    allowed = max(_ALLOWED_REL, _TIMES_U * float(np.hypot(u_rel, capture.mm_per_px_u_rel or 0.0)))
+    if apart <= allowed:
+        return None
+    return (
+        f"scale: {capture.name} states {capture.mm_per_px:.4g} mm per pixel, the pixel scale {measured:.4g} at the "
+        f"patch (u = {u_rel:.1%}): one of them is of another camera, place or picture size"
+    )
+
+
+def _require_same_picture(record: PixelScale, capture: TactileCapture) -> None:
+    """Refuse a scale of pictures of another size."""
+    rows, columns = capture.contact.shape[:2]
+    lens = record.calibration
+    if (lens.width_px, lens.height_px) != (columns, rows):
+        raise CompareError(
+            f"the pixel scale is of pictures of {lens.width_px} x {lens.height_px} px, {capture.name} has {columns} x "
+            f"{rows} px: measure it with the camera of the capture, at its full frame"
+        )
+
+
+def _raw_pixels(mask: NDArray[np.bool_], cell: int) -> Floats:
+    """Return (column, row) in raw pixels of the pixels of a mask."""
+    rows, columns = np.nonzero(mask)
+    return np.asarray((np.column_stack([columns, rows]) + 0.5) * cell - 0.5)
+
+
+def _thinned(places: Floats) -> Floats:
+    """Return every so many-th place where there are very many, which show the range of a scale as well."""
+    return places[:: 1 + len(places) // _MOST_PLACES]
+
+
+def _border(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the pixels of a mask that have a neighbour outside it, or none at the picture's edge."""
+    inner = cv2.erode(mask.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)), borderValue=0)
+    return np.asarray(mask & (inner == 0))
+
+
+def _along_picture(three: Floats) -> Floats:
+    """Return unit vectors (2, 2) on the plane along x and y of the picture, from a place and its two neighbours."""
+    steps = three[1:] - three[0]
+    return np.asarray(steps / np.linalg.norm(steps, axis=1, keepdims=True))

@@ -1,0 +1,284 @@
+"""From a rig file to opened devices: ``with open_rig(rig, folder) as opened:``.
+
+All of a rig or one device alone, so that the others need not be there. A lock file for each device, named after its
+driver and address, lets one capture at a time have it.
+"""
+
+import fcntl
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from data_schemas import (
+    NO_ADDRESS,
+    CameraSettings,
+    CaptureError,
+    DeviceIdentity,
+    FilterWheelSettings,
+    LampSettings,
+    LaserSettings,
+    RigFile,
+    SpectralCurve,
+    coverage_notes,
+)
+from data_schemas.storage import camera_response, halogen_lamp, read_filter_curves
+from rigs._drivers import open_camera, open_lamp, open_laser, open_wheel
+from rigs._host import SystemClock, TerminalOperator
+from rigs._protocols import Camera, Clock, FilterWheel, Light, Operator
+
+if TYPE_CHECKING:
+    from rigs.simulated.sensor import Sensor
+
+
+DARK_CURRENT_E_PER_S = 2.0
+PIXEL_NONUNIFORMITY_REL = 0.01
+DARK_OFFSET_SD_E = 2.0
+FULL_WELL_MARGIN = 1.05
+LEASE_S = 240.0
+"""Beside two of the longest exposures (a camera's first frame is discarded): moves, retries and a slow disk."""
+
+
+@dataclass(frozen=True, slots=True)
+class OpenRig:
+    """Opened devices and the known curves of a rig.
+
+    Attributes
+    ----------
+    camera_response
+        Red, green and blue response (sensor and Bayer filter), relative.
+    lamp_spectrum
+        Relative spectral irradiance of the lamp on the target.
+    filter_curves
+        Measured transmission of the filters that name one, by the filter's name.
+    notes
+        What the user should know about the curves (end values that are held, range of measured transmissions).
+    """
+
+    camera: Camera
+    wheel: FilterWheel
+    laser: Light
+    lamp: Light
+    operator: Operator
+    clock: Clock
+    camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
+    lamp_spectrum: SpectralCurve
+    filter_curves: Mapping[str, SpectralCurve] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def identities(self) -> tuple[DeviceIdentity, ...]:
+        """Return what the devices say they are."""
+        return tuple(device.identity() for device in (self.camera, self.wheel, self.laser, self.lamp))
+
+
+@contextmanager
+def open_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> Iterator[OpenRig]:
+    """Open the devices of a rig for a ``with`` block; lights are off and connections closed at its end.
+
+    Parameters
+    ----------
+    rig
+        The rig file's content.
+    folder
+        Where relative paths in the rig file start.
+    operator
+        Who places targets at a real rig; a person at the terminal when left out.
+
+    Raises
+    ------
+    CaptureError
+        A device cannot be reached or is not what the rig file says.
+    MissingExtraError
+        A driver needs a package or program that is not installed.
+    CurveError
+        A curve file is missing or unusable, misses more than 20 % of a filter's band, or does not agree with the
+        filter that names it.
+    """
+    response = camera_response(rig.camera.response, folder)
+    lamp = halogen_lamp()
+    filter_curves = read_filter_curves(rig.filter_wheel.filters, folder)
+    notes = coverage_notes(rig.filter_wheel.filters, filter_curves, (*response, lamp))
+    if rig.is_simulated:
+        yield _open_simulated(rig, folder, response, lamp, filter_curves, notes)
+        return
+    hands, lease_s = operator or TerminalOperator(), 2.0 * rig.camera.longest_exposure_s + LEASE_S
+    with ExitStack() as stack:
+        laser = stack.enter_context(open_laser(rig.laser, lease_s))
+        yield OpenRig(
+            camera=stack.enter_context(open_camera(rig.camera, folder, rig.filter_wheel)),
+            wheel=stack.enter_context(open_wheel(rig.filter_wheel, hands)),
+            laser=laser,
+            lamp=stack.enter_context(open_lamp(rig.lamp, hands)),
+            operator=hands,
+            clock=SystemClock(),
+            camera_response=response,
+            lamp_spectrum=lamp,
+            filter_curves=filter_curves,
+            notes=(*notes, *laser.notes),
+        )
+
+
+def _open_simulated(
+    rig: RigFile,
+    folder: Path,
+    response: tuple[SpectralCurve, SpectralCurve, SpectralCurve],
+    lamp: SpectralCurve,
+    filter_curves: Mapping[str, SpectralCurve],
+    notes: tuple[str, ...],
+) -> OpenRig:
+    """Put the simulated devices over one bench."""
+    # Imported here so that a rig of real devices never loads the simulation.
+    from rigs.simulated import (
+        Bench,
+        BenchState,
+        SimulatedCamera,
+        SimulatedClock,
+        SimulatedFilterWheel,
+        SimulatedLight,
+        SimulatedOperator,
+    )
+
+    seed = rig.simulated.seed if rig.simulated is not None else 0
+    slots = tuple(sorted(optic.slot for optic in rig.filter_wheel.filters))
+    clock = SimulatedClock()
+    state = BenchState(clock=clock, slot=slots[0], laser_power_mw=rig.laser.power_mw)
+    return OpenRig(
+        camera=SimulatedCamera(
+            Bench(rig, folder, response, filter_curves),
+            _simulated_sensor(rig.camera, seed),
+            state,
+            np.random.default_rng([seed, 2]),
+        ),
+        wheel=SimulatedFilterWheel(slots, state),
+        laser=SimulatedLight("laser", state),
+        lamp=SimulatedLight("lamp", state),
+        operator=SimulatedOperator(state),
+        clock=clock,
+        camera_response=response,
+        lamp_spectrum=lamp,
+        filter_curves=filter_curves,
+        notes=notes,
+    )
+
+
+def _simulated_sensor(camera: CameraSettings, seed: int) -> "Sensor":
+    """Return a sensor with the numbers of the rig file, and assumed ones where it has none."""
+    from rigs.simulated.sensor import Sensor
+
+    return Sensor(
+        bit_depth=camera.bit_depth,
+        black_level_dn=camera.black_level_dn,
+        gain_e_per_dn=camera.gain_e_per_dn,
+        read_noise_e=camera.read_noise_e,
+        dark_current_e_per_s=DARK_CURRENT_E_PER_S,
+        full_well_e=FULL_WELL_MARGIN * 2**camera.bit_depth * camera.gain_e_per_dn,
+        prnu_rel=PIXEL_NONUNIFORMITY_REL,
+        dsnu_e=DARK_OFFSET_SD_E,
+        seed=seed,
+    )
+
+
+@contextmanager
+def rig_locked(rig: RigFile) -> Iterator[None]:
+    """Hold the locks of all devices of a rig for a ``with`` block.
+
+    They are advisory locks of the operating system: they vanish with their process, however it ends.
+
+    Raises
+    ------
+    CaptureError
+        Another process holds one.
+    """
+    devices = {
+        "camera": (rig.camera.driver, rig.camera.address),
+        "filter wheel": (rig.filter_wheel.driver, rig.filter_wheel.address),
+        "laser": (rig.laser.driver, rig.laser.address),
+        "lamp": (rig.lamp.driver, rig.lamp.address),
+    }
+    with ExitStack() as stack:
+        for role, (driver, address) in devices.items():
+            stack.enter_context(device_locked(role, driver, address))
+        yield
+
+
+@contextmanager
+def device_locked(role: str, driver: str, address: str) -> Iterator[None]:
+    """Hold the lock of one device for a ``with`` block; what is no device, such as a folder of images, has none.
+
+    Raises
+    ------
+    CaptureError
+        Another process holds it.
+    """
+    if driver in (*NO_ADDRESS, "folder"):
+        yield
+        return
+    # /dev/serial/by-id/... leads to /dev/ttyUSB0
+    device = os.path.realpath(address) if address.startswith("/") else address
+    name = hashlib.sha256(f"{driver} {device}".encode()).hexdigest()[:16]
+    path = Path(tempfile.gettempdir()) / f"finray-{os.getuid()}-{name}.lock"
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            holder = os.read(handle, 32).decode("ascii", "replace").strip() or "unknown"
+            raise CaptureError(
+                f"{role}: {driver} at {address} is in use by another capture (process {holder}); wait until it ends"
+            ) from None
+        os.ftruncate(handle, 0)
+        os.pwrite(handle, f"{os.getpid()}\n".encode(), 0)
+        yield
+    finally:
+        os.close(handle)
+
+
+T = TypeVar("T")
+Settings = CameraSettings | FilterWheelSettings | LaserSettings | LampSettings
+
+
+def lone_camera(rig: RigFile, folder: Path) -> AbstractContextManager[Camera]:
+    """Return the camera, open for a ``with`` block; relative paths start in `folder`."""
+    return _alone(
+        rig, folder, "camera", rig.camera, lambda: open_camera(rig.camera, folder), lambda opened: opened.camera
+    )
+
+
+def lone_wheel(rig: RigFile, folder: Path, operator: Operator) -> AbstractContextManager[FilterWheel]:
+    """Return the filter wheel, open for a ``with`` block."""
+    wheel = rig.filter_wheel
+    return _alone(rig, folder, "filter wheel", wheel, lambda: open_wheel(wheel, operator), lambda opened: opened.wheel)
+
+
+def lone_laser(rig: RigFile, folder: Path) -> AbstractContextManager[Light]:
+    """Return the laser behind its guard, open for a ``with`` block; it is confirmed off before and after."""
+    return _alone(rig, folder, "laser", rig.laser, lambda: open_laser(rig.laser), lambda opened: opened.laser)
+
+
+def lone_lamp(rig: RigFile, folder: Path, operator: Operator) -> AbstractContextManager[Light]:
+    """Return the lamp, open for a ``with`` block; it is confirmed off before and after."""
+    return _alone(rig, folder, "lamp", rig.lamp, lambda: open_lamp(rig.lamp, operator), lambda opened: opened.lamp)
+
+
+@contextmanager
+def _alone(
+    rig: RigFile,
+    folder: Path,
+    role: str,
+    settings: Settings,
+    opening: Callable[[], AbstractContextManager[T]],
+    of_bench: Callable[[OpenRig], T],
+) -> Iterator[T]:
+    """Open a real device, or take it from the simulated bench."""
+    if rig.is_simulated:
+        with open_rig(rig, folder) as opened:
+            yield of_bench(opened)
+    else:
+        with device_locked(role, settings.driver, settings.address), opening() as device:
+            yield device

@@ -1,0 +1,291 @@
+"""Capture of a camera session: flat frames up and down through the exposures, then dark frames of the same.
+
+The exposures are even steps up to beyond the saturation of every channel.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import CameraPlan, CameraSession, CameraSettings, CaptureError, RegionOfInterest, RigFile
+from data_schemas.storage import write_manifest
+from rigs import OpenRig, Operator, open_rig, rig_locked
+from rigs.capture._exposure import exposure_ladder, meter_exposure, shine
+from rigs.capture._frame_store import FrameStore, Shot, numbered
+from rigs.capture._journal import Journal
+from rigs.capture._plan import Step, require_region_inside
+from rigs.capture._resume import Interrupted, require_same_camera, require_same_inputs, resume_notes, take_over
+from rigs.capture._session_folder import curve_digests, curve_files, require_empty, write_session, write_start
+
+Progress = Callable[[int, int, str], None]
+METERED_FRACTION = 0.7
+
+
+def camera_step(plan: CameraPlan, rig: RigFile) -> Step:
+    """Return the flat step of a plan after checking the plan against the rig.
+
+    Raises
+    ------
+    CaptureError
+        The rig has no such filter, or the region is empty or leaves the frame.
+    """
+    require_region_inside(plan.region, rig.camera)
+    slots = {f.name: f.slot for f in rig.filter_wheel.filters}
+    if plan.filter_name is not None and plan.filter_name not in slots:
+        raise CaptureError(
+            f"plan.filter_name: the rig has no filter '{plan.filter_name}'; its filters are {', '.join(slots)}"
+        )
+    slot = None if plan.filter_name is None else slots[plan.filter_name]
+    return Step("white", "white", "lamp", plan.filter_name, slot)
+
+
+def capture_camera_session(
+    rig: RigFile,
+    plan: CameraPlan,
+    rig_folder: Path,
+    out: Path,
+    command: str,
+    progress: Progress | None = None,
+    *,
+    operator: Operator | None = None,
+    interrupted: Interrupted | None = None,
+    sources: Mapping[str, str] | None = None,
+) -> CameraSession:
+    """Capture a camera session into the folder `out`: frames, journal, ``session.json`` and checksums.
+
+    Parameters
+    ----------
+    rig, plan
+        The rig and what to capture on it.
+    rig_folder
+        Where relative paths in the rig file start.
+    out
+        New or empty folder, or that of the interrupted session.
+    command
+        The command line that reproduces the session.
+    progress
+        Called with (done, total, text) after every frame; it counts within the phase that the text names.
+    operator
+        Who places the white tile; a person at the terminal when left out.
+    interrupted
+        What is done already, when a session is resumed.
+    sources
+        Path -> SHA-256 of the files that plan and rig were read from, for the provenance.
+
+    Raises
+    ------
+    CaptureError
+        The plan does not fit the rig, the folder is not empty, the light is too bright or too dim for the exposures
+        of the camera, or a device did not do what was asked.
+    SaturatedError
+        The white tile is too bright at the camera's shortest exposure.
+    """
+    step, curves = camera_step(plan, rig), curve_files(rig, rig_folder)
+    if interrupted is None:
+        require_empty(out)
+    with rig_locked(rig), open_rig(rig, rig_folder, operator) as opened:
+        inputs = curve_digests(curves, rig_folder)
+        if interrupted is not None:
+            require_same_inputs(interrupted, inputs)
+        return capture_camera_with(
+            opened, rig, plan, step, out, inputs, command, progress, interrupted, rig_folder, sources
+        )
+
+
+def capture_camera_with(
+    opened: OpenRig,
+    rig: RigFile,
+    plan: CameraPlan,
+    step: Step,
+    out: Path,
+    inputs: dict[str, str],
+    command: str,
+    progress: Progress | None = None,
+    interrupted: Interrupted | None = None,
+    rig_folder: Path = Path(),
+    sources: Mapping[str, str] | None = None,
+) -> CameraSession:
+    """Capture a camera session with devices that are open already."""
+    out.mkdir(parents=True, exist_ok=True)
+    camera = opened.camera.identity()
+    if interrupted is not None:
+        require_same_camera(interrupted, camera)
+        opened = replace(opened, clock=interrupted.clock_after(opened.clock))
+    whole_cells = RegionOfInterest.model_validate({k: v & ~1 for k, v in plan.region.model_dump().items()})
+    with Journal(out, opened.clock, resumed=interrupted is not None) as journal:
+        if interrupted is None:
+            write_start(journal, plan, rig, rig_folder, inputs, command, camera, sources)
+        else:
+            take_over(out, interrupted)
+            journal.append("resume", frames=len(interrupted.frames))
+        with FrameStore(opened, rig, whole_cells, out, journal, interrupted) as store:
+            recorder = _Recorder(opened, rig, plan, step, store, journal, progress)
+            recorder.record(None if interrupted is None else interrupted.levels)
+        notes = (*opened.notes, *recorder.notes, *resume_notes(interrupted))
+        for note in notes:
+            journal.append("note", text=note)
+        session = CameraSession(plan=plan, rig=rig, frames=store.frames, devices=opened.identities(), notes=notes)
+        noted = dict(sources or {}) if interrupted is None else interrupted.sources
+        write_session(session, out, {**noted, **inputs}, command, journal)
+    write_manifest(out)
+    return session
+
+
+class _Recorder:
+    """Takes and stores the frames of one session."""
+
+    def __init__(
+        self,
+        opened: OpenRig,
+        rig: RigFile,
+        plan: CameraPlan,
+        flat: Step,
+        store: FrameStore,
+        journal: Journal,
+        progress: Progress | None,
+    ):
+        self._opened, self._camera, self._plan, self._flat = opened, rig.camera, plan, flat
+        self._store, self._journal, self._progress = store, journal, progress
+        self.notes: tuple[str, ...] = ()
+
+    def record(self, levels: Mapping[str, Any] | None) -> None:
+        """Meter, store the flat frames with the lamp on throughout, then the dark frames.
+
+        Parameters
+        ----------
+        levels
+            What the interrupted part of a resumed session found by metering; None to meter.
+        """
+        self._opened.operator.place("white")
+        if self._flat.slot is None:
+            self._opened.operator.swing_wheel_out()
+        with shine(self._opened, "lamp"):
+            if levels is None:
+                levels = self._meter()
+                self._journal.append("levels", **levels)
+            self.notes = tuple(levels["notes"])
+            flats = numbered((self._flat, t) for t in levels["flats_s"])
+            self._take_all(flats, "flat frames")
+        dark = replace(self._flat, frame_type="dark", light="off")
+        darks = numbered(((dark, t) for t in (*levels["flats_s"], *levels["extra_darks_s"])), first=len(flats))
+        with shine(self._opened, "off"):
+            self._take_all(darks, "dark frames")
+
+    def _meter(self) -> dict[str, Any]:
+        """Return the exposures (s) of the flat frames, those of further dark frames, and what the user should know."""
+        metered_s = meter_exposure(
+            lambda exposure_s: self._store.camera.expose(self._flat, exposure_s).raw.counts[self._store.region],
+            exposure_ladder(self._camera.shortest_exposure_s, self._camera.longest_exposure_s),
+            self._store.full_scale_dn,
+            self._camera.black_level_dn,
+            METERED_FRACTION,
+            self._flat.label,
+        )
+        raw = self._store.camera.expose(self._flat, metered_s).raw
+        saturation_s = saturation_exposures_s(raw.counts[self._store.region], raw.exposure_s, self._camera)
+        levels_s = level_exposures_s(saturation_s, self._plan, self._camera)
+        half_s = min(levels_s, key=lambda t: abs(t - 0.5 * min(saturation_s.values())))
+        longest_s = min(self._plan.longest_exposure_s, self._camera.longest_exposure_s)
+        return {
+            "flats_s": [*_up_and_down(levels_s, self._plan.frames_per_level), *[half_s] * self._plan.repeats],
+            "extra_darks_s": [longest_s] * (self._plan.frames_per_level if longest_s not in levels_s else 0),
+            "notes": level_notes(saturation_s, self._plan, self._camera),
+        }
+
+    def _take_all(self, shots: list[Shot], phase: str) -> None:
+        """Store the frames that are still missing."""
+        missing = self._store.missing(shots)
+        for done, shot in enumerate(missing, 1):
+            self._store.take(shot)
+            if self._progress is not None:
+                self._progress(done, len(missing), f"{phase}: {shot.exposure_s:.3g} s")
+
+
+def _up_and_down(levels_s: tuple[float, ...], times: int) -> Iterator[float]:
+    """Yield every level `times` times, up and down in turn: a steady drift of the lamp cancels in each level's mean."""
+    for turn in range(times):
+        yield from levels_s if turn % 2 == 0 else reversed(levels_s)
+
+
+Counts = NDArray[np.uint16]
+# The last level lies this far beyond saturation, so that the variance is seen to fall.
+BEYOND_SATURATION = 1.15
+# Fewer levels than planned fit below saturation when the shortest exposure is already this bright.
+LARGEST_FIRST_FRACTION = 0.25
+# A channel that needs exposures this many times longer is measured while the brightest is heavily saturated.
+LARGEST_CHANNEL_RATIO = 10.0
+
+
+def saturation_exposures_s(counts: Counts, exposure_s: float, camera: CameraSettings) -> dict[str, float]:
+    """Return the exposure (s) that brings the mean of each channel to full scale, from one frame of the region.
+
+    Parameters
+    ----------
+    counts
+        Counts of the region (DN), shape (h, w), whole 2 x 2 cells.
+    exposure_s
+        Exposure of the frame (s).
+    camera
+        Its black level and bit depth.
+    """
+    sites = {"red": counts[0::2, 0::2], "blue": counts[1::2, 1::2]}
+    sites["green"] = np.stack([counts[0::2, 1::2], counts[1::2, 0::2]])
+    room_dn = 2**camera.bit_depth - 1 - camera.black_level_dn
+    signal_dn = {name: float(pixels.mean()) - camera.black_level_dn for name, pixels in sites.items()}
+    # Half a count is the least that is told from the black level of the rig file; dimmer channels count as that dim.
+    return {name: exposure_s * room_dn / max(signal, 0.5) for name, signal in signal_dn.items()}
+
+
+def level_exposures_s(saturation_s: dict[str, float], plan: CameraPlan, camera: CameraSettings) -> tuple[float, ...]:
+    """Return the exposures (s) of the lit levels, increasing.
+
+    The brightest channel gets `plan.levels` even steps to 1.15 of its saturation; every dimmer one goes on from there
+    with its own steps, below which it has the finer ones of the channels before it.
+
+    Raises
+    ------
+    CaptureError
+        The shortest exposure is too long for even steps up to the first saturation, or none saturates.
+    """
+    longest_s = min(plan.longest_exposure_s, camera.longest_exposure_s)
+    first_s = min(saturation_s.values())
+    if camera.shortest_exposure_s > LARGEST_FIRST_FRACTION * first_s:
+        raise CaptureError(
+            f"camera: the white tile saturates in {first_s:.3g} s, the shortest exposure is "
+            f"{camera.shortest_exposure_s:g} s and may be at most {LARGEST_FIRST_FRACTION:g} of that: dim the lamp, "
+            "close the aperture or put a filter in the beam (plan.filter_name)"
+        )
+    if BEYOND_SATURATION * first_s > longest_s:
+        raise CaptureError(
+            f"camera: the white tile needs {BEYOND_SATURATION * first_s:.3g} s to saturate, at most {longest_s:g} s "
+            "are allowed: brighten the lamp, or raise plan.longest_exposure_s or camera.longest_exposure_s"
+        )
+    exposures: list[float] = []
+    for sat_s in sorted(saturation_s.values()):
+        top_s = min(BEYOND_SATURATION * sat_s, longest_s)
+        steps = np.linspace(max(top_s / plan.levels, camera.shortest_exposure_s), top_s, plan.levels)
+        # 2 % apart is another level; closer ones would only repeat it.
+        exposures += [float(t) for t in steps if t > 1.02 * max(exposures, default=0.0)]
+    return tuple(exposures)
+
+
+def level_notes(saturation_s: dict[str, float], plan: CameraPlan, camera: CameraSettings) -> tuple[str, ...]:
+    """Return what the user should know about channels that are much dimmer than the brightest."""
+    longest_s = min(plan.longest_exposure_s, camera.longest_exposure_s)
+    first_s = min(saturation_s.values())
+    notes = []
+    for name, sat_s in saturation_s.items():
+        if sat_s > longest_s:
+            notes.append(
+                f"{name} does not saturate within {longest_s:g} s: use a lamp or filter with more {name} light"
+            )
+        elif sat_s > LARGEST_CHANNEL_RATIO * first_s:
+            notes.append(
+                f"{name} saturates {sat_s / first_s:.0f} times later than the brightest channel: charge that spills "
+                "over from saturated neighbours may disturb it"
+            )
+    return tuple(notes)

@@ -1,0 +1,441 @@
+"""Checked exposures: metered, taken again when refused, and refused when a read-back is not as asked.
+
+Of a rig: wheel in place before and after, lights as planned, a new frame with the settings asked for. Of a finger's
+camera: a new frame of the right size and exposure. Frames that are refused, and cameras that are lost or late, are
+taken again a bounded number of times. Metering finds the longest exposure of a ladder of factor-of-two steps that keeps
+the brightest pixels in range.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from typing import Final, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import (
+    BadFrameError,
+    CameraSettings,
+    CaptureError,
+    FrameSizeError,
+    LightState,
+    LostError,
+    RefusedError,
+    SaturatedError,
+    TimedOutError,
+    WrongPositionError,
+)
+from rigs import Camera, OpenRig, RawFrame
+from rigs.capture._plan import Step
+
+WHEEL_DEADLINE_S = 20.0
+CAMERA_DEADLINE_MARGIN_S = 5.0
+CAMERA_EXPOSURES = 2  # drivers discard the frame that was under way when the exposure changed
+# Cameras set exposures in multiples of a line time; more than this is a setting that was not taken.
+EXPOSURE_TOLERANCE_REL = 0.05
+
+LightName = Literal["lamp", "laser"]
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedFrame:
+    """A raw frame with what was read back beside it.
+
+    Attributes
+    ----------
+    raw
+        The frame.
+    slot_before, slot_after
+        Position of the wheel.
+    lights_before, lights_after
+        Lights that were on.
+    attempts
+        Exposures it took.
+    delivered_s
+        When the camera had delivered it (s, monotonic).
+    """
+
+    raw: RawFrame
+    slot_before: int | None
+    slot_after: int | None
+    lights_before: tuple[LightName, ...]
+    lights_after: tuple[LightName, ...]
+    attempts: int
+    delivered_s: float
+
+
+@contextmanager
+def shine(opened: OpenRig, light: LightState) -> Iterator[None]:
+    """Keep the planned light on for a ``with`` block and check that only this one is on."""
+    device = {"lamp": opened.lamp, "laser": opened.laser}.get(light)
+    with nullcontext() if device is None else device.lit():
+        _require_lights(opened, light)
+        yield
+
+
+class CheckedCamera:
+    """The camera of a rig behind its wheel and lights: everything that can be read back is checked.
+
+    Parameters
+    ----------
+    opened, settings
+        The rig and what its file says about the camera.
+    on_refusal
+        Called with a text for every frame that is refused and taken again.
+    """
+
+    def __init__(
+        self, opened: OpenRig, settings: CameraSettings, on_refusal: Callable[[str], None] = lambda text: None
+    ) -> None:
+        self._opened, self._settings, self._on_refusal = opened, settings, on_refusal
+        self._last: RawFrame | None = None
+        self._slot_of_header: dict[str, int] = {}
+        self._header_of_slot: dict[int, str] = {}
+
+    def expose(self, step: Step, exposure_s: float) -> CheckedFrame:
+        """Turn the wheel to the filter of `step` and take a frame; four attempts at most.
+
+        A refused frame is taken again, and so is one that did not come: a camera that is lost or late is connected
+        again by its next exposure. A wheel that is lost is redone too, one that is late is not: it may be stuck.
+
+        Raises
+        ------
+        WrongPositionError
+            The wheel is or was at another slot.
+        BadFrameError, FrameSizeError, LostError
+            Every attempt failed.
+        CaptureError
+            A light is not as planned, or the camera used another exposure.
+        """
+
+        def once(attempt: int) -> CheckedFrame:
+            return self._once(step, exposure_s, attempt)
+
+        return within_attempts(once, self._on_refusal, f"{step.label}, {exposure_s:g} s")[0]
+
+    def _once(self, step: Step, exposure_s: float, attempt: int) -> CheckedFrame:
+        """Take one frame and check it."""
+        opened = self._opened
+        if step.slot is not None and opened.wheel.position() != step.slot:
+            opened.wheel.go_to(step.slot, WHEEL_DEADLINE_S)
+        slot_before, lights_before = _require_slot(opened, step, "before"), _require_lights(opened, step.light)
+        raw = exposed(opened.camera, exposure_s, CAMERA_EXPOSURES * exposure_s + CAMERA_DEADLINE_MARGIN_S)
+        delivered_s = opened.clock.monotonic_s()
+        slot_after, lights_after = _require_slot(opened, step, "after"), _require_lights(opened, step.light)
+        self._require_as_asked(raw, step, exposure_s)
+        require_new(raw, self._last)
+        self._require_own_header(raw, step)
+        self._last = raw
+        return CheckedFrame(raw, slot_before, slot_after, lights_before, lights_after, attempt, delivered_s)
+
+    def _require_as_asked(self, raw: RawFrame, step: Step, exposure_s: float) -> None:
+        """Refuse another exposure or frame size than was asked for."""
+        asked = (self._settings.height_px, self._settings.width_px)
+        shape = raw.counts.shape
+        if len(shape) == 3:
+            raise RefusedError(
+                f"camera: delivers colour pictures ({shape[2]} values a pixel); filtered sessions need raw Bayer "
+                "counts: choose a raw pixel format, or another driver"
+            )
+        if shape != asked:
+            raise FrameSizeError(
+                f"camera: delivered a frame of {' x '.join(map(str, shape))} px, the rig file says {asked[0]} x "
+                f"{asked[1]} px (height x width); correct the rig file"
+            )
+        # a camera that does not read its exposure back says NaN, which is within nothing
+        if not abs(raw.exposure_s / exposure_s - 1.0) <= EXPOSURE_TOLERANCE_REL:
+            raise RefusedError(
+                f"camera: {exposure_s:g} s were asked for {step.label}, it reads back {raw.exposure_s:g} s (within "
+                f"{EXPOSURE_TOLERANCE_REL:.0%} is allowed); correct shortest_exposure_s and longest_exposure_s of the "
+                "rig"
+            )
+
+    def _require_own_header(self, raw: RawFrame, step: Step) -> None:
+        """Refuse a header that names one filter at two slots, or two at one: it tells another wheel, or an old move."""
+        header = str(raw.settings.get("filter_header", ""))
+        if not header or step.slot is None:
+            return
+        slot = self._slot_of_header.setdefault(header, step.slot)
+        name = self._header_of_slot.setdefault(step.slot, header)
+        if slot == step.slot and name == header:
+            return
+        before = f"as at slot {slot}" if slot != step.slot else f"where it said '{name}' before"
+        raise RefusedError(
+            f"camera: the frame's FILTER header says '{header}' at slot {step.slot}, {before}; it follows the wheel "
+            f"'{raw.settings.get('active_filter', 'unknown')}': set the camera's ACTIVE_DEVICES to the wheel in use "
+            "and give each slot a name of its own"
+        )
+
+
+def require_new(raw: RawFrame, last: RawFrame | None) -> None:
+    """Refuse the frame that was delivered last time.
+
+    Raises
+    ------
+    BadFrameError
+        It has the number and time of the last one, or its payload where there are none.
+    """
+    if last is None:
+        return
+    if raw.frame_id is not None or raw.device_time_s is not None:
+        same = (raw.frame_id, raw.device_time_s) == (last.frame_id, last.device_time_s)
+    else:  # two frames of one value each may well be equal
+        same = np.array_equal(raw.counts, last.counts) and raw.counts.min() < raw.counts.max()
+    if same:
+        raise BadFrameError(
+            "camera: delivered the same frame twice; its stream hangs or a picture stands in for the camera"
+        )
+
+
+def _require_slot(opened: OpenRig, step: Step, when: str) -> int | None:
+    """Return the wheel's position after checking that it is the one of the step; None when it is swung out.
+
+    A wheel that the operator swung out of the beam still counts its slots.
+    """
+    if step.slot is None:
+        return None
+    position = opened.wheel.position()
+    if position != step.slot:
+        reads = "no slot (it moves)" if position is None else f"slot {position}"
+        raise WrongPositionError(
+            f"filter wheel: reads {reads} {when} the exposure of {step.label}, slot {step.slot} is needed; "
+            "the wheel slipped or is not where the operator left it: home it and start again"
+        )
+    return position
+
+
+def _require_lights(opened: OpenRig, planned: LightState) -> tuple[LightName, ...]:
+    """Return the lights that are on after checking that it is the planned one alone."""
+    states: dict[LightName, bool] = {"lamp": opened.lamp.state(), "laser": opened.laser.state()}
+    for name, on in states.items():
+        if on != (name == planned):
+            raise CaptureError(
+                f"{name}: reads back {'on' if on else 'off'} where the step needs light '{planned}'; check its "
+                "connection, switch and interlock"
+            )
+    return tuple(name for name, on in states.items() if on)
+
+
+T = TypeVar("T")
+RETAKEN: Final = (BadFrameError, FrameSizeError, LostError)
+"""What another attempt may mend."""
+ATTEMPTS: Final = 4
+"""Exposures before a frame that is refused every time ends the capture."""
+
+
+def exposed(camera: Camera, exposure_s: float, deadline_s: float) -> RawFrame:
+    """Take one frame; a camera that is late counts as lost, for its next exposure begins with a new connection.
+
+    Raises
+    ------
+    LostError
+        The camera is lost or late.
+    """
+    try:
+        return camera.expose(exposure_s, deadline_s)
+    except TimedOutError as error:
+        raise LostError(str(error)) from error
+
+
+def within_attempts(once: Callable[[int], T], on_refusal: Callable[[str], None], what: str) -> tuple[T, int]:
+    """Return what `once` returns and how many attempts it took, four at most.
+
+    Parameters
+    ----------
+    once
+        Called with the number of the attempt, from 1.
+    on_refusal
+        Called with a text for every attempt that is repeated.
+    what
+        What is exposed, for the texts.
+
+    Raises
+    ------
+    BadFrameError, FrameSizeError, LostError
+        Every attempt failed.
+    """
+    for attempt in range(1, ATTEMPTS):
+        try:
+            return once(attempt), attempt
+        except RETAKEN as error:
+            on_refusal(f"{what}, attempt {attempt}: {error}")
+    try:
+        return once(ATTEMPTS), ATTEMPTS
+    except RETAKEN as error:
+        raise type(error)(f"{error} ({ATTEMPTS} attempts at {what})") from error
+
+
+DEADLINE_EXPOSURES: Final = 3.0
+"""A camera that runs freely may have to end one exposure before it begins the one asked for."""
+
+
+class TactileCamera:
+    """A camera behind checks of what it delivers.
+
+    Parameters
+    ----------
+    camera, settings
+        The open camera and what the rig file says about it.
+    one_exposure
+        Whether the session needs one exposure time only, so that a camera may leave it unknown.
+    on_refusal
+        Called with a text for every frame that is refused and taken again.
+    """
+
+    def __init__(
+        self, camera: Camera, settings: CameraSettings, one_exposure: bool, on_refusal: Callable[[str], None]
+    ) -> None:
+        self._camera, self._settings, self._one_exposure = camera, settings, one_exposure
+        self._on_refusal = on_refusal
+        self._last: RawFrame | None = None
+
+    def expose(self, exposure_s: float) -> tuple[RawFrame, int]:
+        """Return a frame and how many attempts it took, four at most.
+
+        Raises
+        ------
+        BadFrameError, FrameSizeError, LostError
+            Every attempt failed.
+        RefusedError
+            The camera used another exposure, or delivers what a tactile capture cannot hold.
+        """
+        return within_attempts(lambda attempt: self._once(exposure_s), self._on_refusal, f"{exposure_s:g} s")
+
+    def _once(self, exposure_s: float) -> RawFrame:
+        """Take one frame and check it."""
+        raw = exposed(self._camera, exposure_s, DEADLINE_EXPOSURES * exposure_s + CAMERA_DEADLINE_MARGIN_S)
+        if not math.isfinite(raw.exposure_s):
+            if not self._one_exposure:
+                raise RefusedError(
+                    "camera: does not say its exposure time, so that a bracket would be the same image several times; "
+                    "give one exposure in exposures_s (the one set at the camera's server)"
+                )
+        elif abs(raw.exposure_s / exposure_s - 1.0) > EXPOSURE_TOLERANCE_REL:
+            raise RefusedError(
+                f"camera: {exposure_s:g} s were asked for, it reads back {raw.exposure_s:g} s (within "
+                f"{EXPOSURE_TOLERANCE_REL:.0%} is allowed); correct the exposures of the plan or the limits of the rig"
+            )
+        self._require_images(raw)
+        require_new(raw, self._last)
+        self._last = raw
+        return raw
+
+    def _require_images(self, raw: RawFrame) -> None:
+        """Refuse what is neither a Bayer frame nor an RGB picture of the rig's size and bit depth."""
+        asked = (self._settings.height_px, self._settings.width_px)
+        counts, pixels = raw.counts, str(raw.settings.get("pixel_format", ""))
+        if counts.shape not in (asked, (*asked, 3)):
+            raise FrameSizeError(
+                f"camera: delivered a frame of {' x '.join(map(str, counts.shape))}, the rig file says {asked[0]} x "
+                f"{asked[1]} px (height x width); correct the rig file"
+            )
+        if pixels.lower().startswith("mono"):
+            raise RefusedError(
+                f"camera: delivers {pixels}, and a tactile capture needs colours (Bayer RGGB or RGB); use a colour "
+                "camera"
+            )
+        if int(counts.max()) >= 2**self._settings.bit_depth:
+            raise RefusedError(
+                f"camera: delivered a count of {counts.max()} DN, more than camera.bit_depth = "
+                f"{self._settings.bit_depth} allows ({2**self._settings.bit_depth - 1} DN); correct the rig file"
+            )
+
+
+Counts = NDArray[np.uint16]
+BRIGHTEST_PERCENTILE = 99.9
+SATURATED_STEPS_DOWN = 3
+# A signal below this share of full scale is mostly noise: it guides the next guess but decides nothing.
+TRUSTED_SIGNAL_FRACTION = 0.05
+
+
+def exposure_ladder(shortest_s: float, longest_s: float) -> tuple[float, ...]:
+    """Return the exposures (s) that captures use: the shortest times powers of two, up to the longest.
+
+    Few distinct exposures mean few dark frames.
+    """
+    rungs = math.floor(math.log2(longest_s / shortest_s) + 1e-9) + 1 if longest_s > shortest_s else 1
+    return tuple(shortest_s * 2.0**k for k in range(rungs))
+
+
+def rung_at_or_below(ladder: tuple[float, ...], exposure_s: float) -> float:
+    """Return the longest exposure of the ladder (s) that is not longer than `exposure_s`, at least the first."""
+    tolerance = 1.0 + 1e-9  # 0.25 of a rung must find the rung two below despite rounding
+    return max((rung for rung in ladder if rung <= exposure_s * tolerance), default=ladder[0])
+
+
+def brightest_dn(counts: Counts) -> float:
+    """Return the 99.9 percentile (DN) of the brightest of the four Bayer sites of a region."""
+    sites = [counts[row::2, column::2] for row in (0, 1) for column in (0, 1)]
+    return max(float(np.percentile(site, BRIGHTEST_PERCENTILE)) for site in sites)
+
+
+def saturated_fraction(counts: Counts, full_scale_dn: int) -> float:
+    """Return the share of pixels (0..1) at full scale."""
+    return float(np.mean(counts >= full_scale_dn))
+
+
+def meter_exposure(
+    take: Callable[[float], Counts],
+    ladder: tuple[float, ...],
+    full_scale_dn: int,
+    black_level_dn: float,
+    target_fraction: float,
+    what: str,
+    first_guess_s: float | None = None,
+) -> float:
+    """Find the longest exposure of the ladder with which nothing in the metered region is too bright.
+
+    The 99.9 percentile of the brightest Bayer site stays at or below `target_fraction` of full scale, and no
+    pixel saturates. The search brackets the answer and predicts the next rung from the signal, which is
+    proportional to the exposure.
+
+    Parameters
+    ----------
+    take
+        Takes a frame with an exposure (s) and returns the counts of the metered region (DN), shape (h, w).
+    ladder
+        Allowed exposures (s), increasing.
+    full_scale_dn, black_level_dn
+        Largest count and count without light (DN).
+    target_fraction
+        Largest brightness as a fraction of full scale.
+    what
+        Filter and light in words, for the message.
+    first_guess_s
+        Where to start (s), such as the exposure of a similar step; the middle of the ladder if left out.
+
+    Returns
+    -------
+    float
+        Exposure (s), one of the ladder.
+
+    Raises
+    ------
+    SaturatedError
+        Even the shortest exposure is too bright.
+    """
+    fits, fails = -1, len(ladder)
+    guess = len(ladder) // 2 if first_guess_s is None else ladder.index(rung_at_or_below(ladder, first_guess_s))
+    while fails - fits > 1:
+        rung = min(max(guess, fits + 1), fails - 1)
+        counts = take(ladder[rung])
+        peak_dn = brightest_dn(counts)
+        signal_dn = max(peak_dn - black_level_dn, 1.0)
+        rungs_up = math.floor(math.log2((target_fraction * full_scale_dn - black_level_dn) / signal_dn))
+        if counts.max() >= full_scale_dn or peak_dn > target_fraction * full_scale_dn:
+            fails = rung
+            guess = rung - SATURATED_STEPS_DOWN if peak_dn >= full_scale_dn else rung + min(rungs_up, -1)
+        else:
+            fits = rung
+            guess = rung + max(rungs_up, 1)
+            if signal_dn >= TRUSTED_SIGNAL_FRACTION * full_scale_dn:
+                fails = min(fails, rung + max(rungs_up, 0) + 1)
+    if fits < 0:
+        raise SaturatedError(
+            f"{what}: the region is brighter than {target_fraction:.0%} of full scale ({full_scale_dn} DN) even at the "
+            f"shortest exposure; the camera allows {ladder[0]:g} to {ladder[-1]:g} s: dim the light, close the "
+            "aperture or raise target_fraction"
+        )
+    return ladder[fits]

@@ -1,0 +1,240 @@
+"""Taking and storing the frames of a session, with what the devices read back and the laser light that fell.
+
+Fluorescent paint bleaches with laser light: every frame tells the energy on the sample up to it.
+"""
+
+import re
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from data_schemas import CaptureError, Frame, RegionOfInterest, RigFile
+from data_schemas.storage import write_frame
+from rigs import Clock, OpenRig, RawFrame
+from rigs.capture._exposure import CheckedCamera, CheckedFrame, saturated_fraction
+from rigs.capture._journal import DISK_WITHIN_S, Journal, disk_hangs
+from rigs.capture._plan import Step
+from rigs.capture._resume import Interrupted
+
+BYTES_PER_PIXEL = 2
+SPACE_FACTOR = 1.1  # of the frames: room for TIFF headers, journal and record
+MOST_WAITING = 4  # frames in memory that are not on the disk yet
+WRITE_WITHIN_S = 2.0 * DISK_WITHIN_S  # a frame, then its line of the journal
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """One frame to take; its number in the session is known beforehand, so that a resumed session finds it."""
+
+    sequence: int
+    step: Step
+    exposure_s: float
+
+
+def numbered(wanted: Iterable[tuple[Step, float]], first: int = 0) -> list[Shot]:
+    """Return steps and exposures (s) as shots, counted from `first`."""
+    return [Shot(number, step, exposure_s) for number, (step, exposure_s) in enumerate(wanted, first)]
+
+
+class FrameStore:
+    """Takes the frames of one session and stores them with what the devices read back; a ``with`` block.
+
+    A frame is written and hashed while the wheel moves on to the next filter; the block ends when all are on disk.
+
+    Parameters
+    ----------
+    opened, rig
+        The rig, as opened devices and as its file describes it.
+    region
+        Where saturation counts.
+    out, journal
+        The session's folder and journal.
+    interrupted
+        What is done already, when a session is resumed; its frames are not taken again.
+    """
+
+    def __init__(
+        self,
+        opened: OpenRig,
+        rig: RigFile,
+        region: RegionOfInterest,
+        out: Path,
+        journal: Journal,
+        interrupted: Interrupted | None = None,
+    ):
+        self._opened, self._out, self._journal = opened, out, journal
+        self.camera = CheckedCamera(opened, rig.camera, lambda text: journal.append("refused", text=text))
+        self.region = (
+            slice(region.row_px, region.row_px + region.height_px),
+            slice(region.column_px, region.column_px + region.width_px),
+        )
+        self.full_scale_dn = 2**rig.camera.bit_depth - 1
+        self.dose = LaserDose(rig.laser.power_mw, opened.clock, 0.0 if interrupted is None else interrupted.dose_j)
+        self._frame_bytes = BYTES_PER_PIXEL * rig.camera.width_px * rig.camera.height_px
+        self._frames = {} if interrupted is None else dict(interrupted.frames)
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix="frame-writer")
+        self._waiting: list[Future[None]] = []
+
+    @property
+    def frames(self) -> tuple[Frame, ...]:
+        """The stored frames in the order of their numbers; complete after the ``with`` block."""
+        return tuple(frame for _, frame in sorted(self._frames.items()))
+
+    def missing(self, shots: Iterable[Shot]) -> list[Shot]:
+        """Return the shots that are still to be taken, after checking that the disk can hold them.
+
+        Raises
+        ------
+        CaptureError
+            There is not enough space.
+        """
+        left = [shot for shot in shots if shot.sequence not in self._frames]
+        require_space(self._out, len(left) * self._frame_bytes)
+        return left
+
+    def take(self, shot: Shot, check: Callable[[RawFrame], None] = lambda raw: None) -> None:
+        """Take one frame; write it and note it in the journal while the next one is prepared.
+
+        Parameters
+        ----------
+        shot
+            What to take.
+        check
+            Raises when the frame must not be stored: what is in the journal is not taken again at a resumption.
+        """
+        checked = self.camera.expose(shot.step, shot.exposure_s)
+        check(checked.raw)
+        middle_s = max(checked.delivered_s - 0.5 * checked.raw.exposure_s, 0.0)
+        dose_j = self.dose.energy_j(self._opened.clock.monotonic_s() - middle_s)
+        self._wait(MOST_WAITING - 1)
+        self._waiting.append(self._writer.submit(self._write, shot, checked, middle_s, dose_j))
+
+    def _write(self, shot: Shot, checked: CheckedFrame, middle_s: float, dose_j: float) -> None:
+        """Write a frame, then its line of the journal."""
+        raw, step = checked.raw, shot.step
+        file = _frame_file(shot.sequence, step, raw.exposure_s)
+        try:
+            sha256 = write_frame(self._out / file, raw.counts, f"{step.label}, {raw.exposure_s:g} s")
+        except OSError as error:
+            raise CaptureError(
+                f"{self._out / file}: cannot be written ({error.strerror}); free space or mend the disk, then "
+                f"finray capture --resume {self._out}"
+            ) from None
+        frame = Frame(
+            sequence=shot.sequence,
+            file=file,
+            frame_type=step.frame_type,
+            target=step.target,
+            light=step.light,
+            filter_name=step.filter_name,
+            slot_before=checked.slot_before,
+            slot_after=checked.slot_after,
+            lights_before=checked.lights_before,
+            lights_after=checked.lights_after,
+            exposure_requested_s=raw.exposure_requested_s,
+            exposure_s=raw.exposure_s,
+            captured_utc=raw.captured_utc,
+            middle_s=middle_s,
+            frame_id=raw.frame_id,
+            device_time_s=raw.device_time_s,
+            settings=dict(raw.settings),
+            attempts=checked.attempts,
+            laser_dose_j=dose_j,
+            tilt_deg=step.tilt_deg,
+            saturated_fraction=saturated_fraction(raw.counts[self.region], self.full_scale_dn),
+            sha256=sha256,
+        )
+        self._journal.append("frame", **frame.model_dump())
+        self._frames[shot.sequence] = frame
+
+    def _wait(self, most: int) -> None:
+        """Wait until at most so many frames are waiting; an error of the writer comes out here."""
+        while len(self._waiting) > most:
+            oldest = self._waiting.pop(0)
+            wait((oldest,), WRITE_WITHIN_S)
+            if (failed := self._failure(oldest)) is not None:
+                raise failed
+
+    def _failure(self, written: Future[None]) -> BaseException | None:
+        """Return why a frame is not on the disk by now; None where it is."""
+        if not written.done() or written.cancelled():
+            return disk_hangs(self._out, self._out)
+        return written.exception()
+
+    def __enter__(self) -> "FrameStore":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        hangs = bool(wait(self._waiting, WRITE_WITHIN_S).not_done)
+        self._writer.shutdown(wait=not hangs, cancel_futures=True)
+        if error is None:
+            self._wait(0)
+            return
+        unwritten = [failed for waiting in self._waiting if (failed := self._failure(waiting)) is not None]
+        if unwritten and isinstance(error, CaptureError):
+            raise type(error)(f"{error}. Besides: {unwritten[0]}") from error
+        if unwritten:
+            error.add_note(str(unwritten[0]))
+
+
+def require_space(folder: Path, needed_bytes: int) -> None:
+    """Refuse to start what the disk cannot hold.
+
+    Raises
+    ------
+    CaptureError
+        There is not enough free space.
+    """
+    free_bytes, needed_bytes = shutil.disk_usage(folder).free, round(SPACE_FACTOR * needed_bytes)
+    if free_bytes < needed_bytes:
+        raise CaptureError(
+            f"{folder}: the frames need {needed_bytes / 1e6:.0f} MB and {free_bytes / 1e6:.0f} MB are free; free space "
+            "or choose another --out"
+        )
+
+
+def _frame_file(number: int, step: Step, exposure_s: float) -> str:
+    """Return ``frames/NNNN_<type>_<filter>_<exposure>us.tiff`` with plain characters only."""
+    words = (step.frame_type, step.filter_name or "none")
+    kind, filter_name = (re.sub(r"[^A-Za-z0-9.-]+", "-", word) for word in words)
+    return f"frames/{number:04d}_{kind}_{filter_name}_{round(exposure_s * 1e6)}us.tiff"
+
+
+class LaserDose:
+    """Meter of the laser energy on the sample: power x time with the laser on and the sample in view.
+
+    Parameters
+    ----------
+    power_mw
+        Power of the laser (mW).
+    clock
+        Its monotonic time is used.
+    before_j
+        Energy that fell on the sample before (J), in the interrupted part of a resumed session.
+    """
+
+    def __init__(self, power_mw: float, clock: Clock, before_j: float = 0.0):
+        self._power_w, self._clock = 1e-3 * power_mw, clock
+        self._energy_j = before_j
+        self._on_since_s: float | None = None
+
+    @contextmanager
+    def shining(self) -> Iterator[None]:
+        """Count the time of a ``with`` block."""
+        self._on_since_s = self._clock.monotonic_s()
+        try:
+            yield
+        finally:
+            self._energy_j, self._on_since_s = self.energy_j(), None
+
+    def energy_j(self, ago_s: float = 0.0) -> float:
+        """Return the energy (J) until `ago_s` seconds before now, a moment within the running block if there is one."""
+        if self._on_since_s is None:
+            return self._energy_j
+        return self._energy_j + self._power_w * max(self._clock.monotonic_s() - ago_s - self._on_since_s, 0.0)

@@ -1,0 +1,226 @@
+"""The journal of a session: one JSON object per line, on disk before the next step begins.
+
+Each line ends with its link: the SHA-256 of the link before it and of the rest of the line. A line that was changed,
+removed or moved breaks the chain. This detects accidents and edits, not forgery: whoever changes a journal on purpose
+can compute all links anew.
+"""
+
+import fcntl
+import hashlib
+import json
+import os
+import re
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final
+
+from data_schemas import CaptureError
+from data_schemas.storage import LARGEST_TEXT_BYTES, parse_json, read_bytes
+from rigs import CallThread, Clock, NoAnswerError
+
+JOURNAL_NAME = "journal.jsonl"
+DISK_WITHIN_S: Final = 60.0
+"""A disk that hangs (a network folder whose server is gone) must not keep a capture waiting with its lights on."""
+CLOSE_WITHIN_S: Final = 1.0
+_LINKED: Final = re.compile(rb'(\{.*), "link": "([0-9a-f]{64})"\}', re.DOTALL)
+
+
+class Journal:
+    """Append-only log of a session; a ``with`` block that closes with the outcome ("done" or the error).
+
+    Threads may write. The file is locked while it is open: one capture writes into a folder at a time.
+
+    Parameters
+    ----------
+    folder
+        Folder of the session.
+    clock
+        Where the time of each line comes from.
+    resumed
+        Whether the journal of an interrupted session goes on; else it must not exist.
+
+    Raises
+    ------
+    CaptureError
+        The folder holds a journal already, or another capture writes into it now.
+    """
+
+    def __init__(self, folder: Path, clock: Clock, *, resumed: bool = False):
+        self._clock, self._turn, self._link = clock, threading.Lock(), b""
+        self._path = folder / JOURNAL_NAME
+        # a journal appears under its name with its first line whole: an interrupted session always says how it began
+        self._nameless = None if resumed else folder / f".{JOURNAL_NAME}.part"
+        if not resumed:
+            self._require_new()
+        self._file = (self._nameless or self._path).open("a", encoding="utf-8")
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._file.close()
+            raise CaptureError(
+                f"{self._path}: another capture is writing into this folder; wait until it ends"
+            ) from None
+        if self._nameless is not None:
+            try:
+                self._require_new()  # again: the lock of a file that got its name meanwhile is ours too
+            except CaptureError:
+                self._file.close()
+                raise
+            self._file.truncate(0)
+        else:
+            self._link = next((line.link.encode() for line in reversed(linked_lines(folder))), b"")
+            if not _ends_with_newline(self._path):
+                self._file.write("\n")  # an interrupted line stays as it is; readers pass over it
+        self._disk, self._is_closed = CallThread("journal"), False
+
+    def append(self, event: str, **what: Any) -> None:
+        """Write one line (start, step, frame, note or stop) and wait until it is on the disk.
+
+        Raises
+        ------
+        CaptureError
+            The disk does not take it.
+        """
+        with self._turn:
+            if self._is_closed:  # a thread that the disk held back
+                raise CaptureError(f"{self._path}: is closed, the capture has ended")
+            time_s = round(self._clock.monotonic_s(), 3)
+            line = {"event": event, "utc": self._clock.utc(), "monotonic_s": time_s, **what}
+            text = json.dumps(line, ensure_ascii=False)[:-1]
+            # set before the line is written: one that the disk refuses stays in the buffer, and comes before the next
+            link = self._link = _link_of(self._link, text.encode())
+            try:
+                self._disk.call(lambda: self._write(f'{text}, "link": "{link.decode()}"}}\n'), DISK_WITHIN_S)
+            except NoAnswerError:
+                raise disk_hangs(self._path, self._path.parent) from None
+            except OSError as error:
+                raise CaptureError(
+                    f"{self._path}: cannot be written ({error.strerror}); free space or mend the disk, then "
+                    f"finray capture --resume {self._path.parent}"
+                ) from None
+
+    def _write(self, line: str) -> None:
+        """Have a line on the disk."""
+        self._file.write(line)
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        if self._nameless is not None:
+            self._nameless.rename(self._path)
+            self._nameless = None
+            _sync_folder(self._path.parent)
+
+    def __enter__(self) -> "Journal":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        outcome = "done" if error is None else f"{type(error).__name__}: {error}"
+        try:
+            if self._nameless is None:  # else nothing began
+                self.append("stop", outcome=outcome)
+        except CaptureError:
+            if error is None:
+                raise
+            # what ended the capture says more than a last line that finds no space
+        finally:
+            self._is_closed = True
+            # an error is passed over: what is left of a line that found no space
+            self._disk.close(self._file.close, CLOSE_WITHIN_S)
+
+    def _require_new(self) -> None:
+        """Refuse a folder that has a journal."""
+        if self._path.exists():
+            raise CaptureError(
+                f"{self._path}: exists already, so that another capture writes into this folder; choose another --out"
+            )
+
+
+def disk_hangs(path: Path, session: Path) -> CaptureError:
+    """Return the error of a file of a session that the disk does not take, and does not refuse either."""
+    return CaptureError(
+        f"{path}: the disk hangs, nothing was written for {DISK_WITHIN_S:g} s or more; look at the disk, or at the "
+        f"server of the network folder, then finray capture --resume {session}"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class LinkedLine:
+    """A line of a journal.
+
+    Attributes
+    ----------
+    number
+        In the file, from 1.
+    entry
+        What it says, without its link.
+    link
+        Its link; empty in journals of old versions.
+    holds
+        Whether the link follows from the line and the link before it; True where it has none.
+    """
+
+    number: int
+    entry: dict[str, Any]
+    link: str
+    holds: bool
+
+
+def linked_lines(folder: Path) -> list[LinkedLine]:
+    """Return the lines of a journal in order, each with whether its link holds; an interrupted line is passed over.
+
+    Raises
+    ------
+    CaptureError
+        There is no journal.
+    """
+    path = folder / JOURNAL_NAME
+    content = read_bytes(path, f"{JOURNAL_NAME} of an interrupted 'finray capture'", CaptureError, LARGEST_TEXT_BYTES)
+    lines: list[LinkedLine] = []
+    before = b""
+    for number, text in enumerate(content.split(b"\n"), 1):
+        try:
+            entry = parse_json(text, path, CaptureError)
+        except CaptureError:
+            continue
+        if not isinstance(entry, dict) or "event" not in entry:
+            continue
+        linked = _LINKED.fullmatch(text)
+        link = b"" if linked is None else linked[2]
+        holds = linked is None or _link_of(before, linked[1]) == link
+        entry.pop("link", None)
+        lines.append(LinkedLine(number, entry, link.decode(), holds))
+        before = link
+    return lines
+
+
+def read_journal(folder: Path) -> list[dict[str, Any]]:
+    """Return what the lines of a journal say, in order; a line cut short by an interruption is passed over.
+
+    Raises
+    ------
+    CaptureError
+        There is no journal.
+    """
+    return [line.entry for line in linked_lines(folder)]
+
+
+def _link_of(before: bytes, line: bytes) -> bytes:
+    """Return the link of a line (without its closing brace) after the link before it."""
+    return hashlib.sha256(before + b"\n" + line).hexdigest().encode()
+
+
+def _sync_folder(folder: Path) -> None:
+    """Have the names in a folder on the disk."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _ends_with_newline(path: Path) -> bool:
+    """Whether the file ends a line (or is empty)."""
+    return read_bytes(path, JOURNAL_NAME, CaptureError, LARGEST_TEXT_BYTES)[-1:] in (b"", b"\n")

@@ -1,0 +1,452 @@
+"""Capture of a paint session: from plan and rig to a folder with frames, journal, record and checksums.
+
+Meter, prove the filters, dark frames, every step at every exposure, dark frames. What a session will take is found
+without moving, lighting or storing anything.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from itertools import groupby, pairwise
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import (
+    BandPassFilter,
+    CaptureError,
+    CaptureSession,
+    FilterProof,
+    Frame,
+    LightState,
+    PaintPlan,
+    RigFile,
+    Target,
+    WrongPositionError,
+)
+from data_schemas.storage import write_manifest
+from rigs import OpenRig, Operator, RawFrame, open_rig, rig_locked
+from rigs.capture._exposure import WHEEL_DEADLINE_S, exposure_ladder, meter_exposure, rung_at_or_below, shine
+from rigs.capture._filter_proof import LaserLine, compare_with_last, judge_filters, predicted_rates
+from rigs.capture._frame_store import BYTES_PER_PIXEL, FrameStore, Shot, numbered
+from rigs.capture._journal import Journal
+from rigs.capture._plan import Step, paint_steps, with_repeat
+from rigs.capture._resume import Interrupted, require_same_camera, require_same_inputs, resume_notes, take_over
+from rigs.capture._session_folder import curve_digests, curve_files, require_empty, write_session, write_start
+from rigs.light_guard import require_outside_layer
+
+Progress = Callable[[int, int, str], None]
+T = TypeVar("T")
+Rates = tuple[float, float, float]
+
+LARGEST_CHANGE = 1.25
+"""Factor by which the signal of a step may differ from its metering; lamps warm up by less, filters differ by more."""
+LEAST_SIGNAL_FRACTION = 0.02  # of full scale: below it a change cannot be told from the dark level
+
+
+class PaintRecorder:
+    """Walks through the steps of one session and stores the frames."""
+
+    def __init__(
+        self,
+        opened: OpenRig,
+        rig: RigFile,
+        plan: PaintPlan,
+        store: FrameStore,
+        journal: Journal,
+        progress: Progress | None,
+        interrupted: Interrupted | None,
+        last_good: CaptureSession | None,
+    ):
+        self._opened, self._rig, self._plan, self._last_good = opened, rig, plan, last_good
+        self._journal, self._progress, self._store = journal, progress, store
+        self._ladder = exposure_ladder(rig.camera.shortest_exposure_s, rig.camera.longest_exposure_s)
+        # an interrupted session may have left the sample tilted
+        left_tilted = interrupted is not None and plan.second_tilt_deg is not None
+        self._tilt_deg = None if left_tilted else 0.0
+        self._metered_s: dict[LightState, float] = {}
+        self._exposures_s: dict[Step, list[float]] = {}
+        self._rates: dict[Step, Rates] = {}
+        self._white: tuple[Step, ...] = ()
+        self._before = {} if interrupted is None else interrupted.metered
+        self.proof: FilterProof | None = None
+
+    def record(self, steps: tuple[Step, ...]) -> None:
+        """Meter all steps backwards, then store darks, frames (brightest emission again at the end) and darks."""
+        for step in steps:
+            if step.label in self._before:
+                self._exposures_s[step], self._rates[step] = self._before[step.label]
+        self._walk([(s, s) for s in steps[::-1] if s not in self._exposures_s], "metering", self._meter)
+        self._prove(steps)
+        longest_s = {step: self._exposures_s[step][0] for step in steps}
+        steps = with_repeat(steps, self._plan.excitation_filter, longest_s)
+        for step in steps:
+            if step.frame_type == "fluorescence repeat":
+                once = replace(step, frame_type="fluorescence")
+                self._exposures_s[step], self._rates[step] = self._exposures_s[once], self._rates[once]
+        used_s = sorted({exposure_s for step in steps for exposure_s in self._exposures_s[step]})
+        lit = [(step, exposure_s) for step in steps for exposure_s in self._exposures_s[step]]
+        before, after = self._darks(steps[0], used_s), self._darks(steps[-1], used_s)
+        missing = self._store.missing(numbered([*before, *lit, *after]))
+        for phase, first, last in (
+            ("dark frames before", 0, len(before)),
+            ("frames", len(before), len(before) + len(lit)),
+            ("dark frames after", len(before) + len(lit), len(before) + len(lit) + len(after)),
+        ):
+            shots = [shot for shot in missing if first <= shot.sequence < last]
+            self._walk([(shot.step, shot) for shot in shots], phase, self._take)
+
+    def white_rates(self) -> tuple[tuple[float, float, float], ...]:
+        """Return the rates of the white tile behind each filter in the order of the plan, DN/s."""
+        return tuple(self._rates[step] for step in self._white)
+
+    def _walk(self, todo: Iterable[tuple[Step, T]], phase: str, act: Callable[[T], None]) -> None:
+        """Do `act` at every step with its target in place and its light on; light off between groups."""
+        todo = list(todo)
+        done = 0
+        for (target, light, tilt_deg, by_hand), group in groupby(todo, key=lambda t: self._setting(t[0])):
+            self._place(target, tilt_deg)
+            if by_hand is not None and self._opened.wheel.position() != by_hand:
+                self._opened.wheel.go_to(by_hand, WHEEL_DEADLINE_S)
+            on_sample = light == "laser" and target == "sample"
+            dose = self._store.dose
+            # The dose begins with the command, and holds the test of a dead-man too.
+            with dose.shining() if on_sample else nullcontext(), shine(self._opened, light):
+                if light == "laser":
+                    self._journal.append("laser on", target=target, sample_dose_j=dose.energy_j())
+                for step, what in group:
+                    act(what)
+                    done += 1
+                    if self._progress is not None:
+                        self._progress(done, len(todo), f"{phase}: {step.label}")
+            if light == "laser":
+                self._journal.append("laser off", target=target, sample_dose_j=dose.energy_j())
+
+    def _setting(self, step: Step) -> tuple[Target, LightState, float, int | None]:
+        """Return what stays while a light is on; a wheel turned by hand is turned in the dark."""
+        by_hand = step.slot if self._rig.filter_wheel.driver == "manual" else None
+        return step.target, step.light, step.tilt_deg, by_hand
+
+    def _place(self, target: Target, tilt_deg: float) -> None:
+        """Ask the operator for a target and, when it changes, for the tilt of the sample."""
+        self._opened.operator.place(target)
+        if tilt_deg != self._tilt_deg:
+            self._opened.operator.tilt(tilt_deg)
+            self._tilt_deg = tilt_deg
+
+    def _darks(self, beside: Step, exposures_s: list[float]) -> list[tuple[Step, float]]:
+        """Return half of the dark frames (rounded up) of every exposure with the box as it is at the step `beside`."""
+        each = (self._plan.darks_per_exposure + 1) // 2
+        dark = replace(beside, frame_type="dark", light="off", filter_name=None)
+        return [(dark, exposure_s) for exposure_s in exposures_s for _ in range(each)]
+
+    def _meter(self, step: Step) -> None:
+        """Find the exposures (s) of a step's bracket, longest first, without repeats."""
+        region = self._store.region if step.light != "room" else (slice(None), slice(None))
+        rates: dict[float, Rates] = {}
+
+        def take(exposure_s: float) -> NDArray[np.uint16]:
+            raw = self._store.camera.expose(step, exposure_s).raw
+            rates[exposure_s] = self._rate(raw.counts, raw.exposure_s)
+            return raw.counts[region]
+
+        metered_s = meter_exposure(
+            take,
+            self._ladder,
+            self._store.full_scale_dn,
+            self._rig.camera.black_level_dn,
+            self._plan.target_fraction,
+            step.label,
+            self._metered_s.get(step.light),
+        )
+        self._metered_s[step.light] = metered_s
+        rungs_s = {rung_at_or_below(self._ladder, metered_s * factor) for factor in self._plan.bracket}
+        self._exposures_s[step], self._rates[step] = sorted(rungs_s, reverse=True), rates[metered_s]
+        self._journal.append(
+            "step", label=step.label, exposures_s=self._exposures_s[step], rates_dn_per_s=rates[metered_s]
+        )
+
+    def _take(self, shot: Shot) -> None:
+        """Take a frame and store it when its signal is that of its step's metering."""
+        self._store.take(shot, lambda raw: self._require_as_metered(shot.step, raw))
+
+    def _require_as_metered(self, step: Step, raw: RawFrame) -> None:
+        """Refuse a frame whose signal is not that of its step's metering."""
+        if step.light in ("off", "room"):
+            return
+        now, metered = self._rate(raw.counts, raw.exposure_s), self._rates[step]
+        visible_dn_per_s = LEAST_SIGNAL_FRACTION * self._store.full_scale_dn / raw.exposure_s
+        for name, rate, before in zip(("red", "green", "blue"), now, metered, strict=True):
+            if before > visible_dn_per_s and not 1 / LARGEST_CHANGE < rate / before < LARGEST_CHANGE:
+                raise CaptureError(
+                    f"camera: {step.label} gives {rate:.3g} DN/s in {name}, at metering it gave {before:.3g} DN/s "
+                    f"(a factor of {LARGEST_CHANGE:g} is allowed): the wheel slipped, the light changed or something "
+                    "moved; put it right and resume the session"
+                )
+
+    def _rate(self, counts: NDArray[np.uint16], exposure_s: float) -> Rates:
+        """Return the mean rates of the region above the black level (DN/s), red, green, blue."""
+        rows, columns = self._store.region
+        rows, columns = slice(rows.start & ~1, rows.stop), slice(columns.start & ~1, columns.stop)
+        part = counts[rows, columns].astype(np.float64) - self._rig.camera.black_level_dn
+        green = 0.5 * (part[0::2, 1::2].mean() + part[1::2, 0::2].mean())
+        red, blue = part[0::2, 0::2].mean(), part[1::2, 1::2].mean()
+        return float(red) / exposure_s, float(green) / exposure_s, float(blue) / exposure_s
+
+    def _prove(self, steps: tuple[Step, ...]) -> None:
+        """Judge from the metered rates whether the wheel holds the filters that the rig file names."""
+        self._white = tuple(step for step in steps if step.frame_type == "white")
+        measured = np.array(self.white_rates())
+        known = {f.name: f for f in self._rig.filter_wheel.filters}
+        filters = [known[str(step.filter_name)] for step in self._white]
+        opened = self._opened
+        predicted = predicted_rates(filters, opened.filter_curves, opened.lamp_spectrum, opened.camera_response)
+        names = [f.name for f in filters]
+        line = self._laser_line(steps, filters)
+        excitation = self._plan.excitation_filter
+        self.proof = judge_filters(
+            names,
+            measured,
+            predicted,
+            lambda: self._rates_in_the_dark(self._white[0]),
+            [frozenset((excitation, other)) for other in line.not_exchanged()],
+        )
+        if self.proof.verdict != "contradicted":
+            under_laser = {str(s.filter_name): s for s in steps if s.frame_type == "fluorescence"}
+            shown = line.judge(lambda name: self._rates_in_the_dark(under_laser[name]))
+            verdict = shown.verdict if shown.verdict == "contradicted" else self.proof.verdict
+            self.proof = FilterProof(verdict=verdict, text=f"{self.proof.text}; {shown.text}")
+        if self._last_good is not None and self.proof.verdict != "contradicted":
+            repeated = compare_with_last(names, measured, self._last_good)
+            if repeated.verdict == "cannot tell":
+                repeated = FilterProof(verdict=self.proof.verdict, text=f"{self.proof.text}; {repeated.text}")
+            self.proof = repeated
+        self._journal.append("filter proof", verdict=self.proof.verdict, text=self.proof.text)
+        if self.proof.verdict == "contradicted":
+            raise WrongPositionError(f"filter wheel: {self.proof.text}")
+
+    def _laser_line(self, steps: tuple[Step, ...], filters: Sequence[BandPassFilter]) -> LaserLine:
+        """Return what the metered rates under the laser say, in the order of the filters."""
+        rates = {(s.frame_type, s.filter_name): self._rates[s] for s in steps if s.light == "laser"}
+        excitation = self._plan.excitation_filter
+        return LaserLine(
+            filters,
+            excitation,
+            self._rig.laser.wavelength_nm,
+            self._opened.filter_curves,
+            self._opened.camera_response,
+            rates["laser white", excitation],
+            [rates["fluorescence", f.name] for f in filters],
+        )
+
+    def _rates_in_the_dark(self, lit: Step) -> Rates:
+        """Return the rates of a step with its light off (DN/s)."""
+        self._place(lit.target, lit.tilt_deg)
+        dark, exposure_s = replace(lit, frame_type="dark", light="off"), self._exposures_s[lit][0]
+        with shine(self._opened, "off"):
+            raw = self._store.camera.expose(dark, exposure_s).raw
+        return self._rate(raw.counts, raw.exposure_s)
+
+
+def capture_paint_session(
+    rig: RigFile,
+    plan: PaintPlan,
+    rig_folder: Path,
+    out: Path,
+    command: str,
+    progress: Progress | None = None,
+    *,
+    operator: Operator | None = None,
+    interrupted: Interrupted | None = None,
+    last_good: CaptureSession | None = None,
+    sources: Mapping[str, str] | None = None,
+) -> CaptureSession:
+    """Capture a paint session into the folder `out`: frames, journal, ``session.json`` and checksums.
+
+    Metering frames are not stored. Half of ``plan.darks_per_exposure`` (rounded up) is taken before and as many
+    after the other frames, for every exposure that they use.
+
+    Parameters
+    ----------
+    rig, plan
+        The rig and what to capture on it.
+    rig_folder
+        Where relative paths in the rig file start.
+    out
+        New or empty folder, or that of the interrupted session.
+    command
+        The command line that reproduces the session.
+    progress
+        Called with (done, total, text) after every metered step and every frame; it counts within the phase
+        that the text names.
+    operator
+        Who places targets; a person at the terminal when left out.
+    interrupted
+        What is done already, when a session is resumed.
+    last_good
+        An earlier session on this rig whose white frames these must resemble.
+    sources
+        Path -> SHA-256 of the files that plan and rig were read from, for the provenance.
+
+    Raises
+    ------
+    CaptureError
+        The plan does not fit the rig, the folder is not empty, a device did not do what was asked, or the frames
+        contradict the wheel.
+    RefusedError
+        The laser is of class 3R or above, and nothing outside the computer switches it off.
+    SaturatedError
+        A step is too bright at the camera's shortest exposure.
+    """
+    require_outside_layer(rig.laser)
+    steps, curves = paint_steps(plan, rig), curve_files(rig, rig_folder)
+    if interrupted is None:
+        require_empty(out)
+    with rig_locked(rig), open_rig(rig, rig_folder, operator) as opened:
+        inputs = curve_digests(curves, rig_folder)
+        if interrupted is not None:
+            require_same_inputs(interrupted, inputs)
+        return capture_with(
+            opened, rig, plan, steps, out, inputs, command, progress, interrupted, last_good, rig_folder, sources
+        )
+
+
+def capture_with(
+    opened: OpenRig,
+    rig: RigFile,
+    plan: PaintPlan,
+    steps: tuple[Step, ...],
+    out: Path,
+    inputs: dict[str, str],
+    command: str,
+    progress: Progress | None = None,
+    interrupted: Interrupted | None = None,
+    last_good: CaptureSession | None = None,
+    rig_folder: Path = Path(),
+    sources: Mapping[str, str] | None = None,
+) -> CaptureSession:
+    """Capture the `steps` of a paint session with devices that are open already."""
+    out.mkdir(parents=True, exist_ok=True)
+    camera = opened.camera.identity()
+    if interrupted is not None:
+        require_same_camera(interrupted, camera)
+        opened = replace(opened, clock=interrupted.clock_after(opened.clock))
+    with Journal(out, opened.clock, resumed=interrupted is not None) as journal:
+        if interrupted is None:
+            write_start(journal, plan, rig, rig_folder, inputs, command, camera, sources)
+        else:
+            take_over(out, interrupted)
+            journal.append("resume", frames=len(interrupted.frames), sample_dose_j=interrupted.dose_j)
+        for note in opened.notes:
+            journal.append("note", text=note)
+        with FrameStore(opened, rig, plan.region, out, journal, interrupted) as store:
+            recorder = PaintRecorder(opened, rig, plan, store, journal, progress, interrupted, last_good)
+            recorder.record(steps)
+        session = CaptureSession(
+            plan=plan,
+            rig=rig,
+            camera_response=opened.camera_response,
+            filter_curves=dict(opened.filter_curves),
+            lamp=opened.lamp_spectrum,
+            frames=store.frames,
+            devices=opened.identities(),
+            filter_proof=recorder.proof,
+            white_rates_dn_per_s=recorder.white_rates(),
+            notes=(*opened.notes, *colour_notes(store.frames), *resume_notes(interrupted)),
+        )
+        noted = dict(sources or {}) if interrupted is None else interrupted.sources
+        write_session(session, out, {**noted, **inputs}, command, journal)
+    write_manifest(out)
+    return session
+
+
+def colour_notes(frames: Iterable[Frame]) -> tuple[str, ...]:
+    """Return what must be known of a camera that says of itself that it sees no colours."""
+    formats = sorted({str(frame.settings.get("pixel_format", "")) for frame in frames})
+    mono = [name for name in formats if name.lower().startswith("mono")]
+    if not mono:
+        return ()
+    return (
+        f"camera: its frames are {', '.join(mono)}, and radiometry takes them for Bayer RGGB: red, green and blue will "
+        "be one and the same response, and only the filters tell wavelengths apart; for a colour camera choose its raw "
+        "Bayer pixel format",
+    )
+
+
+WHEEL_MOVE_S = 1.0  # to a neighbouring slot: the slowest of the usual wheels
+METERING_FRAMES = 4  # a step, typically
+LIT_SESSION_EXPOSURE_S = 0.5  # typical mean exposure; what it really is only metering tells
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """What a session will take.
+
+    Attributes
+    ----------
+    steps, most_frames
+        Steps, and frames if every step needs other exposures than the rest.
+    targets
+        How often the operator is asked for another target.
+    moves
+        Moves of the wheel.
+    disk_bytes
+        Space on disk for `most_frames`.
+    typical_s, longest_s
+        Duration with typical exposures, and if every frame took the camera's longest (s); operator not counted.
+    """
+
+    steps: int
+    most_frames: int
+    targets: int
+    moves: int
+    disk_bytes: int
+    typical_s: float
+    longest_s: float
+
+
+def forecast(plan: PaintPlan, rig: RigFile, steps: Sequence[Step]) -> Forecast:
+    """Return what a paint session of these steps will take.
+
+    Parameters
+    ----------
+    plan, rig
+        The plan and the rig that `steps` were listed for.
+    steps
+        Steps of the session.
+    """
+    rungs = len(exposure_ladder(rig.camera.shortest_exposure_s, rig.camera.longest_exposure_s))
+    lit = (len(steps) + 1) * len(plan.bracket)
+    darks = 2 * ((plan.darks_per_exposure + 1) // 2) * min(rungs, lit)
+    moves = 2 * sum(a.slot != b.slot for a, b in pairwise(steps))
+    frames, metering = lit + darks, METERING_FRAMES * len(steps)
+    return Forecast(
+        steps=len(steps),
+        most_frames=frames,
+        targets=2 * len(list(groupby(steps, key=lambda step: step.target))) - 1,
+        moves=moves,
+        disk_bytes=BYTES_PER_PIXEL * rig.camera.width_px * rig.camera.height_px * frames,
+        typical_s=moves * WHEEL_MOVE_S + (frames + metering) * LIT_SESSION_EXPOSURE_S,
+        longest_s=moves * WHEEL_MOVE_S + (frames + metering) * rig.camera.longest_exposure_s,
+    )
+
+
+def require_ready(opened: OpenRig, steps: Sequence[Step]) -> None:
+    """Check the open devices against the steps: slots exist, lights are off.
+
+    Raises
+    ------
+    CaptureError
+        The wheel lacks a slot, or a light is on.
+    """
+    lost = sorted({step.slot for step in steps if step.slot is not None} - set(opened.wheel.slots))
+    if lost:
+        raise CaptureError(
+            f"filter wheel: has no slot {lost[0]}; its slots are {', '.join(map(str, opened.wheel.slots))}: correct "
+            "the slots of the rig file, or split the plan into sessions with fewer filters"
+        )
+    for name, light in (("lamp", opened.lamp), ("laser", opened.laser)):
+        if light.state():
+            raise CaptureError(f"{name}: is on although nobody asked; switch it off and look at its controller")

@@ -1,0 +1,281 @@
+"""What an interrupted session left: replayed from its journal, so that only what is missing is captured.
+
+Curve files and camera must be as they were when the session began.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from pydantic import ValidationError
+
+from data_schemas import CaptureError, DeviceIdentity, Frame, Record, RecordError, RigFile, explain
+from data_schemas.storage import migrate, sha256_of
+from rigs import Clock
+from rigs.capture._journal import JOURNAL_NAME, read_journal
+from rigs.capture._session_folder import SESSION_NAME, clear_session
+
+ORPHANS = "set-aside"
+P = TypeVar("P", bound=Record)
+
+
+@dataclass(frozen=True, slots=True)
+class LaterClock:
+    """A clock whose monotonic time goes on where the interrupted part of a session stopped."""
+
+    clock: Clock
+    ahead_s: float
+
+    def utc(self) -> str:
+        """Return the time of day, ISO 8601, UTC."""
+        return self.clock.utc()
+
+    def monotonic_s(self) -> float:
+        """Return the seconds of the whole session's time axis."""
+        return self.clock.monotonic_s() + self.ahead_s
+
+
+@dataclass(frozen=True, slots=True)
+class Interrupted:
+    """The part of a session that is done.
+
+    Attributes
+    ----------
+    start
+        First line of the journal: command, kind, plan, rig, folder of the rig file, checksums of its curves.
+    frames
+        Stored frames whose files are there and unchanged, by number.
+    metered
+        Exposures (s) of the metered steps and their rates (DN/s), by the label of the step.
+    dose_j
+        Laser light that fell on the sample (J).
+    levels
+        What a camera session decided after metering; None before.
+    ended_s, ended_utc
+        Time of the last line.
+    lines
+        Number of lines of the journal.
+    """
+
+    start: dict[str, Any]
+    frames: dict[int, Frame] = field(default_factory=dict)
+    metered: dict[str, tuple[list[float], tuple[float, float, float]]] = field(default_factory=dict)
+    dose_j: float = 0.0
+    levels: dict[str, Any] | None = None
+    ended_s: float = 0.0
+    ended_utc: str = ""
+    lines: int = 0
+
+    @property
+    def kind(self) -> str:
+        """Kind of the session's plan."""
+        return str(self.start["kind"])
+
+    @property
+    def sources(self) -> dict[str, str]:
+        """Path -> SHA-256 of the files that plan and rig were read from."""
+        return dict(self.start.get("sources", {}))
+
+    @property
+    def rig_folder(self) -> Path:
+        """Where relative paths in the rig file start."""
+        return Path(str(self.start["rig_folder"]))
+
+    def plan(self, kind: type[P]) -> P:
+        """Return the plan of the session.
+
+        Raises
+        ------
+        CaptureError
+            It is none of today's: another version of finray began the session.
+        """
+        return _as_today("plan", self.start, kind)
+
+    def rig(self) -> RigFile:
+        """Return the rig of the session.
+
+        Raises
+        ------
+        CaptureError
+            It is none of today's: another version of finray began the session.
+        """
+        return _as_today("rig", self.start, RigFile)
+
+    def clock_after(self, clock: Clock) -> LaterClock:
+        """Return a clock that goes on after the interruption; the pause is taken from the time of day, if it grew."""
+        paused_s = (datetime.fromisoformat(clock.utc()) - datetime.fromisoformat(self.ended_utc)).total_seconds()
+        return LaterClock(clock, self.ended_s + max(paused_s, 0.0) - clock.monotonic_s())
+
+
+def read_interrupted(folder: Path) -> Interrupted:
+    """Replay the journal of an interrupted session and re-hash its frames; nothing is changed.
+
+    Frames that are missing, changed or without a line in the journal count as not taken: see :func:`take_over`.
+
+    Raises
+    ------
+    CaptureError
+        The session is finished, or its journal does not say how it began.
+    """
+    if (folder / SESSION_NAME).exists():
+        raise CaptureError(f"{folder}: is finished already ({SESSION_NAME} is there); nothing is left to resume")
+    lines = read_journal(folder)
+    start = next((line for line in lines if line["event"] == "start"), None)
+    if start is None or not {"kind", "plan", "rig", "rig_folder", "inputs"} <= start.keys():
+        raise CaptureError(
+            f"{folder / JOURNAL_NAME}: does not say how the session began; capture it again into another folder"
+        )
+    rig_camera = start["rig"].get("camera", {}) if isinstance(start["rig"], dict) else {}
+    if rig_camera.get("driver") == "folder":
+        raise CaptureError(
+            f"{folder}: replays a folder of images, which would begin again at its first; capture the session again"
+        )
+    frames = dict(_good_frames(folder, lines))
+    try:
+        interrupted = _replayed(start, frames, lines)
+    except (KeyError, TypeError, ValueError):
+        raise CaptureError(
+            f"{folder / JOURNAL_NAME}: holds lines that finray did not write; restore it, or capture the session again "
+            "into another folder"
+        ) from None
+    return interrupted
+
+
+def _replayed(start: dict[str, Any], frames: dict[int, Frame], lines: list[dict[str, Any]]) -> Interrupted:
+    """Return what the lines of a journal say."""
+    doses_j = [float(line.get("sample_dose_j", line.get("laser_dose_j", 0.0))) for line in lines]
+    return Interrupted(
+        start=start,
+        frames=frames,
+        metered={
+            line["label"]: ([float(t) for t in line["exposures_s"]], _rates(line["rates_dn_per_s"]))
+            for line in lines
+            if line["event"] == "step" and "rates_dn_per_s" in line
+        },
+        dose_j=max(doses_j),
+        levels=next((line for line in lines if line["event"] == "levels"), None),
+        ended_s=float(lines[-1]["monotonic_s"]),
+        ended_utc=datetime.fromisoformat(lines[-1]["utc"]).astimezone(UTC).isoformat(),
+        lines=len(lines),
+    )
+
+
+def _rates(values: Iterable[float]) -> tuple[float, float, float]:
+    """Return the rates of red, green and blue (DN/s)."""
+    red, green, blue = values
+    return float(red), float(green), float(blue)
+
+
+def begun_with(what: Literal["plan", "rig"], start: dict[str, Any], kind: type[P]) -> P:
+    """Return the plan or rig that the first line of a journal holds, migrated to today's version.
+
+    Raises
+    ------
+    ValidationError
+        It does not fit.
+    RecordError
+        It is of a version that cannot be migrated.
+    """
+    version = start.get("schema_versions", {}).get(what, 1)
+    return kind.model_validate(migrate(Path(JOURNAL_NAME), kind, version, dict(start[what])))
+
+
+def _as_today(what: Literal["plan", "rig"], start: dict[str, Any], kind: type[P]) -> P:
+    """Return a plan or rig of a journal as a record of today."""
+    try:
+        return begun_with(what, start, kind)
+    except RecordError as error:
+        raise CaptureError(f"{error}; resume with the version that began the session, or capture it again") from None
+    except ValidationError as error:
+        raise CaptureError(
+            f"{JOURNAL_NAME}: the {what} in its first line is none of this version of finray ({explain(error, kind)}); "
+            "resume with the version that began the session, or capture it again"
+        ) from None
+
+
+def take_over(folder: Path, interrupted: Interrupted) -> None:
+    """Move the frame files that nothing vouches for into the folder "set-aside"; the journal must be ours by now.
+
+    Raises
+    ------
+    CaptureError
+        The session went on since it was read.
+    """
+    if (folder / SESSION_NAME).exists() or len(read_journal(folder)) != interrupted.lines:
+        raise CaptureError(f"{folder}: another capture went on with this session meanwhile; look at what it did")
+    clear_session(folder)
+    _set_aside(folder, {frame.file for frame in interrupted.frames.values()})
+
+
+def resume_notes(interrupted: Interrupted | None) -> tuple[str, ...]:
+    """Return what the user of a resumed session should know."""
+    if interrupted is None:
+        return ()
+    return (
+        f"interrupted after {len(interrupted.frames)} frames and resumed: lamp, laser and temperature may have changed "
+        "between, and the laser dose leaves out what shone between the last stored frame and the interruption",
+    )
+
+
+def _good_frames(folder: Path, lines: list[dict[str, Any]]) -> Iterable[tuple[int, Frame]]:
+    """Yield number and record of every frame whose file is there and unchanged."""
+    for line in lines:
+        if line["event"] != "frame":
+            continue
+        try:
+            frame = Frame.model_validate({k: v for k, v in line.items() if k in Frame.model_fields})
+        except ValidationError:
+            continue
+        path = folder / frame.file
+        if path.is_file() and not path.is_symlink() and sha256_of(path) == frame.sha256:
+            yield frame.sequence, frame
+
+
+def _set_aside(folder: Path, known: set[str]) -> None:
+    """Move frame files that nothing vouches for out of the way; nothing is deleted."""
+    for path in sorted((folder / "frames").glob("*")):
+        if path.relative_to(folder).as_posix() not in known:
+            aside = folder / ORPHANS
+            aside.mkdir(exist_ok=True)
+            count = len(list(aside.iterdir()))
+            path.rename(aside / f"{count:04d}_{path.name.lstrip('.')}")
+
+
+def require_same_inputs(interrupted: Interrupted, inputs: dict[str, str]) -> None:
+    """Refuse to go on with other curves than the session began with.
+
+    Raises
+    ------
+    CaptureError
+        A curve file changed.
+    """
+    before: dict[str, str] = interrupted.start["inputs"]
+    changed = sorted(name for name in before.keys() | inputs.keys() if before.get(name) != inputs.get(name))
+    if changed:
+        raise CaptureError(
+            f"{changed[0]}: changed since the session began; restore the file, or capture the session again"
+        )
+
+
+def require_same_camera(interrupted: Interrupted, camera: DeviceIdentity) -> None:
+    """Refuse to go on with another camera than the session began with: an address may have another behind it now.
+
+    Raises
+    ------
+    CaptureError
+        Another camera answers; sessions of old versions do not say which it was.
+    """
+    before = interrupted.start.get("camera")
+    if before is not None and _named(before) != _named(camera.model_dump()):
+        raise CaptureError(
+            f"camera: {_named(camera.model_dump())} answers now; the session began with {_named(before)}: connect that "
+            "one, or capture the session again"
+        )
+
+
+def _named(camera: Any) -> str:
+    """Return a camera in words; a new firmware does not make it another."""
+    said = camera if isinstance(camera, dict) else {}
+    return f"{said.get('vendor', '')} {said.get('model', '')} (serial '{said.get('serial', '')}')".strip()

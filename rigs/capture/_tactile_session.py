@@ -1,0 +1,490 @@
+"""Capture of a tactile session: board, no contact, and each press between images of no contact.
+
+Its frames become the tactile capture of each contact; an interrupted session is replayed from its journal.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from data_schemas import (
+    CaptureError,
+    DeviceIdentity,
+    PlannedPress,
+    RecordError,
+    TactileCapture,
+    TactileFrame,
+    TactilePlan,
+    TactileRig,
+    TactileSession,
+    provenance,
+)
+from data_schemas.storage import read_frame, sha256_of, write_frame, write_manifest, write_record
+from rigs import Camera, Clock, Operator, SystemClock, TerminalOperator, device_locked, open_camera
+from rigs.capture._exposure import TactileCamera, saturated_fraction
+from rigs.capture._frame_store import BYTES_PER_PIXEL, require_space
+from rigs.capture._journal import JOURNAL_NAME, Journal, read_journal
+from rigs.capture._plan import TactileShot, instruction, press_of, tactile_shots
+from rigs.capture._resume import ORPHANS, begun_with
+from rigs.capture._session_folder import SESSION_NAME, clear_session, require_empty, write_session
+
+Triple = tuple[TactileFrame, TactileFrame, TactileFrame]
+MOST_SATURATED_FRACTION = 1e-3
+"""A glint may saturate; a larger clipped part hides the press."""
+
+
+def capture_file(contact: int) -> str:
+    """Return the name of the record of a contact (from 1)."""
+    return f"press-{contact:03d}.json"
+
+
+def tactile_capture(
+    folder: Path,
+    plan: TactilePlan,
+    rig: TactileRig,
+    press: PlannedPress,
+    contact: int,
+    frames: Sequence[TactileFrame],
+) -> TactileCapture:
+    """Return the images of one contact: those of the longest exposure at which hardly anything saturates.
+
+    The no-contact image is the last one before, its repeat the first one after the contact.
+
+    Parameters
+    ----------
+    folder
+        Folder of the session.
+    plan, rig, press
+        What was captured with what.
+    contact
+        Number of the contact, from 1.
+    frames
+        All frames of the session.
+
+    Raises
+    ------
+    CaptureError
+        A frame of the contact is missing.
+    ChecksumError
+        A frame was changed.
+    """
+    triples = _triples(frames, contact)
+    bracket_s = tuple(sorted(triples))
+    if not bracket_s:
+        raise CaptureError(f"{folder}: holds no whole set of frames of contact {contact}; capture it again")
+    shown, before, after = _best(triples)
+    images = [_image(folder, frame) for frame in (shown, before, after)]
+    raw = images[0].shape[2] == 1
+    read_black_dn = shown.settings.get("black_level_dn", rig.camera.black_level_dn)
+    return TactileCapture(
+        name=f"{plan.name}, press {press_of(contact, plan.repeats) + 1}, contact {contact}",
+        contact=images[0],
+        no_contact=images[1],
+        repeat_no_contact=images[2],
+        layout="Bayer RGGB" if raw else "RGB",
+        encoding="linear" if raw else "unknown",
+        bit_depth=rig.camera.bit_depth,
+        black_level_dn=float(read_black_dn) if raw else 0.0,
+        exposure_s=shown.exposure_s,
+        light_angle_deg=plan.light_angle_deg,
+        light_angle_uncertainty_deg=plan.light_angle_uncertainty_deg,
+        led_current_ma=plan.led_current_ma,
+        exposure_bracket_s=bracket_s if len(bracket_s) > 1 else (),
+        indenter=press.pose(plan.indenter),
+        contact_circle=None,
+        mm_per_px=plan.mm_per_px,
+        mm_per_px_u_rel=plan.mm_per_px_u_rel,
+        rig=f"{rig.name}, {rig.camera.driver} {rig.camera.address}, {plan.design}",
+        source=f"tactile session '{folder.resolve().name}', {plan.design}, camera {rig.camera.driver}, frame "
+        f"{shown.sequence} at {shown.captured_utc}",
+    )
+
+
+def clipping_notes(frames: Sequence[TactileFrame], contacts: int) -> tuple[str, ...]:
+    """Name the contacts that are clipped even at the shortest exposure of the session."""
+    notes = []
+    for contact in range(1, contacts + 1):
+        clipped = max(frame.saturated_fraction for frame in _best(_triples(frames, contact)))
+        if clipped > MOST_SATURATED_FRACTION:
+            notes.append(
+                f"contact {contact}: {100 * clipped:.1f} % of an image is clipped at the shortest exposure; "
+                "comparisons leave these pixels out: add shorter exposures, or dim the LEDs"
+            )
+    return tuple(notes)
+
+
+def _best(triples: dict[float, Triple]) -> Triple:
+    """Return the images of the longest exposure at which hardly anything saturates, else of the shortest one."""
+    good = [
+        asked_s
+        for asked_s, images in triples.items()
+        if max(frame.saturated_fraction for frame in images) <= MOST_SATURATED_FRACTION
+    ]
+    return triples[max(good) if good else min(triples)]
+
+
+def _triples(frames: Sequence[TactileFrame], contact: int) -> dict[float, Triple]:
+    """Return contact, no contact before and no contact after for each exposure that was asked for."""
+
+    def of(frame_type: str, place: int) -> dict[float, list[TactileFrame]]:
+        found: dict[float, list[TactileFrame]] = {}
+        for frame in frames:
+            if (frame.frame_type, frame.place) == (frame_type, place):
+                found.setdefault(frame.exposure_requested_s, []).append(frame)
+        return found
+
+    shown, before, after = of("contact", contact), of("no contact", contact - 1), of("no contact", contact)
+    return {t: (shown[t][0], before[t][-1], after[t][0]) for t in shown.keys() & before.keys() & after.keys()}
+
+
+def _image(folder: Path, frame: TactileFrame) -> NDArray[np.uint16]:
+    """Return a stored frame as (rows, columns, samples)."""
+    path = folder / frame.file
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise RecordError(f"{path}: leads out of the session's folder; frames must be plain files inside it")
+    image = read_frame(path, frame.sha256)
+    return image[..., None] if image.ndim == 2 else image
+
+
+KIND = "tactile"
+
+
+@dataclass(frozen=True, slots=True)
+class InterruptedPresses:
+    """The part of a tactile session that is done.
+
+    Attributes
+    ----------
+    plan, rig, presses
+        As the session began.
+    rig_folder
+        Where relative paths in the rig file start.
+    frames
+        Stored frames whose files are there and unchanged, by number: those of whole groups only, since a press that
+        is done again is another press.
+    device
+        The camera that took them; None where the journal does not say it.
+    lines
+        Number of lines of the journal.
+    sources
+        Path -> SHA-256 of the files that plan, poses and rig were read from.
+    """
+
+    plan: TactilePlan
+    rig: TactileRig
+    presses: tuple[PlannedPress, ...]
+    rig_folder: Path
+    frames: dict[int, TactileFrame]
+    device: DeviceIdentity | None
+    lines: int
+    sources: dict[str, str]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user of the resumed session should know."""
+        return (
+            f"interrupted after {len(self.frames)} frames and resumed: the light and the gel may have changed between "
+            "the contact before the interruption and the image of no contact after it",
+        )
+
+
+def is_tactile(folder: Path) -> bool:
+    """Whether the interrupted session in `folder` is a tactile one.
+
+    Raises
+    ------
+    CaptureError
+        There is no journal.
+    """
+    return any(line["event"] == "start" and line.get("kind") == KIND for line in read_journal(folder))
+
+
+def read_interrupted_presses(folder: Path) -> InterruptedPresses:
+    """Replay the journal of an interrupted tactile session and re-hash its frames; nothing is changed.
+
+    Raises
+    ------
+    CaptureError
+        The session is finished, its journal does not say how it began, or it replays a folder of images.
+    """
+    if (folder / SESSION_NAME).exists():
+        raise CaptureError(f"{folder}: is finished already ({SESSION_NAME} is there); nothing is left to resume")
+    lines = read_journal(folder)
+    try:
+        start = next(line for line in lines if line["event"] == "start" and line.get("kind") == KIND)
+        plan, rig = begun_with("plan", start, TactilePlan), begun_with("rig", start, TactileRig)
+        presses = tuple(PlannedPress.model_validate(press) for press in start["presses"])
+        rig_folder = Path(start["rig_folder"])
+        device = DeviceIdentity.model_validate(start["device"]) if "device" in start else None
+    except (StopIteration, KeyError, TypeError, ValidationError):
+        raise CaptureError(
+            f"{folder / JOURNAL_NAME}: does not say how the session began; capture it again into another folder"
+        ) from None
+    if rig.camera.driver == "folder":
+        raise CaptureError(
+            f"{folder}: replays a folder of images, which would begin with its first image again; capture it again "
+            "into another folder"
+        )
+    good = {}
+    for line in lines:
+        frame = _frame(line) if line["event"] == "frame" else None
+        if frame is not None and _is_unchanged(folder, frame):
+            good[frame.sequence] = frame
+    shots = tactile_shots(plan, rig.camera, len(presses))
+    wanted = Counter(shot.group for shot in shots)
+    there = Counter(shot.group for shot in shots if shot.sequence in good)
+    whole = {shot.sequence: good[shot.sequence] for shot in shots if there[shot.group] == wanted[shot.group]}
+    return InterruptedPresses(plan, rig, presses, rig_folder, whole, device, len(lines), start.get("sources", {}))
+
+
+def take_over(folder: Path, interrupted: InterruptedPresses, device: DeviceIdentity) -> None:
+    """Move what will be made anew into the folder "set-aside": other frames, and captures; the journal must be ours.
+
+    Raises
+    ------
+    CaptureError
+        The session went on since it was read, or another camera answers now.
+    """
+    if (folder / SESSION_NAME).exists() or len(read_journal(folder)) != interrupted.lines:
+        raise CaptureError(f"{folder}: another capture went on with this session meanwhile; look at what it did")
+    if interrupted.device not in (None, device):
+        raise CaptureError(
+            f"camera: {device.model} (serial '{device.serial}') answers now; the session began with "
+            f"{interrupted.device}: connect that one, or capture the session again"
+        )
+    clear_session(folder)
+    known = {folder / frame.file for frame in interrupted.frames.values()}
+    frames = [path for path in sorted((folder / "frames").glob("*")) if path not in known]
+    for path in (*frames, *sorted(folder.glob("press-*"))):
+        aside = folder / ORPHANS
+        aside.mkdir(exist_ok=True)
+        path.rename(aside / f"{len(list(aside.iterdir())):04d}_{path.name.lstrip('.')}")
+
+
+def _frame(line: dict[str, object]) -> TactileFrame | None:
+    """Return the record of a frame; None where the line is no such record."""
+    try:
+        return TactileFrame.model_validate({k: v for k, v in line.items() if k in TactileFrame.model_fields})
+    except ValidationError:
+        return None
+
+
+def _is_unchanged(folder: Path, frame: TactileFrame) -> bool:
+    """Whether the file of a frame is there as it was written."""
+    path = folder / frame.file
+    return path.is_file() and not path.is_symlink() and sha256_of(path) == frame.sha256
+
+
+Progress = Callable[[int, int, str], None]
+SAMPLES_OF_RGB = 3
+IMAGES_OF_A_CAPTURE = 3
+
+
+def capture_tactile_session(
+    rig: TactileRig,
+    plan: TactilePlan,
+    presses: tuple[PlannedPress, ...],
+    folders: tuple[Path, Path],
+    command: str,
+    progress: Progress | None = None,
+    *,
+    operator: Operator | None = None,
+    interrupted: InterruptedPresses | None = None,
+    sources: Mapping[str, str] | None = None,
+) -> TactileSession:
+    """Capture a tactile session: frames, journal, a tactile capture of each contact, ``session.json``, checksums.
+
+    Parameters
+    ----------
+    rig, plan
+        The camera and what to capture with it.
+    presses
+        Those of the plan or of its file of poses (:func:`~rigs.capture.planned_presses`).
+    folders
+        Where relative paths in the rig file start, and the session's folder: new, empty or that of the interrupted
+        session.
+    command
+        The command line that reproduces the session.
+    progress
+        Called with (done, total, text) after every frame.
+    operator
+        Who presses; a person at the terminal when left out.
+    interrupted
+        What is done already, when a session is resumed.
+    sources
+        Path -> SHA-256 of the files that plan, poses and rig were read from, for the provenance.
+
+    Raises
+    ------
+    CaptureError
+        The plan does not fit the rig, the folder is not empty, another capture uses the camera, or the camera did not
+        do what was asked.
+    """
+    rig_folder, out = folders
+    shots = tactile_shots(plan, rig.camera, len(presses))
+    if interrupted is None:
+        require_empty(out)
+    with (
+        device_locked("camera", rig.camera.driver, rig.camera.address),
+        open_camera(rig.camera, rig_folder) as camera,
+    ):
+        out.mkdir(parents=True, exist_ok=True)
+        clock = SystemClock()
+        with Journal(out, clock, resumed=interrupted is not None) as journal:
+            recorder = _Recorder(
+                camera, rig, plan, presses, out, journal, clock, operator or TerminalOperator(), progress
+            )
+            device = camera.identity()
+            if interrupted is None:
+                _write_start(journal, rig, plan, presses, rig_folder, command, device, sources or {})
+            else:
+                take_over(out, interrupted, device)
+                recorder.frames.update(interrupted.frames)
+                journal.append("resume", frames=len(interrupted.frames))
+            recorder.record(shots)
+            notes = interrupted.notes if interrupted else ()
+            session = _session_of(plan, rig, presses, recorder.frames, device, notes)
+            _write_captures(session, out, command)
+            noted = dict(sources or {}) if interrupted is None else interrupted.sources
+            write_session(session, out, noted, command, journal)
+    write_manifest(out)
+    return session
+
+
+def _session_of(
+    plan: TactilePlan,
+    rig: TactileRig,
+    presses: tuple[PlannedPress, ...],
+    frames_by_number: Mapping[int, TactileFrame],
+    device: DeviceIdentity,
+    notes: tuple[str, ...],
+) -> TactileSession:
+    """Return the record of a session all of whose frames are there."""
+    frames = tuple(frame for _, frame in sorted(frames_by_number.items()))
+    contacts = len(presses) * plan.repeats
+    return TactileSession(
+        plan=plan,
+        rig=rig,
+        presses=presses,
+        frames=frames,
+        captures=tuple(capture_file(contact) for contact in range(1, contacts + 1)),
+        devices=(device,),
+        notes=(*notes, *clipping_notes(frames, contacts)),
+    )
+
+
+def _write_start(
+    journal: Journal,
+    rig: TactileRig,
+    plan: TactilePlan,
+    presses: Sequence[PlannedPress],
+    folder: Path,
+    command: str,
+    device: DeviceIdentity,
+    sources: Mapping[str, str],
+) -> None:
+    """Write the first line of the journal: everything that a resumed session needs."""
+    journal.append(
+        "start",
+        command=command,
+        kind=KIND,
+        plan=plan.model_dump(mode="json"),
+        rig=rig.model_dump(mode="json"),
+        rig_folder=str(folder.resolve()),
+        presses=[press.model_dump(mode="json") for press in presses],
+        device=device.model_dump(mode="json"),
+        sources=dict(sources),
+        schema_versions={"plan": plan.schema_version, "rig": rig.schema_version},
+    )
+
+
+def _write_captures(session: TactileSession, out: Path, command: str) -> None:
+    """Write the tactile capture of each contact."""
+    for contact, name in enumerate(session.captures, 1):
+        press = session.presses[press_of(contact, session.plan.repeats)]
+        capture = tactile_capture(out, session.plan, session.rig, press, contact, session.frames)
+        groups = (("no contact", contact - 1), ("contact", contact), ("no contact", contact))
+        used = {frame.file: frame.sha256 for frame in session.frames if (frame.frame_type, frame.place) in groups}
+        write_record(capture, out / name, provenance(command, used, None))
+
+
+def session_bytes(rig: TactileRig, plan: TactilePlan, presses: int, frames: int) -> int:
+    """Return the space on the disk (bytes) of so many frames and of the captures made of them."""
+    camera = rig.camera
+    samples = SAMPLES_OF_RGB if camera.driver == "mjpeg" else 1
+    images = frames + IMAGES_OF_A_CAPTURE * presses * plan.repeats
+    return images * camera.width_px * camera.height_px * samples * BYTES_PER_PIXEL
+
+
+class _Recorder:
+    """Takes and stores the frames of one session."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        rig: TactileRig,
+        plan: TactilePlan,
+        presses: tuple[PlannedPress, ...],
+        out: Path,
+        journal: Journal,
+        clock: Clock,
+        operator: Operator,
+        progress: Progress | None,
+    ):
+        self._plan, self._presses, self._out, self._journal = plan, presses, out, journal
+        self._clock, self._operator, self._progress = clock, operator, progress
+        self._rig = rig
+        self._camera = TactileCamera(
+            camera, rig.camera, len(plan.bracket_s(rig.camera)) == 1, lambda text: journal.append("refused", text=text)
+        )
+        self.frames: dict[int, TactileFrame] = {}
+
+    def record(self, shots: tuple[TactileShot, ...]) -> None:
+        """Have everything done that needs hands, and take the frames that are missing."""
+        missing = [shot for shot in shots if shot.sequence not in self.frames]
+        require_space(self._out, session_bytes(self._rig, self._plan, len(self._presses), len(missing)))
+        for _, group in groupby(missing, key=lambda shot: shot.group):
+            todo = list(group)
+            self._operator.do(instruction(todo[0], self._plan, self._presses))
+            for shot in todo:
+                self._take(shot)
+                if self._progress is not None:
+                    self._progress(len(self.frames), len(shots), shot.label)
+
+    def _take(self, shot: TactileShot) -> None:
+        """Take a frame, write it, then its line of the journal."""
+        raw, attempts = self._camera.expose(shot.exposure_s)
+        captured_s = self._clock.monotonic_s()
+        kind = shot.frame_type.replace(" ", "-")
+        file = f"frames/{shot.sequence:05d}_{kind}_{shot.place}_{round(shot.exposure_s * 1e6)}us.tiff"
+        try:
+            sha256 = write_frame(self._out / file, raw.counts, shot.label)
+        except OSError as error:
+            raise CaptureError(
+                f"{self._out / file}: cannot be written ({error.strerror}); free space or mend the disk, then "
+                f"finray capture --resume {self._out}"
+            ) from None
+        frame = TactileFrame(
+            sequence=shot.sequence,
+            file=file,
+            frame_type=shot.frame_type,
+            place=shot.place,
+            exposure_requested_s=raw.exposure_requested_s,
+            exposure_s=raw.exposure_s if raw.exposure_s == raw.exposure_s else None,  # NaN: the camera does not say
+            captured_utc=raw.captured_utc,
+            captured_s=captured_s,
+            frame_id=raw.frame_id,
+            device_time_s=raw.device_time_s,
+            settings=dict(raw.settings),
+            attempts=attempts,
+            saturated_fraction=saturated_fraction(raw.counts, 2**self._rig.camera.bit_depth - 1),
+            sha256=sha256,
+        )
+        self._journal.append("frame", **frame.model_dump())
+        self.frames[shot.sequence] = frame

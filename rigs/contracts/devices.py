@@ -1,0 +1,236 @@
+"""The contracts of cameras, filter wheels and lights, and the suites that run them on the rig of ``--rig``."""
+
+import time
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from data_schemas import CameraSettings, CaptureError, FilterWheelSettings, RefusedError
+from rigs import Camera, FilterWheel, Light, RawFrame
+from rigs.capture import CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL, WHEEL_DEADLINE_S
+
+LATE_FRAME_S = 1.0
+"""How much later than its deadline an exchange may end: one register exchange, and a busy computer."""
+USUAL_EXPOSURE_S = 0.01
+LONG_EXPOSURE_S = 2.0
+ENCODED = ("mjpeg",)
+"""Drivers of cameras whose exposure is not in our hands and whose frames are pictures."""
+
+
+class CameraContract:
+    """Tests of a camera."""
+
+    @pytest.fixture
+    def exposures_s(self, camera_settings: CameraSettings) -> tuple[float, float]:
+        """Return two exposures that the camera can do."""
+        shortest_s, longest_s = camera_settings.shortest_exposure_s, camera_settings.longest_exposure_s
+        first_s = min(max(USUAL_EXPOSURE_S, shortest_s), 0.5 * longest_s)
+        return first_s, 2.0 * first_s
+
+    def test_it_says_what_it_is(self, camera: Camera, camera_settings: CameraSettings) -> None:
+        """Its identity is not empty; of a stream only its address need be known."""
+        identity = camera.identity()
+        assert identity.role == "camera"
+        assert identity.driver
+        assert identity.model or (camera_settings.driver in ENCODED and identity.address)
+
+    def test_frames_have_the_shape_and_bits_of_the_rig_file(
+        self, camera: Camera, camera_settings: CameraSettings, exposures_s: tuple[float, float]
+    ) -> None:
+        """Counts are unsigned, of the stated size, and never above full scale."""
+        counts = _exposed(camera, exposures_s[0]).counts
+        assert counts.shape[:2] == (camera_settings.height_px, camera_settings.width_px)
+        assert counts.ndim == (3 if camera_settings.driver in ENCODED else 2)
+        assert counts.dtype == np.uint16
+        assert counts.max() < 2**camera_settings.bit_depth
+
+    def test_exposure_is_read_back(
+        self, camera: Camera, camera_settings: CameraSettings, exposures_s: tuple[float, float]
+    ) -> None:
+        """Every frame tells the exposure that was asked for and the one that was used, also after a change."""
+        _require_exposure(camera_settings)
+        for exposure_s in (*exposures_s, exposures_s[0]):
+            frame = _exposed(camera, exposure_s)
+            assert frame.exposure_requested_s == exposure_s
+            assert frame.exposure_s == pytest.approx(exposure_s, rel=EXPOSURE_TOLERANCE_REL)
+
+    def test_every_frame_is_new(self, camera: Camera, exposures_s: tuple[float, float]) -> None:
+        """Number and device time differ from frame to frame; where there are none, the counts do, unless constant."""
+        frames = [_exposed(camera, exposures_s[0]) for _ in range(3)]
+        for last, frame in pairwise(frames):
+            if frame.frame_id is not None or frame.device_time_s is not None:
+                assert (frame.frame_id, frame.device_time_s) != (last.frame_id, last.device_time_s)
+            else:
+                assert frame.counts.min() == frame.counts.max() or not np.array_equal(frame.counts, last.counts)
+
+    def test_impossible_exposure_is_refused_and_the_next_is_not(
+        self, camera: Camera, camera_settings: CameraSettings, exposures_s: tuple[float, float]
+    ) -> None:
+        """An exposure out of range ends in RefusedError, never in a frame with another exposure."""
+        _require_exposure(camera_settings)
+        with pytest.raises(RefusedError):
+            camera.expose(-1.0, CAMERA_DEADLINE_MARGIN_S)
+        assert _exposed(camera, exposures_s[0]).exposure_s == pytest.approx(exposures_s[0], rel=EXPOSURE_TOLERANCE_REL)
+
+    def test_deadline_is_kept(self, camera: Camera, camera_settings: CameraSettings) -> None:
+        """A frame that cannot be there in time is not waited for, and the camera can be used again afterwards."""
+        exposure_s = min(LONG_EXPOSURE_S, camera_settings.longest_exposure_s)
+        deadline_s = 0.25 * exposure_s
+        began_s = time.monotonic()
+        try:
+            camera.expose(exposure_s, deadline_s)
+        except CaptureError:
+            assert time.monotonic() - began_s < deadline_s + LATE_FRAME_S
+        else:  # emulated cameras need not take the time
+            assert time.monotonic() - began_s < deadline_s
+        end_s = time.monotonic() + exposure_s + 2.0 * CAMERA_DEADLINE_MARGIN_S
+        while True:
+            try:
+                frame = _exposed(camera, exposure_s)
+            except CaptureError:
+                if time.monotonic() > end_s:
+                    raise
+            else:
+                break
+        if camera_settings.driver not in ENCODED:
+            assert frame.exposure_s == pytest.approx(exposure_s, rel=EXPOSURE_TOLERANCE_REL)
+
+
+def _exposed(camera: Camera, exposure_s: float) -> RawFrame:
+    return camera.expose(exposure_s, exposure_s + CAMERA_DEADLINE_MARGIN_S)
+
+
+def _require_exposure(settings: CameraSettings) -> None:
+    if settings.driver in ENCODED:
+        pytest.skip(f"driver {settings.driver}: the exposure is the camera's own affair and cannot be set or read")
+
+
+class TestCamera(CameraContract):
+    """The camera of the rig file that ``--rig`` names."""
+
+
+LATE_MOVE_S = 1.0
+"""How much later than its deadline a move may be given up: one exchange, and a busy computer."""
+TOO_SHORT_S = 0.001
+"""No wheel with a motor moves, and no serial port answers, in so little time (s)."""
+
+
+class FilterWheelContract:
+    """Tests of a filter wheel; they turn it through all of its slots."""
+
+    def test_it_says_what_it_is(self, wheel: FilterWheel) -> None:
+        """Its identity is not empty."""
+        identity = wheel.identity()
+        assert identity.role == "filter wheel"
+        assert identity.driver
+        assert identity.model
+
+    def test_it_has_the_slots_of_the_rig_file(self, wheel: FilterWheel, wheel_settings: FilterWheelSettings) -> None:
+        """Its slots count upwards from 1 or more and hold every filter."""
+        assert list(wheel.slots) == sorted(set(wheel.slots))
+        assert min(wheel.slots) >= 1
+        assert {optic.slot for optic in wheel_settings.filters} <= set(wheel.slots)
+
+    def test_position_is_a_slot_or_unknown(self, wheel: FilterWheel) -> None:
+        """What it reports before anybody moved it is one of its slots, or nothing."""
+        assert wheel.position() in (None, *wheel.slots)
+
+    def test_every_slot_is_reached_and_read_twice(self, wheel: FilterWheel) -> None:
+        """After each move, also to where it stands, two readings name the slot."""
+        for slot in (*wheel.slots, wheel.slots[-1], wheel.slots[0]):
+            wheel.go_to(slot, WHEEL_DEADLINE_S)
+            assert (wheel.position(), wheel.position()) == (slot, slot)
+
+    def test_slot_that_it_lacks_is_refused_before_it_moves(self, wheel: FilterWheel) -> None:
+        """Neither 0 nor the number after the last slot moves it."""
+        wheel.go_to(wheel.slots[1], WHEEL_DEADLINE_S)
+        for slot in (0, -1, wheel.slots[-1] + 1):
+            with pytest.raises(RefusedError, match=f"no (slot|filter in slot) {slot}"):
+                wheel.go_to(slot, WHEEL_DEADLINE_S)
+            assert wheel.position() == wheel.slots[1]
+
+    def test_deadline_is_kept_and_a_late_arrival_is_not_taken_for_the_next(self, wheel: FilterWheel) -> None:
+        """A move that is given up raises at once; the next one ends at its own slot."""
+        if wheel.identity().driver == "manual":
+            pytest.skip("a wheel turned by hand: deadlines do not hold for people")
+        wheel.go_to(wheel.slots[0], WHEEL_DEADLINE_S)
+        began_s = time.monotonic()
+        with pytest.raises(CaptureError):
+            wheel.go_to(wheel.slots[len(wheel.slots) // 2], TOO_SHORT_S)
+        assert time.monotonic() - began_s < TOO_SHORT_S + LATE_MOVE_S
+        assert wheel.position() in (None, *wheel.slots)
+        wheel.go_to(wheel.slots[1], WHEEL_DEADLINE_S)
+        assert (wheel.position(), wheel.position()) == (wheel.slots[1], wheel.slots[1])
+
+
+class TestFilterWheel(FilterWheelContract):
+    """The filter wheel of the rig file that ``--rig`` names."""
+
+
+CYCLES = 3
+
+
+class DisturbanceError(Exception):
+    """What goes wrong in a block."""
+
+
+class LightContract:
+    """Tests of a light; they switch it on for moments."""
+
+    @pytest.fixture
+    def switch_off_behind(self) -> Callable[[], None] | None:
+        """Return what switches the light off without the driver; None where nothing can."""
+        return None
+
+    def test_it_says_what_it_is(self, light: Light) -> None:
+        """Its identity is not empty."""
+        identity = light.identity()
+        assert identity.role in ("laser", "lamp")
+        assert identity.driver
+
+    def test_it_is_off_when_opened(self, light: Light) -> None:
+        """Nobody asked for light yet."""
+        assert light.state() is False
+
+    def test_on_and_off_are_confirmed(self, light: Light) -> None:
+        """It is on inside each block and off after it."""
+        for _ in range(CYCLES):
+            with light.lit():
+                assert light.state() is True
+            assert light.state() is False
+
+    def test_exception_leaves_it_off(self, light: Light) -> None:
+        """However a block ends, the light is off, and the exception is not swallowed."""
+        for kind in (DisturbanceError, KeyboardInterrupt):
+            with pytest.raises(kind), light.lit():
+                raise kind
+            assert light.state() is False
+
+    def test_state_is_asked_afresh(self, light: Light, switch_off_behind: Callable[[], None] | None) -> None:
+        """A light that somebody else switched off is not reported on."""
+        if switch_off_behind is None:
+            pytest.skip("nothing here switches this light off behind the driver's back")
+        with light.lit():
+            assert light.state() is True
+            switch_off_behind()
+            assert light.state() is False
+
+
+class TestLaser(LightContract):
+    """The laser of the rig file that ``--rig`` names."""
+
+    @pytest.fixture
+    def light(self, laser: Light) -> Light:
+        """Return the laser."""
+        return laser
+
+
+class TestLamp(LightContract):
+    """The lamp of the rig file that ``--rig`` names."""
+
+    @pytest.fixture
+    def light(self, lamp: Light) -> Light:
+        """Return the lamp."""
+        return lamp

@@ -1,0 +1,223 @@
+"""Framed exchange over a serial port, with a deadline for every wait: the only door to pyserial."""
+
+import contextlib
+import errno
+import termios
+import time
+from types import TracebackType
+from typing import Any, Final, NamedTuple, Self, TextIO
+
+import serial
+from serial.tools import list_ports
+
+from data_schemas import LostError, RefusedError, TimedOutError
+
+POLL_S: Final = 0.02
+LONGEST_ANSWER_BYTES: Final = 4096
+"""No device here says this much without a terminator: it is another device, or another speed."""
+# termios.error is no OSError, although a pulled plug can raise either.
+_PORT_ERRORS: Final = (OSError, termios.error)
+
+
+class UsbSerialPort(NamedTuple):
+    """A serial port behind USB: where it is, what it calls itself, and its vendor and product (``"0403:6001"``)."""
+
+    address: str
+    description: str
+    usb_id: str
+
+
+def usb_serial_ports() -> list[UsbSerialPort]:
+    """Return the serial ports behind USB; ports of the main board are left out, asking there can hang a console."""
+    return [
+        UsbSerialPort(port.device, port.description or "serial port", f"{port.vid:04x}:{port.pid:04x}")
+        for port in sorted(list_ports.comports())
+        if port.vid is not None
+    ]
+
+
+class SerialLink:
+    """An open serial port (8 data bits, no parity, 1 stop bit) that no other program can open meanwhile.
+
+    Instants `end_s` are readings of :func:`time.monotonic`.
+
+    Parameters
+    ----------
+    address
+        Serial port (``/dev/ttyUSB0``) or a URL of pyserial (``socket://host:port``).
+    baud
+        Symbols per second.
+    device
+        What is at the other end, for messages: "filter wheel".
+    transcript
+        Where every byte is noted: a line ``host b'...'`` or ``device b'...'`` for each piece.
+
+    Raises
+    ------
+    RefusedError
+        The address has no such form, or the port is not ours to open.
+    LostError
+        There is nothing at the address.
+    """
+
+    def __init__(self, address: str, baud: int, device: str, transcript: TextIO | None = None) -> None:
+        self._name = f"{device} at {address}"
+        self._transcript = transcript
+        self._unread = bytearray()
+        try:
+            self._port: Any = serial.serial_for_url(address, baudrate=baud, timeout=POLL_S, exclusive=True)
+        except ValueError as error:
+            raise RefusedError(
+                f"{self._name}: is no address of a serial port ({error}); write a port such as /dev/ttyUSB0 or a URL "
+                "such as socket://host:4001"
+            ) from error
+        except _PORT_ERRORS as error:
+            raise self._not_opened(error) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the port, also one that is lost."""
+        # pyserial leaves the socket of a broken TCP connection open.
+        tcp = getattr(self._port, "_socket", None)
+        with contextlib.suppress(*_PORT_ERRORS):
+            self._port.close()
+        if tcp is not None:
+            tcp.close()
+
+    def descriptor(self) -> int:
+        """Return the descriptor of the open port, for a process that shares it.
+
+        Raises
+        ------
+        RefusedError
+            This kind of address has none.
+        """
+        try:
+            return int(self._port.fileno())
+        except (AttributeError, OSError) as error:  # io.UnsupportedOperation is an OSError
+            raise RefusedError(
+                f"{self._name}: this kind of address cannot be shared with the watch of a light; write a port such as "
+                "/dev/ttyUSB0 or a URL such as socket://host:4001"
+            ) from error
+
+    def write(self, data: bytes, end_s: float) -> None:
+        """Send `data`.
+
+        Raises
+        ------
+        TimedOutError
+            The port took no more bytes until `end_s`.
+        LostError
+            The connection broke.
+        """
+        try:
+            self._port.write_timeout = max(end_s - time.monotonic(), POLL_S)
+            self._port.write(data)
+        except serial.SerialTimeoutException as error:
+            raise TimedOutError(
+                f"{self._name}: takes no more bytes ({data!r} was to be sent); switch the device off and on"
+            ) from error
+        except _PORT_ERRORS as error:
+            raise self._lost(error) from error
+        self._note("host", data)
+
+    def read_until(self, terminator: bytes, end_s: float) -> bytes:
+        """Return what the device says, up to and with `terminator`; what follows stays for the next call.
+
+        Raises
+        ------
+        TimedOutError
+            The terminator has not come until `end_s`.
+        LostError
+            The connection broke, or the device says more than any answer holds.
+        """
+        began_s = time.monotonic()
+        while terminator not in self._unread:
+            if len(self._unread) > LONGEST_ANSWER_BYTES:
+                start = bytes(self._unread[:32])
+                self._unread.clear()
+                raise LostError(
+                    f"{self._name}: sends more than {LONGEST_ANSWER_BYTES} bytes without {terminator!r} (they begin "
+                    f"with {start!r}); check that this port belongs to the device, and its speed"
+                )
+            self._receive()
+            # A device that drips bytes is late as well as a mute one.
+            if time.monotonic() >= end_s and terminator not in self._unread:
+                said = bytes(self._unread).strip()
+                heard = f"only {said!r} came" if said else "nothing came"
+                raise TimedOutError(
+                    f"{self._name}: did not answer within {max(end_s - began_s, 0.0):.2g} s ({heard}); check its "
+                    "power, the cable and that this port belongs to it"
+                )
+        end = self._unread.index(terminator) + len(terminator)
+        answer = bytes(self._unread[:end])
+        del self._unread[:end]
+        return answer
+
+    def drain(self, quiet_s: float, end_s: float) -> bytes:
+        """Take in and forget whatever comes until nothing has come for `quiet_s` seconds; return it.
+
+        Raises
+        ------
+        TimedOutError
+            The device is not silent until `end_s`.
+        LostError
+            The connection broke.
+        """
+        drained = bytes(self._unread)
+        last_s = time.monotonic()
+        while True:
+            self._unread.clear()
+            if self._receive():
+                last_s = time.monotonic()
+                drained = (drained + self._unread)[:LONGEST_ANSWER_BYTES]
+            elif time.monotonic() - last_s >= quiet_s:
+                return drained
+            if time.monotonic() >= end_s:
+                raise TimedOutError(
+                    f"{self._name}: does not fall silent (it says {drained[:32]!r}); check that this port belongs to "
+                    "the device, and its speed"
+                )
+
+    def _receive(self) -> bool:
+        """Take in all that has come, waiting a moment for the first byte; return whether anything came."""
+        before = len(self._unread)
+        try:
+            # A TCP line hands over single bytes.
+            wanted = max(1, self._port.in_waiting)
+            while wanted and len(self._unread) <= LONGEST_ANSWER_BYTES and (data := bytes(self._port.read(wanted))):
+                self._unread += data
+                self._note("device", data)
+                wanted = self._port.in_waiting
+        except _PORT_ERRORS as error:
+            if len(self._unread) == before:
+                raise self._lost(error) from error
+        return len(self._unread) > before
+
+    def _note(self, who: str, data: bytes) -> None:
+        if self._transcript is not None:
+            self._transcript.write(f"{who} {data!r}\n")
+
+    def _lost(self, error: Exception) -> LostError:
+        return LostError(f"{self._name}: the connection broke ({error}); plug the cable in again and check its power")
+
+    def _not_opened(self, error: Exception) -> RefusedError | LostError:
+        """Say why the port did not open."""
+        number = getattr(error, "errno", None)
+        if number in (errno.EACCES, errno.EPERM):
+            return RefusedError(
+                f"{self._name}: you may not open this port; join its group (sudo usermod -aG dialout $USER) and log "
+                "in again"
+            )
+        if number in (errno.EAGAIN, errno.EBUSY):
+            return RefusedError(f"{self._name}: another program has the port open; close that program")
+        return LostError(
+            f"{self._name}: cannot be opened ({error}); check cable and power, and the address with 'finray rig detect'"
+        )

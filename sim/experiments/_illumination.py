@@ -1,0 +1,399 @@
+"""The paper's illumination of the pad: one panel over its angle, and a second panel at the tip.
+
+The brightness beside the indenter over the angle of the blue light, with the mirror and without; and how much more
+evenly the coat is lit by two panels.
+"""
+
+from collections.abc import Mapping
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student_t
+
+from data_schemas import (
+    BrightestAngle,
+    FingerDesign,
+    LightAngleIntensity,
+    LightPanel,
+    SimulateError,
+    TwoLights,
+    Uniformity,
+)
+from sim.experiments._painted_finger import PaintedFinger
+from sim.optics import (
+    BAND_NAMES,
+    PressRender,
+    Progress,
+    Window,
+    inner_face,
+    panel_frame,
+    refract_through,
+    render_press,
+    sweep_light_angle,
+)
+from sim.surface_meshes import contact_half_width_mm, rest_shape
+
+Floats = NDArray[np.float64]
+
+# from a panel that faces away from the pad to one that faces the base: with the mirror curves are still high at 0
+ANGLES_DEG: Floats = np.arange(-30.0, 121.0, 15.0)
+ANGLES_DEG.flags.writeable = False
+PRINTED_ANGLE_DEG = 30.0
+OTHER_DEPTHS_MM = (4.0, 10.0, 20.0)
+MIRRORS = ("with mirror", "without mirror")
+PROBES = ("edge of the contact towards the base", "edge of the contact towards the tip")
+
+# the light of one small Lambertian panel is a cosine cut off at zero, and the study adds up many of these
+_HARMONICS = 2
+_FINE_STEP_DEG = 0.1
+_CONFIDENCE = 0.95
+# a curve that leaves the sum of cosines by more, relative to its top, is no such sum: say so
+_LARGEST_MISFIT_REL = 0.03
+
+
+def study_light_angle(
+    finger: PaintedFinger,
+    seed: int,
+    samples: int,
+    paints: Mapping[str, str],
+    progress: Progress | None = None,
+    repeats: int = 5,
+) -> LightAngleIntensity:
+    """Measure the brightness of the coat at both edges of the contact over the light angle, with and without mirror.
+
+    Parameters
+    ----------
+    finger
+        Design, paints, camera response and renderer; its own light angle is replaced.
+    seed, samples
+        Random seed and paths per probe and repeat, shared by all angles.
+    paints
+        Colour -> where the paint's optics come from.
+    progress
+        Called after each repeat.
+    repeats
+        Independent repeats; within one, all angles share their random numbers. Limits are Student's, of repeats - 1
+        degrees of freedom.
+
+    Raises
+    ------
+    SimulateError
+        With fewer than two repeats, which have no spread.
+    """
+    if repeats < 2:
+        raise SimulateError(f"limits of a maximum need at least 2 independent repeats, got {repeats}")
+    design = finger.design
+    points = edge_points_mm(design)
+    bare = design.model_copy(update={"mirror": design.mirror.model_copy(update={"reflectance": 0.0})})
+    sweeps = []
+    for number, one in enumerate((design, bare)):
+
+        def told(done: int, of: int, what: str, before: int = number, case: str = MIRRORS[number]) -> None:
+            if progress is not None:
+                progress(before * of + done, len(MIRRORS) * of, f"{case}, {what}")
+
+        sweeps.append(
+            sweep_light_angle(one, finger.paints, finger.renderer, ANGLES_DEG, repeats, seed, samples, points, told)
+        )
+    radiance = np.stack([sweep.radiance_rel for sweep in sweeps])
+    probes = sweeps[0].probe_points_mm
+    depths = {f"{mm:g}": tuple(elevation_deg(_at_depth(design, mm), probes).tolist()) for mm in OTHER_DEPTHS_MM}
+    return LightAngleIntensity(
+        name=f"{design.name}, light angle",
+        label=sweeps[0].label,
+        design=design,
+        paints=dict(paints),
+        samples=samples,
+        notes=(*finger.coverage_notes(sweeps[0].bands), *doubts(radiance)),
+        mirrors=MIRRORS,
+        probes=PROBES,
+        bands=BAND_NAMES,
+        probe_points_mm=probes,
+        led_depth_mm=-design.light.position_mm[1],
+        angles_deg=ANGLES_DEG,
+        radiance_rel=radiance,
+        elevation_deg=elevation_deg(design, probes),
+        elevation_by_depth_deg=depths,
+        printed_angle_deg=PRINTED_ANGLE_DEG,
+        maxima=_maxima(radiance),
+    )
+
+
+def edge_points_mm(design: FingerDesign) -> Floats:
+    """Return the points (x, z) on the pad's middle line where the contact ends, towards the base and the tip."""
+    half_width = float(contact_half_width_mm(design))
+    z = design.indenter.position_mm + np.array([-half_width, half_width])
+    return np.column_stack([np.zeros(2), z])
+
+
+def elevation_deg(design: FingerDesign, points_mm: Floats) -> Floats:
+    """Return the angle above the pad plane at which light leaves the panel's centre to reach points in the gel.
+
+    A small panel whose normal has the angle a lights a point directly by cos(a - elevation), at most zero beyond
+    90 deg. Valid for the undeformed flat inner face.
+    """
+    pad, face = design.pad, inner_face(design, rest_shape(design))
+    x, y, z = (np.ascontiguousarray(v) for v in points_mm.T)
+    centre = tuple(np.full(x.shape, v) for v in panel_frame(design.light).centre_mm)
+    foot = x / pad.width_mm + 0.5, z / pad.length_mm
+    path = refract_through(face.map.evaluate, (x, y, z), foot, (centre[0], centre[1], centre[2]), face)
+    return np.asarray(np.degrees(np.arctan2(-path.to_panel[1], -path.to_panel[2])))
+
+
+def brightest_deg(angles_deg: Floats, values: Floats) -> float:
+    r"""Return where the smooth curve through values, a0 + sum of a_k cos k x + b_k sin k x for k = 1, 2, is highest.
+
+    Only angles between the first and the last one are searched.
+    """
+    fine = _fine_deg(angles_deg)
+    return float(fine[np.argmax(_cosines(fine) @ _smooth(angles_deg, values))])
+
+
+def top_and_loss(angles_deg: Floats, curves: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return estimate and 95 % limits of (brightest angle in deg, loss at the printed angle), (2,) each.
+
+    Both are read off the smooth curve through the mean of all repeats, never off single angles, whose noise would
+    choose the largest. Limits by the jackknife over repeats with Student's t; the loss is never negative, and zero is
+    within its limits where the printed angle is within those of the brightest one.
+
+    Parameters
+    ----------
+    angles_deg
+        Light angles, (n,).
+    curves
+        Values of independent repeats, (n, repeat), at least two.
+    """
+    count = curves.shape[1]
+    whole = _read(angles_deg, curves.mean(axis=1))
+    others = (curves.sum(axis=1, keepdims=True) - curves) / (count - 1)
+    left_out = np.array([_read(angles_deg, one) for one in others.T])
+    error = np.sqrt((count - 1) / count * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
+    reach = error * student_t.ppf(0.5 + _CONFIDENCE / 2.0, count - 1)
+    low, high = whole - reach, whole + reach
+    low[0], high[0] = np.clip([low[0], high[0]], angles_deg[0], angles_deg[-1])
+    low[1] = 0.0 if low[0] <= PRINTED_ANGLE_DEG <= high[0] else max(low[1], 0.0)
+    return whole, low, high
+
+
+def _read(angles_deg: Floats, values: Floats) -> Floats:
+    """Return (brightest angle, loss at the printed one) of a curve."""
+    weights, fine = _smooth(angles_deg, values), _fine_deg(angles_deg)
+    curve = _cosines(fine) @ weights
+    at_printed = float((_cosines(np.array([PRINTED_ANGLE_DEG])) @ weights)[0])
+    return np.array([fine[np.argmax(curve)], 1.0 - at_printed / curve.max()])
+
+
+def _fine_deg(angles_deg: Floats) -> Floats:
+    """Return angles between the first and the last one."""
+    return np.arange(angles_deg[0], angles_deg[-1] + _FINE_STEP_DEG / 2.0, _FINE_STEP_DEG)
+
+
+def _cosines(angles_deg: Floats) -> Floats:
+    """Return the functions that smooth curves are sums of, (angle, 5)."""
+    x = np.radians(angles_deg)
+    waves = [wave(k * x) for k in range(1, _HARMONICS + 1) for wave in (np.cos, np.sin)]
+    return np.column_stack([np.ones_like(x), *waves])
+
+
+def _smooth(angles_deg: Floats, values: Floats) -> Floats:
+    """Return the weights of the smooth curve through values, (5,): least squares, bright values counting more.
+
+    Where the panel turns its back the curve has a kink, which no sum of few cosines has; it is dark there.
+    """
+    bright = np.maximum(values, 0.0) / values.max()
+    return np.asarray(np.linalg.lstsq(_cosines(angles_deg) * bright[:, None], values * bright)[0])
+
+
+def _at_depth(design: FingerDesign, depth_mm: float) -> FingerDesign:
+    """Return the design with its panel at another depth below the inner face."""
+    x, _, z = design.light.position_mm
+    return design.model_copy(update={"light": design.light.model_copy(update={"position_mm": (x, -depth_mm, z)})})
+
+
+def _cases() -> list[tuple[tuple[int, str], tuple[int, str], tuple[int, str]]]:
+    """Return numbers and names of mirror, probe and band of each curve."""
+    return list(product(enumerate(MIRRORS), enumerate(PROBES), enumerate(BAND_NAMES)))
+
+
+def _maxima(radiance: Floats) -> tuple[BrightestAngle, ...]:
+    """Return the brightest angle of each curve of (mirror, angle, repeat, probe, band), with its limits."""
+    found = []
+    for (m, mirror), (p, probe), (b, band) in _cases():
+        curves = radiance[m, :, :, p, b]
+        (best, loss), (low, least), (high, most) = top_and_loss(ANGLES_DEG, curves)
+        mean = curves.mean(axis=1)
+        found.append(
+            BrightestAngle(
+                mirror=mirror,
+                probe=probe,
+                band=band,
+                angle_deg=float(best),
+                low95_deg=float(low),
+                high95_deg=float(high),
+                loss_at_printed_rel=float(loss),
+                loss_at_printed_low95_rel=float(least),
+                loss_at_printed_high95_rel=float(most),
+                past_90_rel=float(mean[-1] / np.interp(90.0, ANGLES_DEG, mean)),
+            )
+        )
+    return tuple(found)
+
+
+def doubts(radiance: Floats) -> tuple[str, ...]:
+    """Say where the search ended at a limit, and which curves are no sums of cosines."""
+    notes = []
+    for (m, mirror), (p, probe), (b, band) in _cases():
+        mean, name = radiance[m, :, :, p, b].mean(axis=1), f"{mirror}, {probe}, {band}"
+        best = brightest_deg(ANGLES_DEG, mean)
+        if best in (ANGLES_DEG[0], ANGLES_DEG[-1]):
+            notes.append(f"{name}: highest at {best:g} deg, where the search ended, or beyond; its limits do not hold")
+        misfit = (mean - _cosines(ANGLES_DEG) @ _smooth(ANGLES_DEG, mean)) * mean / mean.max()
+        misfit_rel = float(np.sqrt(np.mean(misfit**2)) / mean.max())
+        if misfit_rel > _LARGEST_MISFIT_REL:
+            notes.append(f"{name}: values lie {misfit_rel:.0%} off the smooth curve that its maximum is read off")
+    return tuple(notes)
+
+
+ONE, TWO = "one panel, at the base", "two panels, at base and tip"
+CAMERA_CHANNELS = ("R", "G", "B")
+
+_CELL_MM = 2.5
+# a cell of the coat counts when the camera sees it in this many pixels
+_LEAST_PIXELS = 4
+# the finger narrows: at the tip a panel finds room nearer to the gel
+_TIP_DEPTH_FACTOR = 0.4
+# beside a panel the light is glaring; this much of the length at each end is left out of the middle
+_ENDS_SHARE = 0.15
+
+
+def light_at_the_tip(design: FingerDesign) -> LightPanel:
+    """Return the design's second panel, or the panel at the base mirrored to the tip, nearer to the gel."""
+    if design.second_light is not None:
+        return design.second_light
+    base = design.light
+    x, y, z = base.position_mm
+    angle_deg = 180.0 - base.angle_deg if base.angle_deg >= 0.0 else -180.0 - base.angle_deg
+    place = (x, _TIP_DEPTH_FACTOR * y, design.pad.length_mm - z)
+    return LightPanel.model_validate({**base.model_dump(), "position_mm": place, "angle_deg": angle_deg})
+
+
+def study_two_lights(
+    finger: PaintedFinger, seed: int, samples: int, paints: Mapping[str, str], progress: Progress | None = None
+) -> TwoLights:
+    """Render a press with one panel at the base, and with a second one at the tip; measure how even the light is.
+
+    Variation and extremes are over the coat by area, not by pixel, and over those parts of it that the camera sees
+    with either light.
+
+    Parameters
+    ----------
+    finger
+        Design, paints, camera response and renderer; without a second panel the first is mirrored to the tip.
+    seed, samples
+        Random seed and paths per pixel, an even number.
+    paints
+        Colour -> where the paint's optics come from.
+    progress
+        Called after each render.
+    """
+    tip = light_at_the_tip(finger.design)
+    one = finger.design.model_copy(update={"second_light": None})
+    both = type(one).model_validate({**one.model_dump(), "second_light": tip.model_dump()})
+    renders = []
+    for number, design in enumerate((one, both)):
+        renders.append(render_press(design, finger.paints, finger.renderer, "b", seed, samples,
+                                    calibration=finger.calibration))  # fmt: skip
+        if progress is not None:
+            progress(number + 1, 2, (ONE, TWO)[number])
+    matrix = finger.camera_matrix(renders[0].bands)
+    places = [r.no_contact_maps.coat_mm(one) for r in renders]
+    window = Window.around(*places, *(r.contact_maps.coat_mm(one) for r in renders))
+    here = (window.rows, window.columns)
+    seen = np.isfinite(places[0][..., 0]) & np.isfinite(places[1][..., 0])
+    cells = [_cells(one, places[0], seen, r, matrix) for r in renders]
+    along = [_mean(mean, (1,)).T for mean, _ in cells]
+    return TwoLights(
+        name=f"{finger.design.name}, two lights",
+        label=renders[0].label,
+        design=one,
+        paints=dict(paints),
+        samples=samples,
+        notes=finger.coverage_notes(renders[0].bands),
+        lights=(ONE, TWO),
+        bands=BAND_NAMES,
+        channels=(*BAND_NAMES, *CAMERA_CHANNELS),
+        no_contact_bands=np.stack([r.no_contact_bands[here] for r in renders]),
+        contact_bands=np.stack([r.contact_bands[here] for r in renders]),
+        camera_matrix=matrix,
+        on_coat=seen[here],
+        tip_light_position_mm=tip.position_mm,
+        tip_light_angle_deg=tip.angle_deg,
+        cell_mm=_CELL_MM,
+        uniformity=tuple(u for name, c in zip((ONE, TWO), cells, strict=True) for u in evenness(name, *c)),
+        z_mm=(np.arange(along[0].shape[1], dtype=np.float64) + 0.5) * _CELL_MM,
+        along_rel=np.stack(along) / np.nanmean(along[0], axis=1)[:, None],
+    )
+
+
+def evenness(lights: str, mean: Floats, variance: Floats) -> list[Uniformity]:
+    """Return the measures of evenness of each channel.
+
+    Parameters
+    ----------
+    lights
+        Name of the lights.
+    mean, variance
+        Mean light of equal cells of the coat and its variance from render noise, (along, across, channel); NaN where
+        the camera sees nothing. Channels are the bands, then R, G, B.
+    """
+    along = _mean(mean, (1,))
+    level, noise2 = _mean(mean, (0, 1)), _mean(variance, (0, 1))
+    ends = round(_ENDS_SHARE * len(mean))
+    everywhere, middle = _variation(mean, variance), _variation(mean[ends:-ends], variance[ends:-ends])
+    return [
+        Uniformity(
+            lights=lights,
+            channel=channel,
+            variation_rel=float(everywhere[k]),
+            middle_variation_rel=float(middle[k]),
+            min_to_max_ratio=float(np.nanmin(along[:, k]) / np.nanmax(along[:, k])),
+            noise_rel=float(np.sqrt(noise2[k]) / level[k]),
+        )
+        for k, channel in enumerate((*BAND_NAMES, *CAMERA_CHANNELS))
+    ]
+
+
+def _cells(
+    design: FingerDesign, place_mm: Floats, seen: NDArray[np.bool_], render: PressRender, matrix: Floats
+) -> tuple[Floats, Floats]:
+    """Return means over square cells of the coat and their noise variance, (along, across, channel); NaN unseen."""
+    pad = design.pad
+    shape = round(pad.length_mm / _CELL_MM), round(pad.width_mm / _CELL_MM)
+    z, x = place_mm[seen].T
+    i = np.minimum((z / pad.length_mm * shape[0]).astype(int), shape[0] - 1)
+    j = np.minimum(((x / pad.width_mm + 0.5) * shape[1]).astype(int), shape[1] - 1)
+    to_channels = np.concatenate([np.eye(len(BAND_NAMES)), matrix])
+    values, variance = (
+        render.no_contact_bands[seen] @ to_channels.T,
+        render.no_contact_variance[seen] @ to_channels.T**2,
+    )
+    sums, noise, count = np.zeros((*shape, len(to_channels))), np.zeros((*shape, len(to_channels))), np.zeros(shape)
+    np.add.at(sums, (i, j), values)
+    np.add.at(noise, (i, j), variance)
+    np.add.at(count, (i, j), 1.0)
+    pixels = np.where(count >= _LEAST_PIXELS, count, np.nan)[..., None]
+    return sums / pixels, noise / pixels**2
+
+
+def _variation(mean: Floats, variance: Floats) -> Floats:
+    """Return the standard deviation over cells, noise taken out, over their mean, per channel."""
+    level = _mean(mean, (0, 1))
+    spread2 = _mean((mean - level) ** 2, (0, 1)) - _mean(variance, (0, 1))
+    return np.asarray(np.sqrt(np.maximum(spread2, 0.0)) / level)
+
+
+def _mean(cells: Floats, axes: tuple[int, ...]) -> Floats:
+    """Return the mean over cells that are seen, NaN where none is."""
+    count = np.isfinite(cells).sum(axis=axes)
+    return np.where(count > 0, np.nansum(cells, axis=axes) / np.maximum(count, 1), np.nan)

@@ -1,0 +1,262 @@
+"""A finger pressed by finite elements: the record of the press, and the surfaces that the optics renders."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from data_schemas import (
+    ContactKind,
+    FingerDesign,
+    FingerSurfaces,
+    Preset,
+    PressIncrement,
+    PressMechanics,
+    PressSensitivities,
+    SimulateError,
+)
+from sim.mechanics import (
+    FORCE_EXCESS_REL,
+    ContactChoice,
+    FingerMesh,
+    PressedFinger,
+    chord_shortfall_rel,
+    chosen_contact,
+    contact_distance,
+    contact_forces_n,
+    finger_mesh,
+    frictionless_torque_n_mm,
+    slip_torque_n_mm,
+)
+from sim.surface_meshes import coat_nodes, shape_from_mesh, store_shapes
+
+
+def press_records(
+    design: FingerDesign,
+    pressed: PressedFinger,
+    preset: Preset | None = None,
+    engine: str = "finite elements",
+    notes: tuple[str, ...] = (),
+    sensitivities: PressSensitivities | None = None,
+    wanted_force_n: float | None = None,
+) -> tuple[PressMechanics, FingerSurfaces]:
+    """Return forces and surfaces of a press as records.
+
+    Parameters
+    ----------
+    design, preset
+        As they went into :func:`sim.mechanics.press_finger`.
+    pressed
+        What came out.
+    engine
+        Program that pressed, for the label.
+    notes
+        What must be said about it beside what holds for every press.
+    sensitivities
+        The same press of the design with one number changed, if there are.
+    wanted_force_n
+        Of a press to a force.
+
+    Raises
+    ------
+    SimulateError
+        When the pressed gel is torn.
+    """
+    mechanics = _mechanics(design, preset or design.mesh.preset, pressed, engine, notes)
+    mechanics = mechanics.model_copy(update={"sensitivities": sensitivities, "wanted_force_n": wanted_force_n})
+    return mechanics, _surfaces(design, pressed, engine)
+
+
+def increment_record(
+    design: FingerDesign, pressed: PressedFinger, preset: Preset | None = None, indenter_sha256: str | None = None
+) -> PressIncrement:
+    """Return the last increment of a press as a record to go on from; with the digest of a mesh indenter's STL."""
+    return PressIncrement(
+        preset=preset or design.mesh.preset,
+        depth_mm=pressed.depth_mm,
+        force_n=pressed.force_n,
+        energy_n_mm=pressed.energy_n_mm,
+        contact_energy_n_mm=pressed.contact_energy_n_mm,
+        friction_work_n_mm=pressed.friction_work_n_mm,
+        contact=None if pressed.kind == "unknown" else pressed.kind,
+        indenter_sha256=indenter_sha256,
+        iterations=pressed.iterations,
+        nodes_mm=pressed.mesh.nodes_mm,
+        displacement_mm=pressed.displacement_mm[-1],
+        modes_mm=np.concatenate([modes for modes in pressed.modes_mm if modes.shape[1]]),
+        design=design,
+    )
+
+
+def stored_press(
+    record: PressIncrement,
+    design: FingerDesign,
+    contact: ContactChoice = "auto",
+    indenter_sha256: str | None = None,
+) -> PressedFinger:
+    """Return a stored increment as a press of a design, which may push deeper, to go on from.
+
+    What an increment of an older version does not tell (its contact, the digest of the STL) is taken as the same.
+
+    Parameters
+    ----------
+    record
+        The increment.
+    design, contact
+        As they go into :func:`sim.mechanics.press_finger` now.
+    indenter_sha256
+        Digest of the STL of a mesh indenter, as it is now.
+
+    Raises
+    ------
+    SimulateError
+        When the design differs in more than the depth of its push, or its STL or the contact is another one.
+    """
+    _check_same_design(record, design)
+    _check_same_contact(record, chosen_contact(design, contact), indenter_sha256)
+    return _as_press(record, _same_mesh(record, design))
+
+
+def _check_same_design(record: PressIncrement, design: FingerDesign) -> None:
+    """Check that a design differs at most in its push from that of an increment."""
+    depth = {"depth_mm": design.indenter.depth_mm}
+    before = record.design.model_copy(update={"indenter": record.design.indenter.model_copy(update=depth)})
+    # a stored design carries its own provenance
+    other = [
+        name
+        for name in type(design).model_fields
+        if name != "provenance" and getattr(before, name) != getattr(design, name)
+    ]
+    if other or record.preset != design.mesh.preset:
+        raise SimulateError(
+            f"the stored increment is of a press of another design: it differs in {', '.join(other) or 'mesh'}; only "
+            "indenter.depth_mm may change between an increment and what goes on from it"
+        )
+
+
+def _check_same_contact(record: PressIncrement, contact: ContactKind, indenter_sha256: str | None) -> None:
+    """Check that contact and STL are those of an increment, as far as it tells them."""
+    if record.contact is not None and record.contact != contact:
+        raise SimulateError(
+            f"the stored increment was pressed with --contact {record.contact}, which cannot be gone on with by "
+            f"--contact {contact}; give --contact {record.contact}, or press from the start"
+        )
+    if record.indenter_sha256 is not None and record.indenter_sha256 != indenter_sha256:
+        raise SimulateError(
+            f"the STL of the indenter, indenter.file = {record.design.indenter.file!r}, is not the one of the stored "
+            "increment: its content has changed; put the file back as it was, or press from the start"
+        )
+
+
+def _same_mesh(record: PressIncrement, design: FingerDesign) -> FingerMesh:
+    """Return the mesh of an increment, which must be that of the design."""
+    mesh = finger_mesh(design, record.preset)
+    own = len(mesh.nodes_mm)
+    # a barrier's indenter is one node more
+    if len(record.nodes_mm) not in {own, own + 1} or not np.array_equal(record.nodes_mm[:own], mesh.nodes_mm):
+        raise SimulateError(
+            "the stored increment is of another mesh of this design, made by another version; press from the start"
+        )
+    return replace(mesh, nodes_mm=record.nodes_mm)
+
+
+def _as_press(record: PressIncrement, mesh: FingerMesh) -> PressedFinger:
+    """Return an increment as a press."""
+    with_modes = [block.element == "incompatible_modes" for block in mesh.blocks]
+    sizes = [len(block.hexahedra) if has else 0 for block, has in zip(mesh.blocks, with_modes, strict=True)]
+    parts = np.split(record.modes_mm, np.cumsum(sizes)[:-1])
+    nothing = np.empty((0, 0))
+    return PressedFinger(
+        mesh=mesh,
+        depth_mm=record.depth_mm,
+        force_n=record.force_n,
+        energy_n_mm=record.energy_n_mm,
+        displacement_mm=record.displacement_mm[None],
+        iterations=record.iterations,
+        modes_mm=tuple(
+            part if has else np.zeros((len(block.hexahedra), 0, 3))
+            for part, has, block in zip(parts, with_modes, mesh.blocks, strict=True)
+        ),
+        pressure_mpa=nothing,
+        touch_mm=nothing,
+        unreached="",
+        contact="",
+        contact_energy_n_mm=record.contact_energy_n_mm,
+        friction_work_n_mm=record.friction_work_n_mm,
+        kind=record.contact or "unknown",
+    )
+
+
+def _mechanics(
+    design: FingerDesign, preset: Preset, pressed: PressedFinger, engine: str, notes: tuple[str, ...]
+) -> PressMechanics:
+    """Return what the press took."""
+    gel = design.mechanics.gel
+    slip, tipping = _torques(design, pressed)
+    return PressMechanics(
+        name=f"{design.name}, push of {pressed.depth_mm[-1]:g} mm",
+        label=f"{engine}, {preset} mesh, {pressed.displacement_mm[0].size} unknowns",
+        preset=preset,
+        mesh_excess_rel=FORCE_EXCESS_REL[preset],
+        depth_mm=pressed.depth_mm,
+        force_n=pressed.force_n,
+        energy_n_mm=pressed.energy_n_mm,
+        contact_energy_n_mm=pressed.contact_energy_n_mm,
+        friction_work_n_mm=pressed.friction_work_n_mm,
+        iterations=pressed.iterations,
+        largest_pressure_mpa=float(pressed.pressure_mpa.max()),
+        unreached=pressed.unreached,
+        slip_torque_per_friction_n_mm=slip,
+        tipping_torque_n_mm=tipping,
+        design=design,
+        notes=(
+            pressed.contact,
+            *_chord_note(design, preset, pressed),
+            f"gel: C10 = {gel.c10_mpa:g} MPa, K/mu = {gel.bulk_over_shear:g} (the paper gives no K)",
+            f"mesh: on the 70 x 35 finger this fineness gives {FORCE_EXCESS_REL[preset]:.0%} more force than an "
+            "infinitely fine one, extrapolated",
+            "dimensions of the skeleton are assumed unless the design's origin says otherwise; forces are unvalidated",
+            *notes,
+        ),
+    )
+
+
+def _chord_note(design: FingerDesign, preset: Preset, pressed: PressedFinger) -> tuple[str, ...]:
+    """Say how much too low the penalty's force is on a round indenter."""
+    short = chord_shortfall_rel(design, preset, float(pressed.depth_mm[-1]))
+    touched = pressed.force_n[-1, 1] > 0.0
+    if pressed.kind != "penalty" or (touched and not short):
+        return ()
+    told = f"the force is some {short:.0%} below the barrier's"
+    if not touched:
+        told = "it touches no node, or has passed between them, and the force is the mesh's, not the finger's"
+    return (f"between nodes the coat cuts into the indenter: {told}",)
+
+
+def _torques(design: FingerDesign, pressed: PressedFinger) -> tuple[float | None, float | None]:
+    """Return the torques that the contact holds: by friction over its coefficient, and by its width.
+
+    None without contact, with a force that pulls (the indenter has passed through the coat), and of a press with
+    friction: they rest on frictionless pressures.
+    """
+    touches = (pressed.pressure_mpa > 0.0).any() and pressed.force_n[-1, 1] > 0.0
+    if design.indenter.friction > 0.0 or not touches:
+        return None, None
+    places, forces = contact_forces_n(pressed)
+    return slip_torque_n_mm(places, forces, 1.0), frictionless_torque_n_mm(places, forces, design.pad.width_mm)
+
+
+def _surfaces(design: FingerDesign, pressed: PressedFinger, engine: str) -> FingerSurfaces:
+    """Return the finger without and with contact."""
+    mesh = pressed.mesh
+    nodes = coat_nodes(design, mesh.nodes_mm, mesh.hexahedra)
+    label = f"{engine}, push of {pressed.depth_mm[-1]:g} mm"
+    rest = shape_from_mesh(design, mesh.nodes_mm, mesh.hexahedra)
+    deformed = shape_from_mesh(
+        design,
+        mesh.nodes_mm,
+        mesh.hexahedra,
+        pressed.displacement_mm[-1],
+        contact_distance(pressed, nodes),
+        label,
+    )
+    return store_shapes(rest, deformed, f"{design.name}, pressed", float(pressed.depth_mm[-1]))

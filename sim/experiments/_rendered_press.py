@@ -1,0 +1,389 @@
+"""Render one press of a painted finger as a record, with what its colours and its pose are worth.
+
+How sure the colours are: draws of both paints and of the camera, as factors on the layers of the render. How the
+contact image changes with the indenter's depth and place: central differences of renders.
+"""
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from data_schemas import (
+    FingerDesign,
+    KnownInputs,
+    PaintCalibration,
+    PoseResponse,
+    RenderedLight,
+    SimulatedPress,
+    SimulateError,
+    SpectralCurve,
+)
+from sim.experiments._painted_finger import COLOURS, CameraResponse, PaintedFinger, coverage_notes, response_matrix
+from sim.optics import (
+    BAND_NAMES,
+    PaintBands,
+    PressRender,
+    Progress,
+    RenderLevel,
+    chain_matrix,
+    chain_steps,
+    conversion_gains,
+    paint_bands,
+    render_press,
+)
+from sim.surface_meshes import FingerShape, pressed_shape
+
+Floats = NDArray[np.float64]
+SHAPE_NOTE = "shape of the finger: "
+CAMERA_NOTE = "camera response: "
+
+
+def simulate_press(
+    finger: PaintedFinger,
+    level: RenderLevel,
+    seed: int,
+    samples_per_pixel: int,
+    paint_sha256: Mapping[str, str],
+    progress: Progress | None = None,
+    shapes: tuple[FingerShape, FingerShape] | None = None,
+    calibrations: Mapping[str, PaintCalibration] | None = None,
+    with_pose_response: bool = False,
+    contact_samples_per_pixel: int | None = None,
+) -> SimulatedPress:
+    """Render the contact and no-contact image of a finger in its camera's linear RGB.
+
+    Parameters
+    ----------
+    finger
+        Design, paints, camera response and renderer.
+    level
+        "b": walls re-emit the blue light that reaches them; "a": the paper's distance-textured emitter; "c": the
+        reference, fluorescence traced along each path.
+    seed, samples_per_pixel
+        Random seed and paths per pixel.
+    paint_sha256
+        Colour -> SHA-256 of the paint calibration the optics came from.
+    shapes
+        The finger without and with contact; by default the design's indenter is pressed in analytically.
+    calibrations
+        Fits that the paints came from: with them the press holds draws of what its colours rest on.
+    contact_samples_per_pixel
+        Paths per pixel around the contact, see :func:`sim.optics.render_press`.
+    with_pose_response
+        Also render how the contact image changes with the indenter's depth and position (analytic press only).
+
+    Raises
+    ------
+    SimulateError
+        A response to the pose is asked for of given shapes.
+    """
+    if with_pose_response and shapes is not None:
+        raise SimulateError(
+            "the response to the pose is rendered for the analytic press only; leave it out, or leave the surfaces out"
+        )
+    if with_pose_response:
+        moved_designs(finger.design)  # what cannot be moved is told before anything is rendered
+    render = render_press(
+        finger.design,
+        finger.paints,
+        finger.renderer,
+        level,
+        seed,
+        samples_per_pixel,
+        progress,
+        shapes,
+        finger.calibration,
+        contact_samples_per_pixel,
+    )
+    pose = None
+    if with_pose_response:
+        pose = pose_response(
+            finger, level, seed, samples_per_pixel, contact_samples_per_pixel, render.chains, progress=progress
+        )
+    return press_record(finger, render, paint_sha256, calibrations or {}, pose)
+
+
+def press_record(
+    finger: PaintedFinger,
+    render: PressRender,
+    paint_sha256: Mapping[str, str],
+    calibrations: Mapping[str, PaintCalibration],
+    pose: PoseResponse | None = None,
+) -> SimulatedPress:
+    """Return the record of a render of `finger`; its paints and their fits as in :func:`simulate_press`."""
+    matrix = finger.camera_matrix(render.bands)
+    return SimulatedPress(
+        name=f"{finger.design.name}, press of {finger.design.indenter.depth_mm:g} mm",
+        label=render.label,
+        method="rendered",
+        encoding="linear",
+        no_contact=camera_rgb(render.no_contact_bands, matrix),
+        contact=camera_rgb(render.contact_bands, matrix),
+        distance=render.contact_maps.contact_distance.astype(np.float32),
+        variance=camera_rgb(render.contact_variance, matrix**2),
+        no_contact_bands=render.no_contact_bands,
+        contact_bands=render.contact_bands,
+        contact_bands_variance=render.contact_variance,
+        bands=BAND_NAMES,
+        no_contact_chains=render.no_contact_chains if render.chains_apart else None,
+        contact_chains=render.contact_chains if render.chains_apart else None,
+        chains=render.chains if render.chains_apart else (),
+        no_contact_half_difference=render.no_contact_half_difference,
+        contact_half_difference=render.contact_half_difference,
+        layer_matrix=matrix @ chain_matrix(render.chains),
+        known_inputs=known_inputs(finger, calibrations, paint_sha256, render.chains),
+        pose_response=pose,
+        rendered_light=light_record(render.bands, finger.response),
+        camera_matrix=matrix,
+        light_angle_deg=finger.design.light.angle_deg,
+        design=finger.design,
+        paints=dict(paint_sha256),
+        notes=(*colour_notes(finger.response, render.bands), f"{SHAPE_NOTE}{render.contact_label}"),
+    )
+
+
+def camera_rgb(bands: NDArray[np.float32], matrix: Floats) -> NDArray[np.float32]:
+    """Return camera RGB (rows, columns, 3) = C @ bands."""
+    rgb: Floats = np.einsum("cb,ijb->ijc", matrix, bands.astype(np.float64))
+    return rgb.astype(np.float32)
+
+
+def light_record(
+    bands: PaintBands, response: CameraResponse, white_balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
+) -> RenderedLight:
+    """Return what the colours of a render rest on, as it is stored."""
+    red, green, led = (
+        SpectralCurve(name=f"{name} band", wavelength_nm=b.wavelength_nm, values=b.density_per_nm, source="rendered")
+        for name, b in zip(BAND_NAMES, bands.bands, strict=True)
+    )
+    return RenderedLight(
+        walls=COLOURS,
+        bands=(red, green, led),
+        reflectance=np.array([bands.reflectance[wall] for wall in COLOURS]),
+        conversion=np.array([bands.conversion[wall] for wall in COLOURS]),
+        response=response,
+        white_balance=white_balance,
+    )
+
+
+def colour_notes(response: CameraResponse, bands: PaintBands) -> tuple[str, ...]:
+    """Say what the colours of a press rest on."""
+    cut = [
+        f"{colour} paint: {share:.1%} of the fitted emission lay below the LED's upper edge and was cut"
+        for colour, share in bands.cut_share.items()
+        if share > 0.001
+    ]
+    return (f"{CAMERA_NOTE}{response[0].source}", *coverage_notes(response, bands), *cut)
+
+
+DRAWS = 1000
+"""Of each input; a standard deviation is then known to 2 %."""
+
+# a calibration whose draws mostly break the conservation of energy says nothing about a real paint
+_LARGEST_UNPHYSICAL_SHARE = 0.5
+
+
+def known_inputs(
+    finger: PaintedFinger,
+    calibrations: Mapping[str, PaintCalibration],
+    paint_sha256: Mapping[str, str],
+    chains: Sequence[str],
+    draws: int = DRAWS,
+) -> KnownInputs:
+    """Return draws of what decides the colours: paints with a calibration, and the camera's response.
+
+    A chain's light is proportional to each conversion on its way, and channel c sees its last band with the response
+    R[c, band]; so the matrix from chains to RGB of draw d is that of the best values times
+    (R_d / R_0)[c, band] * product over steps of (K_d / K_0). Paints are drawn from their posterior without the draws
+    that break the conservation of energy. The camera's factors are log-normal with mean 1: the scale of each channel's
+    curve, and on top of it each channel's response in the LED's band.
+
+    Parameters
+    ----------
+    finger
+        Paints at their posterior means.
+    calibrations, paint_sha256
+        "red" and "green", where calibrated: the fits and the checksums of their files.
+    chains
+        Chains of the render, in its order.
+    draws
+        Draws of each input.
+
+    Raises
+    ------
+    SimulateError
+        More than half the draws of a paint return more light than they get.
+    """
+    mean = paint_bands(finger.paints["red"], finger.paints["green"], finger.design.light)
+    names, keys, evaluations, sources, factors = [], [], [], [], []
+    for colour in COLOURS:
+        if colour in calibrations:
+            key = paint_sha256.get(colour, calibrations[colour].paint_name)
+            names.append(f"{colour} paint")
+            keys.append(key)
+            evaluations.append("A")
+            sources.append(f"posterior of {calibrations[colour].paint_name}")
+            factors.append(_paint_factors(finger, colour, calibrations[colour], mean, chains, draws, _rng(key)))
+    camera_key = "; ".join(f"{c.source} +- {c.uncertainty_rel:g}" for c in finger.response)
+    at_led = finger.design.camera.response_at_led_uncertainty_rel
+    camera_key += f"; at the LED +- {at_led:g}"
+    return KnownInputs(
+        names=(*names, "camera response"),
+        keys=(*keys, camera_key),
+        evaluations=(*_evaluations(evaluations), "B"),
+        sources=(*sources, f"{finger.response[0].source}; at the LED stated as {at_led:.0%}"),
+        factors=np.array([*factors, _camera_factors(finger, chains, draws, _rng(camera_key))], dtype=np.float32),
+    )
+
+
+def _evaluations(names: Sequence[str]) -> tuple[Literal["A"], ...]:
+    """Return one "A" per paint."""
+    return tuple("A" for _ in names)
+
+
+def _rng(key: str) -> np.random.Generator:
+    """Return the generator of an input: the same key gives the same draws in every render."""
+    return np.random.default_rng(int.from_bytes(hashlib.sha256(key.encode()).digest()[:8], "little"))
+
+
+def _paint_factors(
+    finger: PaintedFinger,
+    colour: str,
+    calibration: PaintCalibration,
+    mean: PaintBands,
+    chains: Sequence[str],
+    draws: int,
+    rng: np.random.Generator,
+) -> Floats:
+    """Return factors (draw, 3, chain) of one paint."""
+    best = response_matrix(finger.response, mean)
+    found: list[Floats] = []
+    tried, emission = 0, calibration.emission_draws_per_nm
+    while len(found) < draws:
+        tried += 1
+        if tried - len(found) > max(20, _LARGEST_UNPHYSICAL_SHARE * tried):
+            raise SimulateError(
+                f"more than half the posterior draws of {calibration.paint_name} return more light than the paint "
+                "gets; check the white reference of its session"
+            )
+        paint = replace(finger.paints[colour], emission_per_nm=np.maximum(emission[rng.integers(len(emission))], 0.0))
+        try:
+            bands = paint_bands(**{**finger.paints, colour: paint}, light=finger.design.light)
+        except SimulateError:
+            continue
+        gains = conversion_gains(mean.conversion, bands.conversion)
+        response = response_matrix(finger.response, bands)
+        # a channel that is blind to a band stays so
+        change = np.divide(response, best, out=np.ones_like(best), where=best > 0.0)
+        found.append(_of_chains(change, chains, gains))
+    return np.array(found)
+
+
+def _of_chains(response: Floats, chains: Sequence[str], gains: Mapping[tuple[str, str], float]) -> Floats:
+    """Return factors (3, chain): of the last band's response, times the gains on the chain's way."""
+    last = [BAND_NAMES.index(chain.rsplit(">", 1)[-1]) for chain in chains]
+    gain = np.array([np.prod([gains[step] for step in chain_steps(chain)]) for chain in chains])
+    return np.asarray(response[:, last] * gain)
+
+
+def _camera_factors(finger: PaintedFinger, chains: Sequence[str], draws: int, rng: np.random.Generator) -> Floats:
+    """Return factors (draw, 3, chain) of the camera."""
+    scale = _log_normal(np.array([curve.uncertainty_rel for curve in finger.response]), draws, rng)
+    at_led = _log_normal(np.full(3, finger.design.camera.response_at_led_uncertainty_rel), draws, rng)
+    is_led = np.array([chain.rsplit(">", 1)[-1] == "led" for chain in chains])
+    return scale[..., None] * np.where(is_led, at_led[..., None], 1.0)
+
+
+def _log_normal(sd_rel: Floats, draws: int, rng: np.random.Generator) -> Floats:
+    """Return factors (draw, n) of mean 1 and these standard deviations."""
+    sigma = np.sqrt(np.log1p(sd_rel**2))
+    return np.asarray(np.exp(sigma * rng.standard_normal((draws, len(sd_rel))) - 0.5 * sigma**2))
+
+
+POSE_STEPS_MM = {"depth_mm": 0.1, "position_mm": 0.3}
+"""Steps to either side: near the uncertainty of a pose set by hand, so that a curved response is averaged over it."""
+
+ShapeAt = Callable[[FingerDesign], FingerShape]
+
+
+def pose_response(
+    finger: PaintedFinger,
+    level: RenderLevel,
+    seed: int,
+    samples_per_pixel: int,
+    contact_samples_per_pixel: int | None,
+    chains: tuple[str, ...],
+    shape_at: ShapeAt = pressed_shape,
+    progress: Progress | None = None,
+) -> PoseResponse:
+    """Render the press a little deeper and flatter, nearer and farther, with the random numbers of the press itself.
+
+    Parameters
+    ----------
+    finger, level, seed, samples_per_pixel, contact_samples_per_pixel
+        As of the press.
+    chains
+        Layers of the press, in its order.
+    shape_at
+        Returns the pressed finger of a design whose indenter has another pose; by default the analytic press.
+    progress
+        Called after each render.
+    """
+    derivatives, differences = [], []
+    for (_, step_mm), designs in zip(POSE_STEPS_MM.items(), moved_designs(finger.design), strict=True):
+        shapes = (shape_at(designs[0]), shape_at(designs[1]))
+        render = render_press(
+            finger.design, finger.paints, finger.renderer, level, seed, samples_per_pixel, progress, shapes,
+            finger.calibration, contact_samples_per_pixel,
+        )  # fmt: skip
+        span_mm = np.float32(2.0 * step_mm)
+        both = (
+            (render.contact_chains, render.no_contact_chains),
+            (render.contact_half_difference, render.no_contact_half_difference),
+        )
+        derivative, difference = (_ordered((more - less) / span_mm, render.chains, chains) for more, less in both)
+        derivatives.append(derivative)
+        differences.append(difference)
+    return PoseResponse(
+        names=("depth_mm", "position_mm"),
+        steps_mm=tuple(POSE_STEPS_MM.values()),
+        derivative=np.array(derivatives),
+        half_difference=np.array(differences),
+    )
+
+
+def moved_designs(design: FingerDesign) -> tuple[tuple[FingerDesign, FingerDesign], ...]:
+    """Return the design with its indenter a step before and after its place, for each part of the pose.
+
+    Raises
+    ------
+    SimulateError
+        A step leads out of the pad: the press is too shallow, or too near an end.
+    """
+    found = []
+    for field, step_mm in POSE_STEPS_MM.items():
+        pair = []
+        for sign in (-1.0, 1.0):
+            values = design.model_dump()
+            values["indenter"][field] += sign * step_mm
+            try:
+                pair.append(FingerDesign.model_validate(values))
+            except ValidationError:
+                raise SimulateError(
+                    f"the response to the pose moves indenter.{field} by {step_mm:g} mm to either side, and "
+                    f"{values['indenter'][field]:g} mm is not possible: press deeper, or farther from the end of the "
+                    "pad, or leave out --pose-response"
+                ) from None
+        found.append((pair[0], pair[1]))
+    return tuple(found)
+
+
+def _ordered(images: NDArray[np.float32], own: tuple[str, ...], chains: tuple[str, ...]) -> NDArray[np.float32]:
+    """Return images (row, column, chain) in the order of the press; a chain that is too weak here is dark."""
+    dark = np.zeros(images.shape[:2], dtype=np.float32)
+    return np.stack([images[..., own.index(c)] if c in own else dark for c in chains], axis=-1)

@@ -1,0 +1,443 @@
+"""What is in equilibrium: the elastic mesh and further energies, assembled into one gradient and one sparse matrix.
+
+Incompatible modes are eliminated in each element. The pattern of the symmetric matrix is fixed: nodal 3 x 3 blocks of
+its upper triangle (CSR), to which compiled loops add values.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from data_schemas import SimulateError
+from sim.mechanics._element_kernels import OGDEN, compiled, many_hexahedra
+from sim.mechanics._materials import Material
+from sim.mechanics._mesh import Block, FingerMesh
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class UpperBlocks:
+    """Upper triangle of a symmetric matrix of (3 n, 3 n) whose rows belong to n nodes.
+
+    The pattern is fixed, so that a factorisation's symbolic phase can be used again; :meth:`add_sparse` widens it
+    where a term needs more, and counts that in `version`.
+
+    Parameters
+    ----------
+    count
+        Number of nodes n.
+    cells
+        Arrays (m, k) of nodes that are coupled with each other.
+    """
+
+    def __init__(self, count: int, cells: Iterable[IntArray]) -> None:
+        self.count = count
+        self.version = 0
+        self._keys = np.unique(np.concatenate([np.empty(0, np.int64), *(_pair_keys(c, count) for c in cells)]))
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        row, neighbour = np.divmod(self._keys, self.count)
+        neighbours = np.bincount(row, minlength=self.count)
+        self._first = np.concatenate([[0], np.cumsum(neighbours)])
+        lengths = (3 * neighbours[:, None] + 3 - np.arange(3)).ravel()
+        self.indptr = np.concatenate([[0], np.cumsum(lengths)])
+        self.indices = np.empty(self.indptr[-1], np.int32)
+        _fill_indices(self._first, neighbour, self.indptr, self.indices)
+        self.values = np.zeros(len(self.indices))
+
+    def slots(self, cells: IntArray) -> NDArray[np.int32]:
+        """Return where the 3 x 3 blocks a <= b of cells (m, k) start in their rows, shape (m, k (k + 1) / 2)."""
+        a, b = np.triu_indices(cells.shape[1])
+        low, high = np.minimum(cells[:, a], cells[:, b]), np.maximum(cells[:, a], cells[:, b])
+        place = np.searchsorted(self._keys, (low * self.count + high).ravel()).reshape(low.shape)
+        return np.asarray(np.where(low == high, 0, 3 + 3 * (place - self._first[low])), dtype=np.int32)
+
+    def clear(self) -> None:
+        """Set all values to zero."""
+        self.values[:] = 0.0
+
+    def add_cells(self, cells: IntArray, slots: NDArray[np.int32], blocks: FloatArray) -> None:
+        """Add symmetric matrices (m, 3 k, 3 k) of cells (m, k) at slots of :meth:`slots`."""
+        _add_cells(cells, slots, blocks, self.indptr, self.values)
+
+    def add_sparse(self, matrix: sp.coo_array | sp.csr_array) -> None:
+        """Add a symmetric sparse matrix (3 n, 3 n), of which the upper triangle is read."""
+        entries = matrix.tocoo()
+        upper = entries.row <= entries.col
+        row, col, value = entries.row[upper].astype(np.int64), entries.col[upper].astype(np.int64), entries.data[upper]
+        if _add_entries(row, col, value, self.indptr, self.indices, self.values, False):
+            self._widen(row // 3, col // 3)
+        _add_entries(row, col, value, self.indptr, self.indices, self.values, True)
+
+    def _widen(self, row: IntArray, col: IntArray) -> None:
+        before = self.upper()
+        new = np.minimum(row, col) * self.count + np.maximum(row, col)
+        self._keys = np.union1d(self._keys, new[row != col])
+        self._lay_out()
+        self.version += 1
+        entries = before.tocoo()
+        rows, cols = entries.row.astype(np.int64), entries.col.astype(np.int64)
+        _add_entries(rows, cols, entries.data, self.indptr, self.indices, self.values, True)
+
+    def upper(self) -> sp.csr_array:
+        """Return the upper triangle; it shares its values with this object."""
+        size = 3 * self.count
+        matrix = sp.csr_array((self.values, self.indices, self.indptr.astype(np.int32)), shape=(size, size))
+        matrix.has_sorted_indices = True
+        return matrix
+
+    def times(self, vector: FloatArray) -> FloatArray:
+        """Return the whole symmetric matrix times a vector (3 n,)."""
+        upper = self.upper()
+        return np.asarray(upper @ vector + upper.T @ vector - upper.diagonal() * vector)
+
+    def constrain(self, fixed: NDArray[np.bool_]) -> None:
+        """Replace rows and columns of fixed unknowns (3 n,) by those of the unit matrix, in place."""
+        _constrain(fixed, self.indptr, self.indices, self.values)
+
+
+def _pair_keys(cells: IntArray, count: int) -> IntArray:
+    """Return the distinct pairs low * count + high, low < high, of nodes of the same cell."""
+    a, b = np.triu_indices(cells.shape[1], 1)
+    low, high = np.minimum(cells[:, a], cells[:, b]), np.maximum(cells[:, a], cells[:, b])
+    return np.unique((low * count + high)[low != high])
+
+
+@compiled
+def _fill_indices(first: IntArray, neighbour: IntArray, indptr: IntArray, indices: NDArray[np.int32]) -> None:
+    for n in range(len(first) - 1):
+        for i in range(3):
+            p = indptr[3 * n + i]
+            for k in range(i, 3):
+                indices[p] = 3 * n + k
+                p += 1
+            for t in range(first[n], first[n + 1]):
+                for k in range(3):
+                    indices[p] = 3 * neighbour[t] + k
+                    p += 1
+
+
+@compiled
+def _add_cells(
+    cells: IntArray, slots: NDArray[np.int32], blocks: FloatArray, indptr: IntArray, values: FloatArray
+) -> None:
+    size = cells.shape[1]
+    for e in range(len(cells)):
+        slot = 0
+        for a in range(size):
+            for b in range(a, size):
+                low, high, turned = cells[e, a], cells[e, b], cells[e, a] > cells[e, b]
+                if turned:
+                    low, high = high, low
+                start = slots[e, slot]
+                slot += 1
+                for i in range(3):
+                    p = indptr[3 * low + i] + start - i
+                    for k in range(i if low == high else 0, 3):
+                        values[p + k] += blocks[e, 3 * a + k, 3 * b + i] if turned else blocks[e, 3 * a + i, 3 * b + k]
+
+
+@compiled
+def add_forces(cells: IntArray, forces: FloatArray, out: FloatArray) -> None:
+    """Add forces (m, 3 k) of cells (m, k) to those of the nodes (n, 3)."""
+    for e in range(len(cells)):
+        for a in range(cells.shape[1]):
+            for i in range(3):
+                out[cells[e, a], i] += forces[e, 3 * a + i]
+
+
+@compiled
+def _add_entries(
+    row: IntArray,
+    col: IntArray,
+    value: FloatArray,
+    indptr: IntArray,
+    indices: NDArray[np.int32],
+    values: FloatArray,
+    write: bool,
+) -> int:
+    """Add entries that the pattern holds; return how many it does not hold."""
+    missing = 0
+    for e in range(len(row)):
+        low, high = indptr[row[e]], indptr[row[e] + 1]
+        end = high
+        while low < high:
+            middle = (low + high) // 2
+            if indices[middle] < col[e]:
+                low = middle + 1
+            else:
+                high = middle
+        if low == end or indices[low] != col[e]:
+            missing += 1
+        elif write:
+            values[low] += value[e]
+    return missing
+
+
+@compiled
+def _constrain(fixed: NDArray[np.bool_], indptr: IntArray, indices: NDArray[np.int32], values: FloatArray) -> None:
+    for r in range(len(fixed)):
+        for p in range(indptr[r], indptr[r + 1]):
+            if fixed[r] or fixed[indices[p]]:
+                values[p] = 1.0 if indices[p] == r else 0.0
+
+
+Modes = tuple[FloatArray, ...]
+"""Incompatible modes of each block in mm: (m, 3, 3), or (m, 0, 3) for elements that have none."""
+
+_TOGETHER = 256  # elements of one call: their tangents (1.2 MB) stay in the cache
+
+
+@dataclass(frozen=True, slots=True)
+class ElementMatrices:
+    """Forces (m, 24) in N and tangents (m, 24, 24) in N/mm of some elements of one block."""
+
+    block: int
+    elements: slice
+    force: FloatArray
+    tangent: FloatArray
+
+
+class Elasticity:
+    """Elastic energy of the blocks of a mesh with their materials.
+
+    Elements: mean dilatation (Q1P0) for nearly incompressible gel, at least two through a thickness that bends;
+    incompatible modes (nine, eliminated in the element) for ribs and films. The displacement u (n, 3) and the modes
+    are unknowns side by side; Newton's step of both is that of the system in u alone from :meth:`matrices`, and
+    :meth:`mode_step` for the modes.
+
+    Parameters
+    ----------
+    mesh
+        Mesh at rest.
+    materials
+        Material of each name that the blocks use.
+    threads
+        Threads that evaluate elements; results do not depend on it.
+
+    Raises
+    ------
+    SimulateError
+        When a block's material is not given, or cannot be used with its element.
+    """
+
+    def __init__(self, mesh: FingerMesh, materials: Mapping[str, Material], threads: int = 1) -> None:
+        self.mesh = mesh
+        self.count = len(mesh.nodes_mm)
+        self.cells: tuple[IntArray, ...] = tuple(np.ascontiguousarray(b.hexahedra, np.int64) for b in mesh.blocks)
+        self._nodes = np.ascontiguousarray(mesh.nodes_mm, np.float64)
+        self._materials = [_material_of(block, materials) for block in mesh.blocks]
+        self._threads = threads
+        mode_counts = [3 if b.element == "incompatible_modes" else 0 for b in mesh.blocks]
+        self._solved = [np.zeros((len(c) if m else 0, 9, 25)) for c, m in zip(self.cells, mode_counts, strict=True)]
+        self._mode_force = [np.zeros((len(s), 9)) for s in self._solved]
+        self._energies = [np.zeros(len(c)) for c in self.cells]
+        # displacements and modes that the energies belong to
+        self._evaluated: tuple[FloatArray, ...] = ()
+        self.no_modes: Modes = tuple(np.zeros((len(c), m, 3)) for c, m in zip(self.cells, mode_counts, strict=True))
+
+    def energy(self, u: FloatArray, modes: Modes) -> float:
+        """Return the elastic energy in N mm; infinity where an element is inside out."""
+        if not self._is_evaluated(u, modes):
+            for _ in self._evaluate(u, modes, 0):
+                pass
+        return math.fsum(float(e.sum()) for e in self._energies)
+
+    def _is_evaluated(self, u: FloatArray, modes: Modes) -> bool:
+        """Whether the energies of the last evaluation, of whatever level, are those of this state."""
+        asked = (u, *modes)
+        return len(asked) == len(self._evaluated) and all(map(np.array_equal, asked, self._evaluated))
+
+    def matrices(self, u: FloatArray, modes: Modes, project: bool = False) -> Iterator[ElementMatrices]:
+        """Yield forces and tangents by u with the modes eliminated, a part of the elements at a time.
+
+        With `project` the tangent of each element has no negative curvature. The arrays are used again after the next
+        step of the iteration. Where an element is inside out (see :meth:`energy`) its arrays mean nothing.
+        """
+        return self._evaluate(u, modes, 2 if project else 1)
+
+    def energy_of_blocks(self) -> dict[str, float]:
+        """Return the energy in N mm of each block at the last evaluation."""
+        return {b.name: float(e.sum()) for b, e in zip(self.mesh.blocks, self._energies, strict=True)}
+
+    def mode_step(self, du: FloatArray) -> Modes:
+        """Return Newton's step of the modes that belongs to the step du (n, 3), from the last :meth:`matrices`."""
+        steps = []
+        for cells, solved, rest in zip(self.cells, self._solved, self.no_modes, strict=True):
+            if not len(solved):
+                steps.append(rest)
+                continue
+            local = du[cells].reshape(-1, 24)
+            steps.append(-(np.einsum("eij,ej->ei", solved[:, :, :24], local) + solved[:, :, 24]).reshape(-1, 3, 3))
+        return tuple(steps)
+
+    def mode_work_n_mm(self) -> float:
+        """Return sum f_a . K_aa^-1 f_a over the modes: by what the energy's slope lies below that of u alone."""
+        pairs = zip(self._mode_force, self._solved, strict=True)
+        return float(sum(np.einsum("ei,ei->", f, s[:, :, 24]) for f, s in pairs))
+
+    def mode_residual_n(self) -> float:
+        """Return the norm of the forces on the modes at the last :meth:`matrices`."""
+        return math.sqrt(sum(float((f**2).sum()) for f in self._mode_force))
+
+    def _evaluate(self, u: FloatArray, modes: Modes, level: int) -> Iterator[ElementMatrices]:
+        jobs = [
+            (block, slice(start, min(start + _TOGETHER, len(cells))))
+            for block, cells in enumerate(self.cells)
+            for start in range(0, len(cells), _TOGETHER)
+        ]
+        room = _TOGETHER if level else 0
+        buffers = [(np.empty((room, 24)), np.empty((room, 24, 24))) for _ in range(self._threads)]
+        displacement = np.ascontiguousarray(u, np.float64)
+
+        def evaluate(number: int) -> ElementMatrices:
+            block, part = jobs[number]
+            force, tangent = buffers[number % self._threads]
+            size = part.stop - part.start
+            out = ElementMatrices(block, part, force[:size], tangent[:size])
+            self._evaluate_part(displacement, modes[block], level, out)
+            return out
+
+        self._evaluated = ()
+        if self._threads == 1:
+            yield from map(evaluate, range(len(jobs)))
+        else:
+            with ThreadPoolExecutor(self._threads) as pool:
+                for first in range(0, len(jobs), self._threads):
+                    yield from pool.map(evaluate, range(first, min(first + self._threads, len(jobs))))
+        self._evaluated = (displacement.copy(), *(m.copy() for m in modes))
+
+    def _evaluate_part(self, u: FloatArray, modes: FloatArray, level: int, out: ElementMatrices) -> None:
+        block, part, material = out.block, out.elements, self._materials[out.block]
+        many_hexahedra(
+            self._nodes,
+            u,
+            self.cells[block][part],
+            modes[part],
+            material.law,
+            material.parameters,
+            level,
+            self._energies[block][part],
+            out.force,
+            out.tangent,
+            self._solved[block][part],
+            self._mode_force[block][part],
+        )
+
+
+def _material_of(block: Block, materials: Mapping[str, Material]) -> Material:
+    """Return the material of a block."""
+    if block.material not in materials:
+        raise SimulateError(
+            f"block {block.name} is of material {block.material}, which is not among {', '.join(sorted(materials))}"
+        )
+    material = materials[block.material]
+    if block.element == "mean_dilatation" and material.law != OGDEN:
+        raise SimulateError(
+            f"block {block.name} asks for mean dilatation with the linear elastic material {block.material}; that "
+            "element is for Ogden and neo-Hookean materials: use incompatible_modes"
+        )
+    return material
+
+
+class Term(Protocol):
+    """An energy of the nodes' displacement u (n, 3) in mm beside the elastic one: contact, friction at fixed lag, ties.
+
+    A node of the mesh that no element uses is a rigid body's position: terms may move it like any other.
+    """
+
+    def energy(self, u: FloatArray) -> float:
+        """Return the energy in N mm; infinity where u is not allowed."""
+        ...
+
+    def gradient(self, u: FloatArray) -> FloatArray:
+        """Return its derivative in N, shape (n, 3): minus the force on the nodes."""
+        ...
+
+    def hessian(self, u: FloatArray, project: bool) -> sp.coo_array | sp.csr_array:
+        """Return its second derivative in N/mm, symmetric (3 n, 3 n), unknown 3 node + axis.
+
+        With `project` without negative curvature. Explicit zeros reserve their place, so that a matrix whose entries
+        come and go need not be analysed again.
+        """
+        ...
+
+    def max_step(self, u: FloatArray, du: FloatArray) -> float:
+        """Return the largest share (0, 1] of the step du (n, 3) from u that is allowed."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Displacement of the nodes (n, 3) and incompatible modes of the elements, in mm."""
+
+    u_mm: FloatArray
+    modes: Modes
+
+    def moved(self, share: float, du: FloatArray, step: Modes) -> "State":
+        """Return the state a share of a step further."""
+        return State(self.u_mm + share * du, tuple(m + share * d for m, d in zip(self.modes, step, strict=True)))
+
+
+class Assembly:
+    """Elastic mesh and further terms, whose sum of energies is to be least.
+
+    Parameters
+    ----------
+    elasticity
+        The elastic mesh.
+    terms
+        Further energies.
+    """
+
+    def __init__(self, elasticity: Elasticity, terms: Sequence[Term] = ()) -> None:
+        self.elasticity = elasticity
+        self.terms: tuple[Term, ...] = tuple(terms)
+        self.count = elasticity.count
+        self.matrix = UpperBlocks(self.count, elasticity.cells)
+        self._slots_of(self.matrix.version)
+
+    def _slots_of(self, version: int) -> None:
+        self._version = version
+        self._slots = [self.matrix.slots(cells) for cells in self.elasticity.cells]
+
+    def at_rest(self) -> State:
+        """Return the undeformed state."""
+        return State(np.zeros((self.count, 3)), self.elasticity.no_modes)
+
+    def energy(self, state: State) -> float:
+        """Return the whole energy in N mm; infinity where it is not defined."""
+        energy = 0.0
+        for term in self.terms:
+            energy += term.energy(state.u_mm)
+            if energy == math.inf:
+                return energy
+        return energy + self.elasticity.energy(state.u_mm, state.modes)
+
+    def assemble(self, state: State, project: bool = False) -> tuple[FloatArray, FloatArray]:
+        """Fill :attr:`matrix` and return the gradient without the modes, and its part of the terms, in N, (n, 3)."""
+        if self._version != self.matrix.version:
+            self._slots_of(self.matrix.version)
+        self.matrix.clear()
+        gradient = np.zeros((self.count, 3))
+        for part in self.elasticity.matrices(state.u_mm, state.modes, project):
+            cells = self.elasticity.cells[part.block][part.elements]
+            self.matrix.add_cells(cells, self._slots[part.block][part.elements], part.tangent)
+            add_forces(cells, part.force, gradient)
+        of_terms = np.zeros((self.count, 3))
+        for term in self.terms:
+            of_terms += term.gradient(state.u_mm)
+            self.matrix.add_sparse(term.hessian(state.u_mm, project))
+        return gradient + of_terms, of_terms
+
+    def max_step(self, state: State, du: FloatArray) -> float:
+        """Return the largest share of the step du (n, 3) that all terms allow."""
+        return min([1.0, *(term.max_step(state.u_mm, du) for term in self.terms)])

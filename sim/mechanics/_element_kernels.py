@@ -1,0 +1,476 @@
+"""Compiled hexahedra: energy, nodal forces and tangent of one element and of many.
+
+Everything is computed in the principal frame of the deformation gradient F = sum_i lambda_i n_i (x) N_i, where an
+isotropic energy psi(lambda_1, lambda_2, lambda_3) has a second derivative of nine modes only (R. W. Ogden, Non-Linear
+Elastic Deformations, 1984, section 6.1.4; B. Smith et al., ACM Trans. Graph. 38, 12, 2019):
+
+- stretch modes n_i (x) N_i, coupled by psi_ij;
+- for each pair, (n_i (x) N_j + n_j (x) N_i) / sqrt 2 with (psi_i - psi_j) / (lambda_i - lambda_j);
+- for each pair, (n_i (x) N_j - n_j (x) N_i) / sqrt 2 with (psi_i + psi_j) / (lambda_i + lambda_j).
+
+A tangent without negative curvature follows by setting negative values of these modes to zero.
+
+Laws take a row of parameters: ST_VENANT_KIRCHHOFF (bulk = 0, lambda, mu in MPa), OGDEN (bulk, mu_1, alpha_1, ...).
+
+Numba enters the mechanics here only. It renews a cached function when its own file changes, not when a function that
+it calls does: a compiled function therefore calls only compiled functions of its own file.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Final, TypeVar
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+_REORDER = {"reassoc", "contract", "arcp", "nsz"}  # sums may be reordered; infinities and NaN keep their meaning
+
+
+def compiled(function: Function) -> Function:
+    """Compile a function of floats and arrays at its first call; it releases the interpreter's lock.
+
+    Division by zero gives an infinity, as in numpy, and raises nothing.
+    """
+    dispatcher: Function = numba.njit(cache=True, nogil=True, fastmath=_REORDER, error_model="numpy")(function)
+    return dispatcher
+
+
+FloatArray = NDArray[np.float64]
+
+ST_VENANT_KIRCHHOFF: Final = 0
+OGDEN: Final = 1
+
+CORNERS: Final = np.array(
+    [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], np.float64
+)
+"""Local coordinates of the eight nodes (order of Abaqus' C3D8)."""
+
+GAUSS_POINTS: Final = CORNERS / math.sqrt(3.0)
+
+_EQUAL = 1e-5  # relative difference of stretches below which the difference quotient becomes its limit
+_ROTATION_END = 1e-32  # squared sine at which two axes need no further rotation
+_SQRT_HALF = math.sqrt(0.5)
+_FIRST = np.array([0, 0, 1])
+_SECOND = np.array([1, 2, 2])
+
+
+def shape_gradients(local: FloatArray) -> FloatArray:
+    """Return dN_a / dxi_j of the trilinear hexahedron at local points (m, 3), shape (m, 8, 3)."""
+    factors = 1.0 + CORNERS[None] * local[:, None]
+    x, y, z = (factors[..., j] for j in range(3))
+    return np.stack([CORNERS[:, 0] * y * z, CORNERS[:, 1] * x * z, CORNERS[:, 2] * x * y], -1) / 8.0
+
+
+_AT_GAUSS = shape_gradients(GAUSS_POINTS)
+_AT_CENTRE = shape_gradients(np.zeros((1, 3)))[0]
+
+
+@compiled
+def _inverse(a: FloatArray, out: FloatArray) -> float:
+    """Invert a 3 x 3 matrix and return its determinant."""
+    out[0, 0], out[1, 1] = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1], a[0, 0] * a[2, 2] - a[0, 2] * a[2, 0]
+    out[0, 1], out[1, 0] = a[0, 2] * a[2, 1] - a[0, 1] * a[2, 2], a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
+    out[0, 2], out[2, 0] = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1], a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]
+    out[1, 2], out[2, 1] = a[0, 2] * a[1, 0] - a[0, 0] * a[1, 2], a[0, 1] * a[2, 0] - a[0, 0] * a[2, 1]
+    out[2, 2] = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+    det = a[0, 0] * out[0, 0] + a[0, 1] * out[1, 0] + a[0, 2] * out[2, 0]
+    scale = 1.0 / det
+    for i in range(3):
+        for m in range(3):
+            out[i, m] *= scale
+    return float(det)
+
+
+@compiled
+def _jacobi(c: FloatArray, w: FloatArray, v: FloatArray) -> None:
+    """Fill eigenvalues w and eigenvectors v (columns) of a symmetric 3 x 3 matrix, which is destroyed."""
+    for i in range(3):
+        for j in range(3):
+            v[i, j] = 1.0 if i == j else 0.0
+    for _ in range(12):
+        turned = False
+        for k in range(3):
+            p, q = _FIRST[k], _SECOND[k]
+            r = 3 - p - q
+            if c[p, q] * c[p, q] <= _ROTATION_END * abs(c[p, p] * c[q, q]):
+                continue
+            turned = True
+            angle = (c[q, q] - c[p, p]) / (2.0 * c[p, q])
+            t = (1.0 if angle >= 0.0 else -1.0) / (abs(angle) + math.sqrt(angle * angle + 1.0))
+            cos = 1.0 / math.sqrt(t * t + 1.0)
+            sin = t * cos
+            c[p, p] -= t * c[p, q]
+            c[q, q] += t * c[p, q]
+            crp, crq = c[r, p], c[r, q]
+            c[r, p] = c[p, r] = cos * crp - sin * crq
+            c[r, q] = c[q, r] = sin * crp + cos * crq
+            c[p, q] = c[q, p] = 0.0
+            for i in range(3):
+                vip, viq = v[i, p], v[i, q]
+                v[i, p] = cos * vip - sin * viq
+                v[i, q] = sin * vip + cos * viq
+        if not turned:
+            break
+    for i in range(3):
+        w[i] = c[i, i]
+
+
+@compiled
+def stretch_energy(
+    law: int, parameters: FloatArray, stretch: FloatArray, first: FloatArray, second: FloatArray, curve: FloatArray
+) -> float:
+    """Return psi in MPa without the volumetric part and fill psi_i and psi_ij; `curve` (3,) is work space."""
+    for i in range(3):
+        first[i] = 0.0
+        for j in range(3):
+            second[i, j] = 0.0
+    energy = 0.0
+    if law == ST_VENANT_KIRCHHOFF:
+        lame, shear = parameters[1], parameters[2]
+        trace = 0.5 * ((stretch[0] ** 2 - 1.0) + (stretch[1] ** 2 - 1.0) + (stretch[2] ** 2 - 1.0))
+        energy = 0.5 * lame * trace * trace
+        for i in range(3):
+            strain = 0.5 * (stretch[i] ** 2 - 1.0)
+            energy += shear * strain * strain
+            stress = lame * trace + 2.0 * shear * strain
+            first[i] = stretch[i] * stress
+            second[i, i] = stress + 2.0 * shear * stretch[i] ** 2
+            for j in range(3):
+                second[i, j] += lame * stretch[i] * stretch[j]
+        return float(energy)
+    mean = (math.log(stretch[0]) + math.log(stretch[1]) + math.log(stretch[2])) / 3.0
+    for p in range((len(parameters) - 1) // 2):
+        mu, alpha = parameters[1 + 2 * p], parameters[2 + 2 * p]
+        total = 0.0
+        for i in range(3):
+            curve[i] = math.expm1(alpha * (math.log(stretch[i]) - mean))
+            total += curve[i]
+        energy += 2.0 * mu / (alpha * alpha) * total
+        third = total / 3.0
+        for i in range(3):
+            first[i] += 2.0 * mu / alpha * (curve[i] - third)
+            for j in range(3):
+                second[i, j] -= 2.0 * mu / 3.0 * (1.0 + curve[i] + curve[j] - third)
+            second[i, i] += 2.0 * mu * (1.0 + curve[i])
+    for i in range(3):
+        second[i, i] -= first[i]
+        for j in range(3):
+            second[i, j] /= stretch[i] * stretch[j]
+    for i in range(3):
+        first[i] /= stretch[i]
+    return float(energy)
+
+
+@compiled
+def _add_volumetric(
+    pressure_mpa: float,
+    bulk_mpa: float,
+    jacobian: FloatArray,
+    stretch: FloatArray,
+    first: FloatArray,
+    second: FloatArray,
+) -> None:
+    """Add the derivatives of a volumetric energy U(J) with U' = pressure and U'' = bulk."""
+    j = jacobian[0]
+    for i in range(3):
+        first[i] += pressure_mpa * j / stretch[i]
+        for k in range(3):
+            second[i, k] += (bulk_mpa * j + pressure_mpa) * j / (stretch[i] * stretch[k])
+        second[i, i] -= pressure_mpa * j / (stretch[i] * stretch[i])
+
+
+@compiled
+def _without_negative(second: FloatArray, w: FloatArray, v: FloatArray, work: FloatArray) -> None:
+    """Replace a symmetric 3 x 3 matrix by its part of non-negative eigenvalues."""
+    for i in range(3):
+        for j in range(3):
+            work[i, j] = second[i, j]
+    _jacobi(work, w, v)
+    if w[0] >= 0.0 and w[1] >= 0.0 and w[2] >= 0.0:
+        return
+    for i in range(3):
+        for j in range(3):
+            second[i, j] = 0.0
+            for k in range(3):
+                second[i, j] += max(w[k], 0.0) * v[i, k] * v[j, k]
+
+
+@compiled
+def _shear_modes(stretch: FloatArray, first: FloatArray, second: FloatArray, shear: FloatArray) -> None:
+    """Fill the values of the three symmetric and the three antisymmetric shear modes, shape (6,)."""
+    for k in range(3):
+        i, j = _FIRST[k], _SECOND[k]
+        gap = stretch[i] - stretch[j]
+        if abs(gap) > _EQUAL * stretch[i]:
+            shear[k] = (first[i] - first[j]) / gap
+        else:
+            shear[k] = 0.5 * (second[i, i] + second[j, j]) - second[i, j]
+        shear[3 + k] = (first[i] + first[j]) / (stretch[i] + stretch[j])
+
+
+@compiled
+def reference_gradients(x: FloatArray, gradients: FloatArray, volume: FloatArray) -> bool:
+    """Fill dN_a / dX (8 points, 8 nodes or 11 with incompatible modes, 3) and the volumes of the points in mm^3.
+
+    The gradients of the three incompatible modes are det J0 / det J xi_m J0^-T e_m, whose integral vanishes on any
+    hexahedron, so that the patch test is passed (R. L. Taylor, P. J. Beresford, E. L. Wilson, 1976; J. C. Simo,
+    F. Armero, R. L. Taylor, 1993).
+
+    Returns
+    -------
+    bool
+        False where the hexahedron is inside out at a Gauss point.
+    """
+    jacobian, inverse, centre = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    jacobian[:] = 0.0
+    for a in range(8):
+        for i in range(3):
+            for j in range(3):
+                jacobian[i, j] += x[a, i] * _AT_CENTRE[a, j]
+    det_centre = _inverse(jacobian, centre)
+    for q in range(8):
+        jacobian[:] = 0.0
+        for a in range(8):
+            for i in range(3):
+                for j in range(3):
+                    jacobian[i, j] += x[a, i] * _AT_GAUSS[q, a, j]
+        det = _inverse(jacobian, inverse)
+        if not det > 0.0:
+            return False
+        volume[q] = det
+        for a in range(8):
+            for i in range(3):
+                g = _AT_GAUSS[q, a, 0] * inverse[0, i]
+                gradients[q, a, i] = g + _AT_GAUSS[q, a, 1] * inverse[1, i] + _AT_GAUSS[q, a, 2] * inverse[2, i]
+        for m in range(gradients.shape[1] - 8):
+            for i in range(3):
+                gradients[q, 8 + m, i] = det_centre / det * GAUSS_POINTS[q, m] * centre[m, i]
+    return True
+
+
+@compiled
+def _deformation(gradients: FloatArray, displacement: FloatArray, f: FloatArray) -> float:
+    """Fill F = 1 + sum_a u_a (x) grad N_a and return its determinant."""
+    for i in range(3):
+        for j in range(3):
+            s = 1.0 if i == j else 0.0
+            for a in range(gradients.shape[0]):
+                s += displacement[a, i] * gradients[a, j]
+            f[i, j] = s
+    det = f[0, 0] * (f[1, 1] * f[2, 2] - f[1, 2] * f[2, 1]) - f[0, 1] * (f[1, 0] * f[2, 2] - f[1, 2] * f[2, 0])
+    return float(det + f[0, 2] * (f[1, 0] * f[2, 1] - f[1, 1] * f[2, 0]))
+
+
+@compiled
+def _principal_frame(
+    f: FloatArray, stretch: FloatArray, material: FloatArray, spatial: FloatArray, c: FloatArray
+) -> None:
+    """Fill stretches and the principal directions N (columns) and n = F N / lambda (columns); c is work space."""
+    for i in range(3):
+        for j in range(3):
+            c[i, j] = f[0, i] * f[0, j] + f[1, i] * f[1, j] + f[2, i] * f[2, j]
+    _jacobi(c, stretch, material)
+    for k in range(3):
+        stretch[k] = math.sqrt(stretch[k])
+        for i in range(3):
+            s = f[i, 0] * material[0, k] + f[i, 1] * material[1, k] + f[i, 2] * material[2, k]
+            spatial[i, k] = s / stretch[k]
+
+
+@compiled
+def _mode_rows(gradients: FloatArray, material: FloatArray, spatial: FloatArray, rows: FloatArray) -> None:
+    """Fill the derivatives of the nine modes by the nodal displacements, shape (9, 3 nodes)."""
+    for a in range(gradients.shape[0]):
+        g0 = gradients[a, 0] * material[0, 0] + gradients[a, 1] * material[1, 0] + gradients[a, 2] * material[2, 0]
+        g1 = gradients[a, 0] * material[0, 1] + gradients[a, 1] * material[1, 1] + gradients[a, 2] * material[2, 1]
+        g2 = gradients[a, 0] * material[0, 2] + gradients[a, 1] * material[1, 2] + gradients[a, 2] * material[2, 2]
+        for c in range(3):
+            n0, n1, n2 = spatial[c, 0], spatial[c, 1], spatial[c, 2]
+            r = 3 * a + c
+            rows[0, r], rows[1, r], rows[2, r] = n0 * g0, n1 * g1, n2 * g2
+            rows[3, r], rows[6, r] = _SQRT_HALF * (n0 * g1 + n1 * g0), _SQRT_HALF * (n0 * g1 - n1 * g0)
+            rows[4, r], rows[7, r] = _SQRT_HALF * (n0 * g2 + n2 * g0), _SQRT_HALF * (n0 * g2 - n2 * g0)
+            rows[5, r], rows[8, r] = _SQRT_HALF * (n1 * g2 + n2 * g1), _SQRT_HALF * (n1 * g2 - n2 * g1)
+
+
+@compiled
+def _weigh_rows(
+    rows: FloatArray, volume_mm3: FloatArray, second: FloatArray, shear: FloatArray, out: FloatArray
+) -> None:
+    """Multiply the nine modes by their stiffness and the volume of the point."""
+    dv = volume_mm3[0]
+    for i in range(3):
+        a, b, c = dv * second[i, 0], dv * second[i, 1], dv * second[i, 2]
+        for r in range(rows.shape[1]):
+            out[i, r] = a * rows[0, r] + b * rows[1, r] + c * rows[2, r]
+    for k in range(6):
+        s = dv * shear[k]
+        for r in range(rows.shape[1]):
+            out[3 + k, r] = s * rows[3 + k, r]
+
+
+@compiled
+def hexahedron(
+    x: FloatArray,
+    displacement: FloatArray,
+    law: int,
+    parameters: FloatArray,
+    mean_dilatation: bool,
+    level: int,
+    force: FloatArray,
+    tangent: FloatArray,
+) -> float:
+    """Return the energy of one hexahedron in N mm; infinity where it is inside out.
+
+    Parameters
+    ----------
+    x
+        Nodes at rest in mm, shape (8, 3).
+    displacement
+        Of the nodes and, behind them, of the incompatible modes in mm, shape (8, 3) or (11, 3).
+    law, parameters
+        See the module.
+    mean_dilatation
+        Whether the volumetric energy K/2 (v/V - 1)^2 V uses the whole element's volume (J. C. Nagtegaal, D. M. Parks,
+        J. R. Rice, 1974) or that of each point.
+    level
+        0 energy only, 1 forces and tangent, 2 forces and a tangent without negative curvature.
+    force, tangent
+        Filled: (3 nodes,) in N, (3 nodes, 3 nodes) in N/mm.
+    """
+    nodes = displacement.shape[0]
+    gradients, volume, f, jacobians = np.empty((8, nodes, 3)), np.empty(8), np.empty((8, 3, 3)), np.empty(8)
+    if not reference_gradients(x, gradients, volume):
+        return math.inf
+    deformed = 0.0
+    for q in range(8):
+        jacobians[q] = _deformation(gradients[q], displacement, f[q])
+        if not jacobians[q] > 0.0:
+            return math.inf
+        deformed += volume[q] * jacobians[q]
+    total = volume.sum()
+    bulk = parameters[0]
+    shared = bulk * (deformed / total - 1.0)
+    energy = 0.5 * shared * (deformed - total) if mean_dilatation else 0.0
+    stretch, first, second, shear, curve = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(3)
+    material, spatial, work, axes = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    rows, weighted, dilation = np.empty((72, 3 * nodes)), np.empty((72, 3 * nodes)), np.zeros(3 * nodes)
+    force[:] = 0.0
+    for q in range(8):
+        _principal_frame(f[q], stretch, material, spatial, work)
+        energy += volume[q] * stretch_energy(law, parameters, stretch, first, second, curve)
+        if bulk > 0.0:
+            pressure = shared if mean_dilatation else bulk * (jacobians[q] - 1.0)
+            if not mean_dilatation:
+                energy += 0.5 * pressure * (jacobians[q] - 1.0) * volume[q]
+            _add_volumetric(pressure, 0.0 if mean_dilatation else bulk, jacobians[q:], stretch, first, second)
+        if level == 0:
+            continue
+        here = rows[9 * q : 9 * q + 9]
+        _mode_rows(gradients[q], material, spatial, here)
+        for i in range(3):
+            pull, swell = volume[q] * first[i], volume[q] * jacobians[q] / stretch[i]
+            for r in range(3 * nodes):
+                force[r] += pull * here[i, r]
+                dilation[r] += swell * here[i, r]
+        _shear_modes(stretch, first, second, shear)
+        if level == 2:
+            _without_negative(second, curve, axes, work)
+            for k in range(6):
+                shear[k] = max(shear[k], 0.0)
+        _weigh_rows(here, volume[q:], second, shear, weighted[9 * q : 9 * q + 9])
+    if level > 0:
+        np.dot(rows.T, weighted, tangent)
+        if mean_dilatation:
+            for r in range(3 * nodes):
+                scaled = bulk / total * dilation[r]
+                for s in range(3 * nodes):
+                    tangent[r, s] += scaled * dilation[s]
+    return float(energy)
+
+
+@compiled
+def _invert_in_place(a: FloatArray) -> None:
+    """Invert a symmetric matrix by Gauss and Jordan, without pivoting."""
+    size = len(a)
+    for p in range(size):
+        pivot = 1.0 / a[p, p]
+        a[p, p] = 1.0
+        for s in range(size):
+            a[p, s] *= pivot
+        for r in range(size):
+            if r != p:
+                factor = a[r, p]
+                a[r, p] = 0.0
+                for s in range(size):
+                    a[r, s] -= factor * a[p, s]
+
+
+@compiled
+def _condense(
+    whole: FloatArray, whole_force: FloatArray, work: FloatArray, solved: FloatArray, out: FloatArray
+) -> None:
+    """Eliminate the nine incompatible modes: out[:24] = [K, f] = [K_uu, f_u] - K_ua K_aa^-1 [K_au, f_a].
+
+    `solved` (9, 25) receives K_aa^-1 [K_au, f_a]; `work` is (9, 25).
+    """
+    inverse, right = np.empty((9, 9)), work
+    inverse[:] = whole[24:, 24:]
+    right[:, :24] = whole[24:, :24]
+    right[:, 24] = whole_force[24:]
+    _invert_in_place(inverse)
+    np.dot(inverse, right, solved)
+    np.dot(right.T, solved, out)
+    for r in range(24):
+        for s in range(24):
+            out[r, s] = whole[r, s] - out[r, s]
+        out[r, 24] = whole_force[r] - out[r, 24]
+
+
+@compiled
+def many_hexahedra(
+    x: FloatArray,
+    u: FloatArray,
+    corners: NDArray[np.int64],
+    modes: FloatArray,
+    law: int,
+    parameters: FloatArray,
+    level: int,
+    energy: FloatArray,
+    force: FloatArray,
+    tangent: FloatArray,
+    solved: FloatArray,
+    mode_force: FloatArray,
+) -> None:
+    """Fill energies (m,), forces (m, 24) and tangents (m, 24, 24) of hexahedra (m, 8) of a mesh.
+
+    With `modes` of shape (m, 3, 3) the elements have incompatible modes, which are eliminated: `solved` (m, 9, 25) and
+    `mode_force` (m, 9) are filled; with modes of shape (m, 0, 3) they use the mean dilatation.
+    """
+    extra = modes.shape[1]
+    nodes = 8 + extra
+    here, displacement = np.empty((8, 3)), np.empty((nodes, 3))
+    work, condensed = np.empty((9, 25)), np.empty((25, 25))
+    whole_force, whole = np.empty(3 * nodes), np.empty((3 * nodes, 3 * nodes))
+    for e in range(len(corners)):
+        for a in range(8):
+            for i in range(3):
+                here[a, i] = x[corners[e, a], i]
+                displacement[a, i] = u[corners[e, a], i]
+        for m in range(extra):
+            for i in range(3):
+                displacement[8 + m, i] = modes[e, m, i]
+        energy[e] = hexahedron(here, displacement, law, parameters, extra == 0, level, whole_force, whole)
+        if level == 0 or not energy[e] < math.inf:
+            continue
+        if extra == 0:
+            force[e] = whole_force
+            tangent[e] = whole
+            continue
+        mode_force[e] = whole_force[24:]
+        _condense(whole, whole_force, work, solved[e], condensed)
+        force[e] = condensed[:24, 24]
+        tangent[e] = condensed[:24, :24]

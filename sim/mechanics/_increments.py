@@ -1,0 +1,340 @@
+"""The way to a load: equilibria at shares of it, with smaller increments where needed and predicted starts.
+
+A prediction extrapolates the increments before, or takes a press on a coarser mesh of the same finger.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from data_schemas import NoEquilibriumError, SimulateError
+from sim.mechanics._assembly import Assembly, State
+from sim.mechanics._linear_solver import SymmetricSolver
+from sim.mechanics._mesh import FingerMesh
+from sim.mechanics._newton import Equilibrium, NewtonOptions, Supports, find_equilibrium
+
+_MODE_STEPS = 4  # element by element; the second one usually changes nothing any more
+_MODES_SETTLED_REL = 1e-3  # of the energy; Newton's method does the rest
+_MOST_ROUNDS = 12  # renewals of lagged forces; each takes the change down to about the coefficient of friction
+
+
+@dataclass(frozen=True, slots=True)
+class Increment:
+    """An equilibrium on the way to the full load, with the share of the load that it carries."""
+
+    fraction: float
+    equilibrium: Equilibrium
+
+
+Predictor = Callable[[State, float, float], State | None]
+"""From the last equilibrium, its share of the load and the share aimed at: where to start the search, or nothing."""
+
+
+class Extrapolation:
+    """A predictor: the straight line through the last two equilibria."""
+
+    def __init__(self) -> None:
+        self._known: list[tuple[float, State]] = []
+
+    def __call__(self, state: State, at: float, aim: float) -> State | None:
+        """Return the state expected at the share `aim` of the load after the equilibrium `state` at the share `at`."""
+        if not self._known or self._known[-1][0] != at:
+            self._known = [*self._known[-1:], (at, state)]
+        if len(self._known) < 2:
+            return None
+        (before, old), (_, new) = self._known
+        further = (aim - at) / (at - before)
+        return State(
+            new.u_mm + further * (new.u_mm - old.u_mm),
+            tuple(n + further * (n - o) for n, o in zip(new.modes, old.modes, strict=True)),
+        )
+
+
+def _allowed(assembly: Assembly, state: State, guess: State | None, supports: Supports) -> State | None:
+    """Return a guess with the supports in their place, if no term forbids the way there and its energy is finite."""
+    if guess is None:
+        return None
+    u = np.where(supports.fixed, supports.displacement_mm, guess.u_mm)
+    there = State(u, guess.modes)
+    if assembly.max_step(state, u - state.u_mm) < 1.0 or not math.isfinite(assembly.energy(there)):
+        return None
+    return _with_own_modes(assembly, there)
+
+
+def _with_own_modes(assembly: Assembly, state: State) -> State:
+    """Return a state with the incompatible modes that belong to its displacements, as nearly as a few steps tell.
+
+    A guess from another mesh brings displacements only: bent elements are too stiff without their modes, and Newton's
+    method goes astray on all unknowns. Steps of all elements together, as long as they lower the energy.
+    """
+    energy, still = assembly.energy(state), np.zeros_like(state.u_mm)
+    for _ in range(_MODE_STEPS):
+        assembly.assemble(state, project=False)
+        there = state.moved(1.0, still, assembly.elasticity.mode_step(still))
+        new = assembly.energy(there)
+        if not new < energy:
+            break
+        state, fallen, energy = there, energy - new, new
+        if fallen < _MODES_SETTLED_REL * abs(energy):
+            break
+    return state
+
+
+def _settled(
+    reached: Equilibrium,
+    settle: Callable[[State], bool],
+    assembly: Assembly,
+    supports: Supports,
+    solver: SymmetricSolver,
+    options: NewtonOptions | None,
+) -> Equilibrium:
+    """Return the equilibrium at which nothing that terms have lagged changes any more."""
+    for _ in range(_MOST_ROUNDS):
+        if reached.failure or settle(reached.state):
+            return reached
+        further = find_equilibrium(assembly, reached.state, supports, solver, options)
+        reached = replace(further, iterations=reached.iterations + further.iterations)
+    return replace(reached, failure=f"friction and push have not settled in {_MOST_ROUNDS} rounds")
+
+
+def load_increments(
+    assembly: Assembly,
+    solver: SymmetricSolver,
+    loading: Callable[[float], Supports],
+    stops: Sequence[float],
+    start: State | None = None,
+    begin: float = 0.0,
+    shortest_share: float = 1.0 / 64.0,
+    options: NewtonOptions | None = None,
+    predict: Predictor | None = None,
+    settle: Callable[[State], bool] | None = None,
+    refuse: Callable[[State, float], str] | None = None,
+) -> Iterator[Increment]:
+    """Yield equilibria at the given shares of the load, and between them where smaller increments are needed.
+
+    Parameters
+    ----------
+    assembly, solver, options
+        See :func:`~sim.mechanics._newton.find_equilibrium`.
+    loading
+        Sets the terms (an indenter's place) for a share of the load and returns the supports at that share.
+    stops
+        Rising or falling shares at which equilibria are wanted.
+    start, begin
+        State and share to go on from; by default rest and 0.
+    shortest_share
+        Least increment, as a share of the way from one stop to the next.
+    predict
+        Where to start the search at a share of the load; by default the last two equilibria are extrapolated. Where
+        that start is not allowed or leads nowhere, the search starts from the last equilibrium.
+    settle
+        Renews at an equilibrium what terms have lagged (friction) and tells whether it still is one; else the search
+        goes on from there.
+    refuse
+        Tells why an equilibrium at a share of the load is none of this load's path (an indenter that has passed through
+        the coat), or nothing; a smaller increment is tried then.
+
+    Raises
+    ------
+    NoEquilibriumError
+        When an increment of the least size finds no equilibrium; all increments before have been yielded.
+    """
+    state, at = start or assembly.at_rest(), begin
+    predicted = predict or Extrapolation()
+    for stop in stops:
+        way = stop - at
+        part = 1.0
+        done = 0.0
+        while done < 1.0:
+            part = min(part, 1.0 - done)
+            aim = stop if done + part >= 1.0 else stop - way * (1.0 - done - part)
+            supports = loading(aim)
+            guess = _allowed(assembly, state, predicted(state, at, aim), supports)
+            reached = find_equilibrium(assembly, state if guess is None else guess, supports, solver, options)
+            if reached.failure and guess is not None:
+                reached = find_equilibrium(assembly, state, supports, solver, options)
+            if settle is not None:
+                reached = _settled(reached, settle, assembly, supports, solver, options)
+            if refuse is not None and not reached.failure:
+                reached = replace(reached, failure=refuse(reached.state, aim))
+            if reached.failure:
+                part /= 2.0
+                if part < shortest_share:
+                    raise NoEquilibriumError(
+                        f"no equilibrium beyond {at:.4g} of the load: {reached.failure}. The increments up to there "
+                        "are kept; try a finer mesh, smaller increments, or a smaller load"
+                    )
+                continue
+            state, at, done = reached.state, aim, done + part
+            part *= 2.0
+            yield Increment(at, reached)
+
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_CORNERS = np.array(
+    [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], dtype=float
+)
+_NEAREST_CENTRES = 64  # hexahedra whose boxes are looked at
+_CANDIDATES = (2, 16)  # nearest of these boxes that a node is looked for in, more for who lies in none
+_INVERSION_STEPS = 5  # Newton's method in a convex hexahedron converges in three or four
+_TOGETHER = 20_000  # pairs of node and hexahedron inverted at a time: 60 MB
+_BOXES_TOGETHER = 500_000  # pairs of node and box looked at at a time: 100 MB
+# curved walls have other chords on another mesh: a node may lie this share of a hexahedron's half-size outside
+_OUTSIDE = 0.5
+_SLIGHTLY = 1e-6  # beyond this a better hexahedron is looked for among more candidates
+
+
+class Interpolation:
+    """Takes displacements of one mesh of a finger to the nodes of another one, block by block at rest coordinates.
+
+    Trilinear in the hexahedron that a node lies in; just beyond the surface the hexahedron's field is continued. Where
+    both meshes have the same hexahedra (a dimension has changed a little), node to node.
+
+    Parameters
+    ----------
+    source, target
+        Meshes with blocks of the same names.
+
+    Raises
+    ------
+    SimulateError
+        When the meshes are not of the same finger: a block is missing or lies elsewhere.
+    """
+
+    def __init__(self, source: FingerMesh, target: FingerMesh) -> None:
+        missing = set(target.hexahedra) ^ set(source.hexahedra)
+        if missing:
+            raise SimulateError(
+                f"a press can start only from a mesh of the same finger; {', '.join(sorted(missing))} is a part of "
+                "one of the two meshes only"
+            )
+        count = len(target.nodes_mm)
+        self._cells, self._weights = np.zeros((count, 8), np.int64), np.zeros((count, 8))
+        if all(np.array_equal(cells, source.hexahedra[name]) for name, cells in target.hexahedra.items()):
+            self._cells[:, 0], self._weights[:, 0] = np.arange(count), 1.0
+            return
+        for name, hexahedra in target.hexahedra.items():
+            nodes = np.unique(hexahedra)
+            cells, weights, outside = _located(source.nodes_mm, source.hexahedra[name], target.nodes_mm[nodes])
+            worst = int(np.argmax(outside))
+            if outside[worst] > _OUTSIDE:
+                x, y, z = target.nodes_mm[nodes[worst]]
+                raise SimulateError(
+                    f"a press can start only from a mesh of the same finger; the point ({x:.2f}, {y:.2f}, {z:.2f}) mm "
+                    f"of its part {name} lies outside the other mesh"
+                )
+            self._cells[nodes], self._weights[nodes] = cells, weights
+
+    def __call__(self, displacement_mm: FloatArray) -> FloatArray:
+        """Return the displacement (n, 3) at the target's nodes of one (m, 3) of the source's nodes."""
+        return np.asarray(np.einsum("na,nai->ni", self._weights, displacement_mm[self._cells]))
+
+
+class CoarserPath:
+    """A predictor for :func:`sim.mechanics._increments.load_increments`: the coarser press's increment, interpolated.
+
+    Parameters
+    ----------
+    source, target
+        The coarser mesh and the one that is to be solved.
+    fractions
+        Rising shares of the load (k,) of the coarser press's equilibria.
+    displacements_mm
+        Their displacements (k, m, 3).
+    """
+
+    def __init__(
+        self, source: FingerMesh, target: FingerMesh, fractions: ArrayLike, displacements_mm: FloatArray
+    ) -> None:
+        self._interpolation = Interpolation(source, target)
+        self._beyond = Extrapolation()
+        self._fractions = np.concatenate([[0.0], np.asarray(fractions, dtype=np.float64)])
+        self._path = np.concatenate([np.zeros((1, *displacements_mm.shape[1:])), displacements_mm])
+
+    def _at(self, fraction: float) -> FloatArray:
+        """Return the coarser displacement at a share of the load, on straight lines between its equilibria."""
+        k = int(np.clip(np.searchsorted(self._fractions, fraction), 1, len(self._fractions) - 1))
+        low, high = self._fractions[k - 1 : k + 1]
+        share = (fraction - low) / (high - low)
+        return np.asarray((1.0 - share) * self._path[k - 1] + share * self._path[k])
+
+    def __call__(self, state: State, at: float, aim: float) -> State | None:
+        """Return the equilibrium at the share `at`, displaced by what the coarser one moves on to the share `aim`.
+
+        Beyond the coarser press's last equilibrium, its own last two are extrapolated.
+        """
+        further = self._beyond(state, at, aim)
+        if aim > self._fractions[-1]:
+            return further
+        return State(state.u_mm + self._interpolation(self._at(aim) - self._at(at)), state.modes)
+
+
+def _located(nodes: FloatArray, hexahedra: IntArray, points: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return for each point the nodes (n, 8) and weights of its hexahedron, and how far outside it lies."""
+    near = _nearest_boxes(nodes[hexahedra], points)
+    owner, local = np.zeros(len(points), np.int64), np.full((len(points), 3), np.inf)
+    left = np.arange(len(points))
+    for candidates in _CANDIDATES:
+        tried = near[left, :candidates]
+        found = np.concatenate(
+            [
+                _local_coordinates(nodes[hexahedra[tried[rows]]], points[left[rows]])
+                for rows in np.array_split(np.arange(len(left)), max(1, tried.size // _TOGETHER))
+            ]
+        )
+        excess = np.where(np.isfinite(found).all(axis=2), np.abs(found).max(axis=2), np.inf) - 1.0
+        best = excess.argmin(axis=1)
+        row = np.arange(len(left))
+        owner[left], local[left] = tried[row, best], found[row, best]
+        left = left[excess[row, best] > _SLIGHTLY]
+        if not len(left):
+            break
+    shapes, _ = _shapes(local)
+    return hexahedra[owner], shapes, np.abs(local).max(axis=1) - 1.0
+
+
+def _nearest_boxes(corners: FloatArray, points: FloatArray) -> IntArray:
+    """Return for each point the hexahedra whose boxes are nearest, those with nearer centres first among equals.
+
+    Centres alone would not do: of long and thin hexahedra the nearest centre may be that of another layer.
+    """
+    _, near = cKDTree(corners.mean(axis=1)).query(points, k=min(_NEAREST_CENTRES, len(corners)))
+    near = near.reshape(len(points), -1)
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    found = []
+    for rows in np.array_split(np.arange(len(points)), max(1, near.size // _BOXES_TOGETHER)):
+        place, cells = points[rows, None], near[rows]
+        off = np.maximum(0.0, np.maximum(low[cells] - place, place - high[cells])).max(axis=2)
+        order = np.argsort(off, axis=1, kind="stable")[:, : _CANDIDATES[-1]]
+        found.append(np.take_along_axis(cells, order, axis=1))
+    return np.concatenate(found)
+
+
+def _local_coordinates(corners: FloatArray, points: FloatArray) -> FloatArray:
+    """Return the local coordinates (n, c, 3) of points (n, 3) in hexahedra with corners (n, c, 8, 3)."""
+    local = np.zeros((*corners.shape[:2], 3))
+    for _ in range(_INVERSION_STEPS):
+        shapes, slopes = _shapes(local)
+        off = points[:, None] - np.einsum("nca,ncai->nci", shapes, corners)
+        jacobian = np.einsum("ncai,ncaj->ncij", corners, slopes)
+        # a far candidate may fold: its place is of no use, but must not stop the others
+        folded = np.abs(np.linalg.det(jacobian)) < 1e-12
+        jacobian[folded] = np.eye(3)
+        step = np.linalg.solve(jacobian, off[..., None])[..., 0]
+        step[folded] = np.inf
+        local = np.clip(local + step, -1e3, 1e3)
+    return local
+
+
+def _shapes(local: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the trilinear shape functions at points (..., 3), shape (..., 8), and their gradients (..., 8, 3)."""
+    sides = 1.0 + _CORNERS * local[..., None, :]
+    x, y, z = sides[..., 0], sides[..., 1], sides[..., 2]
+    slopes = np.stack([_CORNERS[:, 0] * y * z, _CORNERS[:, 1] * x * z, _CORNERS[:, 2] * x * y], axis=-1)
+    return x * y * z / 8.0, slopes / 8.0

@@ -1,0 +1,311 @@
+"""The rigid indenter of a design: exact distances for the penalty, triangles for the barrier, first touch.
+
+A body of triangles comes to touch where its height over the curved face is least.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from data_schemas import FingerDesign, SimulateError, check_magnitude
+from sim.mechanics._rigid_bodies import (
+    Body,
+    Cylinder,
+    Pose,
+    RoundedBox,
+    Sphere,
+    TriangleMesh,
+    body_mesh,
+    read_body,
+    rotation_matrix,
+)
+from sim.surface_meshes import rest_height_mm
+
+FloatArray = NDArray[np.float64]
+
+CHORD_MM = 0.004
+"""By how much the facets of round bodies lie inside them at most."""
+
+_RADII_MM = (0.25, 1000.0)
+_SIZES_MM = (0.5, 300.0)
+_EDGE_RADII_MM = (0.01, 150.0)
+_GRID_MM = 0.5
+_FINEST_MM = 1e-5  # the least distance is known to this squared over twice a radius
+_TOUCH_MM = 1e-8
+_MOST_STEPS = 200
+_LEAST_SLOPE = 0.05
+_START_ABOVE = 2.0  # a body without ends may be wider than the pad is long: it starts this many times that above
+
+
+@dataclass(frozen=True, slots=True)
+class RigidIndenter:
+    """A rigid body above the finger.
+
+    Attributes
+    ----------
+    body
+        Its signed distance in its own axes; none for a mesh of the user.
+    surface
+        Its triangles in its own axes.
+    touching
+        Its pose where it first touches the undeformed coat.
+    """
+
+    body: Body | None
+    surface: TriangleMesh
+    touching: Pose
+
+    def pose(self, depth_mm: float) -> Pose:
+        """Return the pose at a push from first touch."""
+        x, y, z = self.touching.position_mm
+        return Pose((x, y - depth_mm, z), self.touching.rotation)
+
+    def vertices_mm(self, lift_mm: float = 0.0) -> FloatArray:
+        """Return the vertices (m, 3) in space, so much above first touch."""
+        raised = self.surface.vertices_mm @ self.touching.rotation.T + np.array(self.touching.position_mm)
+        return np.asarray(raised + np.array([0.0, lift_mm, 0.0]))
+
+
+def rigid_indenter(design: FingerDesign, folder: Path = Path()) -> RigidIndenter:
+    """Return the indenter of a design where it first touches the undeformed coat, on its way along the pad's normal.
+
+    Parameters
+    ----------
+    design
+        Finger and indenter.
+    folder
+        Where the design stands: the STL of a mesh is relative to it.
+
+    Raises
+    ------
+    SimulateError
+        When an STL is not a closed body or runs along the coat in too many places, a size cannot be mm, or the
+        indenter does not meet the coat.
+    """
+    wanted = design.indenter
+    rotation = rotation_matrix(*wanted.rotation_deg)
+    if wanted.shape == "mesh":
+        surface = read_body(folder / str(wanted.file))
+        return RigidIndenter(None, surface, _touch_of_mesh(design, surface, rotation))
+    _check_sizes(design)
+    body = _body(design)
+    half_length = design.pad.length_mm + design.pad.width_mm
+    return RigidIndenter(body, body_mesh(body, CHORD_MM, half_length), _touch_of_body(design, body, rotation))
+
+
+def side_outline_mm(design: FingerDesign, depth_mm: float = 0.0, folder: Path | None = None) -> FloatArray | None:
+    """Return the outline (m, 2), z and y, of the indenter seen along x, at a push from first touch.
+
+    A cylinder is drawn as wide as the pad, a mesh of the user by its hull: none of it without the design's folder.
+    """
+    if design.indenter.shape == "mesh" and folder is None:
+        return None
+    indenter = rigid_indenter(design, folder or Path())
+    shown = indenter.surface if indenter.body is None else body_mesh(indenter.body, CHORD_MM, design.pad.width_mm / 2.0)
+    pose = indenter.pose(depth_mm)
+    points = (shown.vertices_mm @ pose.rotation.T + np.array(pose.position_mm))[:, [2, 1]]
+    return np.asarray(points[ConvexHull(points).vertices])
+
+
+def _check_sizes(design: FingerDesign) -> None:
+    """Check that the body's sizes can be mm."""
+    wanted = design.indenter
+    sizes = [("radius_mm", wanted.radius_mm, _RADII_MM)]
+    if wanted.size_mm is not None:
+        sizes = [("size_mm", size, _SIZES_MM) for size in wanted.size_mm]
+        sizes.append(("edge_radius_mm", wanted.edge_radius_mm, _EDGE_RADII_MM))
+    for name, value, bounds in sizes:
+        try:
+            check_magnitude(value, *bounds, "mm")
+        except ValueError as error:
+            raise SimulateError(f"indenter.{name}: {error}") from error
+
+
+def _body(design: FingerDesign) -> Body:
+    """Return the body of a cylinder, ball or cuboid."""
+    wanted = design.indenter
+    if wanted.shape == "cylinder":
+        return Cylinder(wanted.radius_mm)
+    if wanted.size_mm is None:
+        return Sphere(wanted.radius_mm)
+    x, y, z = wanted.size_mm
+    return RoundedBox((x / 2.0, y / 2.0, z / 2.0), wanted.edge_radius_mm)
+
+
+def _coat_grid(design: FingerDesign) -> FloatArray:
+    """Return points (m, 2), x and z, all over the coat with its edges."""
+    pad = design.pad
+    x = np.linspace(-pad.width_mm / 2.0, pad.width_mm / 2.0, int(pad.width_mm / _GRID_MM) + 2)
+    z = np.linspace(0.0, pad.length_mm, int(pad.length_mm / _GRID_MM) + 2)
+    return np.stack(np.meshgrid(x, z, indexing="ij"), -1).reshape(-1, 2)
+
+
+def _at(design: FingerDesign, places: FloatArray) -> FloatArray:
+    """Return points of the undeformed coat (m, 3) at x and z (m, 2)."""
+    return np.column_stack([places[:, 0], rest_height_mm(design, places[:, 0], places[:, 1]), places[:, 1]])
+
+
+def _touch_of_body(design: FingerDesign, body: Body, rotation: FloatArray) -> Pose:
+    """Return the pose of first touch: steps down by the least distance, which never go too far."""
+    wanted, pad = design.indenter, design.pad
+    grid = _coat_grid(design)
+    reach = wanted.radius_mm if wanted.size_mm is None else float(np.linalg.norm(wanted.size_mm))
+    y = start = pad.thickness_mm + reach + _START_ABOVE * (pad.length_mm + pad.width_mm)
+    for _ in range(_MOST_STEPS):
+        pose = Pose((wanted.across_mm, y, wanted.position_mm), rotation)
+        least, downward = _nearest(design, body, pose, grid)
+        if abs(least) < _TOUCH_MM:
+            return pose
+        # Newton's step, where the distance is that of the place which touches; further off the step that is safe
+        y -= least / downward if least < _GRID_MM and downward > _LEAST_SLOPE else least
+        if not -reach - pad.thickness_mm < y <= start:
+            break
+    raise SimulateError(_misses(design))
+
+
+def _nearest(design: FingerDesign, body: Body, pose: Pose, grid: FloatArray) -> tuple[float, float]:
+    """Return the coat's least distance from a body, by ever finer grids, and by how much it falls as that goes down."""
+    half, length = design.pad.width_mm / 2.0, design.pad.length_mm
+    places, step = grid, _GRID_MM
+    around = np.stack(np.meshgrid(*2 * [np.linspace(-1.0, 1.0, 9)]), -1).reshape(-1, 2)
+    while True:
+        distance, normal, _ = pose.distances(body, _at(design, places))
+        nearest = int(np.argmin(distance))
+        if step < _FINEST_MM or distance[nearest] > _GRID_MM * 2.0:
+            return float(distance[nearest]), -float(normal[nearest, 1])
+        places = np.clip(places[nearest] + step * around, [-half, 0.0], [half, length])
+        step /= 3.0
+
+
+def _touch_of_mesh(design: FingerDesign, surface: TriangleMesh, rotation: FloatArray) -> Pose:
+    """Return the pose of first touch: the least height of the triangles over the coat."""
+    wanted, pad = design.indenter, design.pad
+    place = np.array([wanted.across_mm, 0.0, wanted.position_mm])
+    corners = (surface.vertices_mm @ rotation.T + place)[surface.triangles]
+    over = over_rectangle(corners, (-pad.width_mm / 2.0, pad.width_mm / 2.0), (0.0, pad.length_mm))
+    if not len(over):
+        raise SimulateError(_misses(design))
+    half = pad.width_mm / 2.0
+
+    def height_mm(points: FloatArray) -> FloatArray:
+        # clipping leaves points at the pad's edges that lie outside by rounding
+        x, z = np.clip(points[:, 0], -half, half), np.clip(points[:, 2], 0.0, pad.length_mm)
+        return np.asarray(points[:, 1] - rest_height_mm(design, x, z))
+
+    least = least_over_triangles(over, height_mm, _steepest_curvature_per_mm(design))
+    return Pose((wanted.across_mm, -least, wanted.position_mm), rotation)
+
+
+def _steepest_curvature_per_mm(design: FingerDesign) -> float:
+    """Return a bound of the second derivative of the undeformed coat's height."""
+    pad = design.pad
+    if pad.semi_axes_mm is not None:
+        a, b, c = pad.semi_axes_mm
+        left = 1.0 - (pad.width_mm / 2.0 / a) ** 2 - (pad.length_mm / 2.0 / c) ** 2
+        return float(b / min(a, c) ** 2 / left**1.5)
+    if pad.radius_mm is not None:
+        return float(pad.radius_mm**2 / (pad.radius_mm**2 - (pad.width_mm / 2.0) ** 2) ** 1.5)
+    return 0.0
+
+
+def _misses(design: FingerDesign) -> str:
+    wanted = design.indenter
+    return (
+        f"the indenter ({wanted.shape}, across_mm = {wanted.across_mm:g} mm, position_mm = {wanted.position_mm:g} mm, "
+        f"rotation_deg = {list(wanted.rotation_deg)} deg) does not come to touch the pad on its way along the pad's "
+        "normal; a cylinder has no ends and may not stand upright, and a mesh must reach over the pad from its origin"
+    )
+
+
+_CLOSE_MM = 1e-5  # the least height is known to this
+_ENOUGH_MM = 0.004  # and at least to this: the chord of the facets of round bodies
+_MOST_HALVINGS = 20
+_MOST_TRIANGLES = 250_000  # to be divided: where a body runs along the face, none of them can be left out
+_HALVES = ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))  # of a triangle's corners and the middles of its edges
+
+
+def over_rectangle(corners_mm: FloatArray, x_mm: tuple[float, float], z_mm: tuple[float, float]) -> FloatArray:
+    """Return the parts of triangles (k, 3, 3) that lie over a rectangle in x and z, as triangles (m, 3, 3)."""
+    low, high = corners_mm.min(axis=1), corners_mm.max(axis=1)
+    bounds = ((0, *x_mm), (2, *z_mm))
+    meets = np.all([(low[:, axis] <= last) & (high[:, axis] >= first) for axis, first, last in bounds], axis=0)
+    inside = np.all([(low[:, axis] >= first) & (high[:, axis] <= last) for axis, first, last in bounds], axis=0)
+    parts = [corners_mm[inside]]
+    for triangle in corners_mm[meets & ~inside]:
+        polygon = triangle
+        for axis, first, last in bounds:
+            polygon = _above(polygon, polygon[:, axis] - first)
+            polygon = _above(polygon, last - polygon[:, axis])
+        if len(polygon):
+            fan = np.stack([polygon[:-2], polygon[1:-1]], axis=1)
+            parts.append(np.concatenate([np.broadcast_to(polygon[-1], (len(fan), 1, 3)), fan], axis=1))
+    return np.concatenate(parts)
+
+
+def _above(polygon: FloatArray, beyond: FloatArray) -> FloatArray:
+    """Return the part of a convex polygon (k, 3) where a linear function, given at its points, is not negative."""
+    kept = []
+    for here in range(len(polygon)):
+        before = here - 1
+        if (beyond[here] < 0.0) != (beyond[before] < 0.0):
+            share = beyond[before] / (beyond[before] - beyond[here])
+            kept.append(polygon[before] + share * (polygon[here] - polygon[before]))
+        if beyond[here] >= 0.0:
+            kept.append(polygon[here])
+    return np.array(kept).reshape(-1, 3)
+
+
+def least_over_triangles(
+    triangles_mm: FloatArray, height_mm: Callable[[FloatArray], FloatArray], curvature_per_mm: float
+) -> float:
+    r"""Return the least height of triangles (k, 3, 3) over a face that bulges towards them, to 1e-5 mm.
+
+    .. math:: h \ge \min_i h_i - \frac{\kappa r^2}{2}, \quad r \le l / \sqrt 3
+
+    with the heights h_i of a triangle's corners, the face's curvature kappa, the radius r of the smallest circle around
+    the triangle in plan and its longest edge l (Jung). Triangles that cannot hold the least height are left out, the
+    others divided by four; no more where over 250 000 are left, if that tells the height to 0.004 mm.
+
+    Parameters
+    ----------
+    triangles_mm
+        The triangles, y upwards.
+    height_mm
+        Height of points (m, 3) over the face.
+    curvature_per_mm
+        A bound of the face's second derivative; 0 for a plane.
+
+    Raises
+    ------
+    SimulateError
+        When the triangles run along the face in too many places for that.
+    """
+    least, left = np.inf, triangles_mm
+    for _ in range(_MOST_HALVINGS):
+        heights = height_mm(left.reshape(-1, 3)).reshape(-1, 3).min(axis=1)
+        least = min(least, float(heights.min()))
+        plan = left[..., [0, 2]]
+        longest = np.linalg.norm(plan - np.roll(plan, 1, axis=1), axis=2).max(axis=1)
+        lowest = heights - curvature_per_mm * longest**2 / 6.0
+        left = left[lowest < least - _CLOSE_MM]
+        if not len(left):
+            break
+        if len(left) > _MOST_TRIANGLES:
+            _check_close(least - float(lowest.min()), len(left))
+            break
+        six = np.concatenate([left, (left + np.roll(left, -1, axis=1)) / 2.0], axis=1)
+        left = six[:, _HALVES].reshape(-1, 3, 3)
+    return least
+
+
+def _check_close(off_mm: float, places: int) -> None:
+    """Check that the least height is known well enough."""
+    if off_mm > _ENOUGH_MM:
+        raise SimulateError(
+            f"the mesh of the indenter runs along the pad in {places} places, so that its first touch is known to "
+            f"{off_mm:.2g} mm only, not to {_ENOUGH_MM:g} mm; give an STL of fewer triangles"
+        )

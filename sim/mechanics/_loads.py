@@ -1,0 +1,401 @@
+"""A finger under loads: pressed until a force is reached, pushed at tip or side, twisted at the tip.
+
+The latter two need no indenter; from them comes its stiffness in bending and twist.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from data_schemas import FingerDesign, NoEquilibriumError, Preset, SimulateError
+from sim.mechanics._assembly import Assembly, Elasticity, State, Term
+from sim.mechanics._finger_mesh import STEPS, MeshSteps, finger_materials, finger_mesh, finger_ties
+from sim.mechanics._increments import Extrapolation, Increment, load_increments
+from sim.mechanics._indenters import rigid_indenter
+from sim.mechanics._linear_solver import SymmetricSolver, linear_solver
+from sim.mechanics._mesh import FingerMesh
+from sim.mechanics._newton import Supports, find_equilibrium
+from sim.mechanics._penalty_contact import PenaltyContact, PenaltyTouch, penalty_mpa_per_mm
+from sim.mechanics._pressed_finger import PressedFinger, PressHistory
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Place = Literal["tip", "side", "pad"]
+
+_SIDE_REACH_MM = 3.0  # a force at the side is spread this far to both sides along the finger
+_PAD_REACH_MM = 5.0  # a force under the pad is spread this far to both sides along the finger
+_ON_SIDE_MM = 1e-6
+
+
+class DeadForce:
+    """A :class:`~sim.mechanics._assembly.Term`: Pi = -F . mean of u over some nodes; F keeps its direction.
+
+    Parameters
+    ----------
+    nodes
+        Nodes (m,) that share the force evenly.
+    force_n
+        F (3,), which may be changed.
+    """
+
+    def __init__(self, nodes: IntArray, force_n: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
+        self._nodes = nodes
+        self.force_n = np.array(force_n, dtype=np.float64)
+
+    def energy(self, u: FloatArray) -> float:
+        """Return Pi in N mm."""
+        return -float(self.force_n @ u[self._nodes].mean(axis=0))
+
+    def gradient(self, u: FloatArray) -> FloatArray:
+        """Return dPi/du in N, shape (n, 3)."""
+        out = np.zeros_like(u)
+        out[self._nodes] = -self.force_n / len(self._nodes)
+        return out
+
+    def hessian(self, u: FloatArray, project: bool) -> sp.coo_array | sp.csr_array:
+        """Return zero."""
+        return sp.coo_array((u.size, u.size))
+
+    def max_step(self, u: FloatArray, du: FloatArray) -> float:
+        """Return 1: a force allows every step."""
+        return 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class PushedFinger:
+    """Equilibria under a force that grows to its whole size, k increments.
+
+    Attributes
+    ----------
+    force_n
+        Force on the finger, (k, 3).
+    moved_mm
+        Mean displacement of the nodes that it acts on, (k, 3).
+    displacement_mm
+        Of all nodes at the whole force, (n, 3).
+    mesh
+        The mesh.
+    """
+
+    force_n: FloatArray
+    moved_mm: FloatArray
+    displacement_mm: FloatArray
+    mesh: FingerMesh
+
+    @property
+    def stiffness_n_per_mm(self) -> float:
+        """Whole force over how far its place has moved along it (a secant)."""
+        force = self.force_n[-1]
+        size = float(np.linalg.norm(force))
+        return size**2 / float(force @ self.moved_mm[-1])
+
+
+@dataclass(frozen=True, slots=True)
+class TwistedFinger:
+    """Equilibria of a finger whose tip end is turned about the finger's long axis, k increments.
+
+    Attributes
+    ----------
+    angle_deg
+        Turn of the tip end, from x towards y, (k,).
+    torque_n_mm
+        Torque about the middle of the tip end that it takes, (k,).
+    side_force_n
+        Force across the finger (x, y) that holds the axis in its place, (k, 2): nought only if the finger would twist
+        about this axis by itself.
+    displacement_mm
+        Of all nodes at the whole angle, (n, 3).
+    mesh
+        The mesh.
+    """
+
+    angle_deg: FloatArray
+    torque_n_mm: FloatArray
+    side_force_n: FloatArray
+    displacement_mm: FloatArray
+    mesh: FingerMesh
+
+    @property
+    def stiffness_n_mm_per_deg(self) -> float:
+        """Torque over angle at the whole angle (a secant)."""
+        return float(self.torque_n_mm[-1] / self.angle_deg[-1])
+
+
+class LoadedFinger:
+    """A finger held at its base; one mesh, and one analysis of its matrix, for all its loads.
+
+    Ribs do not see each other.
+
+    Parameters
+    ----------
+    design
+        Finger; its indenter plays no part.
+    preset
+        Fineness of the mesh; the design's own by default.
+    threads
+        Of elements and factorisation.
+    steps
+        Sizes in place of a preset, for studies of convergence.
+    """
+
+    def __init__(
+        self, design: FingerDesign, preset: Preset | None = None, threads: int = 1, steps: MeshSteps | None = None
+    ) -> None:
+        sizes = steps or STEPS[preset or design.mesh.preset]
+        self.mesh = finger_mesh(design, steps=sizes)
+        self._middle_mm = design.pad.length_mm / 2.0
+        self._ties = finger_ties(design, self.mesh, sizes.skeleton_mm)
+        elasticity = Elasticity(self.mesh, finger_materials(design), threads)
+        self._assembly = Assembly(elasticity, self._ties)
+        self._held = Supports.at_rest(len(self.mesh.nodes_mm), self.mesh.node_sets["fixed"])
+        self._solver = linear_solver(threads=threads)
+
+    def push(self, place: Place, force_n: tuple[float, float, float], increments: int = 1) -> PushedFinger:
+        """Push the tip or the side with a force that keeps its direction.
+
+        Parameters
+        ----------
+        place
+            "tip": spread over the end of the tip. "side": over the face at the end of x that the force points away
+            from, 6 mm along the finger at the middle of the pad. "pad": under the gel, over its inner face, 10 mm along
+            the finger at its middle: what the finger gives way without the gel.
+        force_n
+            Across the finger (x), along the pad's normal (y; the grasp pushes to -y), along the finger (z).
+        increments
+            Equal parts of the force.
+
+        Raises
+        ------
+        SimulateError
+            When the force is nought, or no equilibrium is found.
+        """
+        whole = np.array(force_n, dtype=np.float64)
+        if not np.isfinite(whole).all() or not whole.any():
+            raise SimulateError(f"force_n = {list(force_n)} N: a push needs a finite force that is not nought")
+        nodes = self.nodes_at(place, float(whole[0]))
+        force = DeadForce(nodes)
+
+        def loading(fraction: float) -> Supports:
+            force.force_n[:] = fraction * whole
+            return self._held
+
+        self._assembly.terms = (*self._ties, force)
+        reached = self._path(loading, increments)
+        moved = np.array([step.equilibrium.state.u_mm[nodes].mean(axis=0) for step in reached])
+        forces = np.array([step.fraction for step in reached])[:, None] * whole
+        return PushedFinger(forces, moved, reached[-1].equilibrium.state.u_mm, self.mesh)
+
+    def twist(self, angle_deg: float, increments: int = 1) -> TwistedFinger:
+        """Turn the tip end about a line along z through its middle; it stays free to move along z.
+
+        Parameters
+        ----------
+        angle_deg
+            From x towards y; large turns take several increments.
+        increments
+            Equal parts of the angle.
+
+        Raises
+        ------
+        SimulateError
+            When the angle is nought or beyond 90 deg, or no equilibrium is found.
+        """
+        if not 0.0 < abs(angle_deg) <= 90.0:
+            raise SimulateError(f"angle_deg = {angle_deg:g} deg: a twist needs an angle of up to 90 deg, not nought")
+        end = self.mesh.node_sets["tip_end"]
+        middle = (self.mesh.nodes_mm[end].min(axis=0) + self.mesh.nodes_mm[end].max(axis=0)) / 2.0
+        arm = (self.mesh.nodes_mm[end] - middle)[:, :2]
+        fixed = self._held.fixed.copy()
+        fixed[end, :2] = True
+
+        def turned(fraction: float) -> FloatArray:
+            turn = np.radians(fraction * angle_deg)
+            return np.asarray(arm @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]))
+
+        def loading(fraction: float) -> Supports:
+            move = np.zeros_like(self.mesh.nodes_mm)
+            move[end, :2] = turned(fraction) - arm
+            return Supports(fixed, move)
+
+        self._assembly.terms = tuple(self._ties)
+        reached = self._path(loading, increments)
+        forces = [step.equilibrium.gradient_n[end, :2] for step in reached]
+        places = [turned(step.fraction) for step in reached]
+        torques = [float((p[:, 0] * f[:, 1] - p[:, 1] * f[:, 0]).sum()) for p, f in zip(places, forces, strict=True)]
+        return TwistedFinger(
+            angle_deg=np.array([step.fraction for step in reached]) * angle_deg,
+            torque_n_mm=np.array(torques),
+            side_force_n=np.array([f.sum(axis=0) for f in forces]),
+            displacement_mm=reached[-1].equilibrium.state.u_mm,
+            mesh=self.mesh,
+        )
+
+    def _path(self, loading: Callable[[float], Supports], increments: int) -> list[Increment]:
+        """Return the equilibria from rest to the whole load."""
+        stops = [(k + 1) / increments for k in range(increments)]
+        return list(load_increments(self._assembly, self._solver, loading, stops))
+
+    def nodes_at(self, place: Place, towards_n: float) -> IntArray:
+        """Return the nodes that share a force; at the side, those of the face that it presses on."""
+        if place == "tip":
+            return np.asarray(self.mesh.node_sets["tip_end"])
+        part = self.mesh.surfaces["inner"] if place == "pad" else self.mesh.hexahedra["skeleton"]
+        nodes = np.unique(part)
+        x, z = self.mesh.nodes_mm[nodes, 0], self.mesh.nodes_mm[nodes, 2]
+        along = np.abs(z - self._middle_mm)
+        if place == "pad":
+            return np.asarray(nodes[along <= max(_PAD_REACH_MM, along.min())])
+        outer = x.min() if towards_n >= 0.0 else x.max()
+        return np.asarray(nodes[(np.abs(x - outer) < _ON_SIDE_MM) & (along <= max(_SIDE_REACH_MM, along.min()))])
+
+
+Progress = Callable[[int, int, str], None]
+
+_TOUCH_MM = 0.1  # pushed in by displacement first: without contact nothing would hold an indenter under a force
+
+
+def press_to_force(
+    design: FingerDesign,
+    force_n: float,
+    preset: Preset | None = None,
+    increments: int = 4,
+    threads: int = 1,
+    folder: Path = Path(),
+    progress: Progress | None = None,
+) -> PressedFinger:
+    """Press the design's indenter in along the pad's normal until it pushes with a force; without friction.
+
+    The indenter is a node that a dead force drives; it is free along the normal only. Where the force falls with the
+    push (buckling), the push jumps on to where the force is reached again.
+
+    Parameters
+    ----------
+    design
+        Finger, materials and indenter; ``indenter.depth_mm`` plays no part.
+    force_n
+        Along the pad's normal, towards the finger.
+    preset, threads
+        See :func:`sim.mechanics.press_finger`.
+    increments
+        Equal parts of the force.
+    folder
+        Where the design stands.
+    progress
+        Called after each increment.
+
+    Returns
+    -------
+    PressedFinger
+        Its mesh has one node more than the finger's, the last: the indenter.
+
+    Raises
+    ------
+    SimulateError
+        When the force is not positive, the indenter has no exact distances (a mesh of the user) or friction, or not
+        even the first part of the force finds an equilibrium.
+    """
+    check_force(design, force_n)
+    touch = _DrivenIndenter(design, preset, folder)
+    ties = finger_ties(design, touch.mesh, STEPS[preset or design.mesh.preset].skeleton_mm)
+    assembly = Assembly(Elasticity(touch.mesh, finger_materials(design), threads), [*touch.terms, *ties])
+    solver = linear_solver(threads=threads)
+    touched = touch.first_touch(assembly, solver)
+    begin = float(touch.force_n(touched.u_mm)[1]) / force_n
+    predict = Extrapolation()
+    predict(assembly.at_rest(), 0.0, 0.0)
+    stops = [(k + 1) / increments for k in range(increments)]
+    history = PressHistory(assembly, ties, touch)
+    reached_n = 0.0
+    try:
+        for step in load_increments(
+            assembly, solver, lambda share: touch.push_with(share * force_n), stops, touched, begin, predict=predict
+        ):
+            depth_mm, reached_n = touch.depth_mm(step.equilibrium.state), step.fraction * force_n
+            history.add(depth_mm, step.equilibrium)
+            if progress is not None:
+                reached = sum(step.fraction >= stop for stop in stops)
+                progress(reached, increments, f"pressed with {reached_n:.2f} N to {depth_mm:.2f} mm")
+    except NoEquilibriumError as stuck:
+        if history.depth_mm is None:
+            raise
+        touch.push_with(reached_n)
+        return history.pressed(str(stuck))
+    return history.pressed()
+
+
+def check_force(design: FingerDesign, force_n: float) -> None:
+    """Check that a design's indenter can be pressed to a force.
+
+    Raises
+    ------
+    SimulateError
+        See :func:`press_to_force`.
+    """
+    if not 0.0 < force_n < np.inf:
+        raise SimulateError(f"force_n = {force_n:g} N: a press needs a finite force above 0 N")
+    if design.indenter.shape == "mesh" or design.indenter.friction > 0.0:
+        raise SimulateError(
+            "a press to a force is without friction and on exact distances: give indenter.friction = 0 and a cylinder, "
+            "ball or cuboid, or press to a depth"
+        )
+
+
+class _DrivenIndenter(PenaltyTouch):
+    """The coat against exact distances of an indenter that is a node of its own, driven by a force."""
+
+    def __init__(self, design: FingerDesign, preset: Preset | None, folder: Path) -> None:
+        indenter, finger = rigid_indenter(design, folder), finger_mesh(design, preset)
+        if indenter.body is None:
+            raise SimulateError("a press to a force needs a cylinder, ball or cuboid; press a mesh to a depth")
+        self._node = len(finger.nodes_mm)
+        mesh = replace(finger, nodes_mm=np.concatenate([finger.nodes_mm, [indenter.touching.position_mm]]))
+        self._step_mm = STEPS[preset or design.mesh.preset].pad_mm
+        contact = PenaltyContact(
+            mesh.nodes_mm, mesh.surfaces["coat"], indenter.body, indenter.pose(_TOUCH_MM),
+            penalty_mpa_per_mm(design, self._step_mm), reference_node=self._node, curvature=False,
+        )  # fmt: skip
+        super().__init__(mesh, contact)
+        self._force = DeadForce(np.array([self._node]))
+        self.terms: tuple[Term, ...] = (contact, self._force)
+        self._held = Supports.at_rest(self._node + 1, np.append(mesh.node_sets["fixed"], self._node))
+        self._free = self._held.fixed.copy()
+        self._free[self._node, 1] = False
+
+    @property
+    def note(self) -> str:
+        """How the surfaces touch, and what drives the indenter."""
+        return f"{super().note}; the indenter is driven by a force of {-self._force.force_n[1]:g} N"
+
+    def first_touch(self, assembly: Assembly, solver: SymmetricSolver) -> State:
+        """Return the equilibrium at a small push without the force.
+
+        Raises
+        ------
+        NoEquilibriumError
+            When there is none, or the coat is not touched: nothing would hold the indenter under a force.
+        """
+        touched = find_equilibrium(assembly, assembly.at_rest(), self._held, solver)
+        if touched.failure:
+            why = f"{touched.failure}; try a finer mesh"
+            raise NoEquilibriumError(f"no equilibrium at a push of {_TOUCH_MM:g} mm: {why}")
+        if not self.force_n(touched.state.u_mm)[1] > 0.0:
+            raise NoEquilibriumError(
+                f"at a push of {_TOUCH_MM:g} mm, from which the force begins, the indenter touches no node of the "
+                f"coat, whose elements are {self._step_mm:g} mm wide: press with a finer [mesh] preset, or to a "
+                "depth with --contact barrier"
+            )
+        return touched.state
+
+    def push_with(self, force_n: float) -> Supports:
+        """Set the force and return the supports."""
+        self._force.force_n[1] = -force_n
+        return Supports(self._free, np.zeros_like(self.mesh.nodes_mm))
+
+    def depth_mm(self, state: State) -> float:
+        """Return the push from first touch."""
+        return _TOUCH_MM - float(state.u_mm[self._node, 1])

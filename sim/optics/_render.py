@@ -1,0 +1,411 @@
+"""Render a press: the finger without and with the indenter, as band images with their noise and position maps.
+
+A finger's scene is opened with paint on its walls, and each level in each variant has what renders it. Each state, with
+contact or without, is rendered as two independent halves: their difference is its noise.
+"""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import CameraCalibration, FingerDesign, SimulateError
+from sim.optics._optical_layout import Window
+from sim.optics._paint_bands import BAND_NAMES, PaintBands, PaintOptics, paint_bands
+from sim.optics._painted_walls import (
+    BAKE_SAMPLES,
+    FIRST_CHAINS,
+    LEVEL_NAMES,
+    WALLS,
+    Level,
+    WallLight,
+    bake_walls,
+    last_band,
+    light_walls,
+    unbaked_walls,
+)
+from sim.optics._pixel_maps import PixelMaps, pixel_maps
+from sim.optics._renderer import SCALAR_VARIANT
+from sim.optics._scene import camera_sensor, finger_scene
+from sim.surface_meshes import FingerShape, check_no_intersections, pressed_shape, rest_shape
+
+SURROUNDINGS_SHARE = 8
+"""Pixels that see neither coat nor walls get this many times fewer paths: nothing is measured there."""
+
+CONTACT_REACH = 2.5
+"""In half-widths of the contact: a comparison reaches to twice its half-width."""
+
+RenderLevel = Level | Literal["c"]
+"""A level of :data:`sim.optics.Level`, or c: fluorescence traced along each path, the reference."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraWindows:
+    """The finger's camera, its pixels that see the pad, and those around contact and halo if it sees any."""
+
+    design: FingerDesign
+    calibration: CameraCalibration | None
+    window: Window
+    contact: Window | None
+
+    @classmethod
+    def of(
+        cls, design: FingerDesign, calibration: CameraCalibration | None, maps: Sequence[PixelMaps]
+    ) -> "CameraWindows":
+        """Return the windows of a finger by what its pixels see without contact and with it."""
+        near = maps[1].contact_distance <= CONTACT_REACH
+        contact = Window.around(np.where(near, 0.0, np.nan)[..., None]) if near.any() else None
+        return cls(design, calibration, Window.around(*(m.coat_mm(design) for m in maps)), contact)
+
+
+@dataclass(frozen=True, slots=True)
+class PathsPerPixel:
+    """Paths per pixel of both halves together: over the pad, and around the contact."""
+
+    pad: int
+    contact: int
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that cannot be halved."""
+        for name, count in (("samples_per_pixel", self.pad), ("contact_samples_per_pixel", self.contact)):
+            if count < 2 or count % 2:
+                raise SimulateError(
+                    f"{name} must be an even number of at least 2 (two independent halves), got {count}"
+                )
+
+
+@dataclass(frozen=True, slots=True)
+class StateRender:
+    """The finger without or with contact: an image per chain, half the difference of both halves, their seconds."""
+
+    chains: Mapping[str, NDArray[np.float32]]
+    half_difference: Mapping[str, NDArray[np.float32]]
+    bake_s: float
+    render_s: float
+
+
+def render_state(
+    camera: CameraWindows,
+    shape: FingerShape,
+    bands: PaintBands,
+    renderer: ModuleType,
+    level: RenderLevel,
+    seed: int,
+    samples: PathsPerPixel,
+) -> StateRender:
+    """Render two independent halves, whose difference tells the noise."""
+    begun, design = time.monotonic(), camera.design
+    scene = open_scene(design, shape, bands, renderer, camera_sensor(design, renderer, camera.calibration))
+    guide = None if level == "c" else open_guide(scene, design, shape, renderer)
+    prepared_s = time.monotonic() - begun
+    (one, bake_s), (other, more_s) = (
+        _render_half(scene, guide, camera, shape, bands, renderer, level, stream_seed(seed, half), samples)
+        for half in (0, 1)
+    )
+    bake_s += prepared_s + more_s
+    mean, half_difference = _mean_and_half_difference(one, other)
+    return StateRender(mean, half_difference, bake_s, time.monotonic() - begun - bake_s)
+
+
+def _render_half(
+    scene: Any,
+    guide: Any,
+    camera: CameraWindows,
+    shape: FingerShape,
+    bands: PaintBands,
+    renderer: ModuleType,
+    level: RenderLevel,
+    seed: int,
+    samples: PathsPerPixel,
+) -> tuple[dict[str, NDArray[np.float32]], float]:
+    """Bake the walls and render once, the windows finely; return an image per chain and the seconds of the bake."""
+    begun, design = time.monotonic(), camera.design
+    chains: tuple[str, ...]
+    if level == "c":
+        integrator, chains = pathwise_integrator(scene, design, shape, bands, renderer), FIRST_CHAINS
+    else:
+        paths = BAKE_SAMPLES[renderer.variant() == SCALAR_VARIANT]
+        light = bake_walls(scene, design, shape, bands, renderer, level, seed, paths, guide=guide)[0]
+        integrator, chains = lit_integrator(scene, design, shape, renderer, light, guide)
+    bake_s = time.monotonic() - begun
+    coarse = max(1, samples.pad // 2 // SURROUNDINGS_SHARE)
+    image = np.array(renderer.render(scene, integrator=integrator, spp=coarse, seed=seed), dtype=np.float32)
+    for stream, (window, count) in enumerate(((camera.window, samples.pad), (camera.contact, samples.contact)), 1):
+        if window is not None:
+            sensor = renderer.load_dict(camera_sensor(design, renderer, camera.calibration, window))
+            fine = renderer.render(
+                scene, sensor=sensor, integrator=integrator, spp=count // 2, seed=stream_seed(seed, stream)
+            )
+            image[window.rows, window.columns] = np.array(fine, dtype=np.float32)
+    return {chain: image[..., k] for k, chain in enumerate(chains)}, bake_s
+
+
+def _mean_and_half_difference(
+    one: dict[str, NDArray[np.float32]], other: dict[str, NDArray[np.float32]]
+) -> tuple[dict[str, NDArray[np.float32]], dict[str, NDArray[np.float32]]]:
+    """Return mean and half difference of two halves; a chain at the edge of being left out may be in one of them."""
+    dark = np.zeros_like(next(iter(one.values())))
+    pairs = {c: (one.get(c, dark), other.get(c, dark)) for c in dict.fromkeys([*one, *other])}
+    half = np.float32(0.5)
+    return {c: half * (a + b) for c, (a, b) in pairs.items()}, {c: half * (a - b) for c, (a, b) in pairs.items()}
+
+
+CONTACT_SHARE = 2
+"""Pixels near the contact get this many times more paths by default: comparisons look there, and they are few."""
+
+# beside the streams of halves and windows, which count from zero
+_CONTACT_STREAM = 100
+
+# a bent finger at rest would be shorter; meshes keep their size to rounding
+_SIZE_TOLERANCE_REL = 0.02
+
+Progress = Callable[[int, int, str], None]
+"""Called with the number of finished steps, of all steps, and what was done."""
+
+
+@dataclass(frozen=True, slots=True)
+class PressRender:
+    """Band images of a finger without and with a press.
+
+    Images are (rows, columns, 3 bands: red emission, green emission, LED), radiance in units of the panel's;
+    ``*_chains`` hold the same light apart, per chain of fluorescence in the order of ``chains``: the mean of two
+    independent halves, and ``*_half_difference`` half their difference, so that mean + and - it are the halves. Each
+    half has its own bake of the walls, so the variance holds the bake's noise too; that part (about 2 % of the painted
+    bands) is common to all pixels and does not average out over an area.
+    ``*_variance`` is the variance of the mean of the halves, ``*_maps`` is what each pixel sees,
+    ``contact_label`` where the pressed shape comes from.
+    """
+
+    no_contact_bands: NDArray[np.float32]
+    contact_bands: NDArray[np.float32]
+    chains: tuple[str, ...]
+    no_contact_chains: NDArray[np.float32]
+    contact_chains: NDArray[np.float32]
+    no_contact_half_difference: NDArray[np.float32]
+    contact_half_difference: NDArray[np.float32]
+    no_contact_variance: NDArray[np.float32]
+    contact_variance: NDArray[np.float32]
+    no_contact_maps: PixelMaps
+    contact_maps: PixelMaps
+    contact_label: str
+    bands: PaintBands
+    samples_per_pixel: int
+    seed: int
+    timings_s: Mapping[str, float]
+    variant: str
+    level: RenderLevel
+    label: str
+
+    @property
+    def chains_apart(self) -> bool:
+        """Whether ``*_chains`` hold each chain; else all chains of a band stand together under its first."""
+        return self.level != "c" and self.variant != SCALAR_VARIANT
+
+
+def render_press(
+    design: FingerDesign,
+    paints: Mapping[str, PaintOptics],
+    renderer: ModuleType,
+    level: RenderLevel = "b",
+    seed: int = 0,
+    samples_per_pixel: int = 64,
+    progress: Progress | None = None,
+    shapes: tuple[FingerShape, FingerShape] | None = None,
+    calibration: CameraCalibration | None = None,
+    contact_samples_per_pixel: int | None = None,
+    common_random_numbers: bool = True,
+) -> PressRender:
+    """Render a finger without and with its press.
+
+    The same seed gives the same images.
+
+    Parameters
+    ----------
+    design
+        The finger; without `shapes` its indenter is pressed in analytically.
+    paints
+        Optics of the paints "red" (x = -width/2) and "green" (x = +width/2).
+    renderer
+        From :func:`sim.optics.open_renderer`.
+    level
+        How the walls emit. Level c needs a compiled variant.
+    seed
+        Random seed, >= 0.
+    samples_per_pixel
+        Paths per pixel that sees the pad, an even number >= 2: two independent halves are rendered. The
+        surroundings get an eighth.
+    progress
+        Called after each step.
+    shapes
+        The finger without and with contact, equal meshes.
+    calibration
+        Of the camera; without it the ideal pinhole of the design.
+    contact_samples_per_pixel
+        Paths per pixel of the rectangle around the contact and its halo, an even number; by default twice those
+        of the pad.
+    common_random_numbers
+        Whether both images use the same random numbers, so that their difference away from the contact is small.
+        What stands for a capture needs noise of its own in each image, as cameras have it.
+
+    Raises
+    ------
+    SimulateError
+        When a paint is missing, a paint gains energy, samples_per_pixel is odd, the gel intersects itself, the camera
+        does not see the coat, or level c meets a scalar variant.
+    """
+    samples = PathsPerPixel(samples_per_pixel, contact_samples_per_pixel or CONTACT_SHARE * samples_per_pixel)
+    _check_scalar(design, renderer)
+    start = time.monotonic()
+    bands = check_paints(design, paints)
+    rest, pressed = shapes or (rest_shape(design), pressed_shape(design))
+    _check_size(design, rest)
+    for shape in (rest, pressed):
+        check_no_intersections(shape.gel)
+    maps = [pixel_maps(design, shape, rest, renderer, calibration) for shape in (rest, pressed)]
+    timings = {"pixel maps": time.monotonic() - start}
+    camera = CameraWindows.of(design, calibration, maps)
+    states = []
+    for step, (name, shape) in enumerate((("no contact", rest), ("contact", pressed)), start=1):
+        own = seed if common_random_numbers or step == 1 else stream_seed(seed, _CONTACT_STREAM)
+        states.append(render_state(camera, shape, bands, renderer, level, own, samples))
+        timings |= {f"bake {name}": states[-1].bake_s, f"render {name}": states[-1].render_s}
+        if progress is not None:
+            progress(step, 2, f"rendered {name}")
+    timings["total"] = time.monotonic() - start
+    chains = tuple(dict.fromkeys(chain for state in states for chain in state.chains))
+    variant = renderer.variant()
+    return PressRender(
+        **_images("no_contact", states[0], chains, maps[0]),
+        **_images("contact", states[1], chains, maps[1]),
+        chains=chains,
+        contact_label=pressed.label,
+        bands=bands,
+        samples_per_pixel=samples_per_pixel,
+        seed=seed,
+        timings_s=timings,
+        variant=variant,
+        level=level,
+        label=f"rendered, {'level c' if level == 'c' else LEVEL_NAMES[level]}, {variant}{_left_out(design, variant)}",
+    )
+
+
+def _left_out(design: FingerDesign, variant: str) -> str:
+    """Say what Mitsuba's own integrators, which a scalar variant needs, cannot render."""
+    return ", without the film" if variant == SCALAR_VARIANT and design.pad.film is not None else ""
+
+
+def _check_size(design: FingerDesign, rest: FingerShape) -> None:
+    """Refuse surfaces of another finger: their coordinates would be read with this one's sizes."""
+    extent = np.ptp(rest.surfaces["coat"].vertices_mm, axis=0)
+    for name, size, meshed in (("width", design.pad.width_mm, extent[0]), ("length", design.pad.length_mm, extent[2])):
+        if abs(meshed - size) > _SIZE_TOLERANCE_REL * size:
+            raise SimulateError(
+                f"the surfaces belong to another finger: their pad has a {name} of {meshed:.3g} mm, the design's "
+                f"pad.{name}_mm is {size:g} mm"
+            )
+
+
+def _check_scalar(design: FingerDesign, renderer: ModuleType) -> None:
+    """Refuse what a scalar variant would render wrongly."""
+    if renderer.variant() == SCALAR_VARIANT and any(light.beam_exponent != 1.0 for light in design.lights):
+        raise SimulateError(
+            "light.beam_exponent: a scalar variant renders Lambertian panels (1) only; take 1, or install LLVM 17+"
+        )
+
+
+def _images(name: str, state: StateRender, chains: tuple[str, ...], maps: PixelMaps) -> dict[str, Any]:
+    """Return the fields of a render that belong to one state."""
+    return {
+        f"{name}_bands": _bands_of(state.chains),
+        f"{name}_chains": _stacked(state.chains, chains),
+        f"{name}_half_difference": _stacked(state.half_difference, chains),
+        f"{name}_variance": _bands_of(state.half_difference) ** 2,
+        f"{name}_maps": maps,
+    }
+
+
+def _bands_of(images: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Return the band images (rows, columns, 3) that chain images add up to."""
+    of_band = {b: [image for chain, image in images.items() if last_band(chain) == b] for b in BAND_NAMES}
+    return np.stack([np.sum(of_band[band], axis=0, dtype=np.float32) for band in BAND_NAMES], axis=-1)
+
+
+def _stacked(images: Mapping[str, NDArray[np.float32]], chains: tuple[str, ...]) -> NDArray[np.float32]:
+    """Return chain images as (rows, columns, chain)."""
+    dark = np.zeros_like(next(iter(images.values())))
+    return np.stack([images.get(chain, dark) for chain in chains], axis=-1)
+
+
+def check_paints(design: FingerDesign, paints: Mapping[str, PaintOptics]) -> PaintBands:
+    """Return the bands of the two paints of a finger.
+
+    Raises
+    ------
+    SimulateError
+        When "red" or "green" is missing.
+    """
+    missing = {"red", "green"} - paints.keys()
+    if missing:
+        raise SimulateError(f"paints must hold 'red' and 'green'; missing: {', '.join(sorted(missing))}")
+    return paint_bands(paints["red"], paints["green"], design.light)
+
+
+def stream_seed(seed: int, stream: int) -> int:
+    """Return the renderer's 32-bit seed of one of several independent random streams."""
+    return int(np.random.SeedSequence((seed, stream)).generate_state(1)[0])
+
+
+def open_scene(
+    design: FingerDesign,
+    shape: FingerShape,
+    bands: PaintBands,
+    renderer: ModuleType,
+    sensor: Mapping[str, Any] | None = None,
+) -> Any:
+    """Return a scene whose walls can be lit with :func:`lit_integrator`."""
+    # the band path tracer looks the walls' light up itself; Mitsuba's own integrators need emitters
+    emission = unbaked_walls() if renderer.variant() == SCALAR_VARIANT else None
+    return finger_scene(design, shape, bands, renderer, emission, sensor)
+
+
+def open_guide(scene: Any, design: FingerDesign, shape: FingerShape, renderer: ModuleType) -> Any:
+    """Return the :class:`sim.optics._mirror_guide.MirrorGuide` of a scene; None in a scalar variant, which has none."""
+    if renderer.variant() == SCALAR_VARIANT:
+        return None
+    from sim.optics._band_paths import mirror_guide  # needs the variant set
+
+    return mirror_guide(scene, design, shape)
+
+
+def lit_integrator(
+    scene: Any, design: FingerDesign, shape: FingerShape, renderer: ModuleType, light: WallLight, guide: Any = None
+) -> tuple[Any, tuple[str, ...]]:
+    """Return what renders a scene with lit walls, and the chains that its channels hold.
+
+    With a guide (:func:`open_guide`) the LED's light has less noise. In a scalar variant this is the scene's own
+    ``path``: its channels are the bands, all chains of a band together.
+    """
+    if renderer.variant() == SCALAR_VARIANT:
+        light_walls(scene, light, renderer)
+        return scene.integrator(), FIRST_CHAINS
+    from sim.optics._band_paths import band_integrator  # needs the variant set
+
+    integrator = band_integrator(scene, design, shape, light, guide=guide)
+    return integrator, integrator.chains
+
+
+def pathwise_integrator(
+    scene: Any, design: FingerDesign, shape: FingerShape, bands: PaintBands, renderer: ModuleType
+) -> Any:
+    """Return the integrator of level c; its channels are the bands, all chains of a band together."""
+    if renderer.variant() == SCALAR_VARIANT:
+        raise SimulateError("level c runs in compiled variants only; install LLVM 17 or newer, or take level b")
+    from sim.optics._band_paths import band_paths  # these need the variant set
+    from sim.optics._fluorescent_paint import fluorescent_bands
+
+    panels = band_paths(scene, design, shape)
+    return fluorescent_bands(scene, {wall: bands.matrix(wall) for wall in WALLS}, panels=panels)
