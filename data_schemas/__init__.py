@@ -128,9 +128,12 @@ if TYPE_CHECKING:
         Reradiation,
         SamplingMethod,
     )
-    from data_schemas._model import Estimate, Model, Record, explain
+    from data_schemas._model import Estimate, Model, Quantity, Record, explain
+    from data_schemas._propagated_draws import PropagatedDraws
     from data_schemas._provenance import Provenance, digest_of_input, note_renderer, package_version, provenance
     from data_schemas._radiometry import BandSignals, Bleaching, Flag, Optics, PixelSignals, TiltRatio
+    from data_schemas._record_methods import register_record_methods
+    from data_schemas._record_text import decimals_for, fixed, interval_text, significant
     from data_schemas._rig import (
         NO_ADDRESS,
         BandPassFilter,
@@ -228,6 +231,7 @@ if TYPE_CHECKING:
         TimedOutError,
         UnsafeError,
         WrongPositionError,
+        naming,
     )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -383,7 +387,9 @@ __all__ = [
     "PressMechanics",
     "PressSensitivities",
     "PriorSensitivity",
+    "PropagatedDraws",
     "Provenance",
+    "Quantity",
     "RadiometryError",
     "Record",
     "RecordError",
@@ -434,15 +440,21 @@ __all__ = [
     "WrongPositionError",
     "check_magnitude",
     "coverage_notes",
+    "decimals_for",
     "digest_of_input",
     "explain",
     "finger_identity",
+    "fixed",
     "half_maximum_nm",
+    "interval_text",
     "lazy_exports",
     "look_like_radians",
+    "naming",
     "narrow_sweep_text",
     "note_renderer",
     "package_version",
     "provenance",
+    "register_record_methods",
     "require_coverage",
+    "significant",
 ]

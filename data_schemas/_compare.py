@@ -13,6 +13,7 @@ from pydantic import Field
 from data_schemas._arrays import ArraySpec
 from data_schemas._design import FingerIdentity
 from data_schemas._model import Model, Record
+from data_schemas._record_text import interval_text
 from data_schemas._sensing import LocalScale, ScaleRange
 from data_schemas._units import RelativeUncertainty
 
@@ -23,6 +24,12 @@ class Interval(Model):
     estimate: float
     low95: float
     high95: float
+
+    def __str__(self) -> str:
+        return interval_text(self.estimate, self.low95, self.high95)
+
+    def __repr__(self) -> str:
+        return str(self)
 
 
 class InputUncertainty(Model):
@@ -193,6 +200,9 @@ class PhotometricErrorReport(Record):
 
     schema_version: ClassVar[int] = 2
     written_by: ClassVar[str] = "'finray compare'"
+    shown: ClassVar[tuple[str, ...]] = (
+        "simulated", "captured", "headline_skill", "headline_region", "exposure_factor", "values",
+    )  # fmt: skip
 
     simulated: str
     captured: str

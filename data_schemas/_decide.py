@@ -74,6 +74,7 @@ class LightAngleDecision(Record):
 
     schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray decide'"
+    shown: ClassVar[tuple[str, ...]] = ("angle_deg", "verdict", "sentence")
 
     objective: str
     angle_deg: AngleDeg

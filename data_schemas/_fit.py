@@ -5,18 +5,20 @@ reflectance of the ColorChecker patch that looks most like the paint in room lig
 emission pixel by pixel, :class:`PaintWithoutEmission` a sample without emission and what the verdict rests on.
 """
 
-from collections.abc import Mapping
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from data_schemas._arrays import ArraySpec, check_dimensions
 from data_schemas._capture import RegionOfInterest
 from data_schemas._curves import SpectralCurve
-from data_schemas._model import Estimate, Model, Record
+from data_schemas._model import Estimate, Model, Quantity, Record
+from data_schemas._propagated_draws import PropagatedDraws, propagate_draws
 from data_schemas._radiometry import Optics
+from data_schemas._record_methods import call_record_method
 from data_schemas._units import Fraction, WavelengthNm
 
 Floats = NDArray[np.float64]
@@ -286,6 +288,9 @@ class PaintCalibration(Record):
     schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray fit'"
     other_kinds: ClassVar[Mapping[str, str]] = {"PaintWithoutEmission": NO_SPECTRUM}
+    shown: ClassVar[tuple[str, ...]] = (
+        "family_title", "mode_nm", "fwhm_nm", "energy_yield", "reflectance_at_laser", "stokes_shift_nm",
+    )  # fmt: skip
 
     paint_name: str
     detection: EmissionDetection | None = Field(
@@ -339,6 +344,57 @@ class PaintCalibration(Record):
         along_filters = dict.fromkeys(("optics.filters", "bands", "reflectance", "band_integrals"), "filter")
         check_dimensions(self, {"sampled": "parameter", "families": "family", **along_filters})
         return self
+
+    @property
+    def mode_nm(self) -> Quantity:
+        """Wavelength of the emission's maximum, nm."""
+        return Quantity.of(self.parameters["mode_nm"], "nm")
+
+    @property
+    def fwhm_nm(self) -> Quantity:
+        """Full width of the emission at half its maximum, nm."""
+        return Quantity.of(self.parameters["fwhm_nm"], "nm")
+
+    @property
+    def peak_per_nm(self) -> Quantity:
+        """Emission at its maximum, as a radiance factor per nm, 1/nm."""
+        return Quantity.of(self.parameters["peak_per_nm"], "1/nm")
+
+    @property
+    def reflectance_at_laser(self) -> Quantity:
+        """Non-fluorescent reflectance at the laser line, 0 to 1."""
+        return Quantity.of(self.parameters["reflectance_at_laser"], "")
+
+    @property
+    def stokes_shift_nm(self) -> Quantity:
+        """Maximum of emission minus maximum of absorption, nm; `reradiation` says whether it was measured."""
+        return Quantity.of(self.reradiation.stokes_shift_nm, "nm")
+
+    def propagate(self, function: Callable[[Floats], ArrayLike]) -> PropagatedDraws:
+        """Carry the posterior of the emission through a function of the user.
+
+        Parameters
+        ----------
+        function
+            Takes one draw of the emission (L,) in 1/nm on `wavelength_nm`, which may dip slightly below 0; returns a
+            number or an array of a fixed shape.
+
+        Returns
+        -------
+        PropagatedDraws
+            What the function returned for each draw, with estimate and 95 % interval.
+        """
+        return propagate_draws(self.emission_draws_per_nm, function)
+
+    def to_inferencedata(self) -> Any:
+        """Return posterior, prior, data and replicated data as ArviZ knows them (an ``arviz.InferenceData``).
+
+        Raises
+        ------
+        MissingExtraError
+            ArviZ or xarray is not installed.
+        """
+        return call_record_method(self, "to_inferencedata")
 
 
 Floats32 = NDArray[np.float32]

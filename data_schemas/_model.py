@@ -4,14 +4,20 @@ With the estimate, one number with its uncertainty, and plain-language explanati
 """
 
 import difflib
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Final, get_args
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, get_args
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
 from data_schemas._provenance import Provenance
+from data_schemas._record_methods import call_record_method
+from data_schemas._record_text import array_text, interval_text, record_html, record_text
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 _NUMBERS: Final = {"float", "int"}
 # Where pydantic's schema of a type holds those of its parts.
@@ -40,6 +46,13 @@ def _number(value: Any) -> Any:
     return value
 
 
+class _Size(str):
+    """A text that stands for itself where a value is shown."""
+
+    __slots__ = ()
+    __repr__ = str.__str__
+
+
 class Model(BaseModel):
     """Frozen pydantic model; an unknown or misspelt key is an error, never a silent default."""
 
@@ -50,6 +63,11 @@ class Model(BaseModel):
         """Take truth values and texts for no numbers, and numbers and texts for no truth values."""
         strict: CoreSchema = _without_coercion(handler(source))
         return strict
+
+    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
+        """Show the size of an array, not its values."""
+        for name, value in super().__repr_args__():
+            yield name, _Size(array_text(value)) if isinstance(value, np.ndarray) else value
 
     def idle_fields(self) -> dict[str, str]:
         """Return dotted paths of fields that other fields leave without effect, each with the reason.
@@ -75,6 +93,8 @@ class Record(Model):
         The command that writes the record, for whoever holds a file of an earlier version.
     other_kinds
         Kinds that a user may give in place of this one, each with the reason why it cannot serve.
+    shown
+        Fields and properties that its text shows, in this order; without any, the first few numbers and words.
     provenance
         Who, when, with what and from which inputs; filled by the storage when the record is written.
     """
@@ -82,11 +102,47 @@ class Record(Model):
     schema_version: ClassVar[int] = 1
     written_by: ClassVar[str] = "the command that wrote it"
     other_kinds: ClassVar[Mapping[str, str]] = {}
+    shown: ClassVar[tuple[str, ...]] = ()
     provenance: Provenance | None = None
+
+    def __repr__(self) -> str:
+        return record_text(self)
+
+    def __str__(self) -> str:
+        return record_text(self)
+
+    def _repr_html_(self) -> str:
+        return record_html(self)
+
+    def plot(self) -> Any:
+        """Return a drawing of the record, which notebooks show and ``save(path)`` stores.
+
+        Raises
+        ------
+        RecordError
+            There is no drawing of this kind of record; or ``finray_calib`` was not imported.
+        """
+        return call_record_method(self, "plot")
+
+    def to_xarray(self) -> "Dataset":
+        """Return the arrays of the record with their dimensions, coordinates and units (an ``xarray.Dataset``).
+
+        Raises
+        ------
+        RecordError
+            The record holds no array; or ``finray_calib`` was not imported.
+        MissingExtraError
+            xarray is not installed.
+        """
+        data: Dataset = call_record_method(self, "to_xarray")
+        return data
 
 
 class Estimate(Model):
-    """Posterior summary of one number: median, standard deviation and equal-tailed intervals."""
+    """Posterior summary of one number: median, standard deviation and equal-tailed intervals.
+
+    Its text is the median with the 95 % interval, ``0.231 [0.210, 0.252]``.
+    """
 
     estimate: float
     sd: Annotated[float, Field(ge=0.0)]
@@ -94,6 +150,26 @@ class Estimate(Model):
     high68: float
     low95: float
     high95: float
+
+    def __str__(self) -> str:
+        return interval_text(self.estimate, self.low95, self.high95)
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
+class Quantity(Estimate):
+    """An estimate with its unit: ``598.1 [586.5, 603.5] nm``."""
+
+    unit: str
+
+    @classmethod
+    def of(cls, value: Estimate, unit: str) -> "Quantity":
+        """Return an estimate with a unit."""
+        return cls(**{name: getattr(value, name) for name in Estimate.model_fields}, unit=unit)
+
+    def __str__(self) -> str:
+        return interval_text(self.estimate, self.low95, self.high95, self.unit)
 
 
 LARGEST_NUMBER_OF_FAULTS = 5

@@ -30,6 +30,10 @@ Messages name the thing (file and field, or device), what was asked, what is all
 to do next.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 
 class FinrayError(Exception):
     """Base of all errors that a user can act on."""
@@ -121,3 +125,14 @@ class MissingExtraError(FinrayError):
 
 class DiedError(FinrayError):
     """A process of its own died, or did not end in time; what it had stored before is whole."""
+
+
+@contextmanager
+def naming(kind: type[FinrayError], *paths: Path) -> Iterator[None]:
+    """Put the names of the files in front of an error of this kind, whose raiser does not know them."""
+    try:
+        yield
+    except kind as error:
+        if not paths:
+            raise
+        raise type(error)(f"{' and '.join(map(str, paths))}: {error}") from None

@@ -1,1 +1,134 @@
-"""Calibration arithmetic, reports, foreign formats and the command line."""
+"""Calibrate fluorescent-paint tactile fingers: the library that people call, one function per stage.
+
+>>> import finray_calib as finray
+>>> paint = finray.fit_paint("bands.json")          # or a BandSignals
+>>> paint.mode_nm                                   # 598.1 [586.5, 603.5] nm
+>>> paint.plot().save("paint.svg")
+>>> press = finray.render_press("flat-70x35", red="red.paint.json", green=paint)
+>>> report = finray.compare_press(press, "capture.json")
+>>> finray.write_record(report, "report.json")
+
+Functions take records or the paths of stored ones, and return records; the command line calls the same code. The rooms
+below (`fit`, `compare`, `reports` ...) hold what each stage does. Names are loaded when they are asked for.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from finray_calib._own_packages import require_own_packages
+
+if TYPE_CHECKING:
+    from data_schemas import (
+        BandSignals,
+        CameraCharacterisation,
+        CaptureSession,
+        FingerDesign,
+        FingerSurfaces,
+        FinrayError,
+        ForceComparison,
+        LightAngleDecision,
+        LightAngleSweep,
+        PaintCalibration,
+        PaintMap,
+        PaintWithoutEmission,
+        PhotometricErrorReport,
+        PixelSignals,
+        PressMechanics,
+        Record,
+        RigFile,
+        SimulatedPress,
+        TactileCapture,
+    )
+    from finray_calib._finger_functions import (
+        FingerPress,
+        RenderOptions,
+        finger_design,
+        press_finger,
+        recolour_press,
+        render_press,
+        sweep_light_angle,
+    )
+    from finray_calib._library import (
+        capture_session,
+        compare_force,
+        compare_press,
+        decide_light_angle,
+        fit_paint,
+        import_bands,
+        map_paint,
+        open_rig,
+        read_record,
+        reduce_pixels,
+        reduce_session,
+        trace_record,
+        write_record,
+    )
+
+    __version__: str
+
+require_own_packages(Path(__file__).parent.parent)
+
+if not TYPE_CHECKING:
+    from data_schemas import lazy_exports, register_record_methods
+
+    register_record_methods(
+        plot="finray_calib.reports:plot_record",
+        to_xarray="finray_calib.exchange:record_dataset",
+        to_inferencedata="finray_calib.exchange:inference_data",
+    )
+    _load = lazy_exports(__name__, __file__)
+
+    def __getattr__(name: str) -> Any:
+        if name == "__version__":
+            from data_schemas import package_version
+
+            return package_version()
+        return _load(name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
+__all__ = [
+    "BandSignals",
+    "CameraCharacterisation",
+    "CaptureSession",
+    "FingerDesign",
+    "FingerPress",
+    "FingerSurfaces",
+    "FinrayError",
+    "ForceComparison",
+    "LightAngleDecision",
+    "LightAngleSweep",
+    "PaintCalibration",
+    "PaintMap",
+    "PaintWithoutEmission",
+    "PhotometricErrorReport",
+    "PixelSignals",
+    "PressMechanics",
+    "Record",
+    "RenderOptions",
+    "RigFile",
+    "SimulatedPress",
+    "TactileCapture",
+    "__version__",
+    "capture_session",
+    "compare_force",
+    "compare_press",
+    "decide_light_angle",
+    "finger_design",
+    "fit_paint",
+    "import_bands",
+    "map_paint",
+    "open_rig",
+    "press_finger",
+    "read_record",
+    "recolour_press",
+    "reduce_pixels",
+    "reduce_session",
+    "render_press",
+    "sweep_light_angle",
+    "trace_record",
+    "write_record",
+]

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
+    from sim._design_files import design_inputs, read_design
     from sim._designs import PRESETS, design_toml, preset_design
     from sim._library_proofs import is_installed, proof_failure
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
-__all__ = ["PRESETS", "design_toml", "is_installed", "preset_design", "proof_failure"]
+__all__ = ["PRESETS", "design_inputs", "design_toml", "is_installed", "preset_design", "proof_failure", "read_design"]

@@ -24,7 +24,7 @@ from finray_calib.cli._run import (
 )
 
 if TYPE_CHECKING:
-    from data_schemas import CameraSession, CaptureSession, LaserSettings, RigFile, TactileSession
+    from data_schemas import CameraSession, CaptureSession, RigFile, TactileSession
     from rigs.capture import Interrupted
 
 
@@ -274,6 +274,8 @@ def _telling(rig: "RigFile") -> Iterator[Progress]:
     """Show the progress; before a real laser its safety line. A bar would hide what the operator is asked."""
     with _bar_or_lines(rig) as progress:
         if not rig.is_simulated:
+            from rigs.light_guard import safety_lines
+
             for line in safety_lines(rig.laser):
                 warn(line)
         yield progress
@@ -288,17 +290,6 @@ def _bar_or_lines(rig: "RigFile") -> AbstractContextManager[Progress]:
 def _lines() -> Iterator[Progress]:
     """Tell the progress in lines."""
     yield lambda done, total, what: warn(f"  {done}/{total} {what}")
-
-
-def safety_lines(laser: "LaserSettings") -> tuple[str, ...]:
-    """Return what everybody in the room must know, with what switches the laser off and what does not."""
-    from rigs.light_guard import has_dead_man, off_lines
-
-    return (
-        f"LASER {laser.wavelength_nm:g} nm, {laser.power_mw:g} mW, class {laser.laser_class}: it will be switched on. "
-        f"Wear goggles for {laser.wavelength_nm:g} nm, close the box, keep others out",
-        *(f"  {line}" for line in off_lines(has_dead_man(laser), laser.outside_layer)),
-    )
 
 
 def _report(out: Path, session: "CaptureSession | CameraSession", name: str) -> None:

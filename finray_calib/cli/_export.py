@@ -8,7 +8,6 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._design import read_design
 from finray_calib.cli._run import (
     DEFAULT_INCREMENTS,
     Progress,
@@ -16,7 +15,6 @@ from finray_calib.cli._run import (
     add_paint,
     add_seed,
     command_line,
-    design_inputs,
     file_name,
     increment_count,
     input_digests,
@@ -65,6 +63,7 @@ def run_deck(arguments: argparse.Namespace) -> None:
     """Write the deck and report."""
     from data_schemas import SimulateError
     from data_schemas.storage import write_bytes
+    from sim import read_design
     from sim.mechanics.other_engines import finger_deck
 
     path = _one_design(arguments)
@@ -195,6 +194,7 @@ def _sensor(arguments: argparse.Namespace, progress: Progress) -> "tuple[BallPre
 def _refuse_finger(path: Path) -> None:
     """Refuse the design of a finger, whose walls need paints."""
     from data_schemas import FinrayError, RecordError
+    from sim import read_design
 
     try:
         design = read_design(path)
@@ -211,6 +211,7 @@ def _finger(arguments: argparse.Namespace, progress: Progress) -> "tuple[BallPre
     """Render a finger with its paints."""
     from data_schemas import PaintCalibration
     from data_schemas.storage import read_record
+    from sim import design_inputs, read_design
     from sim.experiments import paint_finger, paint_optics, render_finger_presses
 
     path: Path = arguments.paint[1]
@@ -236,6 +237,7 @@ def run_capture_request(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import ProductSet
     from finray_calib.exchange import PlannedView, capture_request
     from finray_calib.reports import finger_outline
+    from sim import read_design
     from sim.optics import camera_view
 
     refuse_deck_options(arguments)

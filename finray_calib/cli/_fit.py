@@ -17,7 +17,7 @@ from finray_calib.cli._run import (
 )
 
 if TYPE_CHECKING:
-    from data_schemas import BandSignals, ColourCheckerMatch, PaintCalibration, PaintMap, PaintWithoutEmission
+    from data_schemas import BandSignals, PaintCalibration, PaintMap, PaintWithoutEmission
 
 
 HELP = "fit the emission spectrum of a paint, with uncertainty"
@@ -79,22 +79,19 @@ def run(arguments: argparse.Namespace) -> None:
         return
     from data_schemas import BandSignals, FitError, PaintWithoutEmission, provenance
     from data_schemas.storage import ProductSet, read_record, write_record
-    from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, FitOptions, calibrate_paint
+    from finray_calib import fit_paint
 
     bands = read_record(arguments.bands, BandSignals)
     others = [read_record(path, BandSignals) for path in arguments.other_light]
     out = require_new(arguments.out or Path(f"{file_name(bands.paint_name)}.paint.json"))
     if arguments.report is not None:
         require_new(arguments.report)
-    options = FitOptions(
-        family=None if arguments.family == "auto" else arguments.family,
-        discrepancy=NO_DISCREPANCY if arguments.no_discrepancy else PAINT_DISCREPANCY,
-        check_by_emcee=arguments.check,
-    )
-    match = _colour_match(arguments.room_light, bands)
     files = [arguments.bands, *arguments.other_light]
     with progress_bar("fit"), naming(FitError, *files):
-        paint = calibrate_paint(bands, arguments.seed, options, others, match)
+        paint = fit_paint(
+            bands, other_lights=others, family=arguments.family, discrepancy=not arguments.no_discrepancy,
+            check=arguments.check, room_light=arguments.room_light, seed=arguments.seed,
+        )  # fmt: skip
     if arguments.room_light is not None:
         from rigs.capture import SESSION_NAME
 
@@ -146,19 +143,6 @@ def _refuse_ignored(arguments: argparse.Namespace) -> None:
         )
     if arguments.paint is not None and not arguments.map:
         raise FitError("--paint: is the fit of the region that --map starts from; give --map too, or leave it out")
-
-
-def _colour_match(session_folder: Path | None, bands: "BandSignals") -> "ColourCheckerMatch | None":
-    """Return the match of the paint to a ColorChecker patch, if a session is given."""
-    if session_folder is None:
-        return None
-    from data_schemas import FitError
-    from finray_calib.fit import colour_checker_reflectance
-    from rigs.capture import read_frame_of, read_session
-
-    session = read_session(session_folder)
-    with naming(FitError, session_folder):
-        return colour_checker_reflectance(session, lambda frame: read_frame_of(session_folder, frame), bands.optics)
 
 
 def _say_result(paint: "PaintCalibration", out: Path) -> None:

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._design import read_design
 from finray_calib.cli._run import add_out, command_line, file_name, input_digests, naming, require_new, say
 
 if TYPE_CHECKING:
@@ -266,6 +265,7 @@ def run_abaqus(arguments: argparse.Namespace) -> None:
     """Import and report."""
     from data_schemas import ImportFormatError, provenance
     from data_schemas.storage import ProductSet, write_record
+    from sim import read_design
     from sim.experiments import press_records
     from sim.mechanics.other_engines import pressed_by_abaqus, read_fil
 

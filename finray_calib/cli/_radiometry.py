@@ -16,7 +16,7 @@ from finray_calib.cli._run import (
 )
 
 if TYPE_CHECKING:
-    from data_schemas import BandSignals, CameraCharacterisation, CaptureSession
+    from data_schemas import BandSignals, CameraCharacterisation
 
 
 HELP = "turn captured frames into one value per filter and channel, with covariance"
@@ -86,12 +86,14 @@ def reduce_paint(
     accept_repeat
         Whether a filter and its own repeat may disagree.
     """
-    from data_schemas import RadiometryError, provenance
-    from data_schemas.storage import ProductSet, write_record
-    from finray_calib.radiometry import bands_of_steps, pixel_signals, session_steps
+    from data_schemas import CameraCharacterisation, RadiometryError, provenance
+    from data_schemas.storage import ProductSet, read_record, write_record
+    from finray_calib.radiometry import bands_of_steps, pixel_signals, session_steps, with_camera
     from rigs.capture import SESSION_NAME, read_frame_of, read_session
 
-    session = _with_camera(read_session(folder), camera)
+    session = read_session(folder)
+    if camera is not None:
+        session = with_camera(session, read_record(camera, CameraCharacterisation))
     out = require_new(out or Path(f"{file_name(session.plan.paint_name)}.bands.json"))
     stem = out.name.removesuffix(".json").removesuffix(".bands")
     map_out = require_new(out.with_name(f"{stem}.pixels.json")) if pixels else None
@@ -109,23 +111,6 @@ def reduce_paint(
     _report(bands, out)
     if map_out is not None:
         say(f"{map_out}: {int(mapped.usable.sum())} usable of {mapped.usable.size} pixels")
-
-
-def _with_camera(session: "CaptureSession", path: Path | None) -> "CaptureSession":
-    """Give the session the gain, read noise and black level of a characterised camera."""
-    from data_schemas import CameraCharacterisation
-    from data_schemas.storage import read_record
-
-    if path is None:
-        return session
-    measured = read_record(path, CameraCharacterisation)
-    camera = measured.applied_to(session.rig.camera)
-    note = (
-        f"camera characterisation '{measured.camera_name}' used: gain {camera.gain_e_per_dn:.4g} e/DN, read noise "
-        f"{camera.read_noise_e:.3g} e, black level {camera.black_level_dn:.4g} DN"
-    )
-    rig = session.rig.model_copy(update={"camera": camera})
-    return session.model_copy(update={"rig": rig, "notes": (*session.notes, note)})
 
 
 def _report(bands: "BandSignals", out: Path) -> None:

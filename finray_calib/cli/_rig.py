@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._capture import safety_lines
 from finray_calib.cli._run import (
     Progress,
     add_out,
@@ -228,6 +227,8 @@ def _telling(rig: "RigFile") -> Iterator[Progress]:
         with progress_bar("check") as progress:
             yield progress
         return
+    from rigs.light_guard import safety_lines
+
     for line in safety_lines(rig.laser):
         warn(line)
     yield lambda done, total, what: warn(f"  {done + 1}/{total} {what}")

@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,12 +25,12 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from data_schemas import DiedError, FinrayError, RecordError, SimulateError
+from data_schemas import naming as naming
 from data_schemas.storage import Child, is_child, progress_teller, tell
 
 if TYPE_CHECKING:
     from types import ModuleType
 
-    from data_schemas import FingerDesign
     from sim.optics import Preference
 
 
@@ -102,31 +102,11 @@ def paint_files(arguments: argparse.Namespace, without: str = "", dest: str = "p
 
 
 def add_paints_as_given(parser: argparse._ActionsContainer) -> None:
-    """Add the option that accepts paints which :func:`refuse_swapped_paints` takes to be swapped."""
+    """Add the option that accepts paints which :func:`sim.experiments.require_paints_in_order` takes to be swapped."""
     parser.add_argument(
         "--paints-as-given", action="store_true",
         help="the paint of the red wall emits at shorter wavelengths than that of the green one, and is meant so",
     )  # fmt: skip
-
-
-def refuse_swapped_paints(
-    modes_nm: Mapping[str, float], files: Mapping[str, Path], arguments: argparse.Namespace
-) -> None:
-    """Refuse a red paint whose emission has its mode below the green one's, unless the paints are meant so.
-
-    Raises
-    ------
-    SimulateError
-        The files of the two colours look swapped.
-    """
-    if len(modes_nm) < len(("red", "green")) or arguments.paints_as_given:
-        return
-    red_nm, green_nm = modes_nm["red"], modes_nm["green"]
-    if red_nm < green_nm:
-        raise SimulateError(
-            f"--paint: red={files['red']} emits most at {red_nm:.0f} nm, below green={files['green']} at "
-            f"{green_nm:.0f} nm: the two look swapped. Exchange them, or give --paints-as-given if they are meant so"
-        )
 
 
 def open_engine(preference: "Preference") -> "ModuleType":
@@ -200,21 +180,6 @@ def require_place(path: Path) -> Path:
     return path
 
 
-@contextmanager
-def naming(kind: type[FinrayError], *paths: Path) -> Iterator[None]:
-    """Put the names of the files in front of an error of this kind, whose raiser does not know them."""
-    try:
-        yield
-    except kind as error:
-        raise type(error)(f"{' and '.join(map(str, paths))}: {error}") from None
-
-
-def design_inputs(design: "FingerDesign", path: Path) -> list[Path]:
-    """Return the design's file and those that it names."""
-    named = [design.camera.calibration, None if design.camera.response == "assumed" else design.camera.response]
-    return [path, *(path.parent / name for name in named if name is not None)]
-
-
 def input_digests(paths: Iterable[Path]) -> dict[str, str]:
     """Return path as given -> SHA-256 of the bytes that were read; names alone collide (red/paint.json, green/...)."""
     from data_schemas import digest_of_input
@@ -267,7 +232,6 @@ def _lines_now_and_then(title: str) -> Progress:
 @contextmanager
 def interruptible(out: Path) -> Iterator[None]:
     """Let SIGTERM and a closed terminal end a capture as Ctrl-C does, and say how to go on."""
-    from data_schemas import FinrayError
     from rigs.capture import JOURNAL_NAME, SESSION_NAME, lacks_manifest
 
     def stop(number: int, frame: FrameType | None) -> None:

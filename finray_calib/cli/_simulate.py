@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from finray_calib.cli._design import read_design
 from finray_calib.cli._run import (
     DEFAULT_SEED,
     Progress,
@@ -17,14 +16,12 @@ from finray_calib.cli._run import (
     add_paints_as_given,
     add_seed,
     command_line,
-    design_inputs,
     file_name,
     input_digests,
     naming,
     open_engine,
     paint_files,
     progress_bar,
-    refuse_swapped_paints,
     require_new,
     say,
 )
@@ -187,6 +184,8 @@ class _Scene(NamedTuple):
 
 def _run_optics(arguments: argparse.Namespace) -> None:
     """Render or sweep."""
+    from sim import read_design
+
     design = read_design(arguments.design)
     kind = "press" if arguments.angles is None else "sweep"
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.{kind}.json"))
@@ -207,31 +206,22 @@ def _scene(arguments: argparse.Namespace, design: "FingerDesign") -> _Scene:
     """Read paints and surfaces, and paint the finger."""
     from data_schemas import FingerSurfaces, PaintCalibration, digest_of_input, provenance
     from data_schemas.storage import read_record
-    from sim.experiments import paint_finger, paint_optics
-    from sim.surface_meshes import restore_shapes
+    from sim import design_inputs
+    from sim.experiments import finger_scene, require_paints_in_order
 
     files = paint_files(arguments)
     calibrations = {colour: read_record(path, PaintCalibration) for colour, path in files.items()}
-    refuse_swapped_paints({c: p.parameters["mode_nm"].estimate for c, p in calibrations.items()}, files, arguments)
+    if not arguments.paints_as_given:
+        modes_nm = {colour: paint.mode_nm.estimate for colour, paint in calibrations.items()}
+        require_paints_in_order(modes_nm, {c: str(f) for c, f in files.items()}, "--paints-as-given")
     digests = {colour: digest_of_input(path) for colour, path in files.items()}
     meshes = [] if arguments.surfaces is None else [arguments.surfaces]
-    shapes = None
-    for file in meshes:
-        stored = read_record(file, FingerSurfaces)
-        shapes, design = restore_shapes(stored), _as_pressed(design, stored.push_mm)
-    paints = {colour: paint_optics(calibration) for colour, calibration in calibrations.items()}
-    finger = paint_finger(design, paints, arguments.design.parent, open_engine(arguments.engine))
+    surfaces = read_record(arguments.surfaces, FingerSurfaces) if meshes else None
+    scene = finger_scene(design, calibrations, arguments.design.parent, open_engine(arguments.engine), surfaces)
     seed = DEFAULT_SEED if arguments.seed is None else arguments.seed
     inputs = [*design_inputs(design, arguments.design), *files.values(), *meshes]
     origin = provenance(command_line(), input_digests(inputs), seed)
-    return _Scene(finger, calibrations, digests, shapes, seed, origin)
-
-
-def _as_pressed(design: "FingerDesign", push_mm: float | None) -> "FingerDesign":
-    """Return the design with the push that its surfaces had: less than its own where the press ended early."""
-    if push_mm is None:
-        return design
-    return design.model_copy(update={"indenter": design.indenter.model_copy(update={"depth_mm": push_mm})})
+    return _Scene(scene.finger, calibrations, digests, scene.shapes, seed, origin)
 
 
 def _render(arguments: argparse.Namespace, scene: _Scene, out: Path, progress: Progress) -> None:

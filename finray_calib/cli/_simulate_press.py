@@ -9,7 +9,6 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
-from finray_calib.cli._design import read_design
 from finray_calib.cli._run import (
     DEFAULT_INCREMENTS,
     Progress,
@@ -145,6 +144,8 @@ def run_mechanics(arguments: argparse.Namespace) -> None:
         When the push ended early, or the presses with one number changed could not be made, after what was reached
         has been stored, and at least a picture.
     """
+    from sim import read_design
+
     require_mechanics_only(arguments)
     from data_schemas import NoEquilibriumError, SimulateError, provenance
     from data_schemas.storage import read_bytes, write_bytes

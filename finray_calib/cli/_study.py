@@ -12,13 +12,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from finray_calib.cli._design import read_design
 from finray_calib.cli._run import (
     add_out,
     add_paint,
     add_seed,
     command_line,
-    design_inputs,
     input_digests,
     open_engine,
     paint_files,
@@ -204,6 +202,7 @@ def run_illumination_study(study: _Study, arguments: argparse.Namespace) -> None
     """Make a study; write its record and figure; tell its numbers."""
     from data_schemas import provenance
     from data_schemas.storage import ProductSet, write_record
+    from sim import design_inputs
 
     out = require_new(arguments.out or Path(study.name))
     finger, paints = _finger(study, arguments)
@@ -226,7 +225,7 @@ def run_illumination_study(study: _Study, arguments: argparse.Namespace) -> None
 
 def _finger(study: _Study, arguments: argparse.Namespace) -> "tuple[PaintedFinger, dict[str, str]]":
     """Return the finger, and by colour where its paint comes from."""
-    from sim import preset_design
+    from sim import preset_design, read_design
     from sim.experiments import paint_finger
 
     files = paint_files(arguments, without="the simulated rig's paints")
@@ -482,7 +481,7 @@ def _ribs(study: "FingerStiffness") -> "Iterator[str]":
 
 def _design(given: str) -> "FingerDesign":
     """Return a design by file or preset."""
-    from sim import preset_design
+    from sim import preset_design, read_design
 
     return read_design(Path(given)) if given.endswith(".toml") else preset_design(given)
 

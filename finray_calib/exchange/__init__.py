@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from finray_calib.exchange._board_pictures import calibration_yaml, read_board_picture
     from finray_calib.exchange._capture_request import PlannedView, capture_request
     from finray_calib.exchange._force_csv import read_force_csv
+    from finray_calib.exchange._inference_data import inference_data
     from finray_calib.exchange._junit_xml import junit_xml
     from finray_calib.exchange._led_camera_matrix import assumed_led, led_camera_matrix, read_light
     from finray_calib.exchange._nine_dtact import nine_dtact_capture, nine_dtact_prediction
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from finray_calib.exchange._paint_spectra import PaintSpectra, paint_spectra
     from finray_calib.exchange._printable_parts import PrintFormat, printable_parts
     from finray_calib.exchange._raspberry_pi import RaspberryPiOptions, raspberry_pi_capture, read_tuning
+    from finray_calib.exchange._record_arrays import record_dataset
     from finray_calib.exchange._render_files import write_optics_folder
     from finray_calib.exchange._taxim_export import FEWEST_PRESSES, taxim_files
     from finray_calib.exchange._vtu import vtu_bytes
@@ -48,6 +50,7 @@ __all__ = [
     "calibration_yaml",
     "capture_request",
     "import_band_folder",
+    "inference_data",
     "junit_xml",
     "led_camera_matrix",
     "nine_dtact_capture",
@@ -63,6 +66,7 @@ __all__ = [
     "read_light",
     "read_taxim",
     "read_tuning",
+    "record_dataset",
     "taxim_files",
     "vtu_bytes",
     "write_optics_folder",

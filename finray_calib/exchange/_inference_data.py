@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import MissingExtraError, PaintCalibration, Provenance
-from finray_calib.exchange._paint_spectra import PaintSpectra
+from data_schemas import MissingExtraError, PaintCalibration, Provenance, provenance
+from finray_calib.exchange._paint_spectra import PaintSpectra, paint_spectra
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -54,6 +54,41 @@ def netcdf_bytes(paint: PaintCalibration, spectra: PaintSpectra, origin: Provena
         raise MissingExtraError(
             "export to netcdf needs xarray and h5netcdf: pip install 'finray-calib[netcdf]'"
         ) from None
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "paint.nc"
+        DataTree.from_dict(_groups(paint, spectra, origin, rng)).to_netcdf(file, engine=ENGINE)
+        return file.read_bytes()
+
+
+def inference_data(paint: PaintCalibration, seed: int = 1) -> Any:
+    """Return the same groups as an ``arviz.InferenceData``, for the record's method ``to_inferencedata()``.
+
+    Parameters
+    ----------
+    paint
+        Record of a fit.
+    seed
+        Of the replicated data.
+
+    Raises
+    ------
+    MissingExtraError
+        ArviZ or xarray is not installed.
+    """
+    try:
+        import_module("xarray")
+        arviz = import_module("arviz")
+    except ImportError:
+        raise MissingExtraError("to_inferencedata needs ArviZ and xarray: pip install arviz xarray") from None
+    origin = paint.provenance or provenance("finray_calib, from Python")
+    groups = _groups(paint, paint_spectra(paint), origin, np.random.default_rng(seed))
+    return arviz.InferenceData(**groups)
+
+
+def _groups(
+    paint: PaintCalibration, spectra: PaintSpectra, origin: Provenance, rng: np.random.Generator
+) -> "dict[str, Dataset]":
+    """Return group -> data set, with its attributes."""
     groups = {
         "posterior": _parameters(paint, paint.draws),
         "prior": _parameters(paint, paint.prior_draws),
@@ -65,10 +100,7 @@ def netcdf_bytes(paint: PaintCalibration, spectra: PaintSpectra, origin: Provena
     }
     for dataset in groups.values():
         dataset.attrs |= _attributes(paint, origin)
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "paint.nc"
-        DataTree.from_dict(groups).to_netcdf(file, engine=ENGINE)
-        return file.read_bytes()
+    return groups
 
 
 def _attributes(paint: PaintCalibration, origin: Provenance) -> dict[str, str]:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
         tilt_ratios,
     )
     from finray_calib.radiometry._bleaching import bleaching_trend
-    from finray_calib.radiometry._camera_characterisation import characterise_camera
+    from finray_calib.radiometry._camera_characterisation import characterise_camera, with_camera
     from finray_calib.radiometry._colour_checker import (
         LARGEST_CLIPPED_FRACTION,
         PATCHES,
@@ -75,4 +75,5 @@ __all__ = [
     "signal_covariance",
     "texture_variance_rel",
     "tilt_ratios",
+    "with_camera",
 ]

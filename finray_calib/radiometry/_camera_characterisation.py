@@ -11,6 +11,7 @@ from data_schemas import (
     FEWEST_LEVELS,
     CameraCharacterisation,
     CameraSession,
+    CaptureSession,
     ChannelCharacterisation,
     ChannelName,
     Estimate,
@@ -395,3 +396,14 @@ def _curve(levels: ChannelLevels, in_line: Bools, deviation_rel: Floats) -> Phot
         in_line=in_line,
         deviation_rel=deviation_rel,
     )
+
+
+def with_camera(session: CaptureSession, measured: CameraCharacterisation) -> CaptureSession:
+    """Return a session with the gain, read noise and black level of a characterised camera; its notes say so."""
+    camera = measured.applied_to(session.rig.camera)
+    note = (
+        f"camera characterisation '{measured.camera_name}' used: gain {camera.gain_e_per_dn:.4g} e/DN, read noise "
+        f"{camera.read_noise_e:.3g} e, black level {camera.black_level_dn:.4g} DN"
+    )
+    rig = session.rig.model_copy(update={"camera": camera})
+    return session.model_copy(update={"rig": rig, "notes": (*session.notes, note)})

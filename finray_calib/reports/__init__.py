@@ -74,6 +74,7 @@ if TYPE_CHECKING:
         probability,
         significant,
     )
+    from finray_calib.reports._record_plots import RecordPlot, plot_record
     from finray_calib.reports._study_figures import (
         fluorescent_rendering_png,
         light_angle_png,
@@ -90,6 +91,7 @@ __all__ = [
     "Json",
     "PaintTruth",
     "Picture",
+    "RecordPlot",
     "ReportTable",
     "Section",
     "angle_figure",
@@ -136,6 +138,7 @@ __all__ = [
     "pareto_text",
     "percent",
     "plain",
+    "plot_record",
     "pressed_finger_png",
     "probability",
     "provenance_table",

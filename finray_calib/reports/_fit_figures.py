@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from data_schemas import MappedQuantity, Optics, PaintCalibration, PaintMap, PaintSpot, PaintWithoutEmission
 from finray_calib.reports._fit_statements import parameter_words
-from finray_calib.reports._fitted_paint import FittedPaint
+from finray_calib.reports._fitted_paint import FittedPaint, PaintTruth
 from finray_calib.reports._style import (
     BLUE,
     CHANNELS,
@@ -37,17 +37,21 @@ EMISSION_LABEL = "radiance factor per nm\n(10$^{-3}$ nm$^{-1}$)"
 _FAMILY_STYLES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (SKY, (0, (1, 1))), (INK, (0, (5, 1, 1, 1, 1, 1))))
 
 
-@styled()
 def emission_figure(paint: FittedPaint) -> str:
+    """Draw the emission of a paint, beside the truth where it is known."""
+    return draw_emission(paint.fit, paint.truth)
+
+
+@styled()
+def draw_emission(fit: PaintCalibration, truth: PaintTruth | None = None) -> str:
     """Draw the emission with its 68 and 95 % bands, the paper's curve, the truth, and where the filters look."""
-    fit, truth = paint.fit, paint.truth
     figure = new_figure(5.4, 3.9)
     axes = figure.subplots()
     x, high95 = fit.wavelength_nm, PER_THOUSAND * fit.emission_high95_per_nm
     _band(axes, x, fit.emission_low95_per_nm, fit.emission_high95_per_nm, "95 % band", outlined=True)
     _band(axes, x, fit.emission_low68_per_nm, fit.emission_high68_per_nm, "68 % band")
     axes.plot(x, PER_THOUSAND * fit.emission_per_nm, color=BLUE, label="fit")
-    paper = PER_THOUSAND * paint.paper_emission_per_nm
+    paper = PER_THOUSAND * fit.family_emission_per_nm[-1]
     axes.plot(x, paper, color=VERMILLION, linestyle="-.", linewidth=1.3, label="the paper's curve")
     top = max(float(high95.max()), float(paper.max()))
     if truth is not None:

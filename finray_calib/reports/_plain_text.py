@@ -20,55 +20,18 @@ from data_schemas import (
     PhotometricErrorReport,
     RegionError,
 )
+from data_schemas import decimals_for as decimals_for
+from data_schemas import fixed as fixed
+from data_schemas import interval_text as interval_text
+from data_schemas import significant as significant
 
 NO_VALUE = "\N{EN DASH}"
 """Stands where there is no number to show."""
-
-_SIGNIFICANT_OF_HALF_WIDTH = 2
-_MOST_DECIMALS = 6
-
-
-def decimals_for(half_width: float) -> int:
-    """Return how many decimals show a half-width with two significant digits, at most 6; below 0 for tens."""
-    if not (math.isfinite(half_width) and half_width > 0):
-        return 3
-    magnitude = math.floor(math.log10(half_width))
-    return min(_SIGNIFICANT_OF_HALF_WIDTH - 1 - magnitude, _MOST_DECIMALS)
-
-
-def interval_text(estimate: float, low: float, high: float, unit: str = "", most_decimals: int = 6) -> str:
-    """Return ``597.1 [596.0, 598.3] nm``: estimate and interval, rounded to what the interval supports."""
-    if low == high == estimate:
-        return f"{significant(estimate)} {unit}".strip()
-    places = min(decimals_for((high - low) / 2), most_decimals)
-    return f"{fixed(estimate, places)} [{fixed(low, places)}, {fixed(high, places)}] {unit}".strip()
 
 
 def estimate_text(value: Estimate, unit: str = "", factor: float = 1.0) -> str:
     """Return an estimate with its 95 % interval, times a factor for the unit."""
     return interval_text(factor * value.estimate, factor * value.low95, factor * value.high95, unit)
-
-
-def fixed(value: float, places: int) -> str:
-    """Return a number with fixed decimals, rounded to tens and hundreds for decimals below 0.
-
-    A rounded zero has no sign, and what is not finite is named.
-    """
-    if math.isnan(value):
-        return "not given"
-    if math.isinf(value):
-        return "infinite" if value > 0 else "-infinite"
-    text = f"{round(value, places):.{max(places, 0)}f}"
-    return text.lstrip("-") if float(text) == 0 else text
-
-
-def significant(value: float, digits: int = 3) -> str:
-    """Return a number with a few significant digits; very large and very small ones as a power of ten."""
-    if value == 0 or not math.isfinite(value):
-        return fixed(value, 0)
-    if not 1e-4 <= abs(value) < 1e5:
-        return f"{value:.{digits - 1}e}"
-    return fixed(value, digits - 1 - math.floor(math.log10(abs(value))))
 
 
 def percent(fraction: float) -> str:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         has_dead_man,
         off_lines,
         require_outside_layer,
+        safety_lines,
     )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -31,4 +32,5 @@ __all__ = [
     "has_dead_man",
     "off_lines",
     "require_outside_layer",
+    "safety_lines",
 ]

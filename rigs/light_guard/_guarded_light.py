@@ -534,3 +534,12 @@ def off_lines(has_dead_man: bool, layer: OutsideLayer | None = None) -> tuple[st
     if layer is not None:
         return first, f"{all_of_them}: only by the {layer.kind} (tested on {layer.tested_on}: {layer.test})"
     return first, f"{all_of_them}: NO, it stays on; it has no dead-man and no other layer outside the computer"
+
+
+def safety_lines(laser: LaserSettings) -> tuple[str, ...]:
+    """Return what everybody in the room must know, with what switches the laser off and what does not."""
+    return (
+        f"LASER {laser.wavelength_nm:g} nm, {laser.power_mw:g} mW, class {laser.laser_class}: it will be switched on. "
+        f"Wear goggles for {laser.wavelength_nm:g} nm, close the box, keep others out",
+        *(f"  {line}" for line in off_lines(has_dead_man(laser), laser.outside_layer)),
+    )

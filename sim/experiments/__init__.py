@@ -19,7 +19,15 @@ if TYPE_CHECKING:
     from sim.experiments._light_angle import light_angle_sweep
     from sim.experiments._mechanical_press import increment_record, press_records, stored_press
     from sim.experiments._optics_products import OpticsProducts, optics_products
-    from sim.experiments._painted_finger import CameraResponse, PaintedFinger, paint_finger, paint_optics
+    from sim.experiments._painted_finger import (
+        CameraResponse,
+        FingerScene,
+        PaintedFinger,
+        finger_scene,
+        paint_finger,
+        paint_optics,
+        require_paints_in_order,
+    )
     from sim.experiments._paper_paints import reproduce_paper_paints
     from sim.experiments._recolour import WhiteBalance, recoloured
     from sim.experiments._rendered_press import camera_rgb, moved_designs, pose_response, press_record, simulate_press
@@ -30,11 +38,13 @@ else:
 __all__ = [
     "BallPresses",
     "CameraResponse",
+    "FingerScene",
     "OpticsProducts",
     "PaintedFinger",
     "WhiteBalance",
     "camera_rgb",
     "capture_twin",
+    "finger_scene",
     "hidden_design",
     "increment_record",
     "light_angle_sweep",
@@ -50,6 +60,7 @@ __all__ = [
     "render_ball_presses",
     "render_finger_presses",
     "reproduce_paper_paints",
+    "require_paints_in_order",
     "simulate_press",
     "simulated_capture",
     "stored_press",

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from data_schemas import (
     CameraCalibration,
     FingerDesign,
+    FingerSurfaces,
     PaintCalibration,
     SimulateError,
     SpectralCurve,
@@ -18,6 +19,7 @@ from data_schemas import (
 )
 from data_schemas.storage import camera_response
 from sim.optics import BAND_NAMES, PaintBands, PaintOptics, camera_matrix, read_calibration
+from sim.surface_meshes import FingerShape, restore_shapes
 
 Floats = NDArray[np.float64]
 CameraResponse = tuple[SpectralCurve, SpectralCurve, SpectralCurve]
@@ -134,3 +136,77 @@ def paint_finger(
     file = design.camera.calibration
     calibration = None if file is None else read_calibration(folder / file)
     return PaintedFinger(design, paints, response, renderer, calibration)
+
+
+@dataclass(frozen=True, slots=True)
+class FingerScene:
+    """What a press or a sweep is rendered from.
+
+    Attributes
+    ----------
+    finger
+        Design, paints, camera and renderer.
+    calibrations
+        Fits of the "red" and the "green" paint.
+    shapes
+        The finger without and with contact, where a press by finite elements is rendered; None for the analytic press.
+    """
+
+    finger: PaintedFinger
+    calibrations: Mapping[str, PaintCalibration]
+    shapes: tuple[FingerShape, FingerShape] | None = None
+
+
+def finger_scene(
+    design: FingerDesign,
+    calibrations: Mapping[str, PaintCalibration],
+    folder: Path,
+    renderer: ModuleType,
+    surfaces: FingerSurfaces | None = None,
+) -> FingerScene:
+    """Paint a finger, and put the surfaces of a press in the place of the analytic one.
+
+    Parameters
+    ----------
+    design
+        The finger; with `surfaces` its push becomes theirs, which is less where the press ended early.
+    calibrations
+        Fits of the "red" and the "green" paint.
+    folder
+        Where relative paths in the design start.
+    renderer
+        From :func:`sim.optics.open_renderer`.
+    surfaces
+        The finger without and with contact, by a press by finite elements.
+    """
+    shapes = None if surfaces is None else restore_shapes(surfaces)
+    if surfaces is not None and surfaces.push_mm is not None:
+        indenter = design.indenter.model_copy(update={"depth_mm": surfaces.push_mm})
+        design = design.model_copy(update={"indenter": indenter})
+    paints = {colour: paint_optics(calibration) for colour, calibration in calibrations.items()}
+    return FingerScene(paint_finger(design, paints, folder, renderer), calibrations, shapes)
+
+
+def require_paints_in_order(modes_nm: Mapping[str, float], names: Mapping[str, str], remedy: str) -> None:
+    """Refuse a red paint whose emission has its mode below the green one's: the two look swapped.
+
+    Parameters
+    ----------
+    modes_nm
+        Wavelength of the emission's maximum of "red" and "green"; with one of them nothing can be said.
+    names
+        What the message calls them, such as their files.
+    remedy
+        What to give if the paints are meant so.
+
+    Raises
+    ------
+    SimulateError
+        They look swapped.
+    """
+    if len(modes_nm) < len(COLOURS) or modes_nm["red"] >= modes_nm["green"]:
+        return
+    raise SimulateError(
+        f"red={names['red']} emits most at {modes_nm['red']:.0f} nm, below green={names['green']} at "
+        f"{modes_nm['green']:.0f} nm: the two look swapped. Exchange them, or give {remedy} if they are meant so"
+    )

@@ -239,10 +239,7 @@ def _measure_batch(
     told: Callable[[int], None],
 ) -> Floats:
     """Return the band radiance (angle, repeat, facet, probe, 3) of some angles; paths do not depend on the batch."""
-    from sim.optics._angle_paths import (
-        AnglePaths,  # both need the variant set
-        facet_radiance,
-    )
+    from sim.optics._angle_paths import AnglePaths, facet_radiance
 
     design = designs[0]
     scene = open_scene(design, shape, bands, renderer, sensor=radiance_meter(renderer, probes, 0))

@@ -7,7 +7,7 @@ import pytest
 
 from data_schemas import SimulatedPress, TactileCapture, provenance
 from data_schemas.storage import read_record, write_record
-from finray_calib.cli._design import read_design
+from sim import read_design
 from sim.surface_meshes import pressed_shape, rest_shape, store_shapes
 from tests.command_line.running import finray, succeed
 

@@ -63,7 +63,7 @@ def test_posterior_agrees_with_a_dense_joint_normal(scale_of, monkeypatch):
     """The scales as normal variables of huge variance, then plain conditioning; two amplitudes and two kernels."""
     nodes = [(a, kernel) for a in (0.05, 0.2) for kernel in ((35.0, 2.5), (12.0, 2.5), (35.0, 0.5), (12.0, 0.5))]
     monkeypatch.setattr(module, "_NODES_REL", np.array([0.05, 0.2]))
-    monkeypatch.setattr(module, "_LENGTHS_DEG", np.array([35.0, 12.0]))
+    monkeypatch.setattr(module, "_ERROR_LENGTHS_DEG", np.array([35.0, 12.0]))
     monkeypatch.setattr(module, "_SMOOTHNESSES", (0.5, 2.5))
     errors = captures([0.31, 0.2, 0.28], scale_of)
     found = posterior(errors, slope=0.03)

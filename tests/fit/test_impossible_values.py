@@ -1,16 +1,13 @@
 """What physics does not allow is refused, with the value, the rule and what to do."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
 from benchmarks.emission_detection import REFLECTANCES, Rig, bell
 from data_schemas import BandSignals, FitError, SimulateError
-from finray_calib.cli._run import refuse_swapped_paints
-from finray_calib.cli.main import build_parser
 from finray_calib.fit import FitOptions, calibrate_paint
+from sim.experiments import require_paints_in_order
 
 
 @pytest.fixture(scope="module")
@@ -61,15 +58,11 @@ def test_a_paint_that_emits_more_than_falls_on_it_is_refused(bands):
         calibrate_paint(bright, 1, FitOptions(family="log_normal_wavenumber"))
 
 
-def simulate(*more):
-    return build_parser().parse_args(["simulate", "finger.toml", *more])
-
-
-def test_swapped_paints_are_refused_unless_meant():
-    files = {"red": Path("a.json"), "green": Path("b.json")}
+def test_swapped_paints_are_refused():
+    files = {"red": "a.json", "green": "b.json"}
     with pytest.raises(
-        SimulateError, match=r"red=a\.json emits most at 516 nm, below green=b\.json at 597 nm: .*swapped"
+        SimulateError, match=r"red=a\.json emits most at 516 nm, below green=b\.json at 597 nm: .*swapped.* give --x if"
     ):
-        refuse_swapped_paints({"red": 516.0, "green": 597.0}, files, simulate())
-    refuse_swapped_paints({"red": 516.0, "green": 597.0}, files, simulate("--paints-as-given"))
-    refuse_swapped_paints({"red": 597.0, "green": 516.0}, files, simulate())
+        require_paints_in_order({"red": 516.0, "green": 597.0}, files, "--x")
+    require_paints_in_order({"red": 597.0, "green": 516.0}, files, "--x")
+    require_paints_in_order({"red": 597.0}, files, "--x")

@@ -116,7 +116,7 @@ def _design(folder: Path) -> None:
 
 
 def _read_designs(folder: Path) -> None:
-    from finray_calib.cli._design import read_design
+    from sim import read_design
 
     for name in ("finger", "short"):
         read_design(folder / f"{name}.toml")

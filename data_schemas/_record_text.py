@@ -1,0 +1,134 @@
+"""What a record and its numbers say of themselves on a screen: a few lines, without arrays."""
+
+import math
+from collections.abc import Iterator
+from html import escape
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from data_schemas._model import Record
+
+
+LINE: Final = 120
+MOST_VALUES: Final = 6
+"""Numbers and words of a record that does not say which of them to show."""
+
+Row = tuple[str, str]
+
+
+def record_text(record: "Record") -> str:
+    """Return the record in some three to ten lines."""
+    rows = [f"  {label}: {text}" if label else f"  {text}" for label, text in _rows(record)]
+    return "\n".join(_cut(line) for line in (_title(record), *rows))
+
+
+def record_html(record: "Record") -> str:
+    """Return the same as an HTML table, every text escaped."""
+    cells = (f"<tr><th>{escape(label)}</th><td>{escape(_cut(text))}</td></tr>" for label, text in _rows(record))
+    return f"<table><caption>{escape(_cut(_title(record)))}</caption>{''.join(cells)}</table>"
+
+
+def array_text(array: np.ndarray[Any, Any]) -> str:
+    """Return the size of an array in place of its values: ``array(4000 x 7)``."""
+    return f"array({' x '.join(map(str, array.shape))})"
+
+
+def _title(record: "Record") -> str:
+    """Return the record's kind and name."""
+    fields = type(record).model_fields
+    names = [n for n in fields if n == "name" or n.endswith("_name")]
+    name = getattr(record, names[0], None) if names else None
+    return type(record).__name__ + (f" {_plain(name)!r}" if isinstance(name, str) else "")
+
+
+def _rows(record: "Record") -> Iterator[Row]:
+    """Yield label and text of each line."""
+    shown = [(name, _value(getattr(record, name, None))) for name in record.shown or type(record).model_fields]
+    told = [(name, text) for name, text in shown if text and not (name == "name" or name.endswith("_name"))]
+    yield from told if record.shown else told[:MOST_VALUES]
+    values = {name: getattr(record, name, None) for name in type(record).model_fields if name != "provenance"}
+    arrays = [f"{n} {' x '.join(map(str, v.shape))}" for n, v in values.items() if isinstance(v, np.ndarray)]
+    if arrays:
+        yield "arrays", _listed(arrays)
+    more = [f"{n} ({len(v)})" for n, v in values.items() if isinstance(v, tuple | dict) and v]
+    if more:
+        yield "also", _listed(more)
+    if record.provenance is not None:
+        origin = record.provenance
+        yield "made", f"{origin.created_utc}, finray-calib {_plain(origin.package_version)}: {_plain(origin.command)}"
+
+
+def _value(value: Any) -> str:
+    """Return a number, an estimate or some words; nothing for anything larger."""
+    if isinstance(value, bool | int):
+        return str(value)
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, str):
+        return _plain(value)
+    return str(value) if hasattr(value, "low95") and hasattr(value, "estimate") else ""
+
+
+def _plain(text: str) -> str:
+    """Return a text on one line, without characters that steer a terminal."""
+    return "".join(c if c.isprintable() else " " for c in text).strip()
+
+
+def _listed(items: list[str]) -> str:
+    """Return as many items as fit into a line, and how many there are beside them."""
+    text = ""
+    for number, item in enumerate(items):
+        longer = f"{text}, {item}".lstrip(", ")
+        if len(longer) > LINE - 40 and number:
+            return f"{text} and {len(items) - number} more"
+        text = longer
+    return text
+
+
+def _cut(line: str) -> str:
+    """Return a line that fits."""
+    return line if len(line) <= LINE else f"{line[: LINE - 4]} ..."
+
+
+_SIGNIFICANT_OF_HALF_WIDTH = 2
+_MOST_DECIMALS = 6
+
+
+def decimals_for(half_width: float) -> int:
+    """Return how many decimals show a half-width with two significant digits, at most 6; below 0 for tens."""
+    if not (math.isfinite(half_width) and half_width > 0):
+        return 3
+    magnitude = math.floor(math.log10(half_width))
+    return min(_SIGNIFICANT_OF_HALF_WIDTH - 1 - magnitude, _MOST_DECIMALS)
+
+
+def interval_text(estimate: float, low: float, high: float, unit: str = "", most_decimals: int = 6) -> str:
+    """Return ``597.1 [596.0, 598.3] nm``: estimate and interval, rounded to what the interval supports."""
+    if low == high == estimate:
+        return f"{significant(estimate)} {unit}".strip()
+    places = min(decimals_for((high - low) / 2), most_decimals)
+    return f"{fixed(estimate, places)} [{fixed(low, places)}, {fixed(high, places)}] {unit}".strip()
+
+
+def fixed(value: float, places: int) -> str:
+    """Return a number with fixed decimals, rounded to tens and hundreds for decimals below 0.
+
+    A rounded zero has no sign, and what is not finite is named.
+    """
+    if math.isnan(value):
+        return "not given"
+    if math.isinf(value):
+        return "infinite" if value > 0 else "-infinite"
+    text = f"{round(value, places):.{max(places, 0)}f}"
+    return text.lstrip("-") if float(text) == 0 else text
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """Return a number with a few significant digits; very large and very small ones as a power of ten."""
+    if value == 0 or not math.isfinite(value):
+        return fixed(value, 0)
+    if not 1e-4 <= abs(value) < 1e5:
+        return f"{value:.{digits - 1}e}"
+    return fixed(value, digits - 1 - math.floor(math.log10(abs(value))))

@@ -1,0 +1,314 @@
+"""The functions of the library that need the simulation: a finger's design, its press, its render and its sweep."""
+
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, NamedTuple, TypedDict
+
+from data_schemas import (
+    FingerDesign,
+    FingerSurfaces,
+    LightAngleSweep,
+    PaintCalibration,
+    PressMechanics,
+    SimulatedPress,
+    SimulateError,
+    look_like_radians,
+    naming,
+    narrow_sweep_text,
+)
+from finray_calib._given_records import PathLike, digest_of, given, made
+
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    from sim.experiments import FingerScene, WhiteBalance
+    from sim.mechanics import ContactChoice
+    from sim.optics import Preference, RenderLevel
+
+Progress = Callable[[int, int, str], None]
+Paint = PaintCalibration | PathLike
+DEFAULT_SAMPLES_PER_PIXEL = 128
+DEFAULT_SAMPLES_PER_PROBE = 4000
+SWEEP_REPEATS = 6
+
+
+class FingerPress(NamedTuple):
+    """A finger pressed by finite elements: its force over the push, and its surfaces without and with contact."""
+
+    mechanics: PressMechanics
+    surfaces: FingerSurfaces
+
+
+class RenderOptions(TypedDict, total=False):
+    """How a finger is rendered; every key has a default.
+
+    Attributes
+    ----------
+    level
+        How the walls emit: "b" (default), "a", "a_inverse_square" or "c"; a sweep knows "b" only.
+    samples
+        Paths per pixel of a press (even, default 128), or per probe of a sweep (default 4000).
+    engine
+        "auto" (default), "llvm" or "scalar".
+    paints_as_given
+        Whether a red paint that emits at shorter wavelengths than the green one is meant so.
+    pose_response
+        Of a press: whether to render also how the image changes with the indenter's pose (three times the time).
+    all_objectives
+        Of a sweep: whether to measure also how well normals are told, evenness, clipping and room for the panel.
+    narrow_sweep
+        Of a sweep: whether angles that span less than 4 deg are meant so, and are not radians.
+    """
+
+    level: "RenderLevel"
+    samples: int
+    engine: "Preference"
+    paints_as_given: bool
+    pose_response: bool
+    all_objectives: bool
+    narrow_sweep: bool
+
+
+class _Design(NamedTuple):
+    """A design, where relative paths in it start, and its file if it has one."""
+
+    design: FingerDesign
+    folder: Path
+    files: list[Path]
+
+
+def finger_design(name_or_path: PathLike = "flat-70x35") -> FingerDesign:
+    """Return a ready-made finger by its name, or read a design file (TOML).
+
+    Raises
+    ------
+    SimulateError
+        There is neither a ready-made finger nor a file of this name; the message lists the ready-made ones.
+    RecordError
+        The file is no design.
+    """
+    return _design(name_or_path).design
+
+
+def _design(given_design: FingerDesign | PathLike) -> _Design:
+    """Return a design that was given as itself, by name or by file."""
+    from sim import PRESETS, design_inputs, preset_design, read_design
+
+    if isinstance(given_design, FingerDesign):
+        return _Design(given_design, Path(), [])
+    path = Path(given_design)
+    if not path.exists() and (os.fspath(given_design) in PRESETS or path.suffix != ".toml"):
+        return _Design(preset_design(os.fspath(given_design)), Path(), [])
+    design = read_design(path)
+    return _Design(design, path.parent, design_inputs(design, path))
+
+
+def press_finger(
+    design: FingerDesign | PathLike,
+    *,
+    force_n: float | None = None,
+    increments: int = 4,
+    contact: "ContactChoice" = "auto",
+    progress: Progress | None = None,
+) -> FingerPress:
+    """Press the design's indenter in by finite elements.
+
+    Parameters
+    ----------
+    design
+        A design, its file, or the name of a ready-made finger; ``indenter.depth_mm`` is the push.
+    force_n
+        Press until the indenter pushes with this force in N, frictionless, in place of the design's depth.
+    increments
+        Steps of the push.
+    contact
+        "penalty" (fast, no friction), "barrier" (friction, any indenter, contact of ribs) or "auto".
+    progress
+        Called after each increment.
+
+    Raises
+    ------
+    SimulateError
+        No equilibrium was found, or the gel is torn. A push that ended early is no error: `mechanics.unreached` says
+        why.
+    """
+    from finray_calib.spectra import machine_threads
+    from sim.experiments import press_records
+    from sim.mechanics import press_finger as press
+    from sim.mechanics import press_to_force
+
+    finger, folder, files = _design(design)
+    threads = machine_threads()
+    if force_n is not None and contact == "barrier":
+        raise SimulateError("force_n is reached by the penalty contact only; leave out contact, or force_n")
+    with naming(SimulateError, *files[:1]):
+        if force_n is not None:
+            pressed = press_to_force(finger, force_n, None, increments, threads, folder, progress)
+        else:
+            pressed = press(finger, None, increments, threads, progress, contact=contact, folder=folder)
+        mechanics, surfaces = press_records(finger, pressed, wanted_force_n=force_n)
+    if finger.indenter.file is not None:
+        files = [*files, folder / finger.indenter.file]
+    return FingerPress(made(mechanics, "press_finger", files), made(surfaces, "press_finger", files))
+
+
+def render_press(
+    design: FingerDesign | PathLike,
+    *,
+    red: Paint,
+    green: Paint,
+    surfaces: FingerSurfaces | PathLike | None = None,
+    seed: int = 1,
+    progress: Progress | None = None,
+    **options: "Unpack[RenderOptions]",
+) -> SimulatedPress:
+    """Render the contact and no-contact image of a painted finger, in its camera's linear RGB.
+
+    Parameters
+    ----------
+    design
+        A design, its file, or the name of a ready-made finger.
+    red, green
+        Paints of the two walls, see :func:`finray_calib.fit_paint`.
+    surfaces
+        The finger without and with contact, see :func:`press_finger`; by default the indenter is pressed in
+        analytically.
+    seed
+        Of the random generator.
+    progress
+        Called with parts done, parts in all and what is done.
+    **options
+        See :class:`RenderOptions`.
+
+    Raises
+    ------
+    SimulateError
+        The paints look swapped, or the scene cannot be rendered.
+    """
+    from sim.experiments import simulate_press
+
+    samples = options.get("samples", DEFAULT_SAMPLES_PER_PIXEL)
+    if samples < 2 or samples % 2:
+        raise SimulateError(f"samples={samples}: a press is rendered as two halves; give an even number from 2")
+    scene, digests, files = _scene(_design(design), {"red": red, "green": green}, surfaces, options)
+    press = simulate_press(
+        scene.finger, options.get("level", "b"), seed, samples, digests, progress, scene.shapes, scene.calibrations,
+        options.get("pose_response", False),
+    )  # fmt: skip
+    return made(press, "render_press", files, seed)
+
+
+def sweep_light_angle(
+    design: FingerDesign | PathLike,
+    angles_deg: Sequence[float],
+    *,
+    red: Paint,
+    green: Paint,
+    surfaces: FingerSurfaces | PathLike | None = None,
+    seed: int = 1,
+    progress: Progress | None = None,
+    **options: "Unpack[RenderOptions]",
+) -> LightAngleSweep:
+    """Measure the brightness beside the indenter over the angle of the light, for `decide_light_angle`.
+
+    Parameters
+    ----------
+    design, red, green, surfaces, seed, progress, **options
+        See :func:`render_press`.
+    angles_deg
+        Increasing, at least 4 of them for a decision; 0 along the pad, 90 into it.
+    """
+    from sim.experiments import light_angle_sweep
+
+    if options.get("level", "b") != "b":
+        raise SimulateError("level: sweeps are made with level b; leave it out")
+    if not options.get("narrow_sweep", False) and look_like_radians(list(angles_deg)):
+        raise SimulateError(f"angles_deg: {narrow_sweep_text(list(angles_deg))}")
+    scene, digests, files = _scene(_design(design), {"red": red, "green": green}, surfaces, options)
+    rest, shape = scene.shapes or (None, None)
+    sweep = light_angle_sweep(
+        scene.finger, scene.calibrations, list(angles_deg), SWEEP_REPEATS,
+        options.get("samples", DEFAULT_SAMPLES_PER_PROBE), seed, digests, progress, shape,
+        options.get("all_objectives", False), rest,
+    )  # fmt: skip
+    return made(sweep, "sweep_light_angle", files, seed)
+
+
+def _scene(
+    found: _Design,
+    paints: dict[str, Paint],
+    surfaces: FingerSurfaces | PathLike | None,
+    options: RenderOptions,
+) -> "tuple[FingerScene, dict[str, str], list[Path]]":
+    """Return the painted finger, the checksums of its paints, and all files that were read."""
+    from sim.experiments import finger_scene, require_paints_in_order
+
+    read = {colour: given(paint, PaintCalibration) for colour, paint in paints.items()}
+    calibrations = {colour: paint for colour, (paint, _) in read.items()}
+    if not options.get("paints_as_given", False):
+        modes_nm = {colour: paint.mode_nm.estimate for colour, paint in calibrations.items()}
+        names = {colour: str(paint[1][0]) if paint[1] else paint[0].paint_name for colour, paint in read.items()}
+        require_paints_in_order(modes_nm, names, "paints_as_given=True")
+    meshes, mesh_files = (None, []) if surfaces is None else given(surfaces, FingerSurfaces)
+    with naming(SimulateError, *found.files[:1]):
+        renderer = _renderer(options.get("engine", "auto"))
+        scene = finger_scene(found.design, calibrations, found.folder, renderer, meshes)
+    digests = {colour: digest_of(paint, files) for colour, (paint, files) in read.items()}
+    return scene, digests, [*found.files, *(file for _, files in read.values() for file in files), *mesh_files]
+
+
+def _renderer(preference: "Preference") -> ModuleType:
+    """Open the renderer, and warn when another one than usual was taken because something is missing."""
+    from sim.optics import choose_variant, open_renderer
+
+    choice = choose_variant(preference)
+    if choice.fell_back:
+        warnings.warn(f"{choice.variant} renders: {choice.note}", stacklevel=4)
+    return open_renderer(choice)
+
+
+def recolour_press(
+    press: SimulatedPress | PathLike,
+    *,
+    red: Paint | None = None,
+    green: Paint | None = None,
+    camera: PathLike | None = None,
+    white_balance: "WhiteBalance | None" = None,
+) -> SimulatedPress:
+    """Show a rendered press with other paints, another camera or white balance; nothing is rendered again.
+
+    Parameters
+    ----------
+    press
+        See :func:`render_press`.
+    red, green
+        Paints of both walls (an unchanged one again), or neither.
+    camera
+        Camera response (CSV).
+    white_balance
+        Gains of red, green and blue, or "pad": the untouched pad becomes grey on average.
+
+    Raises
+    ------
+    SimulateError
+        Nothing is to change, or too much changes to do without a new render.
+    """
+    from data_schemas.storage import read_camera_response
+    from sim.experiments import paint_optics, recoloured
+
+    if (red is None) != (green is None):
+        raise SimulateError("give both red and green, an unchanged one again; or neither, for the press's own paints")
+    if red is None and camera is None and white_balance is None:
+        raise SimulateError("nothing is to change: give red and green, camera or white_balance")
+    rendered, files = given(press, SimulatedPress)
+    paints = {c: given(p, PaintCalibration) for c, p in (("red", red), ("green", green)) if p is not None}
+    response = None if camera is None else read_camera_response(Path(camera))
+    optics = {colour: paint_optics(paint) for colour, (paint, _) in paints.items()}
+    digests = {colour: digest_of(paint, read) for colour, (paint, read) in paints.items()}
+    with naming(SimulateError, *files):
+        shown = recoloured(rendered, optics or None, response, white_balance, digests or None)
+    read_files = [*files, *(file for _, read in paints.values() for file in read)]
+    return made(shown, "recolour_press", [*read_files, *([] if camera is None else [Path(camera)])])

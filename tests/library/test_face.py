@@ -1,0 +1,70 @@
+"""The face of the library: light to import, complete, and in nobody's way."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import finray_calib as finray
+from data_schemas import package_version
+from finray_calib._own_packages import require_own_packages
+
+ROOT = Path(__file__).resolve().parents[2]
+HEAVY = ("numpy", "scipy", "pydantic", "matplotlib", "mitsuba", "numba", "cv2", "rich", "tifffile", "xarray", "arviz")
+
+
+def test_import_loads_nothing_heavy_and_is_quick():
+    code = (
+        "import sys, time; start = time.process_time(); import finray_calib\n"
+        f"took = time.process_time() - start; loaded = [m for m in {HEAVY!r} if m in sys.modules]\n"
+        "sys.exit(f'loaded {loaded}' if loaded else 0 if took < 0.3 else f'{took} s')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+
+
+def test_import_writes_no_file_and_says_nothing(tmp_path):
+    code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import finray_calib"
+    done = subprocess.run([sys.executable, "-B", "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert (done.stdout, done.stderr) == ("", "")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_name_is_there_and_none_is_a_folder():
+    rooms = {path.parent.name for path in (ROOT / "finray_calib").glob("*/__init__.py")}
+    assert "fit" in rooms
+    assert rooms.isdisjoint(finray.__all__)
+    for room in sorted(rooms):  # importing one of them must leave every name of the library as it was
+        __import__(f"finray_calib.{room}")
+    for name in finray.__all__:
+        assert getattr(finray, name) is not None
+    assert dir(finray) == sorted(finray.__all__)
+    assert finray.__version__ == package_version()
+    with pytest.raises(AttributeError, match="has no attribute 'fit_pants'"):
+        _ = finray.fit_pants
+
+
+def test_every_function_explains_itself():
+    functions = [getattr(finray, name) for name in finray.__all__ if name[0].islower() and not name.startswith("_")]
+    assert 15 <= len(functions) <= 20
+    assert all(function.__doc__ and len(function.__doc__) > 60 for function in functions)
+
+
+def test_another_package_of_the_same_name_is_named(tmp_path, monkeypatch):
+    (tmp_path / "simulacrum").mkdir()
+    (tmp_path / "simulacrum/__init__.py").touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    require_own_packages(tmp_path, ("simulacrum",))
+    with pytest.raises(
+        ImportError, match=r"its own package 'simulacrum', .* another one at .*simulacrum/__init__\.py; ren"
+    ):
+        require_own_packages(ROOT, ("simulacrum",))
+    with pytest.raises(
+        ImportError, match=r"needs its package 'nowhere_at_all' beside it in .*; install finray-calib again"
+    ):
+        require_own_packages(ROOT, ("nowhere_at_all",))
+
+
+def test_types_reach_who_installs_the_packages():
+    assert all((ROOT / package / "py.typed").is_file() for package in ("data_schemas", "rigs", "finray_calib", "sim"))

@@ -1,0 +1,201 @@
+"""Every function of the library on small examples, from a rig to a decision."""
+
+import numpy as np
+import pytest
+
+import finray_calib as finray
+from data_schemas import CaptureError, PlainSensor, RadiometryError, RecordError, SimulateError
+from data_schemas.storage import read_record, sha256_of
+from finray_calib.lineage import findings
+from sim.mechanics import STEPS
+from sim.mechanics._finger_mesh import MeshSteps
+from tests.command_line.running import succeed
+
+pytestmark = pytest.mark.filterwarnings("ignore:scalar_rgb renders")
+
+
+@pytest.fixture(scope="module")
+def rendered(lab, paint):
+    return finray.render_press(
+        lab / "finger.toml", red=lab / "red.paint.json", green=paint, engine="scalar", samples=2, seed=6
+    )
+
+
+def test_what_was_captured_is_reduced_and_fitted(lab, paint):
+    session = finray.read_record(lab / "session")
+    assert isinstance(session, finray.CaptureSession)
+    bands = finray.read_record(str(lab / "bands.json"))
+    assert isinstance(bands, finray.BandSignals)
+    assert bands.provenance.input_sha256 == {f"{lab}/session/session.json": sha256_of(lab / "session/session.json")}
+    assert paint.provenance.seed == 5
+    assert paint.provenance.command == "finray_calib.fit_paint, from Python"
+    assert repr(paint).splitlines()[-1].startswith("  made: ")
+
+
+def test_the_library_gives_the_numbers_of_the_command_line(lab, paint, tmp_path):
+    succeed(f"fit {lab}/bands.json --seed 5 --out {tmp_path}/paint.json")
+    verb = read_record(tmp_path / "paint.json", finray.PaintCalibration)
+    assert verb.provenance.command.startswith("finray fit ")
+    np.testing.assert_array_equal(verb.draws, paint.draws)
+
+
+def test_what_the_library_stored_can_be_traced(lab):
+    tree = finray.trace_record(lab / "red.paint.json")
+    assert [part.kind for part in tree.all()] == ["PaintCalibration", "BandSignals", "CaptureSession", "file", "file"]
+    assert findings(tree) == ()
+    assert tree.is_whole
+
+
+def test_a_record_that_was_read_is_written_with_its_history(lab, paint, tmp_path):
+    renamed = paint.model_copy(update={"paint_name": "orange"})
+    finray.write_record(renamed, tmp_path / "again.json")
+    succeed(f"fit {lab}/bands.json --seed 5 --out {tmp_path}/verb.json")
+    finray.write_record(finray.read_record(tmp_path / "verb.json"), tmp_path / "verb-again.json")
+    told = finray.read_record(tmp_path / "verb-again.json").provenance
+    assert told.command.startswith("finray_calib.write_record, of what was made by: finray fit ")
+    assert told.arguments is None  # nothing that 'finray trace --replay' would run
+    with pytest.raises(RecordError, match=r"again\.json"):
+        finray.write_record(renamed, tmp_path / "again.json")
+
+
+def test_pixels_are_mapped(lab, paint, monkeypatch):
+    pixels = finray.reduce_pixels(lab / "session")
+    assert isinstance(pixels, finray.PixelSignals)
+    taken = []
+    monkeypatch.setattr("finray_calib.fit.map_paint", lambda *given: taken.append(given) or paint)  # takes a minute
+    fitted = finray.map_paint(pixels, lab / "red.paint.json")
+    assert taken[0][0] is pixels
+    assert taken[0][1].paint_name == paint.paint_name
+    assert set(fitted.provenance.input_sha256) == {f"{lab}/red.paint.json"}
+
+
+def test_a_characterised_camera_is_used(lab, tmp_path):
+    from data_schemas import CameraCharacterisation
+    from rigs import camera_plan, simulated_rig, write_plan
+
+    write_plan(camera_plan("bench", simulated_rig("red", width_px=320, height_px=256).camera), tmp_path / "camera.toml")
+    finray.capture_session(tmp_path / "camera.toml", lab / "rig.toml", tmp_path / "camera")
+    camera = finray.reduce_session(tmp_path / "camera")
+    assert isinstance(camera, CameraCharacterisation)
+    bands = finray.reduce_session(lab / "session", camera=camera)
+    assert finray.reduce_session(lab / "session").fluorescence.shape == bands.fluorescence.shape
+    with pytest.raises(RadiometryError, match="is a camera session; camera and accept_repeat are for paint"):
+        finray.reduce_session(tmp_path / "camera", camera=camera)
+
+
+def test_a_rig_is_opened(lab):
+    with finray.open_rig(lab / "rig.toml") as opened:
+        assert len(opened.identities()) == 4
+
+
+def test_plans_that_ask_a_person_are_left_to_the_command_line(lab, tmp_path):
+    (tmp_path / "plan.toml").write_text('kind = "tactile"\n')
+    with pytest.raises(CaptureError, match="plans of kind 'tactile' are captured by 'finray capture'"):
+        finray.capture_session(tmp_path / "plan.toml", lab / "rig.toml", tmp_path / "session")
+
+
+def test_designs_come_by_name_or_file(lab, tmp_path):
+    assert finray.finger_design("baby-48x18").pad.length_mm == 48.0
+    assert finray.finger_design(lab / "finger.toml").name == "small finger"
+    with pytest.raises(SimulateError, match="no preset design 'flat-7x3'; there are flat-70x35, "):
+        finray.finger_design("flat-7x3")
+    with pytest.raises(RecordError, match=r"none\.toml"):
+        finray.finger_design(tmp_path / "none.toml")
+
+
+def test_a_render_names_its_paints_and_is_recoloured(lab, paint, rendered, tmp_path):
+    digest = sha256_of(lab / "red.paint.json")
+    assert rendered.paints["red"] == digest
+    assert len(rendered.paints["green"]) == 64  # of the record's content: it came without a file
+    assert rendered.provenance.input_sha256[f"{lab}/red.paint.json"] == digest
+    assert f"{lab}/finger.toml" in rendered.provenance.input_sha256
+    grey = finray.recolour_press(rendered, white_balance="pad")
+    assert not np.array_equal(grey.contact, rendered.contact)
+    with pytest.raises(SimulateError, match="nothing is to change"):
+        finray.recolour_press(rendered)
+    with pytest.raises(SimulateError, match="give both red and green"):
+        finray.recolour_press(rendered, red=paint)
+
+
+def test_the_verb_renders_the_same_press(lab, paint, rendered, tmp_path):
+    red = f"--paint red={lab}/red.paint.json --paint green={lab}/red.paint.json"
+    succeed(f"simulate {lab}/finger.toml {red} --engine scalar --samples 2 --seed 6 --out {tmp_path}/press.json")
+    np.testing.assert_array_equal(read_record(tmp_path / "press.json", finray.SimulatedPress).contact, rendered.contact)
+
+
+def test_swapped_paints_are_refused_unless_meant(lab, paint):
+    shifted = paint.parameters["mode_nm"].model_copy(update={"estimate": paint.mode_nm.estimate - 80.0})
+    bluer = paint.model_copy(update={"parameters": {**paint.parameters, "mode_nm": shifted}})
+    with pytest.raises(SimulateError, match=r"look swapped\. Exchange them, or give paints_as_given=True"):
+        finray.render_press(lab / "finger.toml", red=bluer, green=paint)
+    press = finray.render_press(
+        lab / "finger.toml", red=bluer, green=paint, engine="scalar", samples=2, paints_as_given=True
+    )
+    assert press.method == "rendered"
+    with pytest.raises(SimulateError, match="samples=3: a press is rendered as two halves"):
+        finray.render_press(lab / "finger.toml", red=paint, green=paint, samples=3)
+
+
+def test_a_sweep_leads_to_a_decision(lab, paint):
+    swept = finray.sweep_light_angle(
+        lab / "finger.toml", [0, 30, 60, 90], red=paint, green=paint, engine="scalar", samples=40, seed=6
+    )
+    decision = finray.decide_light_angle(swept, seed=1)
+    assert 0.0 <= decision.angle_deg <= 90.0
+    assert not decision.validated
+    with pytest.raises(SimulateError, match=r"angles_deg: .*rad"):
+        finray.sweep_light_angle("flat-70x35", [0.0, 0.5, 1.0, 1.5], red=paint, green=paint)
+    with pytest.raises(SimulateError, match="sweeps are made with level b"):
+        finray.sweep_light_angle("flat-70x35", [0, 30, 60, 90], red=paint, green=paint, level="c")
+
+
+def test_presses_are_compared_and_captures_decide(lab):
+    report = finray.compare_press(lab / "press.json", lab / "capture.json")
+    assert report.headline_skill.estimate > 0.9
+    assert set(report.provenance.input_sha256) == {f"{lab}/press.json", f"{lab}/capture.json"}
+    decision = finray.decide_light_angle(lab / "sweep.json", [report])
+    assert decision.validated
+    with pytest.raises(RecordError, match="is a TactileCapture, a SimulatedPress is needed here"):
+        finray.compare_press(lab / "capture.json", lab / "press.json")
+    with pytest.raises(RecordError, match="a SimulatedPress, or the path of a stored one, is needed here, got a int"):
+        finray.compare_press(7, lab / "capture.json")
+
+
+def test_a_finger_is_pressed_rendered_and_its_force_compared(lab, paint, tmp_path, monkeypatch):
+    steps = MeshSteps(pad_mm=3.0, pad_layer_mm=3.0, skeleton_mm=4.0, across_mm=4.0)
+    monkeypatch.setitem(STEPS, "coarse", steps)
+    indenter = finray.finger_design().indenter.model_copy(update={"depth_mm": 0.6, "friction": 0.0})
+    camera = finray.finger_design(lab / "finger.toml").camera
+    design = finray.finger_design().model_copy(update={"indenter": indenter, "camera": camera})
+    pressed = finray.press_finger(design, increments=3)
+    assert pressed.mechanics.force_n[-1, 1] > 0.0
+    push_mm = np.linspace(0.1, 0.6, 6)
+    force_n = np.interp(push_mm, [0.0, *pressed.mechanics.depth_mm], [0.0, *pressed.mechanics.force_n[:, 1]])
+    rows = [f"{d},{f}" for d, f in zip(push_mm, force_n, strict=True)]
+    (tmp_path / "force.csv").write_text("\n".join(["displacement_mm,force_n", *rows]) + "\n")
+    compared = finray.compare_force(pressed.mechanics, tmp_path / "force.csv", known_first_touch=True)
+    assert f"{tmp_path}/force.csv" in compared.provenance.input_sha256
+    press = finray.render_press(design, red=paint, green=paint, surfaces=pressed.surfaces, engine="scalar", samples=2)
+    assert "finite elements" in " ".join(press.notes)
+    forced = finray.press_finger(design, increments=2, force_n=0.5 * float(pressed.mechanics.force_n[-1, 1]))
+    assert forced.mechanics.wanted_force_n is not None
+    with pytest.raises(SimulateError, match="force_n is reached by the penalty contact only"):
+        finray.press_finger(design, force_n=1.0, contact="barrier")
+
+
+def test_what_is_no_record_is_refused(lab, tmp_path):
+    (tmp_path / "list.json").write_text("[1]")
+    (tmp_path / "other.json").write_text('{"kind": "Cat"}')
+    for name, message in (("list.json", "is no stored record: its 'kind' is None; there are "), ("other.json", "'Cat'"),
+                          ("none.json", "none.json")):  # fmt: skip
+        with pytest.raises(RecordError, match=message):
+            finray.read_record(tmp_path / name)
+    with pytest.raises(RecordError, match="a file that a person writes; read a finger's design with finger_design"):
+        finray.read_record(lab / "finger.toml")
+    with pytest.raises(RecordError, match="path of a stored one"):
+        finray.fit_paint(PlainSensor())
+
+
+def test_band_images_of_others_are_imported(tmp_path):
+    with pytest.raises(RecordError, match=r"bands\.toml"):
+        finray.import_bands(tmp_path)

@@ -1,0 +1,159 @@
+"""What records say of themselves, and their methods: quantities, draws through a function, plots, data sets."""
+
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+import finray_calib as finray
+from data_schemas import Estimate, MissingExtraError, PaintPlan, Quantity, RecordError, RegionOfInterest
+from tests.command_line.records import capture_of, press, sweep
+from tests.documentation.example_records import example_decision, example_results
+
+MODE = Estimate(estimate=598.14, sd=4.2, low68=594.0, high68=602.0, low95=586.53, high95=603.52)
+
+
+@pytest.fixture(scope="module")
+def results():
+    return example_results()
+
+
+@pytest.fixture(scope="module")
+def example(results):
+    return results.paints["red"].calibration
+
+
+@pytest.fixture(scope="module")
+def records(results):
+    red = results.paints["red"]
+    return [red.calibration, red.bands, red.session, results.press, results.capture, results.report, results.sweep,
+            results.decision, finray.finger_design()]  # fmt: skip
+
+
+def test_a_quantity_reads_as_in_a_paper():
+    assert str(Quantity.of(MODE, "nm")) == repr(Quantity.of(MODE, "nm")) == "598.1 [586.5, 603.5] nm"
+    assert str(MODE) == repr(MODE) == "598.1 [586.5, 603.5]"
+
+
+def test_quantities_of_a_paint(example):
+    assert example.mode_nm.estimate == example.parameters["mode_nm"].estimate
+    for quantity, unit in ((example.mode_nm, " nm"), (example.fwhm_nm, " nm"), (example.peak_per_nm, " 1/nm"),
+                           (example.stokes_shift_nm, " nm"), (example.reflectance_at_laser, "]")):  # fmt: skip
+        assert str(quantity).endswith(unit)
+
+
+def test_every_record_is_told_in_a_few_lines(records):
+    for record in records:
+        for text in (repr(record), str(record)):
+            lines = text.splitlines()
+            assert lines[0].startswith(type(record).__name__)
+            assert len(lines) <= 10
+            assert max(map(len, lines)) <= 120
+            assert "array([" not in text
+
+
+def test_the_text_of_a_paint_holds_its_numbers_and_sizes(example):
+    text = repr(example)
+    assert f"mode_nm: {example.mode_nm}" in text
+    assert "draws 400 x 6" in text
+    assert "made:" not in text
+    assert len(repr(example.reradiation)) < 2000  # a part of a record shows the sizes of its arrays, too
+
+
+def test_html_is_escaped_and_text_keeps_the_terminal_whole(example):
+    named = example.model_copy(update={"paint_name": "<script>alert(1)</script>\x1b[31m\nred", "family_title": "a<b"})
+    html = named._repr_html_()
+    assert "<script>" not in html
+    assert "a&lt;b" in html
+    ElementTree.fromstring(html)
+    assert "\x1b" not in repr(named)
+    assert len(repr(named).splitlines()) == len(repr(example).splitlines())
+
+
+def test_draws_go_through_a_function_of_the_user(example):
+    yields = example.propagate(lambda emission_per_nm: np.trapezoid(emission_per_nm, example.wavelength_nm))
+    by_hand = np.trapezoid(example.emission_draws_per_nm, example.wavelength_nm, axis=1)
+    np.testing.assert_allclose(yields.draws, by_hand)
+    assert yields.low95 < yields.estimate < yields.high95
+    assert yields.sd == pytest.approx(by_hand.std(ddof=1))
+    assert str(yields) == str(yields.as_estimate())
+    rgb = example.propagate(lambda emission_per_nm: emission_per_nm[:3])
+    assert rgb.estimate.shape == rgb.low95.shape == rgb.sd.shape == (3,)
+    assert repr(rgb) == "PropagatedDraws: 40 draws of shape (3,); see estimate, low95, high95"
+    with pytest.raises(RecordError, match=r"of one number, .* shape \(3,\); take estimate"):
+        rgb.as_estimate()
+
+
+def test_a_function_that_gives_no_numbers_is_refused(example):
+    with pytest.raises(RecordError, match="NaN or an infinite value for 40 of 40 draws"):
+        example.propagate(lambda emission_per_nm: float("nan"))
+    with pytest.raises(RecordError, match="array of one shape, for every draw"):
+        example.propagate(lambda emission_per_nm: np.arange(int(1e6 * emission_per_nm.max()) % 97))
+    with pytest.raises(RecordError, match="must return a number"):
+        example.propagate(lambda emission_per_nm: "red")
+
+
+def test_records_are_drawn(results, example, tmp_path):
+    drawn = {
+        ".svg": (example, results.paints["red"].bands, results.report, results.sweep, results.decision),
+        ".png": (results.press, results.capture, capture_of(press(), 50.0), finray.finger_design()),
+    }
+    for suffix, some in drawn.items():
+        for number, record in enumerate(some):
+            plot = record.plot()
+            path = plot.save(tmp_path / f"{number}{suffix}")
+            assert path.read_bytes() == plot.content
+            assert path.read_bytes().startswith({".svg": b"<?xml", ".png": b"\x89PNG"}[suffix])
+            ((kind, shown),) = plot._repr_mimebundle_().items()
+            assert kind == {".svg": "image/svg+xml", ".png": "image/png"}[suffix]
+            assert shown
+    assert "save(path)" in repr(plot)
+    with pytest.raises(RecordError, match=r"this drawing is PNG; choose a name that ends in \.png"):
+        plot.save(tmp_path / "plot.pdf")
+    with pytest.raises(RecordError, match=r"0\.png.*exists"):
+        plot.save(tmp_path / "0.png")
+    plan = PaintPlan(paint_name="red", region=RegionOfInterest(row_px=0, column_px=0, height_px=8, width_px=8))
+    with pytest.raises(RecordError, match="no drawing of a PaintPlan; there are drawings of BandSignals, FingerDesign"):
+        plan.plot()
+
+
+def test_arrays_have_names_and_units_in_xarray(results, example):
+    data = example.to_xarray()
+    assert data["emission_per_nm"].dims == ("wavelength",)
+    assert data["wavelength_nm"].attrs["units"] == "nm"
+    assert data["measured"].sel(channel="green").dims == ("filter",)
+    np.testing.assert_array_equal(data["draws"], example.draws)
+    assert data.attrs["paint_name"] == "fluorescent red"
+    probes = sweep().to_xarray()
+    assert probes["probe_points_mm"].dims == ("probe", "axis_3")
+    assert "angles_deg" in probes.coords
+    assert example_decision("tie").to_xarray().coords["grid_deg"].size == 121
+    assert results.capture.to_xarray()["repeat_no_contact"].dims == results.capture.to_xarray()["contact"].dims
+    with pytest.raises(RecordError, match="a FingerDesign holds no array"):
+        finray.finger_design().to_xarray()
+
+
+def test_a_paint_goes_to_arviz(example):
+    arviz = pytest.importorskip("arviz")
+    data = example.to_inferencedata()
+    assert set(data.groups()) >= {"posterior", "prior", "posterior_predictive", "observed_data"}
+    median = float(data["posterior"][example.sampled[0]].median())
+    assert median == pytest.approx(float(np.median(example.draws[:, 0])))
+    assert len(arviz.summary(data, kind="stats")) == len(example.sampled)
+
+
+def test_what_is_missing_for_an_export_is_named(example, monkeypatch):
+    monkeypatch.setitem(sys.modules, "arviz", None)
+    with pytest.raises(MissingExtraError, match="to_inferencedata needs ArviZ"):
+        example.to_inferencedata()
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(MissingExtraError, match="to_xarray needs xarray"):
+        example.to_xarray()
+
+
+def test_the_ground_alone_says_where_its_methods_come_from():
+    code = "from data_schemas import FingerDesign; FingerDesign().plot()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "FingerDesign.plot(): comes with the package finray_calib, which is not imported; write" in done.stderr
