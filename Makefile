@@ -28,8 +28,10 @@ check-types: $(VENV)/installed-dev
 contracts: $(VENV)/installed-dev
 	$(BIN)/lint-imports
 
+# Each worker keeps to one core, where the sums of a render come in one order: a test gives the same numbers every time.
+WORKERS ?= 2
 pytest: $(VENV)/installed-dev
-	$(BIN)/pytest -m "not rigs"
+	$(BIN)/pytest -m "not rigs" --numprocesses $(WORKERS) --dist loadfile
 
 # The drivers against device simulators of others. A missing program is a skip that names its package; with CI set in
 # the environment it is a failure.

@@ -305,6 +305,7 @@ def serve(jobs: int, messages: int, parent: int) -> None:
     gc.set_threshold(OBJECTS_PER_COLLECTION)
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background inherits that it is ignored
     _die_with(parent)
+    faulthandler.enable(file=2)  # by number: what descriptor 2 is when the process dies, the log of a job
     try:
         with os.fdopen(jobs, encoding="utf-8") as lines:
             for name in json.loads(lines.readline() or "{}").get("imports", ()):
@@ -327,7 +328,6 @@ def _run(job: dict[str, Json]) -> Json:
         for standard in (1, 2):
             os.dup2(log, standard)
         os.close(log)
-    faulthandler.enable(file=2)
     if job["memory_bytes"] is not None:
         _limit_memory(job["memory_bytes"])
     try:
