@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sim.experiments._ball_presses import BallPresses, render_ball_presses, render_finger_presses
     from sim.experiments._design_sensitivities import press_sensitivities, study_finger_stiffness
     from sim.experiments._fluorescent_rendering import study_fluorescent_rendering
-    from sim.experiments._illumination import study_light_angle, study_two_lights
+    from sim.experiments._illumination import coat_cells, study_light_angle, study_two_lights
     from sim.experiments._light_angle import light_angle_sweep
     from sim.experiments._mechanical_press import increment_record, press_records, stored_press
     from sim.experiments._optics_products import OpticsProducts, optics_products
@@ -44,6 +44,7 @@ __all__ = [
     "WhiteBalance",
     "camera_rgb",
     "capture_twin",
+    "coat_cells",
     "finger_scene",
     "hidden_design",
     "increment_record",
