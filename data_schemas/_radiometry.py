@@ -90,7 +90,7 @@ class BandSignals(Record):
     The covariances are over the flattened (filter, channel) index, filter-major; :attr:`notes` list what they hold.
     """
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray radiometry'"
 
     paint_name: str
@@ -173,7 +173,7 @@ class PixelSignals(Record):
         Laser over lamp irradiance relative to the region's mean, smoothed.
     """
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray radiometry --pixels'"
 
     paint_name: str

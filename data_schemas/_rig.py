@@ -5,11 +5,12 @@ Every device names its ``driver`` and, unless it is simulated, the ``address`` a
 device says that it is, is its :class:`DeviceIdentity`.
 """
 
+import re
 from collections.abc import Callable
 from datetime import date, datetime
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from data_schemas._model import Model, Record
 from data_schemas._units import (
@@ -77,10 +78,26 @@ class BandPassFilter(Model):
     blocking_uncertainty_od: Annotated[float, Field(ge=0.0, le=3.0, json_schema_extra={"unit": "1"})] = 0.2
 
 
-CameraDriver = Literal["simulated", "aravis", "gentl", "mjpeg", "picamera2", "indi", "micro-manager", "folder"]
-WheelDriver = Literal["simulated", "thorlabs", "indi", "alpaca", "manual"]
-LaserDriver = Literal["simulated", "arduino", "indi", "alpaca"]
-LampDriver = Literal["simulated", "arduino", "indi", "alpaca", "manual"]
+def _driver_name(name: str) -> str:
+    """Refuse what is no name of a driver."""
+    if not re.fullmatch(DRIVER_NAME, name):
+        raise ValueError(
+            "is the name of a driver, such as 'thorlabs': at most 40 lower-case letters, digits and hyphens; a rig "
+            "file cannot name a module, for it must not choose what code runs: install the package that brings the "
+            "driver"
+        )
+    return name
+
+
+DRIVER_NAME = "[a-z0-9][a-z0-9-]{0,39}"
+DriverName = Annotated[
+    str,
+    AfterValidator(_driver_name),
+    Field(
+        json_schema_extra={"pattern": f"^{DRIVER_NAME}$"},
+        description="of finray-calib or of a package that is installed beside it; 'finray doctor' lists these",
+    ),
+]
 NO_ADDRESS = ("simulated", "manual")
 """Drivers without a device of their own."""
 
@@ -98,12 +115,12 @@ def _require_address(driver: str, address: str) -> None:
 class CameraSettings(Model):
     """Bayer camera of the rig."""
 
-    driver: CameraDriver = "simulated"
+    driver: DriverName = "simulated"
     address: str = Field(
         default="",
         description="aravis: camera name, serial number or IP address; gentl: path of the producer (.cti) and "
         "'#serial'; mjpeg: http://host:port/path; picamera2: number of the camera; indi: host:port/device; "
-        "micro-manager: configuration file (.cfg); folder: folder of images",
+        "micro-manager: configuration file (.cfg); folder: folder of images; others: as their package says",
     )
     model: str = "CM3-U3-13Y3C-CS"
     width_px: Annotated[int, Field(ge=64, le=8192, multiple_of=2)] = 1280
@@ -142,7 +159,7 @@ class CameraSettings(Model):
 class FilterWheelSettings(Model):
     """Filter wheel and what is in its slots."""
 
-    driver: WheelDriver = "simulated"
+    driver: DriverName = "simulated"
     address: str = Field(
         default="",
         description="thorlabs: serial port (/dev/ttyUSB0) or pyserial URL; indi: host:port/device; "
@@ -204,7 +221,7 @@ class OutsideLayer(Model):
 class LaserSettings(Model):
     """Excitation laser. The class and power are named so that nobody switches it on unknowingly."""
 
-    driver: LaserDriver = "simulated"
+    driver: DriverName = "simulated"
     address: str = Field(default="", description=LIGHT_ADDRESS)
     wavelength_nm: WavelengthNm = 450.0
     fwhm_nm: WidthNm = 2.0
@@ -221,6 +238,11 @@ class LaserSettings(Model):
     @model_validator(mode="after")
     def _real_laser_is_named(self) -> "LaserSettings":
         _require_address(self.driver, self.address)
+        if self.driver == "manual":
+            raise ValueError(
+                "driver: a laser cannot be switched by hand, for nothing would switch it off when the capture stops; "
+                "name the driver of a controller, such as 'arduino'"
+            )
         missing = {"wavelength_nm", "power_mw", "laser_class"} - self.model_fields_set
         if self.driver != "simulated" and missing:
             raise ValueError(
@@ -233,7 +255,7 @@ class LaserSettings(Model):
 class LampSettings(Model):
     """White lamp of known relative spectrum."""
 
-    driver: LampDriver = "simulated"
+    driver: DriverName = "simulated"
     address: str = Field(default="", description=LIGHT_ADDRESS)
     spectrum: Literal["planck-2856K"] = Field(
         default="planck-2856K",
@@ -298,7 +320,7 @@ class SimulatedBench(Model):
 class RigFile(Record):
     """A whole rig."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
 
     name: str
     camera: CameraSettings = CameraSettings()
