@@ -51,6 +51,7 @@ class Extrapolation:
         return State(
             new.u_mm + further * (new.u_mm - old.u_mm),
             tuple(n + further * (n - o) for n, o in zip(new.modes, old.modes, strict=True)),
+            tuple(n + further * (n - o) for n, o in zip(new.pressures_mpa, old.pressures_mpa, strict=True)),
         )
 
 
@@ -59,7 +60,7 @@ def _allowed(assembly: Assembly, state: State, guess: State | None, supports: Su
     if guess is None:
         return None
     u = np.where(supports.fixed, supports.displacement_mm, guess.u_mm)
-    there = State(u, guess.modes)
+    there = State(u, guess.modes, guess.pressures_mpa)
     if assembly.max_step(state, u - state.u_mm) < 1.0 or not math.isfinite(assembly.energy(there)):
         return None
     return _with_own_modes(assembly, there)
@@ -143,7 +144,7 @@ def load_increments(
     NoEquilibriumError
         When an increment of the least size finds no equilibrium; all increments before have been yielded.
     """
-    state, at = start or assembly.at_rest(), begin
+    state, at = assembly.with_own_pressures(start or assembly.at_rest()), begin
     predicted = predict or Extrapolation()
     for stop in stops:
         way = stop - at
@@ -272,7 +273,8 @@ class CoarserPath:
         further = self._beyond(state, at, aim)
         if aim > self._fractions[-1]:
             return further
-        return State(state.u_mm + self._interpolation(self._at(aim) - self._at(at)), state.modes)
+        moved = self._interpolation(self._at(aim) - self._at(at))
+        return State(state.u_mm + moved, state.modes, state.pressures_mpa)
 
 
 def _located(nodes: FloatArray, hexahedra: IntArray, points: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
