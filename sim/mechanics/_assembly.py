@@ -317,8 +317,9 @@ class Elasticity:
     ) -> Iterator[ElementMatrices]:
         """Yield forces and tangents by u with the modes eliminated, a part of the elements at a time.
 
-        The pressures weigh the volume's curvature in the tangent; by default those that u gives. With `project` the tangent of each element has no negative curvature. The arrays are used again after the next
-        step of the iteration. Where an element is inside out (see :meth:`energy`) its arrays mean nothing.
+        The pressures weigh the volume's curvature in the tangent; by default those that u gives. With `project` the
+        tangent of each element has no negative curvature. The arrays are used again after the next step of the
+        iteration. Where an element is inside out (see :meth:`energy`) its arrays mean nothing.
         """
         return self._evaluate(u, modes, pressures or self.pressures_mpa(u, modes), 2 if project else 1)
 

@@ -1,6 +1,7 @@
 """Equilibrium by Newton's method with a line search on the energy, softened where a gel hardly changes its volume."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +56,11 @@ class NewtonOptions:
         Steps are shortened to this.
     iterations
         At most.
+    stalled_after
+        Steps that together must reach the length of one whole step, or the search is given up; 0: never. A smaller
+        increment is cheaper than steps that short.
+    tell
+        Told before each factorisation how far the search is; what it raises ends the search.
     """
 
     residual_rel: float = 1e-6
@@ -62,6 +68,8 @@ class NewtonOptions:
     step_floor_mm: float = 1e-10
     longest_step_mm: float = 8.0
     iterations: int = 40
+    stalled_after: int = 8
+    tell: Callable[[str], None] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +107,7 @@ class _Search:
         self.assembly, self.supports, self.solver, self.options = assembly, supports, solver, options
         self.residuals: list[float] = []
         self.solved = 0
+        self.shares: list[float] = []
         self.bar_n = 0.0  # what the residual must reach
         self.factors = -1  # version of the pattern whose factors the solver holds
 
@@ -119,8 +128,9 @@ class _Search:
             settled = self._settled(gradient, of_terms)
             if settled and not moving:
                 return self._result(self.assembly.with_own_pressures(state), gradient, energy)
-            if self.solved >= self.options.iterations:
-                return self._result(state, gradient, energy, f"no equilibrium after {self.solved} iterations")
+            if why := self._given_up():
+                return self._result(state, gradient, energy, why)
+            self._tell()
             found, why = None, "the line search found no lower energy"
             try:
                 du, rise = self._newton_step(gradient, remaining)
@@ -139,6 +149,21 @@ class _Search:
 
     def _result(self, state: State, gradient: FloatArray, energy: float, failure: str = "") -> Equilibrium:
         return Equilibrium(state, gradient, energy, tuple(self.residuals), failure, self.solved)
+
+    def _given_up(self) -> str:
+        """Return why the search is not gone on with, or nothing."""
+        if self.solved >= self.options.iterations:
+            return f"no equilibrium after {self.solved} iterations"
+        last = self.shares[-self.options.stalled_after :] if self.options.stalled_after else []
+        if last and len(last) == self.options.stalled_after and sum(last) < 1.0:
+            return f"the last {len(last)} of {self.solved} steps were short, {sum(last):.2g} of a whole one together"
+        return ""
+
+    def _tell(self) -> None:
+        """Tell how far the search is."""
+        if self.options.tell is not None:
+            unbalanced = f"out of balance by {self.residuals[-1]:.2g} N, {self.bar_n:.1g} N allowed"
+            self.options.tell(f"iteration {self.solved + 1}, {unbalanced}")
 
     def _settled(self, gradient: FloatArray, of_terms: FloatArray) -> bool:
         fixed = self.supports.fixed
@@ -211,6 +236,7 @@ class _Search:
             new = there_energy + elasticity.excess_n_mm(pressures) if there_energy < math.inf else math.inf
             allowed = _OVERSHOOT * rise if moving else _SUFFICIENT * share * rise
             if new <= merit + allowed + noise:
+                self.shares.append(share)
                 return there.towards(pressures, share), there_energy
             # minimum of the parabola through both energies and the slope, kept between a tenth and a half
             curve = new - merit - share * rise

@@ -35,9 +35,7 @@ def evaluate(x, v, element, material, level=1, held_mpa=None):
     u = v.reshape(-1, 3).copy()
 
     def energy(level, held):
-        return hexahedron(
-            x, u, material.law, material.parameters, mean, held, level, force, tangent, swelling, strain
-        )
+        return hexahedron(x, u, material.law, material.parameters, mean, held, level, force, tangent, swelling, strain)
 
     energy(0, 0.0)
     own = material.bulk_modulus_mpa * strain[1]
