@@ -112,6 +112,7 @@ def press_finger(
     force_n: float | None = None,
     increments: int = 4,
     contact: "ContactChoice" = "auto",
+    budget_s: float | None = None,
     progress: Progress | None = None,
 ) -> FingerPress:
     """Press the design's indenter in by finite elements.
@@ -126,8 +127,10 @@ def press_finger(
         Steps of the push.
     contact
         "penalty" (fast, no friction), "barrier" (friction, any indenter, contact of ribs) or "auto".
+    budget_s
+        Processor time, all threads together, after which the press ends early with the increments that it has.
     progress
-        Called after each increment.
+        Called before each iteration and after each increment.
 
     Raises
     ------
@@ -146,9 +149,11 @@ def press_finger(
         raise SimulateError("force_n is reached by the penalty contact only; leave out contact, or force_n")
     with naming(SimulateError, *files[:1]):
         if force_n is not None:
-            pressed = press_to_force(finger, force_n, None, increments, threads, folder, progress)
+            pressed = press_to_force(finger, force_n, None, increments, threads, folder, progress, budget_s)
         else:
-            pressed = press(finger, None, increments, threads, progress, contact=contact, folder=folder)
+            pressed = press(
+                finger, None, increments, threads, progress, contact=contact, folder=folder, budget_s=budget_s
+            )
         mechanics, surfaces = press_records(finger, pressed, wanted_force_n=force_n)
     if finger.indenter.file is not None:
         files = [*files, folder / finger.indenter.file]

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int, str], None]
 LONGEST_NAME = 80
-LOG_INTERVAL_S = 20.0  # between the lines of a long command whose output goes to a file
+LOG_INTERVAL_S = 8.0  # between the lines of a long command whose output goes to a file
 DEFAULT_INCREMENTS = 4
 DEFAULT_SEED = 1
 

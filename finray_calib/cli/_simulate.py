@@ -188,7 +188,7 @@ def _run_optics(arguments: argparse.Namespace) -> None:
 
     design = read_design(arguments.design)
     kind = "press" if arguments.angles is None else "sweep"
-    out = require_new(arguments.out or Path(f"{file_name(design.name)}.{kind}.json"))
+    out = require_new(arguments.out or Path(f"{file_name(arguments.design.stem)}.{kind}.json"))
     scene = _scene(arguments, design)
     with progress_bar("simulate") as progress:
         if arguments.only == "optics":

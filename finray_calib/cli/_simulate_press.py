@@ -25,7 +25,7 @@ from finray_calib.cli._run import (
 
 if TYPE_CHECKING:
     from data_schemas import FingerDesign, PressMechanics, PressSensitivities, Provenance
-    from sim.mechanics import ContactChoice, PressedFinger
+    from sim.mechanics import PressedFinger
 
 
 # an increment at the whole push, but for rounding
@@ -152,7 +152,7 @@ def run_mechanics(arguments: argparse.Namespace) -> None:
 
     design, folder = read_design(arguments.design), arguments.design.parent
     resume = None if arguments.resume is None else last_increment(arguments.resume)
-    out = arguments.out or Path(f"{file_name(design.name)}.press.json")
+    out = arguments.out or Path(f"{file_name(arguments.design.stem)}.press.json")
     read = [arguments.design, *_indenter_file(design, folder)]
     goes_on = False
     if resume is None:
@@ -208,13 +208,13 @@ def _pressed(
     if arguments.force is not None:
         from sim.mechanics import press_to_force
 
-        pressed = press_to_force(design, arguments.force, None, count, threads, folder, progress)
+        pressed = press_to_force(design, arguments.force, None, count, threads, folder, progress, arguments.budget)
         return pressed, {"wanted_force_n": arguments.force}
     from sim.mechanics import left_out
 
     if leaves := left_out(design, arguments.contact):
         warn(leaves)
-    return _pressed_to_depth(design, count, resume, increments, origin, progress, arguments.contact, folder), {}
+    return _pressed_to_depth(arguments, design, count, resume, increments, origin, progress), {}
 
 
 def _vary(
@@ -238,14 +238,13 @@ def _vary(
 
 
 def _pressed_to_depth(
+    arguments: argparse.Namespace,
     design: "FingerDesign",
     count: int,
     resume: Path | None,
     kept: Path,
     origin: "Provenance",
     progress: Progress,
-    contact: "ContactChoice",
-    folder: Path,
 ) -> "PressedFinger":
     """Press, or go on pressing, and store each increment."""
     from data_schemas import PressIncrement
@@ -254,6 +253,7 @@ def _pressed_to_depth(
     from sim.experiments import increment_record, stored_press
     from sim.mechanics import press_finger
 
+    folder, contact = arguments.design.parent, arguments.contact
     digest = origin.input_sha256.get((folder / (design.indenter.file or "")).as_posix())
     before = None if resume is None else stored_press(read_record(resume, PressIncrement), design, contact, digest)
 
@@ -264,8 +264,9 @@ def _pressed_to_depth(
             write_record(record, path, origin)
 
     return press_finger(
-        design, None, count, machine_threads(), progress, resume=before, store=store, contact=contact, folder=folder
-    )
+        design, None, count, machine_threads(), progress, resume=before, store=store, contact=contact, folder=folder,
+        budget_s=arguments.budget,
+    )  # fmt: skip
 
 
 def _store(
@@ -315,6 +316,7 @@ def _store(
 
 
 LARGEST_FORCE_N = 1000.0
+LARGEST_BUDGET_S = 1e6
 
 
 def add_mechanics_options(parser: argparse.ArgumentParser) -> None:
@@ -331,6 +333,11 @@ def add_mechanics_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resume", type=Path, metavar="INCREMENT",
         help="with --only mechanics: go on from a stored increment, or the last one in a folder NAME.increments",
+    )  # fmt: skip
+    parser.add_argument(
+        "--budget", type=_budget, metavar="SECONDS",
+        help="with --only mechanics: end the press before it takes more than this processor time (all threads "
+        "together); the increments up to there are kept, with a picture, and the exit status is 2",
     )  # fmt: skip
     parser.add_argument(
         "--contact", choices=["auto", "penalty", "barrier"], default="auto",
@@ -353,6 +360,19 @@ def _force(text: str) -> float:
     if not 0.0 < force_n <= LARGEST_FORCE_N:
         raise argparse.ArgumentTypeError(f"{text!r} must be a force in N above 0 and at most {LARGEST_FORCE_N:g}")
     return force_n
+
+
+def _budget(text: str) -> float:
+    """Parse a processor time."""
+    try:
+        budget_s = float(text)
+    except ValueError:
+        budget_s = math.nan
+    if not 0.0 < budget_s <= LARGEST_BUDGET_S:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} must be a processor time in s above 0 and at most {LARGEST_BUDGET_S:g}"
+        )
+    return budget_s
 
 
 def require_mechanics_only(arguments: argparse.Namespace) -> None:
@@ -391,6 +411,10 @@ def require_mechanics_only(arguments: argparse.Namespace) -> None:
         )
     if arguments.sensitivities and (calculix or resumes):
         raise SimulateError("--sensitivities need a whole press by the elements here; leave out --resume and --engine")
+    if arguments.budget is not None and (calculix or arguments.sensitivities):
+        raise SimulateError(
+            "--budget is of one press by the elements here; leave it out, or --engine calculix and --sensitivities"
+        )
     if calculix and resumes:
         raise SimulateError("--resume: CalculiX presses from first touch; leave out --resume, or --engine calculix")
 
@@ -405,6 +429,7 @@ def require_optics_only(arguments: argparse.Namespace) -> None:
         "sensitivities": (False, "are those of a force"),
         "resume": (None, "goes on with a press of finite elements"),
         "increments": (None, "are steps of finite elements"),
+        "budget": (None, "is that of a press by finite elements"),
     }
     if arguments.engine == "calculix":
         raise SimulateError("--engine calculix presses, it does not render; add --only mechanics, or leave it out")

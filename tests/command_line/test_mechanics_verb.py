@@ -11,7 +11,8 @@ import pytest
 from data_schemas import FingerSurfaces, NoEquilibriumError, PressIncrement, PressMechanics, RecordError
 from data_schemas.storage import read_record, sha256_of
 from finray_calib.cli._simulate_press import last_increment, mechanics_paths
-from sim.mechanics import FORCE_EXCESS_REL, STEPS
+from sim import read_design
+from sim.mechanics import FORCE_EXCESS_REL, STEPS, press_finger
 from sim.mechanics._finger_mesh import MeshSteps
 from sim.mechanics._increments import Increment, load_increments
 from sim.mechanics._newton import NewtonOptions
@@ -206,6 +207,9 @@ def test_a_press_is_stored_though_none_with_a_number_changed_is(
         ("", "--only mechanics --force 2 --contact barrier", r"--force presses from first touch by the penalty"),
         ("", "--only mechanics --force 2 --resume d.increments", r"--force presses from first touch by the penalty"),
         ("", "--only mechanics --force two", r"--force: 'two' must be a force in N above 0 and at most 1000"),
+        ("", "--budget 60", r"--budget is that of a press by finite elements; add --only mechanics"),
+        ("", "--only mechanics --budget 60 --sensitivities", r"--budget is of one press by the elements here"),
+        ("", "--only mechanics --budget soon", r"--budget: 'soon' must be a processor time in s above 0 and at most"),
         ("friction = 0.3", "--only mechanics --force 2", r"a press to a force is without friction and on exact"),
         ("edge_radius_mm = 1.0", "--only mechanics", r"indenter\.edge_radius_mm has no effect: it is of a cuboid"),
         (
@@ -354,3 +358,83 @@ def test_an_interrupted_press_is_not_mixed_with_another(
     (tmp_path / "finger.toml").write_text(BABY + f"depth_mm = {depth_mm}\n")
     said = refused(f"{press} {options} --out {tmp_path}/cut.press.json")
     assert "cut.increments: exists already and is not overwritten" in said
+
+
+class Ticking:
+    """A processor's clock that goes on by a second whenever it is read."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def process_time(self) -> float:
+        self.now_s += 1.0
+        return self.now_s
+
+
+# ribs at -24.5 deg of 0.65 mm fold under a turned cuboid: two increments of 2.5 mm once took 225 s without a word
+FOLDING = """
+preset = "flat-70x35"
+[skeleton]
+rib_count = 5
+rib_thickness_mm = 0.65
+rib_angle_deg = -24.5
+front_fin_thickness_mm = 2.35
+back_fin_thickness_mm = 1.99
+[indenter]
+shape = "cuboid"
+size_mm = [50, 12, 12]
+position_mm = 13.5
+across_mm = -2.7
+rotation_deg = [0, 29.2, 0]
+depth_mm = 5.0
+"""
+
+
+@pytest.mark.usefixtures("rough_mesh")
+def test_a_press_that_hardly_goes_on_tells_each_iteration_and_ends_with_its_budget(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "finger.toml").write_text(FOLDING)
+    monkeypatch.setattr("sim.mechanics._increments.time", Ticking())
+    told: list[str] = []
+    with pytest.raises(NoEquilibriumError, match="the budget of 60 s of processor time is spent"):
+        press_finger(
+            read_design(tmp_path / "finger.toml"), increments=2, progress=lambda *at: told.append(at[2]), budget_s=60.0
+        )
+    # the clock is read twice an iteration, and the last one is foreseen
+    assert 28 <= sum("out of balance by " in line for line in told) <= 30
+
+
+@pytest.mark.usefixtures("rough_mesh")
+@pytest.mark.parametrize("force", ["", "--force 0.1"])
+def test_the_last_increment_before_the_budget_was_spent_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: str
+) -> None:
+    from sim.mechanics._increments import Watch
+
+    clock, reached = Ticking(), Watch.reached
+
+    def slowly(watch: Watch, *told: Any) -> None:
+        clock.now_s += 1000.0
+        reached(watch, *told)
+
+    monkeypatch.setattr("sim.mechanics._increments.time", clock)
+    monkeypatch.setattr(Watch, "reached", slowly)
+    (tmp_path / "finger.toml").write_text(BABY + "depth_mm = 0.4\n")
+    press = f"simulate {tmp_path}/finger.toml --only mechanics --increments 2 {force} --out {tmp_path}/d.press.json"
+    outcome = finray(f"{press} --budget 900")
+    assert outcome.status == 2
+    assert re.search(r"the push ended early, at \S+ of \S+ (mm|N): the budget of 900 s of .* is stored", outcome.err)
+    record = read_record(tmp_path / "d.mechanics.json", PressMechanics)
+    assert len(record.depth_mm) == 1
+    assert record.unreached.startswith("the budget of 900 s of processor time is spent")
+    check_no_intersections(restore_shapes(read_record(tmp_path / "d.surfaces.json", FingerSurfaces))[1].gel)
+
+
+@pytest.mark.usefixtures("rough_mesh")
+def test_a_press_is_named_after_its_design_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("one", "two"):  # of the same name inside
+        (tmp_path / f"{name}.toml").write_text(BABY + "depth_mm = 0.5\n")
+        succeed(f"simulate {name}.toml --only mechanics --increments 1")
+        assert (tmp_path / f"{name}.mechanics.json").is_file()
