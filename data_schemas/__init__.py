@@ -65,6 +65,7 @@ if TYPE_CHECKING:
         ComparisonBatch,
         ErrorRow,
         FirstTouch,
+        FittedToneCurve,
         ForceComparison,
         ForceEstimate,
         ForceInput,
@@ -82,6 +83,7 @@ if TYPE_CHECKING:
         SensingError,
         SensingRow,
         ValidationCell,
+        WhiteBalanceDrift,
     )
     from data_schemas._curves import (
         HELD_UNCERTAINTY_REL,
@@ -313,6 +315,7 @@ __all__ = [
     "FinrayError",
     "FirstTouch",
     "FitError",
+    "FittedToneCurve",
     "Flag",
     "FluorescentRendering",
     "ForceComparison",
@@ -434,6 +437,7 @@ __all__ = [
     "VariedPress",
     "WavelengthNm",
     "WheelMove",
+    "WhiteBalanceDrift",
     "WhiteReference",
     "WidthNm",
     "Witness",

@@ -336,6 +336,8 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("PixelSignals", 3): _as_it_is,
     ("PaintCalibration", 5): _as_it_is,
     ("PaintWithoutEmission", 2): _as_it_is,
+    # a fitted tone curve and the gains far from the contact; none: not known
+    ("PhotometricErrorReport", 2): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 
