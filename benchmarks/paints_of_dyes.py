@@ -15,6 +15,8 @@ Binomial errors count fluorophores, not cases, as independent.
 import argparse
 import json
 import sys
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -150,7 +152,7 @@ def judged(case: Case, fit: PaintCalibration) -> dict[str, Any]:
         ),
         "width": float((fit.emission_high95_per_nm - fit.emission_low95_per_nm)[counted].mean() / truth.max()),
     }
-    if getattr(fit, "emission_low95_simultaneous_per_nm", None) is not None:
+    if fit.emission_low95_simultaneous_per_nm is not None:
         low, high = fit.emission_low95_simultaneous_per_nm, fit.emission_high95_simultaneous_per_nm
         row["simultaneous95"] = bool(((low <= truth) & (truth <= high))[counted].all())
     mode, fwhm, peak = scalars(truth)
@@ -170,7 +172,7 @@ def judged(case: Case, fit: PaintCalibration) -> dict[str, Any]:
     row |= rgb(case, draws, truth)
     row["warnings"] = [w[:60] for w in fit.warnings]
     row["family"], row["method"] = fit.family, fit.diagnostics.method
-    row["partly"] = list(getattr(fit, "mostly_prior", ()))
+    row["partly"] = list(fit.mostly_prior)
     return row
 
 
@@ -208,10 +210,12 @@ def run(spectra: Path, out: Path, cases: int, every: int) -> None:
                 file.write(json.dumps(row, default=lambda v: v.item()) + "\n")
 
 
-def left_out_priors(spectra: Path) -> Any:
+def left_out_priors(spectra: Path) -> Callable[[str], FitOptions]:
     """Return what gives the options of a fit that has not seen a fluorophore or one like it."""
-    del spectra
-    return lambda name: FitOptions()
+    from benchmarks.learn_measured_spectra import alike, curves, learned
+
+    names, rows = curves(spectra)
+    return cache(lambda name: FitOptions(spectra=learned(rows[~alike(names, rows, name)])))
 
 
 def stored(out: Path) -> list[dict[str, Any]]:

@@ -125,6 +125,7 @@ if TYPE_CHECKING:
         PaintWithoutEmission,
         PatchDistance,
         PriorSensitivity,
+        PriorShare,
         Reradiation,
         SamplingMethod,
     )
@@ -387,6 +388,7 @@ __all__ = [
     "PressMechanics",
     "PressSensitivities",
     "PriorSensitivity",
+    "PriorShare",
     "PropagatedDraws",
     "Provenance",
     "Quantity",

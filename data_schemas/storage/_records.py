@@ -323,6 +323,8 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("PixelSignals", 2): _as_it_is,
     ("AcceptanceReport", 2): _as_it_is,
     ("PaintCalibration", 4): _as_it_is,
+    # simultaneous band, share of the prior, what the spectrum rests on; older files rest on their family
+    ("PaintCalibration", 5): _as_it_is,
     ("PaintWithoutEmission", 1): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""

@@ -40,9 +40,11 @@ _LOWEST_KK = 13.7
 _ABOVE_LASER_NM = 12.0
 _WIDTH_REACH_SD = 2.0
 _PROCESS_LENGTH_NM, _PROCESS_FLOOR = 14.0, 0.03
-_SIZES: Final = ((0.04, 0.3), (0.08, 0.4), (0.16, 0.3))
+_DETAIL_LENGTH_NM, _DETAIL_SHARE = 5.0, 0.15
+"""Part of the variance of the process that changes within a filter: vibronic detail, which smooth curves lack."""
+_SIZES: Final = ((0.05, 0.3), (0.1, 0.4), (0.2, 0.3))
 _SECOND_DYE: Final = ((0.0, 0.8), (0.3, 0.2))
-_EDGE_SD = 0.1
+_EDGE_SD = 0.25
 _SECOND_RANK = 14
 _KEPT = 160
 _HEIGHT_AT_YIELD, _HEIGHT_SD_REL = 0.15, 1.5
@@ -156,8 +158,9 @@ class Components:
     @cached_property
     def process(self) -> Floats:
         """Factor (L, R) of the process of amplitude 1."""
-        apart = (self.wavelength_nm[:, None] - self.wavelength_nm) / _PROCESS_LENGTH_NM
-        roots, vectors = np.linalg.eigh(np.exp(-0.5 * apart**2))
+        apart_nm = self.wavelength_nm[:, None] - self.wavelength_nm
+        smooth, detail = (np.exp(-0.5 * (apart_nm / nm) ** 2) for nm in (_PROCESS_LENGTH_NM, _DETAIL_LENGTH_NM))
+        roots, vectors = np.linalg.eigh((1 - _DETAIL_SHARE) * smooth + _DETAIL_SHARE * detail)
         large = roots > 1e-3 * roots[-1]
         return np.asarray(vectors[:, large] * np.sqrt(roots[large]))
 
@@ -225,9 +228,9 @@ class SpectrumPosterior:
         Of the prior, nats.
     effective_components
         How many components share the posterior.
-    chi2, p_value
-        (B,) posterior mean chi-square of each band and posterior predictive probability of a larger one; NaN where no
-        channel is usable.
+    chi2, degrees_of_freedom, p_value
+        (B,) posterior mean chi-square of each band, its usable channels, and posterior predictive probability of a
+        larger one; NaN where no channel is usable.
     total_chi2
         Posterior mean chi-square of all values.
     predicted_mean, predicted_sd
@@ -240,6 +243,7 @@ class SpectrumPosterior:
     ln_evidence: float
     effective_components: float
     chi2: Floats
+    degrees_of_freedom: NDArray[np.int64]
     p_value: Floats
     total_chi2: float
     predicted_mean: Floats
@@ -342,6 +346,15 @@ def fit_spectrum(
     columns = rig.columns(curve, reflectance)
     second = _second_pass(rig, parts, bands, best, columns, first)
     return _drawn(rig, parts, bands, second, columns, draws, rng)
+
+
+def prior_curves(parts: Components, count: int, rng: np.random.Generator) -> Floats:
+    """Return curves drawn from the prior, without the smaller departures, (count, L), nm^-1."""
+    share = np.exp(parts.ln_share)
+    chosen = rng.choice(share.size, count, p=share / share.sum())
+    mean, precision = _height_prior(parts, chosen)
+    height = np.abs(mean[:, 0] + rng.standard_normal(count) / np.sqrt(precision[:, 0]))
+    return np.asarray(parts.curves[chosen] * height[:, None])
 
 
 def _height_prior(parts: Components, chosen: NDArray[np.int64]) -> tuple[Floats, Floats]:
@@ -474,8 +487,7 @@ def _drawn(
         z += alpha @ seen.T
         curves[rows] = own * both[rows, :1] + z @ v
         pulls[rows] = k[rows] + alpha @ columns
-    rest = columns @ columns.T + data.covariance[np.ix_(data.kept, data.kept)]
-    shown = _checked(rig, predicted, inverses, rest, columns)
+    shown = _checked(rig, predicted, inverses)
     return SpectrumPosterior(
         np.maximum(curves, 0.0),
         both[:, 1],
@@ -487,9 +499,9 @@ def _drawn(
 
 
 def _checked(
-    rig: _Rig, predicted: Floats, inverses: Floats, rest: Floats, columns: Floats
-) -> tuple[Floats, Floats, float, Floats, Floats]:
-    """Return chi-square and predictive p of each band, the total, and mean and sd of the prediction."""
+    rig: _Rig, predicted: Floats, inverses: Floats
+) -> tuple[Floats, NDArray[np.int64], Floats, float, Floats, Floats]:
+    """Return chi-square, channels and predictive p of each band, the total, and mean and sd of the prediction."""
     data, residual = rig.data, rig.y - predicted
     some = slice(None, None, max(1, len(predicted) // 200))
     residual, covariance = residual[some], np.linalg.inv(inverses[some])
@@ -506,4 +518,5 @@ def _checked(
     measured = np.diag(data.covariance)[data.kept]
     variance = predicted.var(axis=0, ddof=1) + np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0) - measured
     sd[data.kept] = np.sqrt(np.maximum(variance, 0.0))
-    return chi2, p, total, mean.reshape(data.y.shape), sd.reshape(data.y.shape)
+    freedom = np.bincount(band, minlength=bands).astype(np.int64)
+    return chi2, freedom, p, total, mean.reshape(data.y.shape), sd.reshape(data.y.shape)
