@@ -116,6 +116,7 @@ class Case:
         self.rig = Rig(
             int(self.rng.integers(1 << 30)), float(self.rng.choice((4.0, 5.0, 6.0))), str(self.rng.choice(cameras))
         )
+        self.rig.optics = self.rig.optics.model_copy(update={"lamp_temperature_uncertainty_k": LAMP_SD_K})
         self.lamp_k = LAMP_K + LAMP_SD_K * self.rng.standard_normal()
 
     def _column(self, emission: Floats, nm: Floats) -> Floats:

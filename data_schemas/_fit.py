@@ -87,7 +87,7 @@ class Reradiation(Model):
         description="paired one to one with the emission draws they were made from"
     )
     stokes_shift_nm: Estimate = Field(
-        description="maximum of emission minus last (longest) maximum of absorption, nm; before version 6 of the record "
+        description="maximum of emission minus last (longest) maximum of absorption, nm; before version 7 of the record "
         "of the paint its prior was narrower, normal(35, 15) nm"
     )
     stokes_shift_draws_nm: Annotated[Floats, ArraySpec("<f8", ("draw",), "nm")]
@@ -159,7 +159,7 @@ class EmissionDetection(Model):
 class PaintWithoutEmission(Record):
     """A sample in whose band signals no emission was found: a limit of its yield in place of a spectrum."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray fit'"
 
     paint_name: str
@@ -305,7 +305,7 @@ class PaintCalibration(Record):
     location_nm = lambda_0 (not the peak), scale_nm = gamma, skewness = omega, amplitude_nm = h.
     """
 
-    schema_version: ClassVar[int] = 6
+    schema_version: ClassVar[int] = 7
     written_by: ClassVar[str] = "'finray fit'"
     other_kinds: ClassVar[Mapping[str, str]] = {"PaintWithoutEmission": NO_SPECTRUM}
     shown: ClassVar[tuple[str, ...]] = (

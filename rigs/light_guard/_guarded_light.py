@@ -18,6 +18,7 @@ import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from data_schemas import (
@@ -305,10 +306,7 @@ class GuardedLight:
         lease_s: float = LEASE_S,
         laser: LaserSettings | None = None,
     ) -> None:
-        # rigs._drivers names this module; the table of lights is looked up when it is there.
-        from rigs import LIGHTS
-
-        self._guard = GuardClient(role, LIGHTS[driver], address, lease_s)
+        self._guard = GuardClient(role, _driver_of_light(driver).__name__, address, lease_s)
         self._laser = laser
         self._depth = 0
         self._is_dead_man_proven = False
@@ -519,10 +517,15 @@ def require_outside_layer(laser: LaserSettings) -> None:
 
 def has_dead_man(settings: LaserSettings | LampSettings) -> bool:
     """Whether the driver of a light speaks to a controller with a dead-man."""
-    # rigs._drivers names this package; the table of lights is looked up when it is there.
-    from rigs import LIGHTS
+    return bool(_driver_of_light(settings.driver).HAS_DEAD_MAN)
 
-    return bool(import_module(LIGHTS[settings.driver]).HAS_DEAD_MAN)
+
+def _driver_of_light(name: str) -> ModuleType:
+    """Return the module of a light's driver."""
+    # rigs._drivers imports this package; it is looked up when it is there.
+    from rigs import driver_module, find_driver
+
+    return driver_module(find_driver("light", name))
 
 
 def off_lines(has_dead_man: bool, layer: OutsideLayer | None = None) -> tuple[str, str]:
