@@ -127,6 +127,7 @@ if TYPE_CHECKING:
         PaintWithoutEmission,
         PatchDistance,
         PriorSensitivity,
+        PriorShare,
         Reradiation,
         SamplingMethod,
     )
@@ -390,6 +391,7 @@ __all__ = [
     "PressMechanics",
     "PressSensitivities",
     "PriorSensitivity",
+    "PriorShare",
     "PropagatedDraws",
     "Provenance",
     "Quantity",

@@ -50,6 +50,7 @@ from data_schemas import (
 from data_schemas.storage import (
     assumed_camera_response,
     halogen_lamp,
+    read_light,
     read_bytes,
     read_camera_response,
     read_filter_curve,
@@ -57,7 +58,6 @@ from data_schemas.storage import (
     read_toml,
     tiff_image,
 )
-from finray_calib.exchange._led_camera_matrix import read_light
 from finray_calib.radiometry import band_signals, monochrome_bands
 
 Layout = Literal["monochrome", "RGB", "Bayer RGGB", "Bayer BGGR", "Bayer GRBG", "Bayer GBRG"]

@@ -168,29 +168,6 @@ def _trapezoid(wavelength_nm: Floats) -> Floats:
     return np.concatenate([step_nm[:1], step_nm[1:] + step_nm[:-1], step_nm[-1:]]) / 2
 
 
-LIGHT_COLUMNS = ["wavelength_nm", "power_rel"]
-
-
-def read_light(path: Path) -> SpectralCurve:
-    """Read the relative spectral power (energy per nm) of a light: CSV with wavelength_nm,power_rel.
-
-    Raises
-    ------
-    CurveError
-        The file is not such a table, a value is negative, or all are zero.
-    """
-    header, table = read_table(path)
-    if header != LIGHT_COLUMNS:
-        raise CurveError(f"{path}: header is {','.join(header)[:80]}; a light needs {','.join(LIGHT_COLUMNS)}")
-    power = table[:, 1]
-    if (power < 0).any() or not power.any():
-        raise CurveError(f"{path}: power_rel must be 0 or more and somewhere above 0; correct or remove the rows")
-    try:
-        return SpectralCurve(name=path.stem, wavelength_nm=table[:, 0], values=power, source=path.name)
-    except ValidationError as error:
-        raise CurveError(f"{path}: {error.errors()[0]['msg'].removeprefix('Value error, ')}") from None
-
-
 def led_camera_json(
     spectra: PaintSpectra, lights: Sequence[SpectralCurve], response: CameraResponse, origin: Provenance
 ) -> str:
