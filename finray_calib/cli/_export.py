@@ -288,7 +288,7 @@ input deck of a finite-element program.
 Formats that hold no uncertainty say so in their header.
 
 Decks (mm, N, MPa) hold mesh, materials, contact and push, and say in their header what is assumed. What CalculiX makes
-of one, 'finray simulate DESIGN --only mechanics --engine calculix' reads back.
+of one, 'finray simulate press DESIGN --engine calculix' reads back.
 
 Taxim: ball presses all over a classic sensor (TOML), or with --paint a finger, are rendered, and the folder written
 from which Taxim's programs render. It holds slope and place only: what it explains of unseen presses is told.
