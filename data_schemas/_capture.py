@@ -259,7 +259,7 @@ class TactileRig(Record):
         if self.camera.driver == "simulated":
             raise ValueError(
                 "camera.driver: the simulated bench holds no finger; name a real camera, or simulate a press with "
-                "'finray simulate'"
+                "'finray simulate render'"
             )
         return self
 

@@ -72,7 +72,11 @@ def fit_verdict(paint: PaintCalibration) -> Verdict:
     """Return whether the fit can be used: not when its draws cannot be trusted, with care when there is a warning."""
     if not said.is_trusted(paint.diagnostics):
         return "Do not use"
-    return "Use with care" if paint.warnings or paint.mostly_prior or not all(band.explained for band in paint.bands) else "Fit can be used"
+    return (
+        "Use with care"
+        if paint.warnings or paint.mostly_prior or not all(band.explained for band in paint.bands)
+        else "Fit can be used"
+    )
 
 
 def _lead(paint: FittedPaint) -> str:

@@ -294,7 +294,13 @@ def quantities_table(paint: FittedPaint) -> ReportTable:
         (label, NO_VALUE, NO_VALUE, estimate_text(fit.paper[name], unit), *blank)
         for name, (label, unit) in _PAPER_SYMBOLS.items()
     ]
-    columns = ("quantity", "fit", "prior left (shift)", "the paper's curve alone", *([] if truth is None else [f"{truth.word} value"]))
+    columns = (
+        "quantity",
+        "fit",
+        "prior left (shift)",
+        "the paper's curve alone",
+        *([] if truth is None else [f"{truth.word} value"]),
+    )
     groups = (TableGroup("", tuple(rows)), TableGroup("The paper's four parameters, in its symbols", tuple(symbols)))
     return ReportTable(paint.titled("emission, median and 95 % interval"), columns, groups)
 
