@@ -317,7 +317,7 @@ def fit_absorption(
     mode_nm = _modes(emission_draws_per_nm, wavelength_nm, laser_nm)
     seen = _relative_to_laser(yields, laser_nm)
     sampler = _Sampler(mode_nm, seen, prior, excitation_nm, rng)
-    most = 1.0 if least_reflectance is None else 1 - least_reflectance(excitation_nm)
+    most = 1 - (np.zeros(excitation_nm.size) if least_reflectance is None else least_reflectance(excitation_nm))
     ceiling = most / photon_yield(emission_draws_per_nm, wavelength_nm, laser_nm)[:, None]
     draws, shift_nm, rejected, violating = sampler.draw_below(ceiling)
     low95, high95 = np.quantile(draws, [0.025, 0.975], axis=0)
