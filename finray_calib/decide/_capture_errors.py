@@ -126,7 +126,7 @@ def _capture_of(report: PhotometricErrorReport) -> ValidatingCapture:
             f"the report on {report.captured} was made despite a mismatch, so its brightness error says nothing about "
             f"the simulation ({'; '.join(report.findings)}): mend the capture and compare again, or leave it out"
         )
-    if report.objective_error is None and report.values == "linear light":
+    if report.objective_error is None and (report.values == "linear light" or report.tone_curve is not None):
         raise DecideError(
             f"the report on {report.captured} carries no brightness error, because the render holds no draws of its "
             "paints and camera: render it with 'finray simulate render --paint' and compare again"
@@ -134,7 +134,7 @@ def _capture_of(report: PhotometricErrorReport) -> ValidatingCapture:
     if report.objective_error is None:
         raise DecideError(
             f"the report on {report.captured} carries no brightness error, because its values are "
-            f"'{report.values}': give a report on a capture in linear light (raw frames)"
+            f"'{report.values}' on both sides: render it in linear light ('finray simulate --paint') and compare again"
         )
     if report.light_angle_deg is None:
         raise DecideError(

@@ -4,10 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
-from data_schemas import CompareError, IndenterPose, PhotometricErrorReport, SimulatedPress, TactileCapture
-from finray_calib.compare import CheckOptions, compare_checked, compare_press
+from data_schemas import CompareError, DecideError, IndenterPose, PhotometricErrorReport, SimulatedPress, TactileCapture
+from finray_calib.compare import CheckOptions, compare_checked, compare_press, find_mismatches
+from finray_calib.compare._prepared_images import nuisances_of
 from finray_calib.compare._region_sums import render_layers
 from finray_calib.compare._tone_curve import encoded_layers, far_gain, fit_tone
+from finray_calib.decide import decide
+from tests.command_line.records import press as strip_press
+from tests.command_line.records import sweep, with_known_camera
 
 SHAPE = (120, 160)
 RADIUS_PX = 14.0
@@ -216,9 +220,9 @@ def test_a_change_across_the_picture_is_no_gain():
 def test_the_same_pairs_without_a_gain_raise_no_alarm():
     """Twenty pairs; the alarm stands at 1 % and at three standard uncertainties, noise of the blocks is 0.05 %."""
     for seed in range(20):
-        report, _ = compare_checked(*pair(seed), 1)
-        assert not report.white_balance.corrected
-        assert not any("times as bright" in finding for finding in report.findings)
+        press, capture = pair(seed)
+        assert not nuisances_of(press, capture).is_corrected
+        assert not [f for f in find_mismatches(press, capture) if f.about == "exposure"]
 
 
 def test_an_effect_of_the_touch_that_reaches_far_is_no_gain():
@@ -251,3 +255,30 @@ def test_clipped_pixels_are_told_channel_by_channel():
     told = next(f for f in report.findings if "of the contact patch is clipped or nearly so" in f)
     assert "blue 4" in told or "blue 5" in told
     assert "red 0.0%" in told
+
+
+@pytest.mark.parametrize("brighter", [0.0, 0.05])
+def test_a_decision_takes_the_error_through_the_curve(brighter):
+    """Light beside the strip that is 5 % brighter than the render's shows as its error, within its interval."""
+    press = with_known_camera(strip_press())
+    light = np.stack([press.no_contact, press.contact]) * 0.8 / press.no_contact.max()
+    beside = 1.0 + brighter * ((press.distance > 0.9) & (press.distance < 1.6))[..., None]
+    rng = np.random.default_rng(5)
+    images = [eight_bit(srgb(image * np.array([0.9, 1.0, 0.7])), rng) for image in (light[0], light[1] * beside)]
+    capture = capture_of(*images).model_copy(
+        update={
+            "light_angle_deg": 30.0,
+            "indenter": IndenterPose(shape="cylinder", radius_mm=10.0, depth_mm=1.5, position_mm=None),
+        }
+    )
+    report = compare_press(press, capture, seed=1)
+    error = report.objective_error
+    assert error.error_rel.estimate == pytest.approx(-brighter / (1 + brighter), abs=0.012)
+    assert error.error_rel.low95 <= -brighter / (1 + brighter) <= error.error_rel.high95
+    assert error.log_exposure_draws is None
+    assert decide(sweep(), [report], 1).validated
+    # without draws of its inputs a render is still compared, but says nothing for a decision
+    without = compare_press(strip_press(), capture, seed=1)
+    assert without.objective_error is None
+    with pytest.raises(DecideError, match="because the render holds no draws of its paints and camera"):
+        decide(sweep(), [without], 1)
