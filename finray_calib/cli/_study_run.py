@@ -92,11 +92,11 @@ def run_design_study(arguments: argparse.Namespace) -> None:
     from data_schemas import provenance
     from data_schemas.storage import clear_leftovers
     from finray_calib.reports import study_text
-    from sim.studies import StudyTask, read_plan, run_study, study_points
+    from sim.studies import StudyPaints, StudyTask, read_plan, run_study, study_points
 
     plan, path = read_plan(arguments.plan)
     points = study_points(plan, path)
-    paints, files = _paints(arguments) if plan.measure.images else (None, [])
+    paints, files = _paints(arguments) if plan.measure.images else (StudyPaints({}, {}), [])
     out = require_place(arguments.out or Path(file_name(plan.name)))
     out.mkdir(parents=True, exist_ok=True)
     clear_leftovers(out)

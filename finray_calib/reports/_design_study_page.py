@@ -205,12 +205,12 @@ def _panel(axes: Axes, result: StudyResult, name: str) -> None:
             lines.setdefault(_words(others), []).append((x, metric))
     for number, (words, found) in enumerate(lines.items()):
         found.sort(key=lambda pair: pair[0])
-        x, y = [pair[0] for pair in found], [pair[1].value for pair in found]
+        places, values = [pair[0] for pair in found], [pair[1].value for pair in found]
         below = [m.value - (m.value if m.low95 is None else m.low95) for _, m in found]
         above = [(m.value if m.high95 is None else m.high95) - m.value for _, m in found]
         shade = (BLUE, INK, MUTED)[number % 3]
         style = ("-", "--", ":", "-.")[number // 3 % 4] if is_number else "none"
-        axes.errorbar(x, y, [np.maximum(below, 0.0), np.maximum(above, 0.0)], fmt="o", ms=3, color=shade,
+        axes.errorbar(places, values, [np.maximum(below, 0.0), np.maximum(above, 0.0)], fmt="o", ms=3, color=shade,
                       linestyle=style, linewidth=1, label=words)  # fmt: skip
     axes.set_xlabel(last if is_number else "point")
     if len(lines) > 1 and len(lines) <= 6:

@@ -155,7 +155,8 @@ def _ended(
 ) -> Iterator[tuple[PlannedPoint, Outcome, bool]]:
     """Yield each point with why it failed and whether its worker died, as they end; a window of them is in flight."""
     distributed = importlib.import_module("distributed")
-    waiting, running, ended = iter(points), {}, distributed.as_completed()
+    running: dict[str, PlannedPoint] = {}
+    waiting, ended = iter(points), distributed.as_completed()
     while True:
         for point in itertools.islice(waiting, window - len(running)):
             future = client.submit(compute, task, point, pure=False)
