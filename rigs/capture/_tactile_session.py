@@ -26,7 +26,7 @@ from data_schemas import (
     provenance,
 )
 from data_schemas.storage import read_frame, sha256_of, write_frame, write_manifest, write_record
-from rigs import Camera, Clock, Operator, SystemClock, TerminalOperator, device_locked, open_camera
+from rigs import Camera, Clock, Operator, SystemClock, TerminalOperator, device_locked, driver_notes, open_camera
 from rigs.capture._exposure import TactileCamera, saturated_fraction
 from rigs.capture._frame_store import BYTES_PER_PIXEL, require_space
 from rigs.capture._journal import JOURNAL_NAME, Journal, read_journal
@@ -348,7 +348,7 @@ def capture_tactile_session(
                 recorder.frames.update(interrupted.frames)
                 journal.append("resume", frames=len(interrupted.frames))
             recorder.record(shots)
-            notes = interrupted.notes if interrupted else ()
+            notes = tuple(dict.fromkeys((*driver_notes(rig), *(interrupted.notes if interrupted else ()))))
             session = _session_of(plan, rig, presses, recorder.frames, device, notes)
             _write_captures(session, out, command)
             noted = dict(sources or {}) if interrupted is None else interrupted.sources
