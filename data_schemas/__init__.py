@@ -65,6 +65,7 @@ if TYPE_CHECKING:
         ComparisonBatch,
         ErrorRow,
         FirstTouch,
+        FittedToneCurve,
         ForceComparison,
         ForceEstimate,
         ForceInput,
@@ -82,6 +83,7 @@ if TYPE_CHECKING:
         SensingError,
         SensingRow,
         ValidationCell,
+        WhiteBalanceDrift,
     )
     from data_schemas._curves import (
         HELD_UNCERTAINTY_REL,
@@ -125,6 +127,7 @@ if TYPE_CHECKING:
         PaintWithoutEmission,
         PatchDistance,
         PriorSensitivity,
+        PriorShare,
         Reradiation,
         SamplingMethod,
     )
@@ -313,6 +316,7 @@ __all__ = [
     "FinrayError",
     "FirstTouch",
     "FitError",
+    "FittedToneCurve",
     "Flag",
     "FluorescentRendering",
     "ForceComparison",
@@ -387,6 +391,7 @@ __all__ = [
     "PressMechanics",
     "PressSensitivities",
     "PriorSensitivity",
+    "PriorShare",
     "PropagatedDraws",
     "Provenance",
     "Quantity",
@@ -434,6 +439,7 @@ __all__ = [
     "VariedPress",
     "WavelengthNm",
     "WheelMove",
+    "WhiteBalanceDrift",
     "WhiteReference",
     "WidthNm",
     "Witness",

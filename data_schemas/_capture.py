@@ -144,7 +144,7 @@ class FilterProof(Model):
 class CaptureSession(Record):
     """A finished paint session: plan, rig, response curves and the list of frames (a folder on disk)."""
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray capture'"
 
     plan: PaintPlan
@@ -259,7 +259,7 @@ class TactileRig(Record):
         if self.camera.driver == "simulated":
             raise ValueError(
                 "camera.driver: the simulated bench holds no finger; name a real camera, or simulate a press with "
-                "'finray simulate'"
+                "'finray simulate render'"
             )
         return self
 

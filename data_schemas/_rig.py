@@ -252,15 +252,42 @@ class LaserSettings(Model):
         return self
 
 
+PLANCK = r"planck-(\d{4})K"
+PLANCK_OR_CSV = r"(planck-\d{4}K|.+\.csv)"
+USUAL_TEMPERATURE_K = 2856.0
+
+
 class LampSettings(Model):
-    """White lamp of known relative spectrum."""
+    """White lamp: its relative spectrum and how well that is known."""
 
     driver: DriverName = "simulated"
     address: str = Field(default="", description=LIGHT_ADDRESS)
-    spectrum: Literal["planck-2856K"] = Field(
+    spectrum: str = Field(
         default="planck-2856K",
-        description="relative spectral irradiance on the sample (tungsten halogen lamp)",
+        description="relative spectral irradiance on the sample: planck-2856K, or another temperature of a tungsten "
+        "lamp, or a CSV file (wavelength_nm,power_rel) beside the rig file, as a spectrometer measured it",
+        json_schema_extra={"pattern": PLANCK_OR_CSV},
     )
+    temperature_uncertainty_k: Annotated[float, Field(ge=0.0, le=500.0)] = Field(
+        default=50.0,
+        description="standard uncertainty of the lamp's colour temperature in kelvin, of a measured spectrum that of "
+        "its tilt; 50 K (5 % in the ratio of 450 to 600 nm) for a lamp known by its label only",
+    )
+
+    @property
+    def temperature_k(self) -> float:
+        """Colour temperature, K; of a measured spectrum the usual one, at which its tilt counts."""
+        found = re.fullmatch(PLANCK, self.spectrum)
+        return float(found[1]) if found else USUAL_TEMPERATURE_K
+
+    @model_validator(mode="after")
+    def _spectrum_is_known(self) -> "LampSettings":
+        if not re.fullmatch(PLANCK_OR_CSV, self.spectrum) or not 1500.0 <= self.temperature_k <= 9999.0:
+            raise ValueError(
+                f"spectrum: {self.spectrum!r} is not known; write planck-2856K (a temperature from 1500 K in kelvin), or "
+                "the name of a CSV file (wavelength_nm,power_rel) with the measured spectrum"
+            )
+        return self
 
     @model_validator(mode="after")
     def _is_reachable(self) -> "LampSettings":
@@ -320,7 +347,7 @@ class SimulatedBench(Model):
 class RigFile(Record):
     """A whole rig."""
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
 
     name: str
     camera: CameraSettings = CameraSettings()

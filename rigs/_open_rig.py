@@ -29,7 +29,7 @@ from data_schemas import (
     TactileRig,
     coverage_notes,
 )
-from data_schemas.storage import camera_response, halogen_lamp, read_filter_curves
+from data_schemas.storage import camera_response, lamp_curve, read_filter_curves
 from rigs._drivers import driver_notes, open_camera, open_lamp, open_laser, open_wheel
 from rigs._host import SystemClock, TerminalOperator
 from rigs._protocols import Camera, Clock, FilterWheel, Light, Operator
@@ -105,7 +105,7 @@ def open_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> It
         filter that names it.
     """
     response = camera_response(rig.camera.response, folder)
-    lamp = halogen_lamp()
+    lamp = lamp_curve(rig.lamp, folder)
     filter_curves = read_filter_curves(rig.filter_wheel.filters, folder)
     notes = coverage_notes(rig.filter_wheel.filters, filter_curves, (*response, lamp))
     if rig.is_simulated:

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from data_schemas import CameraSettings, DeviceIdentity, FinrayError, RigFile, TactileRig, coverage_notes
-from data_schemas.storage import camera_response, halogen_lamp, read_filter_curves
+from data_schemas.storage import camera_response, lamp_curve, read_filter_curves
 from rigs._drivers import Kind, offered
 from rigs._host import TerminalOperator
 from rigs._open_rig import Settings, lone_camera, lone_lamp, lone_laser, lone_wheel
@@ -185,4 +185,4 @@ def _curves(rig: RigFile, folder: Path) -> Lines:
         yield Warned("the camera's response is assumed; name a measured one (camera.response) where there is one")
     curves = read_filter_curves(rig.filter_wheel.filters, folder)
     response = camera_response(rig.camera.response, folder)
-    yield from map(Warned, coverage_notes(rig.filter_wheel.filters, curves, (*response, halogen_lamp())))
+    yield from map(Warned, coverage_notes(rig.filter_wheel.filters, curves, (*response, lamp_curve(rig.lamp, folder))))

@@ -231,7 +231,8 @@ _OUTSIDE_LAYER: Final = {
 }
 _LAMP: Final = {
     "address": f"{_LIGHT_ADDRESS}manual and simulated: none",
-    "spectrum": "tungsten halogen on its rated voltage, the only one known",
+    "spectrum": "planck-2856K: tungsten halogen on its rated voltage; or a CSV file (wavelength_nm,power_rel)",
+    "temperature_uncertainty_k": "standard uncertainty in kelvin: 50 from the label alone, 10 to 20 measured",
 }
 _WHITE: Final = {
     "reflectance": "of the white tile, 0 to 1, from its certificate",

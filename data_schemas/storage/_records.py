@@ -336,6 +336,18 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("PixelSignals", 3): _as_it_is,
     ("PaintCalibration", 5): _as_it_is,
     ("PaintWithoutEmission", 2): _as_it_is,
+    # a fitted tone curve and the gains far from the contact; none: not known
+    ("PhotometricErrorReport", 2): _as_it_is,
+    # the lamp's temperature and its uncertainty, 50 K where it was not stated
+    ("RigFile", 3): _as_it_is,
+    ("CaptureSession", 4): _as_it_is,
+    ("CameraSession", 4): _as_it_is,
+    ("AcceptanceReport", 4): _as_it_is,
+    ("BandSignals", 4): _as_it_is,
+    ("PixelSignals", 4): _as_it_is,
+    ("PaintWithoutEmission", 3): _as_it_is,
+    # simultaneous band, share of the prior, what the spectrum rests on; older files rest on their family
+    ("PaintCalibration", 6): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

@@ -28,7 +28,7 @@ def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     parser = verbs.add_parser(
         "decide", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("sweep", type=Path, metavar="SWEEP", help="record written by 'finray simulate --angles'")
+    parser.add_argument("sweep", type=Path, metavar="SWEEP", help="record written by 'finray simulate sweep'")
     parser.add_argument(
         "--photometric-error", type=Path, action="append", default=[], metavar="REPORT", dest="reports",
         help="record written by 'finray compare', once for each capture; best at several light angles",

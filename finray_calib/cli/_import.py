@@ -244,8 +244,8 @@ def _tell_left_out(lines: Sequence[str]) -> None:
 ABAQUS_HELP = "import the results file of a deck that Abaqus has run"
 ABAQUS_DESCRIPTION = """\
 Read the displacements of a finger from the results file (ASCII .fil) of a deck that 'finray export deck DESIGN
---dialect abaqus' wrote: forces and pushes, and the surfaces of the pressed finger for 'finray simulate DESIGN
---surfaces'. Give the design and mesh of the deck."""
+--dialect abaqus' wrote: forces and pushes, and the surfaces of the pressed finger for 'finray simulate
+render SURFACES'. Give the design and mesh of the deck."""
 PRESETS = ("coarse", "medium", "fine")
 
 
@@ -286,4 +286,4 @@ def run_abaqus(arguments: argparse.Namespace) -> None:
         say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
     if mechanics.unreached:
         say(f"  the push ended early: {mechanics.unreached}")
-    say(f"{out}: for 'finray simulate DESIGN --only optics --surfaces {out.name}'")
+    say(f"{out}: for 'finray simulate render {out}'")

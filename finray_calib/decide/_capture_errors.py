@@ -129,7 +129,7 @@ def _capture_of(report: PhotometricErrorReport) -> ValidatingCapture:
     if report.objective_error is None and report.values == "linear light":
         raise DecideError(
             f"the report on {report.captured} carries no brightness error, because the render holds no draws of its "
-            "paints and camera: render it with 'finray simulate --paint' and compare again"
+            "paints and camera: render it with 'finray simulate render --paint' and compare again"
         )
     if report.objective_error is None:
         raise DecideError(

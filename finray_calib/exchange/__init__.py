@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from finray_calib.exchange._force_csv import read_force_csv
     from finray_calib.exchange._inference_data import inference_data
     from finray_calib.exchange._junit_xml import junit_xml
-    from finray_calib.exchange._led_camera_matrix import assumed_led, led_camera_matrix, read_light
+    from finray_calib.exchange._led_camera_matrix import assumed_led, led_camera_matrix
     from finray_calib.exchange._nine_dtact import nine_dtact_capture, nine_dtact_prediction
     from finray_calib.exchange._paint_formats import PAINT_FORMATS, ExportOptions, as_spectral_distribution
     from finray_calib.exchange._paint_spectra import PaintSpectra, paint_spectra
@@ -63,7 +63,6 @@ __all__ = [
     "read_board_picture",
     "read_circles",
     "read_force_csv",
-    "read_light",
     "read_taxim",
     "read_tuning",
     "record_dataset",

@@ -76,7 +76,7 @@ def force_inputs(press: PressMechanics, depth_mm: Floats) -> ForceInputs:
         missing=(
             *(f"{v.field}: its press failed ({v.failure})" for v in varied if len(v.depth_mm) < 2),
             *(f"{field}: stated by the design, which was not pressed with it changed" for field in sorted(stated)),
-            *(() if varied else ("materials and dimensions: simulate with --only mechanics --sensitivities",)),
+            *(() if varied else ("materials and dimensions: 'finray simulate press --sensitivities'",)),
         ),
     )
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from data_schemas import BadFrameError, CameraSettings, DeviceIdentity, LostError, RefusedError, TimedOutError
 from rigs import CallThread, NoAnswerError, RawFrame
+from rigs.transports import repeated
 
 CONTAINER_BITS: Final = {8: 8, 10: 16, 12: 16, 14: 16, 16: 16}
 
@@ -452,7 +453,9 @@ class GenicamCamera:
         except ConnectionBrokenError as error:
             raise LostError(f"{self._where}: cannot be opened ({error}); check its cable and power") from error
         except FeatureError as error:
-            raise RefusedError(
+            # A camera keeps the connection that broke for some seconds, and refuses another.
+            kind = RefusedError if self._identity is None else LostError
+            raise kind(
                 f"{self._where}: cannot be opened or configured ({error}); does another program use it?"
             ) from error
         self._identity, self._exposure_s = self._connection.identity, None
@@ -480,9 +483,9 @@ class GenicamCamera:
             The camera cannot expose like this.
         """
         end_s = time.monotonic() + deadline_s
-        if self._connection is None:
-            self.open(min(deadline_s, REOPEN_DEADLINE_S))
-        actual_s = self._ask(lambda device: set_exposure(device, exposure_s, self._where))
+        # What may be repeated leaves time for the exposure, which may not: whoever asked for it decides anew.
+        exposing_s = min((exposure_s if exposure_s > 0.0 else 0.0) + TRANSFER_S, 0.5 * deadline_s)
+        actual_s = repeated(lambda end_s: self._made_ready(exposure_s, end_s), end_s - exposing_s, self._where)
         kept = False
         if exposure_s != self._exposure_s:
             kept = 2 * (actual_s + TRANSFER_S) + ANSWER_S > end_s - time.monotonic()
@@ -505,6 +508,12 @@ class GenicamCamera:
             device_time_s=delivered.device_time_s if timed else None,
             settings=settings,
         )
+
+    def _made_ready(self, exposure_s: float, end_s: float) -> float:
+        """Open a camera that was lost, and set the exposure; return the one that is read back (s)."""
+        if self._connection is None:
+            self.open(min(end_s - time.monotonic(), REOPEN_DEADLINE_S))
+        return self._ask(lambda device: set_exposure(device, exposure_s, self._where))
 
     def _counts(self, delivered: Delivered) -> NDArray[np.uint16]:
         """Return the counts of a frame, or refuse it."""

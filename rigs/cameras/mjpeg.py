@@ -26,9 +26,11 @@ from data_schemas import (
 )
 from rigs import RawFrame
 from rigs.cameras._image_files import decoded_jpeg, jpeg_size_px
-from rigs.transports import MultipartStream, NewestPart, Part
+from rigs.transports import MultipartStream, NewestPart, Part, repeated
 
 OPEN_DEADLINE_S: Final = 5.0
+STALLED_S: Final = 2.5
+"""A stream that brings no picture for so long is opened anew."""
 STALE_PARTS: Final = 3
 """After a call one part may be half received, one half sent and one half exposed: these are not of the call."""
 
@@ -118,9 +120,8 @@ class MjpegCamera:
         TimedOutError
             No picture came in time.
         """
-        end_s = time.monotonic() + deadline_s
         try:
-            part = self._fresh_part(self.open(end_s), end_s)
+            part = repeated(self._fresh_part, time.monotonic() + deadline_s, self._name, after_fault=self.close)
         except CaptureError:
             self.close()
             raise
@@ -138,12 +139,13 @@ class MjpegCamera:
             settings={"exposure": "unknown", "pixel_format": "RGB8", "compression": "JPEG", "time": "of arrival"},
         )
 
-    def _fresh_part(self, reader: NewestPart, end_s: float) -> Part:
+    def _fresh_part(self, end_s: float) -> Part:
         """Wait for a part whose picture was exposed after now."""
+        reader = self.open(end_s)
         started_s, before = time.monotonic(), reader.count()
         count = before
         while True:
-            count, part = reader.newer_than(count, end_s, self._name)
+            count, part = reader.newer_than(count, min(end_s, time.monotonic() + STALLED_S), self._name)
             self._require_online(part)
             age_s = _number(part, "x-ustreamer-send-time") - _number(part, "x-ustreamer-grab-time")
             old = math.isfinite(age_s) and part.begun_s - age_s < started_s

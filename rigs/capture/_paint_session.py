@@ -4,9 +4,11 @@ Meter, prove the filters, dark frames, every step at every exposure, dark frames
 without moving, lighting or storing anything.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import nullcontext
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby, pairwise
 from pathlib import Path
 from typing import TypeVar
@@ -28,10 +30,17 @@ from data_schemas import (
 )
 from data_schemas.storage import write_manifest
 from rigs import OpenRig, Operator, RawFrame, open_rig, rig_locked
-from rigs.capture._exposure import WHEEL_DEADLINE_S, exposure_ladder, meter_exposure, rung_at_or_below, shine
+from rigs.capture._exposure import (
+    WHEEL_DEADLINE_S,
+    exposure_ladder,
+    meter_exposure,
+    rung_at_or_below,
+    shine,
+    under_light,
+)
 from rigs.capture._filter_proof import LaserLine, compare_with_last, judge_filters, predicted_rates
 from rigs.capture._frame_store import BYTES_PER_PIXEL, FrameStore, Shot, numbered
-from rigs.capture._journal import Journal
+from rigs.capture._journal import Journal, fault_notes, faults_noted
 from rigs.capture._plan import Step, paint_steps, with_repeat
 from rigs.capture._resume import Interrupted, require_same_camera, require_same_inputs, resume_notes, take_over
 from rigs.capture._session_folder import curve_digests, curve_files, require_empty, write_session, write_start
@@ -106,23 +115,37 @@ class PaintRecorder:
         """Do `act` at every step with its target in place and its light on; light off between groups."""
         todo = list(todo)
         done = 0
+
+        def once(step: Step, what: T) -> None:
+            nonlocal done
+            act(what)
+            done += 1
+            if self._progress is not None:
+                self._progress(done, len(todo), f"{phase}: {step.label}")
+
         for (target, light, tilt_deg, by_hand), group in groupby(todo, key=lambda t: self._setting(t[0])):
             self._place(target, tilt_deg)
             if by_hand is not None and self._opened.wheel.position() != by_hand:
                 self._opened.wheel.go_to(by_hand, WHEEL_DEADLINE_S)
-            on_sample = light == "laser" and target == "sample"
-            dose = self._store.dose
-            # The dose begins with the command, and holds the test of a dead-man too.
-            with dose.shining() if on_sample else nullcontext(), shine(self._opened, light):
-                if light == "laser":
-                    self._journal.append("laser on", target=target, sample_dose_j=dose.energy_j())
-                for step, what in group:
-                    act(what)
-                    done += 1
-                    if self._progress is not None:
-                        self._progress(done, len(todo), f"{phase}: {step.label}")
-            if light == "laser":
-                self._journal.append("laser off", target=target, sample_dose_j=dose.energy_j())
+            lit = partial(self._laser_noted, target) if light == "laser" else nullcontext
+            tasks: deque[Callable[[], None]] = deque(partial(once, step, what) for step, what in group)
+            under_light(self._opened, light, tasks, self._tell_fault, lit)
+
+    @contextmanager
+    def _laser_noted(self, target: Target) -> Iterator[None]:
+        """Note in the journal that the laser goes on and off, and count its dose on the sample."""
+        dose = self._store.dose
+        # The dose begins with the command, and holds the test of a dead-man too.
+        with dose.shining() if target == "sample" else nullcontext():
+            self._journal.append("laser on", target=target, sample_dose_j=dose.energy_j())
+            yield
+        self._journal.append("laser off", target=target, sample_dose_j=dose.energy_j())
+
+    def _tell_fault(self, text: str) -> None:
+        """Note a light that is lit anew, and warn whoever is at the rig."""
+        self._journal.append("light lost", text=text)
+        if self._progress is not None:
+            self._progress(0, 1, text)
 
     def _setting(self, step: Step) -> tuple[Target, LightState, float, int | None]:
         """Return what stays while a light is on; a wheel turned by hand is turned in the dark."""
@@ -341,7 +364,7 @@ def capture_with(
             journal.append("resume", frames=len(interrupted.frames), sample_dose_j=interrupted.dose_j)
         for note in opened.notes:
             journal.append("note", text=note)
-        with FrameStore(opened, rig, plan.region, out, journal, interrupted) as store:
+        with faults_noted(journal), FrameStore(opened, rig, plan.region, out, journal, interrupted) as store:
             recorder = PaintRecorder(opened, rig, plan, store, journal, progress, interrupted, last_good)
             recorder.record(steps)
         session = CaptureSession(
@@ -354,7 +377,7 @@ def capture_with(
             devices=opened.identities(),
             filter_proof=recorder.proof,
             white_rates_dn_per_s=recorder.white_rates(),
-            notes=(*opened.notes, *colour_notes(store.frames), *resume_notes(interrupted)),
+            notes=(*opened.notes, *colour_notes(store.frames), *resume_notes(interrupted), *fault_notes(out)),
         )
         noted = dict(sources or {}) if interrupted is None else interrupted.sources
         write_session(session, out, {**noted, **inputs}, command, journal)

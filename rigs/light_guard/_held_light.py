@@ -34,6 +34,10 @@ RETRY_FOR_S: Final = 5.0
 RETRY_PAUSE_S: Final = 0.2
 
 
+class LightLostError(LostError):
+    """A light did not come on, or went off unasked; it is confirmed off, and may be lit anew by who needs it."""
+
+
 class HeldLight:
     """A light that is made to be off, over a new connection where the old one fails.
 
@@ -84,6 +88,12 @@ class HeldLight:
         with contextlib.suppress(Exception):
             self._connection.close()
         self._connection = ExitStack()
+
+    def reopened(self) -> "GuardedSwitch":
+        """Return the switch, over a new connection where there is none; raises what the driver does."""
+        if self._switch is None:
+            self.open()
+        return self.switch
 
     @property
     def switch(self) -> "GuardedSwitch":

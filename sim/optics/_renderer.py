@@ -10,7 +10,8 @@ import importlib
 import os
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -33,6 +34,7 @@ INSTALL_NOTE = "install LLVM 17 or newer to render faster and with less noise (D
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 _PROOF = "sim.optics._renderer:render_proof_picture"
 _PROOF_TIMEOUT_S = 120.0
+_THREADS_OF_EXR_WRITER = 2
 _LIBRARY_PATTERNS = (
     (Path(sys.prefix), "llvm/**/libLLVM*.so*"),
     (Path("/usr/lib"), "llvm-*/lib/libLLVM*.so*"),
@@ -237,5 +239,19 @@ def exr_image(channels: Mapping[str, NDArray[Any]], attributes: Mapping[str, str
     for name, text in attributes.items():
         header[name] = text
     stream = mitsuba.MemoryStream()
-    image.write(stream, mitsuba.Bitmap.FileFormat.OpenEXR)
+    with _at_least_two_threads():
+        image.write(stream, mitsuba.Bitmap.FileFormat.OpenEXR)
     return bytes(stream.raw_buffer())
+
+
+@contextmanager
+def _at_least_two_threads() -> Iterator[None]:
+    """Give the renderer a second thread where the machine has one core: its EXR writer waits for one forever."""
+    drjit = importlib.import_module("drjit")
+    count = drjit.thread_count()
+    if count < _THREADS_OF_EXR_WRITER:
+        drjit.set_thread_count(_THREADS_OF_EXR_WRITER)
+    try:
+        yield
+    finally:
+        drjit.set_thread_count(count)

@@ -168,7 +168,7 @@ def test_a_stored_increment_must_fit(halfway):
 def test_a_killed_press_goes_on(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "d.toml").write_text(PLAN + "depth_mm = 1.5\n")
-    press = "simulate d.toml --only mechanics --increments 3"
+    press = "simulate press d.toml --increments 3"
     command = [sys.executable, "-m", "finray_calib.cli.main", *press.split(), "--out", "cut.json"]
     killed = subprocess.Popen(command, env=os.environ)
     deadline = time.monotonic() + LONGEST_S
@@ -197,6 +197,6 @@ def test_a_killed_press_goes_on(tmp_path, monkeypatch):
     nothing = finray(f"{press} --out other.json --resume empty")
     assert nothing.status == 2
     assert "holds no increment of a press" in nothing.err
-    optical = finray("simulate d.toml --resume cut.increments")
+    optical = finray("simulate render d.toml --resume cut.increments")
     assert optical.status == 2
-    assert "--resume goes on with a press of finite elements" in optical.err
+    assert "finray simulate: error: 'finray simulate render' knows no --resume cut.increments" in optical.err

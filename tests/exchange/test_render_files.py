@@ -1,6 +1,9 @@
 """The folder of a press's images: whole or absent, and every number comes back from its file."""
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -23,6 +26,7 @@ from sim.surface_meshes import pressed_shape, rest_shape
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=160, height_px=120))
 SHAPE = (60, 80)
+ROOT = Path(__file__).resolve().parents[2]
 CHAINS = ("led>red", "led>green", "led", "led>green>red")
 
 
@@ -61,6 +65,26 @@ def written(folder, products, views):
     with ProductSet(folder) as stored:
         write_optics_folder(folder, products, views, provenance("x", {}, 1), stored)
     return folder
+
+
+WRITE_ON_ONE_CORE = """
+import os
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+import numpy as np
+from sim.optics import choose_variant, exr_image, open_renderer
+open_renderer(choose_variant("scalar"))
+print(len(exr_image({"Y": np.ones((64, 64))}, {})))
+"""
+
+
+def test_images_are_written_on_a_machine_of_one_core():
+    """The renderer's writer waits forever for a second thread; a computer or container of one core has none."""
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", WRITE_ON_ONE_CORE], capture_output=True, text=True, timeout=300.0, check=False,
+        env={**os.environ, "PYTHONPATH": os.fspath(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 100
 
 
 def test_every_number_comes_back(tmp_path, products):

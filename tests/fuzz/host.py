@@ -5,6 +5,7 @@ input (``{"reader": name, "seed": number}``).
 """
 
 import contextlib
+import faulthandler
 import hashlib
 import importlib
 import io
@@ -188,6 +189,7 @@ def _in_fork(run: Any, clock_s: float = 0.0) -> dict[str, Any]:
     pid = os.fork()
     if pid == 0:
         os.close(receive)
+        faulthandler.disable()  # a crash is an answer here, and no news for the screen
         os.setpgid(0, 0)
         resource.setrlimit(resource.RLIMIT_CPU, (int(HANGS_S), int(HANGS_S) + 5))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

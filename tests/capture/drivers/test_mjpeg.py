@@ -25,7 +25,7 @@ from rigs.cameras._image_files import decoded_jpeg, jpeg_size_px
 from rigs.cameras.mjpeg import open_camera
 from rigs.capture._exposure import CheckedCamera
 from rigs.capture._plan import Step
-from rigs.transports import MultipartStream, Part
+from rigs.transports import Fault, MultipartStream, Part, faults_told
 from tests.capture.drivers.programs import answers, free_port, require, wait_until
 
 TRANSCRIPTS = Path(__file__).parent / "transcripts"
@@ -179,20 +179,18 @@ def test_stream_that_ends_within_a_picture_is_refused():
         camera.expose(ASKED_S, 2.0)
 
 
-def expose_often(camera) -> None:
-    for _ in range(20):
-        camera.expose(ASKED_S, 2.0)
-
-
-def test_ended_stream_is_lost_and_opened_again():
+def test_ended_stream_is_opened_again():
+    """The server hangs up after every seventh picture."""
+    faults: list[Fault] = []
     levels = itertools.count(40)
     with (
         serving(lambda: stream_of(*(jpeg(next(levels)) for _ in range(7))), every_s=0.05) as address,
         opened(address) as camera,
+        faults_told(faults.append),
     ):
-        with pytest.raises(LostError, match="the stream ended"):
-            expose_often(camera)  # the server hangs up after every seventh picture
-        assert camera.expose(ASKED_S, 2.0).counts.any()
+        assert all(camera.expose(ASKED_S, 2.0).counts.any() for _ in range(5))
+    assert all("the stream ended" in fault.what for fault in faults)
+    assert faults
 
 
 def test_silent_stream_times_out():
@@ -506,10 +504,10 @@ class TestFfmpeg:
             server.kill()
             began_s = time.monotonic()
             with pytest.raises((LostError, BadFrameError), match=r"the stream ended|cannot be reached"):
-                camera.expose(ASKED_S, 5.0)
-            assert time.monotonic() - began_s < 2.0
+                camera.expose(ASKED_S, 2.0)
+            assert time.monotonic() - began_s < 3.0
             with pytest.raises(LostError, match="cannot be reached"):
-                camera.expose(ASKED_S, 5.0)
+                camera.expose(ASKED_S, 1.0)
 
 
 @pytest.mark.rigs
