@@ -167,6 +167,18 @@ def rig_drivers(rig: RigFile | TactileRig) -> tuple[Driver, ...]:
     return drivers
 
 
+def driver_notes(rig: RigFile | TactileRig) -> tuple[str, ...]:
+    """Return a line, for the record of a session, on each driver of another package, with its version.
+
+    Raises
+    ------
+    RefusedError
+        As :func:`rig_drivers` does.
+    """
+    others = [f"{driver.kind}: driver {driver.label}" for driver in rig_drivers(rig) if not driver.is_ours]
+    return tuple(dict.fromkeys(others))
+
+
 def _of(driver: Driver) -> str:
     return f"{driver.kind}: driver '{driver.name}' of package {driver.package} {driver.version}".rstrip()
 

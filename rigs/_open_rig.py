@@ -30,7 +30,7 @@ from data_schemas import (
     coverage_notes,
 )
 from data_schemas.storage import camera_response, lamp_curve, read_filter_curves
-from rigs._drivers import open_camera, open_lamp, open_laser, open_wheel, rig_drivers
+from rigs._drivers import driver_notes, open_camera, open_lamp, open_laser, open_wheel
 from rigs._host import SystemClock, TerminalOperator
 from rigs._protocols import Camera, Clock, FilterWheel, Light, Operator
 
@@ -111,7 +111,7 @@ def open_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> It
     if rig.is_simulated:
         yield _open_simulated(rig, folder, response, lamp, filter_curves, notes)
         return
-    others = [f"{driver.kind}: driver {driver.label}" for driver in rig_drivers(rig) if not driver.is_ours]
+    others = driver_notes(rig)
     hands, lease_s = operator or TerminalOperator(), 2.0 * rig.camera.longest_exposure_s + LEASE_S
     with ExitStack() as stack:
         laser = stack.enter_context(open_laser(rig.laser, lease_s))
@@ -125,7 +125,7 @@ def open_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> It
             camera_response=response,
             lamp_spectrum=lamp,
             filter_curves=filter_curves,
-            notes=(*notes, *dict.fromkeys(others), *laser.notes),
+            notes=(*notes, *others, *laser.notes),
         )
 
 

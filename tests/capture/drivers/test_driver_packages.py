@@ -42,6 +42,7 @@ from rigs import (
 from rigs.capture import capture_paint_session
 from rigs.contracts import FilterWheelContract
 from rigs.simulated import SimulatedCamera
+from tests.capture import finger_session
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.driver_packages import install, site
 from tests.capture.drivers.grbl_board import GrblBoard, grbl_board
@@ -233,6 +234,16 @@ def test_a_slot_that_the_motor_lost_is_seen_in_the_frames(grbl: Path, tmp_path: 
         pytest.raises(CaptureError, match=r"frames fit much better with filters .* exchanged; look into the wheel"),
     ):
         captured(grbl, tmp_path, board)
+
+
+def test_a_tactile_session_notes_the_package_of_its_camera(site: Path, sensor, tmp_path: Path) -> None:
+    source = "from rigs.cameras.raspberry_pi import open_camera as open_camera"
+    install(site, "my-camera", {CAMERAS: {"my-camera": "my_camera"}}, my_camera=source)
+    rig = finger_session.rig_of(tmp_path)
+    rig = rig.model_copy(update={"camera": rig.camera.model_copy(update={"driver": "my-camera"})})
+    plan = finger_session.plan_of(tmp_path)
+    session = finger_session.capture(tmp_path, plan, rig, finger_session.pressing(sensor))
+    assert session.notes[0] == "camera: driver my-camera (my-camera 0.1)"
 
 
 def pytest_of(rig: Path, *options: str) -> "subprocess.CompletedProcess[str]":
