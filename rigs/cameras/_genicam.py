@@ -429,6 +429,7 @@ class GenicamCamera:
         self._thread = CallThread(f"{settings.driver} camera")
         self._connection: _Connection | None = None
         self._identity: DeviceIdentity | None = None
+        self._pixels: RawPixels | None = None
         self._exposure_s: float | None = None
         self._last: tuple[int, float] | None = None
 
@@ -459,6 +460,7 @@ class GenicamCamera:
                 f"{self._where}: cannot be opened or configured ({error}); does another program use it?"
             ) from error
         self._identity, self._exposure_s = self._connection.identity, None
+        self._pixels = self._connection.pixels
 
     def close(self) -> None:
         """Close the connection."""
@@ -591,6 +593,9 @@ class GenicamCamera:
                 )
             exposure_name(device, self._where)
             pixels = configure(device, self._settings, self._where)
+            if self._pixels not in (None, pixels):
+                # Entries that cannot be asked in time count as not offered, and a monochrome format would be chosen.
+                raise ConnectionBrokenError(f"it offers {pixels.name} where it sent {self._pixels.name} before")
             device.prepare()
             if time.monotonic() > end_s:
                 raise ConnectionBrokenError("too late")  # the caller has gone: leave nothing open behind

@@ -156,8 +156,10 @@ class CheckedCamera:
             The wheel is or was at another slot.
         BadFrameError, FrameSizeError, LostError
             Every attempt failed.
+        LightLostError
+            The planned light is off.
         CaptureError
-            A light is not as planned, or the camera used another exposure.
+            Another light is on, or the camera used another exposure.
         """
 
         def once(attempt: int) -> CheckedFrame:
@@ -265,7 +267,7 @@ def _require_lights(opened: OpenRig, planned: LightState) -> tuple[LightName, ..
     states: dict[LightName, bool] = {"lamp": opened.lamp.state(), "laser": opened.laser.state()}
     for name, on in states.items():
         if on != (name == planned):
-            raise CaptureError(
+            raise (CaptureError if on else LightLostError)(
                 f"{name}: reads back {'on' if on else 'off'} where the step needs light '{planned}'; check its "
                 "connection, switch and interlock"
             )
