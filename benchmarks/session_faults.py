@@ -49,6 +49,8 @@ from tests.capture.drivers.thorlabs_wheel import emulated_wheel
 
 BETWEEN_S = (0.2, 1.0)
 """After a fault has befallen the line, until the next is armed."""
+BETWEEN_BIG_FRAMES_S = (2.0, 6.0)
+"""The same where each frame is megabytes: more often, hardly one would come through whole."""
 FRAMES_OF_A_SESSION = 40
 """Of a camera alone."""
 
@@ -80,9 +82,10 @@ class Outcome:
 def mishaps(rig: str, line: Any, chance: random.Random, most: int) -> Iterator[None]:
     """Arm one fault after the other for a ``with`` block."""
     over = threading.Event()
+    between_s = BETWEEN_BIG_FRAMES_S if rig == "indi camera" else BETWEEN_S
 
     def arm() -> None:
-        while not over.wait(chance.uniform(*BETWEEN_S)) and len(line.suffered) < most:
+        while not over.wait(chance.uniform(*between_s)) and len(line.suffered) < most:
             if not line.is_armed:
                 # Over MJPEG the host says nothing after its request.
                 to_device = chance.random() < (0.0 if rig == "mjpeg" else 0.5)
