@@ -147,8 +147,8 @@ class CheckedCamera:
         """Turn the wheel to the filter of `step` and take a frame; four attempts at most.
 
         A refused frame is taken again, and so is one that did not come: a camera that is lost or late is connected
-        again by its next exposure. A wheel that is lost is redone too; one that is late or at another slot once, since
-        it may be stuck or slip.
+        again by its next exposure. A wheel that is lost or at another slot is sent anew; one that is late once only,
+        since it may be stuck.
 
         Raises
         ------
@@ -156,8 +156,10 @@ class CheckedCamera:
             The wheel is or was at another slot.
         BadFrameError, FrameSizeError, LostError
             Every attempt failed.
+        LightLostError
+            The planned light is off.
         CaptureError
-            A light is not as planned, or the camera used another exposure.
+            Another light is on, or the camera used another exposure.
         """
 
         def once(attempt: int) -> CheckedFrame:
@@ -265,7 +267,7 @@ def _require_lights(opened: OpenRig, planned: LightState) -> tuple[LightName, ..
     states: dict[LightName, bool] = {"lamp": opened.lamp.state(), "laser": opened.laser.state()}
     for name, on in states.items():
         if on != (name == planned):
-            raise CaptureError(
+            raise (CaptureError if on else LightLostError)(
                 f"{name}: reads back {'on' if on else 'off'} where the step needs light '{planned}'; check its "
                 "connection, switch and interlock"
             )
@@ -273,10 +275,8 @@ def _require_lights(opened: OpenRig, planned: LightState) -> tuple[LightName, ..
 
 
 T = TypeVar("T")
-RETAKEN: Final = (BadFrameError, FrameSizeError, LostError)
-"""What another attempt may mend."""
-RETAKEN_ONCE: Final = (WrongPositionError, TimedOutError)
-"""What another attempt may mend, when the wheel is sent anew; a second one is a wheel that slips or is stuck."""
+RETAKEN: Final = (BadFrameError, FrameSizeError, LostError, WrongPositionError, TimedOutError)
+"""What another attempt may mend. A device that is late again is stuck."""
 ATTEMPTS: Final = 4
 """Exposures before a frame that is refused every time ends the capture."""
 
@@ -309,21 +309,21 @@ def within_attempts(once: Callable[[int], T], on_refusal: Callable[[str], None],
 
     Raises
     ------
-    BadFrameError, FrameSizeError, LostError
+    BadFrameError, FrameSizeError, LostError, WrongPositionError
         Every attempt failed.
-    WrongPositionError, TimedOutError
-        Two attempts failed.
+    TimedOutError
+        Two attempts were late.
     """
-    attempt = once_only = 0
+    attempt = late = 0
     while True:
         attempt += 1
         try:
             return once(attempt), attempt
         except LightLostError:
             raise  # another attempt in the dark mends nothing
-        except (*RETAKEN, *RETAKEN_ONCE) as error:
-            once_only += isinstance(error, RETAKEN_ONCE)
-            if once_only > 1 or attempt == ATTEMPTS:
+        except RETAKEN as error:
+            late += isinstance(error, TimedOutError)
+            if late > 1 or attempt == ATTEMPTS:
                 raise type(error)(f"{error} ({attempt} attempts at {what})") from error
             on_refusal(f"{what}, attempt {attempt}: {error}")
 

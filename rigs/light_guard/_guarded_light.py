@@ -23,6 +23,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from data_schemas import (
+    CaptureError,
     DeviceIdentity,
     FinrayError,
     LampSettings,
@@ -264,7 +265,8 @@ class GuardClient:
         died = f"killed by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
         reason = farewell.get("gone", died)
         if status == EXIT_OFF:
-            return LightLostError(
+            # Whoever told the guard to end wants no light: then nobody lights it anew.
+            return (CaptureError if farewell.get("was_told") else LightLostError)(
                 f"{self.name}: the guard process has ended ({reason}); it had the light confirmed off before. Take "
                 "the capture up again with --resume"
             )

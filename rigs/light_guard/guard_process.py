@@ -243,7 +243,7 @@ class Guard:
         # Given up when the light must go off, or when the owner asks for something else meanwhile.
         self._wait = Wait(lambda: self._reason_to_go() is not None or bool(self._questions))
         self._questions: deque[dict[str, Any]] = deque()
-        self._signal = ""
+        self._signal = self._doubt = ""
         self._why_not_off: str | None = None
         self._woken, self._waker = socket.socketpair()
         for end in (self._woken, self._waker):
@@ -268,7 +268,7 @@ class Guard:
             except Exception as error:  # a mistake of ours, and the light may be on
                 reason = repr(error)
         why_not = self._why_not_off or self._make_off()
-        self._tell(gone=reason, not_off=why_not)
+        self._tell(gone=reason, not_off=why_not, was_told=bool(self._signal))
         if why_not is not None:
             shout(self._name, why_not)
         self._listen()
@@ -337,6 +337,8 @@ class Guard:
             return "the light does not go off"
         if self._is_owner_gone:
             return "its owner is gone"
+        if self._doubt:
+            return self._doubt
         if self._lit:
             self._watch.beat()
             if missing := self._owner_process.missing():
@@ -378,8 +380,11 @@ class Guard:
             return
         except Exception as error:
             answer = {**error_words(error)}
-            if not self._lit and isinstance(error, LostError | TimedOutError):
-                self._light.close()  # in the dark the next question opens it anew
+            if isinstance(error, LostError | TimedOutError):
+                if self._lit:
+                    self._doubt = f"it is lit and cannot be asked ({error})"
+                else:
+                    self._light.close()  # the next question opens it anew
         self._tell(number=message["number"], faults=faults[-MOST_FAULTS:], **answer)
 
     def _do(self, ask: str, deadline_s: float) -> object:

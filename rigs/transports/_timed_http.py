@@ -7,12 +7,15 @@ part is read before a deadline, and who asks gets the newest, not an old one tha
 import contextlib
 import http.client
 import io
+import math
 import re
 import socket
 import threading
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from statistics import fmean
 from types import TracebackType
 from typing import Any, Final, Self
 from urllib.parse import urlsplit
@@ -139,11 +142,19 @@ class Part:
         The bytes between the headers and the next boundary.
     begun_s
         Reading of :func:`time.monotonic` when the first byte of the part had come.
+    steady
+        How many parts in a row, up to this one, came at the stream's own pace. Parts that a line held back come in a
+        burst afterwards, and the first of them are old.
+    taken_s
+        When it was taken by its sender's stamp, as a reading of :func:`time.monotonic`: as if the fastest part of the
+        stream had taken no time on its way. Infinite without a stamp.
     """
 
     headers: Mapping[str, str]
     body: bytes
     begun_s: float
+    steady: int = 0
+    taken_s: float = math.inf
 
 
 class MultipartStream:
@@ -335,6 +346,12 @@ SILENCE_S: Final = 600.0
 """A stream that sends nothing for so long has ended."""
 
 
+PACE_OF_PARTS: Final = 31
+"""Of so many intervals between parts the mean is the pace of the stream; what is held back and then comes leaves it."""
+BURST_SHARE: Final = 0.25
+"""Of the pace: parts closer to each other than that were held back on the way."""
+
+
 class NewestPart:
     """Reads a stream in a thread all the time and keeps the newest part.
 
@@ -342,12 +359,15 @@ class NewestPart:
     ----------
     stream
         The open stream; it is closed with this.
+    stamp_s
+        Returns when a part was taken by its sender's clock (s); None where it does not say.
     """
 
-    def __init__(self, stream: MultipartStream) -> None:
-        self._stream = stream
+    def __init__(self, stream: MultipartStream, stamp_s: Callable[[Part], float | None] = lambda part: None) -> None:
+        self._stream, self._stamp_s, self._least_lag_s = stream, stamp_s, math.inf
         self._news = threading.Condition()
         self._count, self._part = 0, Part({}, b"", 0.0)
+        self._intervals_s: deque[float] = deque(maxlen=PACE_OF_PARTS)
         self._error: CaptureError | None = None
         self._thread = threading.Thread(target=self._read, name="mjpeg-reader", daemon=True)
         self._thread.start()
@@ -393,6 +413,18 @@ class NewestPart:
                 self._news.wait(left_s)
             return self._count, self._part
 
+    def _paced(self, part: Part) -> Part:
+        """Return a part with how many came at the stream's pace up to it, and when it was taken."""
+        if (stamp_s := self._stamp_s(part)) is not None:
+            self._least_lag_s = min(self._least_lag_s, part.begun_s - stamp_s)
+            part = replace(part, taken_s=stamp_s + self._least_lag_s)
+        if not self._count:
+            return part
+        interval_s = part.begun_s - self._part.begun_s
+        self._intervals_s.append(interval_s)
+        in_burst = interval_s < BURST_SHARE * fmean(self._intervals_s)
+        return replace(part, steady=0 if in_burst else self._part.steady + 1)
+
     def close(self) -> None:
         """End the stream and its thread."""
         self._stream.close()
@@ -408,6 +440,6 @@ class NewestPart:
                 error = ended
             with self._news:
                 if error is None:
-                    self._count, self._part = self._count + 1, part
+                    self._count, self._part = self._count + 1, self._paced(part)
                 self._error = error
                 self._news.notify_all()
