@@ -78,7 +78,7 @@ class DecidedContact(Model):
     position_mm: float = Field(description="of its middle along the pad, from the base")
     across_mm: float = Field(description="of its middle from the middle line of the pad")
     depth_mm: float
-    weight: Fraction = Field(description="share in the average over all touches")
+    weight_share: Fraction = Field(description="share in the average over all touches")
     best_deg: AngleDeg
     loss_rel: float = Field(description="expected, at the decided angle")
     loss_95_rel: float = Field(description="not exceeded with 95 % probability")

@@ -4,6 +4,7 @@ Beside the record of a press its images are written as files that other programs
 """
 
 import argparse
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -40,9 +41,12 @@ if TYPE_CHECKING:
 
 SIMULATE_HELP = "render a press of a painted finger, or sweep the light angle"
 SMALLEST_STEP_DEG = 0.5
+SMALLEST_STEP_MM = 0.5
 SIMULATE_DESCRIPTION = """\
 Render the contact and no-contact image of a finger with calibrated paints. With --angles, sweep the angle of
-the blue light instead and write the brightness beside the indenter at each angle, for 'finray decide'.
+the blue light instead and write the brightness beside the indenter at each angle, for 'finray decide': at the design's
+position_mm, or with --positions at each of several places, one record for each. The angle lies between the pad's plane
+and the direction in which the panel shines: 0 deg along the pad, 90 deg into it.
 
 With --only optics the images are written as files too, in a folder beside the record: basis bands, spectra and
 geometry per pixel (OpenEXR), raw frames and pictures (PNG), and the press as a capture for 'finray compare'.
@@ -71,6 +75,11 @@ def add_simulate(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     )  # fmt: skip
     add_mechanics_options(parser)
     parser.add_argument("--angles", type=_angles, metavar="FIRST:LAST:STEP", help="light angles in deg, e.g. 0:120:10")
+    parser.add_argument(
+        "--positions", type=_positions, metavar="FIRST:LAST:STEP or MM,MM,...",
+        help="with --angles: sweep with the indenter at each of these places along the pad (mm from the base), e.g. "
+        "8:64:4, so that the light is decided on for the finger; places that are swept already are not swept again",
+    )  # fmt: skip
     parser.add_argument(
         "--narrow-sweep", action="store_true", help="with --angles: they span less than 4 deg and are not radians"
     )
@@ -138,6 +147,26 @@ def _angles(text: str) -> list[float]:
     return [first + i * step for i in range(count)]
 
 
+def _positions(text: str) -> list[float]:
+    """Parse FIRST:LAST:STEP or a list in mm; whether they lie on the pad is judged with the design."""
+    try:
+        if ":" in text:
+            first, last, step = (float(part) for part in text.split(":"))
+            count = int((last - first) / step + 1e-9) + 1 if SMALLEST_STEP_MM <= step <= last - first else 0
+            places = [first + i * step for i in range(count)]
+        else:
+            places = sorted(float(part) for part in text.split(","))
+    except ValueError:
+        places = []
+    if not places or len(set(places)) < len(places) or not all(map(math.isfinite, places)):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} must be FIRST:LAST:STEP in mm with a STEP of {SMALLEST_STEP_MM:g} mm or more, for example "
+            "8:64:4, "
+            "or different places with commas between them, for example 8,15,35"
+        )
+    return places
+
+
 def run_simulate(arguments: argparse.Namespace) -> None:
     """Press, render or sweep, and report."""
     if arguments.only == "mechanics":
@@ -163,6 +192,11 @@ def _require_one_kind(arguments: argparse.Namespace) -> None:
         raise SimulateError("--denoise makes pictures, which --only optics writes; add --only optics or leave it out")
     if arguments.angles is not None and not arguments.narrow_sweep and look_like_radians(arguments.angles):
         raise SimulateError(f"--angles: {narrow_sweep_text(arguments.angles)}")
+    if arguments.positions is not None and (arguments.angles is None or arguments.surfaces is not None):
+        raise SimulateError(
+            "--positions are places of the analytic press in a sweep; add --angles FIRST:LAST:STEP and leave out "
+            "--surfaces (a press by finite elements is of one place: sweep each with its own --surfaces and --out)"
+        )
     if arguments.only == "optics" and arguments.angles is not None:
         raise SimulateError("--angles writes no images; leave out --only optics, or --angles")
     if arguments.pose_response and (arguments.angles is not None or arguments.surfaces is not None):
@@ -187,6 +221,9 @@ def _run_optics(arguments: argparse.Namespace) -> None:
     from sim import read_design
 
     design = read_design(arguments.design)
+    if arguments.positions is not None:
+        _sweep_places(arguments, design)
+        return
     kind = "press" if arguments.angles is None else "sweep"
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.{kind}.json"))
     scene = _scene(arguments, design)
@@ -222,6 +259,66 @@ def _scene(arguments: argparse.Namespace, design: "FingerDesign") -> _Scene:
     inputs = [*design_inputs(design, arguments.design), *files.values(), *meshes]
     origin = provenance(command_line(), input_digests(inputs), seed)
     return _Scene(scene.finger, calibrations, digests, scene.shapes, seed, origin)
+
+
+def _sweep_places(arguments: argparse.Namespace, design: "FingerDesign") -> None:
+    """Sweep at each place and write its record as soon as it is done; what is there already is kept."""
+    from dataclasses import replace
+
+    from data_schemas import SimulateError
+
+    length_mm = design.pad.length_mm
+    off = [place for place in arguments.positions if not 0.0 < place < length_mm]
+    if off:
+        raise SimulateError(f"--positions: {off[0]:g} mm is not on the pad, which reaches from 0 to {length_mm:g} mm")
+    out = arguments.out or Path(f"{file_name(design.name)}.sweep.json")
+    stem = out.name.removesuffix(".json").removesuffix(".sweep")
+    outs = {place: out.with_name(f"{stem}.{place:04.1f}mm.sweep.json") for place in arguments.positions}
+    scene = _scene(arguments, design)
+    todo = {}
+    for place, path in outs.items():
+        finger = replace(scene.finger, design=_touched_at(design, place))
+        if not _is_swept(path, finger.design, arguments, scene):
+            todo[require_new(path)] = finger
+    for number, (path, finger) in enumerate(todo.items()):
+        with progress_bar(f"simulate, place {number + 1} of {len(todo)}") as progress:
+            _sweep(arguments, scene._replace(finger=finger), path, progress)
+    for path in outs.values():
+        if path not in todo:
+            say(f"{path}: is there already, from the same inputs")
+    say(f"Decide on all of them: finray decide {out.with_name(stem)}.*mm.sweep.json")
+
+
+def _touched_at(design: "FingerDesign", position_mm: float) -> "FingerDesign":
+    """Return the design with its indenter at another place along the pad."""
+    return design.model_copy(update={"indenter": design.indenter.model_copy(update={"position_mm": position_mm})})
+
+
+def _is_swept(path: Path, design: "FingerDesign", arguments: argparse.Namespace, scene: _Scene) -> bool:
+    """Return whether a record is there that this command would write again: same design, paints, angles and effort."""
+    if not path.exists():
+        return False
+    from data_schemas import LightAngleSweep, package_version
+    from data_schemas.storage import read_record
+
+    stored = read_record(path, LightAngleSweep)
+    origin = stored.provenance
+    return (
+        origin is not None
+        and (origin.seed, origin.package_version) == (scene.seed, package_version())
+        and _effort(origin.command) == _effort(command_line())
+        and (stored.design, stored.paints) == (design, scene.digests)
+        and stored.angles_deg.tolist() == arguments.angles
+    )
+
+
+def _effort(command: str) -> tuple[str, ...]:
+    """Return what a command says of samples, objectives and engine."""
+    words = command.replace("=", " ").split()
+    return tuple(" ".join(words[k : k + 2]) for k, word in enumerate(words) if word in _EFFORT)
+
+
+_EFFORT = frozenset({"--samples", "--objectives", "--engine"})
 
 
 def _render(arguments: argparse.Namespace, scene: _Scene, out: Path, progress: Progress) -> None:

@@ -362,6 +362,7 @@ def require_mechanics_only(arguments: argparse.Namespace) -> None:
     optical: dict[str, object] = {
         "paint": [],
         "angles": None,
+        "positions": None,
         "objectives": "intensity",
         "surfaces": None,
         "level": "b",

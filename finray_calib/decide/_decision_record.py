@@ -72,12 +72,12 @@ def decide(
     captures, left_out = capture_errors(swept, reports, of_sweep)
     rng = np.random.default_rng(seed)
     decision = decide_contacts(contacts, rng, TOLERANCE_REL, captures, criterion)
-    others = other_optima(swept[0], decision.best_deg, TOLERANCE_REL, rng) if len(swept) == 1 else ()
+    others = other_optima(swept[0], decision.best_deg, TOLERANCE_REL, rng)
     next_render = propose_render(decision) if len(swept) == 1 else None
     next_capture = propose_capture(decision, captures)
     decided = _contacts(swept, decision)
     first = headline(decision, decided, criterion, TOLERANCE_REL)
-    then = decision_sentence(decision, captures.angles_deg, TOLERANCE_REL, next_render, next_capture, others)
+    then = decision_sentence(decision, captures.angles_deg, TOLERANCE_REL, next_render, next_capture, others, decided)
     # over several touches the curve is a share of the best
     scale = float(swept[0].values.mean()) if len(swept) == 1 else 1.0
     real = _band(decision.mean_rel, decision.sd_rel, scale)
@@ -111,8 +111,8 @@ def decide(
         mean_simulation_only=alone[0],
         low95_simulation_only=alone[1],
         high95_simulation_only=alone[2],
-        next_render=_proposal(next_render),
-        next_capture=_proposal(next_capture),
+        next_render=_proposal(next_render, decided),
+        next_capture=_proposal(next_capture, decided),
         other_objectives=tuple(_other(other) for other in others),
         notes=(*of_finger, *left_out, *_notes(swept, decision, captures)),
     )
@@ -136,7 +136,7 @@ def _contacts(sweeps: Sequence[LightAngleSweep], decision: AngleDecision) -> tup
             position_mm=sweep.design.indenter.position_mm,
             across_mm=sweep.design.indenter.across_mm,
             depth_mm=sweep.design.indenter.depth_mm,
-            weight=float(losses.weights[n]),
+            weight_share=float(losses.weights[n]),
             best_deg=float(decision.grid_deg[own[n]]),
             loss_rel=max(0.0, 1.0 - float(losses.relative[n, best])),
             loss_95_rel=float(losses.loss_95_rel[n]),
@@ -196,11 +196,16 @@ def _statement(risk: AngleRisk) -> AngleStatement:
     )
 
 
-def _proposal(proposal: Proposal | None) -> AngleProposal | None:
+def _proposal(proposal: Proposal | None, contacts: Sequence[DecidedContact]) -> AngleProposal | None:
     """Return the record of a proposal."""
     if proposal is None:
         return None
-    return AngleProposal(angle_deg=proposal.angle_deg, gain_rel=proposal.gain_rel, noise_rel=proposal.noise_rel)
+    return AngleProposal(
+        angle_deg=proposal.angle_deg,
+        gain_rel=proposal.gain_rel,
+        noise_rel=proposal.noise_rel,
+        position_mm=contacts[proposal.contact].position_mm,
+    )
 
 
 def _other(other: OtherOptimum) -> OtherObjective:

@@ -43,7 +43,7 @@ def headline(
         )
     losses = [contact.loss_rel for contact in contacts]
     worst = contacts[int(np.argmax(losses))]
-    average = float(np.dot([contact.weight for contact in contacts], losses))
+    average = float(np.dot([contact.weight_share for contact in contacts], losses))
     span, most = span_of(contacts), percent(max(losses))
     if criterion == "worst":
         return (
@@ -103,6 +103,7 @@ def decision_sentence(
     next_render: Proposal | None = None,
     next_capture: Proposal | None = None,
     others: Sequence[OtherOptimum] = (),
+    contacts: Sequence[DecidedContact] = (),
 ) -> str:
     """Return what follows the first sentence: how sure the choice is, why, and what to do next.
 
@@ -117,6 +118,8 @@ def decision_sentence(
         Said where the verdict asks for it.
     others : sequence of OtherOptimum
         Other objectives; those that disagree are named.
+    contacts : sequence of DecidedContact
+        Of several, the one to capture is named.
 
     Returns
     -------
@@ -131,7 +134,8 @@ def decision_sentence(
         if next_render is not None:
             parts.append(f"Render {next_render.angle_deg:.0f} deg next.")
     if next_capture is not None and (decision.verdict == "needs captures" or not captures_deg.size):
-        parts.append(f"Capture next at {next_capture.angle_deg:.0f} deg.")
+        where = f", {_at(contacts[next_capture.contact])}" if len(contacts) > 1 else ""
+        parts.append(f"Capture next with the light at {next_capture.angle_deg:.0f} deg{where}.")
     parts += [
         f"{other.name[:1].upper()}{other.name[1:]} would choose {other.best_deg:.0f} deg and loses "
         f"{percent(other.loss_rel)} here."

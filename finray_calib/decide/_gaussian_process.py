@@ -33,9 +33,9 @@ class CurvePrior:
 
     Attributes
     ----------
-    length_deg, length_log_sd : float
+    length_deg, length_ln_sd : float
         Median of the correlation length, and standard deviation of its logarithm.
-    amplitude_rel, amplitude_log_sd : float
+    amplitude_rel, amplitude_ln_sd : float
         The same of the standard deviation of the curve.
     amplitudes_rel : ndarray, shape (A,)
         Amplitudes that are summed over.
@@ -45,9 +45,9 @@ class CurvePrior:
     """
 
     length_deg: float
-    length_log_sd: float
+    length_ln_sd: float
     amplitude_rel: float
-    amplitude_log_sd: float
+    amplitude_ln_sd: float
     amplitudes_rel: Floats
     smoothnesses: tuple[float, ...] = SMOOTHNESSES
     lengths_deg: Floats = field(default_factory=LENGTHS_DEG.copy)
@@ -82,7 +82,7 @@ def observations(angles_deg: Floats, values: Floats, noise: Floats, scales: Floa
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """Hold what one smoothness, length and shared share say with each of A amplitudes.
+    """Hold what one smoothness, length and common share say with each of A amplitudes.
 
     `solve` (A, N, N) maps values to K^-1 (value - constants), `scale_gain` (A, N) to the first constant, whose variance
     is `scale_variance` (A,).
@@ -90,7 +90,7 @@ class _Part:
 
     nu: float
     length_deg: float
-    shared: float
+    common_share: float
     ln_weight: Floats
     solve: Floats
     scale_gain: Floats
@@ -98,7 +98,7 @@ class _Part:
 
     def correlation(self, first_deg: Floats, second_deg: Floats, is_same: NDArray[np.bool_] | bool) -> Floats:
         """Return the correlation of curves between two sets of angles (N,), (M,); between places it is less."""
-        share = np.where(is_same, 1.0, self.shared)
+        share = np.where(is_same, 1.0, self.common_share)
         return np.asarray(share * matern_correlation(first_deg, second_deg, self.length_deg, self.nu))
 
 
@@ -122,7 +122,7 @@ class CurvePosterior:
 
     @property
     def weights(self) -> Floats:
-        """Posterior weights (parts, A) of smoothness, length and shared share, and of the amplitude."""
+        """Posterior weights (parts, A) of smoothness, length and common share, and of the amplitude."""
         return _normalised(np.array([part.ln_weight for part in self._parts]))
 
     @property
@@ -208,7 +208,7 @@ class CurvePosterior:
             root, amplitude = _root(part.nu, part.length_deg, angles.tobytes()), amplitude_of[rows]
             prior = amplitudes[amplitude, None, None] * (normals[rows][..., : root.shape[1]] @ root.T)
             if self.contacts > 1:
-                prior = np.sqrt(part.shared) * prior[:, :1] + np.sqrt(1 - part.shared) * prior[:, 1:]
+                prior = np.sqrt(part.common_share) * prior[:, :1] + np.sqrt(1 - part.common_share) * prior[:, 1:]
             misfit = measured[rows] - prior[:, seen.contact, size + np.arange(seen.contact.size)]
             curves[rows] = prior[..., :size] + self._correction(part, amplitude, misfit)
         return curves
@@ -232,14 +232,14 @@ class CurvePosterior:
 def curve_posterior(prior: CurvePrior, seen: Observations, grid_deg: Floats, contacts: int = 1) -> CurvePosterior:
     """Return what observations say about random curves.
 
-    With K = a^2 R(nu, l) the covariance of the curves at the observations (times the shared share between two places),
+    With K = a^2 R(nu, l) the covariance of the curves at the observations (times the common share between two places),
     N that of their noise, S = K + N, and H the indicator of the unknown constants,
 
     W = S^-1 - S^-1 H (H' S^-1 H)^-1 H' S^-1,
     curve | y, a, l, nu ~ N(K_g W y, K_gg - K_g W K_g'),
     p(y | a, l, nu) ~ |S|^-1/2 |H' S^-1 H|^-1/2 exp(-y' W y / 2),
 
-    summed over amplitudes a, lengths l, smoothnesses nu and shared shares with their priors.
+    summed over amplitudes a, lengths l, smoothnesses nu and common shares with their priors.
 
     Parameters
     ----------
@@ -258,26 +258,26 @@ def curve_posterior(prior: CurvePrior, seen: Observations, grid_deg: Floats, con
     C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning (2006), section 2.7.
     """
     shares = (1.0,) if contacts == 1 else SHARED
-    lengths = -0.5 * (np.log(prior.lengths_deg / prior.length_deg) / prior.length_log_sd) ** 2
+    lengths = -0.5 * (np.log(prior.lengths_deg / prior.length_deg) / prior.length_ln_sd) ** 2
     parts = tuple(
-        _part(prior, seen, nu, (float(length), float(ln_weight)), shared)
+        _part(prior, seen, nu, (float(length), float(ln_weight)), common_share)
         for nu in prior.smoothnesses
         for length, ln_weight in zip(prior.lengths_deg, lengths, strict=True)
-        for shared in shares
+        for common_share in shares
     )
     return CurvePosterior(grid_deg, contacts, seen, prior, parts)
 
 
-def _part(prior: CurvePrior, seen: Observations, nu: float, length: tuple[float, float], shared: float) -> _Part:
-    """Return the posterior for one smoothness, length (with its log weight) and shared share, and all amplitudes."""
+def _part(prior: CurvePrior, seen: Observations, nu: float, length: tuple[float, float], common_share: float) -> _Part:
+    """Return the posterior for one smoothness, length (with its log weight) and common share, and all amplitudes."""
     length_deg, ln_weight_of_length = length
     variance = prior.amplitudes_rel[:, None, None] ** 2
-    share = np.where(np.equal.outer(seen.contact, seen.contact), 1.0, shared)
+    share = np.where(np.equal.outer(seen.contact, seen.contact), 1.0, common_share)
     correlation = share * matern_correlation(seen.angles_deg, seen.angles_deg, length_deg, nu)
     whole = variance * (correlation + _JITTER * np.eye(seen.angles_deg.size)) + seen.noise
     solve = np.linalg.inv(whole)
     ln_weight = (
-        ln_weight_of_length - 0.5 * (np.log(prior.amplitudes_rel / prior.amplitude_rel) / prior.amplitude_log_sd) ** 2
+        ln_weight_of_length - 0.5 * (np.log(prior.amplitudes_rel / prior.amplitude_rel) / prior.amplitude_ln_sd) ** 2
     )
     ln_weight -= 0.5 * np.linalg.slogdet(whole)[1]
     scale_gain: Floats = np.zeros((len(whole), seen.angles_deg.size))
@@ -290,7 +290,7 @@ def _part(prior: CurvePrior, seen: Observations, nu: float, length: tuple[float,
         scale_gain, scale_variance = estimators[:, 0], np.asarray(spread[:, 0, 0])
         solve = solve - solve @ seen.scales @ estimators
     ln_weight -= 0.5 * (solve @ seen.values) @ seen.values
-    return _Part(nu, length_deg, shared, ln_weight, np.asarray(solve), scale_gain, scale_variance)
+    return _Part(nu, length_deg, common_share, ln_weight, np.asarray(solve), scale_gain, scale_variance)
 
 
 def _normalised(ln_weights: Floats) -> Floats:

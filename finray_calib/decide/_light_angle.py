@@ -154,7 +154,7 @@ class SweptContact:
     scatter : ndarray, shape (D, A), optional
         Logarithm of the objective by each draw of the paints, but for a common level: the real paint is one draw, so
         that this is not averaged.
-    weight : float
+    weight_rel : float
         How often the place is touched, relative to others.
     """
 
@@ -162,7 +162,7 @@ class SweptContact:
     values: Floats
     allowed: NDArray[np.bool_] | None = None
     scatter: Floats | None = None
-    weight: float = 1.0
+    weight_rel: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -474,7 +474,7 @@ def _judge(
             "No angle of the sweep meets the constraints (clipping, room for the panel). Move the panel, or allow a "
             "shorter exposure, and simulate the sweep again."
         )
-    weights = np.array([contact.weight for contact in contacts])
+    weights = np.array([contact.weight_rel for contact in contacts])
     return _Judge(weights / weights.sum(), criterion, choices, grid_deg, tolerance_rel)
 
 

@@ -126,7 +126,10 @@ def other_objectives_figure(decision: LightAngleDecision, sweep: LightAngleSweep
     """Draw every objective relative to its best rendered angle: 1 is best for each of them."""
     figure = new_figure(5.8, 4.1)
     axes = figure.subplots()
-    lines = [("decided on", (BLUE, "-", "o"), sweep.values)]
+    decided = sweep.values
+    if len(decision.contacts) > 1:  # the value over all touches, at the angles of the sweep
+        decided = np.interp(sweep.angles_deg, decision.grid_deg, decision.mean)[:, None]
+    lines = [("decided on", (BLUE, "-", "o"), decided)]
     lines += [(o.name, look, o.utility) for o, look in zip(sweep.other_objectives, cycle(_LOOKS), strict=False)]
     for name, (colour, style, marker), utility in lines:
         mean = utility.mean(axis=1)

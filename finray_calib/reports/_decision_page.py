@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from data_schemas import (
+    AngleProposal,
     AngleStatement,
     DecidedContact,
     LightAngleDecision,
@@ -132,7 +133,7 @@ def criterion_sentence(decision: LightAngleDecision) -> str | None:
     value, average_deg, worst_deg = decision.contact_value, decision.angle_average_deg, decision.angle_worst_deg
     if len(decision.contacts) < 2 or value is None or average_deg is None or worst_deg is None:
         return None
-    weights = [contact.weight for contact in decision.contacts]
+    weights = [contact.weight_share for contact in decision.contacts]
 
     def told(angle_deg: float) -> str:
         losses = np.maximum(1.0 - value[:, int(np.abs(decision.grid_deg - angle_deg).argmin())], 0.0)
@@ -160,7 +161,7 @@ def _map(decision: LightAngleDecision) -> Part:
     rows = (
         (
             touch_text(contact, decision.contacts),
-            f"{contact.weight:.1%}",
+            f"{contact.weight_share:.1%}",
             f"{contact.best_deg:.0f} deg",
             percent(contact.loss_rel),
             percent(contact.loss_95_rel),
@@ -515,11 +516,19 @@ def next_sentences(decision: LightAngleDecision) -> tuple[str, ...]:
             told.append(f"{what}: none is expected to change the decision.")
         else:
             told.append(
-                f"{what}: at {proposal.angle_deg:.0f} deg. It may move the chosen angle; expected gain on average: "
+                f"{what}: at {proposal.angle_deg:.0f} deg{_place(decision, proposal)}. It may move the chosen angle; "
+                "expected gain on average: "
                 f"{percent(proposal.gain_rel)} of the signal (assumed: an observation is good to "
                 f"{percent(proposal.noise_rel)})."
             )
     return tuple(told)
+
+
+def _place(decision: LightAngleDecision, proposal: AngleProposal) -> str:
+    """Return where to touch the finger, where there is more than one place."""
+    if len(decision.contacts) < 2 or proposal.position_mm is None:
+        return ""
+    return f", {proposal.position_mm:g} mm from the base"
 
 
 def disagreement_sentence(decision: LightAngleDecision) -> str | None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from data_schemas import AngleObjective, DecideError, finger_identity
+from data_schemas.storage._records import MIGRATIONS
 from finray_calib.decide import decide
 from finray_calib.decide._decision_record import TOLERANCE_REL
 from finray_calib.decide._swept_contacts import swept_contacts
@@ -36,7 +37,7 @@ def test_without_a_report_it_carries_the_prior_of_the_error_and_decides_nothing(
     assert decision.angle_deg == decision.angle_simulation_only_deg == pytest.approx(BEST_DEG, abs=2)
     assert "no capture has checked it" in decision.sentence
     assert decision.next_capture is not None
-    assert f"Capture next at {decision.next_capture.angle_deg:.0f} deg" in decision.sentence
+    assert f"Capture next with the light at {decision.next_capture.angle_deg:.0f} deg" in decision.sentence
 
 
 def test_captures_of_another_curve_correct_this_one():
@@ -158,7 +159,7 @@ def test_several_places_are_decided_as_brute_force_does(criterion, weights):
     assert value[at] > value.max() - 0.005
     assert [c.best_deg for c in decision.contacts] == pytest.approx(tops, abs=3)
     assert [c.loss_rel for c in decision.contacts] == pytest.approx(1 - relative[:, at], abs=0.01)
-    assert [c.weight for c in decision.contacts] == pytest.approx(shares)
+    assert [c.weight_share for c in decision.contacts] == pytest.approx(shares)
     assert decision.contact_value == pytest.approx(relative, abs=0.03)
     assert decision.mean == pytest.approx(value, abs=0.02)
     low, high = decision.tolerance_deg
@@ -261,3 +262,9 @@ def test_colours_that_do_not_follow_from_the_bands_keep_their_whole_scatter():
     assert kept.values is broken.values or np.array_equal(kept.values, broken.values)
     relative = broken.values / broken.values.mean(axis=0)
     assert kept.scatter == pytest.approx(np.log(relative).T)
+
+
+def test_a_record_of_before_reads_with_the_verdict_of_today():
+    step = MIGRATIONS["LightAngleDecision", 3]
+    assert step({"verdict": "model-limited", "sentence": "s"}) == {"verdict": "needs captures", "sentence": "s"}
+    assert step({"verdict": "tie"}) == {"verdict": "tie"}

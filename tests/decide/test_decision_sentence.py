@@ -37,7 +37,7 @@ def touches(*losses, across_mm=0.0, depth_mm=1.5):
             position_mm=8.0 + 4 * n,
             across_mm=across_mm,
             depth_mm=depth_mm,
-            weight=1 / len(losses),
+            weight_share=1 / len(losses),
             best_deg=30.0,
             loss_rel=loss,
             loss_95_rel=0.3,
@@ -97,8 +97,14 @@ def test_without_captures_nothing_is_decided_and_the_next_one_is_named():
         "1.6 % "
         "with 95 % probability; that it is better by no more than 2 % has a probability of 0.96, and that the best "
         "angle "
-        "lies within 5 deg one of 0.50. Capture next at 70 deg."
+        "lies within 5 deg one of 0.50. Capture next with the light at 70 deg."
     )
+
+
+def test_of_several_places_the_one_to_capture_is_named():
+    proposal = Proposal(70.0, 0.01, 0.02, contact=1)
+    found = decision_sentence(decision(), NONE, 0.02, None, proposal, (), touches(0.0, 0.1))
+    assert found.endswith("Capture next with the light at 70 deg, 12 mm from the base.")
 
 
 def test_captures_are_named_with_what_they_changed():
@@ -114,7 +120,9 @@ def test_captures_are_named_with_what_they_changed():
         decision(20.0, validated=True), np.array([30.0]), 0.02, None, Proposal(70.0, 0.01, 0.02), [other]
     )
     assert found.startswith("A capture at 30 deg is in this, which is not enough to decide: the simulation is off")
-    assert found.endswith("Capture next at 70 deg. Normal error would choose 55 deg and loses 31 % here.")
+    assert found.endswith(
+        "Capture next with the light at 70 deg. Normal error would choose 55 deg and loses 31 % here."
+    )
 
 
 def test_noisy_renders_ask_for_more_of_them():

@@ -56,8 +56,8 @@ def dense(prior, values, noise, contact, same_constant, shares=(1.0,), grid_cont
                     whole = joint[:size, :size] + np.diag(noise)
                     gain = np.linalg.solve(whole, joint[:size, size:]).T
                     ln_weight = multivariate_normal.logpdf(values, np.zeros(size), whole)
-                    ln_weight -= 0.5 * (np.log(length / prior.length_deg) / prior.length_log_sd) ** 2
-                    ln_weight -= 0.5 * (np.log(amplitude / prior.amplitude_rel) / prior.amplitude_log_sd) ** 2
+                    ln_weight -= 0.5 * (np.log(length / prior.length_deg) / prior.length_ln_sd) ** 2
+                    ln_weight -= 0.5 * (np.log(amplitude / prior.amplitude_rel) / prior.amplitude_ln_sd) ** 2
                     ln_weights.append(ln_weight)
                     means.append(gain @ values)
                     covariances.append(joint[size:, size:] - gain @ joint[:size, size:])

@@ -202,15 +202,15 @@ def test_uneven_angles_and_seeds():
 def test_claims_are_calibrated_at_8_percent_noise():
     """The benchmark's first case in small: 150 random curves instead of 3 000.
 
-    Standard errors: of the actual probability 0.03, of the regret's ratios a sixth, at a fixed seed.
+    Standard errors: of the actual probability 0.03, of the regret's ratios a sixth: two of them below the bars.
     """
     outcome = run(CASES[0], 150, seed=11, draws=300)
     # these curves are smooth; that the model allows for rough ones makes it claim less, not more
     assert -0.1 <= outcome.claimed_within_5deg - outcome.actual_within_5deg <= LARGEST_MISS
     # Binomial(150, 0.95): below 0.89 with probability 2e-3; the bound is on the safe side, so no upper limit.
     assert outcome.coverage_of_95 >= 0.89
-    assert outcome.ratio_means >= 0.8 * LEAST_OVER_MEANS
-    assert outcome.ratio_single >= 0.8 * LEAST_OVER_SINGLE
+    assert outcome.ratio_means >= 0.66 * LEAST_OVER_MEANS
+    assert outcome.ratio_single >= 0.66 * LEAST_OVER_SINGLE
 
 
 @pytest.mark.parametrize(

@@ -264,7 +264,8 @@ def over_places(verdict="needs captures", criterion="average", **changes):
     value = np.array([1 - loss * ((grid - top) / (32.0 - top)) ** 2 for loss, top in zip(losses, tops, strict=True)])
     contacts = tuple(
         DecidedContact(
-            sweep=f"place {place:g}", shape="cylinder", position_mm=place, across_mm=0.0, depth_mm=1.5, weight=1 / 3,
+            sweep=f"place {place:g}", shape="cylinder", position_mm=place, across_mm=0.0, depth_mm=1.5,
+            weight_share=1 / 3,
             best_deg=top, loss_rel=loss, loss_95_rel=loss + 0.3,
         )
         for place, top, loss in zip(PLACES_MM, tops, losses, strict=True)
