@@ -93,7 +93,14 @@ if TYPE_CHECKING:
         half_maximum_nm,
         require_coverage,
     )
-    from data_schemas._decide import AngleProposal, AngleStatement, DecidingCapture, LightAngleDecision, OtherObjective
+    from data_schemas._decide import (
+        AngleProposal,
+        AngleStatement,
+        DecidedContact,
+        DecidingCapture,
+        LightAngleDecision,
+        OtherObjective,
+    )
     from data_schemas._design import CHANNELS, ColouredLight, FingerDesign, PlainSensor, finger_identity
     from data_schemas._design_parts import (
         Backing,
@@ -301,6 +308,7 @@ __all__ = [
     "CurveFit",
     "DarkFrames",
     "DecideError",
+    "DecidedContact",
     "DecidingCapture",
     "DesignStudy",
     "DesignValue",

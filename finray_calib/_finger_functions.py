@@ -62,6 +62,8 @@ class RenderOptions(TypedDict, total=False):
         Of a press: whether to render also how the image changes with the indenter's pose (three times the time).
     all_objectives
         Of a sweep: whether to measure also how well normals are told, evenness, clipping and room for the panel.
+    position_mm
+        Of a sweep: where the indenter touches along the pad, in mm from the base, in place of the design's.
     narrow_sweep
         Of a sweep: whether angles that span less than 4 deg are meant so, and are not radians.
     """
@@ -72,6 +74,7 @@ class RenderOptions(TypedDict, total=False):
     paints_as_given: bool
     pose_response: bool
     all_objectives: bool
+    position_mm: float
     narrow_sweep: bool
 
 
@@ -306,6 +309,9 @@ def _scene(
     from sim.experiments import finger_scene, require_paints_in_order
 
     found = _design(design)
+    if "position_mm" in options:
+        indenter = found.design.indenter.model_copy(update={"position_mm": options["position_mm"]})
+        found = found._replace(design=found.design.model_copy(update={"indenter": indenter}))
     if surfaces is None and not isinstance(design, FingerDesign) and Path(design).name.endswith(SURFACES_SUFFIX):
         surfaces = design
     read = {colour: given(paint, PaintCalibration) for colour, paint in paints.items()}

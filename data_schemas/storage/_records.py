@@ -308,11 +308,19 @@ def _as_it_is(body: Body) -> Body:
     return body
 
 
+def _with_verdict_of_captures(body: Body) -> Body:
+    """Return a decision whose verdict "model-limited" has the name of what helps."""
+    verdict = "needs captures" if body["verdict"] == "model-limited" else body["verdict"]
+    return {**body, "verdict": verdict}
+
+
 MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     # provenance may name packages, processor, renderer and changed sources; the envelope carries a seal
     **dict.fromkeys(LAST_UNSEALED.items(), _as_it_is),
     # the probability that the loss is within the tolerance
     ("LightAngleDecision", 2): _as_it_is,
+    # one touch or several; a verdict has another name
+    ("LightAngleDecision", 3): _with_verdict_of_captures,
     # whether there is emission at all; none: not judged
     ("PaintCalibration", 3): _as_it_is,
     # a laser may declare what switches it off outside the computer

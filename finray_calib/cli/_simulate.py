@@ -4,6 +4,7 @@ Beside the record of a press its images are written as files that other programs
 """
 
 import argparse
+import math
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from data_schemas import Provenance, Record, SimulatedPress
+    from data_schemas import FingerDesign, Provenance, Record, SimulatedPress
     from finray_calib import RenderOptions
     from sim.experiments import OpticsProducts, WhiteBalance
 
@@ -42,6 +43,7 @@ SIMULATE_HELP = "press a finger by finite elements, render it, or sweep the ligh
 SIMULATE_DESCRIPTION = """\
 Simulate a finger: how it bends, what its camera sees, and how that changes with the angle of the blue light."""
 SMALLEST_STEP_DEG = 0.5
+SMALLEST_STEP_MM = 0.5
 NOTHING_KEPT = "Nothing is stored before its end: the same command begins again"
 
 RENDER_HELP = "render a painted finger without and with contact, as its camera sees it"
@@ -55,8 +57,10 @@ reference, fluorescence traced along every path: the mean of b without its smoot
 
 SWEEP_HELP = "measure the brightness beside the indenter over the angle of the light"
 SWEEP_DESCRIPTION = """\
-Measure the brightness beside the indenter at each angle of the blue light, for 'finray decide'. The walls re-emit the
-blue light that reaches them (level b)."""
+Measure the brightness beside the indenter at each angle of the blue light, for 'finray decide': where the design's
+indenter touches, or with --positions at several places, one record for each. The angle lies between the pad's plane and
+the direction in which the panel shines: 0 deg along the pad, 90 deg into it. The walls re-emit the blue light that
+reaches them (level b)."""
 
 
 def add_simulate(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -118,6 +122,11 @@ def add_sweep(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--angles", type=_angles, required=True, metavar="FIRST:LAST:STEP", help="light angles in deg, e.g. 0:120:10"
     )
+    parser.add_argument(
+        "--positions", type=_positions, metavar="FIRST:LAST:STEP or MM,MM,...",
+        help="sweep with the indenter at each of these places along the pad (mm from the base), e.g. 8:64:4, so that the "
+        "light is decided on for the finger; places that are swept already are not swept again",
+    )  # fmt: skip
     _add_scene(parser)
     parser.add_argument(
         "--narrow-sweep", action="store_true", help="the angles span less than 4 deg and are not radians"
@@ -175,6 +184,25 @@ def _angles(text: str) -> list[float]:
         )
     count = int((last - first) / step + 1e-9) + 1
     return [first + i * step for i in range(count)]
+
+
+def _positions(text: str) -> list[float]:
+    """Parse FIRST:LAST:STEP or a list in mm; whether they lie on the pad is judged with the design."""
+    try:
+        if ":" in text:
+            first, last, step = (float(part) for part in text.split(":"))
+            count = int((last - first) / step + 1e-9) + 1 if SMALLEST_STEP_MM <= step <= last - first else 0
+            places = [first + i * step for i in range(count)]
+        else:
+            places = sorted(float(part) for part in text.split(","))
+    except (ValueError, OverflowError):
+        places = []
+    if not places or len(set(places)) < len(places) or not all(map(math.isfinite, places)):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} must be FIRST:LAST:STEP in mm with a STEP of {SMALLEST_STEP_MM:g} mm or more, for example 8:64:4, "
+            "or different places with commas between them, for example 8,15,35"
+        )
+    return places
 
 
 def spelled_now(words: Sequence[str]) -> list[str]:
@@ -238,14 +266,28 @@ def run_render(arguments: argparse.Namespace) -> None:
 
 
 def run_sweep(arguments: argparse.Namespace) -> None:
-    """Sweep the angle of the light and store the record."""
+    """Sweep the angle of the light, at one place or at several, and store a record of each."""
     from data_schemas import SimulateError, look_like_radians, narrow_sweep_text
-    from data_schemas.storage import write_record
-    from finray_calib import sweep_light_angle
 
     if not arguments.narrow_sweep and look_like_radians(arguments.angles):
         raise SimulateError(f"--angles: {narrow_sweep_text(arguments.angles)}")
-    out = require_new(arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.sweep.json"))
+    out = arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.sweep.json")
+    if arguments.positions is None:
+        _sweep(arguments, require_new(out), None, "simulate")
+        return
+    if arguments.surfaces is not None:
+        raise SimulateError(
+            "--positions are places of a press by a formula, and --surfaces are of one place: sweep each with its own "
+            "--surfaces and --out, and give all of them to 'finray decide'"
+        )
+    _sweep_places(arguments, out)
+
+
+def _sweep(arguments: argparse.Namespace, out: Path, position_mm: float | None, title: str) -> None:
+    """Sweep at one place and store the record."""
+    from data_schemas.storage import write_record
+    from finray_calib import sweep_light_angle
+
     options: RenderOptions = {
         "samples": arguments.samples,
         "engine": working_engine(arguments.engine),
@@ -253,13 +295,66 @@ def run_sweep(arguments: argparse.Namespace) -> None:
         "all_objectives": arguments.objectives == "all",
         "narrow_sweep": True,
     }
-    with progress_bar("simulate") as progress:
+    if position_mm is not None:
+        options["position_mm"] = position_mm
+    with progress_bar(title) as progress:
         sweep = sweep_light_angle(
             arguments.design, arguments.angles, **both_paint_files(arguments), surfaces=arguments.surfaces,
             seed=arguments.seed, progress=progress, **options,
         )  # fmt: skip
     write_record(sweep, out, _origin(sweep, arguments.seed))
     say(f"{out}: {len(sweep.angles_deg)} angles, {sweep.label}")
+
+
+def _sweep_places(arguments: argparse.Namespace, out: Path) -> None:
+    """Sweep at each place and store its record as soon as it is done; what is there already is kept."""
+    from data_schemas import SimulateError
+    from finray_calib import finger_design
+
+    design = finger_design(arguments.design)
+    length_mm = design.pad.length_mm
+    off = [place for place in arguments.positions if not 0.0 < place < length_mm]
+    if off:
+        raise SimulateError(f"--positions: {off[0]:g} mm is not on the pad, which reaches from 0 to {length_mm:g} mm")
+    stem = out.name.removesuffix(".json").removesuffix(".sweep")
+    outs = {place: out.with_name(f"{stem}.{place:04.1f}mm.sweep.json") for place in arguments.positions}
+    kept = [path for place, path in outs.items() if _is_swept(path, design, place, arguments)]
+    todo = {place: require_new(path) for place, path in outs.items() if path not in kept}
+    for number, (place, path) in enumerate(todo.items(), start=1):
+        _sweep(arguments, path, place, f"simulate, place {number} of {len(todo)}")
+    for path in kept:
+        say(f"{path}: is there already, from the same inputs")
+    say(f"Decide on all of them: finray decide {out.with_name(stem)}.*mm.sweep.json")
+
+
+def _is_swept(path: Path, design: "FingerDesign", position_mm: float, arguments: argparse.Namespace) -> bool:
+    """Return whether a record is there that this command would write again: same design, paints, angles and effort."""
+    if not path.exists():
+        return False
+    from data_schemas import LightAngleSweep, digest_of_input, package_version
+    from data_schemas.storage import read_record
+
+    stored = read_record(path, LightAngleSweep)
+    indenter = design.indenter.model_copy(update={"position_mm": position_mm})
+    touched = design.model_copy(update={"indenter": indenter, "provenance": None})
+    paints = {colour: digest_of_input(file) for colour, file in both_paint_files(arguments).items()}
+    origin = stored.provenance
+    return (
+        origin is not None
+        and (origin.seed, origin.package_version) == (arguments.seed, package_version())
+        and _effort(origin.command) == _effort(command_line())
+        and (stored.design, stored.paints) == (touched, paints)
+        and stored.angles_deg.tolist() == arguments.angles
+    )
+
+
+def _effort(command: str) -> tuple[str, ...]:
+    """Return what a command says of samples, objectives and engine."""
+    words = command.replace("=", " ").split()
+    return tuple(" ".join(words[k : k + 2]) for k, word in enumerate(words) if word in _EFFORT)
+
+
+_EFFORT = frozenset({"--samples", "--objectives", "--engine"})
 
 
 def _origin(record: "Record", seed: int) -> "Provenance":
