@@ -124,8 +124,8 @@ def add_sweep(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     parser.add_argument(
         "--positions", type=_positions, metavar="FIRST:LAST:STEP or MM,MM,...",
-        help="sweep with the indenter at each of these places along the pad (mm from the base), e.g. 8:64:4, so that the "
-        "light is decided on for the finger; places that are swept already are not swept again",
+        help="sweep with the indenter at each of these places along the pad (mm from the base), e.g. 8:64:4, so that "
+        "the light is decided on for the finger; places that are swept already are not swept again",
     )  # fmt: skip
     _add_scene(parser)
     parser.add_argument(
@@ -199,8 +199,8 @@ def _positions(text: str) -> list[float]:
         places = []
     if not places or len(set(places)) < len(places) or not all(map(math.isfinite, places)):
         raise argparse.ArgumentTypeError(
-            f"{text!r} must be FIRST:LAST:STEP in mm with a STEP of {SMALLEST_STEP_MM:g} mm or more, for example 8:64:4, "
-            "or different places with commas between them, for example 8,15,35"
+            f"{text!r} must be FIRST:LAST:STEP in mm with a STEP of {SMALLEST_STEP_MM:g} mm or more, for example "
+            "8:64:4, or different places with commas between them, for example 8,15,35"
         )
     return places
 

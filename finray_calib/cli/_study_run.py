@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data_schemas import SimulateError, StudyPoint, StudyResult, StudyRow
 from finray_calib.cli._run import (
     add_paint,
     add_paints_as_given,
@@ -21,7 +20,7 @@ from finray_calib.cli._run import (
 )
 
 if TYPE_CHECKING:
-    from data_schemas import Provenance, StudyMetric
+    from data_schemas import Provenance, StudyMetric, StudyPoint, StudyResult
     from sim.studies import StudyPaints
 
 RUN_HELP = "run a design study by its plan: change a finger, and press, render and measure each variant"
@@ -89,7 +88,7 @@ def _count(text: str) -> int:
 
 def run_design_study(arguments: argparse.Namespace) -> None:
     """Run a study; store its table, its result and its page."""
-    from data_schemas import provenance
+    from data_schemas import SimulateError, StudyResult, StudyRow, provenance
     from data_schemas.storage import clear_leftovers
     from finray_calib.reports import study_text
     from sim.studies import StudyPaints, StudyTask, read_plan, run_study, study_points
@@ -130,7 +129,7 @@ def _paints(arguments: argparse.Namespace) -> "tuple[StudyPaints, list[Path]]":
     return StudyPaints(optics, sources), list(files.values())
 
 
-def _store(out: Path, result: StudyResult, points: Sequence[StudyPoint], origin: "Provenance") -> None:
+def _store(out: Path, result: "StudyResult", points: "Sequence[StudyPoint]", origin: "Provenance") -> None:
     """Store table, page and result together, in place of those of an earlier run of the same study."""
     from data_schemas.storage import ProductSet, write_record
     from finray_calib.reports import design_study_page
@@ -145,7 +144,7 @@ def _store(out: Path, result: StudyResult, points: Sequence[StudyPoint], origin:
         write_record(result, out / RESULT_NAME, origin, products)
 
 
-def table_csv(result: StudyResult) -> str:
+def table_csv(result: "StudyResult") -> str:
     """Return one row a point: number, what was changed, and each metric with its limits."""
     names = list(dict.fromkeys(metric.name for row in result.points for metric in row.metrics))
     text = io.StringIO()
@@ -165,6 +164,7 @@ def _three(metric: "StudyMetric | None") -> tuple[float | None, float | None, fl
 
 def show_study(arguments: argparse.Namespace) -> None:
     """Show the table of a study."""
+    from data_schemas import StudyResult
     from data_schemas.storage import read_record
     from finray_calib.reports import study_text
 

@@ -12,7 +12,7 @@ import pytest
 
 from data_schemas import StudyPoint, StudyResult
 from data_schemas.storage import read_record
-from finray_calib.cli import main
+from finray_calib.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
 PLAN = """

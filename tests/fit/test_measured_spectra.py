@@ -28,7 +28,9 @@ def measured(weights, curve, reflectance, rng):
     """Return band values of a curve with noise and calibration errors of 1 %."""
     exact = band_values(curve[None], np.array([reflectance]), weights)[0]
     sd = 0.003 * exact + 0.0005 * exact[~weights.is_excitation].max()
-    y = exact * (1 + 0.01 * rng.standard_normal(weights.bands)[weights.band_index]) + sd * rng.standard_normal(exact.size)
+    y = exact * (1 + 0.01 * rng.standard_normal(weights.bands)[weights.band_index]) + sd * rng.standard_normal(
+        exact.size
+    )
     return BandData(y.reshape(8, 3), np.diag(sd**2), np.ones((8, 3), bool), weights)
 
 
