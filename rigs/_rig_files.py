@@ -231,7 +231,7 @@ _OUTSIDE_LAYER: Final = {
 }
 _LAMP: Final = {
     "address": f"{_LIGHT_ADDRESS}manual and simulated: none",
-    "spectrum": "planck-2856K: tungsten halogen on its rated voltage; or a CSV file (wavelength_nm,power_rel)",
+    "spectrum": "planck-2856K: rated tungsten halogen; or a CSV file (wavelength_nm,power_rel)",
     "temperature_uncertainty_k": "standard uncertainty in kelvin: 50 from the label alone, 10 to 20 measured",
 }
 _WHITE: Final = {
