@@ -56,8 +56,8 @@ class ToneFit:
         Of the capture.
     correlation : float
         Mean over channels of the correlation of the logarithms of both; 0 without contrast.
-    independent : float
-        How many independent values the fit rests on, all channels together.
+    white_balance_noise_rel : float
+        Share of the light's own error that is left in the mean of a channel: few values of a pad are independent.
     """
 
     exponent: float
@@ -66,7 +66,7 @@ class ToneFit:
     log_light: Floats
     level_dn: Floats
     correlation: float
-    independent: float
+    white_balance_noise_rel: float
 
     def white_balance(self, light: Floats) -> tuple[Interval, Interval, Interval]:
         """Return the scale of each channel in linear light, relative to green.
@@ -81,7 +81,7 @@ class ToneFit:
         scale -= scale[:, 1:2]
         # what the render's light is wrong by does not average out over a pad of few independent values
         left = np.mean([(_centred(log) - self.log_light).var(axis=0) for log in logs], axis=0)
-        of_light = (left + left[1]) / max(self.independent / 3.0, 1.0) * (np.arange(3) != 1)
+        of_light = (left + left[1]) * self.white_balance_noise_rel**2 * (np.arange(3) != 1)
         half = 1.96 * np.sqrt(scale.var(axis=0) + of_light)
         red, green, blue = (
             Interval(estimate=float(np.exp(m)), low95=float(np.exp(m - h)), high95=float(np.exp(m + h)))
@@ -141,7 +141,8 @@ def fit_tone(
     exponent = float(exponents[order][np.searchsorted(cumulative, 0.5)])
     near = np.abs(exponents - exponent) <= 2.0 * steps[0]
     offset_dn = float((chance * offsets)[near].sum() / chance[near].sum())
-    return ToneFit(exponent, offset_dn, draws, x, level, _correlation(x, _centred(np.log(level))), independent)
+    noise_rel = 1.0 / np.sqrt(max(independent / 3.0, 1.0))
+    return ToneFit(exponent, offset_dn, draws, x, level, _correlation(x, _centred(np.log(level))), noise_rel)
 
 
 def _levels(render: Floats, captured: Floats, pad: NDArray[np.bool_]) -> tuple[Floats, Floats, NDArray[np.intp]]:
@@ -263,14 +264,9 @@ def tone_record(tone: ToneFit, light: Floats, skill_u: float, outside_share: flo
     outside_share : float
         Pixels of the headline region whose captured level does not occur without contact.
     """
-
-    def ends(values: Floats, best: float) -> Interval:
-        low, high = np.quantile(values, (0.025, 0.975))
-        return Interval(estimate=best, low95=min(float(low), best), high95=max(float(high), best))
-
     return FittedToneCurve(
-        exponent=ends(tone.draws[:, 0], tone.exponent),
-        offset_dn=ends(tone.draws[:, 1], tone.offset_dn),
+        exponent=_interval(tone.draws[:, 0], tone.exponent),
+        offset_dn=_interval(tone.draws[:, 1], tone.offset_dn),
         white_balance=tone.white_balance(light),
         correlation=tone.correlation,
         skill_u=skill_u,
@@ -279,6 +275,12 @@ def tone_record(tone: ToneFit, light: Floats, skill_u: float, outside_share: flo
         level_dn=tone.level_dn,
         draws=tone.draws,
     )
+
+
+def _interval(values: Floats, best: float) -> Interval:
+    """Return the 95 % interval of draws around a best value."""
+    low, high = np.quantile(values, (0.025, 0.975))
+    return Interval(estimate=best, low95=min(float(low), best), high95=max(float(high), best))
 
 
 #: Beyond this many half-widths from the contact the light should be that of no contact.
@@ -330,8 +332,12 @@ class FarGain:
 
     @property
     def to_correct(self) -> NDArray[np.bool_]:
-        """Channels of the capture with a gain, whether the render has the same or not."""
-        return self._stands_out(self.log_captured, self.u)
+        """Channels of the capture with a gain, whether the render has the same or not.
+
+        Where one channel shows that the camera or the light changed, what the others show is taken for the same.
+        """
+        sure = self._stands_out(self.log_captured, self.u)
+        return self._stands_out(self.log_captured, self.noise_u) if sure.any() else sure
 
     @property
     def is_refused(self) -> bool:

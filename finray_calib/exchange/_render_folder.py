@@ -199,7 +199,7 @@ def _distance(
         return outline_distance(inside), f"where {DEPTH} exceeds {LEAST_DEPTH_SHARE:.0%} of its largest depth"
     if (folder / MASK).is_file():
         mask = read_picture(folder / MASK, "a mask (PNG)", ImportFormatError)
-        touched = np.asarray(mask > 0 if mask.ndim == 2 else (mask > 0).any(axis=2))
+        touched: NDArray[np.bool_] = np.asarray(mask if mask.ndim == 2 else mask.max(axis=2)) > 0
         if touched.shape != shape[:2] or not touched.any():
             raise ImportFormatError(f"{folder / MASK}: must be as large as the images and white where the contact is")
         return outline_distance(touched), f"the mask {MASK}"
