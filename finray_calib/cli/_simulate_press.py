@@ -314,6 +314,8 @@ def _store(
     say(f"{files['surfaces']}: for 'finray simulate render {files['surfaces']}'")
     say(f"{files['mesh']}: the pressed mesh, for ParaView")
     say(f"{files['picture']}: the finger before and after, and its force")
+    if pressed.crossing:
+        warn(f"warning: {pressed.crossing}; what it gives there is no finger's: press with --contact barrier, or less")
     tell_few_nodes(pressed, mechanics)
     if mechanics.unreached:
         reached = f"{mechanics.depth_mm[-1]:.4g} of {design.indenter.depth_mm:g} mm"

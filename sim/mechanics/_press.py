@@ -1,12 +1,14 @@
 """Press an indenter into a finger: increments of the push, from first touch or from a stored press."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from data_schemas import FingerDesign, NoEquilibriumError, Preset, SimulateError
 from sim.mechanics._assembly import Assembly, Elasticity, State
+from sim.mechanics._contact_library import contact_library_failure
 from sim.mechanics._finger_mesh import STEPS, finger_materials, finger_mesh, finger_ties
 from sim.mechanics._increments import CoarserPath, Watch, load_increments
 from sim.mechanics._linear_solver import linear_solver
@@ -37,7 +39,8 @@ def press_finger(
     """Press the design's indenter in by its depth along the pad's normal, from first touch.
 
     Contact by a penalty on exact distances, frictionless, where ribs do not see each other; or by a barrier with the
-    design's friction and contact of all parts. A push of 5 mm and more buckles ribs, which takes more increments.
+    design's friction and contact of all parts. Each increment is looked at for surfaces of the finger that pass
+    through each other, which the result then tells. A push of 5 mm and more buckles ribs, which takes more increments.
 
     Parameters
     ----------
@@ -59,7 +62,8 @@ def press_finger(
     store
         Called after each increment with the press so far, for example to keep it for `resume`.
     contact
-        "auto": the penalty where it can, the barrier for friction and meshes of the user.
+        "auto": the penalty where it can, the barrier for friction and meshes of the user, and for a press whose parts
+        pass through each other by the penalty: it begins again.
     folder
         Where the design stands: the STL of an indenter is relative to it.
     budget_s
@@ -73,6 +77,8 @@ def press_finger(
     """
     if design.indenter.depth_mm <= 0.0:
         raise SimulateError(f"indenter.depth_mm = {design.indenter.depth_mm:g} mm: a press needs a depth above 0 mm")
+    if resume is not None and resume.kind == "barrier" and contact == "auto":
+        contact = "barrier"
     watch = Watch(progress, increments, budget_s)
     steps, depth = STEPS[preset or design.mesh.preset], design.indenter.depth_mm
     touch = press_contact(design, finger_mesh(design, preset), steps.pad_mm, contact, threads, folder)
@@ -106,6 +112,14 @@ def press_finger(
             refuse=lambda state, fraction: _passed_through(touch, state, fraction * depth, steps.pad_mm),
         ):
             history.add(step.fraction * depth, step.equilibrium)
+            if history.crossing and contact == "auto" and touch.kind == "penalty" and contact_library_failure() is None:
+                watch.reached(0, f"{history.crossing}; pressing again with contact of all parts")
+                found = press_finger(
+                    design, preset, increments, threads, progress, store=store, contact="barrier", folder=folder,
+                    budget_s=watch.left_s,
+                )  # fmt: skip
+                why = f"{found.contact}; by the penalty, which was tried first, {history.crossing}"
+                return replace(found, contact=why)
             if store is not None:
                 store(history.pressed())
             done = increments - sum(step.fraction < s for s in stops)
@@ -138,7 +152,7 @@ def _first_on_coarse(
     first = design.indenter.model_copy(update={"depth_mm": design.indenter.depth_mm / increments})
     try:
         shallow = design.model_copy(update={"indenter": first})
-        return press_finger(shallow, "coarse", 1, threads, watch.coarse, contact=contact, budget_s=watch.left_s)
+        return press_finger(shallow, "coarse", 1, threads, watch.coarse, contact="penalty", budget_s=watch.left_s)
     except SimulateError:
         return None
 
