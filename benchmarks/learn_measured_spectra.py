@@ -125,7 +125,9 @@ def as_json(spectra: MeasuredSpectra) -> str:
     stored = {
         "origin": spectra.origin,
         "u": [float(spectra.u[0]), float(spectra.u[-1]), spectra.u.size],
-        **{n: np.round(getattr(spectra, n), 4).tolist() for n in ("shapes", "directions", "ln_width_kk", "ln_width_sd")},
+        **{
+            n: np.round(getattr(spectra, n), 4).tolist() for n in ("shapes", "directions", "ln_width_kk", "ln_width_sd")
+        },
         "members": spectra.members.astype(int).tolist(),
     }
     return json.dumps(stored, separators=(",", ":")).replace('],"', '],\n"').replace("],[", "],\n[") + "\n"

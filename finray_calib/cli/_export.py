@@ -345,8 +345,7 @@ def add_export(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
 def run_export(arguments: argparse.Namespace) -> None:
     """Export and report."""
     from data_schemas import PaintCalibration, RecordError, provenance
-    from data_schemas.storage import assumed_camera_response, read_camera_response, read_record, write_bytes
-    from data_schemas.storage import read_light
+    from data_schemas.storage import assumed_camera_response, read_camera_response, read_light, read_record, write_bytes
     from finray_calib.exchange import PAINT_FORMATS, ExportOptions, assumed_led
 
     other = OTHERS.get(str(arguments.paint[0]))

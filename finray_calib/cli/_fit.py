@@ -43,7 +43,10 @@ def add_fit(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
         help="record written by 'finray radiometry' (with --map: its pixel signals)",
     )
     parser.add_argument(
-        "--family", choices=FAMILY_NAMES, default="auto", help="report this family of curves (default: the prior learned from measured spectra)"
+        "--family",
+        choices=FAMILY_NAMES,
+        default="auto",
+        help="report this family of curves (default: the prior learned from measured spectra)",
     )
     parser.add_argument("--no-discrepancy", action="store_true", help="take the paint to be exactly of the family")
     parser.add_argument("--check", action="store_true", help="sample again with emcee, as an independent check")

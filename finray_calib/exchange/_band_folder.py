@@ -50,10 +50,10 @@ from data_schemas import (
 from data_schemas.storage import (
     assumed_camera_response,
     halogen_lamp,
-    read_light,
     read_bytes,
     read_camera_response,
     read_filter_curve,
+    read_light,
     read_table,
     read_toml,
     tiff_image,

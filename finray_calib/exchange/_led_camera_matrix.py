@@ -14,14 +14,11 @@ is exact for light that meets the paint once; light between paints needs their o
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from data_schemas import CurveError, Provenance, SpectralCurve, require_coverage
-from data_schemas.storage import read_table
+from data_schemas import Provenance, SpectralCurve, require_coverage
 from finray_calib.exchange._paint_spectra import PaintSpectra, readable_json
 
 Floats = NDArray[np.float64]

@@ -97,7 +97,9 @@ def spectra_from_json(text: str) -> MeasuredSpectra:
     """Return prototypes from their file."""
     stored = json.loads(text)
     first, last, count = stored["u"]
-    arrays = {name: np.array(stored[name]) for name in ("shapes", "directions", "members", "ln_width_kk", "ln_width_sd")}
+    arrays = {
+        name: np.array(stored[name]) for name in ("shapes", "directions", "members", "ln_width_kk", "ln_width_sd")
+    }
     return MeasuredSpectra(u=np.linspace(first, last, int(count)), origin=stored["origin"], **arrays)
 
 
@@ -142,7 +144,8 @@ class Components:
         """Return all directions but those of the process and the second dye, (C, 3 + J, L)."""
         u, curves = self.positions(chosen), self.curves[chosen]
         learned = np.stack(
-            [np.interp(u.ravel(), self.spectra.u, v, 0.0, 0.0).reshape(u.shape) for v in self.spectra.directions], axis=1
+            [np.interp(u.ravel(), self.spectra.u, v, 0.0, 0.0).reshape(u.shape) for v in self.spectra.directions],
+            axis=1,
         )
         edge = _EDGE_SD * curves / (1 + np.exp(np.clip((0.5 - u) / 0.12, -60, 60)))
         return np.concatenate([self.moved(chosen), learned * self._above, edge[:, None]], axis=1)
@@ -390,7 +393,7 @@ def _scored(
     ln = -0.5 * np.einsum("ni,nij,nj->n", residual, inverse, residual) + 0.5 * np.linalg.slogdet(inverse)[1]
     ln += -0.5 * (precision * (found - mean) ** 2).sum(axis=1) + 0.5 * np.log(precision).sum(axis=1)
     ln += -0.5 * np.linalg.slogdet(information)[1] + ln_prior - 0.5 * rig.y.size * np.log(2 * np.pi)
-    return np.where(found[:, 0] > 0, ln, -np.inf), found, information, inverse
+    return np.where(found[:, 0] > 0, ln, -np.inf), np.asarray(found), information, np.asarray(inverse)
 
 
 def _first_pass(rig: _Rig, parts: Components, bands: Floats, seen: NDArray[np.int64]) -> _Scored:
@@ -444,9 +447,7 @@ def _second_pass(
         rig, parts, bands, every, np.concatenate(departures), covariance, np.concatenate(ln_prior), height
     )
     weight, evidence = _weights(ln)
-    return _Scored(
-        every, np.concatenate(sizes), np.concatenate(seconds), found, information, inverse, weight, evidence
-    )
+    return _Scored(every, np.concatenate(sizes), np.concatenate(seconds), found, information, inverse, weight, evidence)
 
 
 def _above(parts: Components) -> Floats:

@@ -33,7 +33,6 @@ from data_schemas import (
     PaintCalibration,
     PaintWithoutEmission,
     PriorSensitivity,
-    Reradiation,
 )
 from finray_calib.fit._absorption import matrix_warnings, paint_absorption, refuse_unfit_lights
 from finray_calib.fit._band_data import BandData, band_data
@@ -49,7 +48,6 @@ from finray_calib.fit._reported_spectrum import (
     prior_shares,
     reported_spectrum,
     simultaneous_band,
-    uses_learned_prior,
 )
 from finray_calib.spectra import WAVELENGTH_NM, CurveQuantities, family_named, from_mode_parameters, transmissions
 

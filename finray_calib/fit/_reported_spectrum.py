@@ -24,7 +24,13 @@ from data_schemas import PriorShare
 from finray_calib.fit._band_data import BandData
 from finray_calib.fit._emission import EmissionPosterior
 from finray_calib.fit._family_choice import FitOptions
-from finray_calib.fit._measured_spectra import SpectrumPosterior, components_of, fit_spectrum, learned_spectra, prior_curves
+from finray_calib.fit._measured_spectra import (
+    SpectrumPosterior,
+    components_of,
+    fit_spectrum,
+    learned_spectra,
+    prior_curves,
+)
 from finray_calib.spectra import CurveQuantities, curve_quantities, photon_yield
 
 Floats = NDArray[np.float64]
@@ -99,7 +105,9 @@ def reported_spectrum(
     """
     if uses_learned_prior(options):
         title = MEASURED_SPECTRA_TITLE
-        found = fit_spectrum(data, options.spectra or learned_spectra(), options.prior.ln_blocking_sd, len(posterior.draws), rng)
+        found = fit_spectrum(
+            data, options.spectra or learned_spectra(), options.prior.ln_blocking_sd, len(posterior.draws), rng
+        )
     else:
         title, found = posterior.family.title, _of_family(posterior)
     return _conserving(title, found, data)
@@ -160,7 +168,11 @@ def simultaneous_band(curves: Floats) -> tuple[Floats, Floats]:
 
 
 def prior_shares(
-    reported: ReportedSpectrum, data: BandData, options: FitOptions, posterior: EmissionPosterior, rng: np.random.Generator
+    reported: ReportedSpectrum,
+    data: BandData,
+    options: FitOptions,
+    posterior: EmissionPosterior,
+    rng: np.random.Generator,
 ) -> dict[str, PriorShare]:
     """Return how much of mode, width, peak and yield is prior, by name.
 

@@ -131,8 +131,8 @@ def prior_share_statement(paint: FittedPaint) -> str:
     largest = max((n for n in shares if n in QUANTITIES), key=lambda name: shares[name].share)
     if weak:
         return paint.titled(
-            f"emission constrained in part: {', '.join(weak)} mostly prior, because more than half of the variance that "
-            "it had before the measurement is left."
+            f"emission constrained in part: {', '.join(weak)} mostly prior, because more than half of the variance "
+            "that it had before the measurement is left."
         )
     return paint.titled(
         f"the measurement decides: of the variance before it at most {percent(shares[largest].share)} is left "
@@ -294,7 +294,13 @@ def quantities_table(paint: FittedPaint) -> ReportTable:
         (label, NO_VALUE, NO_VALUE, estimate_text(fit.paper[name], unit), *blank)
         for name, (label, unit) in _PAPER_SYMBOLS.items()
     ]
-    columns = ("quantity", "fit", "prior left (shift)", "the paper's curve alone", *([] if truth is None else [f"{truth.word} value"]))
+    columns = (
+        "quantity",
+        "fit",
+        "prior left (shift)",
+        "the paper's curve alone",
+        *([] if truth is None else [f"{truth.word} value"]),
+    )
     groups = (TableGroup("", tuple(rows)), TableGroup("The paper's four parameters, in its symbols", tuple(symbols)))
     return ReportTable(paint.titled("emission, median and 95 % interval"), columns, groups)
 
