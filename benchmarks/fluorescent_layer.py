@@ -20,7 +20,7 @@ from scipy.special import expn
 
 Floats = NDArray[np.float64]
 NM: Floats = np.arange(360.0, 801.0, 5.0)
-SLICES = 20
+SLICES = 32  # thin ones at the surface: the source is flat within a slice
 LAST_MAXIMUM_REL = 0.3
 
 
@@ -79,20 +79,17 @@ def transport(optical: float, albedo: float, backing: float, inside: float) -> t
         isotropically in each slice; (N + 2,) the same of diffuse light that enters; (N + 2,) shares of what leaves, of
         photons from each slice and, last, of light that enters.
     """
-    n, tau = SLICES, optical / SLICES
-    edges = tau * np.arange(n + 1)
-    e3 = expn(3, edges)
-    gap = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) - 1
-    between = expn(3, tau * np.arange(n + 2))
-    g = np.maximum(gap, 0)
+    n, edges = SLICES, optical * (np.arange(SLICES + 1) / SLICES) ** 2
+    tau = np.diff(edges)
+    e3 = expn(3, np.abs(edges[:, None] - edges))
     flights = np.zeros((n + 2, n + 2))  # slices, backing (emits up), surface (emits down)
-    flights[:n, :n] = (between[g] - 2 * between[g + 1] + between[g + 2]) / (2 * tau)
-    flights[np.arange(n), np.arange(n)] = 1 - (0.5 - between[1]) / tau
-    up, down = (e3[:-1] - e3[1:]) / (2 * tau), ((e3[:-1] - e3[1:]) / (2 * tau))[::-1]
-    flights[:n, n], flights[:n, n + 1] = down, up
-    entering = 2 * (e3[:-1] - e3[1:])
-    flights[n, :n], flights[n + 1, :n] = entering[::-1], entering
-    flights[n, n + 1] = flights[n + 1, n] = 2 * e3[-1]
+    apart = e3[:-1, :-1] - e3[1:, :-1] - e3[:-1, 1:] + e3[1:, 1:]
+    flights[:n, :n] = np.abs(apart) / (2 * tau[:, None])
+    flights[np.arange(n), np.arange(n)] = 1 - (0.5 - np.diag(e3, 1)) / tau
+    flights[:n, n] = (e3[1:, n] - e3[:-1, n]) / (2 * tau)
+    flights[:n, n + 1] = (e3[:-1, 0] - e3[1:, 0]) / (2 * tau)
+    flights[n, :n], flights[n + 1, :n] = 2 * tau * flights[:n, n] * 2, 2 * tau * flights[:n, n + 1] * 2
+    flights[n, n + 1] = flights[n + 1, n] = 2 * e3[0, n]
     goes_on = np.concatenate([np.full(n, albedo), [backing, inside]])
     visits = np.linalg.solve(np.eye(n + 2) - flights * goes_on, flights)  # expected arrivals after any start
     leaves = visits[:, n + 1] * (1 - inside)

@@ -241,7 +241,8 @@ def clustered(rows: list[dict[str, Any]], key: str) -> tuple[float, float]:
 
 
 KEYS = (
-    "curve95", "curve68", "whole_in_pointwise", "simultaneous95", "mode_nm:95", "mode_nm:68", "fwhm_nm:95", "fwhm_nm:68",
+    "curve95", "curve68", "whole_in_pointwise", "simultaneous95", "mode_nm:95", "mode_nm:68", "fwhm_nm:95",
+    "fwhm_nm:68",
     "peak_per_nm:95", "peak_per_nm:68", "energy_yield:95", "energy_yield:68", "reflectance_at_laser:95", "stokes:95",
     "stokes:68", "stokes_of_largest:95", "rgb:95", "rgb:68", "width",
 )  # fmt: skip
@@ -250,9 +251,8 @@ KEYS = (
 def table(rows: list[dict[str, Any]]) -> str:
     """Return the table of the measured shares, all and by group."""
     fitted = [r for r in rows if "error" in r]
-    lines = [
-        f"{len(rows)} cases of {len({r['name'] for r in rows})} fluorophores; no emission found in {len(rows) - len(fitted)}"
-    ]
+    names = len({r["name"] for r in rows})
+    lines = [f"{len(rows)} cases of {names} fluorophores; no emission found in {len(rows) - len(fitted)}"]
     sets = {"all": fitted, **{g: [r for r in fitted if r["group"] == g] for g in GROUPS}}
     sets = {name: chosen for name, chosen in sets.items() if chosen}
     lines.append(f"{'':24s}" + "".join(f"{f'{n} ({len(c)})':>18s}" for n, c in sets.items()))

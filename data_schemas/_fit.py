@@ -87,8 +87,8 @@ class Reradiation(Model):
         description="paired one to one with the emission draws they were made from"
     )
     stokes_shift_nm: Estimate = Field(
-        description="maximum of emission minus last (longest) maximum of absorption, nm; before version 7 of the record "
-        "of the paint its prior was narrower, normal(35, 15) nm"
+        description="maximum of emission minus last (longest) maximum of absorption, nm; before version 7 of "
+        "the record of the paint its prior was narrower, normal(35, 15) nm"
     )
     stokes_shift_draws_nm: Annotated[Floats, ArraySpec("<f8", ("draw",), "nm")]
     measured_at_nm: tuple[WavelengthNm, ...] = Field(description="excitation lights with a measured yield")
@@ -301,7 +301,8 @@ class PaintCalibration(Record):
     """Emission spectrum of one paint with its uncertainty.
 
     The emission is a bispectral radiance factor per nm for excitation at the laser line (nm^-1): draws under the prior
-    learned from measured spectra, or curves of a family that was asked for, plus the discrepancy. ``paper`` holds the paper's skew-Cauchy without discrepancy, in its symbols:
+    learned from measured spectra, or curves of a family that was asked for, plus the discrepancy. ``paper`` holds
+    the paper's skew-Cauchy without discrepancy, in its symbols:
     location_nm = lambda_0 (not the peak), scale_nm = gamma, skewness = omega, amplitude_nm = h.
     """
 

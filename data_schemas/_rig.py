@@ -284,8 +284,8 @@ class LampSettings(Model):
     def _spectrum_is_known(self) -> "LampSettings":
         if not re.fullmatch(PLANCK_OR_CSV, self.spectrum) or not 1500.0 <= self.temperature_k <= 9999.0:
             raise ValueError(
-                f"spectrum: {self.spectrum!r} is not known; write planck-2856K (a temperature from 1500 K in kelvin), or "
-                "the name of a CSV file (wavelength_nm,power_rel) with the measured spectrum"
+                f"spectrum: {self.spectrum!r} is not known; write planck-2856K (a temperature from 1500 K in kelvin), "
+                "or the name of a CSV file (wavelength_nm,power_rel) with the measured spectrum"
             )
         return self
 

@@ -365,7 +365,7 @@ class _Sampler:
         return np.exp(shapes + self.deviation.draw(residual, self.rng)), self.mode_nm[rows] - columns[0]
 
     def draw_below(self, ceiling: Floats) -> tuple[Floats, Floats, float, float]:
-        """Return absorptions, shifts (nm), the share of draws first above the (N, E) ceiling, and above it at the laser."""
+        """Return absorptions, shifts (nm), and the shares first above the (N, E) ceiling and above it at the laser."""
         count = self.mode_nm.size
         draws, shift_nm = self.draw(np.arange(count))
         rows = np.flatnonzero((draws > ceiling).any(axis=1))

@@ -3,7 +3,8 @@ r"""Normalised band values of one region, ready to fit, and the directions in wh
 .. math:: y = \mu(\theta) + U k + e, \quad k \sim N(0, I), \quad e \sim N(0, S)
 
 One column of U per band for each of: its calibration, its blocking, its filter's centre and its filter's width; and one
-for the temperature of the lamp, which moves all bands together. The imperfections k are integrated out analytically, :math:`y \sim N(\mu, S + U U^T)`.
+for the temperature of the lamp, which moves all bands together. The imperfections
+k are integrated out analytically, :math:`y \sim N(\mu, S + U U^T)`.
 
 U is fixed before sampling: the calibration columns from the measured values, the others at a reference fit. Were U
 to move with the model, a model that cannot follow the data could buy likelihood by predicting too much, because

@@ -248,8 +248,8 @@ def choose_family(scores: Mapping[str, FamilyScore]) -> tuple[str, str]:
     left_out = f"left-out bands: {best} {gain:+.1f} +- {scores[best].difference_sd:.1f} nats"
     if scores[DEFAULT_FAMILY].probability < SMALLEST_DEFAULT_PROBABILITY:
         return DEFAULT_FAMILY, (
-            f"{DEFAULT_FAMILY}: the default, although it is improbable given these bands (probabilities {told}), because "
-            f"{best} does not predict left-out bands clearly better ({left_out})"
+            f"{DEFAULT_FAMILY}: the default, although it is improbable given these bands (probabilities {told}), "
+            f"because {best} does not predict left-out bands clearly better ({left_out})"
         )
     return DEFAULT_FAMILY, (
         f"{DEFAULT_FAMILY}: the default, because the bands do not clearly tell the families apart (probabilities "

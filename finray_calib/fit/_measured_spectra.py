@@ -393,7 +393,7 @@ def _scored(
     ln = -0.5 * np.einsum("ni,nij,nj->n", residual, inverse, residual) + 0.5 * np.linalg.slogdet(inverse)[1]
     ln += -0.5 * (precision * (found - mean) ** 2).sum(axis=1) + 0.5 * np.log(precision).sum(axis=1)
     ln += -0.5 * np.linalg.slogdet(information)[1] + ln_prior - 0.5 * rig.y.size * np.log(2 * np.pi)
-    return np.where(found[:, 0] > 0, ln, -np.inf), found, information, inverse
+    return np.where(found[:, 0] > 0, ln, -np.inf), np.asarray(found), information, np.asarray(inverse)
 
 
 def _first_pass(rig: _Rig, parts: Components, bands: Floats, seen: NDArray[np.int64]) -> _Scored:

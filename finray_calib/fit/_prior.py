@@ -250,8 +250,8 @@ class AbsorptionPrior:
         return {
             "stokes_shift_nm": f"{1 - self.wide_stokes_share:.0%} with a median of {self.stokes_median_nm:g} nm, "
             f"{self.wide_stokes_share:.0%} of {self.wide_stokes_median_nm:g} nm (log-normal in shift + "
-            f"{_STOKES_OFFSET_NM:g} nm, sd {self.ln_stokes_sd:g} and {self.ln_wide_stokes_sd:g}); 142 fluorophores: 95 % "
-            "lie within 3 to 240 nm",
+            f"{_STOKES_OFFSET_NM:g} nm, sd {self.ln_stokes_sd:g} and {self.ln_wide_stokes_sd:g}); 142 fluorophores: "
+            "95 % lie within 3 to 240 nm",
             "peak_absorbance": f"log-normal, median {self.absorbance_median_factor:g}, sd of the logarithm "
             f"{self.ln_absorbance_sd:g}; from thin to saturated layers",
             "red_half_width_nm": f"log-normal, median {self.red_half_width_median_nm:g} nm, sd of the logarithm "

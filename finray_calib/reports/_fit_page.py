@@ -111,8 +111,8 @@ def _fit_findings(paint: FittedPaint, verdict: Verdict) -> tuple[str, ...]:
     """Return the sentences below the verdict: why it is so, the bands, the family, the absorption."""
     reasons = {
         "Fit can be used": "The draws are trusted, every band is explained, and there are no warnings.",
-        "Use with care": f"The draws are trusted; read the warnings first ({len(paint.fit.warnings)}, below), and what is "
-        "mostly prior.",
+        "Use with care": f"The draws are trusted; read the warnings first ({len(paint.fit.warnings)}, below), and what "
+        "is mostly prior.",
         "Do not use": "The draws of the posterior cannot be trusted, so neither can any number of this page.",
     }
     conclusion = said.bands_conclusion(paint)
@@ -138,7 +138,7 @@ def _fit_limits(paint: FittedPaint) -> tuple[str, ...]:
 
 def _assumptions(paint: FittedPaint) -> tuple[str, ...]:
     """List what was taken for granted."""
-    optics, fit = paint.fit.optics, paint.fit
+    optics = paint.fit.optics
     sources = sorted({curve.source for curve in optics.camera_response})
     centers = ", ".join(f"{band.center_nm:g}" for band in optics.filters)
     centre_nm, width_nm, leak_od = (

@@ -131,8 +131,8 @@ def prior_share_statement(paint: FittedPaint) -> str:
     largest = max((n for n in shares if n in QUANTITIES), key=lambda name: shares[name].share)
     if weak:
         return paint.titled(
-            f"emission constrained in part: {', '.join(weak)} mostly prior, because more than half of the variance that "
-            "it had before the measurement is left."
+            f"emission constrained in part: {', '.join(weak)} mostly prior, because more than half of the variance "
+            "that it had before the measurement is left."
         )
     return paint.titled(
         f"the measurement decides: of the variance before it at most {percent(shares[largest].share)} is left "
