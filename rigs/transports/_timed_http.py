@@ -15,6 +15,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from statistics import fmean, median
 from types import TracebackType
 from typing import Any, Final, Self
 from urllib.parse import urlsplit
@@ -343,7 +345,7 @@ SILENCE_S: Final = 600.0
 
 
 PACE_OF_PARTS: Final = 32
-"""Of so many parts the mean interval is the stream's pace; what is held back and comes later leaves it as it is."""
+"""So many parts tell the stream's pace."""
 
 
 class NewestPart:
@@ -418,7 +420,9 @@ class NewestPart:
     def _behind_pace_s(self, begun_s: float) -> float:
         """Return how much later a part begins than the fastest ones before it let expect, at the stream's pace (s)."""
         self._begun_s.append(begun_s)
-        pace_s = (begun_s - self._begun_s[0]) / max(len(self._begun_s) - 1, 1)
+        intervals_s = [after_s - before_s for before_s, after_s in pairwise(self._begun_s)] or [0.0]
+        # What is held back and not caught up with raises the mean; the median falls in a burst, which only waits longer.
+        pace_s = min(fmean(intervals_s), median(intervals_s))
         return max(begun_s - before_s - number * pace_s for number, before_s in enumerate(reversed(self._begun_s)))
 
     def close(self) -> None:
