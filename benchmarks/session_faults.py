@@ -197,7 +197,9 @@ def camera_session(outcome: Outcome, device: Device, chance: random.Random, most
                     time.sleep(2.0)
                     continue
                 outcome.longest_frame_s = max(outcome.longest_frame_s, time.time() - asked_s)
-                outcome.wrong += settings.driver == "mjpeg" and instant_of(raw) < asked_s - ROUNDED_S
+                if settings.driver == "mjpeg" and (age_s := asked_s - instant_of(raw)) > ROUNDED_S:
+                    outcome.wrong += 1
+                    print(f"a picture {age_s:.2f} s older than its request, after {device.line.suffered[-2:]}")
                 outcome.frames += 1
     outcome.repeated = len(told)
 

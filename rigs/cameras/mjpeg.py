@@ -105,10 +105,9 @@ class MjpegCamera:
     def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
         """Return the fourth picture that arrives after the call, (H, W, 3) RGB of 8 bits; `exposure_s` is not set.
 
-        Pictures that come in a burst were held back on the way: four must have come at the stream's own pace. Where the
-        server stamps its pictures, one that took longer than the fastest of this connection by more than the time since
-        the call is passed over too. What stays unknown is a delay that every picture of a stream has; no stream tells
-        it.
+        Pictures that were held back on the way are passed over: those behind the stream's pace, and where the server
+        stamps its pictures, those that took longer than the fastest of this connection. What stays unknown is a delay
+        that every picture of a stream has; no stream tells it.
 
         Raises
         ------
@@ -152,8 +151,7 @@ class MjpegCamera:
             self._require_online(part)
             age_s = _number(part, "x-ustreamer-send-time") - _number(part, "x-ustreamer-grab-time")
             old = math.isfinite(age_s) and part.begun_s - age_s < started_s
-            fresh = min(count - before, part.steady) > STALE_PARTS and part.begun_s >= started_s
-            if fresh and not old and part.taken_s >= started_s:
+            if count - before > STALE_PARTS and part.taken_s >= started_s and not old:
                 return part
             if time.monotonic() > end_s:
                 raise TimedOutError(

@@ -50,6 +50,10 @@ Progress = Callable[[int, int, str], None]
 T = TypeVar("T")
 Rates = tuple[float, float, float]
 
+Mend = Callable[[str], bool]
+"""Tells somebody what is to be mended; returns, when it is, whether to go on."""
+MOST_REPAIRS = 5
+
 LARGEST_CHANGE = 1.25
 """Factor by which the signal of a step may differ from its metering; lamps warm up by less, filters differ by more."""
 LEAST_SIGNAL_FRACTION = 0.02  # of full scale: below it a change cannot be told from the dark level
@@ -68,7 +72,9 @@ class PaintRecorder:
         progress: Progress | None,
         interrupted: Interrupted | None,
         last_good: CaptureSession | None,
+        mend: Mend,
     ):
+        self._mend = mend
         self._opened, self._rig, self._plan, self._last_good = opened, rig, plan, last_good
         self._journal, self._progress, self._store = journal, progress, store
         self._ladder = exposure_ladder(rig.camera.shortest_exposure_s, rig.camera.longest_exposure_s)
@@ -87,8 +93,7 @@ class PaintRecorder:
         for step in steps:
             if step.label in self._before:
                 self._exposures_s[step], self._rates[step] = self._before[step.label]
-        self._walk([(s, s) for s in steps[::-1] if s not in self._exposures_s], "metering", self._meter)
-        self._prove(steps)
+        self._meter_and_prove(steps)
         longest_s = {step: self._exposures_s[step][0] for step in steps}
         steps = with_repeat(steps, self._plan.excitation_filter, longest_s)
         for step in steps:
@@ -106,6 +111,22 @@ class PaintRecorder:
         ):
             shots = [shot for shot in missing if first <= shot.sequence < last]
             self._walk([(shot.step, shot) for shot in shots], phase, self._take)
+
+    def _meter_and_prove(self, steps: tuple[Step, ...]) -> None:
+        """Meter and prove the filters; where somebody mends what the frames contradict, do both again."""
+        for repair in range(MOST_REPAIRS + 1):
+            self._walk([(s, s) for s in steps[::-1] if s not in self._exposures_s], "metering", self._meter)
+            try:
+                self._prove(steps)
+            except WrongPositionError as error:
+                # Frames that are there were taken behind the filters in doubt: a resumption sets them aside.
+                if repair == MOST_REPAIRS or self._store.frames or not self._mend(str(error)):
+                    raise
+                self._journal.append("repair", text=str(error))
+                for known in (self._exposures_s, self._rates, self._metered_s):
+                    known.clear()
+            else:
+                return
 
     def white_rates(self) -> tuple[tuple[float, float, float], ...]:
         """Return the rates of the white tile behind each filter in the order of the plan, DN/s."""
@@ -285,6 +306,7 @@ def capture_paint_session(
     interrupted: Interrupted | None = None,
     last_good: CaptureSession | None = None,
     sources: Mapping[str, str] | None = None,
+    mend: Mend = lambda text: False,
 ) -> CaptureSession:
     """Capture a paint session into the folder `out`: frames, journal, ``session.json`` and checksums.
 
@@ -312,6 +334,9 @@ def capture_paint_session(
         An earlier session on this rig whose white frames these must resemble.
     sources
         Path -> SHA-256 of the files that plan and rig were read from, for the provenance.
+    mend
+        Called with a text when the frames contradict the filters; True goes on with the proofs taken again. Nobody
+        mends anything when left out.
 
     Raises
     ------
@@ -332,7 +357,7 @@ def capture_paint_session(
         if interrupted is not None:
             require_same_inputs(interrupted, inputs)
         return capture_with(
-            opened, rig, plan, steps, out, inputs, command, progress, interrupted, last_good, rig_folder, sources
+            opened, rig, plan, steps, out, inputs, command, progress, interrupted, last_good, rig_folder, sources, mend
         )
 
 
@@ -349,6 +374,7 @@ def capture_with(
     last_good: CaptureSession | None = None,
     rig_folder: Path = Path(),
     sources: Mapping[str, str] | None = None,
+    mend: Mend = lambda text: False,
 ) -> CaptureSession:
     """Capture the `steps` of a paint session with devices that are open already."""
     out.mkdir(parents=True, exist_ok=True)
@@ -365,7 +391,7 @@ def capture_with(
         for note in opened.notes:
             journal.append("note", text=note)
         with faults_noted(journal), FrameStore(opened, rig, plan.region, out, journal, interrupted) as store:
-            recorder = PaintRecorder(opened, rig, plan, store, journal, progress, interrupted, last_good)
+            recorder = PaintRecorder(opened, rig, plan, store, journal, progress, interrupted, last_good, mend)
             recorder.record(steps)
         session = CaptureSession(
             plan=plan,

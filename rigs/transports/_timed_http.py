@@ -15,7 +15,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from statistics import fmean
+from itertools import pairwise
+from statistics import fmean, median
 from types import TracebackType
 from typing import Any, Final, Self
 from urllib.parse import urlsplit
@@ -142,19 +143,16 @@ class Part:
         The bytes between the headers and the next boundary.
     begun_s
         Reading of :func:`time.monotonic` when the first byte of the part had come.
-    steady
-        How many parts in a row, up to this one, came at the stream's own pace. Parts that a line held back come in a
-        burst afterwards, and the first of them are old.
     taken_s
-        When it was taken by its sender's stamp, as a reading of :func:`time.monotonic`: as if the fastest part of the
-        stream had taken no time on its way. Infinite without a stamp.
+        Latest reading of :func:`time.monotonic` at which its content can have been there to be sent, as far as the
+        stream tells: by its sender's stamp, as if the fastest part of the stream had taken no time on its way, and by
+        the stream's pace. Parts that a line held back are behind the pace, until the line has caught up.
     """
 
     headers: Mapping[str, str]
     body: bytes
     begun_s: float
-    steady: int = 0
-    taken_s: float = math.inf
+    taken_s: float = -math.inf
 
 
 class MultipartStream:
@@ -346,10 +344,8 @@ SILENCE_S: Final = 600.0
 """A stream that sends nothing for so long has ended."""
 
 
-PACE_OF_PARTS: Final = 31
-"""Of so many intervals between parts the mean is the pace of the stream; what is held back and then comes leaves it."""
-BURST_SHARE: Final = 0.25
-"""Of the pace: parts closer to each other than that were held back on the way."""
+PACE_OF_PARTS: Final = 32
+"""So many parts tell the stream's pace."""
 
 
 class NewestPart:
@@ -367,7 +363,7 @@ class NewestPart:
         self._stream, self._stamp_s, self._least_lag_s = stream, stamp_s, math.inf
         self._news = threading.Condition()
         self._count, self._part = 0, Part({}, b"", 0.0)
-        self._intervals_s: deque[float] = deque(maxlen=PACE_OF_PARTS)
+        self._begun_s: deque[float] = deque(maxlen=PACE_OF_PARTS)
         self._error: CaptureError | None = None
         self._thread = threading.Thread(target=self._read, name="mjpeg-reader", daemon=True)
         self._thread.start()
@@ -413,17 +409,21 @@ class NewestPart:
                 self._news.wait(left_s)
             return self._count, self._part
 
-    def _paced(self, part: Part) -> Part:
-        """Return a part with how many came at the stream's pace up to it, and when it was taken."""
+    def _timed(self, part: Part) -> Part:
+        """Return a part with when it was taken."""
+        taken_s = part.begun_s - self._behind_pace_s(part.begun_s)
         if (stamp_s := self._stamp_s(part)) is not None:
             self._least_lag_s = min(self._least_lag_s, part.begun_s - stamp_s)
-            part = replace(part, taken_s=stamp_s + self._least_lag_s)
-        if not self._count:
-            return part
-        interval_s = part.begun_s - self._part.begun_s
-        self._intervals_s.append(interval_s)
-        in_burst = interval_s < BURST_SHARE * fmean(self._intervals_s)
-        return replace(part, steady=0 if in_burst else self._part.steady + 1)
+            taken_s = min(taken_s, stamp_s + self._least_lag_s)
+        return replace(part, taken_s=taken_s)
+
+    def _behind_pace_s(self, begun_s: float) -> float:
+        """Return how much later a part begins than the fastest ones before it let expect, at the stream's pace (s)."""
+        self._begun_s.append(begun_s)
+        intervals_s = [after_s - before_s for before_s, after_s in pairwise(self._begun_s)] or [0.0]
+        # What is held back and not caught up with raises the mean; the median falls in a burst, which only waits longer.
+        pace_s = min(fmean(intervals_s), median(intervals_s))
+        return max(begun_s - before_s - number * pace_s for number, before_s in enumerate(reversed(self._begun_s)))
 
     def close(self) -> None:
         """End the stream and its thread."""
@@ -440,6 +440,6 @@ class NewestPart:
                 error = ended
             with self._news:
                 if error is None:
-                    self._count, self._part = self._count + 1, self._paced(part)
+                    self._count, self._part = self._count + 1, self._timed(part)
                 self._error = error
                 self._news.notify_all()

@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas import CaptureError, DeviceIdentity, PaintPlan, RigFile, WrongPositionError
+from data_schemas import CaptureError, CaptureSession, DeviceIdentity, PaintPlan, RigFile, WrongPositionError
 from rigs import FilterWheel, open_rig
-from rigs.capture import paint_steps, read_session
+from rigs.capture import Interrupted, paint_steps, read_interrupted, read_session
+from rigs.capture import _paint_session as paint_session
 from rigs.capture._filter_proof import compare_with_last, judge_filters
+from rigs.capture._journal import read_journal
 from rigs.capture._paint_session import capture_with
 
 NAMES = ("405", "450", "500", "532", "560", "600", "630", "660")
@@ -173,3 +175,59 @@ def test_session_unlike_an_earlier_one_is_refused(rig: RigFile, plan: PaintPlan,
     other = session.model_copy(update={"white_rates_dn_per_s": tuple(tuple(row) for row in rates)})
     with open_rig(rig, Path()) as opened, pytest.raises(CaptureError, match="differs from the earlier session"):
         capture_with(opened, rig, plan, paint_steps(plan, rig), tmp_path, {}, "finray capture", last_good=other)
+
+
+@pytest.mark.parametrize("where", ["at the terminal", "by resuming"])
+def test_exchanged_filters_that_are_put_right_let_the_session_go_on(
+    rig: RigFile, plan: PaintPlan, tmp_path: Path, where: str
+) -> None:
+    """The bench's filters are exchanged, found, and put right; the proofs are taken again, not remembered."""
+    small = plan.model_copy(update={"filters": ("450", "532", "600"), "bracket": (1.0,), "darks_per_exposure": 1})
+    steps, asked = paint_steps(small, rig), []
+    with open_rig(exchanged(rig, "450", "600"), Path()) as wrong, open_rig(rig, Path()) as right:
+
+        def put_right() -> None:
+            wrong.camera.bench = right.camera.bench
+
+        def mend(text: str) -> bool:
+            asked.append(text)
+            if where == "at the terminal":
+                put_right()
+            return where == "at the terminal"
+
+        def run(interrupted: Interrupted | None = None) -> CaptureSession:
+            return capture_with(
+                wrong, rig, small, steps, tmp_path, {}, "finray capture", interrupted=interrupted, mend=mend
+            )
+
+        if where == "by resuming":
+            with pytest.raises(WrongPositionError, match="450 and 600"):
+                run()
+            assert read_interrupted(tmp_path).metered == {}
+            put_right()
+            session = run(read_interrupted(tmp_path))
+        else:
+            session = run()
+    assert len(asked) == 1
+    assert "450 and 600" in asked[0]
+    assert session.filter_proof is not None
+    assert session.filter_proof.verdict != "contradicted"
+    repairs = [line for line in read_journal(tmp_path) if line["event"] == "repair"]
+    assert len(repairs) == (where == "at the terminal")
+
+
+def test_filters_that_stay_exchanged_end_the_session_after_some_repairs(
+    rig: RigFile, plan: PaintPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(paint_session, "MOST_REPAIRS", 1)
+    small = plan.model_copy(update={"filters": ("450", "532", "600"), "bracket": (1.0,), "darks_per_exposure": 1})
+    asked: list[str] = []
+    with (
+        open_rig(exchanged(rig, "450", "600"), Path()) as opened,
+        pytest.raises(WrongPositionError, match="450 and 600"),
+    ):
+        capture_with(
+            opened, rig, small, paint_steps(small, rig), tmp_path, {}, "finray capture",
+            mend=lambda text: not asked.append(text),
+        )  # fmt: skip
+    assert len(asked) == 1
