@@ -3,7 +3,8 @@
     python benchmarks/random_presses.py --seeds 0:100 --out bench-out/random-presses.jsonl [--budget 120]
 
 One line of JSON for each seed, written when its press has ended; seeds that stand in the file are left out, so that an
-interrupted run goes on and ranges of seeds add up. Coarse mesh, 5 mm in increments of 1 mm; cylinder, ball or cuboid, in
+interrupted run goes on and ranges of seeds add up. Coarse mesh, 5 mm in increments of 1 mm; cylinder, ball or
+cuboid, in
 any pose that meets the pad. The table of all lines of the file is printed at the end. Bars: at least 99 % end within
 the budget of processor time, converged, free of intersections and with an energy within 5 % of the work of the
 indenter (trapezoids of a force that bends), or, at most 5 %, are refused before the solve. Exit status 1 when one is

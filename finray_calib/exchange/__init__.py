@@ -65,7 +65,6 @@ __all__ = [
     "read_board_picture",
     "read_circles",
     "read_force_csv",
-    "read_light",
     "read_renders",
     "read_taxim",
     "read_tuning",
