@@ -187,11 +187,21 @@ def camera_session(outcome: Outcome, device: Device, chance: random.Random, most
     told: list[object] = []
     with open_camera(settings, Path()) as camera, faults_told(told.append):
         checked = exposing.TactileCamera(camera, settings, True, told.append)
+        exposure_s = settings.shortest_exposure_s
+
+        def take() -> RawFrame:
+            if outcome.rig != "indi camera":
+                return checked.expose(exposure_s)[0]
+            # INDI's is monochrome, which no tactile session takes: the same attempts without the check of colours.
+            deadline_s = exposure_s + exposing.CAMERA_DEADLINE_MARGIN_S
+            once = lambda attempt: exposing.exposed(camera, exposure_s, deadline_s)  # noqa: E731
+            return exposing.within_attempts(once, told.append, "a frame")[0]
+
         with mishaps(outcome.rig, device.line, chance, most):
             while outcome.frames < FRAMES_OF_A_SESSION:
                 asked_s = time.time()
                 try:
-                    raw, _ = checked.expose(settings.shortest_exposure_s)
+                    raw = take()
                 except CaptureError as error:
                     outcome.resumes.append(f"{type(error).__name__}: {error}")
                     time.sleep(2.0)

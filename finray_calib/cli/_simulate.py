@@ -197,10 +197,12 @@ def _positions(text: str) -> list[float]:
             places = sorted(float(part) for part in text.split(","))
     except (ValueError, OverflowError):
         places = []
-    if not places or len(set(places)) < len(places) or not all(map(math.isfinite, places)):
+    # a place is named in its file to 0.1 mm
+    if not places or not all(map(math.isfinite, places)) or len({f"{place:.1f}" for place in places}) < len(places):
         raise argparse.ArgumentTypeError(
             f"{text!r} must be FIRST:LAST:STEP in mm with a STEP of {SMALLEST_STEP_MM:g} mm or more, for example "
-            "8:64:4, or different places with commas between them, for example 8,15,35"
+            "8:64:4, "
+            "or places at least 0.1 mm apart with commas between them, for example 8,15,35"
         )
     return places
 

@@ -418,12 +418,16 @@ class NewestPart:
         return replace(part, taken_s=taken_s)
 
     def _behind_pace_s(self, begun_s: float) -> float:
-        """Return how much later a part begins than the fastest ones before it let expect, at the stream's pace (s)."""
+        """Return how much later a part may begin than it was taken, by the stream's pace (s).
+
+        That is how far it is behind the fastest ones before it, and one interval, as a few parts tell the pace roughly.
+        """
         self._begun_s.append(begun_s)
         intervals_s = [after_s - before_s for before_s, after_s in pairwise(self._begun_s)] or [0.0]
-        # What is held back and not caught up with raises the mean; the median falls in a burst, which only waits longer.
+        # What is held back and not caught up with raises the mean; the median falls in a burst, and then waits longer.
         pace_s = min(fmean(intervals_s), median(intervals_s))
-        return max(begun_s - before_s - number * pace_s for number, before_s in enumerate(reversed(self._begun_s)))
+        behind_s = (begun_s - before_s - number * pace_s for number, before_s in enumerate(reversed(self._begun_s)))
+        return pace_s + max(behind_s)
 
     def close(self) -> None:
         """End the stream and its thread."""

@@ -508,6 +508,12 @@ CASES = (
         r"indenter\.depth_mm = 6\.5 mm goes through the pad; it must be below .* 6\.0 mm",
         edited("finger.toml", "[camera]", "[indenter]\ndepth_mm = 6.5\n[camera]"),
     ),
+    Case("place off the pad", SWEEP + " --angles 0:90:30 --positions 8,90", r"90 mm is not on the pad, .* 0 to 70 mm"),
+    Case(
+        "places of one press",
+        SWEEP + " --angles 0:90:30 --positions 8,20 --surfaces {lab}/finger.toml",
+        r"--positions are places of a press by a formula, and --surfaces are of one place: sweep each with its own",
+    ),
     # compare and decide
     Case(
         "images of different size",
@@ -543,6 +549,16 @@ CASES = (
         "one capture twice",
         "decide {lab}/sweep.json --photometric-error {lab}/report.json --photometric-error {lab}/report.json",
         r"two reports are on the capture 'capture of the strip': the same capture would count twice\. Give one report",
+    ),
+    Case(
+        "one touch twice",
+        "decide {lab}/sweep.json {lab}/sweep.json",
+        r"two sweeps are of one touch \(position_mm = 35 mm\): it would count twice\. Give each sweep once",
+    ),
+    Case(
+        "weights that do not fit",
+        "decide {lab}/sweep.json --weights 1,2",
+        r"2 weights \(1, 2\) for 1 sweeps; give one number above 0 for each sweep",
     ),
     # import and demo
     Case(
@@ -626,6 +642,14 @@ USAGE = (
     Case("angles backwards", SWEEP + " --angles 120:0:10", r"'120:0:10': needs -90 <= FIRST < LAST <= 180 deg"),
     Case("angles too near", SWEEP + " --angles 0:120:1e-9", r"needs .* and a STEP of 0\.5 deg to LAST - FIRST"),
     Case("angles that are NaN", SWEEP + " --angles nan:nan:nan", r"'nan:nan:nan': needs -90 <= FIRST < LAST"),
+    Case(
+        "places in words",
+        SWEEP + " --angles 0:90:30 --positions all",
+        r"'all' must be FIRST:LAST:STEP in mm with a STEP",
+    ),
+    Case("places too near", SWEEP + " --angles 0:90:30 --positions 8,8.01", r"or places at least 0\.1 mm apart"),
+    Case("places backwards", SWEEP + " --angles 0:90:30 --positions 64:8:4", r"'64:8:4' must be FIRST:LAST:STEP in mm"),
+    Case("weights in words", "decide {lab}/sweep.json --weights often", r"'often' must be numbers above 0 with commas"),
     Case("no samples", BOTH + " --samples 0", r"'0' must be an even whole number from 2, for example 128"),
     Case("negative seed", "fit {lab}/bands.json --seed -1", r"argument --seed: -1 is out of range; give 0 or more"),
     Case("seed in words", "decide {lab}/sweep.json --seed one", r"argument --seed: 'one' is not a whole number"),
