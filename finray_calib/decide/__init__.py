@@ -2,8 +2,8 @@
 
 The objective's curve f over the angle is a random curve through the renders of one place, the real one f exp(p - t):
 p is a draw of the paints and t the sim-to-real error learnt from captures (its prior without any). An angle's value is
-the mean over the places, or the least, of the curve over its greatest value there. Joint draws give the probability that
-another angle is better and by how much; the verdict, the sentences and the next capture that helps most follow.
+the mean over the places, or the least, of the curve over its greatest value there. Joint draws give the probability
+that another angle is better and by how much; the verdict, the sentences and the next capture that helps most follow.
 """
 
 from typing import TYPE_CHECKING
