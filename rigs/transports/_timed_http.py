@@ -421,7 +421,7 @@ class NewestPart:
         """Return how much later a part begins than the fastest ones before it let expect, at the stream's pace (s)."""
         self._begun_s.append(begun_s)
         intervals_s = [after_s - before_s for before_s, after_s in pairwise(self._begun_s)] or [0.0]
-        # What is held back and not caught up with raises the mean; the median falls in a burst, which only waits longer.
+        # What is held back and not caught up with raises the mean; a burst lowers the median, which only waits longer.
         pace_s = min(fmean(intervals_s), median(intervals_s))
         return max(begun_s - before_s - number * pace_s for number, before_s in enumerate(reversed(self._begun_s)))
 
