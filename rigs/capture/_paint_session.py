@@ -38,7 +38,14 @@ from rigs.capture._exposure import (
     shine,
     under_light,
 )
-from rigs.capture._filter_proof import LaserLine, compare_with_last, judge_filters, predicted_rates
+from rigs.capture._filter_proof import (
+    LEAST_SIGNAL_FRACTION,
+    LaserLine,
+    compare_with_last,
+    judge_filters,
+    predicted_rates,
+    signal_floor,
+)
 from rigs.capture._frame_store import BYTES_PER_PIXEL, FrameStore, Shot, numbered
 from rigs.capture._journal import Journal, fault_notes, faults_noted
 from rigs.capture._plan import Step, paint_steps, with_repeat
@@ -56,7 +63,6 @@ MOST_REPAIRS = 5
 
 LARGEST_CHANGE = 1.25
 """Factor by which the signal of a step may differ from its metering; lamps warm up by less, filters differ by more."""
-LEAST_SIGNAL_FRACTION = 0.02  # of full scale: below it a change cannot be told from the dark level
 
 
 class PaintRecorder:
@@ -242,28 +248,18 @@ class PaintRecorder:
     def _prove(self, steps: tuple[Step, ...]) -> None:
         """Judge from the metered rates whether the wheel holds the filters that the rig file names."""
         self._white = tuple(step for step in steps if step.frame_type == "white")
-        measured = np.array(self.white_rates())
         known = {f.name: f for f in self._rig.filter_wheel.filters}
         filters = [known[str(step.filter_name)] for step in self._white]
-        opened = self._opened
-        predicted = predicted_rates(filters, opened.filter_curves, opened.lamp_spectrum, opened.camera_response)
-        names = [f.name for f in filters]
         line = self._laser_line(steps, filters)
-        excitation = self._plan.excitation_filter
-        self.proof = judge_filters(
-            names,
-            measured,
-            predicted,
-            lambda: self._rates_in_the_dark(self._white[0]),
-            [frozenset((excitation, other)) for other in line.not_exchanged()],
-        )
+        self.proof = self._judge_by_lamp(filters, line)
         if self.proof.verdict != "contradicted":
             under_laser = {str(s.filter_name): s for s in steps if s.frame_type == "fluorescence"}
             shown = line.judge(lambda name: self._rates_in_the_dark(under_laser[name]))
             verdict = shown.verdict if shown.verdict == "contradicted" else self.proof.verdict
             self.proof = FilterProof(verdict=verdict, text=f"{self.proof.text}; {shown.text}")
         if self._last_good is not None and self.proof.verdict != "contradicted":
-            repeated = compare_with_last(names, measured, self._last_good)
+            names, measured = [f.name for f in filters], np.array(self.white_rates())
+            repeated = compare_with_last(names, measured, self._last_good, self._floor(self._white))
             if repeated.verdict == "cannot tell":
                 repeated = FilterProof(verdict=self.proof.verdict, text=f"{self.proof.text}; {repeated.text}")
             self.proof = repeated
@@ -271,9 +267,30 @@ class PaintRecorder:
         if self.proof.verdict == "contradicted":
             raise WrongPositionError(f"filter wheel: {self.proof.text}")
 
+    def _judge_by_lamp(self, filters: Sequence[BandPassFilter], line: LaserLine) -> FilterProof:
+        """Judge from the rates of the white tile; before a conviction the dark level behind each filter is measured."""
+        opened, measured = self._opened, np.array(self.white_rates())
+        predicted = predicted_rates(filters, opened.filter_curves, opened.lamp_spectrum, opened.camera_response)
+        excitation = self._plan.excitation_filter
+        apart = [frozenset((excitation, other)) for other in line.not_exchanged()]
+
+        def judged(rates: NDArray[np.float64], floor: NDArray[np.float64]) -> FilterProof:
+            first = self._white[0]
+            names = [f.name for f in filters]
+            return judge_filters(names, rates, predicted, lambda: self._rates_in_the_dark(first), apart, floor)
+
+        proof = judged(measured, self._floor(self._white))
+        if proof.verdict != "contradicted":
+            return proof
+        # A wrong black level in the rig file colours every dim filter.
+        pairs = np.array([[self._rates_in_the_dark(step) for step in self._white] for _ in range(2)])
+        uncertainty_dn_per_s = np.abs(pairs[0] - pairs[1]).max(axis=1) / np.sqrt(2.0)
+        return judged(measured - pairs.mean(axis=0), self._floor(self._white, uncertainty_dn_per_s))
+
     def _laser_line(self, steps: tuple[Step, ...], filters: Sequence[BandPassFilter]) -> LaserLine:
         """Return what the metered rates under the laser say, in the order of the filters."""
-        rates = {(s.frame_type, s.filter_name): self._rates[s] for s in steps if s.light == "laser"}
+        lit = {(s.frame_type, s.filter_name): s for s in steps if s.light == "laser"}
+        rates = {key: self._rates[step] for key, step in lit.items()}
         excitation = self._plan.excitation_filter
         return LaserLine(
             filters,
@@ -283,7 +300,16 @@ class PaintRecorder:
             self._opened.camera_response,
             rates["laser white", excitation],
             [rates["fluorescence", f.name] for f in filters],
+            float(self._floor([lit["laser white", excitation]])[0]),
+            self._floor([lit["fluorescence", f.name] for f in filters]),
         )
+
+    def _floor(
+        self, steps: Sequence[Step], uncertainty_dn_per_s: NDArray[np.float64] | float = 0.0
+    ) -> NDArray[np.float64]:
+        """Return the rates above which the light of metered steps is a signal (DN/s)."""
+        exposures_s = [self._exposures_s[step][0] for step in steps]
+        return signal_floor(exposures_s, self._store.full_scale_dn, uncertainty_dn_per_s)
 
     def _rates_in_the_dark(self, lit: Step) -> Rates:
         """Return the rates of a step with its light off (DN/s)."""
