@@ -20,10 +20,11 @@ curve can be read back.
 """
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,12 +91,11 @@ class MeasuredSpectra:
 @lru_cache(maxsize=1)
 def learned_spectra() -> MeasuredSpectra:
     """Return what the package ships."""
-    return spectra_from_json(PROTOTYPES_FILE.read_text(encoding="utf-8"))
+    return spectra_of(json.loads(PROTOTYPES_FILE.read_text(encoding="utf-8")))
 
 
-def spectra_from_json(text: str) -> MeasuredSpectra:
-    """Return prototypes from their file."""
-    stored = json.loads(text)
+def spectra_of(stored: Mapping[str, Any]) -> MeasuredSpectra:
+    """Return prototypes from the content of their file."""
     first, last, count = stored["u"]
     arrays = {
         name: np.array(stored[name]) for name in ("shapes", "directions", "members", "ln_width_kk", "ln_width_sd")
@@ -229,7 +229,7 @@ class SpectrumPosterior:
         (n, B) draws of the calibration of each band, in prior standard deviations.
     ln_evidence
         Of the prior, nats.
-    effective_components
+    effective
         How many components share the posterior.
     chi2, degrees_of_freedom, p_value
         (B,) posterior mean chi-square of each band, its usable channels, and posterior predictive probability of a
@@ -244,7 +244,7 @@ class SpectrumPosterior:
     reflectance_at_laser: Floats
     imperfections: Floats
     ln_evidence: float
-    effective_components: float
+    effective: float
     chi2: Floats
     degrees_of_freedom: NDArray[np.int64]
     p_value: Floats
@@ -261,7 +261,7 @@ class _Rig:
     """
 
     data: BandData
-    leak: float
+    leak_factor: float
     ln_blocking_sd: float
     y: Floats = field(init=False)
     emission: Floats = field(init=False)
@@ -275,7 +275,7 @@ class _Rig:
         object.__setattr__(self, "laser", ((w.reflected_laser + more * w.leaked_laser) / white)[kept])
 
     def _mean_leak(self) -> tuple[Floats, Floats]:
-        more = self.leak * self.data.leak_mean - 1
+        more = self.leak_factor * self.data.leak_mean - 1
         return more, 1 + more * self.data.weights.leaked_white
 
     def columns(self, curve: Floats | None, reflectance: float) -> Floats:

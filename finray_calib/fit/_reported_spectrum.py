@@ -122,7 +122,7 @@ def _of_family(posterior: EmissionPosterior) -> SpectrumPosterior:
         reflectance_at_laser=posterior.reflectance_at_laser,
         imperfections=posterior.curve_draws.imperfections[:, :bands],
         ln_evidence=sample.ln_evidence,
-        effective_components=1.0,
+        effective=1.0,
         chi2=check.chi2,
         degrees_of_freedom=check.degrees_of_freedom,
         p_value=check.p_value,

@@ -60,7 +60,7 @@ EXCEPTIONS = {
     "p_within_5deg": "probability",
     **dict.fromkeys(("blanks_above", "false_alarm"), "share of blanks"),
     "yield_limit": "emitted over incident energy",
-    **dict.fromkeys(("statistic_sd", "threshold_sd"), "a number of standard deviations"),
+    **dict.fromkeys(("statistic_sd", "threshold_sd", "shift_sd"), "a number of standard deviations"),
     "p_within_tolerance": "probability",
     "nu": "smoothness of a Matern covariance, a number",
     **dict.fromkeys(("probability", "posterior_predictive_p", "p_conform"), "probability"),
