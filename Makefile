@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 OTHERS := .venv-others
 PYTHONS := 3.11 3.12 3.13
 
-.PHONY: plain demo test test-rigs test-pythons lint check-types contracts pytest schemas drawing reference notebooks lock check-arm llvm \
+.PHONY: plain demo test test-rigs test-pythons lint check-types contracts pytest schemas drawing reference lock check-arm llvm \
         rig-programs clean bench bench-fit bench-compare bench-optics bench-mechanics bench-fuzz verification
 
 # For a camera computer: everything but the simulation, on ARM too.
@@ -127,10 +127,6 @@ drawing: $(VENV)/installed-dev
 # The pages of docs/reference, from the code; tests fail when they differ.
 reference: $(VENV)/bin/python
 	$(BIN)/python -m docs.api_pages
-
-# What the notebooks of examples/ show; tests run them and fail when they show something else.
-notebooks: $(VENV)/installed-dev
-	$(BIN)/python -m examples.run
 
 # Renew the pinned versions and their hashes. Versions stay where they can; newest ones: make lock UPGRADE=--upgrade
 UPGRADE ?=
