@@ -4,7 +4,7 @@ Every test, benchmark, target of make and verb that a row names must exist. With
 pytest (``--junitxml``), two kinds of rows are written anew; no other row is touched, and nothing is filled in that was
 not measured:
 
-    python -m docs.verification_rows [--bench bench-out] [--junit tests.xml]
+    python -m docs.verification_rows [--bench bench-out] [--junit FILE.xml]
 
 - the table between the marks, one row for each number of ``benchmarks/table.py``;
 - rows whose measured value is "N tests passed" or "N of M tests failed", by the tests that their command names.

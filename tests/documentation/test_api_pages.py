@@ -31,10 +31,8 @@ def test_a_page_has_every_name_that_python_finds_in_the_face(face):
 
 def test_what_is_written_of_a_function_and_of_a_class():
     page = PAGES["finray_calib.md"]
-    assert (
-        "- **`press_finger(design, *, force_n=None, increments=4, contact='auto', progress=None) -> FingerPress`** "
-        in page
-    )
+    assert "- **`press_finger(design, *, force_n=None, increments=4, contact='auto', " in page
+    assert "progress=None) -> FingerPress`** Press the design's indenter in by finite elements." in page
     assert "**`FingerPress(NamedTuple)`** A finger pressed by finite elements: its force over the push" in page
     assert "[_finger_functions](../../finray_calib/_finger_functions.py)" in page
     assert "- `DEFAULT_PAINTS` [_rig_files]" in PAGES["rigs.md"]
