@@ -328,7 +328,7 @@ class LaserLine:
         Rates of red, green and blue on the white tile under the laser behind the excitation filter.
     sample_dn_per_s
         (F, 3) those of the sample under the laser behind each filter.
-    white_floor, sample_floor
+    white_floor_dn_per_s, sample_floor_dn_per_s
         Rates above which light is a signal (:func:`signal_floor`), DN/s: of the white tile, and (F,) of the sample.
     """
 
@@ -341,8 +341,8 @@ class LaserLine:
         response: Sequence[SpectralCurve],
         white_dn_per_s: Sequence[float],
         sample_dn_per_s: Sequence[Sequence[float]],
-        white_floor: float = 0.0,
-        sample_floor: Sequence[float] | FloatArray = (),
+        white_floor_dn_per_s: float = 0.0,
+        sample_floor_dn_per_s: Sequence[float] | FloatArray = (),
     ) -> None:
         curves = np.array([curve(GRID_NM) for curve in response])
         line = int(np.abs(GRID_NM - laser_nm).argmin())
@@ -357,10 +357,13 @@ class LaserLine:
         leaks = np.array([passed[f.name][line] * 10.0**f.blocking_uncertainty_od for _, f in others])
         self._if_exchanged = LEAST_REFLECTANCE * through / leaks
         self._rates = np.array([sample_dn_per_s[k][channel] for k, _ in others])
-        self._floor = max(white_floor, LEAST_LINE_RATE_DN_PER_S)
+        self._floor = max(white_floor_dn_per_s, LEAST_LINE_RATE_DN_PER_S)
         self._white = max(float(white_dn_per_s[channel]), self._floor)
         self._signals = np.array(
-            [len(sample_floor) == 0 or self._rates[n] > sample_floor[k] for n, (k, _) in enumerate(others)]
+            [
+                len(sample_floor_dn_per_s) == 0 or self._rates[n] > sample_floor_dn_per_s[k]
+                for n, (k, _) in enumerate(others)
+            ]
         )
 
     def judge(self, laser_off: Callable[[str], Sequence[float]]) -> FilterProof:

@@ -470,12 +470,12 @@ class WallExchange:
         Irradiance per radiance that a texel emits, as it was traced: (wall, TEXELS_ALONG, TEXELS_UP, light, emitting
         wall, TEXELS_ALONG, TEXELS_UP). The panel of the light keeps some of it away.
     smoothers
-        Of each wall, for what it receives by ``exchange``: a matrix, so that all is linear in what walls emit.
+        Of each light and wall, for what it receives by ``exchange``: a matrix, so that all is linear in what walls emit.
     """
 
     led: Floats
     exchange: NDArray[np.float32]
-    smoothers: tuple[WallSmoother, ...]
+    smoothers: tuple[tuple[WallSmoother, ...], ...]
 
     @classmethod
     def traced(cls, tracer: WallTracer, shape: FingerShape, samples: int, rng: np.random.Generator) -> "WallExchange":
@@ -487,10 +487,12 @@ class WallExchange:
         led = np.pi * met.led.reshape(*texels, -1)
         exchange = met.by_wall.reshape(*texels, -1, *texels)
         exchange *= np.pi
-        smooth = [_smoother_of(led[k].mean(axis=-1)) for k in range(len(WALLS))]
-        smoothed = np.stack([np.moveaxis(f(np.moveaxis(v, -1, 0)), 0, -1) for f, v in zip(smooth, led, strict=True)])
-        by_all = exchange[:, :, :, 0].sum(axis=(3, 4, 5), dtype=np.float64)
-        return cls(smoothed, exchange, tuple(_smoother_of(received) for received in by_all))
+        # each light by itself: what is found of one must not depend on which others are traced with it
+        smoothed = np.stack(
+            [[_smoother_of(wall)(wall) for wall in of_light] for of_light in np.moveaxis(led, -1, 0)], axis=-1
+        )
+        received = np.moveaxis(exchange.sum(axis=(4, 5, 6), dtype=np.float64), -1, 0)
+        return cls(smoothed, exchange, tuple(tuple(map(_smoother_of, of_light)) for of_light in received))
 
     def emitted(self, light: int, direct: Floats, bands: PaintBands) -> Floats:
         """Return the radiance of the walls in their own bands, all orders of fluorescence together.
@@ -519,7 +521,7 @@ class WallExchange:
             latest = np.stack(
                 [
                     smoother(np.einsum("v,ijvkl,vkl->ij", of_band[k], self.exchange[k, :, :, light], latest))
-                    for k, smoother in enumerate(self.smoothers)
+                    for k, smoother in enumerate(self.smoothers[light])
                 ]
             )
             total = total + latest

@@ -101,7 +101,7 @@ def test_orders_of_even_walls_are_a_geometric_series():
     factor, red_by_green, bands = 0.4, 0.6, bands_of(0.6)
     exchange = np.zeros((2, TEXELS_ALONG, TEXELS_UP, 1, 2, TEXELS_ALONG, TEXELS_UP))
     exchange[0, :, :, 0, 1] = exchange[1, :, :, 0, 0] = np.pi * factor / TEXELS
-    walls = WallExchange(np.zeros((2, TEXELS_ALONG, TEXELS_UP, 1)), exchange, (AS_TRACED, AS_TRACED))
+    walls = WallExchange(np.zeros((2, TEXELS_ALONG, TEXELS_UP, 1)), exchange, ((AS_TRACED, AS_TRACED),))
     seen = walls.emitted(0, np.full((2, TEXELS_ALONG, TEXELS_UP), np.pi), bands)
     loop = red_by_green * GREEN_BY_RED * factor**2
     expected = {
@@ -155,7 +155,7 @@ def test_traced_walls_of_a_black_finger_see_each_other_by_their_form_factor(llvm
     error_rel = np.sqrt((1.0 - factor) / factor / samples)
     even, ones = replace(walls, led=np.zeros_like(walls.led)), np.ones((TEXELS_ALONG, TEXELS_UP))
     for here, there in ((0, 1), (1, 0)):
-        arriving = walls.smoothers[here](walls.exchange[here, :, :, 0, there].sum(axis=(2, 3)))
+        arriving = walls.smoothers[0][here](walls.exchange[here, :, :, 0, there].sum(axis=(2, 3)))
         assert arriving.mean() == pytest.approx(np.pi * factor, rel=STANDARD_ERRORS * error_rel)
         # a wall is flat and does not see itself
         assert np.abs(walls.exchange[here, :, :, 0, here]).max() == 0.0
