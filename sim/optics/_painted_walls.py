@@ -470,7 +470,7 @@ class WallExchange:
         Irradiance per radiance that a texel emits, as it was traced: (wall, TEXELS_ALONG, TEXELS_UP, light, emitting
         wall, TEXELS_ALONG, TEXELS_UP). The panel of the light keeps some of it away.
     smoothers
-        Of each light and wall, for what it receives by ``exchange``: a matrix, so that all is linear in what walls emit.
+        Of each light and wall, for what it receives by ``exchange``: a matrix; all is linear in what walls emit.
     """
 
     led: Floats
