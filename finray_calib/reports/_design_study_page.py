@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from data_schemas import DesignValue, StudyMetric, StudyPoint, StudyResult, StudyRow
-from finray_calib.reports._images import ByteImage, display_white, to_display
+from finray_calib.reports._images import ByteImage, to_display
 from finray_calib.reports._page import (
     Content,
     Part,
@@ -27,6 +27,7 @@ MOST_PICTURES = 60
 
 _LARGEST_SIDE_PX = 200
 _PANELS_IN_A_ROW = 3
+_WHITE_PERCENTILE = 95.0  # brighter are the walls and, at some angles, the panel itself
 _SHOWN = ("vividness", "variation_rel", "touch_rel", "brightness_rel", "force_n", "seen_area_mm2")
 """Metrics with a panel of their own, and the order in which a sentence is made of them."""
 
@@ -151,7 +152,9 @@ def _sections(result: StudyResult, points: Sequence[StudyPoint]) -> Iterator[Par
 
 def _pictures(points: Sequence[StudyPoint]) -> Content:
     """Show each point without and with contact, all balanced alike."""
-    white = display_white(np.concatenate([p.no_contact.reshape(-1, 3) for p in points if p.no_contact is not None]))
+    pixels = np.concatenate([p.no_contact.reshape(-1, 3) for p in points if p.no_contact is not None])
+    white = np.percentile(pixels, _WHITE_PERCENTILE, axis=0).astype(np.float64)
+    white = np.where(white > 0.0, white, max(float(pixels.max()), 1.0))
     rows: list[tuple[Picture, ...]] = []
     pictures = [
         raster(_pair(point, white), f"Point {point.number}, {_words(point.changes)}.",
@@ -186,7 +189,6 @@ def _curves(result: StudyResult, names: Sequence[str]) -> str:
         figure = new_figure(10.0, 2.6 * rows)
         for k, name in enumerate(names):
             _panel(figure.add_subplot(rows, _PANELS_IN_A_ROW, k + 1), result, name)
-        figure.tight_layout()
         return svg_text(figure)
 
 
