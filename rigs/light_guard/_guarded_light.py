@@ -36,6 +36,7 @@ from data_schemas import (
 )
 from rigs.light_guard._held_light import (
     EXIT_OFF,
+    NOBODY_ASKED,
     HeldLight,
     HungUpError,
     LightLostError,
@@ -64,6 +65,10 @@ END_WITHIN_S: Final = 1.0
 ANSWER_MARGIN_S: Final = 0.5
 """What the guard's answer takes beyond the light's."""
 RESCUE_ATTEMPT_S: Final = 1.0
+
+
+class _MustBeToldError(LightLostError):
+    """A light was lost in a way that its user must hear of: no other guard takes its place."""
 
 
 class GuardClient:
@@ -111,6 +116,11 @@ class GuardClient:
     def has_ended(self) -> bool:
         """Whether the guard is gone and the light confirmed off without it."""
         return isinstance(self._ending, LightLostError)
+
+    @property
+    def came_on_by_itself(self) -> bool:
+        """Whether it has ended because the light was on in the dark."""
+        return self._ending is not None and NOBODY_ASKED in str(self._ending)
 
     def open(self) -> None:
         """Wait until the guard has opened the light and it is confirmed off."""
@@ -330,7 +340,7 @@ class GuardedLight:
         self._guard = self._start()
         self._laser = laser
         self._depth = 0
-        self._is_dead_man_proven = False
+        self._is_dead_man_proven = self._is_closed = False
 
     def open(self) -> None:
         """Wait until the guard has opened the light and it is confirmed off.
@@ -352,6 +362,7 @@ class GuardedLight:
         UnsafeError
             The light is not confirmed off.
         """
+        self._is_closed = True
         self._guard.close()
 
     @property
@@ -408,15 +419,23 @@ class GuardedLight:
         def attempt(end_s: float) -> Any:
             if not self._depth:
                 self._replace_guard()
-            return self._guard.ask(ask, STATE_DEADLINE_S)
+            try:
+                return self._guard.ask(ask, STATE_DEADLINE_S)
+            except LightLostError as error:
+                raise (_MustBeToldError(str(error)) if self._must_be_told else error) from error
 
         # In a lit block a light that is gone must be lit anew, which whoever needs it decides.
-        final = (LightLostError,) if self._depth else ()
+        final = (LightLostError,) if self._depth else (_MustBeToldError,)
         return repeated(attempt, time.monotonic() + RECOVERS_WITHIN_S, self._guard.name, final=final)
+
+    @property
+    def _must_be_told(self) -> bool:
+        """Whether the guard ended so that no other one may take its place: closed, or the light came on by itself."""
+        return self._is_closed or self._guard.came_on_by_itself
 
     def _replace_guard(self) -> None:
         """Start another guard where the last one has ended with the light confirmed off."""
-        if not self._guard.has_ended:
+        if not self._guard.has_ended or self._must_be_told:
             return
         self._guard.close()
         self._guard, self._is_dead_man_proven = self._start(), False

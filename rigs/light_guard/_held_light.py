@@ -34,6 +34,9 @@ RETRY_FOR_S: Final = 5.0
 RETRY_PAUSE_S: Final = 0.2
 
 
+NOBODY_ASKED: Final = "on although nobody had asked for it"
+
+
 class LightLostError(LostError):
     """A light did not come on, or went off unasked; it is confirmed off, and may be lit anew by who needs it."""
 

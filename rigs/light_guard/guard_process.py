@@ -28,6 +28,7 @@ from rigs.light_guard import watch as watch_program
 from rigs.light_guard._held_light import (
     EXIT_NOT_OFF,
     EXIT_OFF,
+    NOBODY_ASKED,
     HeldLight,
     HungUpError,
     channel,
@@ -321,7 +322,7 @@ class Guard:
                 if self._lit:
                     self._light.switch.keep_alive()
                 elif self._light.reopened().state(LOOK_WITHIN_S):
-                    return "the light was on although nobody had asked for it"
+                    return f"the light was {NOBODY_ASKED}"
         except GivenUp:
             return None
         except Exception as error:  # a dark light that cannot be asked now is asked again
