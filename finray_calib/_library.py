@@ -4,6 +4,7 @@ Those of the finger stand in :mod:`finray_calib._finger_functions`. Where a file
 names it with its SHA-256, so that a stored result can be traced.
 """
 
+import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -460,7 +461,7 @@ def decide_light_angle(
     """
     from finray_calib.decide import decide
 
-    several = [sweeps] if isinstance(sweeps, LightAngleSweep | str | PathLike) else list(sweeps)
+    several = [sweeps] if isinstance(sweeps, LightAngleSweep | str | os.PathLike) else list(sweeps)
     swept = [given(sweep, LightAngleSweep) for sweep in several]
     files = [file for _, read in swept for file in read]
     compared = [given(report, PhotometricErrorReport) for report in reports]

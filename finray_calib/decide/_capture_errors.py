@@ -137,7 +137,7 @@ def _capture_of(report: PhotometricErrorReport, contact: int) -> ValidatingCaptu
     if report.objective_error is None:
         raise DecideError(
             f"the report on {report.captured} carries no brightness error, because its values are "
-            f"'{report.values}' on both sides: render it in linear light ('finray simulate --paint') and compare again"
+            f"'{report.values}' on both sides: render it in linear light ('finray simulate render') and compare again"
         )
     if report.light_angle_deg is None:
         raise DecideError(
