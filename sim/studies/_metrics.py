@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
-from data_schemas import FingerDesign, PressMechanics, StudyMetric
+from data_schemas import FingerDesign, PressMechanics, SimulateError, StudyMetric
 from finray_calib.compare import srgb_to_lab
 from sim.experiments import coat_cells
 from sim.optics import BAND_NAMES, PressRender
@@ -111,6 +111,11 @@ def _seen(design: FingerDesign, render: PressRender, matrix: Floats) -> _Seen:
     place = render.no_contact_maps.coat_mm(design)
     cells, _ = coat_cells(design, place, np.isfinite(place[..., 0]), render, matrix, CELL_MM)
     lit = cells[np.isfinite(cells[..., 0])]
+    if not len(lit):
+        raise SimulateError(
+            f"no {CELL_MM:g} mm of the coat is seen by four pixels: raise camera.width_px and camera.height_px "
+            f"({design.camera.width_px} x {design.camera.height_px}), or turn the camera to the coat"
+        )
     bands, weights = len(BAND_NAMES), matrix.mean(axis=0)
     near = render.contact_maps.contact_distance <= HALO
     return _Seen(

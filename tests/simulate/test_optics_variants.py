@@ -48,7 +48,7 @@ def test_the_proof_refuses_a_bogus_library(tmp_path):
 
 
 def test_a_proof_that_hangs_is_refused(monkeypatch):
-    monkeypatch.setattr(variants, "_PROOF_TIMEOUT_S", 0.01)
+    monkeypatch.setattr(variants, "_PROOF_TIMEOUT_S", 0.0)
     assert "longer than" in str(variants.prove_llvm_library("/nonexistent/libLLVM-hanging.so"))
 
 
