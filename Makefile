@@ -7,8 +7,8 @@ BIN    := $(VENV)/bin
 OTHERS := .venv-others
 PYTHONS := 3.11 3.12 3.13
 
-.PHONY: plain demo test test-rigs test-pythons lint check-types contracts pytest schemas drawing lock check-arm llvm \
-        rig-programs clean bench bench-fit bench-compare bench-optics bench-mechanics bench-fuzz
+.PHONY: plain demo test test-rigs test-pythons lint check-types contracts pytest schemas drawing reference lock check-arm llvm \
+        rig-programs clean bench bench-fit bench-compare bench-optics bench-mechanics bench-fuzz verification
 
 # For a camera computer: everything but the simulation, on ARM too.
 plain: $(VENV)/installed-plain
@@ -112,6 +112,10 @@ bench-mechanics: $(VENV)/installed-bench
 	-$(BIN)/python benchmarks/published_fin_ray.py --out bench-out/published-fin-ray.json
 	-$(BIN)/python benchmarks/table.py bench-out
 
+# What docs/verification.md names exists; results that lie in bench-out are written into it.
+verification: $(VENV)/installed-dev
+	$(BIN)/python -m docs.verification_rows --bench bench-out
+
 # JSON Schema files of all records; tests fail when they drift from the models.
 schemas: $(VENV)/installed-dev
 	$(BIN)/python -m data_schemas.json_schemas
@@ -119,6 +123,10 @@ schemas: $(VENV)/installed-dev
 # The drawing of the rooms in docs/explanation/architecture.md; a test fails when it differs from the code.
 drawing: $(VENV)/installed-dev
 	$(BIN)/python -m docs.rooms_drawing
+
+# The pages of docs/reference, from the code; tests fail when they differ.
+reference: $(VENV)/bin/python
+	$(BIN)/python -m docs.api_pages
 
 # Renew the pinned versions and their hashes. Versions stay where they can; newest ones: make lock UPGRADE=--upgrade
 UPGRADE ?=

@@ -51,11 +51,9 @@ FINGER = (
 )
 PAINTS = "--paint red={i}/fitted.paint.json --paint green={i}/fitted.paint.json"
 RENDERED = (
-    "finray_calib.cli._simulate:_scene",
-    "sim.optics._render:render_press",
-    "sim.experiments._rendered_press:press_record",
+    "finray_calib._finger_functions:_scene",
     "sim.experiments._rendered_press:simulate_press",
-    "sim.experiments._optics_products:optics_products",
+    "sim.experiments._optics_products:simulate_images",
     "finray_calib.cli._simulate:_views",
 )
 COMPARED = (
@@ -100,17 +98,17 @@ COMMANDS = {
         ),
     ),
     "simulate": Command(
-        f"simulate {{i}}/finger.toml {PAINTS} --engine scalar --samples 2 --out {{o}}/p.press.json",
+        f"simulate render {{i}}/finger.toml {PAINTS} --engine scalar --samples 2 --out {{o}}/p.press.json",
         "p.press.json",
         RENDERED,
     ),
-    "simulate --only optics": Command(
-        f"simulate {{i}}/finger.toml {PAINTS} --only optics --engine scalar --samples 2 --out {{o}}/p.press.json",
+    "simulate render --images": Command(
+        f"simulate render {{i}}/finger.toml {PAINTS} --images --engine scalar --samples 2 --out {{o}}/p.press.json",
         "p.press.json",
         RENDERED,
     ),
-    "simulate --only mechanics": Command(
-        "simulate {i}/pressed.toml --only mechanics --increments 2 --out {o}/m.press.json",
+    "simulate press": Command(
+        "simulate press {i}/pressed.toml --increments 2 --out {o}/m.press.json",
         "m.mechanics.json",
         ("finray_calib.reports._finger_pictures:pressed_finger_png",),
         (".increments/",),

@@ -80,15 +80,26 @@ class Rig:
             camera_response=response,
         )
 
-    def signals(self, name: str, reflectance: Floats, emission_per_nm: Floats, rng: np.random.Generator) -> BandSignals:
-        """Return the band signals of a sample; emission for light at the laser line, on the bench's wavelengths."""
+    def signals(
+        self,
+        name: str,
+        reflectance: Floats,
+        emission_per_nm: Floats,
+        rng: np.random.Generator,
+        under_lamp: Floats | float = 0.0,
+    ) -> BandSignals:
+        """Return the band signals of a sample; emission for light at the laser line, on the bench's wavelengths.
+
+        What the lamp makes it emit is left out unless given.
+        """
         bench, white = self.bench, self.optics.white_reference.reflectance
         laser, lamp = bench.lights["laser"], bench.lights["lamp"]
         under_laser = reflectance * laser + emission_per_nm * laser.sum() * STEP_NM
         slots = [f.slot for f in self.optics.filters]
         f, f_rel = self.measured([bench.band_electrons_per_s(under_laser, s) for s in slots], rng)
         w, w_rel = self.measured([bench.band_electrons_per_s(white * lamp, s) for s in slots], rng)
-        s, s_rel = self.measured([bench.band_electrons_per_s(reflectance * lamp, s) for s in slots], rng)
+        emitting = reflectance * lamp + under_lamp
+        s, s_rel = self.measured([bench.band_electrons_per_s(emitting, s) for s in slots], rng)
         at = [f.name for f in self.optics.filters].index("450")
         v, v_rel = self.measured([bench.band_electrons_per_s(white * laser, slots[at])], rng)
         level = float(CHANNEL_WEIGHTS @ (v[0] / w[at]))

@@ -61,7 +61,7 @@ def measure(press: Press, folder: Path) -> dict[str, Any]:
     indenter = Indenter(**press.indenter, depth_mm=press.depth_mm, friction=press.friction)
     changed = {"indenter": indenter, "mesh": MeshPreset(preset=press.preset)}
     (folder / "finger.toml").write_text(design_toml(preset_design("flat-70x35").model_copy(update=changed)))
-    asked = ["simulate", "finger.toml", "--only", "mechanics", "--increments", str(press.increments), *press.options]
+    asked = ["simulate", "press", "finger.toml", "--increments", str(press.increments), *press.options]
     began = time.perf_counter()
     child = subprocess.Popen(
         [sys.executable, "-m", "finray_calib.cli.main", *asked, "--out", "finger.press.json"],

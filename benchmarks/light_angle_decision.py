@@ -4,10 +4,12 @@
 
 A sweep of 10 deg with 3 repeats and 8 % noise. In the first two cases the simulation is the truth, and what is judged
 is the claim by simulation alone. In the others the truth is another curve: a draw of the decision's own prior of the
-sim-to-real error, or of another kind, a tilt or a bump; and, without captures, pairs of curves that no Gaussian process
-drew, with shadow edges, kinks, flat tops and glints. Of those the decision may claim too little, not too much. Regrets
-are also those of the greatest mean of the repeats and of the greatest single value, which is what is done without
-statistics.
+sim-to-real error, or of another kind, a tilt or a bump; and eight families of pairs of curves that no Gaussian process
+drew: with shadow edges, kinks, flat tops, glints, hardly any slope, steps and waves, and sweeps of neighbouring places.
+Those are decided on without captures, with five captures by absolute ratios, and with five relative to their own
+no-contact images, which see a random share of the error. Of those the decision may claim too little, not too much.
+Cases that stand in the file of --out are not run again. Regrets are also those of the greatest mean of the repeats and
+of the greatest single value, which is what is done without statistics.
 """
 
 import argparse
@@ -39,7 +41,9 @@ REPEATS = 3
 NOISE = 0.08
 SCALE = 0.05  # of one repeat, all of whose values share it
 LARGEST_MISS = 0.05
-LEAST_COVERAGE = 0.92
+LEAST_COVERAGE, LEAST_OF_GLINTS = 0.92, 0.85
+LARGEST_SHORT = 0.10  # claimed below what came true, on the mean over families
+LARGEST_BOUND = 0.087  # three times that of a prior of one length and smoothness, whose bound holds too rarely
 TOLERANCE_REL = 0.02
 LEAST_OVER_MEANS, LEAST_OVER_SINGLE = 2.8, 4.0
 
@@ -56,6 +60,10 @@ class Case:
     truth: Family | Callable[[np.random.Generator], Pair] | None = None
     captures_deg: tuple[float, ...] = ()
     absolute: bool = False
+
+    @property
+    def is_foreign(self) -> bool:
+        return callable(self.truth)
 
 
 @dataclass(frozen=True)
@@ -75,6 +83,8 @@ class Outcome:
     actual_within_tolerance: float
     claimed_simulation_only: float
     coverage_simulation_only: float
+    bound: float
+    decided: float
 
     @property
     def ratio_means(self) -> float:
@@ -85,6 +95,8 @@ class Outcome:
         return self.regret_of_single / self.regret
 
 
+FIVE_DEG = (5.0, 20.0, 40.0, 60.0, 85.0)
+FOREIGN_CAPTURE_SD_REL = 0.02
 # 8 % of the hill's height, which stands on a pedestal of half of it; 8 % of hill and pedestal is harder.
 CASES = (
     Case("8 % of the hill", NOISE / (1 + PEDESTAL)),
@@ -95,6 +107,8 @@ CASES = (
     Case("bump, three captures", 0.02, "bump", (15.0, 45.0, 75.0), absolute=True),
     Case("model, no capture", 0.02, "model"),
     *(Case(f"{family.__name__}, no capture", 0.02, family) for family in FOREIGN),
+    *(Case(f"{family.__name__}, absolute", 0.02, family, FIVE_DEG, absolute=True) for family in FOREIGN),
+    *(Case(f"{family.__name__}, relative", 0.02, family, FIVE_DEG) for family in FOREIGN),
 )
 
 
@@ -110,6 +124,11 @@ def _one(case: Case, rng: np.random.Generator, draws: int) -> Sequence[float]:
     simulated, real = case.truth(rng) if callable(case.truth) else (random_curve(rng),) * 2
     values = sweep(simulated, rng, case.noise_of_maximum, REPEATS, SCALE)
     captures = NO_CAPTURES
+    if case.is_foreign and case.captures_deg:
+        # captures beside their own no-contact images see a share of the error that nobody knows
+        seen = np.log(simulated / real) * (1.0 if case.absolute else rng.random())
+        angles = np.array(case.captures_deg)
+        captures = honest_captures(simulated, seen, angles, rng, case.absolute, FOREIGN_CAPTURE_SD_REL, 0.0)
     if isinstance(case.truth, str):
         log_error = log_discrepancy(case.truth, rng)
         real = simulated * np.exp(-log_error)
@@ -132,6 +151,8 @@ def _one(case: Case, rng: np.random.Generator, draws: int) -> Sequence[float]:
         regret <= TOLERANCE_REL,
         alone.p_within_tolerance,
         regret <= alone.regret_95_rel + 1e-12,
+        claim.regret_95_rel,
+        decision.verdict in {"decided", "tie"},
     )
 
 
@@ -140,59 +161,86 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--curves", type=int, default=3000, help="without captures")
     parser.add_argument("--curves-with-captures", type=int, default=1000)
+    parser.add_argument("--draws", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=Path, help="a file that is there already is gone on with")
     arguments = parser.parse_args()
-    found = {}
-    print(f"{'case':24s} {'curves':>6s} {'claimed':>8s} {'actual':>7s} {'bound holds':>11s} {'regret':>8s} ", end="")
+    settings = {name: getattr(arguments, name) for name in ("curves", "curves_with_captures", "draws", "seed")}
+    stored = json.loads(arguments.out.read_text()) if arguments.out and arguments.out.exists() else {}
+    found = stored["cases"] if stored.get("settings") == settings else {}
     print(
-        f"{'claimed':>8s} {'simulation':>10s} {'means':>14s} {'single':>14s}   loss <= 2 %: claimed, actual, ", end=""
+        f"{'case':24s} curves | within 5 deg | loss <= 2 %  | bound: holds, mean  | regret: true, claimed, simulation, "
     )
-    print("by simulation alone claimed, its bound holds")
+    print(f"{'':24s}        | claimed true | claimed true | decided             | greatest mean, greatest value")
     for case in CASES:
-        o = run(case, arguments.curves_with_captures if case.truth else arguments.curves, arguments.seed)
-        found[case.name] = asdict(o) | {"ratio_means": o.ratio_means, "ratio_single": o.ratio_single}
+        if case.name not in found:
+            curves = arguments.curves_with_captures if case.truth else arguments.curves
+            o = run(case, curves, arguments.seed, arguments.draws)
+            found[case.name] = asdict(o) | {"ratio_means": o.ratio_means, "ratio_single": o.ratio_single}
+            if arguments.out:
+                arguments.out.parent.mkdir(parents=True, exist_ok=True)
+                arguments.out.write_text(json.dumps({"settings": settings, "cases": found}, indent=1))
+        r = found[case.name]
         print(
-            f"{case.name:24s} {o.curves:6d} {o.claimed_within_5deg:8.3f} {o.actual_within_5deg:7.3f} "
-            f"{o.coverage_of_95:11.3f} {o.regret:8.3%} {o.claimed_regret:8.3%} {o.regret_simulation_only:10.3%} "
-            f"{o.regret_of_means:7.3%} {o.ratio_means:5.2f}x {o.regret_of_single:7.3%} {o.ratio_single:5.2f}x   "
-            f"{o.claimed_within_tolerance:.3f} {o.actual_within_tolerance:.3f} {o.claimed_simulation_only:.3f} "
-            f"{o.coverage_simulation_only:.3f}",
+            f"{case.name:24s} {r['curves']:6d} | {r['claimed_within_5deg']:.2f} {r['actual_within_5deg']:.2f}    "
+            f"| {r['claimed_within_tolerance']:.2f} {r['actual_within_tolerance']:.2f}    "
+            f"| {r['coverage_of_95']:.2f} {r['bound']:6.2%} {r['decided']:.2f}  "
+            f"| {r['regret']:.2%} {r['claimed_regret']:.2%} {r['regret_simulation_only']:.2%} "
+            f"{r['regret_of_means']:.2%} {r['regret_of_single']:.2%}",
             flush=True,
         )
-    miss = {row: found[row]["claimed_within_5deg"] - found[row]["actual_within_5deg"] for row in found}
-    own = max(abs(miss[case.name]) for case in CASES if case.truth in (None, "model"))
-    without = [found[case.name] for case in CASES if case.truth is not None and not case.captures_deg]
-    uncaptured = max(row["claimed_within_tolerance"] - row["actual_within_tolerance"] for row in without)
-    bound_holds = min(row["coverage_of_95"] for row in without)
-    foreign = max(miss[case.name] for case in CASES if case.truth in ("tilt", "bump"))
-    first = found[CASES[0].name]
-    print(f"largest difference of claimed and actual: {own:.3f} (at most {LARGEST_MISS})")
-    print(f"largest overclaim where the error is not of the prior's kind: {foreign:.3f} (at most {LARGEST_MISS})")
-    print(f"largest overclaim of a loss within 2 % without captures: {uncaptured:.3f} (at most {LARGEST_MISS})")
-    print(f"least share of bounds that hold without captures: {bound_holds:.3f} (at least {LEAST_COVERAGE})")
-    if arguments.out:
-        arguments.out.parent.mkdir(parents=True, exist_ok=True)
-        arguments.out.write_text(
-            json.dumps(
-                {
-                    "cases": found,
-                    "largest_miss": own,
-                    "largest_overclaim": foreign,
-                    "largest_overclaim_without_captures": uncaptured,
-                    "least_coverage_without_captures": bound_holds,
-                    "seed": arguments.seed,
-                },
-                indent=1,
-            )
-        )
-    met = (
-        max(own, foreign, uncaptured) <= LARGEST_MISS
-        and bound_holds >= LEAST_COVERAGE
-        and first["ratio_means"] >= LEAST_OVER_MEANS
-        and first["ratio_single"] >= LEAST_OVER_SINGLE
+    return int(not _judge(found))
+
+
+def _judge(found: dict[str, dict[str, float]]) -> bool:
+    """Print the bars and return whether all are met."""
+    own = max(
+        abs(found[c.name]["claimed_within_5deg"] - found[c.name]["actual_within_5deg"])
+        for c in CASES
+        if c.truth in (None, "model")
     )
-    return int(not met)
+    rows = [(f"largest difference of claimed and actual, own kind of curve: {own:.3f}", own <= LARGEST_MISS)]
+    for name in ("no capture", "absolute", "relative"):
+        family = {c.name: found[c.name] for c in CASES if c.is_foreign and c.name.endswith(name)}
+        over = {n: r["claimed_within_tolerance"] - r["actual_within_tolerance"] for n, r in family.items()}
+        worst, mean = max(over, key=lambda n: over[n]), float(np.mean(list(over.values())))
+        holds = {
+            n: r["coverage_of_95"] - (LEAST_OF_GLINTS if "glint" in n else LEAST_COVERAGE) for n, r in family.items()
+        }
+        pooled, bound = (float(np.mean([r[key] for r in family.values()])) for key in ("coverage_of_95", "bound"))
+        rows += [
+            (
+                f"{name}: loss <= 2 %, most claimed above what came true: {over[worst]:+.3f} ({worst})",
+                over[worst] <= LARGEST_MISS,
+            ),
+            (f"{name}: the same on the mean: {mean:+.3f}", mean >= -LARGEST_SHORT),
+            (
+                f"{name}: least share of 95 % bounds that hold, above its bar: {min(holds.values()):+.3f}",
+                min(holds.values()) >= 0,
+            ),
+            (
+                f"{name}: bounds that hold, pooled: {pooled:.3f}; mean bound {bound:.2%}",
+                name == "no capture" or pooled <= 0.99,
+            ),
+        ]
+        if name == "absolute":
+            rows.append((f"{name}: mean bound {bound:.2%} (at most {LARGEST_BOUND:.1%})", bound <= LARGEST_BOUND))
+        else:
+            most = max(r["decided"] for r in family.values())
+            rows.append((f"{name}: decided in {most:.2f} of a family", name != "no capture" or most == 0))
+    first = found[CASES[0].name]
+    rows.append(
+        (
+            f"regret of the greatest mean, times ours: {first['ratio_means']:.2f}",
+            first["ratio_means"] >= LEAST_OVER_MEANS,
+        )
+    )
+    rows.append(
+        (f"of the greatest single value: {first['ratio_single']:.2f}", first["ratio_single"] >= LEAST_OVER_SINGLE)
+    )
+    for text, is_met in rows:
+        print(f"{text}: {'met' if is_met else 'NOT MET'}")
+    return all(is_met for _, is_met in rows)
 
 
 if __name__ == "__main__":

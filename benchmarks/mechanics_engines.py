@@ -5,7 +5,7 @@
 Needs CalculiX (Debian: calculix-ccx). A neo-Hookean skeleton of the shear modulus of the paper's TPU, so that both
 engines have the same law, the coarse mesh, a cylinder of 10 mm radius pushed 3 mm in by three increments without
 friction. Bars: force within 3 %, displacement of the pad within 2 % rms of its largest, CPU time of the whole command
-``finray simulate DESIGN --only mechanics`` (start, meshes, press, records, picture) a fifth of CalculiX' own; the press
+``finray simulate press DESIGN`` (start, meshes, press, records, picture) a fifth of CalculiX' own; the press
 alone is shown beside it. What is left over: C3D8R has one point and hourglass control where the engine in process has
 mean dilatation at eight; CalculiX touches facets at points of its own.
 """
@@ -60,10 +60,10 @@ def command_cpu_s(design: FingerDesign) -> float:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "finger.toml").write_text(design_toml(design))
-        command = [sys.executable, "-m", "finray_calib.cli.main", "simulate", str(folder / "finger.toml")]
+        command = [sys.executable, "-m", "finray_calib.cli.main", "simulate", "press", str(folder / "finger.toml")]
         start = cpu_s()
         subprocess.run(
-            [*command, "--only", "mechanics", "--increments", str(INCREMENTS), "--out", str(folder / "press.json")],
+            [*command, "--increments", str(INCREMENTS), "--out", str(folder / "press.json")],
             check=True,
             capture_output=True,
         )

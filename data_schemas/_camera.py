@@ -49,7 +49,7 @@ class CameraSession(Record):
     exposure time form a stack of two or more.
     """
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray capture'"
 
     plan: CameraPlan
@@ -130,7 +130,7 @@ class ChannelCharacterisation(Model):
 class CameraCharacterisation(Record):
     """A camera characterised by photon transfer; :meth:`applied_to` gives the rest of the chain its numbers."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray radiometry'"
 
     camera_name: str

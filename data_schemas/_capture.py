@@ -144,7 +144,7 @@ class FilterProof(Model):
 class CaptureSession(Record):
     """A finished paint session: plan, rig, response curves and the list of frames (a folder on disk)."""
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray capture'"
 
     plan: PaintPlan
@@ -249,6 +249,8 @@ TactileFrameType = Literal["board", "no contact", "contact"]
 class TactileRig(Record):
     """Rig of a tactile session (TOML): the finger's camera. There is no filter wheel and no laser to describe."""
 
+    schema_version: ClassVar[int] = 2
+
     name: str
     camera: CameraSettings
 
@@ -257,7 +259,7 @@ class TactileRig(Record):
         if self.camera.driver == "simulated":
             raise ValueError(
                 "camera.driver: the simulated bench holds no finger; name a real camera, or simulate a press with "
-                "'finray simulate'"
+                "'finray simulate render'"
             )
         return self
 
@@ -393,7 +395,7 @@ class TactileFrame(Model):
 class TactileSession(Record):
     """A finished tactile session (a folder on disk): plan, rig, frames, and a ``TactileCapture`` of each contact."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray capture'"
 
     plan: TactilePlan

@@ -15,7 +15,9 @@ from data_schemas._design import FingerIdentity
 from data_schemas._model import Model, Record
 from data_schemas._record_text import interval_text
 from data_schemas._sensing import LocalScale, ScaleRange
-from data_schemas._units import RelativeUncertainty
+from data_schemas._units import Fraction, RelativeUncertainty
+
+NotNegative = Annotated[float, Field(ge=0.0)]
 
 
 class Interval(Model):
@@ -104,9 +106,9 @@ class ErrorRow(Model):
 
     candidate: Literal["do nothing", "simulation", "floor"]
     skill: Interval = Field(
-        description="1 - squared error relative to that of the no-contact image; none is above 1, where the interval "
-        "ends, but an estimate may be: the noise is taken out, and what is left scatters to both sides. An interval "
-        "from 1 to 1 beside an estimate above 1 means that model and noise disagree: less is left than noise explains"
+        description="1 - squared error relative to that of the no-contact image; the true one is at most 1, but an "
+        "estimate and its interval may lie above it: the noise is taken out, and what is left scatters to both sides. "
+        "An interval altogether above 1 means that model and noise disagree: less is left than noise explains"
     )
     skill_per_channel: tuple[float | None, float | None, float | None] = Field(
         description="None where contact does not change the channel"
@@ -190,6 +192,46 @@ class PatchScale(Model):
     extents: tuple[RegionExtent, ...]
 
 
+class WhiteBalanceDrift(Model):
+    """Gain of the contact image over the no-contact image per channel, from pixels beyond 3 half-widths.
+
+    A gain common to all channels and one of a single channel are seen alike. Where it was taken out, both sides were
+    brought to the light of their no-contact image, each by its own gain.
+    """
+
+    gains: tuple[float, float, float] = Field(description="red, green, blue of the capture; 1: none")
+    expected_gains: tuple[float, float, float] = Field(description="the same of the simulation")
+    u_rel: tuple[NotNegative, NotNegative, NotNegative] = Field(description="relative standard uncertainty")
+    uneven_rel: tuple[NotNegative, NotNegative, NotNegative] = Field(description="change across the picture")
+    blocks: tuple[int, int, int] = Field(description="of pixels; a channel of fewer than 8 is not judged")
+    corrected: bool
+
+
+class FittedToneCurve(Model):
+    """Curve DN = b + s L^p between the render's light L and the capture's values, from the no-contact images alone.
+
+    The score uses it in the ratio form S = b + (B - b) (L1 / L0)^p, in which the scales cancel. A gain common to both
+    images cannot be known, nor an exponent apart from an error of the render's contrast.
+    """
+
+    exponent: Interval = Field(description="p; 0.45 is sRGB, 1 linear")
+    offset_dn: Interval = Field(description="b, above the recorded black level")
+    white_balance: tuple[Interval, Interval, Interval] = Field(
+        description="scale of red, green and blue in linear light, relative to green"
+    )
+    correlation: float = Field(description="of the logarithms of both no-contact images; near 0 the prior decides")
+    skill_u: NotNegative = Field(description="standard uncertainty of the headline skill from curve and gains alone")
+    outside_share: Fraction = Field(
+        description="pixels of the headline region whose level does not occur without contact: there the curve is "
+        "a guess"
+    )
+    log_light: Annotated[NDArray[np.float64], ArraySpec("<f8", ("block", "3"))] = Field(
+        description="logarithm of the render's level, relative to the mean of its channel"
+    )
+    level_dn: Annotated[NDArray[np.float64], ArraySpec("<f8", ("block", "3"))]
+    draws: Annotated[NDArray[np.float64], ArraySpec("<f8", ("draw", "2"))] = Field(description="exponent, offset")
+
+
 class PhotometricErrorReport(Record):
     """Comparison of one simulated press with one tactile capture.
 
@@ -198,7 +240,7 @@ class PhotometricErrorReport(Record):
     with a repeat) a score may lie above it; elsewhere no score above it says anything.
     """
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray compare'"
     shown: ClassVar[tuple[str, ...]] = (
         "simulated", "captured", "headline_skill", "headline_region", "exposure_factor", "values",
@@ -210,7 +252,7 @@ class PhotometricErrorReport(Record):
         default=None, description="that was rendered; None: not known (no design, or an older version)"
     )
     label: str
-    values: Literal["linear light", "encoded values, encoding unknown"]
+    values: Literal["linear light", "encoded values, encoding unknown", "encoded values, through a fitted tone curve"]
     block_px: Annotated[int, Field(ge=1, description="images were averaged over blocks of this side")]
     headline_region: str
     headline_skill: Interval
@@ -231,6 +273,10 @@ class PhotometricErrorReport(Record):
     validation: tuple[ValidationCell, ...] = ()
     sensing: SensingError | None = Field(default=None, description="None where no normal map was given")
     patch_scale: PatchScale | None = Field(default=None, description="None where no pixel scale was given")
+    tone_curve: FittedToneCurve | None = Field(
+        default=None, description="None where both sides hold the same kind of values"
+    )
+    white_balance: WhiteBalanceDrift | None = Field(default=None, description="None where it cannot be told")
     findings: tuple[str, ...] = Field(default=(), description="of the checks of registration, channels and exposure")
     forced_mismatch: bool = Field(
         default=False, description="compared although the checks say that the images do not belong together"
@@ -256,7 +302,7 @@ class ComparedPair(Model):
 class ComparisonBatch(Record):
     """Comparison of several simulated presses with their captures.
 
-    The mean skill is over presses, each counting once; its interval draws presses with replacement, so that it says
+    The mean skill is over presses, each counting once; its interval is that of Student's t over them, so that it says
     what other presses of this kind would give, which the intervals of single reports do not know.
     """
 
@@ -266,14 +312,11 @@ class ComparisonBatch(Record):
     pairs: tuple[ComparedPair, ...]
     headline_region: str | None = Field(description="None where no pair could be compared")
     mean_skill: Interval | None = Field(
-        description="None with fewer than two compared pairs; an interval from 1 to 1 beside a larger estimate means "
-        "that model and noise disagree"
+        description="None with fewer than two compared pairs; an interval altogether above 1 means that model and "
+        "noise disagree"
     )
     worst: tuple[str, ...] = Field(default=(), description="names of the pairs of lowest skill, the lowest first")
     notes: tuple[str, ...] = ()
-
-
-NotNegative = Annotated[float, Field(ge=0.0)]
 
 
 class ForceEstimate(Model):

@@ -11,7 +11,8 @@ from data_schemas._model import Model, Record
 from data_schemas._units import AngleDeg, Fraction
 
 Floats = NDArray[np.float64]
-Verdict = Literal["decided", "tie", "undecided", "model-limited"]
+Verdict = Literal["decided", "tie", "undecided", "needs captures"]
+Criterion = Literal["average", "worst"]
 Curve = Annotated[Floats, ArraySpec("<f8", ("angle",))]
 
 
@@ -52,6 +53,7 @@ class AngleProposal(Model):
     angle_deg: AngleDeg
     gain_rel: float = Field(description="expected rise of the best expected objective, relative to it")
     noise_rel: float = Field(description="assumed standard uncertainty of the observation, relative")
+    position_mm: float | None = Field(default=None, description="where to touch the pad; None: where the sweep does")
 
 
 class OtherObjective(Model):
@@ -65,14 +67,34 @@ class OtherObjective(Model):
     statement: str
 
 
+class DecidedContact(Model):
+    """One touch of the finger that the decision counts, and what the decided angle loses there.
+
+    Losses are relative to the angle that is best for this touch alone.
+    """
+
+    sweep: str = Field(description="name of the sweep")
+    shape: str = Field(description="of the indenter")
+    position_mm: float = Field(description="of its middle along the pad, from the base")
+    across_mm: float = Field(description="of its middle from the middle line of the pad")
+    depth_mm: float
+    weight_share: Fraction = Field(description="share in the average over all touches")
+    best_deg: AngleDeg
+    loss_rel: float = Field(description="expected, at the decided angle")
+    loss_95_rel: float = Field(description="not exceeded with 95 % probability")
+
+
 class LightAngleDecision(Record):
     """The angle to mount the light at, the probability and the risk, on the real finger and by simulation alone.
 
-    Without captures (`validated` is False) the sim-to-real error has its prior and the verdict is never "decided" or
-    "tie". Records written before that rule carry no `discrepancy_rel` then, and claim what the simulation alone does.
+    Over several touches the value of an angle is the weighted mean, or the least (`criterion`), of the brightness of
+    each touch over that at its own best angle; statements are about this value. Without captures (`validated` is False)
+    the sim-to-real error has its prior and the verdict is never "decided" or "tie". Records written before that rule
+    carry no `discrepancy_rel` then, and claim what the simulation alone does. Records of version 3 and older are about
+    one touch, the sweep's, and name none.
     """
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray decide'"
     shown: ClassVar[tuple[str, ...]] = ("angle_deg", "verdict", "sentence")
 
@@ -81,8 +103,21 @@ class LightAngleDecision(Record):
     angle_simulation_only_deg: AngleDeg
     verdict: Verdict
     at_range_end: bool = Field(default=False, description="the optimum may lie outside the sweep: widen it")
+    headline: str = Field(default="", description="the first of the sentences: what to do; empty in older versions")
     sentence: str
     tolerance_rel: Fraction
+    tolerance_deg: tuple[AngleDeg, AngleDeg] | None = Field(
+        default=None, description="between these the expected value is within the tolerance of the decided angle's"
+    )
+    criterion: Criterion = "average"
+    contacts: tuple[DecidedContact, ...] = ()
+    angle_average_deg: AngleDeg | None = Field(
+        default=None, description="of the least loss on average over the touches"
+    )
+    angle_worst_deg: AngleDeg | None = Field(default=None, description="of the least loss at the worst of the touches")
+    contact_value: Annotated[Floats, ArraySpec("<f8", ("contact", "angle"))] | None = Field(
+        default=None, description="expected brightness of each touch over that at its own best angle"
+    )
     validated: bool = Field(description="False: not validated against a capture")
     discrepancy_rel: float | None = Field(
         description="sim-to-real error of the objective at an angle without capture, one standard deviation: median; "

@@ -29,7 +29,7 @@ class GelPad(Model):
 
     Shapes of the coated face: flat; cylindrical with its axis along the pad; a section of an ellipsoid with its
     centre under the middle of the pad. Another shape is one more case of :meth:`drop_mm`, the height function
-    that mesh and optics take; the mould's STEP file and the first touch of an STL have cases of their own.
+    that mesh and optics take, and of its curvature below; the mould's STEP file has a case of its own.
     """
 
     shape: Literal["flat", "cylindrical", "ellipsoidal"] = "flat"
@@ -85,6 +85,20 @@ class GelPad(Model):
             a, b, c = self.semi_axes_mm
             return b * (1.0 - np.sqrt(1.0 - (x / a) ** 2 - (z / c) ** 2))
         return np.zeros(x.shape)
+
+    def most_curvature_per_mm(self) -> float:
+        """Return a bound of the second derivative of :meth:`drop_mm`, along any direction, over the whole pad.
+
+        Cylinder: r^2 / (r^2 - x^2)^1.5 at the side. Ellipsoid: b / min(a, c)^2 / (1 - (x/a)^2 - (z/c)^2)^1.5 at a
+        corner.
+        """
+        half_width, half_length = self.width_mm / 2.0, self.length_mm / 2.0
+        if self.radius_mm is not None:
+            return float(self.radius_mm**2 / (self.radius_mm**2 - half_width**2) ** 1.5)
+        if self.semi_axes_mm is not None:
+            a, b, c = self.semi_axes_mm
+            return float(b / min(a, c) ** 2 / (1.0 - (half_width / a) ** 2 - (half_length / c) ** 2) ** 1.5)
+        return 0.0
 
     def index_at(self, wavelength_nm: float) -> float:
         """Return the refractive index by Cauchy's n = A + B / wavelength^2 through index and Abbe number.

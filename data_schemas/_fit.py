@@ -86,16 +86,21 @@ class Reradiation(Model):
     absorption_rel_draws: Annotated[Floats, ArraySpec("<f8", ("draw", "excitation"))] = Field(
         description="paired one to one with the emission draws they were made from"
     )
-    stokes_shift_nm: Estimate = Field(description="maximum of emission minus maximum of absorption, nm")
+    stokes_shift_nm: Estimate = Field(
+        description="maximum of emission minus last (longest) maximum of absorption, nm; before version 7 of "
+        "the record of the paint its prior was narrower, normal(35, 15) nm"
+    )
     stokes_shift_draws_nm: Annotated[Floats, ArraySpec("<f8", ("draw",), "nm")]
     measured_at_nm: tuple[WavelengthNm, ...] = Field(description="excitation lights with a measured yield")
     prior_driven: bool = Field(
-        description="True while the Stokes shift is hardly narrower than its prior: too little was measured"
+        description="True while the Stokes shift is belief: one light alone, or a standard deviation above 15 nm"
     )
     prior: dict[str, str] = Field(description="prior of each parameter in words, with its origin")
     distinct_shapes: int = Field(ge=0, description="effective number of absorption shapes among the weighted ones")
     rejected_share: Fraction = Field(description="share of draws replaced: they emitted more than the paint absorbs")
-    violating_share: Fraction = Field(description="share of draws kept although they emit more than the paint absorbs")
+    violating_share: Fraction = Field(
+        description="share of draws that emit more than is absorbed at the laser itself; elsewhere none does"
+    )
     statement: str = Field(description="what the measurement fixes and what stays belief")
 
     @model_validator(mode="after")
@@ -154,7 +159,7 @@ class EmissionDetection(Model):
 class PaintWithoutEmission(Record):
     """A sample in whose band signals no emission was found: a limit of its yield in place of a spectrum."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray fit'"
 
     paint_name: str
@@ -277,15 +282,31 @@ class PriorSensitivity(Model):
     doubled: float
 
 
+class PriorShare(Model):
+    """How much of a reported quantity is belief from before the measurement."""
+
+    share: Fraction = Field(description="variance after over variance before the measurement, at most 1")
+    shift_sd: float = Field(description="mean after minus mean before, in standard deviations before")
+
+    @property
+    def mostly_prior(self) -> bool:
+        """Whether more than half of the prior's variance is left."""
+        return self.share > MOSTLY_PRIOR_SHARE
+
+
+MOSTLY_PRIOR_SHARE = 0.5
+
+
 class PaintCalibration(Record):
     """Emission spectrum of one paint with its uncertainty.
 
-    The emission is a bispectral radiance factor per nm for excitation at the laser line (nm^-1): a curve of the
-    family plus the discrepancy. ``paper`` holds the paper's skew-Cauchy without discrepancy, in its symbols:
+    The emission is a bispectral radiance factor per nm for excitation at the laser line (nm^-1): draws under the prior
+    learned from measured spectra, or curves of a family that was asked for, plus the discrepancy. ``paper`` holds
+    the paper's skew-Cauchy without discrepancy, in its symbols:
     location_nm = lambda_0 (not the peak), scale_nm = gamma, skewness = omega, amplitude_nm = h.
     """
 
-    schema_version: ClassVar[int] = 5
+    schema_version: ClassVar[int] = 7
     written_by: ClassVar[str] = "'finray fit'"
     other_kinds: ClassVar[Mapping[str, str]] = {"PaintWithoutEmission": NO_SPECTRUM}
     shown: ClassVar[tuple[str, ...]] = (
@@ -296,7 +317,8 @@ class PaintCalibration(Record):
     detection: EmissionDetection | None = Field(
         default=None, description="that there is emission, and how sure that is; none: not judged, by an older version"
     )
-    family: str
+    spectrum_from: str = Field(default="", description="what the reported spectrum rests on; empty: on the family")
+    family: str = Field(description="whose sampled parameters stand here, and with which pixels are mapped")
     family_title: str
     family_choice: str = Field(description="why this family, and how sure that is")
     discrepancy: DiscrepancySettings
@@ -314,7 +336,16 @@ class PaintCalibration(Record):
     emission_high95_per_nm: Curve
     emission_low68_per_nm: Curve
     emission_high68_per_nm: Curve
+    emission_low95_simultaneous_per_nm: Curve | None = Field(
+        default=None,
+        description="lower limit of the band that holds the whole curve with 95 %, where it exceeds 5 % of its peak; "
+        "the limits above hold at each wavelength by itself; none: made by an older version",
+    )
+    emission_high95_simultaneous_per_nm: Curve | None = None
     emission_draws_per_nm: Annotated[Floats, ArraySpec("<f8", ("curve draw", "wavelength"), "1/nm")]
+    prior_shares: dict[str, PriorShare] = Field(
+        default={}, description="of mode_nm, fwhm_nm, peak_per_nm, energy_yield, stokes_shift_nm; empty: not judged"
+    )
     energy_yield: Estimate = Field(description="emitted over incident energy, emission above the laser line to 780 nm")
     band_integrals: tuple[Estimate, ...] = Field(
         description="emission through each filter: integral of emission times transmission over that of transmission"
@@ -346,6 +377,11 @@ class PaintCalibration(Record):
         return self
 
     @property
+    def mostly_prior(self) -> tuple[str, ...]:
+        """Names of the quantities of the spectrum that the measurement hardly constrains."""
+        return tuple(n for n, s in self.prior_shares.items() if s.mostly_prior and n != "stokes_shift_nm")
+
+    @property
     def mode_nm(self) -> Quantity:
         """Wavelength of the emission's maximum, nm."""
         return Quantity.of(self.parameters["mode_nm"], "nm")
@@ -367,7 +403,7 @@ class PaintCalibration(Record):
 
     @property
     def stokes_shift_nm(self) -> Quantity:
-        """Maximum of emission minus maximum of absorption, nm; `reradiation` says whether it was measured."""
+        """Maximum of emission minus last maximum of absorption, nm; `reradiation` says whether it was measured."""
         return Quantity.of(self.reradiation.stokes_shift_nm, "nm")
 
     def propagate(self, function: Callable[[Floats], ArrayLike]) -> PropagatedDraws:

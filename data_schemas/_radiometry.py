@@ -29,6 +29,12 @@ class Optics(Model):
     excitation_filter: str
     laser: LaserSettings
     lamp: SpectralCurve
+    lamp_temperature_k: Annotated[float, Field(gt=0.0)] = Field(
+        default=2856.0, description="colour temperature of the lamp, at which its uncertainty counts"
+    )
+    lamp_temperature_uncertainty_k: Annotated[float, Field(ge=0.0)] = Field(
+        default=50.0, description="its standard uncertainty; what older versions did not state is 50 K"
+    )
     white_reference: WhiteReference
     camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
     filter_curves: dict[str, SpectralCurve] = Field(
@@ -90,7 +96,7 @@ class BandSignals(Record):
     The covariances are over the flattened (filter, channel) index, filter-major; :attr:`notes` list what they hold.
     """
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray radiometry'"
 
     paint_name: str
@@ -173,7 +179,7 @@ class PixelSignals(Record):
         Laser over lamp irradiance relative to the region's mean, smoothed.
     """
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray radiometry --pixels'"
 
     paint_name: str

@@ -5,11 +5,12 @@ Every device names its ``driver`` and, unless it is simulated, the ``address`` a
 device says that it is, is its :class:`DeviceIdentity`.
 """
 
+import re
 from collections.abc import Callable
 from datetime import date, datetime
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from data_schemas._model import Model, Record
 from data_schemas._units import (
@@ -77,10 +78,26 @@ class BandPassFilter(Model):
     blocking_uncertainty_od: Annotated[float, Field(ge=0.0, le=3.0, json_schema_extra={"unit": "1"})] = 0.2
 
 
-CameraDriver = Literal["simulated", "aravis", "gentl", "mjpeg", "picamera2", "indi", "micro-manager", "folder"]
-WheelDriver = Literal["simulated", "thorlabs", "indi", "alpaca", "manual"]
-LaserDriver = Literal["simulated", "arduino", "indi", "alpaca"]
-LampDriver = Literal["simulated", "arduino", "indi", "alpaca", "manual"]
+def _driver_name(name: str) -> str:
+    """Refuse what is no name of a driver."""
+    if not re.fullmatch(DRIVER_NAME, name):
+        raise ValueError(
+            "is the name of a driver, such as 'thorlabs': at most 40 lower-case letters, digits and hyphens; a rig "
+            "file cannot name a module, for it must not choose what code runs: install the package that brings the "
+            "driver"
+        )
+    return name
+
+
+DRIVER_NAME = "[a-z0-9][a-z0-9-]{0,39}"
+DriverName = Annotated[
+    str,
+    AfterValidator(_driver_name),
+    Field(
+        json_schema_extra={"pattern": f"^{DRIVER_NAME}$"},
+        description="of finray-calib or of a package that is installed beside it; 'finray doctor' lists these",
+    ),
+]
 NO_ADDRESS = ("simulated", "manual")
 """Drivers without a device of their own."""
 
@@ -98,12 +115,12 @@ def _require_address(driver: str, address: str) -> None:
 class CameraSettings(Model):
     """Bayer camera of the rig."""
 
-    driver: CameraDriver = "simulated"
+    driver: DriverName = "simulated"
     address: str = Field(
         default="",
         description="aravis: camera name, serial number or IP address; gentl: path of the producer (.cti) and "
         "'#serial'; mjpeg: http://host:port/path; picamera2: number of the camera; indi: host:port/device; "
-        "micro-manager: configuration file (.cfg); folder: folder of images",
+        "micro-manager: configuration file (.cfg); folder: folder of images; others: as their package says",
     )
     model: str = "CM3-U3-13Y3C-CS"
     width_px: Annotated[int, Field(ge=64, le=8192, multiple_of=2)] = 1280
@@ -142,7 +159,7 @@ class CameraSettings(Model):
 class FilterWheelSettings(Model):
     """Filter wheel and what is in its slots."""
 
-    driver: WheelDriver = "simulated"
+    driver: DriverName = "simulated"
     address: str = Field(
         default="",
         description="thorlabs: serial port (/dev/ttyUSB0) or pyserial URL; indi: host:port/device; "
@@ -204,7 +221,7 @@ class OutsideLayer(Model):
 class LaserSettings(Model):
     """Excitation laser. The class and power are named so that nobody switches it on unknowingly."""
 
-    driver: LaserDriver = "simulated"
+    driver: DriverName = "simulated"
     address: str = Field(default="", description=LIGHT_ADDRESS)
     wavelength_nm: WavelengthNm = 450.0
     fwhm_nm: WidthNm = 2.0
@@ -221,6 +238,11 @@ class LaserSettings(Model):
     @model_validator(mode="after")
     def _real_laser_is_named(self) -> "LaserSettings":
         _require_address(self.driver, self.address)
+        if self.driver == "manual":
+            raise ValueError(
+                "driver: a laser cannot be switched by hand, for nothing would switch it off when the capture stops; "
+                "name the driver of a controller, such as 'arduino'"
+            )
         missing = {"wavelength_nm", "power_mw", "laser_class"} - self.model_fields_set
         if self.driver != "simulated" and missing:
             raise ValueError(
@@ -230,15 +252,42 @@ class LaserSettings(Model):
         return self
 
 
-class LampSettings(Model):
-    """White lamp of known relative spectrum."""
+PLANCK = r"planck-(\d{4})K"
+PLANCK_OR_CSV = r"(planck-\d{4}K|.+\.csv)"
+USUAL_TEMPERATURE_K = 2856.0
 
-    driver: LampDriver = "simulated"
+
+class LampSettings(Model):
+    """White lamp: its relative spectrum and how well that is known."""
+
+    driver: DriverName = "simulated"
     address: str = Field(default="", description=LIGHT_ADDRESS)
-    spectrum: Literal["planck-2856K"] = Field(
+    spectrum: str = Field(
         default="planck-2856K",
-        description="relative spectral irradiance on the sample (tungsten halogen lamp)",
+        description="relative spectral irradiance on the sample: planck-2856K, or another temperature of a tungsten "
+        "lamp, or a CSV file (wavelength_nm,power_rel) beside the rig file, as a spectrometer measured it",
+        json_schema_extra={"pattern": PLANCK_OR_CSV},
     )
+    temperature_uncertainty_k: Annotated[float, Field(ge=0.0, le=500.0)] = Field(
+        default=50.0,
+        description="standard uncertainty of the lamp's colour temperature in kelvin, of a measured spectrum that of "
+        "its tilt; 50 K (5 % in the ratio of 450 to 600 nm) for a lamp known by its label only",
+    )
+
+    @property
+    def temperature_k(self) -> float:
+        """Colour temperature, K; of a measured spectrum the usual one, at which its tilt counts."""
+        found = re.fullmatch(PLANCK, self.spectrum)
+        return float(found[1]) if found else USUAL_TEMPERATURE_K
+
+    @model_validator(mode="after")
+    def _spectrum_is_known(self) -> "LampSettings":
+        if not re.fullmatch(PLANCK_OR_CSV, self.spectrum) or not 1500.0 <= self.temperature_k <= 9999.0:
+            raise ValueError(
+                f"spectrum: {self.spectrum!r} is not known; write planck-2856K (a temperature from 1500 K in kelvin), "
+                "or the name of a CSV file (wavelength_nm,power_rel) with the measured spectrum"
+            )
+        return self
 
     @model_validator(mode="after")
     def _is_reachable(self) -> "LampSettings":
@@ -298,7 +347,7 @@ class SimulatedBench(Model):
 class RigFile(Record):
     """A whole rig."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 4
 
     name: str
     camera: CameraSettings = CameraSettings()

@@ -95,7 +95,7 @@ class SimulatedPress(Record):
     """
 
     schema_version: ClassVar[int] = 2
-    written_by: ClassVar[str] = "'finray simulate'"
+    written_by: ClassVar[str] = "'finray simulate render'"
 
     name: str
     label: str = Field(description="how the images came about, for example 'rendered, level b, llvm_ad_rgb'")
@@ -212,7 +212,7 @@ class LightAngleSweep(Record):
     """
 
     schema_version: ClassVar[int] = 2
-    written_by: ClassVar[str] = "'finray simulate --angles'"
+    written_by: ClassVar[str] = "'finray simulate sweep'"
 
     name: str
     objective: str = Field(description="name and meaning of the objective")
@@ -289,7 +289,7 @@ class PressMechanics(Record):
     """Force against push of one finger under a rigid indenter; the surfaces stand in a record of their own."""
 
     schema_version: ClassVar[int] = 2
-    written_by: ClassVar[str] = "'finray simulate'"
+    written_by: ClassVar[str] = "'finray simulate press'"
 
     name: str
     label: str = Field(description="engine and mesh, for example 'finite elements, coarse mesh, 38676 unknowns'")
@@ -345,7 +345,7 @@ class PressIncrement(Record):
     """The state of a finger at one increment of a press, from which the press can go on."""
 
     schema_version: ClassVar[int] = 2
-    written_by: ClassVar[str] = "'finray simulate --only mechanics'"
+    written_by: ClassVar[str] = "'finray simulate press'"
 
     preset: Preset
     depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
@@ -386,7 +386,7 @@ class FingerSurfaces(Record):
     """
 
     schema_version: ClassVar[int] = 2
-    written_by: ClassVar[str] = "'finray simulate'"
+    written_by: ClassVar[str] = "'finray simulate press'"
 
     name: str
     label: str = Field(description="where the shape comes from, for example 'at rest'")

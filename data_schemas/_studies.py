@@ -2,7 +2,7 @@
 
 The optical experiments, on one finger, vary the emitter of the painted walls, the number of panels and the angle of
 the panel. Stiffness, in bending and twist, comes with whether its order depends on assumed dimensions. Statements are
-tested on measured materials.
+tested on measured materials. A design study is a plan (TOML), a record for each of its points, and their table.
 """
 
 from typing import Annotated, ClassVar, Literal
@@ -328,3 +328,150 @@ class PaperPaints(Record):
     stand_ins: tuple[PaintStandIn, ...]
     statements: tuple[PaperStatement, ...]
     caveat: str
+
+
+DesignValue = bool | int | float | str
+"""A value of a design's field as a plan writes it."""
+
+
+class StudyVariation(Model):
+    """One thing that a study changes: a field of the design and its values, or the range that they are drawn from."""
+
+    field: str = Field(description="dotted field of the design, or 'preset' for a ready-made finger, or 'seed'")
+    values: tuple[DesignValue, ...] = Field(default=(), description="the values, in order")
+    low: float | None = Field(default=None, description="lower end of the range of a random study")
+    high: float | None = Field(default=None, description="upper end of the range of a random study")
+
+    @model_validator(mode="after")
+    def _values_or_range(self) -> "StudyVariation":
+        if bool(self.values) == (self.low is not None or self.high is not None):
+            raise ValueError(f"vary {self.field}: give values, or low and high of a random study")
+        if not self.values and (self.low is None or self.high is None or self.low >= self.high):
+            raise ValueError(f"vary {self.field}: low and high are both needed, low below high")
+        twice = [value for value in self.values if self.values.count(value) > 1]
+        if twice:
+            raise ValueError(f"vary {self.field}: {twice[0]!r} stands in its values twice; name each once")
+        return self
+
+
+class StudyMeasure(Model):
+    """What a study computes at each of its points."""
+
+    press: Literal["analytic", "finite elements"] = Field(
+        default="analytic",
+        description="how the indenter is pressed in: the pad takes its shape at once, or finite elements with force",
+    )
+    increments: Annotated[int, Field(ge=1, le=100)] = Field(default=2, description="steps of the push")
+    images: bool = Field(default=True, description="whether the press is rendered; without, only mechanics is computed")
+    samples: Annotated[int, Field(ge=2, le=100_000, multiple_of=2)] = Field(
+        default=64, description="paths per pixel of each repeat"
+    )
+    repeats: Annotated[int, Field(ge=3, le=100)] = Field(
+        default=3, description="independent renders of a point; their spread gives the intervals"
+    )
+
+    @model_validator(mode="after")
+    def _measures_something(self) -> "StudyMeasure":
+        if self.press == "analytic" and not self.images:
+            raise ValueError('measure: press = "analytic" without images computes nothing; set one of them')
+        return self
+
+
+class DesignStudy(Record):
+    """Plan of a design study (TOML): a finger, what changes, and what is computed at each point."""
+
+    kind: Literal["design"] = "design"
+    name: Annotated[str, Field(min_length=1, max_length=80)]
+    about: str = Field(default="", description="what the study is for, in a sentence")
+    design: str = Field(default="flat-70x35", description="a ready-made finger, or a design file beside the plan")
+    combine: Literal["grid", "together", "random"] = Field(
+        default="grid",
+        description="grid: every value with every other; together: first with first, second with second; random: a "
+        "Sobol' sample of the ranges",
+    )
+    count: Annotated[int, Field(ge=2, le=100_000)] | None = Field(default=None, description="points of a random study")
+    seed: Annotated[int, Field(ge=0)] = Field(default=1, description="of the sample and of the renders")
+    set: dict[str, DesignValue] = Field(default={}, description="fields of the design that every point takes")
+    measure: StudyMeasure = StudyMeasure()
+    vary: tuple[StudyVariation, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _combination_is_whole(self) -> "DesignStudy":
+        fields = [variation.field for variation in self.vary]
+        twice = sorted({field for field in fields if fields.count(field) > 1 or field in self.set})
+        if twice:
+            raise ValueError(f"{twice[0]} is given twice; vary it or set it, once")
+        if (self.combine == "random") != (self.count is not None):
+            raise ValueError('count goes with combine = "random", and only with it')
+        ranged = [variation.field for variation in self.vary if not variation.values]
+        listed = [variation.field for variation in self.vary if variation.values]
+        if self.combine == "random" and listed:
+            raise ValueError(f'vary {listed[0]}: combine = "random" needs low and high, not values')
+        if self.combine != "random" and ranged:
+            raise ValueError(f'vary {ranged[0]}: low and high need combine = "random"; give values')
+        if self.combine == "together" and len({len(variation.values) for variation in self.vary}) > 1:
+            raise ValueError('combine = "together": all lists of values must be of one length')
+        return self
+
+
+class StudyMetric(Model):
+    """One number of a point, with the 95 % interval that its repeats give."""
+
+    name: str
+    value: float
+    low95: float | None = Field(default=None, description="None: nothing here tells how sure the number is")
+    high95: float | None = None
+    unit: str
+    meaning: str
+
+
+Image = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "3"), "radiance of the panel")]
+
+
+class StudyPoint(Record):
+    """What a design study found at one point."""
+
+    schema_version: ClassVar[int] = 1
+    written_by: ClassVar[str] = "'finray study run'"
+    shown: ClassVar[tuple[str, ...]] = ("study", "number", "changes", "metrics")
+
+    study: str
+    number: Annotated[int, Field(ge=1)]
+    key: str = Field(description="SHA-256 of what the point was computed from; another plan gives another one")
+    changes: dict[str, DesignValue]
+    design: FingerDesign
+    metrics: tuple[StudyMetric, ...]
+    no_contact: Image | None = Field(default=None, description="camera RGB, mean of the repeats")
+    contact: Image | None = None
+    notes: tuple[str, ...] = ()
+    processor_s: Annotated[float, Field(ge=0.0)] = Field(description="processor time that the point took")
+
+
+class StudyFailure(Model):
+    """A point that could not be computed, and why."""
+
+    number: Annotated[int, Field(ge=1)]
+    changes: dict[str, DesignValue]
+    reason: str
+
+
+class StudyRow(Model):
+    """One point of a study as its table shows it."""
+
+    number: Annotated[int, Field(ge=1)]
+    changes: dict[str, DesignValue]
+    metrics: tuple[StudyMetric, ...]
+
+
+class StudyResult(Record):
+    """All points of a design study, without their images, and those that failed."""
+
+    schema_version: ClassVar[int] = 1
+    written_by: ClassVar[str] = "'finray study run'"
+    shown: ClassVar[tuple[str, ...]] = ("name", "about")
+
+    name: str
+    about: str
+    varied: tuple[str, ...] = Field(description="fields of the design")
+    points: tuple[StudyRow, ...]
+    failures: tuple[StudyFailure, ...] = ()

@@ -13,6 +13,7 @@ from data_schemas import (
     CaptureSession,
     CheckPlan,
     ComparisonBatch,
+    DesignStudy,
     FingerDesign,
     FingerStiffness,
     FingerSurfaces,
@@ -36,6 +37,8 @@ from data_schemas import (
     Record,
     RigFile,
     SimulatedPress,
+    StudyPoint,
+    StudyResult,
     TactileCapture,
     TactilePlan,
     TactileRig,
@@ -53,6 +56,7 @@ WRITTEN_BY_PEOPLE: tuple[type[Record], ...] = (
     CheckPlan,
     FingerDesign,
     PlainSensor,
+    DesignStudy,
 )
 STORED: tuple[type[Record], ...] = (
     CaptureSession,
@@ -82,6 +86,8 @@ STORED: tuple[type[Record], ...] = (
     ComparisonBatch,
     LightAngleDecision,
     AcceptanceReport,
+    StudyPoint,
+    StudyResult,
 )
 
 

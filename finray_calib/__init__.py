@@ -45,6 +45,7 @@ if TYPE_CHECKING:
         finger_design,
         press_finger,
         recolour_press,
+        render_images,
         render_press,
         sweep_light_angle,
     )
@@ -127,6 +128,7 @@ __all__ = [
     "recolour_press",
     "reduce_pixels",
     "reduce_session",
+    "render_images",
     "render_press",
     "sweep_light_angle",
     "trace_record",

@@ -3,6 +3,7 @@
 import os
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, NamedTuple, TypedDict
@@ -24,7 +25,7 @@ from finray_calib._given_records import PathLike, digest_of, given, made
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from sim.experiments import FingerScene, WhiteBalance
+    from sim.experiments import FingerScene, OpticsProducts, Rendering, WhiteBalance
     from sim.mechanics import ContactChoice
     from sim.optics import Preference, RenderLevel
 
@@ -33,6 +34,8 @@ Paint = PaintCalibration | PathLike
 DEFAULT_SAMPLES_PER_PIXEL = 128
 DEFAULT_SAMPLES_PER_PROBE = 4000
 SWEEP_REPEATS = 6
+SURFACES_SUFFIX = ".surfaces.json"
+MECHANICS_SUFFIX = ".mechanics.json"
 
 
 class FingerPress(NamedTuple):
@@ -59,6 +62,8 @@ class RenderOptions(TypedDict, total=False):
         Of a press: whether to render also how the image changes with the indenter's pose (three times the time).
     all_objectives
         Of a sweep: whether to measure also how well normals are told, evenness, clipping and room for the panel.
+    position_mm
+        Of a sweep: where the indenter touches along the pad, in mm from the base, in place of the design's.
     narrow_sweep
         Of a sweep: whether angles that span less than 4 deg are meant so, and are not radians.
     """
@@ -69,6 +74,7 @@ class RenderOptions(TypedDict, total=False):
     paints_as_given: bool
     pose_response: bool
     all_objectives: bool
+    position_mm: float
     narrow_sweep: bool
 
 
@@ -100,10 +106,24 @@ def _design(given_design: FingerDesign | PathLike) -> _Design:
     if isinstance(given_design, FingerDesign):
         return _Design(given_design, Path(), [])
     path = Path(given_design)
+    if path.name.endswith(SURFACES_SUFFIX):
+        return _design_of_surfaces(path)
     if not path.exists() and (os.fspath(given_design) in PRESETS or path.suffix != ".toml"):
         return _Design(preset_design(os.fspath(given_design)), Path(), [])
     design = read_design(path)
     return _Design(design, path.parent, design_inputs(design, path))
+
+
+def _design_of_surfaces(surfaces: Path) -> _Design:
+    """Return the design of a press whose surfaces are stored: it stands in the record of its mechanics beside them."""
+    mechanics = surfaces.with_name(surfaces.name.removesuffix(SURFACES_SUFFIX) + MECHANICS_SUFFIX)
+    if not mechanics.exists():
+        raise SimulateError(
+            f"{surfaces}: the design of these surfaces is read from {mechanics.name} beside them, which is not there; "
+            "give the design, and these as its surfaces"
+        )
+    press, files = given(mechanics, PressMechanics)
+    return _Design(press.design, surfaces.parent, files)
 
 
 def press_finger(
@@ -112,6 +132,7 @@ def press_finger(
     force_n: float | None = None,
     increments: int = 4,
     contact: "ContactChoice" = "auto",
+    budget_s: float | None = None,
     progress: Progress | None = None,
 ) -> FingerPress:
     """Press the design's indenter in by finite elements.
@@ -126,8 +147,10 @@ def press_finger(
         Steps of the push.
     contact
         "penalty" (fast, no friction), "barrier" (friction, any indenter, contact of ribs) or "auto".
+    budget_s
+        Processor time, all threads together, after which the press ends early with the increments that it has.
     progress
-        Called after each increment.
+        Called before each iteration and after each increment.
 
     Raises
     ------
@@ -146,9 +169,11 @@ def press_finger(
         raise SimulateError("force_n is reached by the penalty contact only; leave out contact, or force_n")
     with naming(SimulateError, *files[:1]):
         if force_n is not None:
-            pressed = press_to_force(finger, force_n, None, increments, threads, folder, progress)
+            pressed = press_to_force(finger, force_n, None, increments, threads, folder, progress, budget_s)
         else:
-            pressed = press(finger, None, increments, threads, progress, contact=contact, folder=folder)
+            pressed = press(
+                finger, None, increments, threads, progress, contact=contact, folder=folder, budget_s=budget_s
+            )
         mechanics, surfaces = press_records(finger, pressed, wanted_force_n=force_n)
     if finger.indenter.file is not None:
         files = [*files, folder / finger.indenter.file]
@@ -170,7 +195,8 @@ def render_press(
     Parameters
     ----------
     design
-        A design, its file, or the name of a ready-made finger.
+        A design, its file, the name of a ready-made finger, or the surfaces of a press (NAME.surfaces.json), whose
+        design stands in NAME.mechanics.json beside them.
     red, green
         Paints of the two walls, see :func:`finray_calib.fit_paint`.
     surfaces
@@ -190,15 +216,51 @@ def render_press(
     """
     from sim.experiments import simulate_press
 
+    rendering = _rendering(seed, options)
+    scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
+    return made(simulate_press(scene, rendering, digests, progress), "render_press", files, seed)
+
+
+def render_images(
+    design: FingerDesign | PathLike,
+    *,
+    red: Paint,
+    green: Paint,
+    surfaces: FingerSurfaces | PathLike | None = None,
+    seed: int = 1,
+    progress: Progress | None = None,
+    **options: "Unpack[RenderOptions]",
+) -> "OpticsProducts":
+    """Render as :func:`render_press` does, and return all images of the press beside its record.
+
+    Parameters
+    ----------
+    design, red, green, surfaces, seed, progress, **options
+        See :func:`render_press`.
+
+    Returns
+    -------
+    sim.experiments.OpticsProducts
+        The record (`press`), the press as a capture with raw counts, the images of its bands and spectra with their
+        noise, and the geometry in each pixel.
+    """
+    from sim.experiments import simulate_images
+
+    rendering = _rendering(seed, options)
+    scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
+    products = simulate_images(scene, rendering, digests, progress)
+    return replace(products, press=made(products.press, "render_images", files, seed))
+
+
+def _rendering(seed: int, options: RenderOptions) -> "Rendering":
+    """Return how a press is rendered."""
+    from sim.experiments import Rendering
+
     samples = options.get("samples", DEFAULT_SAMPLES_PER_PIXEL)
     if samples < 2 or samples % 2:
         raise SimulateError(f"samples={samples}: a press is rendered as two halves; give an even number from 2")
-    scene, digests, files = _scene(_design(design), {"red": red, "green": green}, surfaces, options)
-    press = simulate_press(
-        scene.finger, options.get("level", "b"), seed, samples, digests, progress, scene.shapes, scene.calibrations,
-        options.get("pose_response", False),
-    )  # fmt: skip
-    return made(press, "render_press", files, seed)
+    level, pose = options.get("level", "b"), options.get("pose_response", False)
+    return Rendering(level, seed, samples, with_pose_response=pose)
 
 
 def sweep_light_angle(
@@ -227,7 +289,7 @@ def sweep_light_angle(
         raise SimulateError("level: sweeps are made with level b; leave it out")
     if not options.get("narrow_sweep", False) and look_like_radians(list(angles_deg)):
         raise SimulateError(f"angles_deg: {narrow_sweep_text(list(angles_deg))}")
-    scene, digests, files = _scene(_design(design), {"red": red, "green": green}, surfaces, options)
+    scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
     rest, shape = scene.shapes or (None, None)
     sweep = light_angle_sweep(
         scene.finger, scene.calibrations, list(angles_deg), SWEEP_REPEATS,
@@ -238,7 +300,7 @@ def sweep_light_angle(
 
 
 def _scene(
-    found: _Design,
+    design: FingerDesign | PathLike,
     paints: dict[str, Paint],
     surfaces: FingerSurfaces | PathLike | None,
     options: RenderOptions,
@@ -246,12 +308,18 @@ def _scene(
     """Return the painted finger, the checksums of its paints, and all files that were read."""
     from sim.experiments import finger_scene, require_paints_in_order
 
+    found = _design(design)
+    if "position_mm" in options:
+        indenter = found.design.indenter.model_copy(update={"position_mm": options["position_mm"]})
+        found = found._replace(design=found.design.model_copy(update={"indenter": indenter}))
+    if surfaces is None and not isinstance(design, FingerDesign) and Path(design).name.endswith(SURFACES_SUFFIX):
+        surfaces = design
     read = {colour: given(paint, PaintCalibration) for colour, paint in paints.items()}
     calibrations = {colour: paint for colour, (paint, _) in read.items()}
     if not options.get("paints_as_given", False):
         modes_nm = {colour: paint.mode_nm.estimate for colour, paint in calibrations.items()}
         names = {colour: str(paint[1][0]) if paint[1] else paint[0].paint_name for colour, paint in read.items()}
-        require_paints_in_order(modes_nm, names, "paints_as_given=True")
+        require_paints_in_order(modes_nm, names, "paints_as_given=True (--paints-as-given)")
     meshes, mesh_files = (None, []) if surfaces is None else given(surfaces, FingerSurfaces)
     with naming(SimulateError, *found.files[:1]):
         renderer = _renderer(options.get("engine", "auto"))

@@ -4,11 +4,12 @@ Those of the finger stand in :mod:`finray_calib._finger_functions`. Where a file
 names it with its SHA-256, so that a stored result can be traced.
 """
 
+import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from data_schemas import (
     BandSignals,
@@ -428,35 +429,45 @@ def compare_force(
 
 
 def decide_light_angle(
-    sweep: LightAngleSweep | PathLike,
+    sweeps: LightAngleSweep | PathLike | Sequence[LightAngleSweep | PathLike],
     reports: Sequence[PhotometricErrorReport | PathLike] = (),
     *,
     narrow_sweep: bool = False,
+    weights: Sequence[float] | None = None,
+    criterion: Literal["average", "worst"] = "average",
     seed: int = 1,
 ) -> LightAngleDecision:
-    """Decide on the angle of the light: the angle, its probability, the risk, and the angles that are as good.
+    """Decide on the angle of the light over touches of a finger: the angle, its risk, and what each touch loses.
 
     Parameters
     ----------
-    sweep
-        See :func:`finray_calib.sweep_light_angle`.
+    sweeps
+        One for each touch, see :func:`finray_calib.sweep_light_angle`; one alone decides for its place only.
     reports
         Comparisons with captures, see :func:`compare_press`; without any the decision is not validated.
     narrow_sweep
         Whether angles that span less than 4 deg are meant so, and are not radians.
+    weights
+        How often each touch occurs, in the order of the sweeps; by default all alike.
+    criterion
+        "average": the least loss on average over the touches; "worst": at the worst of them.
     seed
         Of the random generator.
 
     Raises
     ------
     DecideError
-        The sweep does not allow a decision, or a report is not of this finger.
+        The sweeps allow no decision or do not belong together, or a report is not of this finger.
     """
     from finray_calib.decide import decide
 
-    swept, files = given(sweep, LightAngleSweep)
+    several = [sweeps] if isinstance(sweeps, LightAngleSweep | str | os.PathLike) else list(sweeps)
+    swept = [given(sweep, LightAngleSweep) for sweep in several]
+    files = [file for _, read in swept for file in read]
     compared = [given(report, PhotometricErrorReport) for report in reports]
     files += [file for _, read in compared for file in read]
     with naming(DecideError, *files):
-        decision = decide(swept, [report for report, _ in compared], seed, narrow_sweep)
+        decision = decide(
+            [sweep for sweep, _ in swept], [report for report, _ in compared], seed, narrow_sweep, weights, criterion
+        )
     return made(decision, "decide_light_angle", files, seed)

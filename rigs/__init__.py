@@ -5,8 +5,9 @@ and a clock that keep the protocols of this room, whether they are real, behind 
 has a deadline, and what a device says is asked afresh.
 
 Drivers lie in ``cameras``, ``filter_wheels`` and ``lights``, one file per make or protocol, over the framed exchanges
-of ``transports``; ``light_guard`` alone holds a light that could harm; ``capture`` runs the sessions; ``simulated`` is
-a rig without hardware; ``contracts`` are the tests of every driver.
+of ``transports``, or in other packages (docs/how-to/write-a-driver.md); ``light_guard`` alone holds a light that could
+harm; ``capture`` runs the sessions; ``simulated`` is a rig without hardware; ``contracts`` are the tests of every
+driver.
 """
 
 from typing import TYPE_CHECKING
@@ -14,7 +15,23 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from rigs._drivers import LIGHTS, Detection, FoundDevice, detect, open_camera, open_lamp, open_laser, open_wheel
+    from rigs._drivers import (
+        Detection,
+        Driver,
+        FoundDevice,
+        Kind,
+        detect,
+        driver_module,
+        driver_notes,
+        drivers_of_other_packages,
+        find_driver,
+        offered,
+        open_camera,
+        open_lamp,
+        open_laser,
+        open_wheel,
+        rig_drivers,
+    )
     from rigs._host import CallThread, NoAnswerError, SystemClock, TerminalOperator
     from rigs._open_rig import (
         OpenRig,
@@ -26,7 +43,7 @@ if TYPE_CHECKING:
         open_rig,
         rig_locked,
     )
-    from rigs._overview import look_at, look_at_tactile
+    from rigs._overview import device_title, look_at, look_at_tactile
     from rigs._protocols import (
         Camera,
         Clock,
@@ -37,6 +54,7 @@ if TYPE_CHECKING:
         OffWords,
         Operator,
         RawFrame,
+        missing_members,
     )
     from rigs._rig_files import (
         DEFAULT_PAINTS,
@@ -56,14 +74,15 @@ else:
 
 __all__ = [
     "DEFAULT_PAINTS",
-    "LIGHTS",
     "CallThread",
     "Camera",
     "Clock",
     "Detection",
+    "Driver",
     "FilterWheel",
     "FoundDevice",
     "GuardedSwitch",
+    "Kind",
     "Light",
     "LightSwitch",
     "NoAnswerError",
@@ -77,12 +96,19 @@ __all__ = [
     "camera_plan",
     "detect",
     "device_locked",
+    "device_title",
+    "driver_module",
+    "driver_notes",
+    "drivers_of_other_packages",
+    "find_driver",
     "lone_camera",
     "lone_lamp",
     "lone_laser",
     "lone_wheel",
     "look_at",
     "look_at_tactile",
+    "missing_members",
+    "offered",
     "open_camera",
     "open_lamp",
     "open_laser",
@@ -91,6 +117,7 @@ __all__ = [
     "paint_plan",
     "paper_rig",
     "plan_toml",
+    "rig_drivers",
     "rig_locked",
     "rig_toml",
     "simulated_rig",

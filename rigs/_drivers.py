@@ -1,47 +1,213 @@
-"""From the name of a driver to its module, and what the drivers can find; each is imported when it is named.
+"""From the name of a driver in a rig file to its module, of finray-calib or of another package; and what is in reach.
+
+A driver is a module, imported when a rig names it. Those of finray-calib are the files of ``rigs.cameras``,
+``rigs.filter_wheels`` and ``rigs.lights``; a driver of another package is an entry point of the group
+``finray_calib.cameras``, ``finray_calib.filter_wheels`` or ``finray_calib.lights`` whose value is the module. A rig
+file cannot name a module itself: it travels with sessions, and must not choose what code runs.
 
 A camera's module has ``open_camera(settings, folder)``, a filter wheel's ``open_wheel(settings, operator)``, a light's
-``open_switch(address, role, operator)``; each returns a context manager. One with ``found()`` can look for its devices;
-the search asks every such driver, each with a deadline.
+``open_switch(address, role, operator)`` and ``HAS_DEAD_MAN``; each function returns a context manager. One with
+``found()`` can look for its devices; the search asks every such driver, each with a deadline.
 """
 
 import math
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
-from importlib import import_module
+from functools import cache, partial
+from importlib import import_module, metadata
 from pathlib import Path
+from pkgutil import iter_modules
 from types import ModuleType
-from typing import Final, Literal, cast
+from typing import Final, Literal, TypeVar
 
-from data_schemas import NO_ADDRESS, CameraSettings, FilterWheelSettings, LampSettings, LaserSettings
+from data_schemas import (
+    NO_ADDRESS,
+    CameraSettings,
+    FilterWheelSettings,
+    FinrayError,
+    LampSettings,
+    LaserSettings,
+    RefusedError,
+    RigFile,
+    TactileRig,
+)
 from rigs._host import CallThread, NoAnswerError
-from rigs._protocols import Camera, FilterWheel, Light, Operator
+from rigs._protocols import Camera, FilterWheel, Light, Operator, missing_members
 from rigs.light_guard import LEASE_S, GuardedLight, guarded_light
 from rigs.lights.manual import plain_light
 from rigs.transports import indi_address
 
-CAMERAS: Final = {
-    "aravis": "rigs.cameras.aravis",
-    "gentl": "rigs.cameras.gentl",
-    "mjpeg": "rigs.cameras.mjpeg",
-    "picamera2": "rigs.cameras.raspberry_pi",
-    "indi": "rigs.cameras.indi",
-    "micro-manager": "rigs.cameras.micro_manager",
-    "folder": "rigs.cameras.image_folder",
+Kind = Literal["camera", "filter wheel", "light"]
+_FOLDERS: Final[dict[Kind, str]] = {"camera": "cameras", "filter wheel": "filter_wheels", "light": "lights"}
+"""Kind -> folder of ``rigs``, and the last part of the group of entry points."""
+_FUNCTIONS: Final[dict[Kind, tuple[str, ...]]] = {
+    "camera": ("open_camera",),
+    "filter wheel": ("open_wheel",),
+    "light": ("open_switch", "HAS_DEAD_MAN"),
 }
-FILTER_WHEELS: Final = {
-    "thorlabs": "rigs.filter_wheels.thorlabs",
-    "indi": "rigs.filter_wheels.indi",
-    "alpaca": "rigs.filter_wheels.alpaca",
-    "manual": "rigs.filter_wheels.manual",
-}
-LIGHTS: Final = {
-    "arduino": "rigs.lights.arduino",
-    "indi": "rigs.lights.indi",
-    "alpaca": "rigs.lights.alpaca",
-    "manual": "rigs.lights.manual",
-}
+_NAMES: Final = {"raspberry_pi": "picamera2", "image_folder": "folder"}
+"""Files whose driver has another name; that of the others is the file's, with hyphens."""
+OURS: Final = "finray-calib"
+HOW_TO: Final = "docs/how-to/write-a-driver.md"
+
+
+@dataclass(frozen=True, slots=True)
+class Driver:
+    """A driver that a rig file can name.
+
+    Attributes
+    ----------
+    kind, name
+        What it drives, and its name in a rig file.
+    module
+        What is imported.
+    package, version
+        The distribution that brings it.
+    """
+
+    kind: Kind
+    name: str
+    module: str
+    package: str = OURS
+    version: str = ""
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether it is one of finray-calib."""
+        return self.package == OURS
+
+    @property
+    def label(self) -> str:
+        """Its name, with the package where it is not ours: ``grbl (finray-grbl-wheel 0.1)``."""
+        return self.name if self.is_ours else f"{self.name} ({self.package} {self.version})"
+
+
+@cache
+def offered(kind: Kind) -> dict[str, tuple[Driver, ...]]:
+    """Return the drivers of a kind by name; several of one name where packages offer the same."""
+    folder = _FOLDERS[kind]
+    table: dict[str, tuple[Driver, ...]] = {"simulated": (Driver(kind, "simulated", "rigs.simulated"),)}
+    for file in iter_modules([str(Path(__file__).with_name(folder))]):
+        if not file.name.startswith("_"):
+            name = _NAMES.get(file.name, file.name.replace("_", "-"))
+            table[name] = (Driver(kind, name, f"rigs.{folder}.{file.name}"),)
+    for entry in metadata.entry_points(group=f"finray_calib.{folder}"):
+        package, version = ("", "") if entry.dist is None else (entry.dist.name, entry.dist.version)
+        table[entry.name] = (*table.get(entry.name, ()), Driver(kind, entry.name, entry.value, package, version))
+    return table
+
+
+def find_driver(kind: Kind, name: str) -> Driver:
+    """Return the one driver of a name; nothing is imported.
+
+    Raises
+    ------
+    RefusedError
+        There is none, or several packages offer one.
+    """
+    table = offered(kind)
+    if name not in table:
+        known = ", ".join(sorted(found[0].label for found in table.values()))
+        raise RefusedError(
+            f"{kind}: no driver '{name}' is installed; there are {known}: correct driver in the rig file, or install "
+            f"the package that brings it ({HOW_TO})"
+        )
+    if len(table[name]) > 1:
+        packages = [f"{driver.package} {driver.version}".rstrip() for driver in table[name]]
+        others = [driver.package for driver in table[name] if not driver.is_ours]
+        raise RefusedError(
+            f"{kind}: driver '{name}' is offered by {' and by '.join(packages)}, and only one can be meant; pip "
+            f"uninstall {others[-1]}, or ask its author for another name"
+        )
+    return table[name][0]
+
+
+def driver_module(driver: Driver) -> ModuleType:
+    """Return the module of a driver, which has all that one of its kind must have.
+
+    Raises
+    ------
+    RefusedError
+        It cannot be imported, or lacks something.
+    """
+    try:
+        module = import_module(driver.module)
+    except FinrayError:
+        raise
+    except Exception as error:  # whatever a module does when it is imported
+        raise RefusedError(
+            f"{_of(driver)} cannot be imported ({type(error).__name__}: {error}); {_update(driver)}"
+        ) from error
+    lacking = [name for name in _FUNCTIONS[driver.kind] if not hasattr(module, name)]
+    if lacking:
+        raise RefusedError(
+            f"{_of(driver)} lacks {' and '.join(lacking)} in its module {driver.module}; {_update(driver)}"
+        )
+    return module
+
+
+def rig_drivers(rig: RigFile | TactileRig) -> tuple[Driver, ...]:
+    """Return the drivers of a rig, each imported, none of a simulated rig; no device is opened.
+
+    Raises
+    ------
+    RefusedError
+        A driver is not installed, offered twice, cannot be imported or lacks something.
+    """
+    if isinstance(rig, RigFile) and rig.is_simulated:
+        return ()
+    named: list[tuple[Kind, str]] = [("camera", rig.camera.driver)]
+    if isinstance(rig, RigFile):
+        named.append(("filter wheel", rig.filter_wheel.driver))
+        named += [("light", light.driver) for light in (rig.laser, rig.lamp)]
+    drivers = tuple(find_driver(kind, name) for kind, name in named)
+    for driver in drivers:
+        driver_module(driver)
+    return drivers
+
+
+def driver_notes(rig: RigFile | TactileRig) -> tuple[str, ...]:
+    """Return a line, for the record of a session, on each driver of another package, with its version.
+
+    Raises
+    ------
+    RefusedError
+        As :func:`rig_drivers` does.
+    """
+    others = [f"{driver.kind}: driver {driver.label}" for driver in rig_drivers(rig) if not driver.is_ours]
+    return tuple(dict.fromkeys(others))
+
+
+def _of(driver: Driver) -> str:
+    return f"{driver.kind}: driver '{driver.name}' of package {driver.package} {driver.version}".rstrip()
+
+
+def _update(driver: Driver) -> str:
+    return f"update it (pip install --upgrade {driver.package}), or tell its author ({HOW_TO})"
+
+
+Device = TypeVar("Device")
+
+
+@contextmanager
+def _opened(
+    driver: Driver, opening: Callable[[ModuleType], AbstractContextManager[Device]], protocol: type
+) -> Iterator[Device]:
+    """Open a device for a ``with`` block, and refuse one that lacks a part of its protocol."""
+    module = driver_module(driver)
+    with ExitStack() as stack:
+        try:
+            device = stack.enter_context(opening(module))
+        except (FinrayError, OSError):
+            raise
+        except Exception as error:  # a mistake of the driver's author is not its user's
+            raise RefusedError(
+                f"{_of(driver)} fails when it opens ({type(error).__name__}: {error}); {_update(driver)}"
+            ) from error
+        if lacking := missing_members(device, protocol):
+            raise RefusedError(f"{_of(driver)} opens a device that lacks {', '.join(lacking)}; {_update(driver)}")
+        yield device
 
 
 def open_camera(
@@ -51,18 +217,18 @@ def open_camera(
 
     An INDI camera names a filter in its headers: it is told which wheel, where that is on the same server.
     """
-    module = _module(CAMERAS, settings.driver)
     extra = {}
     if settings.driver == "indi" and wheel is not None and wheel.driver == "indi":
         camera_at, wheel_at = indi_address(settings.address, "camera"), indi_address(wheel.address, "filter wheel")
         extra = {"wheel_device": wheel_at.device} if camera_at[:2] == wheel_at[:2] else {}
-    return cast(AbstractContextManager[Camera], module.open_camera(settings, folder, **extra))
+    driver = find_driver("camera", settings.driver)
+    return _opened(driver, lambda module: module.open_camera(settings, folder, **extra), Camera)
 
 
 def open_wheel(settings: FilterWheelSettings, operator: Operator) -> AbstractContextManager[FilterWheel]:
     """Return the filter wheel of a rig, open for a ``with`` block."""
-    wheel = _module(FILTER_WHEELS, settings.driver).open_wheel(settings, operator)
-    return cast(AbstractContextManager[FilterWheel], wheel)
+    driver = find_driver("filter wheel", settings.driver)
+    return _opened(driver, lambda module: module.open_wheel(settings, operator), FilterWheel)
 
 
 def open_laser(settings: LaserSettings, lease_s: float = LEASE_S) -> AbstractContextManager[GuardedLight]:
@@ -80,17 +246,11 @@ def open_lamp(settings: LampSettings, operator: Operator) -> AbstractContextMana
     One with a controller has a guard process too: it also feeds the dead-man, without which a lamp goes off.
     """
     if settings.driver == "manual":
-        return plain_light(_module(LIGHTS, settings.driver).open_switch(settings.address, "lamp", operator))
+        module = driver_module(find_driver("light", settings.driver))
+        return plain_light(module.open_switch(settings.address, "lamp", operator))
     return guarded_light("lamp", settings.driver, settings.address, math.inf)
 
 
-def _module(known: dict[str, str], driver: str) -> ModuleType:
-    """Return the module of a driver."""
-    return import_module(known[driver])
-
-
-Kind = Literal["camera", "filter wheel", "light"]
-DRIVERS: Final[dict[Kind, dict[str, str]]] = {"camera": CAMERAS, "filter wheel": FILTER_WHEELS, "light": LIGHTS}
 # A board that restarts when its port is opened needs 3.5 s to speak; some computers have several ports.
 LOOK_WITHIN_S: Final = 12.0
 
@@ -124,7 +284,7 @@ class Detection:
     devices
         Devices in reach.
     notes
-        Drivers that could not look, and why.
+        Drivers that could not look, and why; drivers of other packages.
     not_searched
         Drivers whose devices cannot be looked for.
     """
@@ -140,19 +300,32 @@ def detect(limit_s: float = LOOK_WITHIN_S) -> Detection:
     Serial ports behind USB are opened for a moment, and most Arduino boards restart then.
     """
     devices: list[FoundDevice] = []
-    notes: list[str] = []
+    notes: list[str] = [f"{driver.kind} driver {driver.label} is installed" for driver in drivers_of_other_packages()]
     not_searched: list[str] = []
-    for kind, modules in DRIVERS.items():
-        for driver, module in modules.items():
+    for kind in _FOLDERS:
+        for name in offered(kind):
+            if name in (*NO_ADDRESS, "folder"):
+                continue
             try:
-                found: Callable[[], list[tuple[str, str]]] | None = getattr(import_module(module), "found", None)
-                if found is not None:
-                    listed = CallThread(f"search for {driver}").call(found, limit_s)
-                    devices += [FoundDevice(kind, driver, address, what) for address, what in listed]
-                elif driver not in (*NO_ADDRESS, "folder", *not_searched):
-                    not_searched.append(driver)
+                listed = CallThread(f"search for {name}").call(partial(_found, kind, name), limit_s)
+                if listed is None:
+                    not_searched.append(name)
+                else:
+                    devices += [FoundDevice(kind, name, address, what) for address, what in listed]
             except NoAnswerError:
-                notes.append(f"{driver}: the search for a {kind} did not end within {limit_s:g} s")
+                notes.append(f"{name}: the search for a {kind} did not end within {limit_s:g} s")
             except Exception as error:  # whatever one driver runs into must not hide what the others find
-                notes.append(f"{driver}: {error}")
-    return Detection(tuple(devices), tuple(dict.fromkeys(notes)), tuple(not_searched))
+                notes.append(f"{name}: {error}")
+    return Detection(tuple(devices), tuple(dict.fromkeys(notes)), tuple(dict.fromkeys(not_searched)))
+
+
+def _found(kind: Kind, name: str) -> list[tuple[str, str]] | None:
+    """Return address and description of the devices that a driver finds; None where it cannot look."""
+    found: Callable[[], list[tuple[str, str]]] | None
+    found = getattr(driver_module(find_driver(kind, name)), "found", None)
+    return None if found is None else found()
+
+
+def drivers_of_other_packages() -> list[Driver]:
+    """Return every driver that finray-calib does not bring; nothing is imported."""
+    return [driver for kind in _FOLDERS for found in offered(kind).values() for driver in found if not driver.is_ours]

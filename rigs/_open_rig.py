@@ -26,10 +26,11 @@ from data_schemas import (
     LaserSettings,
     RigFile,
     SpectralCurve,
+    TactileRig,
     coverage_notes,
 )
-from data_schemas.storage import camera_response, halogen_lamp, read_filter_curves
-from rigs._drivers import open_camera, open_lamp, open_laser, open_wheel
+from data_schemas.storage import camera_response, lamp_curve, read_filter_curves
+from rigs._drivers import driver_notes, open_camera, open_lamp, open_laser, open_wheel
 from rigs._host import SystemClock, TerminalOperator
 from rigs._protocols import Camera, Clock, FilterWheel, Light, Operator
 
@@ -58,7 +59,8 @@ class OpenRig:
     filter_curves
         Measured transmission of the filters that name one, by the filter's name.
     notes
-        What the user should know about the curves (end values that are held, range of measured transmissions).
+        What the user should know about the curves (end values that are held, range of measured transmissions), drivers
+        of other packages with their versions, and what does not switch the laser off.
     """
 
     camera: Camera
@@ -92,6 +94,8 @@ def open_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> It
 
     Raises
     ------
+    RefusedError
+        A driver is not installed, or is not as a driver must be; no device was opened.
     CaptureError
         A device cannot be reached or is not what the rig file says.
     MissingExtraError
@@ -101,12 +105,13 @@ def open_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> It
         filter that names it.
     """
     response = camera_response(rig.camera.response, folder)
-    lamp = halogen_lamp()
+    lamp = lamp_curve(rig.lamp, folder)
     filter_curves = read_filter_curves(rig.filter_wheel.filters, folder)
     notes = coverage_notes(rig.filter_wheel.filters, filter_curves, (*response, lamp))
     if rig.is_simulated:
         yield _open_simulated(rig, folder, response, lamp, filter_curves, notes)
         return
+    others = driver_notes(rig)
     hands, lease_s = operator or TerminalOperator(), 2.0 * rig.camera.longest_exposure_s + LEASE_S
     with ExitStack() as stack:
         laser = stack.enter_context(open_laser(rig.laser, lease_s))
@@ -120,7 +125,7 @@ def open_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> It
             camera_response=response,
             lamp_spectrum=lamp,
             filter_curves=filter_curves,
-            notes=(*notes, *laser.notes),
+            notes=(*notes, *others, *laser.notes),
         )
 
 
@@ -243,10 +248,11 @@ T = TypeVar("T")
 Settings = CameraSettings | FilterWheelSettings | LaserSettings | LampSettings
 
 
-def lone_camera(rig: RigFile, folder: Path) -> AbstractContextManager[Camera]:
+def lone_camera(rig: RigFile | TactileRig, folder: Path) -> AbstractContextManager[Camera]:
     """Return the camera, open for a ``with`` block; relative paths start in `folder`."""
+    bench = rig if isinstance(rig, RigFile) else None
     return _alone(
-        rig, folder, "camera", rig.camera, lambda: open_camera(rig.camera, folder), lambda opened: opened.camera
+        bench, folder, "camera", rig.camera, lambda: open_camera(rig.camera, folder), lambda opened: opened.camera
     )
 
 
@@ -268,7 +274,7 @@ def lone_lamp(rig: RigFile, folder: Path, operator: Operator) -> AbstractContext
 
 @contextmanager
 def _alone(
-    rig: RigFile,
+    rig: RigFile | None,
     folder: Path,
     role: str,
     settings: Settings,
@@ -276,7 +282,7 @@ def _alone(
     of_bench: Callable[[OpenRig], T],
 ) -> Iterator[T]:
     """Open a real device, or take it from the simulated bench."""
-    if rig.is_simulated:
+    if rig is not None and rig.is_simulated:
         with open_rig(rig, folder) as opened:
             yield of_bench(opened)
     else:

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 
 from data_schemas import CameraSettings, DeviceIdentity, FinrayError, RigFile, TactileRig, coverage_notes
-from data_schemas.storage import camera_response, halogen_lamp, read_filter_curves
-from rigs._drivers import open_camera
+from data_schemas.storage import camera_response, lamp_curve, read_filter_curves
+from rigs._drivers import Kind, offered
 from rigs._host import TerminalOperator
-from rigs._open_rig import Settings, device_locked, lone_camera, lone_lamp, lone_laser, lone_wheel
+from rigs._open_rig import Settings, lone_camera, lone_lamp, lone_laser, lone_wheel
 from rigs._protocols import Camera, Light
 from rigs.capture import CAMERA_DEADLINE_MARGIN_S
 from rigs.light_guard import GuardedLight, off_lines
@@ -59,10 +59,10 @@ def look_at(rig: RigFile, folder: Path) -> Iterator[PartReport]:
     folder
         Where relative paths in it start.
     """
-    yield _report(_title("laser", rig.laser), lambda: _laser(rig, folder))
-    yield _report(_title("lamp", rig.lamp), lambda: _lamp(rig, folder))
-    yield _report(_title("filter wheel", rig.filter_wheel), lambda: _wheel(rig, folder))
-    yield _report(_title("camera", rig.camera), lambda: _camera(lone_camera(rig, folder), rig.camera))
+    yield _report(device_title("laser", rig.laser), lambda: _laser(rig, folder))
+    yield _report(device_title("lamp", rig.lamp), lambda: _lamp(rig, folder))
+    yield _report(device_title("filter wheel", rig.filter_wheel), lambda: _wheel(rig, folder))
+    yield _report(device_title("camera", rig.camera), lambda: _camera(lone_camera(rig, folder), rig.camera))
     yield _report("filters and curves", lambda: _curves(rig, folder))
 
 
@@ -77,16 +77,15 @@ def look_at_tactile(rig: TactileRig, folder: Path) -> Iterator[PartReport]:
         Where relative paths in it start.
     """
     camera = rig.camera
-
-    def lines() -> Lines:
-        with device_locked("camera", camera.driver, camera.address):
-            yield from _camera(open_camera(camera, folder), camera)
-
-    yield _report(_title("camera", camera), lines)
+    yield _report(device_title("camera", camera), lambda: _camera(lone_camera(rig, folder), camera))
 
 
-def _title(role: str, settings: Settings) -> str:
-    return f"{role}: {settings.driver}{f' at {settings.address}' if settings.address else ''}"
+def device_title(role: str, settings: Settings) -> str:
+    """Return a device of a rig file with its driver, the driver's package where it is not ours, and its address."""
+    kind: Kind = "camera" if role == "camera" else "filter wheel" if role == "filter wheel" else "light"
+    labels = [driver.label for driver in offered(kind).get(settings.driver, ())]
+    driver = labels[0] if len(labels) == 1 else settings.driver
+    return f"{role}: {driver}{f' at {settings.address}' if settings.address else ''}"
 
 
 def _report(title: str, look: Callable[[], Lines]) -> PartReport:
@@ -186,4 +185,4 @@ def _curves(rig: RigFile, folder: Path) -> Lines:
         yield Warned("the camera's response is assumed; name a measured one (camera.response) where there is one")
     curves = read_filter_curves(rig.filter_wheel.filters, folder)
     response = camera_response(rig.camera.response, folder)
-    yield from map(Warned, coverage_notes(rig.filter_wheel.filters, curves, (*response, halogen_lamp())))
+    yield from map(Warned, coverage_notes(rig.filter_wheel.filters, curves, (*response, lamp_curve(rig.lamp, folder))))

@@ -184,6 +184,18 @@ class GuardedSwitch(LightSwitch, Protocol):
         ...
 
 
+def missing_members(device: object, protocol: type) -> tuple[str, ...]:
+    """Return the methods and properties of a protocol that a device lacks; no property of it is asked."""
+    names = [
+        name
+        for above in reversed(protocol.__mro__)
+        if getattr(above, "_is_protocol", False)
+        for name in vars(above)
+        if not name.startswith("_")
+    ]
+    return tuple(name for name in names if not (hasattr(type(device), name) or hasattr(device, name)))
+
+
 class Operator(Protocol):
     """The hands at the rig: a person who is asked, or a stage."""
 

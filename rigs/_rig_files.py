@@ -24,7 +24,7 @@ from data_schemas import (
     SimulatedBench,
 )
 from data_schemas.storage import write_bytes
-from rigs._drivers import FoundDevice
+from rigs._drivers import FoundDevice, Kind, offered
 from rigs.light_guard import TEST_HOLDS_DAYS
 
 PAPER_FILTERS_NM = (405, 450, 500, 532, 560, 600, 630, 660)
@@ -181,7 +181,6 @@ def _named(role: Role, device: FoundDevice | None) -> dict[str, Any]:
 
 _ABOVE: Final = ("address", "response")
 _CAMERA: Final = {
-    "driver": "simulated, aravis, gentl, mjpeg, picamera2, indi, micro-manager, folder",
     "address": "aravis: name, serial number or IP address; gentl: PRODUCER.cti#SERIAL; mjpeg: http://host:port/path;\n"
     "picamera2: number; indi: host:port/device; micro-manager: FILE.cfg; folder: folder; simulated: none",
     "model": "as on its label",
@@ -199,7 +198,6 @@ _CAMERA: Final = {
     "wavelength_nm,red_percent,green_percent,blue_percent",
 }
 _WHEEL: Final = {
-    "driver": "simulated, thorlabs, indi, alpaca, manual",
     "address": "thorlabs: serial port; indi: host:port/device; alpaca: http://host:port/number; others: none",
     "model": "as on its label",
 }
@@ -220,7 +218,6 @@ _LIGHT_ADDRESS: Final = (
     "http://host:port/covercalibrator/NUMBER; "
 )
 _LASER: Final = {
-    "driver": "simulated, arduino (has a dead-man), indi, alpaca",
     "address": f"{_LIGHT_ADDRESS}simulated: none",
     "wavelength_nm": "as on its label, nm",
     "fwhm_nm": "full width at half maximum of the line, nm",
@@ -233,9 +230,9 @@ _OUTSIDE_LAYER: Final = {
     "test": "what was done and seen",
 }
 _LAMP: Final = {
-    "driver": "simulated, arduino, indi, alpaca, manual (the operator switches it)",
     "address": f"{_LIGHT_ADDRESS}manual and simulated: none",
-    "spectrum": "tungsten halogen on its rated voltage, the only one known",
+    "spectrum": "planck-2856K: rated tungsten halogen; or a CSV file (wavelength_nm,power_rel)",
+    "temperature_uncertainty_k": "standard uncertainty in kelvin: 50 from the label alone, 10 to 20 measured",
 }
 _WHITE: Final = {
     "reflectance": "of the white tile, 0 to 1, from its certificate",
@@ -263,26 +260,34 @@ def rig_toml(rig: RigFile) -> str:
     """Return a rig as commented TOML."""
     wheel = rig.filter_wheel
     first, *others = wheel.filters
+    of_lasers = f"{_driver_names('light', 'manual')}; arduino has a dead-man"
+    of_lamps = f"{_driver_names('light')}; manual: the operator switches it"
     filters = [_filter_toml(first, _FILTER), *(_filter_toml(band, {}) for band in others)]
     return f"""# A calibration rig. Every value has its unit in its name: _nm, _s, _mw, _dn (counts), _e (electrons).
 name = {_quoted(rig.name)}
 schema_version = {rig.schema_version}  # of rig files; a later finray reads them by it
 
 [camera]
-{_fields(rig.camera.model_dump(), _CAMERA)}
+{_fields(rig.camera.model_dump(), _CAMERA | {"driver": _driver_names("camera")})}
 [filter_wheel]
-{_fields(wheel.model_dump(exclude={"filters"}), _WHEEL)}
+{_fields(wheel.model_dump(exclude={"filters"}), _WHEEL | {"driver": _driver_names("filter wheel")})}
 # One table for each filter; slots count from 1. The uncertainties are standard uncertainties of a certificate; leave
 # them out for a filter known from a catalogue only. shape_order 1 is a Gaussian pass band, 2 the flat top of a
 # hard-coated filter. curve = "FILE.csv" (wavelength_nm,transmission, 0 to 1) names a measured transmission: it takes
 # the place of width, shape and peak, and center_nm must lie within 5 nm of its centre.
 {"".join(filters)}[laser]
 # Class and power are named so that nobody switches it on unknowingly.
-{_fields(rig.laser.model_dump(exclude={"outside_layer"}), _LASER)}{_outside_layer_toml(rig.laser.outside_layer)}
+{_fields(rig.laser.model_dump(exclude={"outside_layer"}), _LASER | {"driver": of_lasers})}\
+{_outside_layer_toml(rig.laser.outside_layer)}
 [lamp]
-{_fields(rig.lamp.model_dump(), _LAMP)}
+{_fields(rig.lamp.model_dump(), _LAMP | {"driver": of_lamps})}
 [white_reference]
 {_fields(rig.white_reference.model_dump(), _WHITE)}{"" if rig.simulated is None else _bench_toml(rig.simulated)}"""
+
+
+def _driver_names(kind: Kind, but: str = "") -> str:
+    """Return what can be named as driver, in a comment."""
+    return ", ".join(sorted(name for name in offered(kind) if name != but))
 
 
 def _fields(values: Mapping[str, object], comments: Mapping[str, str]) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from data_schemas import BandPassFilter, CurveError, DonaldsonMatrix, SpectralCurve
+from data_schemas import BandPassFilter, CurveError, DonaldsonMatrix, LampSettings, SpectralCurve
 from data_schemas.storage._foreign_files import finite_number, read_csv, read_text
 
 Floats = NDArray[np.float64]
@@ -265,15 +265,58 @@ def planck_relative(wavelength_nm: Floats, temperature_k: float) -> Floats:
     return radiance(wavelength_nm) / radiance(np.array(NORMALISED_AT_NM))
 
 
-def halogen_lamp() -> SpectralCurve:
-    """Return the relative spectral irradiance of the lamp: Planck at 2856 K, 1 at 560 nm, 360 to 800 nm."""
+def halogen_lamp(temperature_k: float = LAMP_TEMPERATURE_K) -> SpectralCurve:
+    """Return the relative spectral irradiance of a tungsten lamp: Planck, 1 at 560 nm, 360 to 800 nm."""
     wavelength_nm = np.arange(360.0, 801.0)
     return SpectralCurve(
         name="tungsten halogen lamp",
         wavelength_nm=wavelength_nm,
-        values=planck_relative(wavelength_nm, LAMP_TEMPERATURE_K),
-        source="Planck radiator at 2856 K",
+        values=planck_relative(wavelength_nm, temperature_k),
+        source=f"Planck radiator at {temperature_k:g} K",
     )
+
+
+LIGHT_COLUMNS = ["wavelength_nm", "power_rel"]
+
+
+def read_light(path: Path) -> SpectralCurve:
+    """Read the relative spectral power (energy per nm) of a light: CSV with wavelength_nm,power_rel.
+
+    Raises
+    ------
+    CurveError
+        The file is not such a table, a value is negative, or all are zero.
+    """
+    header, table = read_table(path)
+    if header != LIGHT_COLUMNS:
+        raise CurveError(f"{path}: header is {','.join(header)[:80]}; a light needs {','.join(LIGHT_COLUMNS)}")
+    power = table[:, 1]
+    if (power < 0).any() or not power.any():
+        raise CurveError(f"{path}: power_rel must be 0 or more and somewhere above 0; correct or remove the rows")
+    try:
+        return SpectralCurve(name=path.stem, wavelength_nm=table[:, 0], values=power, source=path.name)
+    except ValidationError as error:
+        raise CurveError(f"{path}: {_first_message(error)}") from None
+
+
+def lamp_curve(lamp: LampSettings, folder: Path) -> SpectralCurve:
+    """Return the relative spectrum of a rig's lamp: Planck at its temperature, or as its file says.
+
+    Parameters
+    ----------
+    lamp
+        The lamp in the rig file.
+    folder
+        Where a relative path of its file starts.
+
+    Raises
+    ------
+    CurveError
+        The file is missing or no spectrum of a light.
+    """
+    if lamp.spectrum.endswith(".csv"):
+        return read_light(folder / lamp.spectrum)
+    return halogen_lamp(lamp.temperature_k)
 
 
 def assumed_camera_response() -> tuple[SpectralCurve, SpectralCurve, SpectralCurve]:

@@ -308,11 +308,19 @@ def _as_it_is(body: Body) -> Body:
     return body
 
 
+def _with_verdict_of_captures(body: Body) -> Body:
+    """Return a decision whose verdict "model-limited" has the name of what helps."""
+    verdict = "needs captures" if body["verdict"] == "model-limited" else body["verdict"]
+    return {**body, "verdict": verdict}
+
+
 MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     # provenance may name packages, processor, renderer and changed sources; the envelope carries a seal
     **dict.fromkeys(LAST_UNSEALED.items(), _as_it_is),
     # the probability that the loss is within the tolerance
     ("LightAngleDecision", 2): _as_it_is,
+    # one touch or several; a verdict has another name
+    ("LightAngleDecision", 3): _with_verdict_of_captures,
     # whether there is emission at all; none: not judged
     ("PaintCalibration", 3): _as_it_is,
     # a laser may declare what switches it off outside the computer
@@ -324,6 +332,30 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("AcceptanceReport", 2): _as_it_is,
     ("PaintCalibration", 4): _as_it_is,
     ("PaintWithoutEmission", 1): _as_it_is,
+    # a driver may be one of another package: any name that a driver can have
+    ("RigFile", 2): _as_it_is,
+    ("TactileRig", 1): _as_it_is,
+    ("CaptureSession", 3): _as_it_is,
+    ("CameraSession", 3): _as_it_is,
+    ("CameraCharacterisation", 2): _as_it_is,
+    ("TactileSession", 2): _as_it_is,
+    ("AcceptanceReport", 3): _as_it_is,
+    ("BandSignals", 3): _as_it_is,
+    ("PixelSignals", 3): _as_it_is,
+    ("PaintCalibration", 5): _as_it_is,
+    ("PaintWithoutEmission", 2): _as_it_is,
+    # a fitted tone curve and the gains far from the contact; none: not known
+    ("PhotometricErrorReport", 2): _as_it_is,
+    # the lamp's temperature and its uncertainty, 50 K where it was not stated
+    ("RigFile", 3): _as_it_is,
+    ("CaptureSession", 4): _as_it_is,
+    ("CameraSession", 4): _as_it_is,
+    ("AcceptanceReport", 4): _as_it_is,
+    ("BandSignals", 4): _as_it_is,
+    ("PixelSignals", 4): _as_it_is,
+    ("PaintWithoutEmission", 3): _as_it_is,
+    # simultaneous band, share of the prior, what the spectrum rests on; older files rest on their family
+    ("PaintCalibration", 6): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

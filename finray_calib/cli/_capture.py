@@ -4,6 +4,7 @@ The plan says which kind of session it is: paint, camera or tactile.
 """
 
 import argparse
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -179,9 +180,27 @@ def capture_paint(arguments: argparse.Namespace) -> None:
     sources = input_digests([arguments.plan, arguments.rig])
     with interruptible(out), _telling(rig) as progress:
         session = capture_paint_session(
-            rig, plan, arguments.rig.parent, out, command_line(), progress, last_good=last_good, sources=sources
+            rig,
+            plan,
+            arguments.rig.parent,
+            out,
+            command_line(),
+            progress,
+            last_good=last_good,
+            sources=sources,
+            mend=_ask_to_mend,
         )
     _report(out, session, plan.paint_name)
+
+
+def _ask_to_mend(what: str) -> bool:
+    """Ask whoever is at the terminal to mend something; return whether it is done, at once where there is nobody."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return False
+    sys.stderr.write(f"\n{what}\nThe lights are off. Mend it, close the box and press Enter; 'q' and Enter ends here. ")
+    sys.stderr.flush()
+    answer = sys.stdin.readline()
+    return bool(answer) and answer.strip().lower() not in ("q", "quit")
 
 
 def capture_camera(arguments: argparse.Namespace) -> None:
@@ -252,6 +271,7 @@ def _resume_paint(folder: Path, interrupted: "Interrupted", last_good: "CaptureS
             progress,
             interrupted=interrupted,
             last_good=last_good,
+            mend=_ask_to_mend,
         )
     _report(folder, session, plan.paint_name)
 

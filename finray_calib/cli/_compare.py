@@ -342,7 +342,7 @@ def _told(batch: "ComparisonBatch") -> str:
         mean = batch.mean_skill
         lines.append(
             f"mean skill {mean.estimate:.3f} [{mean.low95:.3f}, {mean.high95:.3f}] over {batch.headline_region} "
-            f"(95 %, presses drawn with replacement); lowest: {', '.join(batch.worst)}"
+            f"(95 %, Student's t over the presses); lowest: {', '.join(batch.worst)}"
         )
     return "\n".join(lines)
 

@@ -1,6 +1,7 @@
-"""``finray decide``: the angle to mount the light at, with probability and risk."""
+"""``finray decide``: the angle to mount the light at, over the places that are touched, with probability and risk."""
 
 import argparse
+import math
 from pathlib import Path
 
 from finray_calib.cli._run import (
@@ -14,13 +15,15 @@ from finray_calib.cli._run import (
     say,
 )
 
-HELP = "decide on the light angle from a sweep"
+HELP = "decide on the light angle from sweeps at the places that are touched"
 DESCRIPTION = """\
-Decide on the angle of the blue light from a sweep: the angle, the probability that it is within 5 degrees of
-the best, the expected loss with its 95 % bound, and the range of angles that are as good. Photometric error
-reports, one for each physical capture, correct the simulated curve near their angles and say how sure it is
-elsewhere; the decision is shown with and without them, and without any it says that it is not validated. The
-next render and the next capture that would help most are named."""
+Decide on the angle of the blue light (light.angle_deg of the design: between the pad's plane and the direction in
+which the panel shines; 0 along the pad, 90 into it). Give one sweep for each place where the finger is touched, as
+'finray simulate --angles --positions-mm' writes them; one sweep alone decides for its one place only. Told are the
+angle with its tolerance, what is lost against the best at every place, the probability that another angle is better
+and by how much. Photometric error reports, one for each physical capture, correct the simulated curves near their
+angles and tell how sure they are elsewhere; without any, nothing is decided. The next capture that would help most is
+named."""
 
 
 def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -28,7 +31,18 @@ def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     parser = verbs.add_parser(
         "decide", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("sweep", type=Path, metavar="SWEEP", help="record written by 'finray simulate --angles'")
+    parser.add_argument(
+        "sweeps", type=Path, nargs="+", metavar="SWEEP",
+        help="record written by 'finray simulate sweep', one for each touch",
+    )  # fmt: skip
+    parser.add_argument(
+        "--weights", type=_weights, metavar="W,W,...",
+        help="how often each touch occurs, in the order of the sweeps (default: all alike), e.g. from a log of grasps",
+    )  # fmt: skip
+    parser.add_argument(
+        "--criterion", choices=["average", "worst"], default="average",
+        help="least loss on average over the touches (default), or at the worst of them",
+    )  # fmt: skip
     parser.add_argument(
         "--photometric-error", type=Path, action="append", default=[], metavar="REPORT", dest="reports",
         help="record written by 'finray compare', once for each capture; best at several light angles",
@@ -41,6 +55,17 @@ def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     parser.set_defaults(run=run)
 
 
+def _weights(text: str) -> list[float]:
+    """Parse W,W,...; whether they fit the sweeps is judged with these."""
+    try:
+        weights = [float(part) for part in text.split(",")]
+    except ValueError:
+        weights = []
+    if not weights or not all(0.0 < weight < math.inf for weight in weights):
+        raise argparse.ArgumentTypeError(f"{text!r} must be numbers above 0 with commas between them, e.g. 3,1,1")
+    return weights
+
+
 def run(arguments: argparse.Namespace) -> None:
     """Decide and report."""
     from data_schemas import DecideError, LightAngleSweep, PhotometricErrorReport, provenance
@@ -50,14 +75,16 @@ def run(arguments: argparse.Namespace) -> None:
 
     out = require_new(arguments.out or Path("light-angle-decision.json"))
     page = new_page_beside(out)
-    paths = [arguments.sweep, *arguments.reports]
-    sweep = read_record(arguments.sweep, LightAngleSweep)
+    paths = [*arguments.sweeps, *arguments.reports]
+    sweeps = [read_record(path, LightAngleSweep) for path in arguments.sweeps]
     reports = [read_record(path, PhotometricErrorReport) for path in arguments.reports]
     with naming(DecideError, *paths):
-        decision = decide(sweep, reports, arguments.seed, arguments.narrow_sweep)
+        decision = decide(
+            sweeps, reports, arguments.seed, arguments.narrow_sweep, arguments.weights, arguments.criterion
+        )
     inputs = input_digests(paths)
     with ProductSet(out) as products:
-        products.add(page, decision_page(decision, sweep, command_line(), inputs).encode())
+        products.add(page, decision_page(decision, sweeps, command_line(), inputs).encode())
         write_record(decision, out, provenance(command_line(), inputs, arguments.seed), products)
     say(f"{out}: {decision.verdict.upper()}")
     say(f"  {decision.sentence}")

@@ -288,7 +288,7 @@ input deck of a finite-element program.
 Formats that hold no uncertainty say so in their header.
 
 Decks (mm, N, MPa) hold mesh, materials, contact and push, and say in their header what is assumed. What CalculiX makes
-of one, 'finray simulate DESIGN --only mechanics --engine calculix' reads back.
+of one, 'finray simulate press DESIGN --engine calculix' reads back.
 
 Taxim: ball presses all over a classic sensor (TOML), or with --paint a finger, are rendered, and the folder written
 from which Taxim's programs render. It holds slope and place only: what it explains of unseen presses is told.
@@ -345,8 +345,8 @@ def add_export(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
 def run_export(arguments: argparse.Namespace) -> None:
     """Export and report."""
     from data_schemas import PaintCalibration, RecordError, provenance
-    from data_schemas.storage import assumed_camera_response, read_camera_response, read_record, write_bytes
-    from finray_calib.exchange import PAINT_FORMATS, ExportOptions, assumed_led, read_light
+    from data_schemas.storage import assumed_camera_response, read_camera_response, read_light, read_record, write_bytes
+    from finray_calib.exchange import PAINT_FORMATS, ExportOptions, assumed_led
 
     other = OTHERS.get(str(arguments.paint[0]))
     if other is not None:

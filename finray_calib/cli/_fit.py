@@ -22,11 +22,12 @@ if TYPE_CHECKING:
 
 HELP = "fit the emission spectrum of a paint, with uncertainty"
 DESCRIPTION = """\
-Fit the emission spectrum of a paint to band signals. Four families of curves are fitted, each with a Gaussian
-process for what a real paint does beyond its family; the bands and measured paints decide which one is reported, and
-the paper's skew-Cauchy is always shown beside it. A sample without emission beyond reflected laser, leak and stray
-light gets a limit of its yield in place of a spectrum. Writes posterior draws, the spectrum with its 95 % band, how
-well each filter is explained, and how far the draws can be trusted."""
+Fit the emission spectrum of a paint to band signals. The spectrum rests on a prior learned from measured spectra,
+which averages over shapes. Beside it stand four families of curves, each with a Gaussian process for what a real paint
+does beyond its family, and the paper's skew-Cauchy alone; --family reports one of them instead. A sample without
+emission beyond reflected laser, leak and stray light gets a limit of its yield in place of a spectrum. Writes posterior
+draws, the spectrum with its 95 % bands (pointwise and of the whole curve), how much of each number is prior, how well
+each filter is explained, and how far the draws can be trusted."""
 FAMILY_NAMES = ("auto", "log_normal_wavenumber", "zheng2014", "skew_t", "gaussian_mixture")
 
 
@@ -42,7 +43,10 @@ def add_fit(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
         help="record written by 'finray radiometry' (with --map: its pixel signals)",
     )
     parser.add_argument(
-        "--family", choices=FAMILY_NAMES, default="auto", help="family to report (default: the bands choose)"
+        "--family",
+        choices=FAMILY_NAMES,
+        default="auto",
+        help="report this family of curves (default: the prior learned from measured spectra)",
     )
     parser.add_argument("--no-discrepancy", action="store_true", help="take the paint to be exactly of the family")
     parser.add_argument("--check", action="store_true", help="sample again with emcee, as an independent check")
@@ -145,11 +149,20 @@ def _refuse_ignored(arguments: argparse.Namespace) -> None:
         raise FitError("--paint: is the fit of the region that --map starts from; give --map too, or leave it out")
 
 
+_LABELS = {
+    "mode_nm": "mode",
+    "fwhm_nm": "FWHM",
+    "peak_per_nm": "peak",
+    "energy_yield": "yield",
+    "stokes_shift_nm": "Stokes shift",
+}
+
+
 def _say_result(paint: "PaintCalibration", out: Path) -> None:
     """Tell the numbers and how far they can be trusted."""
     from finray_calib.reports import pareto_text
 
-    say(f"{out}: emission of '{paint.paint_name}' ({paint.family_title})")
+    say(f"{out}: emission of '{paint.paint_name}' ({paint.spectrum_from or paint.family_title})")
     for name, label, unit in (
         ("mode_nm", "mode", " nm"),
         ("fwhm_nm", "FWHM", " nm"),
@@ -158,13 +171,19 @@ def _say_result(paint: "PaintCalibration", out: Path) -> None:
     ):
         value, digits = paint.parameters[name], 1 if unit else 3
         low, high = f"{value.low95:.{digits}f}", f"{value.high95:.{digits}f}"
-        say(f"  {label:26s} {value.estimate:.{digits}f} [{low}, {high}]{unit} (95 %)")
+        share = paint.prior_shares.get(name)
+        belief = ", MOSTLY PRIOR: hardly measured" if share is not None and share.mostly_prior else ""
+        say(f"  {label:26s} {value.estimate:.{digits}f} [{low}, {high}]{unit} (95 %{belief})")
     if paint.colour_match is not None:
         say(f"  {paint.colour_match.statement}")
     stokes = paint.reradiation.stokes_shift_nm
-    belief = ", from the prior: the lights do not measure it" if paint.reradiation.prior_driven else ""
+    belief = ", belief: not measured" if paint.reradiation.prior_driven else ""
     say(f"  {'Stokes shift':26s} {stokes.estimate:.0f} [{stokes.low95:.0f}, {stokes.high95:.0f}] nm (95 %{belief})")
-    say(f"  family: {paint.family_choice}")
+    if paint.prior_shares:
+        shares = ", ".join(f"{_LABELS[name]} {value.share:.0%}" for name, value in paint.prior_shares.items())
+        say(f"  left of the prior's variance: {shares}")
+    beside = "" if paint.spectrum_from in ("", paint.family_title) else " of the parameters beside the spectrum"
+    say(f"  family{beside}: {paint.family_choice}")
     trust = "trusted" if paint.diagnostics.trusted else "NOT trusted"
     if paint.detection is not None:
         say(f"  {paint.detection.statement}")

@@ -1,7 +1,7 @@
 """``finray import``: what other labs and programs captured or computed becomes records.
 
-Sensor folders of 9DTact, ball presses of Taxim and gs_sdk, images of a Raspberry Pi camera, folders of band images, and
-results files of Abaqus.
+Sensor folders of 9DTact, ball presses of Taxim and gs_sdk, images of a Raspberry Pi camera, renders of any simulator,
+folders of band images, and results files of Abaqus.
 """
 
 import argparse
@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING
 from finray_calib.cli._run import add_out, command_line, file_name, input_digests, naming, require_new, say
 
 if TYPE_CHECKING:
-    from data_schemas import SimulatedPress, TactileCapture
+    from data_schemas import ContactCircle, SimulatedPress, TactileCapture
 
 
-IMPORT_HELP = "import what other labs and programs captured or computed (9DTact, Taxim, gs_sdk, Raspberry Pi, Abaqus)"
+IMPORT_HELP = (
+    "import what other labs and programs captured or computed (9DTact, Taxim, gs_sdk, Raspberry Pi, renders, Abaqus)"
+)
 NINE_DTACT = """\
 Import a sensor folder of 9DTact as a tactile capture. With --predict-from, also write a simple prediction of
 the press: the darkening-to-depth table of the other sensor applied to this one, labelled "table, not
@@ -43,6 +45,7 @@ def add_import(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     pi.add_argument("--bayer-order", choices=["RGGB", "BGGR", "GRBG", "GBRG"], help="of 16-bit TIFFs")
     pi.add_argument("--bit-depth", type=int, choices=[8, 10, 12, 14, 16], help="of 16-bit TIFFs")
     add_ball_press_formats(formats)
+    add_render_format(formats)
     add_bands_format(formats)
     add_abaqus_format(formats)
 
@@ -241,11 +244,79 @@ def _tell_left_out(lines: Sequence[str]) -> None:
         say(f"  left out: {line}")
 
 
+RENDER = """\
+Import what a simulator rendered as the simulated side of a comparison: a folder with contact and no_contact
+(PNG, OpenEXR or npy), depth.npy (mm, positive into the gel) or contact_mask.png, and render.json (simulator,
+encoding, channels, contact_circle), or a folder of such folders, one for each press. With --capture the
+contact is where the circle of the capture is, so that both sides are scored over one region."""
+
+
+def add_render_format(formats: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the format."""
+    parser = formats.add_parser(
+        "render",
+        help="images that any simulator rendered, as the simulated side of a comparison",
+        description=RENDER,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="of one press, or of a folder for each press")
+    parser.add_argument(
+        "--capture", type=Path, metavar="FILE",
+        help="capture of the press, or a folder of NAME.capture.json: their circles say where the contact is",
+    )  # fmt: skip
+    add_out(parser, "FOLDER.press.json; of several presses FOLDER.presses, a folder with NAME.press.json")
+    parser.set_defaults(run=run_render)
+
+
+def run_render(arguments: argparse.Namespace) -> None:
+    """Import renders and report."""
+    from data_schemas import provenance
+    from data_schemas.storage import ProductSet, digest_as_read, write_record
+    from finray_calib.exchange import read_renders
+
+    folder, name = arguments.folder, arguments.folder.resolve().name
+    circles, captures = _circles(arguments.capture, name)
+    presses = read_renders(folder, circles)
+    one = name in presses and not (folder / name).is_dir()
+    out = require_new(arguments.out or Path(f"{name}.press.json" if one else f"{name}.presses"))
+    files = sorted(p for p in folder.rglob("*") if digest_as_read(p) is not None)
+    origin = provenance(command_line(), input_digests([*files, *captures]))
+    with ProductSet(out) as products:
+        for press in presses.values():
+            write_record(press, out if one else out / f"{file_name(press.name)}.press.json", origin, products)
+    first = next(iter(presses.values()))
+    rows, columns = first.contact.shape[:2]
+    light = "linear light" if first.encoding == "linear" else "encoded values"
+    say(f"{out}: {len(presses)} press{'es' if len(presses) > 1 else ''}, {columns} x {rows} px, {light}; {first.label}")
+    say(f"  {first.notes[0]}")
+
+
+def _circles(captures: Path | None, name: str) -> "tuple[dict[str, ContactCircle], list[Path]]":
+    """Return press name -> circle of its capture, and the files that were read."""
+    from data_schemas import ImportFormatError, TactileCapture
+    from data_schemas.storage import read_record
+
+    if captures is None:
+        return {}, []
+    ending = ".capture.json"
+    files = sorted(captures.glob(f"*{ending}")) if captures.is_dir() else [captures]
+    found = {
+        (f.name.removesuffix(ending) if captures.is_dir() else name): read_record(f, TactileCapture) for f in files
+    }
+    circles = {press: capture.contact_circle for press, capture in found.items() if capture.contact_circle is not None}
+    if not circles:
+        raise ImportFormatError(
+            f"{captures}: holds no capture with a contact circle; leave --capture out and say in the render's folder "
+            "where the contact is"
+        )
+    return circles, files
+
+
 ABAQUS_HELP = "import the results file of a deck that Abaqus has run"
 ABAQUS_DESCRIPTION = """\
 Read the displacements of a finger from the results file (ASCII .fil) of a deck that 'finray export deck DESIGN
---dialect abaqus' wrote: forces and pushes, and the surfaces of the pressed finger for 'finray simulate DESIGN
---surfaces'. Give the design and mesh of the deck."""
+--dialect abaqus' wrote: forces and pushes, and the surfaces of the pressed finger for 'finray simulate
+render SURFACES'. Give the design and mesh of the deck."""
 PRESETS = ("coarse", "medium", "fine")
 
 
@@ -286,4 +357,4 @@ def run_abaqus(arguments: argparse.Namespace) -> None:
         say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
     if mechanics.unreached:
         say(f"  the push ended early: {mechanics.unreached}")
-    say(f"{out}: for 'finray simulate DESIGN --only optics --surfaces {out.name}'")
+    say(f"{out}: for 'finray simulate render {out}'")

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int, str], None]
 LONGEST_NAME = 80
-LOG_INTERVAL_S = 20.0  # between the lines of a long command whose output goes to a file
+LOG_INTERVAL_S = 8.0  # between the lines of a long command whose output goes to a file
 DEFAULT_INCREMENTS = 4
 DEFAULT_SEED = 1
 
@@ -109,14 +109,31 @@ def add_paints_as_given(parser: argparse._ActionsContainer) -> None:
     )  # fmt: skip
 
 
-def open_engine(preference: "Preference") -> "ModuleType":
-    """Open the renderer, and tell when another one than usual was taken because something is missing."""
-    from sim.optics import choose_variant, open_renderer
+def both_paint_files(arguments: argparse.Namespace) -> dict[str, Path]:
+    """Return the files of ``--paint``, red and green."""
+    files = paint_files(arguments)
+    for colour in ("red", "green"):
+        if colour not in files:
+            raise SimulateError(f"no paint for the {colour} wall: give --paint red=FILE and --paint green=FILE")
+    return files
+
+
+def working_engine(preference: "Preference") -> "Preference":
+    """Return a renderer that works here, and tell when another one than usual is taken because something is missing."""
+    from sim.optics import choose_variant
 
     choice = choose_variant(preference)
     if choice.fell_back:
         warn(f"{choice.variant} renders: {choice.note}")
-    return open_renderer(choice)
+        return "scalar"
+    return preference
+
+
+def open_engine(preference: "Preference") -> "ModuleType":
+    """Open the renderer of :func:`working_engine`."""
+    from sim.optics import choose_variant, open_renderer
+
+    return open_renderer(choose_variant(working_engine(preference)))
 
 
 def command_line() -> str:

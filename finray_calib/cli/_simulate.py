@@ -1,120 +1,168 @@
-"""``finray simulate`` and ``finray recolour``: render a press of a finger, sweep its light's angle, change its paints.
+"""``finray simulate`` and ``finray recolour``: press a finger, render it, sweep its light's angle, change its paints.
 
 Beside the record of a press its images are written as files that other programs open.
 """
 
 import argparse
-from collections.abc import Mapping
+import math
+import shlex
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from finray_calib.cli._run import (
-    DEFAULT_SEED,
-    Progress,
+    LongWork,
     add_out,
     add_paint,
     add_paints_as_given,
     add_seed,
+    both_paint_files,
     command_line,
     file_name,
     input_digests,
     naming,
-    open_engine,
     paint_files,
     progress_bar,
     require_new,
     say,
+    warn,
+    working_engine,
 )
-from finray_calib.cli._simulate_press import add_mechanics_options, require_optics_only, run_mechanics
+from finray_calib.cli._simulate_press import add_press
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from data_schemas import FingerDesign, PaintCalibration, Provenance, SimulatedPress
-    from finray_calib.cli._run import LongWork
-    from sim.experiments import PaintedFinger, WhiteBalance
-    from sim.optics import RenderLevel
-    from sim.surface_meshes import FingerShape
+    from data_schemas import FingerDesign, Provenance, Record, SimulatedPress
+    from finray_calib import RenderOptions
+    from sim.experiments import OpticsProducts, WhiteBalance
 
 
-SIMULATE_HELP = "render a press of a painted finger, or sweep the light angle"
-SMALLEST_STEP_DEG = 0.5
+SIMULATE_HELP = "press a finger by finite elements, render it, or sweep the light angle"
 SIMULATE_DESCRIPTION = """\
-Render the contact and no-contact image of a finger with calibrated paints. With --angles, sweep the angle of
-the blue light instead and write the brightness beside the indenter at each angle, for 'finray decide'.
+Simulate a finger: how it bends, what its camera sees, and how that changes with the angle of the blue light."""
+SMALLEST_STEP_DEG = 0.5
+SMALLEST_STEP_MM = 0.5
+NOTHING_KEPT = "Nothing is stored before its end: the same command begins again"
 
-With --only optics the images are written as files too, in a folder beside the record: basis bands, spectra and
-geometry per pixel (OpenEXR), raw frames and pictures (PNG), and the press as a capture for 'finray compare'.
+RENDER_HELP = "render a painted finger without and with contact, as its camera sees it"
+RENDER_DESCRIPTION = """\
+Render the contact and no-contact image of a finger with calibrated paints. Of a DESIGN the indenter is pressed in by a
+formula; of SURFACES, which 'finray simulate press' wrote, the finger is as deformed as they say.
 
 Levels: b (default) the walls re-emit the blue light that reaches them; a the paper's emitter, textured by the
 distance from the light (linear as printed, or inverse square; no angle dependence: for comparison only); c the
-reference, fluorescence traced along every path: the mean of b without its smoothing, much noisier.
+reference, fluorescence traced along every path: the mean of b without its smoothing, much noisier."""
 
-With --only mechanics, the indenter of the design is pressed in by finite elements; the fineness is that of the design's
-[mesh] table. With --surfaces, such a deformed finger (FingerSurfaces record) takes the place of the analytic press."""
+SWEEP_HELP = "measure the brightness beside the indenter over the angle of the light"
+SWEEP_DESCRIPTION = """\
+Measure the brightness beside the indenter at each angle of the blue light, for 'finray decide': where the design's
+indenter touches, or with --positions at several places, one record for each. The angle lies between the pad's plane and
+the direction in which the panel shines: 0 deg along the pad, 90 deg into it. The walls re-emit the blue light that
+reaches them (level b)."""
 
 
 def add_simulate(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the verb."""
-    parser = verbs.add_parser(
-        "simulate",
-        help=SIMULATE_HELP,
-        description=SIMULATE_DESCRIPTION,
+    """Register the verb and its three jobs."""
+    parser = verbs.add_parser("simulate", help=SIMULATE_HELP, description=SIMULATE_DESCRIPTION)
+    jobs = parser.add_subparsers(dest="job", metavar="JOB", title="jobs", required=True)
+    add_press(jobs)
+    add_render(jobs)
+    add_sweep(jobs)
+
+
+def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register ``finray simulate render``."""
+    parser = jobs.add_parser(
+        "render",
+        help=RENDER_HELP,
+        description=RENDER_DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML)")
-    add_paint(parser)
     parser.add_argument(
-        "--only", choices=["mechanics", "optics"],
-        help="mechanics: press the finger by finite elements (no paints needed); optics: render and write the images",
+        "design", type=Path, metavar="DESIGN|SURFACES",
+        help="finger design (TOML), or NAME.surfaces.json, whose design stands in NAME.mechanics.json beside it",
     )  # fmt: skip
-    add_mechanics_options(parser)
-    parser.add_argument("--angles", type=_angles, metavar="FIRST:LAST:STEP", help="light angles in deg, e.g. 0:120:10")
-    parser.add_argument(
-        "--narrow-sweep", action="store_true", help="with --angles: they span less than 4 deg and are not radians"
-    )
-    add_paints_as_given(parser)
-    parser.add_argument(
-        "--objectives", choices=["intensity", "all"], default="intensity",
-        help="with --angles: only the brightness beside the indenter (default), or also how well surface normals are "
-        "told (Fisher information, held-out error), evenness, clipping and room for the panel (about a minute more)",
-    )  # fmt: skip
-    parser.add_argument("--surfaces", type=Path, metavar="FILE", help="the finger without and with contact, as meshes")
+    _add_scene(parser)
     parser.add_argument(
         "--level", choices=["a", "a_inverse_square", "b", "c"], default="b", help="how the walls emit (default: b)"
     )
     parser.add_argument(
-        "--engine", choices=["auto", "llvm", "scalar", "calculix"], default="auto",
-        help="renderer: auto (default), llvm or scalar; with --only mechanics: auto (in process) or calculix",
+        "--samples", type=_even, default=128, metavar="N", help="paths per pixel, an even number (default: 128)"
+    )
+    parser.add_argument(
+        "--images", action="store_true",
+        help="also write a folder of images (basis bands, spectra and geometry per pixel as OpenEXR, raw frames and "
+        "pictures as PNG), and the press as a capture for 'finray compare'",
     )  # fmt: skip
-    parser.add_argument("--samples", type=_even, metavar="N", help="paths per pixel (default 128) or per probe (4000)")
     parser.add_argument(
         "--denoise", action="store_true",
-        help="with --only optics: also denoised pictures, for the eye only; needs pip install 'finray-calib[denoise]'",
+        help="--images with denoised pictures too, for the eye only; needs pip install 'finray-calib[denoise]'",
     )  # fmt: skip
     parser.add_argument(
         "--pose-response", action="store_true",
         help="also render how the contact image changes with the indenter's depth and position, so that 'finray "
         "compare' can carry the pose's uncertainty (three times the time)",
     )  # fmt: skip
-    add_out(parser, "DESIGN.press.json or DESIGN.sweep.json")
+    add_out(parser, "NAME.press.json")
     add_seed(parser)
-    # none, so that a seed without effect is told from none given
-    parser.set_defaults(run=run_simulate, long_work=_long_work, seed=None)
+    parser.set_defaults(run=run_render, long_work=_long_render)
 
 
-def _long_work(arguments: argparse.Namespace) -> "LongWork":
+def add_sweep(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register ``finray simulate sweep``."""
+    parser = jobs.add_parser(
+        "sweep",
+        help=SWEEP_HELP,
+        description=SWEEP_DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML)")
+    parser.add_argument(
+        "--angles", type=_angles, required=True, metavar="FIRST:LAST:STEP", help="light angles in deg, e.g. 0:120:10"
+    )
+    parser.add_argument(
+        "--positions", type=_positions, metavar="FIRST:LAST:STEP or MM,MM,...",
+        help="sweep with the indenter at each of these places along the pad (mm from the base), e.g. 8:64:4, so that "
+        "the light is decided on for the finger; places that are swept already are not swept again",
+    )  # fmt: skip
+    _add_scene(parser)
+    parser.add_argument(
+        "--narrow-sweep", action="store_true", help="the angles span less than 4 deg and are not radians"
+    )
+    parser.add_argument(
+        "--objectives", choices=["intensity", "all"], default="intensity",
+        help="only the brightness beside the indenter (default), or also how well surface normals are told (Fisher "
+        "information, held-out error), evenness, clipping and room for the panel (about a minute more)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--samples", type=_even, default=4000, metavar="N", help="paths per probe, an even number (default: 4000)"
+    )
+    add_out(parser, "NAME.sweep.json")
+    add_seed(parser)
+    parser.set_defaults(run=run_sweep, long_work=_long_sweep)
+
+
+def _add_scene(parser: argparse.ArgumentParser) -> None:
+    """Add what a render and a sweep are made of."""
+    add_paint(parser)
+    add_paints_as_given(parser)
+    parser.add_argument(
+        "--surfaces", type=Path, metavar="FILE",
+        help="the finger without and with contact, by 'finray simulate press' (default: pressed by a formula)",
+    )  # fmt: skip
+    parser.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
+
+
+def _long_render(arguments: argparse.Namespace) -> LongWork:
     """Return what is about to be done, and what of it is kept if its process dies."""
-    from finray_calib.cli._run import LongWork
+    return LongWork("the render", NOTHING_KEPT, arguments.out)
 
-    if arguments.only != "mechanics":
-        words = "the render" if arguments.angles is None else "the sweep of the light angle"
-        return LongWork(words, "Nothing is stored before its end: the same command begins again", arguments.out)
-    words = "the press by finite elements"
-    if arguments.force is not None or arguments.engine == "calculix":
-        return LongWork(words, "Nothing is stored before its end: the same command begins again", arguments.out)
-    return LongWork(words, "Finished increments are kept: the same command goes on after the last one", arguments.out)
+
+def _long_sweep(arguments: argparse.Namespace) -> LongWork:
+    """Return what is about to be done, and what of it is kept if its process dies."""
+    return LongWork("the sweep of the light angle", NOTHING_KEPT, arguments.out)
 
 
 def _even(text: str) -> int:
@@ -138,166 +186,204 @@ def _angles(text: str) -> list[float]:
     return [first + i * step for i in range(count)]
 
 
-def run_simulate(arguments: argparse.Namespace) -> None:
-    """Press, render or sweep, and report."""
-    if arguments.only == "mechanics":
-        run_mechanics(arguments)
+def _positions(text: str) -> list[float]:
+    """Parse FIRST:LAST:STEP or a list in mm; whether they lie on the pad is judged with the design."""
+    try:
+        if ":" in text:
+            first, last, step = (float(part) for part in text.split(":"))
+            count = int((last - first) / step + 1e-9) + 1 if SMALLEST_STEP_MM <= step <= last - first else 0
+            places = [first + i * step for i in range(count)]
+        else:
+            places = sorted(float(part) for part in text.split(","))
+    except (ValueError, OverflowError):
+        places = []
+    # a place is named in its file to 0.1 mm
+    if not places or not all(map(math.isfinite, places)) or len({f"{place:.1f}" for place in places}) < len(places):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} must be FIRST:LAST:STEP in mm with a STEP of {SMALLEST_STEP_MM:g} mm or more, for example "
+            "8:64:4, "
+            "or places at least 0.1 mm apart with commas between them, for example 8,15,35"
+        )
+    return places
+
+
+def spelled_now(words: Sequence[str]) -> list[str]:
+    """Return the words of a command as they are spelled now, and tell them where they are spelled as before.
+
+    Before, ``finray simulate DESIGN`` did the three jobs by its options ``--only mechanics``, ``--only optics`` and
+    ``--angles``.
+    """
+    if len(words) < 2 or words[0] != "simulate" or words[1].isalpha() or words[1] in ("-h", "--help"):
+        return list(words)
+    options, only = [], ""
+    rest = iter(words[1:])
+    for word in rest:
+        if word == "--only":
+            only = next(rest, "")
+        elif word.startswith("--only="):
+            only = word.removeprefix("--only=")
+        else:
+            options.append(word)
+    if only == "mechanics":
+        job = ["press"]
+    elif any(word.split("=")[0] == "--angles" for word in options):
+        job = ["sweep"]
+    else:
+        job = ["render", *(["--images"] if only == "optics" else [])]
+    now = ["simulate", job[0], *options, *job[1:]]
+    warn(f"this spelling is of an earlier version and ends with the next one; type now: {shlex.join(['finray', *now])}")
+    return now
+
+
+def run_render(arguments: argparse.Namespace) -> None:
+    """Render a press and store it, with its images if they are wanted."""
+    from data_schemas import SimulatedPress
+    from data_schemas.storage import write_record
+    from finray_calib import render_images, render_press
+    from finray_calib.reports import require_denoiser
+
+    out = arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.press.json")
+    out, with_images = require_new(out), arguments.images or arguments.denoise
+    folder, capture = _image_paths(out) if with_images else (out, out)
+    if arguments.denoise:
+        require_denoiser()
+    options: RenderOptions = {
+        "level": arguments.level,
+        "samples": arguments.samples,
+        "engine": working_engine(arguments.engine),
+        "paints_as_given": arguments.paints_as_given,
+        "pose_response": arguments.pose_response,
+    }
+    render = render_images if with_images else render_press
+    with progress_bar("simulate") as progress:
+        rendered = render(
+            arguments.design, **both_paint_files(arguments), surfaces=arguments.surfaces, seed=arguments.seed,
+            progress=progress, **options,
+        )  # fmt: skip
+    if not isinstance(rendered, SimulatedPress):
+        _store_images(rendered, arguments, out, folder, capture)
         return
-    require_optics_only(arguments)
-    _require_one_kind(arguments)
-    _run_optics(arguments)
+    write_record(rendered, out, _origin(rendered, arguments.seed))
+    say(f"{out}: {rendered.label}")
 
 
-def _require_one_kind(arguments: argparse.Namespace) -> None:
-    """Refuse options of a press and of a sweep that do not go together, and angles that look like radians."""
+def run_sweep(arguments: argparse.Namespace) -> None:
+    """Sweep the angle of the light, at one place or at several, and store a record of each."""
     from data_schemas import SimulateError, look_like_radians, narrow_sweep_text
 
-    if arguments.angles is not None and arguments.level != "b":
-        raise SimulateError(
-            f"--level {arguments.level}: sweeps are made with level b (the paper's emitters of level a know no light "
-            "angle, level c is too noisy); leave out --level, or --angles"
-        )
-    if arguments.objectives != "intensity" and arguments.angles is None:
-        raise SimulateError("--objectives are those of a sweep; add --angles FIRST:LAST:STEP, or leave it out")
-    if arguments.denoise and arguments.only != "optics":
-        raise SimulateError("--denoise makes pictures, which --only optics writes; add --only optics or leave it out")
-    if arguments.angles is not None and not arguments.narrow_sweep and look_like_radians(arguments.angles):
+    if not arguments.narrow_sweep and look_like_radians(arguments.angles):
         raise SimulateError(f"--angles: {narrow_sweep_text(arguments.angles)}")
-    if arguments.only == "optics" and arguments.angles is not None:
-        raise SimulateError("--angles writes no images; leave out --only optics, or --angles")
-    if arguments.pose_response and (arguments.angles is not None or arguments.surfaces is not None):
+    out = arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.sweep.json")
+    if arguments.positions is None:
+        _sweep(arguments, require_new(out), None, "simulate")
+        return
+    if arguments.surfaces is not None:
         raise SimulateError(
-            "--pose-response belongs to one press by the analytic contact; leave it out, or --angles and --surfaces"
+            "--positions are places of a press by a formula, and --surfaces are of one place: sweep each with its own "
+            "--surfaces and --out, and give all of them to 'finray decide'"
         )
+    _sweep_places(arguments, out)
 
 
-class _Scene(NamedTuple):
-    """What is rendered, and from what it was read."""
-
-    finger: "PaintedFinger"
-    calibrations: "dict[str, PaintCalibration]"
-    digests: dict[str, str]
-    shapes: "tuple[FingerShape, FingerShape] | None"
-    seed: int
-    origin: "Provenance"
-
-
-def _run_optics(arguments: argparse.Namespace) -> None:
-    """Render or sweep."""
-    from sim import read_design
-
-    design = read_design(arguments.design)
-    kind = "press" if arguments.angles is None else "sweep"
-    out = require_new(arguments.out or Path(f"{file_name(design.name)}.{kind}.json"))
-    scene = _scene(arguments, design)
-    with progress_bar("simulate") as progress:
-        if arguments.only == "optics":
-            simulate_optics(
-                scene.finger, arguments.level, scene.seed, arguments.samples, scene.digests, out, scene.origin,
-                progress, arguments.denoise, scene.shapes, scene.calibrations, arguments.pose_response,
-            )  # fmt: skip
-        elif arguments.angles is None:
-            _render(arguments, scene, out, progress)
-        else:
-            _sweep(arguments, scene, out, progress)
-
-
-def _scene(arguments: argparse.Namespace, design: "FingerDesign") -> _Scene:
-    """Read paints and surfaces, and paint the finger."""
-    from data_schemas import FingerSurfaces, PaintCalibration, digest_of_input, provenance
-    from data_schemas.storage import read_record
-    from sim import design_inputs
-    from sim.experiments import finger_scene, require_paints_in_order
-
-    files = paint_files(arguments)
-    calibrations = {colour: read_record(path, PaintCalibration) for colour, path in files.items()}
-    if not arguments.paints_as_given:
-        modes_nm = {colour: paint.mode_nm.estimate for colour, paint in calibrations.items()}
-        require_paints_in_order(modes_nm, {c: str(f) for c, f in files.items()}, "--paints-as-given")
-    digests = {colour: digest_of_input(path) for colour, path in files.items()}
-    meshes = [] if arguments.surfaces is None else [arguments.surfaces]
-    surfaces = read_record(arguments.surfaces, FingerSurfaces) if meshes else None
-    scene = finger_scene(design, calibrations, arguments.design.parent, open_engine(arguments.engine), surfaces)
-    seed = DEFAULT_SEED if arguments.seed is None else arguments.seed
-    inputs = [*design_inputs(design, arguments.design), *files.values(), *meshes]
-    origin = provenance(command_line(), input_digests(inputs), seed)
-    return _Scene(scene.finger, calibrations, digests, scene.shapes, seed, origin)
-
-
-def _render(arguments: argparse.Namespace, scene: _Scene, out: Path, progress: Progress) -> None:
-    """Render a press and write its record."""
+def _sweep(arguments: argparse.Namespace, out: Path, position_mm: float | None, title: str) -> None:
+    """Sweep at one place and store the record."""
     from data_schemas.storage import write_record
-    from sim.experiments import simulate_press
+    from finray_calib import sweep_light_angle
 
-    press = simulate_press(
-        scene.finger, arguments.level, scene.seed, arguments.samples or DEFAULT_SAMPLES, scene.digests, progress,
-        scene.shapes, scene.calibrations, arguments.pose_response,
-    )  # fmt: skip
-    write_record(press, out, scene.origin)
-    say(f"{out}: {press.label}")
-
-
-def _sweep(arguments: argparse.Namespace, scene: _Scene, out: Path, progress: Progress) -> None:
-    """Sweep the angle of the light and write its record."""
-    from data_schemas.storage import write_record
-    from sim.experiments import light_angle_sweep
-
-    rest, shape = scene.shapes or (None, None)
-    sweep = light_angle_sweep(
-        scene.finger, scene.calibrations, arguments.angles, 6, arguments.samples or 4000, scene.seed, scene.digests,
-        progress, shape, arguments.objectives == "all", rest,
-    )  # fmt: skip
-    write_record(sweep, out, scene.origin)
+    options: RenderOptions = {
+        "samples": arguments.samples,
+        "engine": working_engine(arguments.engine),
+        "paints_as_given": arguments.paints_as_given,
+        "all_objectives": arguments.objectives == "all",
+        "narrow_sweep": True,
+    }
+    if position_mm is not None:
+        options["position_mm"] = position_mm
+    with progress_bar(title) as progress:
+        sweep = sweep_light_angle(
+            arguments.design, arguments.angles, **both_paint_files(arguments), surfaces=arguments.surfaces,
+            seed=arguments.seed, progress=progress, **options,
+        )  # fmt: skip
+    write_record(sweep, out, _origin(sweep, arguments.seed))
     say(f"{out}: {len(sweep.angles_deg)} angles, {sweep.label}")
 
 
-DEFAULT_SAMPLES = 128
+def _sweep_places(arguments: argparse.Namespace, out: Path) -> None:
+    """Sweep at each place and store its record as soon as it is done; what is there already is kept."""
+    from data_schemas import SimulateError
+    from finray_calib import finger_design
+
+    design = finger_design(arguments.design)
+    length_mm = design.pad.length_mm
+    off = [place for place in arguments.positions if not 0.0 < place < length_mm]
+    if off:
+        raise SimulateError(f"--positions: {off[0]:g} mm is not on the pad, which reaches from 0 to {length_mm:g} mm")
+    stem = out.name.removesuffix(".json").removesuffix(".sweep")
+    outs = {place: out.with_name(f"{stem}.{place:04.1f}mm.sweep.json") for place in arguments.positions}
+    kept = [path for place, path in outs.items() if _is_swept(path, design, place, arguments)]
+    todo = {place: require_new(path) for place, path in outs.items() if path not in kept}
+    for number, (place, path) in enumerate(todo.items(), start=1):
+        _sweep(arguments, path, place, f"simulate, place {number} of {len(todo)}")
+    for path in kept:
+        say(f"{path}: is there already, from the same inputs")
+    say(f"Decide on all of them: finray decide {out.with_name(stem)}.*mm.sweep.json")
 
 
-def optics_paths(out: Path) -> tuple[Path, Path]:
+def _is_swept(path: Path, design: "FingerDesign", position_mm: float, arguments: argparse.Namespace) -> bool:
+    """Return whether a record is there that this command would write again: same design, paints, angles and effort."""
+    if not path.exists():
+        return False
+    from data_schemas import LightAngleSweep, digest_of_input, package_version
+    from data_schemas.storage import read_record
+
+    stored = read_record(path, LightAngleSweep)
+    indenter = design.indenter.model_copy(update={"position_mm": position_mm})
+    touched = design.model_copy(update={"indenter": indenter, "provenance": None})
+    paints = {colour: digest_of_input(file) for colour, file in both_paint_files(arguments).items()}
+    origin = stored.provenance
+    return (
+        origin is not None
+        and (origin.seed, origin.package_version) == (arguments.seed, package_version())
+        and _effort(origin.command) == _effort(command_line())
+        and (stored.design, stored.paints) == (touched, paints)
+        and stored.angles_deg.tolist() == arguments.angles
+    )
+
+
+def _effort(command: str) -> tuple[str, ...]:
+    """Return what a command says of samples, objectives and engine."""
+    words = command.replace("=", " ").split()
+    return tuple(" ".join(words[k : k + 2]) for k, word in enumerate(words) if word in _EFFORT)
+
+
+_EFFORT = frozenset({"--samples", "--objectives", "--engine"})
+
+
+def _origin(record: "Record", seed: int) -> "Provenance":
+    """Return this command as the origin of a record of the library, with the inputs that the library has read."""
+    from data_schemas import provenance
+
+    read = {} if record.provenance is None else record.provenance.input_sha256
+    return provenance(command_line(), read, seed)
+
+
+def _image_paths(out: Path) -> tuple[Path, Path]:
     """Return the folder of images and the record of the capture beside a press record; both must be new."""
     stem = out.name.removesuffix(".json").removesuffix(".press")
     return require_new(out.with_name(f"{stem}.optics")), require_new(out.with_name(f"{stem}.capture.json"))
 
 
-def simulate_optics(
-    finger: "PaintedFinger",
-    level: "RenderLevel",
-    seed: int,
-    samples: int | None,
-    paint_sha256: Mapping[str, str],
-    out: Path,
-    origin: "Provenance",
-    progress: Progress,
-    denoise: bool,
-    shapes: "tuple[FingerShape, FingerShape] | None",
-    calibrations: "Mapping[str, PaintCalibration]",
-    with_pose_response: bool,
+def _store_images(
+    products: "OpticsProducts", arguments: argparse.Namespace, out: Path, folder: Path, capture: Path
 ) -> None:
-    """Render a press and write its record, its capture and the folder of its images."""
+    """Write the record of a press, its capture and the folder of its images."""
     from data_schemas.storage import ProductSet, write_record
     from finray_calib.exchange import write_optics_folder
-    from finray_calib.reports import require_denoiser
-    from sim.experiments import moved_designs, optics_products, pose_response, press_record
-    from sim.optics import render_press
 
-    folder, capture = optics_paths(out)
-    if denoise:
-        require_denoiser()
-    samples = samples or DEFAULT_SAMPLES
-    if with_pose_response:
-        moved_designs(finger.design)  # what cannot be moved is told before anything is rendered
-    render = render_press(
-        finger.design, finger.paints, finger.renderer, level, seed, samples, progress, shapes, finger.calibration
-    )
-    pose = None
-    if with_pose_response:
-        pose = pose_response(finger, level, seed, samples, None, render.chains, progress=progress)
-    press = press_record(finger, render, paint_sha256, calibrations, pose)
-    products = optics_products(render, press, seed)
-    press = press.model_copy(update={"notes": (*press.notes, str(products.colours))})
+    press = products.press
+    origin = _origin(press, arguments.seed)
     with ProductSet(out) as stored:
-        write_optics_folder(folder, products, _views(press, samples, denoise), origin, stored)
+        write_optics_folder(folder, products, _views(press, arguments.samples, arguments.denoise), origin, stored)
         write_record(products.capture, capture, origin, stored)
         write_record(press, out, origin, stored)
     say(f"{out}: {press.label}")
@@ -326,9 +412,9 @@ def _views(press: "SimulatedPress", samples: int, denoise: bool) -> "dict[str, N
 
 RECOLOUR_HELP = "show a rendered press with other paints, camera or white balance"
 RECOLOUR_DESCRIPTION = """\
-Recompute the images of a press that 'finray simulate' has rendered, for paints of another yield, absorption at the LED
-or emission shape, for another camera, or with another white balance. Nothing is rendered: the light of each chain of
-fluorescence was kept apart. Refused where a new render is needed: after a change of a paint's reflectance by more
+Recompute the images of a press that 'finray simulate render' has made, for paints of another yield, absorption at the
+LED or emission shape, for another camera, or with another white balance. Nothing is rendered: the light of each chain
+of fluorescence was kept apart. Refused where a new render is needed: after a change of a paint's reflectance by more
 than 0.01 in a band, of a band's place by more than 10 nm, or when paint excites paint three times as much."""
 
 

@@ -1,6 +1,6 @@
-"""``finray simulate --only mechanics``: press a finger by finite elements.
+"""``finray simulate press``: press a finger by finite elements.
 
-Options that only the mechanics reads, increments that are kept for an interrupted press, and what the console says of a
+Increments that are kept for an interrupted press, and what the console says of a
 press whose penalty rests on few nodes.
 """
 
@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, TypedDict
 
 from finray_calib.cli._run import (
     DEFAULT_INCREMENTS,
+    LongWork,
     Progress,
+    add_out,
     command_line,
     file_name,
     increment_count,
@@ -25,7 +27,7 @@ from finray_calib.cli._run import (
 
 if TYPE_CHECKING:
     from data_schemas import FingerDesign, PressMechanics, PressSensitivities, Provenance
-    from sim.mechanics import ContactChoice, PressedFinger
+    from sim.mechanics import PressedFinger
 
 
 # an increment at the whole push, but for rounding
@@ -58,7 +60,7 @@ def mechanics_paths(out: Path, resume: Path | None = None, goes_on: bool = False
     So must be the folder of the increments, but for a press that goes on from an increment in it, or that the same
     command has begun.
     """
-    stem = out.name.removesuffix(".json").removesuffix(".press")
+    stem = _stem(out)
     endings = {
         "mechanics": ".mechanics.json",
         "surfaces": ".surfaces.json",
@@ -80,7 +82,12 @@ def mechanics_paths(out: Path, resume: Path | None = None, goes_on: bool = False
 
 def increments_of(out: Path) -> Path:
     """Return the folder of the increments of a press."""
-    return out.with_name(out.name.removesuffix(".json").removesuffix(".press") + ".increments")
+    return out.with_name(f"{_stem(out)}.increments")
+
+
+def _stem(out: Path) -> str:
+    """Return what the names of all files of a press begin with."""
+    return out.name.removesuffix(".json").removesuffix(".press").removesuffix(".mechanics")
 
 
 def _number(increment: Path) -> int:
@@ -96,7 +103,9 @@ def last_increment(resume: Path) -> Path:
         return resume
     stored = sorted(resume.glob("*.json"), key=_number)
     if not stored:
-        raise RecordError(f"{resume}: holds no increment of a press; give a folder or file that --only mechanics wrote")
+        raise RecordError(
+            f"{resume}: holds no increment of a press; give a folder or file that 'finray simulate press' wrote"
+        )
     return stored[-1]
 
 
@@ -135,7 +144,7 @@ def _same_run(origin: "Provenance") -> tuple[object, ...]:
     return origin.command, origin.package_version, origin.git_commit, inputs
 
 
-def run_mechanics(arguments: argparse.Namespace) -> None:
+def run_press(arguments: argparse.Namespace) -> None:
     """Press the design's indenter in, store forces, surfaces, mesh and picture, and tell the curve.
 
     Raises
@@ -146,13 +155,13 @@ def run_mechanics(arguments: argparse.Namespace) -> None:
     """
     from sim import read_design
 
-    require_mechanics_only(arguments)
+    _require_one_way(arguments)
     from data_schemas import NoEquilibriumError, SimulateError, provenance
     from data_schemas.storage import read_bytes, write_bytes
 
     design, folder = read_design(arguments.design), arguments.design.parent
     resume = None if arguments.resume is None else last_increment(arguments.resume)
-    out = arguments.out or Path(f"{file_name(design.name)}.press.json")
+    out = arguments.out or Path(f"{file_name(arguments.design.stem)}.press.json")
     read = [arguments.design, *_indenter_file(design, folder)]
     goes_on = False
     if resume is None:
@@ -208,13 +217,13 @@ def _pressed(
     if arguments.force is not None:
         from sim.mechanics import press_to_force
 
-        pressed = press_to_force(design, arguments.force, None, count, threads, folder, progress)
+        pressed = press_to_force(design, arguments.force, None, count, threads, folder, progress, arguments.budget)
         return pressed, {"wanted_force_n": arguments.force}
     from sim.mechanics import left_out
 
     if leaves := left_out(design, arguments.contact):
         warn(leaves)
-    return _pressed_to_depth(design, count, resume, increments, origin, progress, arguments.contact, folder), {}
+    return _pressed_to_depth(arguments, design, count, resume, increments, origin, progress), {}
 
 
 def _vary(
@@ -238,14 +247,13 @@ def _vary(
 
 
 def _pressed_to_depth(
+    arguments: argparse.Namespace,
     design: "FingerDesign",
     count: int,
     resume: Path | None,
     kept: Path,
     origin: "Provenance",
     progress: Progress,
-    contact: "ContactChoice",
-    folder: Path,
 ) -> "PressedFinger":
     """Press, or go on pressing, and store each increment."""
     from data_schemas import PressIncrement
@@ -254,6 +262,7 @@ def _pressed_to_depth(
     from sim.experiments import increment_record, stored_press
     from sim.mechanics import press_finger
 
+    folder, contact = arguments.design.parent, arguments.contact
     digest = origin.input_sha256.get((folder / (design.indenter.file or "")).as_posix())
     before = None if resume is None else stored_press(read_record(resume, PressIncrement), design, contact, digest)
 
@@ -264,8 +273,9 @@ def _pressed_to_depth(
             write_record(record, path, origin)
 
     return press_finger(
-        design, None, count, machine_threads(), progress, resume=before, store=store, contact=contact, folder=folder
-    )
+        design, None, count, machine_threads(), progress, resume=before, store=store, contact=contact, folder=folder,
+        budget_s=arguments.budget,
+    )  # fmt: skip
 
 
 def _store(
@@ -301,9 +311,11 @@ def _store(
         )
     if mechanics.sensitivities is not None:
         say(f"  {len(mechanics.sensitivities.varied)} presses with one number changed, for 'finray compare --force'")
-    say(f"{files['surfaces']}: for 'finray simulate DESIGN --only optics --surfaces {files['surfaces'].name}'")
+    say(f"{files['surfaces']}: for 'finray simulate render {files['surfaces']}'")
     say(f"{files['mesh']}: the pressed mesh, for ParaView")
     say(f"{files['picture']}: the finger before and after, and its force")
+    if pressed.crossing:
+        warn(f"warning: {pressed.crossing}; what it gives there is no finger's: press with --contact barrier, or less")
     tell_few_nodes(pressed, mechanics)
     if mechanics.unreached:
         reached = f"{mechanics.depth_mm[-1]:.4g} of {design.indenter.depth_mm:g} mm"
@@ -315,33 +327,65 @@ def _store(
 
 
 LARGEST_FORCE_N = 1000.0
+LARGEST_BUDGET_S = 1e6
 
 
-def add_mechanics_options(parser: argparse.ArgumentParser) -> None:
-    """Add what only the mechanics reads."""
+PRESS_HELP = "press the indenter into a finger by finite elements"
+PRESS_DESCRIPTION = """\
+Press the indenter of the design into the finger by finite elements, as finely as the design's [mesh] table says. Stored
+are force over push (NAME.mechanics.json), the deformed finger (NAME.surfaces.json, for 'finray simulate render'), its
+mesh (.vtu) and a picture, and each increment on the way, after which an interrupted press goes on."""
+
+
+def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register ``finray simulate press``."""
+    parser = jobs.add_parser(
+        "press",
+        help=PRESS_HELP,
+        description=PRESS_DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML)")
     parser.add_argument(
-        "--increments", type=increment_count, metavar="N",
-        help=f"with --only mechanics: steps of the push (default {DEFAULT_INCREMENTS})",
-    )  # fmt: skip
+        "--increments", type=increment_count, metavar="N", help=f"steps of the push (default {DEFAULT_INCREMENTS})"
+    )
     parser.add_argument(
         "--force", type=_force, metavar="NEWTON",
-        help="with --only mechanics: press until the indenter pushes with this force, frictionless, in place of the "
-        "design's depth_mm",
+        help="press until the indenter pushes with this force, frictionless, in place of the design's depth_mm",
     )  # fmt: skip
     parser.add_argument(
         "--resume", type=Path, metavar="INCREMENT",
-        help="with --only mechanics: go on from a stored increment, or the last one in a folder NAME.increments",
+        help="go on from a stored increment, or the last one in a folder NAME.increments",
+    )  # fmt: skip
+    parser.add_argument(
+        "--budget", type=_budget, metavar="SECONDS",
+        help="end the press before it takes more than this processor time (all threads "
+        "together); the increments up to there are kept, with a picture, and the exit status is 2",
     )  # fmt: skip
     parser.add_argument(
         "--contact", choices=["auto", "penalty", "barrier"], default="auto",
-        help="with --only mechanics: penalty (fast, no friction), barrier (friction, any indenter, contact of ribs) or "
-        "auto (default: penalty where it can)",
+        help="penalty (fast, no friction), barrier (friction, any indenter, contact of ribs) or auto (default: penalty "
+        "where it can)",
     )  # fmt: skip
     parser.add_argument(
         "--sensitivities", action="store_true",
-        help="with --only mechanics: also press with each uncertain modulus and thickness changed (some 15 presses), "
-        "so that 'finray compare --force' can carry their uncertainty",
+        help="also press with each uncertain modulus and thickness changed (some 15 presses), so that 'finray compare "
+        "--force' can carry their uncertainty",
     )  # fmt: skip
+    parser.add_argument(
+        "--engine", choices=["auto", "calculix"], default="auto",
+        help="auto (default): the elements here; calculix: the program CalculiX",
+    )  # fmt: skip
+    add_out(parser, "NAME.mechanics.json, with the others beside it")
+    parser.set_defaults(run=run_press, long_work=_long_press)
+
+
+def _long_press(arguments: argparse.Namespace) -> LongWork:
+    """Return what is about to be done, and what of it is kept if its process dies."""
+    kept = "Finished increments are kept: the same command goes on after the last one"
+    if arguments.force is not None or arguments.engine == "calculix":
+        kept = "Nothing is stored before its end: the same command begins again"
+    return LongWork("the press by finite elements", kept, arguments.out)
 
 
 def _force(text: str) -> float:
@@ -355,33 +399,25 @@ def _force(text: str) -> float:
     return force_n
 
 
-def require_mechanics_only(arguments: argparse.Namespace) -> None:
-    """Refuse what only the optics reads, and what does not go together."""
+def _budget(text: str) -> float:
+    """Parse a processor time."""
+    try:
+        budget_s = float(text)
+    except ValueError:
+        budget_s = math.nan
+    if not 0.0 < budget_s <= LARGEST_BUDGET_S:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} must be a processor time in s above 0 and at most {LARGEST_BUDGET_S:g}"
+        )
+    return budget_s
+
+
+def _require_one_way(arguments: argparse.Namespace) -> None:
+    """Refuse what does not go together."""
     from data_schemas import SimulateError
 
-    optical: dict[str, object] = {
-        "paint": [],
-        "angles": None,
-        "objectives": "intensity",
-        "surfaces": None,
-        "level": "b",
-        "samples": None,
-        "denoise": False,
-        "pose_response": False,
-    }
-    for name, default in optical.items():
-        if getattr(arguments, name) != default:
-            option = name.replace("_", "-")
-            raise SimulateError(f"--{option} belongs to the optics; leave it out with --only mechanics")
-    if arguments.seed is not None:
-        raise SimulateError("--seed: a press knows no chance; leave it out with --only mechanics")
-    if arguments.engine not in {"auto", "calculix"}:
-        raise SimulateError(f"--engine {arguments.engine} renders; give calculix with --only mechanics, or none")
-    calculix, forced, resumes = (
-        arguments.engine == "calculix",
-        arguments.force is not None,
-        arguments.resume is not None,
-    )
+    calculix = arguments.engine == "calculix"
+    forced, resumes = arguments.force is not None, arguments.resume is not None
     if calculix and arguments.contact != "auto":
         raise SimulateError("--contact: CalculiX has a contact of its own; leave out --contact, or --engine calculix")
     if forced and (calculix or resumes or arguments.sensitivities or arguments.contact == "barrier"):
@@ -391,26 +427,12 @@ def require_mechanics_only(arguments: argparse.Namespace) -> None:
         )
     if arguments.sensitivities and (calculix or resumes):
         raise SimulateError("--sensitivities need a whole press by the elements here; leave out --resume and --engine")
+    if arguments.budget is not None and (calculix or arguments.sensitivities):
+        raise SimulateError(
+            "--budget is of one press by the elements here; leave it out, or --engine calculix and --sensitivities"
+        )
     if calculix and resumes:
         raise SimulateError("--resume: CalculiX presses from first touch; leave out --resume, or --engine calculix")
-
-
-def require_optics_only(arguments: argparse.Namespace) -> None:
-    """Refuse what only the mechanics reads."""
-    from data_schemas import SimulateError
-
-    mechanical: dict[str, tuple[object, str]] = {
-        "contact": ("auto", "is that of the finite elements"),
-        "force": (None, "is that of a press by finite elements"),
-        "sensitivities": (False, "are those of a force"),
-        "resume": (None, "goes on with a press of finite elements"),
-        "increments": (None, "are steps of finite elements"),
-    }
-    if arguments.engine == "calculix":
-        raise SimulateError("--engine calculix presses, it does not render; add --only mechanics, or leave it out")
-    for name, (default, what) in mechanical.items():
-        if getattr(arguments, name) != default:
-            raise SimulateError(f"--{name} {what}; add --only mechanics or leave it out")
 
 
 def tell_few_nodes(pressed: "PressedFinger", mechanics: "PressMechanics") -> None:

@@ -24,6 +24,7 @@ from finray_calib.cli._run import (
     require_new,
     say,
 )
+from finray_calib.cli._study_run import add_design_studies
 from finray_calib.cli._study_sensing import add_normal_map_study, add_pixel_scale_study
 
 if TYPE_CHECKING:
@@ -86,6 +87,7 @@ def add_study(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     add_out(paints, "paper-paints, a folder")
     add_seed(paints)
     paints.set_defaults(run=run_paper_paints)
+    add_design_studies(studies)
     add_illumination_studies(studies)
     add_stiffness_study(studies)
     add_normal_map_study(studies)
@@ -97,6 +99,8 @@ def _long_work(arguments: argparse.Namespace) -> "LongWork":
     from finray_calib.cli._run import LongWork
 
     kept = "Nothing is stored before its end: the same command begins again"
+    if arguments.study == "run":
+        return LongWork("the design study", "Finished points are kept: the same command goes on with the others")
     return LongWork(f"the study {arguments.study}", kept, arguments.out)
 
 
@@ -231,22 +235,25 @@ def _finger(study: _Study, arguments: argparse.Namespace) -> "tuple[PaintedFinge
     files = paint_files(arguments, without="the simulated rig's paints")
     design = preset_design(study.preset) if arguments.design is None else read_design(arguments.design)
     folder = Path() if arguments.design is None else arguments.design.parent
-    paints, sources = _calibrated(files) if files else _stand_ins()
+    paints, sources = calibrated_paints(files) if files else stand_in_paints()
     return paint_finger(design, paints, folder, open_engine(arguments.engine)), sources
 
 
-def _calibrated(files: dict[str, Path]) -> "tuple[dict[str, PaintOptics], dict[str, str]]":
+def calibrated_paints(files: dict[str, Path], as_given: bool = True) -> "tuple[dict[str, PaintOptics], dict[str, str]]":
     """Return the optics of calibrated paints and their names and checksums."""
     from data_schemas import PaintCalibration, digest_of_input
     from data_schemas.storage import read_record
-    from sim.experiments import paint_optics
+    from sim.experiments import paint_optics, require_paints_in_order
 
     paints = {colour: read_record(file, PaintCalibration) for colour, file in files.items()}
+    if not as_given:
+        modes_nm = {colour: paint.mode_nm.estimate for colour, paint in paints.items()}
+        require_paints_in_order(modes_nm, {colour: str(file) for colour, file in files.items()}, "--paints-as-given")
     sources = {c: f"{paint.paint_name}, SHA-256 {digest_of_input(files[c])}" for c, paint in paints.items()}
     return {colour: paint_optics(paint) for colour, paint in paints.items()}, sources
 
 
-def _stand_ins() -> "tuple[dict[str, PaintOptics], dict[str, str]]":
+def stand_in_paints() -> "tuple[dict[str, PaintOptics], dict[str, str]]":
     """Return the optics of the simulated rig's two default paints."""
     from finray_calib.demo import true_paint_optics
     from rigs import DEFAULT_PAINTS, simulated_rig

@@ -26,6 +26,7 @@ from finray_calib.cli import (
     add_study,
     add_trace,
     add_verify,
+    spelled_now,
 )
 
 USER_MISTAKE = 2
@@ -78,7 +79,13 @@ def main(arguments: Sequence[str] | None = None, in_own_process: bool = False) -
     """
     gc.set_threshold(OBJECTS_PER_COLLECTION)
     parser = build_parser()
-    parsed = parser.parse_args(arguments)
+    words = spelled_now(sys.argv[1:] if arguments is None else arguments)
+    parsed, unknown = parser.parse_known_args(words)
+    if unknown:
+        verb = " ".join(filter(None, ("finray", parsed.verb, getattr(parsed, "job", None))))
+        told = f"'{verb}' knows no {' '.join(unknown)}; '{verb} --help' lists what can be given"
+        sys.stderr.write(f"finray {parsed.verb}: error: {told}\n")
+        return USER_MISTAKE
     if parsed.version:
         from data_schemas import package_version
 
@@ -92,7 +99,7 @@ def main(arguments: Sequence[str] | None = None, in_own_process: bool = False) -
         if in_own_process and describe is not None:
             from finray_calib.cli._run import run_in_own_process
 
-            return run_in_own_process(describe(parsed), sys.argv[1:] if arguments is None else arguments)
+            return run_in_own_process(describe(parsed), words)
         status = parsed.run(parsed)
     except (FinrayError, OSError) as error:
         sys.stderr.write(f"finray {parsed.verb}: error: {_one_line(error)}\n")

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
 from data_schemas import ComparedPair, CompareError, Interval
-from finray_calib.compare._candidate_errors import LARGEST_SKILL
 
 _ENDINGS = (".json", ".press", ".capture")
 _WORST = 5
@@ -89,14 +88,14 @@ def mean_skill(skills: NDArray[np.float64]) -> Interval | None:
     """Return the mean over presses with its 95 % interval by Student's t: mean +- t(0.975, n - 1) s / sqrt(n).
 
     Drawing presses with replacement instead would hold the truth in half the cases of two presses and in four of five
-    of four. It ends at 1, which no skill exceeds; an interval from 1 to 1 beside a larger mean
+    of four. The noise is taken out of single skills, so that means may lie above 1; an interval altogether above it
     says that model and noise disagree. None with fewer than two presses.
     """
     if skills.size < 2:
         return None
     half = float(student_t.ppf(0.975, skills.size - 1) * skills.std(ddof=1) / np.sqrt(skills.size))
     mean = float(skills.mean())
-    return Interval(estimate=mean, low95=min(mean - half, LARGEST_SKILL), high95=min(mean + half, LARGEST_SKILL))
+    return Interval(estimate=mean, low95=mean - half, high95=mean + half)
 
 
 def worst_pairs(pairs: Iterable[ComparedPair]) -> tuple[str, ...]:

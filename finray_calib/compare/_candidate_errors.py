@@ -107,9 +107,6 @@ def _shares(image: Floats, variance: Floats | None) -> tuple[Floats, Floats]:
 
 
 Bools = NDArray[np.bool_]
-LARGEST_SKILL = 1.0
-"""Of a simulation without error."""
-
 _WITHHELD: Final = {"relative_rms": None, "difference_gradient_rms_per_px": None, "chromaticity_rms": None}
 
 
@@ -214,15 +211,14 @@ def interval(draws: Floats, centre: Floats) -> Interval:
 
 
 def skill_interval(draws: Floats, centre: Floats) -> Interval:
-    """Return the 95 % interval of a skill, which ends at 1 at the latest; the estimate stays as it is.
+    """Return the 95 % interval of a skill, which holds its own estimate.
 
-    No skill exceeds 1, so that an interval cut there holds the true one as often as before. With the noise taken out an
-    estimate scatters about its truth to both sides: one above 1 is not cut, or means over presses would be too low.
+    With the noise taken out an estimate scatters about its truth, which is at most 1, to both sides: neither it nor its
+    interval is cut at 1, or means over presses would be too low.
     """
     found = interval(draws, centre)
-    return found.model_copy(
-        update={"low95": min(found.low95, LARGEST_SKILL), "high95": min(found.high95, LARGEST_SKILL)}
-    )
+    best = found.estimate
+    return found.model_copy(update={"low95": min(found.low95, best), "high95": max(found.high95, best)})
 
 
 def _chromaticity(

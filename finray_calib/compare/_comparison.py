@@ -5,7 +5,7 @@ the headline region, and blocks of pixels just large enough that noise does not 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from data_schemas import CompareError, TactileCapture
 from finray_calib.compare._image_noise import largest_block_px
 from finray_calib.compare._input_draws import Drawn, Inputs, condition_on_levels, inputs_of
-from finray_calib.compare._prepared_images import PreparedImages
+from finray_calib.compare._prepared_images import Nuisances, PreparedImages
 from finray_calib.compare._region_sums import (
     LEAST_SIGNAL,
     Captured,
@@ -348,6 +348,8 @@ class Comparison:
         None where no factor is fitted.
     levels : PartLevels or None
         Of parts of the headline region; None where no input is known.
+    nuisances : Nuisances or None
+        Tone curve and gains of the camera; None where nothing is taken out.
     """
 
     layers: RenderLayers
@@ -360,6 +362,7 @@ class Comparison:
     channel_weights: Floats
     exposure: ExposureFit | None
     levels: PartLevels | None
+    nuisances: Nuisances | None = None
 
     def conditioned(self, drawn: Drawn, rng: np.random.Generator) -> Drawn:
         """Return draws narrowed by what the captured levels say."""
@@ -495,5 +498,6 @@ def quiet_comparison(images: PreparedImages, capture: TactileCapture) -> tuple[P
         comparison = prepare_comparison(blocked.layers, captured, regions, inputs, linear, linear, demand_contact=False)
         if side >= largest or comparison.headline_noise <= LARGEST_HEADLINE_NOISE:
             require_contact(comparison)
-            return blocked, comparison
+            nuisances = None if blocked.nuisances.is_idle else blocked.nuisances
+            return blocked, replace(comparison, nuisances=nuisances)
         side *= 2

@@ -5,12 +5,14 @@ reader must know, namely what the intervals cover, what they leave out, and what
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import (
     CompareError,
+    FittedToneCurve,
     InputUncertainty,
     MonteCarlo,
     NormalMapRecord,
@@ -32,14 +34,17 @@ from finray_calib.compare._photometric_error import (
     ErrorDraws,
     captured_share,
     error_draws,
+    nuisance_skill_u,
     objective_error,
+    objective_through_curve,
     ring_of,
     uncertainty_budget,
     validation_cells,
 )
-from finray_calib.compare._prepared_images import prepare_images, require_same_conditions
+from finray_calib.compare._prepared_images import Nuisances, nuisances_of, prepare_images, require_same_conditions
 from finray_calib.compare._regions import DILATED, FACTORS
 from finray_calib.compare._registration import move_press, register_press
+from finray_calib.compare._tone_curve import drift_record, encoded_layers, tone_record, without_gain
 from finray_calib.sensing import patch_scale, rgb_image, scale_finding, with_measured_scale
 
 #: How the finding begins that says that the camera stands where the render has it.
@@ -113,7 +118,24 @@ def compare_checked(
         checks = checks if other is None else (*checks, other)
     forced = any(f.severity == "refuse" for f in findings)
     found = {"findings": (*report.findings, *checks), "forced_mismatch": forced, "patch_scale": scale}
-    return report.model_copy(update=found), compared
+    return report.model_copy(update=found), _as_compared(compared, capture)
+
+
+def _as_compared(press: SimulatedPress, capture: TactileCapture) -> SimulatedPress:
+    """Return the press as its pictures stand beside the capture's: through the tone curve, with the capture's gain."""
+    nuisances = nuisances_of(press, capture)
+    tone, gain = nuisances.tone, nuisances.gain
+    if nuisances.is_idle or capture.encoding == "linear":
+        return press
+    layers, rest, offset_dn = nuisances.render, press.no_contact.astype(np.float64), 0.0
+    if tone is not None:
+        rest, offset_dn = np.nan_to_num(nuisances.no_contact), tone.offset_dn
+        layers = encoded_layers(nuisances.render, rest, tone.exponent, tone.offset_dn)
+    contact = layers.rgb(layers.contact)
+    if nuisances.is_corrected and gain is not None:
+        contact = without_gain(contact, np.where(gain.to_correct, -gain.log_gain, 0.0), offset_dn)
+    images = {"contact": contact.astype(np.float32), "no_contact": rest.astype(np.float32), "encoding": "unknown"}
+    return press.model_copy(update=images)
 
 
 def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bool) -> tuple[SimulatedPress, list[str]]:
@@ -154,7 +176,8 @@ def compare_press(
 
     Squared errors are those of the noise-free images: the render's noise is taken out by its two independent halves,
     the camera's by what the two no-contact images tell of it. Intervals propagate paints, camera, pose, drift and noise
-    (JCGM 101); for images of which no input is known to be uncertain they come from parts of the region.
+    (JCGM 101); for images of which no input is known to be uncertain they come from parts of the region. A render in
+    linear light meets encoded values through a tone curve that is fitted to the images without contact.
 
     Parameters
     ----------
@@ -170,11 +193,13 @@ def compare_press(
     Raises
     ------
     CompareError
-        The images differ in size, linear light would be compared with encoded values, contact changes nothing, or the
-        render is black.
+        The images differ in size, the render holds encoded values and the capture light, contact changes nothing, or
+        the render is black.
     """
     linear, rng = capture.encoding == "linear", generator_of(capture, seed)
-    images, comparison = quiet_comparison(prepare_images(press, capture), capture)
+    prepared = prepare_images(press, capture)
+    images, comparison = quiet_comparison(prepared, capture)
+    nuisances = prepared.nuisances
     draws = error_draws(comparison, rng)
     candidates = shown_candidates(comparison, capture)
     conditioned = _conditioned(comparison, rng)
@@ -188,7 +213,7 @@ def compare_press(
         captured=capture.name,
         finger=None if press.design is None else finger_identity(press.design),
         label=press.label,
-        values="linear light" if linear else "encoded values, encoding unknown",
+        values="linear light" if linear else ENCODED if nuisances.tone is None else THROUGH_A_CURVE,
         block_px=images.block_px,
         headline_region=DILATED,
         headline_skill=headline.skill,
@@ -201,15 +226,36 @@ def compare_press(
         objective_error=statements.objective,
         light_angle_deg=capture.light_angle_deg,
         light_angle_uncertainty_deg=capture.light_angle_uncertainty_deg,
-        interval_covers=COVERS_PARTS if draws.propagated is None else COVERS_INPUTS,
+        interval_covers=interval_covers(comparison, draws),
         monte_carlo=monte_carlo(draws.propagated, press, comparison.inputs),
         budget=statements.budget,
         validation=statements.validation,
         sensing=_sensing(comparison, normal_map, capture, candidates, images.block_px, rng),
+        tone_curve=_tone_record(comparison, images.distance, rng),
+        white_balance=None if nuisances.gain is None else drift_record(nuisances.gain, nuisances.is_corrected),
         error_map=_error_map(candidates["simulation"].image, comparison),
-        withheld=withheld(press, capture, draws.propagated is not None),
-        notes=notes_of(press, capture, images.block_px),
+        withheld=withheld(press, capture, draws.propagated is not None, statements.objective is not None),
+        notes=notes_of(press, capture, images.block_px, nuisances),
     )
+
+
+ENCODED: Final = "encoded values, encoding unknown"
+THROUGH_A_CURVE: Final = "encoded values, through a fitted tone curve"
+
+
+def _tone_record(comparison: Comparison, distance: Floats, rng: np.random.Generator) -> FittedToneCurve | None:
+    """Return the record of the fitted curve, and what it does to the headline."""
+    nuisances = comparison.nuisances
+    if nuisances is None or nuisances.tone is None:
+        return None
+    tone, where = nuisances.tone, comparison.used[-1]
+    rest = nuisances.render.rgb(nuisances.render.no_contact)
+    lit = np.isfinite(distance) & (rest > 0.0).all(axis=2)
+    light = np.log(rest[lit]).mean(axis=0) if lit.any() else np.zeros(3)
+    level = comparison.captured.contact[where]
+    low, high = tone.level_dn.min(axis=0), tone.level_dn.max(axis=0)
+    outside = float(((level < low) | (level > high)).any(axis=1).mean())
+    return tone_record(tone, light, nuisance_skill_u(comparison, rng), outside)
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,8 +277,11 @@ def _conditioned(comparison: Comparison, rng: np.random.Generator) -> Drawn | No
 def _statements(
     comparison: Comparison, distance: Floats, capture: TactileCapture, draws: ErrorDraws, rng: np.random.Generator
 ) -> _Statements:
-    """Return objective, budget and validation, for linear light whose inputs are known."""
+    """Return objective, budget and validation, for linear light whose inputs are known; through a curve the first."""
     inputs = comparison.inputs
+    nuisances = comparison.nuisances
+    if nuisances is not None and nuisances.tone is not None and nuisances.render.inputs is not None:
+        return _Statements(objective_through_curve(comparison, nuisances, distance, capture, rng))
     if inputs is None or draws.propagated is None:
         return _Statements()
     captured = comparison.captured
@@ -277,6 +326,24 @@ COVERS_PARTS = (
     "how much a number depends on which part of the region was looked at (tiles drawn with replacement): no input of "
     "this image has a known uncertainty"
 )
+COVERS_CURVE = (
+    "how much a number depends on which part of the region was looked at (tiles drawn with replacement), and what "
+    "{unknown} leaves open; no other input of this image has a known uncertainty"
+)
+
+
+def interval_covers(comparison: Comparison, draws: ErrorDraws) -> str:
+    """Say what the intervals cover."""
+    nuisances = comparison.nuisances
+    if draws.propagated is not None:
+        return COVERS_INPUTS
+    if nuisances is None:
+        return COVERS_PARTS
+    names = [] if nuisances.tone is None else ["the unknown tone curve of the camera"]
+    names += ["the gain that was taken out"] if nuisances.is_corrected else []
+    return COVERS_CURVE.format(unknown=" and ".join(names))
+
+
 ALWAYS_UNKNOWN = (
     "another press, day or finger: that needs more captures",
     "the fixed pattern of the camera, and light that the design does not hold",
@@ -306,7 +373,9 @@ def monte_carlo(draws: Propagated | None, press: SimulatedPress, inputs: Inputs 
     )
 
 
-def withheld(press: SimulatedPress, capture: TactileCapture, is_propagated: bool) -> tuple[str, ...]:
+def withheld(
+    press: SimulatedPress, capture: TactileCapture, is_propagated: bool, has_objective: bool = False
+) -> tuple[str, ...]:
     """Say which figures an unknown encoding, or a press of unknown inputs, does not allow."""
     if is_propagated:
         return ()
@@ -315,15 +384,32 @@ def withheld(press: SimulatedPress, capture: TactileCapture, is_propagated: bool
             "the error of the sweep's objective, budget and validation are not given: no input of "
             f"{press.name} has a known uncertainty",
         )
+    objective = "" if has_objective else "objective "
     return (
-        "relative RMS, gradient and colour error, exposure factor, objective and validation are not given: the "
+        f"relative RMS, gradient and colour error, exposure factor, {objective}and validation are not given: the "
         f"encoding of {capture.name} is unknown, so its values are not proportional to light",
     )
 
 
-def notes_of(press: SimulatedPress, capture: TactileCapture, block_px: int) -> tuple[str, ...]:
+_CURVE_CANNOT_KNOW = (
+    "the tone curve was fitted to the images without contact alone. Not known, and not in any interval: a gain common "
+    "to both captured images, which the ratio form takes out; an exponent apart from an error of the render's "
+    "contrast; and any shape of the curve but a power with an offset"
+)
+
+
+def notes_of(
+    press: SimulatedPress, capture: TactileCapture, block_px: int, nuisances: Nuisances | None = None
+) -> tuple[str, ...]:
     """Collect what a reader must know."""
     notes, linear = list(press.notes), capture.encoding == "linear"
+    if nuisances is not None and nuisances.tone is not None:
+        notes.append(_CURVE_CANNOT_KNOW)
+    if nuisances is not None and nuisances.gain is None:
+        notes.append(
+            "whether exposure or white balance changed between the captures cannot be told: fewer than 8 blocks of "
+            "pixels lie beyond 3 half-widths from the contact with light in a channel"
+        )
     if block_px > 1:
         notes.append(
             f"compared over blocks of {block_px} x {block_px} px, at most a quarter of the contact's half-width, so "

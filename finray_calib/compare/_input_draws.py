@@ -173,11 +173,6 @@ def inputs_of(
     pad : ndarray of bool, shape (H, W)
         Pixels that see the pad.
     """
-    stated = {
-        "depth_mm": capture.indenter.depth_uncertainty_mm,
-        "position_mm": capture.indenter.position_uncertainty_mm,
-    }
-    poses = {name: sd for name in layers.pose_names if (sd := stated[name]) is not None and sd > 0.0}
     changes = np.array([]) if repeat is None else np.array([_level_change(no_contact, repeat, pad)])
     walls = None
     if layers.inputs is not None and layers.contact_half.any():
@@ -188,7 +183,16 @@ def inputs_of(
         scale, freedom = _scale(PRIOR_WALLS_REL, change[None])
         walls = (np.where(from_walls, scale, 0.0), freedom)
     drift_scale, drift_freedom = _scale(PRIOR_DRIFT_REL, changes[:, None])
-    return Inputs(layers, poses, (float(drift_scale[0]), drift_freedom), walls)
+    return Inputs(layers, pose_sd_mm(layers, capture), (float(drift_scale[0]), drift_freedom), walls)
+
+
+def pose_sd_mm(layers: RenderLayers, capture: TactileCapture) -> dict[str, float]:
+    """Return the standard uncertainty of the pose that the capture states, for the derivatives that the render has."""
+    stated = {
+        "depth_mm": capture.indenter.depth_uncertainty_mm,
+        "position_mm": capture.indenter.position_uncertainty_mm,
+    }
+    return {name: sd for name in layers.pose_names if (sd := stated[name]) is not None and sd > 0.0}
 
 
 def generator_of(capture: TactileCapture, seed: int) -> np.random.Generator:

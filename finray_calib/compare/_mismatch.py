@@ -14,7 +14,10 @@ from numpy.typing import NDArray
 
 from data_schemas import CompareError, SimulatedPress, TactileCapture
 from finray_calib.compare._image_noise import block_mean
-from finray_calib.sensing import rgb_image
+from finray_calib.compare._prepared_images import Nuisances, nuisances_of
+from finray_calib.compare._regions import FACTORS
+from finray_calib.compare._tone_curve import FAR, REFUSED_GAIN_REL
+from finray_calib.sensing import full_scale_dn, rgb_image
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -23,11 +26,8 @@ Subject = Literal["channel order", "exposure", "encoding", "levels"]
 #: Means over blocks bring noise of render and sensor below what the rules look for.
 _BLOCK_PX = 8
 _LEAST_BLOCKS = 24
-#: Beyond this many half-widths from the contact the light should be that of no contact.
-_OFF_CONTACT = 3.0
-#: Off-contact level of contact over no contact beside that of the render. Real repeats differ by 1 % (9DTact), digital
-#: twins by up to 1.5 %, very noisy ones by 5 %; a stop of exposure is 100 %.
-_WARN_LEVEL_REL, _REFUSE_LEVEL_REL = 0.05, 0.15
+#: Of a render whose inputs are known, the level far from the contact may be off by so much before it is told.
+_WARN_LEVEL_REL = 0.05
 _TIMES_REPEAT = 4.0
 #: Channel orders: noise floor of the rule between two captures (9DTact shows an exchange with 1.3 %), and between a
 #: render and a capture, where model errors of 30 % are common.
@@ -50,10 +50,11 @@ def find_mismatches(press: SimulatedPress, capture: TactileCapture) -> tuple[Fin
     """Look for mismatches between a render, a capture and the capture's own no-contact image.
 
     * channel order: an exchange of channels fits clearly better than the order as stored (see `better_order`);
-    * exposure or gain: far from the contact, contact and no contact differ by more than the render and the repeat
-      explain;
+    * exposure, gain or white balance: far from the contact a channel of contact and no contact differs by more than the
+      render and the repeat explain;
     * encoding: the capture grows with a power of the render's level, or has an offset (see `tone_curve`);
-    * bit depth and black level: see `level_findings`.
+    * bit depth and black level: see `level_findings`;
+    * clipped pixels: more than 1 % of the contact patch, or of the patch dilated, is clipped or nearly so.
 
     Parameters
     ----------
@@ -77,13 +78,29 @@ def find_mismatches(press: SimulatedPress, capture: TactileCapture) -> tuple[Fin
             f"{contact.shape[1]} x {contact.shape[0]} px: simulate with the camera of the capture"
         )
     repeat = None if capture.repeat_no_contact is None else rgb_image(capture.repeat_no_contact, capture)
-    scene = _scene(press, contact, no_contact, repeat)
     findings = [Finding("refuse" if sure else "warn", "levels", text) for sure, text in level_findings(capture)]
-    if scene is not None and press.encoding == capture.encoding:
-        findings += [*_order_findings(scene, capture.name), *_exposure_findings(scene, capture)]
-        if capture.encoding == "linear":
+    findings += _clipped_findings(press, capture)
+    if press.encoding == capture.encoding or press.encoding == "linear":
+        nuisances = nuisances_of(press, capture)
+        findings += _gain_findings(nuisances, repeat, capture)
+        shown = press if nuisances.tone is None else _through_the_curve(press, nuisances)
+        scene = _scene(shown, contact, no_contact, repeat)
+        findings += [] if scene is None else _order_findings(scene, capture.name)
+        if scene is not None and capture.encoding == press.encoding == "linear":
             findings += _encoding_findings(scene, capture)
     return tuple(sorted(findings, key=lambda f: f.severity != "refuse"))
+
+
+def _through_the_curve(press: SimulatedPress, nuisances: Nuisances) -> SimulatedPress:
+    """Return a press in linear light by the fitted exponent, at the level of the capture: its white balance is free."""
+    tone = nuisances.tone
+    if tone is None:
+        return press
+    pad = np.isfinite(press.distance)[..., None]
+    images = [np.maximum(image, 0.0).astype(np.float64) ** tone.exponent for image in (press.contact, press.no_contact)]
+    level = (tone.level_dn.mean(axis=0) - tone.offset_dn) / np.maximum(images[1].mean(axis=(0, 1), where=pad), 1e-300)
+    contact, no_contact = ((image * level + tone.offset_dn).astype(np.float32) for image in images)
+    return press.model_copy(update={"contact": contact, "no_contact": no_contact})
 
 
 def require_no_mismatch(findings: Sequence[Finding]) -> None:
@@ -135,7 +152,7 @@ def _scene(press: SimulatedPress, contact: Floats, no_contact: Floats, repeat: F
         contact=values[2],
         no_contact=values[3],
         repeat=None if repeat is None else values[4],
-        off=distance[used] > _OFF_CONTACT,
+        off=distance[used] > FAR,
     )
 
 
@@ -172,34 +189,77 @@ def _spread(first: Floats, second: Floats) -> float:
     return float(np.log(first / second).std())
 
 
-def _exposure_findings(scene: _Scene, capture: TactileCapture) -> list[Finding]:
-    """Compare the level far from the contact with and without it."""
-    if not scene.has_surround:
+_CHANNELS = ("red", "green", "blue")
+
+
+def _gain_findings(nuisances: Nuisances, repeat: Floats | None, capture: TactileCapture) -> list[Finding]:
+    """Tell the channels whose level far from the contact differs with and without it, and what is done about it."""
+    gain = nuisances.gain
+    if gain is None:
         return []
-    off = scene.off
-    real = scene.contact[off].sum(axis=0) / scene.no_contact[off].sum(axis=0)
-    expected = scene.simulated[off].sum(axis=0) / scene.simulated_no_contact[off].sum(axis=0)
-    factors = real / expected
-    # the middle one: a single channel may be dark
-    factor = float(np.median(factors))
-    drift = 0.0
-    if scene.repeat is not None:
-        drift = float(np.median(np.abs(np.log(scene.repeat[off].sum(axis=0) / scene.no_contact[off].sum(axis=0)))))
-    beyond, threshold = abs(np.log(factor)), _TIMES_REPEAT * drift
-    if beyond <= max(_WARN_LEVEL_REL, threshold):
+    drift = _repeat_drift(nuisances, repeat)
+    size = np.abs(gain.log_gain)
+    told = gain.seen & (size > _TIMES_REPEAT * drift)
+    told &= True if nuisances.render.inputs is None else size > np.log1p(_WARN_LEVEL_REL)
+    if not told.any():
         return []
-    channels = ", ".join(f"{f:.3f}" for f in factors)
+    channel = int(np.argmax(np.where(told, size, 0.0)))
+    factor = float(np.exp(gain.log_gain[channel]))
+    listed = ", ".join(f"{g:.3f} +- {u:.3f}" for g, u in zip(np.exp(gain.log_gain), gain.u, strict=True))
     text = (
-        f"far from the contact (beyond {_OFF_CONTACT:g} half-widths) the contact image of {capture.name} is "
-        f"{factor:.3f} times as bright as its no-contact image, after what the render expects (red, green, blue: "
-        f"{channels}); the repeat differs by {drift:.1%}: "
+        f"far from the contact (beyond {FAR:g} half-widths) the contact image of {capture.name} is {factor:.3f} times "
+        f"as bright as its no-contact image in {_CHANNELS[channel]}, after what the render expects (red, green, blue: "
+        f"{listed}): "
     )
     stops = float(np.log2(factor))
     if abs(stops - round(stops)) < 0.05 and abs(round(stops)) >= 2:
         text += f"that is 2 to the power {round(stops)}, as between images of different bit depth; "
+    if nuisances.is_corrected:
+        text += "it was taken out of both sides, each by its own; "
+    elif not gain.is_refused:
+        text += "it was not taken out, because it may be an error of the render; "
+    elif (gain.uneven > size)[channel] and size[channel] <= np.log1p(REFUSED_GAIN_REL):
+        text += f"across the picture it changes by {gain.uneven[channel]:.1%}, so that it is no gain; "
     text += "capture both with the same exposure, gain, white balance and bit depth"
-    sure = beyond > max(_REFUSE_LEVEL_REL, threshold)
-    return [Finding("refuse" if sure else "warn", "exposure", text)]
+    return [Finding("refuse" if gain.is_refused else "warn", "exposure", text)]
+
+
+def _repeat_drift(nuisances: Nuisances, repeat: Floats | None) -> Floats:
+    """Return how far the repeat of the no-contact image differs in the level of each channel, as a logarithm."""
+    if repeat is None:
+        return np.zeros(3)
+    both = np.isfinite(repeat + nuisances.no_contact).all(axis=2)
+    sums = [np.maximum(image[both].sum(axis=0), 1e-9) for image in (repeat, nuisances.no_contact)]
+    return np.asarray(np.abs(np.log(sums[0] / sums[1])))
+
+
+#: From this share of a region on its clipped pixels are told; nearly clipped is 98 % of full scale.
+_TOLD_CLIPPED, _NEARLY = 0.01, 0.98
+
+
+def _clipped_findings(press: SimulatedPress, capture: TactileCapture) -> list[Finding]:
+    """Tell how much of the contact is clipped or nearly so, channel by channel."""
+    near_dn = _NEARLY * full_scale_dn(capture)
+    images = [rgb_image(counts, capture) for counts in (capture.contact, capture.no_contact)]
+    bright = np.logical_or.reduce([~(image < near_dn) for image in images])
+    findings = []
+    for name, factor in FACTORS.items():
+        where = press.distance <= factor
+        if not where.any() or bright[where].any(axis=1).mean() <= _TOLD_CLIPPED:
+            continue
+        shares = ", ".join(
+            f"{channel} {share:.1%}" for channel, share in zip(_CHANNELS, bright[where].mean(axis=0), strict=True)
+        )
+        findings.append(
+            Finding(
+                "warn",
+                "levels",
+                f"{bright[where].any(axis=1).mean():.0%} of the {name} is clipped or nearly so, at {_NEARLY:.0%} of "
+                f"full scale or more, with or without contact ({shares}): what is clipped is left out of every score, "
+                "and what is nearly so is compressed; capture with a shorter exposure",
+            )
+        )
+    return findings
 
 
 def _encoding_findings(scene: _Scene, capture: TactileCapture) -> list[Finding]:

@@ -5,6 +5,7 @@ uncertainty budget (what each input does alone), and the validation statement pe
 ASME V&V 20, with the area validation metric.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -23,9 +24,11 @@ from finray_calib.compare._input_draws import (
     Inputs,
     Propagated,
     ends,
+    pose_sd_mm,
     propagate,
 )
-from finray_calib.compare._region_sums import RegionSums
+from finray_calib.compare._prepared_images import Nuisances
+from finray_calib.compare._region_sums import RegionSums, RenderLayers
 from finray_calib.compare._regions import tile_indices, tile_side_px
 
 Floats = NDArray[np.float64]
@@ -89,12 +92,15 @@ def propagated_draws(sums: RegionSums, drawn: Drawn, exposure: Floats, rng: np.r
     return RegionDraws(errors, drawn.drift[:, None] * sums.level, sums.pixels)
 
 
-def resampled_draws(sums: RegionSums, draws: int, rng: np.random.Generator) -> RegionDraws:
+def resampled_draws(
+    sums: RegionSums, draws: int, rng: np.random.Generator, per_pixel: Mapping[str, Floats] | None = None
+) -> RegionDraws:
     """Return draws of the sums over square tiles of the region, drawn with replacement.
 
     For images of which no input has a known uncertainty: the spread tells how much a number depends on which part of
-    the region was looked at.
+    the region was looked at. `per_pixel` stands in the place of that of the sums.
     """
+    values_of = sums.per_pixel if per_pixel is None else per_pixel
     tile = tile_indices(sums.where, tile_side_px(sums.where))
     tiles = int(tile.max()) + 1
     counts = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), size=draws)
@@ -107,8 +113,8 @@ def resampled_draws(sums: RegionSums, draws: int, rng: np.random.Generator) -> R
         return np.asarray(share * (counts @ per_tile))
 
     names = {"simulation": "error", "do nothing": "signal", "floor": "floor"}
-    errors = {name: sum_over(sums.per_pixel[of]) for name, of in names.items() if of in sums.per_pixel}
-    return RegionDraws(errors, sum_over(sums.per_pixel["level"]), sums.pixels)
+    errors = {name: sum_over(values_of[of]) for name, of in names.items() if of in values_of}
+    return RegionDraws(errors, sum_over(values_of["level"]), sums.pixels)
 
 
 RESAMPLED_DRAWS = 2000
@@ -180,14 +186,50 @@ def propagated(
 
 
 def resampled(comparison: Comparison, rng: np.random.Generator) -> list[RegionResult]:
-    """Return the regions' draws from parts of themselves, for images of which no input has a known uncertainty."""
-    return [
-        RegionResult(
-            resampled_draws(sums, RESAMPLED_DRAWS, rng),
-            None if gradients is None else resampled_draws(gradients, RESAMPLED_DRAWS, rng),
-        )
-        for sums, gradients in zip(comparison.sums, comparison.gradients, strict=True)
-    ]
+    """Return the regions' draws from parts of themselves, for images of which no input has a known uncertainty.
+
+    Where a tone curve or gains are taken out, each of their draws gets its share of them.
+    """
+    nuisances = comparison.nuisances
+    drawn = [] if nuisances is None else [drawn_per_pixel(comparison, *pair) for pair in nuisances.drawn(rng)]
+    regions = []
+    for i, (sums, gradients) in enumerate(zip(comparison.sums, comparison.gradients, strict=True)):
+        kinds: list[Mapping[str, Floats]] = [values[i] for values in drawn] or [sums.per_pixel]
+        count = RESAMPLED_DRAWS // len(kinds)
+        images = _joined([resampled_draws(sums, count, rng, values) for values in kinds])
+        of_gradients = None if gradients is None else resampled_draws(gradients, RESAMPLED_DRAWS, rng)
+        regions.append(RegionResult(images, of_gradients))
+    return regions
+
+
+def drawn_per_pixel(comparison: Comparison, layers: RenderLayers, contact: Floats) -> list[dict[str, Floats]]:
+    """Return the squares of each pixel of every region, for another render and captured contact image."""
+    captured, k = comparison.captured, comparison.best_exposure
+    found = []
+    for sums in comparison.sums:
+        d, b = contact[sums.where], captured.no_contact[sums.where]
+        v_d, v_b = (captured.variance(image)[sums.where] for image in (captured.contact, captured.no_contact))
+        first, second = (k * half @ layers.matrix.T for half in layers.halves("contact", sums.where))
+        squares = {"error": (first - d) * (second - d) - v_d, "signal": (b - d) ** 2 - v_b - v_d, "level": d}
+        found.append(dict(sums.per_pixel) | squares)
+    return found
+
+
+def _joined(parts: list[RegionDraws]) -> RegionDraws:
+    """Return the draws of all parts one after the other."""
+    errors = {name: np.concatenate([part.error[name] for part in parts]) for name in parts[0].error}
+    return RegionDraws(errors, np.concatenate([part.level for part in parts]), parts[0].pixels)
+
+
+def nuisance_skill_u(comparison: Comparison, rng: np.random.Generator) -> float:
+    """Return the standard uncertainty of the headline skill from tone curve and gains alone; 0 without any."""
+    if comparison.nuisances is None:
+        return 0.0
+    w, skills = comparison.channel_weights, []
+    for pair in comparison.nuisances.drawn(rng):
+        squares = drawn_per_pixel(comparison, *pair)[-1]
+        skills.append(1.0 - squares["error"].sum(axis=0) @ w / (squares["signal"].sum(axis=0) @ w))
+    return float(np.std(skills, ddof=1))
 
 
 def best(comparison: Comparison) -> list[RegionResult]:
@@ -327,6 +369,47 @@ def objective_error(
         log_ratio_draws=draws.log_ratio,
         log_exposure_draws=log_exposure,
         source="; ".join(known.keys) if known is not None else "no input with a known uncertainty",
+        rig=capture.rig,
+    )
+
+
+def objective_through_curve(
+    comparison: Comparison, nuisances: Nuisances, distance: Floats, capture: TactileCapture, rng: np.random.Generator
+) -> ObjectiveError:
+    r"""Return the error of the sweep's objective of a render in linear light against encoded values.
+
+    Both sides are the brightness of the ring relative to the same pixels without contact: L1 / L0 of the render,
+    :math:`\sum (D - b)^{1/p} / \sum (B - b)^{1/p}` of the capture, for the draws of exponent, offset and gains;
+    exposure and white balance cancel. Inputs of the render that are known are drawn in their stored order.
+    """
+    render = nuisances.render
+    usable = np.asarray(np.isfinite(comparison.captured.contact).all(axis=2), dtype=np.bool_)
+    ring = ring_of(distance, usable)
+    inputs = Inputs(render, pose_sd_mm(render, capture), None, None)
+    known = inputs.draw(STORED_DRAWS, rng, paired=True)
+    first, second = render.halves("contact", ring, inputs.pose_names)
+    contact = known.weights @ ((first + second) / 2.0).mean(axis=0)
+    rest = known.matrix @ render.no_contact[ring].mean(axis=0).astype(np.float64)
+    of_render = np.log(np.maximum(contact, 1e-300) / np.maximum(rest, 1e-300))
+    tone, gain = nuisances.tone, nuisances.gain
+    drawn = np.zeros((0, 2)) if tone is None else tone.draws
+    images, of_capture = (nuisances.contact, nuisances.no_contact), []
+    for i in range(STORED_DRAWS):
+        p, b = drawn[i % len(drawn)]
+        change = np.zeros(3)
+        if nuisances.is_corrected and gain is not None:
+            change = np.where(gain.to_correct, gain.log_gain + gain.u * rng.standard_normal(3), 0.0)
+        pressed, untouched = (np.maximum(image[ring] - b, 0.0) ** (1.0 / p) for image in images)
+        of_capture.append(np.log(pressed.sum(axis=0) / untouched.sum(axis=0)) - change / p)
+    captured = np.array(of_capture)
+    draws = BrightnessDraws(of_render - captured, np.ones(STORED_DRAWS))
+    error = draws.error_rel(np.exp(np.median(captured, axis=0)))
+    low, high = ends(error)
+    return ObjectiveError(
+        error_rel=Interval(estimate=float(np.median(error)), low95=float(low), high95=float(high)),
+        log_ratio_draws=draws.log_ratio,
+        log_exposure_draws=None,
+        source="; ".join(render.inputs.keys) if render.inputs is not None else "no input with a known uncertainty",
         rig=capture.rig,
     )
 

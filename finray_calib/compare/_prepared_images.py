@@ -1,10 +1,13 @@
 """Bring a simulated press and a capture to one grid and one unit, or refuse to compare them.
 
-Refused are other stated conditions (light, indenter or push), sizes and encodings. The design of the render is compared
-with the record of the capture; what either does not state is not judged.
+Refused are other stated conditions (light, indenter or push), sizes, and encoded values of a render beside light of a
+capture. The design of the render is compared with the record of the capture; what either does not state is not judged.
+A render in linear light meets an encoded capture through an unknown tone curve, and gains of the camera that differ
+between the captures are taken out: both are nuisances that the images without contact and the pixels far from it tell.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +15,111 @@ from numpy.typing import NDArray
 from data_schemas import CompareError, Indenter, IndenterPose, SimulatedPress, TactileCapture
 from finray_calib.compare._image_noise import NO_NOISE, block_mean, capture_noise
 from finray_calib.compare._region_sums import Captured, RenderLayers, render_layers
-from finray_calib.sensing import rgb_image
+from finray_calib.compare._tone_curve import (
+    NUISANCE_DRAWS,
+    FarGain,
+    ToneFit,
+    encoded_layers,
+    far_gain,
+    fit_tone,
+    layers_without_gain,
+    without_gain,
+)
+from finray_calib.sensing import full_scale_dn, rgb_image
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Nuisances:
+    """Hold what the camera does between render and capture, and both sides before it is taken out.
+
+    Attributes
+    ----------
+    render : RenderLayers
+        As it is stored.
+    contact : ndarray, shape (H, W, 3)
+        As captured.
+    no_contact : ndarray, shape (H, W, 3)
+        As captured.
+    tone : ToneFit or None
+        None where both sides hold the same kind of values.
+    gain : FarGain or None
+        None where it cannot be told.
+    is_corrected : bool
+        Whether the gain is taken out.
+    """
+
+    render: RenderLayers
+    contact: Floats
+    no_contact: Floats
+    tone: ToneFit | None
+    gain: FarGain | None
+    is_corrected: bool
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing is changed on either side."""
+        return self.tone is None and not self.is_corrected
+
+    def blocked(self, side_px: int) -> "Nuisances":
+        """Return the means over blocks of pixels."""
+        contact, no_contact = (block_mean(image, side_px) for image in (self.contact, self.no_contact))
+        return replace(self, render=self.render.blocked(side_px), contact=contact, no_contact=no_contact)
+
+    def best(self) -> tuple[RenderLayers, Floats]:
+        """Return render and captured contact image at the best curve and gains."""
+        tone = self.tone
+        return self._taken_out(None if tone is None else (tone.exponent, tone.offset_dn), np.zeros(3))
+
+    def drawn(self, rng: np.random.Generator) -> Iterator[tuple[RenderLayers, Floats]]:
+        """Return the same for draws of curve and gains."""
+        u = np.zeros(3) if self.gain is None else self.gain.u
+        for i in range(NUISANCE_DRAWS):
+            curve = None if self.tone is None else (float(self.tone.draws[i, 0]), float(self.tone.draws[i, 1]))
+            yield self._taken_out(curve, u * rng.standard_normal(3))
+
+    def _taken_out(self, curve: tuple[float, float] | None, more: Floats) -> tuple[RenderLayers, Floats]:
+        """Return both sides with this exponent and offset, and gains that differ by `more` in their logarithm."""
+        layers, contact, offset_dn = self.render, self.contact, 0.0
+        if curve is not None:
+            layers, offset_dn = encoded_layers(self.render, self.no_contact, *curve), curve[1]
+        if self.is_corrected and self.gain is not None:
+            steeper = 1.0 if curve is None or self.tone is None else curve[0] / self.tone.exponent
+            chosen = self.gain.to_correct
+            contact = without_gain(contact, np.where(chosen, self.gain.log_captured + more, 0.0), offset_dn)
+            of_render = np.where(chosen, steeper * self.gain.log_simulated, 0.0)
+            layers = layers_without_gain(layers, of_render, offset_dn)
+        return layers, contact
+
+
+def nuisances_of(press: SimulatedPress, capture: TactileCapture) -> Nuisances:
+    """Estimate tone curve and gains; images of one size.
+
+    The curve is fitted where a render in linear light meets encoded values. Gains that all pixels far from the contact
+    share are taken out of both sides, each by its own, so that an image without contact that was given the gain of the
+    capture explains nothing; of a render whose paints and camera are known they are only told, for there they may be an
+    error of the render, which is to be seen.
+    """
+    contact, no_contact = (rgb_image(counts, capture) for counts in (capture.contact, capture.no_contact))
+    render, distance = render_layers(press), press.distance.astype(np.float64)
+    full_dn = full_scale_dn(capture)
+    tone, shown, offset_dn = None, render, 0.0
+    if press.encoding == "linear" and capture.encoding == "unknown":
+        # a generator of its own: the curve of a pair does not depend on what else is drawn
+        tone = fit_tone(
+            render.rgb(render.no_contact), no_contact, np.isfinite(distance), full_dn, np.random.default_rng(_TONE_SEED)
+        )
+        offset_dn = tone.offset_dn
+        shown = encoded_layers(render, no_contact, tone.exponent, offset_dn)
+    simulated = [shown.rgb(image) - offset_dn for image in (shown.contact, shown.no_contact)]
+    captured = (contact - offset_dn, no_contact - offset_dn)
+    gain = far_gain(captured, (simulated[0], simulated[1]), distance, full_dn)
+    is_corrected = shown.inputs is None and gain is not None and bool(gain.to_correct.any()) and not gain.is_refused
+    return Nuisances(render, contact, no_contact, tone, gain, is_corrected)
+
+
+_TONE_SEED = 20_040
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +137,8 @@ class PreparedImages:
         (H, W) whether a captured image is at full scale.
     distance
         (H, W) distance from the contact's centre in half-widths, NaN off the pad.
+    nuisances
+        Tone curve and gains, which are taken out of `layers` and `captured`.
     block_px
         Side of the blocks of pixels that the images are means of.
     """
@@ -40,13 +147,21 @@ class PreparedImages:
     captured: Captured
     clipped: NDArray[np.bool_]
     distance: Floats
+    nuisances: Nuisances
     block_px: int = 1
 
     def blocked(self, side_px: int) -> "PreparedImages":
         """Return the means over blocks of pixels."""
+        layers, captured, nuisances = self.layers.blocked(side_px), self.captured.blocked(side_px), self.nuisances
+        if not nuisances.is_idle:
+            # the curve of a mean, not the mean of the curve: the render's noise is large in single pixels
+            nuisances = nuisances.blocked(side_px)
+            layers, contact = nuisances.best()
+            captured = replace(captured, contact=contact)
         return PreparedImages(
-            layers=self.layers.blocked(side_px),
-            captured=self.captured.blocked(side_px),
+            layers=layers,
+            captured=captured,
+            nuisances=nuisances,
             clipped=block_mean(self.clipped.astype(np.float64), side_px) > 0.0,
             distance=block_mean(self.distance, side_px),
             block_px=side_px,
@@ -59,8 +174,8 @@ def prepare_images(press: SimulatedPress, capture: TactileCapture) -> PreparedIm
     Raises
     ------
     CompareError
-        Light, indenter or push of both differ (see `require_same_conditions`), the images differ in size, linear light
-        would be compared with encoded values, or the render is not finite.
+        Light, indenter or push of both differ (see `require_same_conditions`), the images differ in size, the render
+        holds encoded values and the capture light, or the render is not finite.
     """
     contact, no_contact = rgb_image(capture.contact, capture), rgb_image(capture.no_contact, capture)
     repeat = None if capture.repeat_no_contact is None else rgb_image(capture.repeat_no_contact, capture)
@@ -72,9 +187,11 @@ def prepare_images(press: SimulatedPress, capture: TactileCapture) -> PreparedIm
         noise = capture_noise(no_contact, repeat)
     for image in images:
         image[clipped] = np.nan
-    return PreparedImages(
-        render_layers(press), Captured(contact, no_contact, repeat, noise), clipped, press.distance.astype(np.float64)
-    )
+    nuisances = nuisances_of(press, capture)
+    nuisances = replace(nuisances, contact=contact, no_contact=no_contact)
+    layers, compared = nuisances.best()
+    distance = press.distance.astype(np.float64)
+    return PreparedImages(layers, Captured(compared, no_contact, repeat, noise), clipped, distance, nuisances)
 
 
 def _require_comparable(press: SimulatedPress, capture: TactileCapture, shape: tuple[int, ...]) -> None:
@@ -91,10 +208,10 @@ def _require_comparable(press: SimulatedPress, capture: TactileCapture, shape: t
             f"{press.name} was given a white balance, {capture.name} holds the camera's own channels: recolour the "
             "press without --white-balance (or with 1:1:1)"
         )
-    if press.encoding != capture.encoding:
+    if press.encoding == "unknown" and capture.encoding == "linear":
         raise CompareError(
-            f"{press.name} holds {press.encoding} values, {capture.name} {capture.encoding} ones: linear light cannot "
-            "be compared with an image whose encoding is unknown; capture raw frames, or compare a table prediction"
+            f"{press.name} holds encoded values, {capture.name} linear light: no curve leads from the one to the other "
+            "without a loss; give the simulation in linear light"
         )
 
 

@@ -1,9 +1,9 @@
-"""Decide on a light angle from a sweep: probability, regret and the set of equivalent angles.
+"""Decide on a light angle from sweeps at the places that are touched: what each loses, the odds, what helps most.
 
-The objective's curve f over the angle is a Gaussian process through the renders, the real one f exp(-t), with the
-sim-to-real error t learnt from captures (its prior without any). Joint draws give the probability that the optimum is
-near the chosen angle and the relative regret (max f - f(best)) / max f; the verdict, the sentence and the next render
-or capture that helps most follow from them.
+The objective's curve f over the angle is a random curve through the renders of one place, the real one f exp(p - t):
+p is a draw of the paints and t the sim-to-real error learnt from captures (its prior without any). An angle's value is
+the mean over the places, or the least, of the curve over its greatest value there. Joint draws give the probability
+that another angle is better and by how much; the verdict, the sentences and the next capture that helps most follow.
 """
 
 from typing import TYPE_CHECKING
@@ -12,8 +12,8 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.decide._decision_record import decide
-    from finray_calib.decide._light_angle import AngleDecision, decide_angle
+    from finray_calib.decide._light_angle import AngleDecision, SweptContact, decide_angle, decide_contacts
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
-__all__ = ["AngleDecision", "decide", "decide_angle"]
+__all__ = ["AngleDecision", "SweptContact", "decide", "decide_angle", "decide_contacts"]

@@ -37,6 +37,8 @@ class ValidatingCapture:
         Of the sweep's objective.
     findings : tuple of str
         Of the checks before the comparison.
+    contact : int
+        Number of the sweep whose touch was captured.
     """
 
     name: str
@@ -44,6 +46,7 @@ class ValidatingCapture:
     stated_angle_sd_deg: float | None
     error: ObjectiveError
     findings: tuple[str, ...]
+    contact: int
 
     @property
     def angle_sd_deg(self) -> float:
@@ -52,9 +55,9 @@ class ValidatingCapture:
 
 
 def captures_within(
-    sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport]
+    sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport], contacts: Sequence[int]
 ) -> tuple[list[ValidatingCapture], list[str]]:
-    """Return the captures at angles of a sweep, and a note on each of the others.
+    """Return the captures at angles of a sweep, and a note on each of the others; `contacts` numbers their touches.
 
     Raises
     ------
@@ -65,7 +68,7 @@ def captures_within(
     _refuse_duplicates(reports)
     first, last = sweep.angles_deg[0], sweep.angles_deg[-1]
     kept, notes = [], []
-    for capture in [_capture_of(report) for report in reports]:
+    for capture in [_capture_of(report, contact) for report, contact in zip(reports, contacts, strict=True)]:
         if first - _BEYOND_DEG <= capture.angle_deg <= last + _BEYOND_DEG:
             kept.append(capture)
         else:
@@ -107,8 +110,8 @@ def _refuse_duplicates(reports: Sequence[PhotometricErrorReport]) -> None:
         seen.add(key)
 
 
-def _capture_of(report: PhotometricErrorReport) -> ValidatingCapture:
-    """Return the capture of a report.
+def _capture_of(report: PhotometricErrorReport, contact: int) -> ValidatingCapture:
+    """Return the capture of a report on a touch.
 
     Raises
     ------
@@ -126,15 +129,15 @@ def _capture_of(report: PhotometricErrorReport) -> ValidatingCapture:
             f"the report on {report.captured} was made despite a mismatch, so its brightness error says nothing about "
             f"the simulation ({'; '.join(report.findings)}): mend the capture and compare again, or leave it out"
         )
-    if report.objective_error is None and report.values == "linear light":
+    if report.objective_error is None and (report.values == "linear light" or report.tone_curve is not None):
         raise DecideError(
             f"the report on {report.captured} carries no brightness error, because the render holds no draws of its "
-            "paints and camera: render it with 'finray simulate --paint' and compare again"
+            "paints and camera: render it with 'finray simulate render --paint' and compare again"
         )
     if report.objective_error is None:
         raise DecideError(
             f"the report on {report.captured} carries no brightness error, because its values are "
-            f"'{report.values}': give a report on a capture in linear light (raw frames)"
+            f"'{report.values}' on both sides: render it in linear light ('finray simulate render') and compare again"
         )
     if report.light_angle_deg is None:
         raise DecideError(
@@ -147,6 +150,7 @@ def _capture_of(report: PhotometricErrorReport) -> ValidatingCapture:
         report.light_angle_uncertainty_deg,
         report.objective_error,
         report.findings,
+        contact,
     )
 
 
@@ -175,6 +179,8 @@ class CaptureErrors:
     scale_of : ndarray of int, shape (N,), or None
         Captures of one number share an unknown common scale (exposure, LED power, gain). None: none is unknown,
         because every error is relative to the no-contact image of its own capture.
+    contact_of : ndarray of int, shape (N,), or None
+        Number of the place that was touched. None: there is one place.
     """
 
     names: tuple[str, ...]
@@ -183,6 +189,12 @@ class CaptureErrors:
     log_error: Floats
     covariance: Floats
     scale_of: NDArray[np.int64] | None
+    contact_of: NDArray[np.int64] | None = None
+
+    @property
+    def contact(self) -> NDArray[np.int64]:
+        """Number of the place of each capture, shape (N,)."""
+        return np.zeros(self.angles_deg.size, dtype=np.int64) if self.contact_of is None else self.contact_of
 
 
 #: What is known without captures.
@@ -209,9 +221,9 @@ def objective_log_error(log_ratio: Floats, channel_share: Floats) -> Floats:
 
 
 def capture_errors(
-    sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport]
+    sweeps: Sequence[LightAngleSweep], reports: Sequence[PhotometricErrorReport], contacts: Sequence[int]
 ) -> tuple[CaptureErrors, tuple[str, ...]]:
-    """Return what reports say about a sweep's objective, and notes on what was left out or assumed.
+    """Return what reports say about the objective of sweeps, and notes on what was left out or assumed.
 
     Where two captures of one rig at different angles carry exposure and LED current, absolute ratios are compared, up
     to a common scale of the rig; captures without are then left out. Else each error is relative to the no-contact
@@ -220,10 +232,12 @@ def capture_errors(
 
     Parameters
     ----------
-    sweep : LightAngleSweep
-        Gives the share of each channel in the objective.
+    sweeps : sequence of LightAngleSweep
+        One of each touch; they give the share of each channel in the objective.
     reports : sequence of PhotometricErrorReport
         One for each capture.
+    contacts : sequence of int
+        Number of the sweep that each report belongs to.
 
     Returns
     -------
@@ -236,13 +250,13 @@ def capture_errors(
         A report carries no error of the objective or no angle, is on images that do not belong together, or two are on
         one capture.
     """
-    captures, notes = captures_within(sweep, reports)
+    captures, notes = captures_within(sweeps[0], reports, contacts)
     groups = _absolute_groups(captures)
     used = [capture for capture in captures if not groups or _scale_key(capture.error) in groups]
     if not used:
         return NO_CAPTURES, tuple(notes)
-    notes += _notes_on_scales(captures, groups) + doubts(sweep, used)
-    draws = [_log_error_draws(sweep, capture, bool(groups)) for capture in used]
+    notes += _notes_on_scales(captures, groups) + doubts(sweeps[0], used)
+    draws = [_log_error_draws(sweeps[capture.contact], capture, bool(groups)) for capture in used]
     return CaptureErrors(
         names=tuple(capture.name for capture in used),
         angles_deg=np.array([capture.angle_deg for capture in used]),
@@ -250,6 +264,7 @@ def capture_errors(
         log_error=np.array([d.mean() for d in draws]),
         covariance=_covariance(draws, [capture.error.source for capture in used]),
         scale_of=np.array([groups.index(_scale_key(capture.error)) for capture in used]) if groups else None,
+        contact_of=np.array([capture.contact for capture in used], dtype=np.int64),
     ), tuple(notes)
 
 
@@ -325,42 +340,63 @@ def _covariance(draws: Sequence[Floats], sources: Sequence[str]) -> Floats:
 _SAME_DEPTH_MM = 1e-6
 
 
-def require_one_finger(sweep: LightAngleSweep, reports: Sequence[PhotometricErrorReport]) -> tuple[str, ...]:
-    """Refuse reports on another finger than the sweep's, and return notes on what cannot be told.
+def require_one_finger(
+    sweeps: Sequence[LightAngleSweep], reports: Sequence[PhotometricErrorReport]
+) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Refuse reports on another finger or touch than the sweeps', and return notes and the sweep of each report.
 
-    The angle of the light is what the sweep varies, the depth of the press what a session varies: neither makes another
+    The angle of the light is what a sweep varies, the depth of the press what a session varies: neither makes another
     finger, but another depth is told.
+
+    Returns
+    -------
+    tuple of str
+        What cannot be told.
+    tuple of int
+        Number of the sweep that each report belongs to.
 
     Raises
     ------
     DecideError
         A report is on another finger, or with another light or indenter.
     """
-    own = finger_identity(sweep.design)
-    notes = []
+    notes: list[str] = []
+    found = []
     for report in reports:
-        if report.finger is None:
-            notes.append(
-                f"the report on {report.captured} does not say which finger was rendered (it is of an older "
-                f"version, or of a press without a design): whether it is '{own.name}' is taken on trust"
-            )
-            continue
-        if report.finger.version != own.version:
-            notes.append(
-                f"the report on {report.captured} names its finger '{report.finger.name}' as another version of finray "
-                f"does: whether it is '{own.name}' is taken on trust; compare again to know"
-            )
-            continue
-        other = report.finger.differs_in(own)
-        if other:
-            raise DecideError(
-                f"the report on {report.captured} is on the finger '{report.finger.name}', the sweep '{sweep.name}' on "
-                f"'{own.name}', and they differ in {', '.join(other)}: an error of one says nothing about the light of "
-                "the other. Simulate and compare the capture with the sweep's design, or leave the report out"
-            )
-        if abs(report.finger.depth_mm - own.depth_mm) > _SAME_DEPTH_MM:
-            notes.append(
-                f"the render compared with {report.captured} was pressed {report.finger.depth_mm:g} mm deep, the sweep "
-                f"is of {own.depth_mm:g} mm: the error is that of another depth"
-            )
-    return tuple(notes)
+        number, told = _sweep_of(sweeps, report)
+        found.append(number)
+        notes += told
+    return tuple(notes), tuple(found)
+
+
+def _sweep_of(sweeps: Sequence[LightAngleSweep], report: PhotometricErrorReport) -> tuple[int, list[str]]:
+    """Return the number of the sweep that a report belongs to, and notes on what cannot be told."""
+    owns = [finger_identity(sweep.design) for sweep in sweeps]
+    first = owns[0]
+    if report.finger is None:
+        return 0, [
+            f"the report on {report.captured} does not say which finger was rendered (it is of an older "
+            f"version, or of a press without a design): whether it is '{first.name}' is taken on trust"
+        ]
+    if report.finger.version != first.version:
+        return 0, [
+            f"the report on {report.captured} names its finger '{report.finger.name}' as another version of finray "
+            f"does: whether it is '{first.name}' is taken on trust; compare again to know"
+        ]
+    others = [report.finger.differs_in(own) for own in owns]
+    pushed_mm = report.finger.depth_mm
+    number = min(range(len(owns)), key=lambda k: (len(others[k]), abs(pushed_mm - owns[k].depth_mm)))
+    own, other = owns[number], others[number]
+    if other:
+        raise DecideError(
+            f"the report on {report.captured} is on the finger '{report.finger.name}', the sweep "
+            f"'{sweeps[number].name}' on '{own.name}', and they differ in {', '.join(other)}: an error of one says "
+            "nothing about the light of the other. Simulate and compare the capture with the sweep's design, or leave "
+            "the report out"
+        )
+    if abs(pushed_mm - own.depth_mm) <= _SAME_DEPTH_MM:
+        return number, []
+    return number, [
+        f"the render compared with {report.captured} was pressed {pushed_mm:g} mm deep, the sweep "
+        f"is of {own.depth_mm:g} mm: the error is that of another depth"
+    ]

@@ -1,117 +1,319 @@
-"""Gaussian processes over the light angle: the simulated curve between its angles, and how the real one may differ.
+"""Random curves over the light angle: Gaussian processes whose smoothness, length and amplitude are summed over.
 
-Regression of a smooth curve with known noise and an unknown constant mean; and the sim-to-real error of a curve, learnt
-from captures.
+One or more such curves, one for each place that is touched, seen at some angles with noise and with unknown common
+scales: expected value, covariance and joint draws. Thirteen angles say little about smoothness and length, so that a
+choice of either would claim more than is known: both have a prior, and the sum over it is exact on a grid.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
-from finray_calib.decide._capture_errors import CaptureErrors
+Floats = NDArray[np.float64]
 
-#: Prior of the length scale: lognormal, median 35 deg, sigma 0.6. Lambertian and mirror responses vary over
-#: tens of degrees; 95 % of the prior lies between 11 and 113 deg.
-PRIOR_LENGTH_DEG = 35.0
-PRIOR_LENGTH_LOG_SD = 0.6
-#: Prior of the amplitude relative to the curve's mean: lognormal, median 0.5, sigma 1.
-PRIOR_AMPLITUDE_REL = 0.5
-PRIOR_AMPLITUDE_LOG_SD = 1.0
-#: Added to the diagonal, relative to the squared amplitude, so that noise-free data factorise.
-_JITTER = 1e-9
-#: Noise below a millionth of the curve's mean counts as that: rounding, not information.
-_LEAST_NOISE_REL = 1e-6
 #: A smooth covariance has few eigenvalues of weight; those below this share of the largest are left out of draws.
 _LEAST_EIGENVALUE = 1e-10
 #: Components of an eigenvector closer than this ratio are one size: rounding leaves less, their steps more.
 _EQUAL = 1 - 1e-6
-_LENGTHS_DEG = np.geomspace(6.0, 200.0, 56)
-_AMPLITUDES_REL = np.geomspace(0.005, 20.0, 96)
+#: Added to the diagonal, relative to the squared amplitude, so that noise-free data factorise.
+_JITTER = 1e-9
+#: Equally likely. With twice differentiable curves alone a 95 % bound holds for half of the curves with a kink.
+SMOOTHNESSES = (0.5, 1.5, 2.5)
+LENGTHS_DEG = np.geomspace(8.0, 150.0, 12)
+#: Share of the variance that curves at several places have in common. Nobody measured it, so that it is summed over.
+SHARED = (0.1, 0.3, 0.5, 0.7, 0.9)
 
 
 @dataclass(frozen=True, slots=True)
-class Matern52:
-    """Hold a Matern covariance of smoothness 5/2.
-
-    k(d) = a^2 (1 + q + q^2 / 3) exp(-q) with q = sqrt(5) d / l: curves that are twice differentiable.
+class CurvePrior:
+    """Hold the prior of random curves: lognormal lengths and amplitudes, each smoothness as likely as the others.
 
     Attributes
     ----------
-    length_deg : float
-        Length scale l.
-    amplitude_rel : float
-        Standard deviation a, in the unit of the values.
+    length_deg, length_ln_sd : float
+        Median of the correlation length, and standard deviation of its logarithm.
+    amplitude_rel, amplitude_ln_sd : float
+        The same of the standard deviation of the curve.
+    amplitudes_rel : ndarray, shape (A,)
+        Amplitudes that are summed over.
+    smoothnesses : tuple of float
+        Matern's nu.
+    lengths_deg : ndarray, shape (L,)
     """
 
     length_deg: float
+    length_ln_sd: float
     amplitude_rel: float
-
-    def covariance(self, first_deg: NDArray[np.float64], second_deg: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the covariance of two sets of angles (N,), (M,) as an (N, M) array."""
-        distance_deg = np.abs(first_deg[:, None] - second_deg[None, :])
-        return self.amplitude_rel**2 * _correlation(distance_deg / self.length_deg)
+    amplitude_ln_sd: float
+    amplitudes_rel: Floats
+    smoothnesses: tuple[float, ...] = SMOOTHNESSES
+    lengths_deg: Floats = field(default_factory=LENGTHS_DEG.copy)
 
 
 @dataclass(frozen=True, slots=True)
-class CurvePosterior:
-    """Hold the joint normal distribution of a curve: `mean` (G,) and `covariance` (G, G) on `grid_deg` (G,)."""
+class Observations:
+    """Hold values of random curves at some angles.
 
-    grid_deg: NDArray[np.float64]
-    mean: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    Attributes
+    ----------
+    angles_deg, values : ndarray, shape (N,)
+    noise : ndarray, shape (N, N)
+        Covariance of the values about the curves.
+    scales : ndarray, shape (N, M)
+        1 where a value carries an unknown constant (flat prior), which is then part of it.
+    contact : ndarray of int, shape (N,)
+        Number of the curve that a value is of.
+    """
+
+    angles_deg: Floats
+    values: Floats
+    noise: Floats
+    scales: Floats
+    contact: NDArray[np.int64]
+
+
+def observations(angles_deg: Floats, values: Floats, noise: Floats, scales: Floats) -> Observations:
+    """Return values of one curve."""
+    return Observations(angles_deg, values, noise, scales, np.zeros(angles_deg.size, dtype=np.int64))
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Hold what one smoothness, length and common share say with each of A amplitudes.
+
+    `solve` (A, N, N) maps values to K^-1 (value - constants), `scale_gain` (A, N) to the first constant, whose variance
+    is `scale_variance` (A,).
+    """
+
+    nu: float
+    length_deg: float
+    common_share: float
+    ln_weight: Floats
+    solve: Floats
+    scale_gain: Floats
+    scale_variance: Floats
+
+    def correlation(self, first_deg: Floats, second_deg: Floats, is_same: NDArray[np.bool_] | bool) -> Floats:
+        """Return the correlation of curves between two sets of angles (N,), (M,); between places it is less."""
+        share = np.where(is_same, 1.0, self.common_share)
+        return np.asarray(share * matern_correlation(first_deg, second_deg, self.length_deg, self.nu))
+
+
+@dataclass(frozen=True, eq=False)
+class CurvePosterior:
+    """Hold what observations say about one or more random curves; without any, the prior.
+
+    Attributes
+    ----------
+    grid_deg : ndarray, shape (G,)
+    contacts : int
+        Number of curves C.
+    seen : Observations
+    """
+
+    grid_deg: Floats
+    contacts: int
+    seen: Observations
+    _prior: CurvePrior
+    _parts: tuple[_Part, ...]
 
     @property
-    def standard_deviation(self) -> NDArray[np.float64]:
-        """Pointwise standard deviation, shape (G,)."""
+    def weights(self) -> Floats:
+        """Posterior weights (parts, A) of smoothness, length and common share, and of the amplitude."""
+        return _normalised(np.array([part.ln_weight for part in self._parts]))
+
+    @property
+    def amplitude_weights(self) -> Floats:
+        """Posterior weights (A,) of the amplitudes."""
+        return np.asarray(self.weights.sum(axis=0))
+
+    @cached_property
+    def mean(self) -> Floats:
+        """Expected curves with their first constant, shape (C, G)."""
+        mean = np.zeros((self.contacts, self.grid_deg.size))
+        for part, weights in zip(self._parts, self.weights, strict=True):
+            solved = (weights * self._prior.amplitudes_rel**2) @ (part.solve @ self.seen.values)
+            mean += np.array([self._cross(part, contact) @ solved for contact in range(self.contacts)])
+            mean += weights @ (part.scale_gain @ self.seen.values)
+        return mean
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance (G, G) of the first curve with its constant."""
+        grid, square = self.grid_deg, self._prior.amplitudes_rel**2
+        covariance = -np.outer(self.mean[0], self.mean[0])
+        for part, weights in zip(self._parts, self.weights, strict=True):
+            cross, variances = self._cross(part, 0), weights * square
+            covariance += variances.sum() * part.correlation(grid, grid, True)
+            covariance -= cross @ np.tensordot(variances * square, part.solve, axes=1) @ cross.T
+            with_scale = cross @ (variances @ part.scale_gain)
+            covariance += weights @ part.scale_variance - with_scale[:, None] - with_scale
+            solved = square[:, None] * (part.solve @ self.seen.values)
+            centers = solved @ cross.T + (part.scale_gain @ self.seen.values)[:, None]
+            covariance += (centers.T * weights) @ centers
+        return covariance
+
+    @property
+    def standard_deviation(self) -> Floats:
+        """Pointwise standard deviation of the first curve, shape (G,)."""
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0)))
 
+    def ln_likelihood(self, values: Floats) -> Floats:
+        """Return ln(prior weight times likelihood) of other values at the same angles: (parts, A, m) for (m, N)."""
+        own = self.seen.values
+        found = []
+        for part in self._parts:
+            misfit = ((values @ part.solve) * values).sum(axis=2) - ((part.solve @ own) @ own)[:, None]
+            found.append(part.ln_weight[:, None] - 0.5 * misfit)
+        return np.array(found)
 
-def fit_kernel(
-    angles_deg: NDArray[np.float64], values_rel: NDArray[np.float64], noise_variance: NDArray[np.float64]
-) -> Matern52:
-    """Find the length scale and amplitude of greatest posterior density.
+    def draws(
+        self,
+        count: int,
+        rng: np.random.Generator,
+        values: Floats | None = None,
+        nodes: NDArray[np.int64] | None = None,
+    ) -> Floats:
+        """Return joint draws (count, C, G) of the curves with their first constant.
 
-    The likelihood has the constant mean integrated out under a flat prior; the priors are the lognormal ones above,
-    as densities of the logarithms. With values whitened by their noise, K = a^2 Q diag(e) Q' + 1 for every amplitude
-    a, so that one eigendecomposition serves all amplitudes of a length. The best node of a grid so fine that the
-    maximum beside it is less than 0.02 nats higher. Valid for values scaled to a mean of 1.
+        A draw of the prior is corrected by what the observations say beyond it (Matheron's rule), which is exact for
+        every smoothness, length and amplitude; these are drawn by their weights.
+
+        Parameters
+        ----------
+        count : int
+        rng : numpy.random.Generator
+        values : ndarray, shape (count, N), optional
+            Other values than those observed, for each draw its own.
+        nodes : ndarray of int, shape (count,), optional
+            Index into the flattened weights for each draw, where they are not to be drawn.
+        """
+        seen, amplitudes = self.seen, self._prior.amplitudes_rel
+        size, weights = self.grid_deg.size, self.weights
+        angles = np.concatenate([self.grid_deg, seen.angles_deg])
+        own = np.broadcast_to(seen.values, (count, seen.values.size)) if values is None else values
+        measured = own - draw_normal(seen.noise, count, rng)
+        picked = rng.choice(weights.size, size=count, p=weights.ravel()) if nodes is None else nodes
+        part_of, amplitude_of = np.divmod(picked, weights.shape[1])
+        # curves at several places: one that they share, and one of each
+        normals = rng.standard_normal((count, 1 if self.contacts == 1 else self.contacts + 1, angles.size))
+        curves = np.empty((count, self.contacts, size))
+        for number, part in enumerate(self._parts):
+            rows = np.flatnonzero(part_of == number)
+            if not rows.size:
+                continue
+            root, amplitude = _root(part.nu, part.length_deg, angles.tobytes()), amplitude_of[rows]
+            prior = amplitudes[amplitude, None, None] * (normals[rows][..., : root.shape[1]] @ root.T)
+            if self.contacts > 1:
+                prior = np.sqrt(part.common_share) * prior[:, :1] + np.sqrt(1 - part.common_share) * prior[:, 1:]
+            misfit = measured[rows] - prior[:, seen.contact, size + np.arange(seen.contact.size)]
+            curves[rows] = prior[..., :size] + self._correction(part, amplitude, misfit)
+        return curves
+
+    def _correction(self, part: _Part, amplitude_of: NDArray[np.int64], misfit: Floats) -> Floats:
+        """Return what observations (n, N) beyond a draw of the prior add to its curves, (n, C, G)."""
+        solved = np.empty_like(misfit)
+        constant = np.zeros(len(misfit))
+        for node in np.unique(amplitude_of):
+            own = amplitude_of == node
+            solved[own] = self._prior.amplitudes_rel[node] ** 2 * misfit[own] @ part.solve[node].T
+            constant[own] = misfit[own] @ part.scale_gain[node]
+        found = np.stack([solved @ self._cross(part, contact).T for contact in range(self.contacts)], axis=1)
+        return np.asarray(found + constant[:, None, None])
+
+    def _cross(self, part: _Part, contact: int) -> Floats:
+        """Return the correlation (G, N) of one curve with the values."""
+        return part.correlation(self.grid_deg, self.seen.angles_deg, self.seen.contact == contact)
+
+
+def curve_posterior(prior: CurvePrior, seen: Observations, grid_deg: Floats, contacts: int = 1) -> CurvePosterior:
+    """Return what observations say about random curves.
+
+    With K = a^2 R(nu, l) the covariance of the curves at the observations (times the common share between two places),
+    N that of their noise, S = K + N, and H the indicator of the unknown constants,
+
+    W = S^-1 - S^-1 H (H' S^-1 H)^-1 H' S^-1,
+    curve | y, a, l, nu ~ N(K_g W y, K_gg - K_g W K_g'),
+    p(y | a, l, nu) ~ |S|^-1/2 |H' S^-1 H|^-1/2 exp(-y' W y / 2),
+
+    summed over amplitudes a, lengths l, smoothnesses nu and common shares with their priors.
 
     Parameters
     ----------
-    angles_deg, values_rel, noise_variance : ndarray, shape (A,)
-        Angles, observed values, and the variance of each value.
+    prior : CurvePrior
+    seen : Observations
+    grid_deg : ndarray, shape (G,)
+    contacts : int
+        Number of curves; with one, nothing is shared.
 
     Returns
     -------
-    Matern52
+    CurvePosterior
 
     References
     ----------
-    C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning (2006), sections 2.7 and 5.4.
+    C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning (2006), section 2.7.
     """
-    whitening = 1 / np.sqrt(np.maximum(noise_variance, _LEAST_NOISE_REL**2))
-    correlation = _correlation(np.abs(angles_deg[:, None] - angles_deg) / _LENGTHS_DEG[:, None, None])
-    eigenvalues, vectors = np.linalg.eigh(correlation * np.outer(whitening, whitening))
-    values = np.einsum("a,laq->lq", whitening * values_rel, vectors)[:, None]
-    ones = np.einsum("a,laq->lq", whitening, vectors)[:, None]
-    precision = 1 / (1 + np.maximum(eigenvalues, 0)[:, None] * _AMPLITUDES_REL[None, :, None] ** 2)
-    information = (precision * ones**2).sum(axis=2)
-    constant = (precision * ones * values).sum(axis=2) / information
-    misfit = (precision * (values - constant[..., None] * ones) ** 2).sum(axis=2)
-    loss = (misfit - np.log(precision).sum(axis=2) + np.log(information)) / 2
-    loss += _log_prior_loss(_LENGTHS_DEG, PRIOR_LENGTH_DEG, PRIOR_LENGTH_LOG_SD)[:, None]
-    loss += _log_prior_loss(_AMPLITUDES_REL, PRIOR_AMPLITUDE_REL, PRIOR_AMPLITUDE_LOG_SD)
-    length, amplitude = np.unravel_index(loss.argmin(), loss.shape)
-    return Matern52(float(_LENGTHS_DEG[length]), float(_AMPLITUDES_REL[amplitude]))
+    shares = (1.0,) if contacts == 1 else SHARED
+    lengths = -0.5 * (np.log(prior.lengths_deg / prior.length_deg) / prior.length_ln_sd) ** 2
+    parts = tuple(
+        _part(prior, seen, nu, (float(length), float(ln_weight)), common_share)
+        for nu in prior.smoothnesses
+        for length, ln_weight in zip(prior.lengths_deg, lengths, strict=True)
+        for common_share in shares
+    )
+    return CurvePosterior(grid_deg, contacts, seen, prior, parts)
 
 
-def matern_correlation(
-    first_deg: NDArray[np.float64], second_deg: NDArray[np.float64], length_deg: float, nu: float
-) -> NDArray[np.float64]:
+def _part(prior: CurvePrior, seen: Observations, nu: float, length: tuple[float, float], common_share: float) -> _Part:
+    """Return the posterior for one smoothness, length (with its log weight) and common share, and all amplitudes."""
+    length_deg, ln_weight_of_length = length
+    variance = prior.amplitudes_rel[:, None, None] ** 2
+    share = np.where(np.equal.outer(seen.contact, seen.contact), 1.0, common_share)
+    correlation = share * matern_correlation(seen.angles_deg, seen.angles_deg, length_deg, nu)
+    whole = variance * (correlation + _JITTER * np.eye(seen.angles_deg.size)) + seen.noise
+    solve = np.linalg.inv(whole)
+    ln_weight = (
+        ln_weight_of_length - 0.5 * (np.log(prior.amplitudes_rel / prior.amplitude_rel) / prior.amplitude_ln_sd) ** 2
+    )
+    ln_weight -= 0.5 * np.linalg.slogdet(whole)[1]
+    scale_gain: Floats = np.zeros((len(whole), seen.angles_deg.size))
+    scale_variance: Floats = np.zeros(len(whole))
+    if seen.scales.shape[1]:
+        information = seen.scales.T @ solve @ seen.scales
+        spread = np.linalg.inv(information)
+        estimators = spread @ seen.scales.T @ solve
+        ln_weight -= 0.5 * np.linalg.slogdet(information)[1]
+        scale_gain, scale_variance = estimators[:, 0], np.asarray(spread[:, 0, 0])
+        solve = solve - solve @ seen.scales @ estimators
+    ln_weight -= 0.5 * (solve @ seen.values) @ seen.values
+    return _Part(nu, length_deg, common_share, ln_weight, np.asarray(solve), scale_gain, scale_variance)
+
+
+def _normalised(ln_weights: Floats) -> Floats:
+    """Return weights that sum to one."""
+    weights = np.exp(ln_weights - ln_weights.max())
+    return np.asarray(weights / weights.sum())
+
+
+def quantiles(weights: Floats, values: Floats, at: Sequence[float]) -> tuple[float, ...]:
+    """Return quantiles of positive values with weights, linear in the logarithm between them."""
+    order = np.argsort(values)
+    summed = weights[order].cumsum() - weights[order] / 2
+    return tuple(np.exp(np.interp(at, summed, np.log(values[order]))).tolist())
+
+
+@lru_cache(maxsize=64)
+def _root(nu: float, length_deg: float, angles_deg: bytes) -> Floats:
+    """Return a root (A, E) of the correlation of a curve at angles, given as the bytes of a float array."""
+    angles = np.frombuffer(angles_deg)
+    return normal_root(matern_correlation(angles, angles, length_deg, nu))
+
+
+def matern_correlation(first_deg: Floats, second_deg: Floats, length_deg: float, nu: float) -> Floats:
     """Return the Matern correlation of two sets of angles (N,), (M,) as an (N, M) array.
 
     With q = sqrt(2 nu) d / l: exp(-q) for nu = 1/2, (1 + q) exp(-q) for 3/2, (1 + q + q^2 / 3) exp(-q) for 5/2.
@@ -136,64 +338,13 @@ def matern_correlation(
     return np.asarray(polynomials[nu] * np.exp(-q))
 
 
-def _correlation(distance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the Matern-5/2 correlation at distances in units of the length scale."""
-    q = np.sqrt(5) * distance
-    return np.asarray((1 + q + q * q / 3) * np.exp(-q))
-
-
-def _log_prior_loss(values: NDArray[np.float64], median: float, log_sd: float) -> NDArray[np.float64]:
-    """Return minus the logarithm of a lognormal density of the logarithm, without its constant."""
-    return np.asarray((np.log(values / median) / log_sd) ** 2 / 2)
-
-
-def condition(
-    kernel: Matern52,
-    angles_deg: NDArray[np.float64],
-    values_rel: NDArray[np.float64],
-    noise_variance: NDArray[np.float64],
-    grid_deg: NDArray[np.float64],
-) -> CurvePosterior:
-    """Return the curve on a grid given noisy values, with the constant mean integrated out under a flat prior.
-
-    With K = k(x, x) + diag(noise), r = 1 - k(g, x) K^-1 1 and m = 1' K^-1 y / 1' K^-1 1, the mean is
-    m + k(g, x) K^-1 (y - m) and the covariance k(g, g) - k(g, x) K^-1 k(x, g) + r r' / 1' K^-1 1.
-
-    Parameters
-    ----------
-    kernel : Matern52
-    angles_deg, values_rel, noise_variance : ndarray, shape (A,)
-    grid_deg : ndarray, shape (G,)
-
-    Returns
-    -------
-    CurvePosterior
-
-    References
-    ----------
-    C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning (2006), section 2.7.
-    """
-    factor = _factorised(kernel, angles_deg, noise_variance)
-    weights = cho_solve(factor, np.ones_like(values_rel))
-    constant = (weights @ values_rel) / weights.sum()
-    cross = kernel.covariance(grid_deg, angles_deg)
-    remainder = 1 - cross @ weights
-    return CurvePosterior(
-        grid_deg,
-        constant + cross @ cho_solve(factor, values_rel - constant),
-        kernel.covariance(grid_deg, grid_deg)
-        - cross @ cho_solve(factor, cross.T)
-        + np.outer(remainder, remainder) / weights.sum(),
-    )
-
-
-def draw_normal(covariance: NDArray[np.float64], draws: int, rng: np.random.Generator) -> NDArray[np.float64]:
+def draw_normal(covariance: Floats, draws: int, rng: np.random.Generator) -> Floats:
     """Return zero-mean normal draws of shape (draws, G) with a covariance (G, G) that may be singular."""
     root = normal_root(covariance)
     return np.asarray(rng.standard_normal((draws, root.shape[1])) @ root.T)
 
 
-def normal_root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def normal_root(covariance: Floats) -> Floats:
     """Return a root (G, E) of a covariance (G, G) that may be singular: root root' is the covariance."""
     if not len(covariance):
         return np.zeros((0, 0))
@@ -202,247 +353,9 @@ def normal_root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(_upright(vectors[:, kept]) * np.sqrt(eigenvalues[kept]))
 
 
-def _upright(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _upright(vectors: Floats) -> Floats:
     """Return eigenvectors (G, E) with their largest component positive: their signs differ between LAPACK libraries."""
     size = np.abs(vectors)
     # odd vectors have two largest components, equal but for rounding: the first one counts
     first = (size >= _EQUAL * size.max(axis=0, initial=0.0)).argmax(axis=0)
     return np.asarray(vectors * np.sign(np.take_along_axis(vectors, first[None, :], axis=0)))
-
-
-def _factorised(
-    kernel: Matern52, angles_deg: NDArray[np.float64], noise_variance: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], bool]:
-    """Return the Cholesky factor of the covariance of the observed values."""
-    covariance = kernel.covariance(angles_deg, angles_deg)
-    covariance[np.diag_indices_from(covariance)] += noise_variance + _JITTER * kernel.amplitude_rel**2
-    factor: tuple[NDArray[np.float64], bool] = cho_factor(covariance, lower=True)
-    return factor
-
-
-Floats = NDArray[np.float64]
-
-#: Prior of the relative sim-to-real error of the objective's shape: lognormal, median 10 %, 95 % between 2.5 % and
-#: 39 %. Shading models fitted to real sensors leave 20 to 33 % of the contact's signal unexplained, 3 to 4 % of full
-#: scale, which is about a tenth of a pad's level.
-PRIOR_ERROR_REL = 0.1
-PRIOR_ERROR_LOG_SD = 0.7
-#: Prior of its length: lognormal, median 25 deg, sigma 0.8. No capture set varies the light's angle, so that edges of
-#: shadows (some degrees) and a lobe that leans (the whole sweep) are both possible.
-PRIOR_ERROR_LENGTH_DEG = 25.0
-PRIOR_ERROR_LENGTH_LOG_SD = 0.8
-_NODES_REL = np.geomspace(0.004, 2.0, 21)
-_ERROR_LENGTHS_DEG = np.geomspace(8.0, 150.0, 12)
-#: Equally likely. With twice differentiable errors alone a 95 % bound holds for half of the curves with a kink.
-_SMOOTHNESSES = (0.5, 1.5, 2.5)
-
-
-@dataclass(frozen=True, slots=True)
-class _Kernel:
-    """Hold one smoothness (Matern nu) and length of delta, and the logarithm of its prior weight."""
-
-    nu: float
-    length_deg: float
-    ln_weight: float
-
-    def correlation(self, first_deg: Floats, second_deg: Floats) -> Floats:
-        """Return the correlation of delta between two sets of angles (N,), (M,) as an (N, M) array."""
-        return matern_correlation(first_deg, second_deg, self.length_deg, self.nu)
-
-
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Hold what one kernel says with each of A amplitudes: log weights, and linear maps from log errors to t.
-
-    `gain` (A, G, N) gives the mean of delta, `scale_gain` (A, N) that of s; `scale_covariance` (A, G) is that of delta
-    and s, `ln_scale_variance` (A,) that of s.
-    """
-
-    kernel: _Kernel
-    ln_weight: Floats
-    gain: Floats
-    scale_gain: Floats
-    scale_covariance: Floats
-    ln_scale_variance: Floats
-
-
-@dataclass(frozen=True, slots=True)
-class Discrepancy:
-    """Hold the posterior of t = s + delta, where captured curve = simulated curve * exp(-t).
-
-    delta is a zero-mean Gaussian process whose smoothness (Matern 1/2, 3/2, 5/2), length and amplitude have priors and
-    are summed over; s is the common scale of the captures: unknown (flat prior) where absolute ratios are compared,
-    else zero.
-
-    Attributes
-    ----------
-    grid_deg : ndarray, shape (G,)
-    mean : ndarray, shape (G,)
-        Of t; where captures have several unknown scales, with that of the first.
-    covariance : ndarray, shape (G, G)
-        Of t.
-    amplitude_quantiles_rel : tuple of float
-        2.5 %, 50 % and 97.5 % quantiles of the amplitude of delta.
-    noise : ndarray, shape (N, N)
-        Covariance of the log errors at the captures, with what the uncertainty of the angles adds.
-    """
-
-    grid_deg: Floats
-    mean: Floats
-    covariance: Floats
-    amplitude_quantiles_rel: tuple[float, float, float]
-    noise: Floats
-    _errors: CaptureErrors
-    _parts: tuple[_Part, ...]
-
-    @property
-    def shape_mean(self) -> Floats:
-        """Mean of t less its mean over the grid, shape (G,)."""
-        return np.asarray(self.mean - self.mean.mean())
-
-    @property
-    def shape_sd(self) -> Floats:
-        """Standard deviation of t less its mean over the grid, shape (G,)."""
-        response = self.shape_response
-        return np.asarray(np.sqrt(np.maximum(np.diag(response) - response.mean(axis=1), 0)))
-
-    @property
-    def shape_response(self) -> Floats:
-        """Covariance (G, G) of t less its mean over the grid, by row, with t itself, by column."""
-        return np.asarray(self.covariance - self.covariance.mean(axis=0))
-
-    def shape_draws(self, draws: int, rng: np.random.Generator) -> Floats:
-        """Return joint draws (draws, G) of t less its mean over the grid: a common scale cannot change the ranking.
-
-        A draw of the prior is corrected by what captures say beyond it (Matheron's rule), which is exact for every
-        kernel and amplitude; these are drawn by their weights.
-        """
-        size = self.grid_deg.size
-        angles = np.concatenate([self.grid_deg, self._errors.angles_deg])
-        measured = self._errors.log_error - draw_normal(self.noise, draws, rng)
-        weights = _weights(self._parts)
-        kernel_of, amplitude_of = np.divmod(rng.choice(weights.size, size=draws, p=weights.ravel()), weights.shape[1])
-        normals = rng.standard_normal((draws, angles.size))
-        curves = np.empty((draws, size))
-        for number, part in enumerate(self._parts):
-            rows = np.flatnonzero(kernel_of == number)
-            root, amplitude = _root(part.kernel, angles.tobytes()), amplitude_of[rows]
-            prior = _NODES_REL[amplitude, None] * (normals[rows, : root.shape[1]] @ root.T)
-            curves[rows] = prior[:, :size]
-            for node in np.unique(amplitude):
-                own = amplitude == node
-                curves[rows[own]] += (measured[rows[own]] - prior[own, size:]) @ part.gain[node].T
-        return np.asarray(curves - curves.mean(axis=1, keepdims=True))
-
-
-def discrepancy_posterior(errors: CaptureErrors, log_slope_per_deg: Floats, grid_deg: Floats) -> Discrepancy:
-    """Return what captures say about the sim-to-real error at every angle; without captures, the prior.
-
-    With the log errors e at the captures, K = a^2 R(nu, l) the covariance of delta, N that of the errors, S = K_cc + N
-    and H the indicator of the unknown scales, W = S^-1 - S^-1 H (H' S^-1 H)^-1 H' S^-1:
-
-    delta | e, a, l, nu ~ N(K_gc W e, K_gg - K_gc W K_cg),
-    p(e | a, l, nu) ~ |S|^-1/2 |H' S^-1 H|^-1/2 exp(-e' W e / 2),
-
-    summed over 21 amplitudes a, 12 lengths l and three smoothnesses nu with their priors.
-
-    N holds the covariance of the reports and, on its diagonal, (slope * angle uncertainty)^2: the capture was taken at
-    an angle that is known so well only.
-
-    Parameters
-    ----------
-    errors : CaptureErrors
-    log_slope_per_deg : ndarray, shape (N,)
-        Derivative of the logarithm of the simulated curve at the captures.
-    grid_deg : ndarray, shape (G,)
-
-    Returns
-    -------
-    Discrepancy
-
-    References
-    ----------
-    M. C. Kennedy, A. O'Hagan, Bayesian calibration of computer models, J. R. Statist. Soc. B 63 (2001), 425-464.
-    """
-    noise = errors.covariance + np.diag((log_slope_per_deg * errors.angle_sd_deg) ** 2)
-    scales = _scale_indicator(errors)
-    parts = tuple(_part(kernel, errors, noise, scales, grid_deg) for kernel in _kernels())
-    mean, covariance = _mixture(parts, errors, grid_deg)
-    return Discrepancy(grid_deg, mean, covariance, _quantiles(parts), noise, errors, parts)
-
-
-def _kernels() -> tuple[_Kernel, ...]:
-    """Return every smoothness and length with its prior."""
-    return tuple(
-        _Kernel(nu, length, -0.5 * (np.log(length / PRIOR_ERROR_LENGTH_DEG) / PRIOR_ERROR_LENGTH_LOG_SD) ** 2)
-        for nu in _SMOOTHNESSES
-        for length in _ERROR_LENGTHS_DEG.tolist()
-    )
-
-
-@lru_cache(maxsize=64)
-def _root(kernel: _Kernel, angles_deg: bytes) -> Floats:
-    """Return a root (A, E) of the correlation of delta at angles, given as the bytes of a float array."""
-    angles = np.frombuffer(angles_deg)
-    return normal_root(kernel.correlation(angles, angles))
-
-
-def _part(kernel: _Kernel, errors: CaptureErrors, noise: Floats, scales: Floats, grid_deg: Floats) -> _Part:
-    """Return the posterior for one kernel and all amplitudes; `scales` (N, M) tells which capture has which scale."""
-    variance = _NODES_REL[:, None, None] ** 2
-    whole = variance * kernel.correlation(errors.angles_deg, errors.angles_deg) + noise
-    cross = variance * kernel.correlation(grid_deg, errors.angles_deg)
-    precision = np.linalg.inv(whole)
-    ln_weight = kernel.ln_weight - 0.5 * (np.log(_NODES_REL / PRIOR_ERROR_REL) / PRIOR_ERROR_LOG_SD) ** 2
-    ln_weight -= 0.5 * np.linalg.slogdet(whole)[1]
-    scale_gain: Floats = np.zeros((len(whole), len(scales)))
-    scale_covariance: Floats = np.zeros((len(whole), grid_deg.size))
-    ln_scale_variance: Floats = np.zeros(len(whole))
-    if scales.shape[1]:
-        information = scales.T @ precision @ scales
-        spread = np.linalg.inv(information)
-        estimators = spread @ scales.T @ precision
-        ln_weight -= 0.5 * np.linalg.slogdet(information)[1]
-        scale_gain, ln_scale_variance = estimators[:, 0], np.asarray(spread[:, 0, 0])
-        scale_covariance = -(cross @ estimators[:, 0, :, None])[..., 0]
-        precision = precision - precision @ scales @ estimators
-    ln_weight -= 0.5 * (precision @ errors.log_error) @ errors.log_error
-    return _Part(kernel, ln_weight, cross @ precision, scale_gain, scale_covariance, ln_scale_variance)
-
-
-def _weights(parts: Sequence[_Part]) -> Floats:
-    """Return the posterior weights of kernels and amplitudes, (K, A)."""
-    ln_weights = np.array([part.ln_weight for part in parts])
-    weights = np.exp(ln_weights - ln_weights.max())
-    return np.asarray(weights / weights.sum())
-
-
-def _mixture(parts: Sequence[_Part], errors: CaptureErrors, grid_deg: Floats) -> tuple[Floats, Floats]:
-    """Return mean (G,) and covariance (G, G) of t = s + delta over all kernels and amplitudes."""
-    mean, covariance = np.zeros(grid_deg.size), np.zeros((grid_deg.size, grid_deg.size))
-    for part, weights in zip(parts, _weights(parts), strict=True):
-        variances = weights * _NODES_REL**2
-        covariance += variances.sum() * part.kernel.correlation(grid_deg, grid_deg)
-        covariance -= (
-            np.tensordot(variances, part.gain, axes=1) @ part.kernel.correlation(grid_deg, errors.angles_deg).T
-        )
-        with_scale = weights @ part.scale_covariance
-        covariance += with_scale[:, None] + with_scale + weights @ part.ln_scale_variance
-        centers = (part.gain + part.scale_gain[:, None]) @ errors.log_error
-        covariance += (centers.T * weights) @ centers
-        mean += weights @ centers
-    return mean, covariance - np.outer(mean, mean)
-
-
-def _quantiles(parts: Sequence[_Part]) -> tuple[float, float, float]:
-    """Return the 2.5 %, 50 % and 97.5 % quantiles of the amplitude, linear in its logarithm between the nodes."""
-    weights, log_amplitudes = _weights(parts).sum(axis=0), np.log(_NODES_REL)
-    low, median, high = np.exp(np.interp([0.025, 0.5, 0.975], weights.cumsum() - weights / 2, log_amplitudes))
-    return float(low), float(median), float(high)
-
-
-def _scale_indicator(errors: CaptureErrors) -> Floats:
-    """Return (N, scales): 1 where a capture has that unknown scale; no column where none is unknown."""
-    if errors.scale_of is None:
-        return np.zeros((errors.angles_deg.size, 0))
-    return np.equal.outer(errors.scale_of, np.unique(errors.scale_of)).astype(np.float64)

@@ -1,31 +1,25 @@
 """Decide which light angle is best, with what probability, and what a wrong choice would cost.
 
-What choosing one angle risks follows from joint draws of the objective's curve, and the verdict from that. The same
-draws tell where one more observation helps most (the knowledge gradient, exact for normal beliefs): the next render
-and the next physical capture.
+What choosing one angle risks follows from joint draws of the objective's curves, one for each place that is touched,
+and the verdict from that.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
-from data_schemas import DecideError, look_like_radians, narrow_sweep_text
-from finray_calib.decide._capture_errors import NO_CAPTURES, UNSTATED_ANGLE_SD_DEG, CaptureErrors
-from finray_calib.decide._gaussian_process import (
-    CurvePosterior,
-    Discrepancy,
-    Matern52,
-    condition,
-    discrepancy_posterior,
-    draw_normal,
-    fit_kernel,
-)
+from data_schemas import DecideError
+from finray_calib.decide._capture_errors import NO_CAPTURES, CaptureErrors
+from finray_calib.decide._gaussian_process import CurvePosterior, CurvePrior, curve_posterior, observations
+from finray_calib.decide._sim_to_real import Discrepancy, discrepancy_posterior
 
 Floats = NDArray[np.float64]
-Verdict = Literal["decided", "tie", "undecided", "model-limited"]
+Verdict = Literal["decided", "tie", "undecided", "needs captures"]
+#: What is best for several places: the least loss on average over them, or the least loss at the worst of them.
+Criterion = Literal["average", "worst"]
 
 #: Two angles closer than this count as the same choice.
 NEARBY_DEG = 5.0
@@ -99,17 +93,17 @@ def angle_risk(
     )
 
 
-def verdict_of(simulation_only: AngleRisk, risk: AngleRisk, tolerance_rel: float, validated: bool) -> Verdict:
+def verdict_of(rendered: AngleRisk, risk: AngleRisk, tolerance_rel: float, validated: bool) -> Verdict:
     """Return the first verdict that applies.
 
-    "undecided": regret from render noise alone exceeds the tolerance. "model-limited": regret with the
+    "undecided": regret from render noise alone exceeds the tolerance. "needs captures": regret with the
     sim-to-real error does, or no capture has shown that error. "tie": the loss is small over an interval wider than
     10 deg. Else "decided".
 
     Parameters
     ----------
-    simulation_only, risk : AngleRisk
-        Without and with the sim-to-real error.
+    rendered, risk : AngleRisk
+        With the noise of the renders alone, and with all that is not known.
     tolerance_rel : float
     validated : bool
         Whether captures tell of the sim-to-real error. A small loss that rests on its prior decides nothing.
@@ -118,10 +112,10 @@ def verdict_of(simulation_only: AngleRisk, risk: AngleRisk, tolerance_rel: float
     -------
     str
     """
-    if simulation_only.regret_95_rel > tolerance_rel:
+    if rendered.regret_95_rel > tolerance_rel:
         return "undecided"
     if risk.regret_95_rel > tolerance_rel or not validated:
-        return "model-limited"
+        return "needs captures"
     widest_deg = max((high - low for low, high in risk.equivalent_deg), default=0.0)
     return "tie" if widest_deg > WIDE_SET_DEG else "decided"
 
@@ -137,6 +131,38 @@ _LEAST_ANGLES = 4
 _LEAST_REPEATS = 2
 #: Where the expected curve is below this share of its maximum, its logarithm is not followed further down.
 _LEAST_SHARE = 0.01
+#: Noise below a millionth of the curve's mean counts as that: rounding, not information.
+_LEAST_NOISE_REL = 1e-6
+#: Prior of the simulated curve about its unknown mean, relative to it. Lambertian and mirror responses vary over tens
+#: of degrees, edges of shadows over some.
+_CURVE_PRIOR = CurvePrior(35.0, 0.8, 0.5, 1.0, np.geomspace(0.005, 8.0, 14))
+
+
+@dataclass(frozen=True, slots=True)
+class SweptContact:
+    """Hold the objective over the angle at one place that is touched.
+
+    Attributes
+    ----------
+    angles_deg : ndarray, shape (A,)
+        At least 4, increasing.
+    values : ndarray, shape (A, R)
+        Positive objective; column r uses the same nuisance draw r at every angle. At least 2 columns, whose mean is
+        wanted.
+    allowed : ndarray of bool, shape (A,), optional
+        Angles that meet the constraints; between two angles both must.
+    scatter : ndarray, shape (D, A), optional
+        Logarithm of the objective by each draw of the paints, but for a common level: the real paint is one draw, so
+        that this is not averaged.
+    weight_rel : float
+        How often the place is touched, relative to others.
+    """
+
+    angles_deg: Floats
+    values: Floats
+    allowed: NDArray[np.bool_] | None = None
+    scatter: Floats | None = None
+    weight_rel: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,50 +174,88 @@ class SimulatedCurve:
     noise_rel : float
         Standard deviation of one value about the curve, after the common scale of each repeat is removed.
     repeats : int
-    kernel : Matern52
-        Length scale and relative amplitude of the curve.
     posterior : CurvePosterior
         On a grid of 1 deg.
     """
 
     noise_rel: float
     repeats: int
-    kernel: Matern52
     posterior: CurvePosterior
+
+    @property
+    def mean(self) -> Floats:
+        """Expected curve, shape (G,)."""
+        return np.asarray(self.posterior.mean[0])
 
     @property
     def log_slope_per_deg(self) -> Floats:
         """Derivative of the logarithm of the expected curve, shape (G,)."""
-        mean = self.posterior.mean
+        mean = self.mean
         return np.asarray(np.gradient(np.log(np.maximum(mean, _LEAST_SHARE * mean.max())), self.posterior.grid_deg))
 
 
 @dataclass(frozen=True, slots=True)
+class ContactLosses:
+    """Hold what each of C places loses, against the best angle of that place.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (C,)
+        Sum to one.
+    relative : ndarray, shape (C, G)
+        Expected real curve over its own greatest value among the choices.
+    loss_95_rel : ndarray, shape (C,)
+        Loss at the chosen angle that is not exceeded with 95 % probability.
+    average_deg, worst_deg : float
+        Angles of the least loss on average over the places, and of the least loss at the worst of them.
+    tolerance_deg : tuple of (float, float)
+        Angles around the chosen one between which the expected curves lose at most the tolerance more.
+    """
+
+    weights: Floats
+    relative: Floats
+    loss_95_rel: Floats
+    average_deg: float
+    worst_deg: float
+    tolerance_deg: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class AngleDecision:
-    """Hold the decision on one objective.
+    """Hold the decision on one objective, at one place or over several.
+
+    The value of an angle at one place is the curve over its greatest value there; over several, the weighted mean of
+    these or their least, by the criterion. Regret is the loss of that value against the angle where it is greatest.
 
     Attributes
     ----------
     best_deg, best_simulation_only_deg : float
-        Angle of the greatest expected real curve, and of the greatest expected simulated one.
+        Angle of the greatest value of the expected real curves, and of the expected simulated ones.
     at_range_end : bool
         Whether the former is the first or last angle of the sweep, so that the optimum may lie outside.
     verdict : str
-        "decided", "tie", "undecided" or "model-limited", see `verdict_of`.
+        "decided", "tie", "undecided" or "needs captures", see `verdict_of`.
     simulation_only : AngleRisk
-        Risk of `best_simulation_only_deg` if the simulation were exact: only the noise of the renders.
+        Risk of `best_simulation_only_deg` if the simulation were exact: noise of the renders, and draws of the paints.
     risk : AngleRisk
         Risk of `best_deg` on the real finger, with the sim-to-real error; the verdict rests on it.
     validated : bool
         Whether captures tell of that error; else it has its prior.
-    simulated : SimulatedCurve
+    curves : tuple of SimulatedCurve
+        Of each place.
     discrepancy : Discrepancy
-        Sim-to-real error of the curve; its prior without captures.
+        Sim-to-real error of the curves; its prior without captures.
     choices : ndarray of bool, shape (G,)
         Angles of the grid that may be chosen.
     mean_rel, sd_rel : ndarray, shape (G,)
-        Expected real curve on the grid of the simulated one, relative to that one's mean over the sweep, and its
-        standard deviation.
+        At one place, expected real curve relative to the mean of the simulated one over the sweep; over several, value
+        of the expected real curves. With its standard deviation.
+    simulation_only_mean_rel, simulation_only_sd_rel : ndarray, shape (G,)
+        The same if the simulation were exact.
+    contacts : ContactLosses
+    shown_by_capture : ndarray, shape (C, A, G + 1)
+        Over several places, covariance of the value with the sim-to-real error at each place and angle of the sweep,
+        and last the variance of that error; empty at one place.
     """
 
     best_deg: float
@@ -201,11 +265,25 @@ class AngleDecision:
     simulation_only: AngleRisk
     risk: AngleRisk
     validated: bool
-    simulated: SimulatedCurve
+    curves: tuple[SimulatedCurve, ...]
     discrepancy: Discrepancy
     choices: NDArray[np.bool_]
     mean_rel: Floats
     sd_rel: Floats
+    simulation_only_mean_rel: Floats
+    simulation_only_sd_rel: Floats
+    contacts: ContactLosses
+    shown_by_capture: Floats
+
+    @property
+    def simulated(self) -> SimulatedCurve:
+        """The simulated curve of the first place."""
+        return self.curves[0]
+
+    @property
+    def grid_deg(self) -> Floats:
+        """Angles of all curves, shape (G,)."""
+        return self.simulated.posterior.grid_deg
 
 
 def decide_angle(
@@ -216,21 +294,8 @@ def decide_angle(
     captures: CaptureErrors = NO_CAPTURES,
     allowed: NDArray[np.bool_] | None = None,
     draws: int = 4000,
-    narrow_sweep: bool = False,
 ) -> AngleDecision:
-    """Decide on the angle that maximises an objective.
-
-    Each repeat is divided by its own mean over the angles, which removes the scale that all its values share. The
-    remaining scatter is pooled, a Gaussian process (Matern-5/2) is fitted to the means, and its joint draws f on a
-    grid of 1 deg give the probability that the optimum is near and the relative regret (max f - f(best)) / max f.
-    The curve that is decided on is f exp(-t), t the sim-to-real error less its mean over the grid: what captures tell
-    of it, and its prior without any (see `discrepancy_posterior`). Its expected value is that of f times exp(-E t): the
-    spread of t is left out, because E exp(-t) would favour angles for being far from any capture. See `verdict_of` for
-    the rules of the verdict.
-
-    Valid for a smooth objective sampled finely enough to see its peak (10 deg for the light angle), and for
-    repeats whose mean is wanted: renders with different seeds, or draws of the paint posterior shared by all
-    angles. An error of shape that all repeats share does not average out: captures show it.
+    """Decide on the angle that maximises an objective at one place, see `decide_contacts`.
 
     Parameters
     ----------
@@ -247,8 +312,6 @@ def decide_angle(
         Angles that meet the constraints; between two angles both must.
     draws : int
         Joint curve draws.
-    narrow_sweep : bool
-        Whether angles that span less than 4 deg in more than two steps are meant so, and are not radians.
 
     Returns
     -------
@@ -257,45 +320,201 @@ def decide_angle(
     Raises
     ------
     DecideError
-        If the sweep has too few angles or repeats, unsorted angles, angles that look like radians, values that are not
-        positive numbers, no allowed angle, or the tolerance is out of range.
+        See `decide_contacts`.
     """
-    angles, table = np.asarray(angles_deg, dtype=np.float64), np.asarray(values, dtype=np.float64)
-    _check(angles, table, tolerance_rel)
-    if look_like_radians(angles) and not narrow_sweep:
-        raise DecideError(narrow_sweep_text(angles))
-    simulated = _simulated_curve(angles, table)
-    curve = simulated.posterior
-    slope = np.interp(captures.angles_deg, curve.grid_deg, simulated.log_slope_per_deg)
-    discrepancy = discrepancy_posterior(captures, slope, curve.grid_deg)
-    choices = _choices(angles, allowed, curve.grid_deg)
-    curves = curve.mean + draw_normal(curve.covariance, draws, rng)
-    alone = _best_choice(curve.mean, choices)
-    simulation_only = angle_risk(curves, curve.grid_deg, alone, tolerance_rel, choices)
-    mean, sd = _real_curve(curve, discrepancy)
-    best = _best_choice(mean, choices)
-    curves *= np.exp(-discrepancy.shape_draws(draws, rng))
-    risk = angle_risk(curves, curve.grid_deg, best, tolerance_rel, choices)
-    validated = bool(captures.names)
-    at_range_end = best in (0, len(curve.grid_deg) - 1)
+    contact = SweptContact(np.asarray(angles_deg, dtype=np.float64), np.asarray(values, dtype=np.float64), allowed)
+    return decide_contacts([contact], rng, tolerance_rel, captures, "average", draws)
+
+
+def decide_contacts(
+    contacts: Sequence[SweptContact],
+    rng: np.random.Generator,
+    tolerance_rel: float = 0.02,
+    captures: CaptureErrors = NO_CAPTURES,
+    criterion: Criterion = "average",
+    draws: int = 4000,
+) -> AngleDecision:
+    """Decide on the angle that is best over the places that are touched.
+
+    Each repeat is divided by its own mean over the angles, which removes the scale that all its values share. The
+    remaining scatter is pooled, and a random curve f whose smoothness, length and amplitude are summed over is put
+    through the means on a grid of 1 deg. The real curve is f exp(p - t): p one draw of the paints, t the sim-to-real
+    error less its mean over the grid: what captures tell of it, and its prior without any (see
+    `discrepancy_posterior`). Chosen is the angle of the greatest value of E f exp(-E t): the spread of t is left out,
+    because E exp(-t) would favour angles for being far from any capture. Its risk is taken over joint draws. See
+    `verdict_of` for the rules of the verdict.
+
+    Valid for an objective sampled finely enough to see its peak (10 deg for the light angle), and for repeats whose
+    mean is wanted: renders with different seeds. An error of shape that all repeats share does not average out:
+    captures show it.
+
+    Parameters
+    ----------
+    contacts : sequence of SweptContact
+        Swept over the same angles.
+    rng : numpy.random.Generator
+    tolerance_rel : float
+        Relative loss that does not matter.
+    captures : CaptureErrors
+        Simulated against captured objective.
+    criterion : str
+        "average" over the places by their weights, or "worst" of them.
+    draws : int
+        Joint curve draws.
+
+    Returns
+    -------
+    AngleDecision
+
+    Raises
+    ------
+    DecideError
+        If a sweep has too few angles or repeats, unsorted angles or values that are not positive numbers, no angle is
+        allowed at all places, or the tolerance is out of range.
+    """
+    for contact in contacts:
+        _check(contact.angles_deg, contact.values, tolerance_rel)
+    curves = tuple(simulated_curve(contact.angles_deg, contact.values) for contact in contacts)
+    discrepancy = _discrepancy(curves, captures)
+    judge = _judge(contacts, curves, criterion, tolerance_rel)
+    means = np.array([curve.mean for curve in curves])
+    real_means = means * np.exp(-discrepancy.shape_means)
+    best, alone = judge.best(real_means), judge.best(means)
+    drawn = np.stack([curve.posterior.draws(draws, rng)[:, 0] for curve in curves], axis=1)
+    rendered = judge.risk(drawn, alone)
+    drawn *= np.exp(_paint_draws(contacts, judge.grid_deg, draws, rng))
+    simulation_only = judge.risk(drawn, alone)
+    alone_mean, alone_sd = _band(judge, means, drawn)
+    errors = discrepancy.shape_draws(draws, rng)
+    drawn *= np.exp(-errors)
+    risk = judge.risk(drawn, best)
+    at_range_end = best in (0, judge.grid_deg.size - 1)
+    mean, sd = _band(judge, real_means, drawn)
     return AngleDecision(
-        best_deg=float(curve.grid_deg[best]),
-        best_simulation_only_deg=float(curve.grid_deg[alone]),
+        best_deg=float(judge.grid_deg[best]),
+        best_simulation_only_deg=float(judge.grid_deg[alone]),
         at_range_end=at_range_end,
         # an optimum at the end of the sweep may lie outside it: no risk inside the range says anything
-        verdict="undecided" if at_range_end else verdict_of(simulation_only, risk, tolerance_rel, validated),
+        verdict="undecided" if at_range_end else verdict_of(rendered, risk, tolerance_rel, bool(captures.names)),
         simulation_only=simulation_only,
         risk=risk,
-        validated=validated,
-        simulated=simulated,
+        validated=bool(captures.names),
+        curves=curves,
         discrepancy=discrepancy,
-        choices=choices,
+        choices=judge.choices,
         mean_rel=mean,
         sd_rel=sd,
+        simulation_only_mean_rel=alone_mean,
+        simulation_only_sd_rel=alone_sd,
+        contacts=judge.losses(real_means, drawn, best),
+        shown_by_capture=_shown_by_capture(judge, contacts[0].angles_deg, errors, drawn),
     )
 
 
-def _simulated_curve(angles_deg: Floats, values: Floats) -> SimulatedCurve:
+def _discrepancy(curves: Sequence[SimulatedCurve], captures: CaptureErrors) -> Discrepancy:
+    """Return the sim-to-real error of all places; the slope of a capture's curve tells what its angle's error does."""
+    grid_deg = curves[0].posterior.grid_deg
+    slopes = np.array([np.interp(captures.angles_deg, grid_deg, curve.log_slope_per_deg) for curve in curves])
+    slope = slopes[captures.contact, np.arange(captures.contact.size)]
+    return discrepancy_posterior(captures, slope, grid_deg, len(curves))
+
+
+@dataclass(frozen=True, slots=True)
+class _Judge:
+    """Values angles over places: weights (C,), criterion, angles (G,) that may be chosen, grid and tolerance."""
+
+    weights: Floats
+    criterion: Criterion
+    choices: NDArray[np.bool_]
+    grid_deg: Floats
+    tolerance_rel: float
+
+    def relative(self, curves: Floats) -> Floats:
+        """Return curves (..., C, G) over their greatest values among the choices."""
+        return np.asarray(curves / curves[..., self.choices].max(axis=-1, keepdims=True))
+
+    def value(self, curves: Floats, criterion: Criterion | None = None) -> Floats:
+        """Return the value (..., G) of each angle over the places."""
+        relative = self.relative(curves)
+        if (criterion or self.criterion) == "worst":
+            return np.asarray(relative.min(axis=-2))
+        return np.asarray(np.einsum("c,...cg->...g", self.weights, relative))
+
+    def best(self, curves: Floats, criterion: Criterion | None = None) -> int:
+        """Return the index of the greatest value among the choices."""
+        return int(np.where(self.choices, self.value(curves, criterion), -np.inf).argmax())
+
+    def risk(self, curves: Floats, best: int) -> AngleRisk:
+        """Return the risk of an angle over drawn curves (S, C, G)."""
+        return angle_risk(self.value(curves), self.grid_deg, best, self.tolerance_rel, self.choices)
+
+    def losses(self, means: Floats, drawn: Floats, best: int) -> ContactLosses:
+        """Return what each place loses."""
+        value, grid = self.value(means), self.grid_deg
+        enough = self.choices & (value >= (1 - self.tolerance_rel) * value[best])
+        low, high = next(ends for ends in _intervals(grid, enough) if ends[0] <= grid[best] <= ends[1])
+        return ContactLosses(
+            weights=self.weights,
+            relative=self.relative(means),
+            loss_95_rel=np.quantile(1 - self.relative(drawn)[..., best], CONFIDENCE, axis=0),
+            average_deg=float(grid[self.best(means, "average")]),
+            worst_deg=float(grid[self.best(means, "worst")]),
+            tolerance_deg=(low, high),
+        )
+
+
+def _judge(
+    contacts: Sequence[SweptContact], curves: Sequence[SimulatedCurve], criterion: Criterion, tolerance_rel: float
+) -> _Judge:
+    """Return what values the angles; only those that are allowed at all places may be chosen."""
+    grid_deg = curves[0].posterior.grid_deg
+    choices = np.all([open_angles(c.angles_deg, c.allowed, grid_deg) for c in contacts], axis=0)
+    if not choices.any():
+        raise DecideError(
+            "No angle of the sweep meets the constraints (clipping, room for the panel). Move the panel, or allow a "
+            "shorter exposure, and simulate the sweep again."
+        )
+    weights = np.array([contact.weight_rel for contact in contacts])
+    return _Judge(weights / weights.sum(), criterion, choices, grid_deg, tolerance_rel)
+
+
+def _band(judge: _Judge, means: Floats, drawn: Floats) -> tuple[Floats, Floats]:
+    """Return expected curve and standard deviation (G,): of the one place, or of the value over several."""
+    if len(means) > 1:
+        return judge.value(means), np.asarray(judge.value(drawn).std(axis=0))
+    return np.asarray(means[0]), np.asarray(drawn[:, 0].std(axis=0))
+
+
+def _shown_by_capture(judge: _Judge, angles_deg: Floats, errors: Floats, drawn: Floats) -> Floats:
+    """Return how the value moves with the error at each place and angle (C, A, G + 1), over draws."""
+    if errors.shape[1] == 1:
+        return np.empty((0, 0, 0))
+    at = np.abs(judge.grid_deg - angles_deg[:, None]).argmin(axis=1)
+    shown = errors[..., at] - errors[..., at].mean(axis=0)
+    value = judge.value(drawn)
+    covariance = np.einsum("sca,sg->cag", shown, value - value.mean(axis=0), optimize=True) / len(value)
+    return np.concatenate([covariance, shown.var(axis=0)[..., None]], axis=2)
+
+
+def _paint_draws(contacts: Sequence[SweptContact], grid_deg: Floats, draws: int, rng: np.random.Generator) -> Floats:
+    """Return draws (draws, C, G) of the log objective about that of the mean paint: one paint for all places.
+
+    Multivariate Student's, of as many degrees of freedom as the scatter of a few posterior draws leaves.
+    """
+    found = np.zeros((draws, len(contacts), grid_deg.size))
+    most = max((0 if contact.scatter is None else len(contact.scatter) for contact in contacts), default=0)
+    if most < _LEAST_REPEATS:
+        return found
+    normals = rng.standard_normal((draws, most)) / np.sqrt(rng.chisquare(most - 1, (draws, 1)))
+    for number, contact in enumerate(contacts):
+        if contact.scatter is not None:
+            about_mean = contact.scatter - contact.scatter.mean(axis=0)
+            on_grid = np.array([np.interp(grid_deg, contact.angles_deg, row) for row in about_mean])
+            found[:, number] = normals[:, : len(on_grid)] @ on_grid
+    return found
+
+
+def simulated_curve(angles_deg: Floats, values: Floats) -> SimulatedCurve:
     """Return the curve relative to its mean, on a grid of 1 deg."""
     relative = values / values.mean(axis=0)
     means = relative.mean(axis=1)
@@ -303,38 +522,20 @@ def _simulated_curve(angles_deg: Floats, values: Floats) -> SimulatedCurve:
     # One degree of freedom per repeat went into its scale, one per angle into its mean.
     freedom = (len(angles_deg) - 1) * (repeats - 1)
     noise_variance = float(((relative - means[:, None]) ** 2).sum()) / freedom
-    variances = np.full(len(angles_deg), noise_variance / repeats)
-    kernel = fit_kernel(angles_deg, means, variances)
+    variance = max(noise_variance / repeats, _LEAST_NOISE_REL**2)
     steps = int(np.ceil(angles_deg[-1] - angles_deg[0]))
     grid = np.linspace(angles_deg[0], angles_deg[-1], steps + 1)
-    return SimulatedCurve(
-        float(np.sqrt(noise_variance)), repeats, kernel, condition(kernel, angles_deg, means, variances, grid)
-    )
+    size = len(angles_deg)
+    seen = observations(angles_deg, means, variance * np.eye(size), np.ones((size, 1)))
+    return SimulatedCurve(float(np.sqrt(noise_variance)), repeats, curve_posterior(_CURVE_PRIOR, seen, grid))
 
 
-def _choices(angles_deg: Floats, allowed: NDArray[np.bool_] | None, grid_deg: Floats) -> NDArray[np.bool_]:
+def open_angles(angles_deg: Floats, allowed: NDArray[np.bool_] | None, grid_deg: Floats) -> NDArray[np.bool_]:
     """Return which angles of the grid may be chosen: between two angles of the sweep both must be allowed."""
     if allowed is None:
         return np.ones(grid_deg.size, dtype=np.bool_)
-    if not allowed.any():
-        raise DecideError(
-            "No angle of the sweep meets the constraints (clipping, room for the panel). Move the panel, or allow a "
-            "shorter exposure, and simulate the sweep again."
-        )
     share = np.interp(grid_deg, angles_deg, allowed.astype(np.float64))
     return np.asarray(share > 1 - 1e-9)
-
-
-def _best_choice(mean: Floats, choices: NDArray[np.bool_]) -> int:
-    """Return the index of the greatest mean among the choices."""
-    return int(np.where(choices, mean, -np.inf).argmax())
-
-
-def _real_curve(curve: CurvePosterior, discrepancy: Discrepancy) -> tuple[Floats, Floats]:
-    """Return expected value and standard deviation (G,) of the simulated curve times exp(-t), t of zero mean."""
-    ratio = np.exp(-discrepancy.shape_mean)
-    sd = np.hypot(curve.standard_deviation, curve.mean * discrepancy.shape_sd)
-    return curve.mean * ratio, np.asarray(sd * ratio)
 
 
 def _check(
@@ -366,135 +567,3 @@ def _check(
         )
     if not 0 < tolerance_rel < 1:
         raise DecideError(f"The tolerance must be a relative loss between 0 and 1, got {tolerance_rel}; 0.02 is 2 %.")
-
-
-def expected_maximum_gain(intercepts: Floats, slopes: Floats) -> float:
-    """Return E[max_i(a_i + b_i Z)] - max_i a_i for a standard normal Z.
-
-    The maximum of the lines is piecewise linear and convex. With its lines in order of slope and the points c_i where
-    line i gives way to line i + 1, the gain is sum_i (b_{i+1} - b_i) f(-|c_i|), f(z) = phi(z) + z Phi(z). Exact.
-
-    Parameters
-    ----------
-    intercepts, slopes : ndarray, shape (G,)
-
-    Returns
-    -------
-    float
-        In the unit of the intercepts; never negative.
-
-    References
-    ----------
-    P. Frazier, W. Powell, S. Dayanik, The knowledge-gradient policy for correlated normal beliefs, INFORMS J. Comput.
-    21 (2009), 599-613, algorithm 1.
-    """
-    order = np.lexsort((intercepts, slopes))
-    lines: list[tuple[float, float]] = []
-    gives_way: list[float] = []
-    for a, b in zip(intercepts[order].tolist(), slopes[order].tolist(), strict=True):
-        while lines:
-            last_a, last_b = lines[-1]
-            if b > last_b:
-                crossing = (last_a - a) / (b - last_b)
-                if not gives_way or crossing > gives_way[-1]:
-                    gives_way.append(crossing)
-                    break
-            # the last line is nowhere above both of its neighbours
-            lines.pop()
-            if gives_way:
-                gives_way.pop()
-        lines.append((a, b))
-    steps = np.diff([b for _, b in lines])
-    distance = -np.abs(gives_way)
-    return float((steps * (norm.pdf(distance) + distance * norm.cdf(distance))).sum())
-
-
-def knowledge_gradient(mean: Floats, response: Floats, observed_variance: Floats, noise_variance: Floats) -> Floats:
-    """Return how much the best expected value is expected to rise when each candidate is observed once.
-
-    Observing candidate j moves the expected values by response[:, j] / sqrt(v_j + n_j) times a standard normal.
-
-    Parameters
-    ----------
-    mean : ndarray, shape (G,)
-        Expected values among which the best is chosen.
-    response : ndarray, shape (G, C)
-        Covariance of each value with the quantity that candidate j observes.
-    observed_variance, noise_variance : ndarray, shape (C,)
-        Variance of that quantity before the observation, and of the observation itself.
-
-    Returns
-    -------
-    ndarray, shape (C,)
-        In the unit of the mean.
-    """
-    sd = np.sqrt(np.maximum(observed_variance, 0) + noise_variance)
-    return np.array([expected_maximum_gain(mean, slopes) for slopes in (response / sd).T])
-
-
-#: Standard uncertainty of the objective in a capture, where there is none to learn it from.
-ASSUMED_CAPTURE_SD_REL = 0.01
-#: A smaller expected rise of the objective is not worth an observation.
-LEAST_GAIN_REL = 1e-4
-
-
-@dataclass(frozen=True, slots=True)
-class Proposal:
-    """Hold the best angle for one more observation.
-
-    Attributes
-    ----------
-    angle_deg : float
-    gain_rel : float
-        Expected rise of the greatest expected objective, relative to it.
-    noise_rel : float
-        Assumed standard uncertainty of the observation.
-    """
-
-    angle_deg: float
-    gain_rel: float
-    noise_rel: float
-
-
-def propose_render(decision: AngleDecision) -> Proposal | None:
-    """Return the angle to render next, as many repeats as the sweep has; None where it would change nothing.
-
-    Valid for repeats with the same draws as those of the sweep, so that they share its scale.
-    """
-    simulated = decision.simulated
-    curve = simulated.posterior
-    noise_rel = simulated.noise_rel / np.sqrt(simulated.repeats)
-    noise_variance = np.full(len(curve.grid_deg), noise_rel**2)
-    response = np.exp(-decision.discrepancy.shape_mean)[:, None] * curve.covariance
-    return _most_helpful(decision, response, np.diag(curve.covariance), noise_variance)
-
-
-def propose_capture(decision: AngleDecision, captures: CaptureErrors) -> Proposal | None:
-    """Return the angle to capture next; None where it would change nothing.
-
-    A capture shows the sim-to-real error at its angle, with the noise of the captures so far (median; 1 % and 2 deg
-    without any). That it also tells the amplitude of that error is not counted.
-    """
-    sd_rel, angle_sd_deg = ASSUMED_CAPTURE_SD_REL, UNSTATED_ANGLE_SD_DEG
-    if captures.names:
-        sd_rel = float(np.sqrt(np.median(np.diag(captures.covariance))))
-        angle_sd_deg = float(np.median(captures.angle_sd_deg))
-    noise_variance = sd_rel**2 + (decision.simulated.log_slope_per_deg * angle_sd_deg) ** 2
-    discrepancy = decision.discrepancy
-    response = -decision.mean_rel[:, None] * discrepancy.shape_response
-    return _most_helpful(decision, response, np.diag(discrepancy.covariance), noise_variance)
-
-
-def _most_helpful(
-    decision: AngleDecision, response: Floats, observed_variance: Floats, noise_variance: Floats
-) -> Proposal | None:
-    """Return the candidate of the grid with the greatest knowledge gradient."""
-    choices = decision.choices
-    mean = decision.mean_rel[choices]
-    gains = knowledge_gradient(mean, response[choices], observed_variance, noise_variance)
-    best = int(gains.argmax())
-    gain_rel = float(gains[best] / mean.max())
-    if gain_rel < LEAST_GAIN_REL:
-        return None
-    grid_deg = decision.simulated.posterior.grid_deg
-    return Proposal(float(grid_deg[best]), gain_rel, float(np.sqrt(noise_variance[best])))

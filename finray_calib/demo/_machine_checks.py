@@ -80,6 +80,7 @@ CHECKS: Final = (
     Check("disk", f"{_HERE}:check_disk", "bad", "work in a folder of a disk that answers"),
     Check("caches", f"{_HERE}:check_caches", "bad", "export XDG_CACHE_HOME=/a/folder/that/you/may/write"),
     Check("serial ports", f"{_HERE}:check_serial_ports", "note", ""),
+    Check("drivers", f"{_HERE}:check_drivers", "note", "pip uninstall the package whose driver dies"),
 )
 
 
@@ -335,6 +336,24 @@ def check_serial_ports() -> Found:
     if not ports:
         return _good("none behind USB (needed for a real rig only)")
     return _good(", ".join(port.address for port in ports))
+
+
+def check_drivers() -> Found:
+    """Look at the drivers that other packages bring: each must be importable, have its functions and one name."""
+    from rigs import driver_module, drivers_of_other_packages, find_driver
+
+    others = drivers_of_other_packages()
+    wrong = []
+    for driver in others:
+        try:
+            driver_module(find_driver(driver.kind, driver.name))
+        except FinrayError as error:
+            wrong.append(str(error))
+    if wrong:
+        found, _, mend = wrong[0].partition("; ")
+        return _note(found, mend)
+    named = ", ".join(f"{driver.kind} {driver.label}" for driver in others)
+    return _good(named or "those of finray-calib; no other package brings one")
 
 
 def _way_in(port: Path) -> str:

@@ -201,13 +201,12 @@ class Demo:
 
     def simulate(self, progress: Progress, level: "Level" = "b") -> SimulatedPress:
         """Render the press with the fitted paints; level "a" is the paper's emitter, for comparison."""
-        from sim.experiments import paint_optics, simulate_press
+        from sim.experiments import FingerScene, Rendering, paint_optics, simulate_press
 
         finger = self._finger(self.design(), {c: paint_optics(p) for c, p in self.calibrations().items()})
         samples = self.settings.effort.samples_per_pixel // (1 if level == "b" else 2)
-        press = simulate_press(
-            finger, level, self.settings.seed, samples, self._digests(), progress, self.shapes(), self.calibrations()
-        )
+        scene = FingerScene(finger, self.calibrations(), self.shapes())
+        press = simulate_press(scene, Rendering(level, self.settings.seed, samples), self._digests(), progress)
         return self._store(press, PRESS[level], [SURFACES, *(f"{c}/paint.json" for c in COLOURS)])
 
     def sweep(self, progress: Progress) -> LightAngleSweep:

@@ -2,8 +2,9 @@
 
 A calibrated paint leaves as CSV, JSON, netCDF (ArviZ), SPDX, Mitsuba spectrum, reduced RGB matrix or bispectral
 OpenEXR, all by name from `PAINT_FORMATS`. Captures of other labs come in as folders of band images, of Raspberry Pi
-pictures, of ball presses, of 9DTact or Taxim calibrations, measured force as CSV. Renders, meshes, printable parts,
-board calibrations, capture requests and acceptance reports go out as files that other programs open.
+pictures, of ball presses, of 9DTact or Taxim calibrations, measured force as CSV; renders of any simulator as folders.
+Renders, meshes, printable parts, board calibrations, capture requests and acceptance reports go out as files that other
+programs open.
 
 What cannot be known from a foreign file is asked for or refused, never guessed; nothing pickled is ever loaded.
 """
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from finray_calib.exchange._force_csv import read_force_csv
     from finray_calib.exchange._inference_data import inference_data
     from finray_calib.exchange._junit_xml import junit_xml
-    from finray_calib.exchange._led_camera_matrix import assumed_led, led_camera_matrix, read_light
+    from finray_calib.exchange._led_camera_matrix import assumed_led, led_camera_matrix
     from finray_calib.exchange._nine_dtact import nine_dtact_capture, nine_dtact_prediction
     from finray_calib.exchange._paint_formats import PAINT_FORMATS, ExportOptions, as_spectral_distribution
     from finray_calib.exchange._paint_spectra import PaintSpectra, paint_spectra
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from finray_calib.exchange._raspberry_pi import RaspberryPiOptions, raspberry_pi_capture, read_tuning
     from finray_calib.exchange._record_arrays import record_dataset
     from finray_calib.exchange._render_files import write_optics_folder
+    from finray_calib.exchange._render_folder import read_renders
     from finray_calib.exchange._taxim_export import FEWEST_PRESSES, taxim_files
     from finray_calib.exchange._vtu import vtu_bytes
 else:
@@ -63,7 +65,7 @@ __all__ = [
     "read_board_picture",
     "read_circles",
     "read_force_csv",
-    "read_light",
+    "read_renders",
     "read_taxim",
     "read_tuning",
     "record_dataset",

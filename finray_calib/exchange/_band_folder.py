@@ -53,11 +53,11 @@ from data_schemas.storage import (
     read_bytes,
     read_camera_response,
     read_filter_curve,
+    read_light,
     read_table,
     read_toml,
     tiff_image,
 )
-from finray_calib.exchange._led_camera_matrix import read_light
 from finray_calib.radiometry import band_signals, monochrome_bands
 
 Layout = Literal["monochrome", "RGB", "Bayer RGGB", "Bayer BGGR", "Bayer GRBG", "Bayer GBRG"]

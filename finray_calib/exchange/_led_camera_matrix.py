@@ -14,14 +14,11 @@ is exact for light that meets the paint once; light between paints needs their o
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from data_schemas import CurveError, Provenance, SpectralCurve, require_coverage
-from data_schemas.storage import read_table
+from data_schemas import Provenance, SpectralCurve, require_coverage
 from finray_calib.exchange._paint_spectra import PaintSpectra, readable_json
 
 Floats = NDArray[np.float64]
@@ -166,29 +163,6 @@ def _trapezoid(wavelength_nm: Floats) -> Floats:
     """Return the trapezoidal weights of a grid, nm."""
     step_nm = np.diff(wavelength_nm)
     return np.concatenate([step_nm[:1], step_nm[1:] + step_nm[:-1], step_nm[-1:]]) / 2
-
-
-LIGHT_COLUMNS = ["wavelength_nm", "power_rel"]
-
-
-def read_light(path: Path) -> SpectralCurve:
-    """Read the relative spectral power (energy per nm) of a light: CSV with wavelength_nm,power_rel.
-
-    Raises
-    ------
-    CurveError
-        The file is not such a table, a value is negative, or all are zero.
-    """
-    header, table = read_table(path)
-    if header != LIGHT_COLUMNS:
-        raise CurveError(f"{path}: header is {','.join(header)[:80]}; a light needs {','.join(LIGHT_COLUMNS)}")
-    power = table[:, 1]
-    if (power < 0).any() or not power.any():
-        raise CurveError(f"{path}: power_rel must be 0 or more and somewhere above 0; correct or remove the rows")
-    try:
-        return SpectralCurve(name=path.stem, wavelength_nm=table[:, 0], values=power, source=path.name)
-    except ValidationError as error:
-        raise CurveError(f"{path}: {error.errors()[0]['msg'].removeprefix('Value error, ')}") from None
 
 
 def led_camera_json(

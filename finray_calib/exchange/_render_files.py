@@ -45,7 +45,7 @@ def write_optics_folder(
     folder
         Must not exist.
     products
-        From :func:`sim.experiments.optics_products`.
+        From :func:`sim.experiments.simulate_images`.
     views
         Pictures for the eye by file name without suffix, (rows, columns, 3) sRGB.
     origin

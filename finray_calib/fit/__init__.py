@@ -6,7 +6,7 @@ with the measurement covariance S, the imperfections U of the rig and the discre
 curves. `calibrate_paint` runs the whole path and returns the stored record, `map_paint` fits every pixel,
 `detect_emission` tells whether there is anything to fit. Draws come from importance sampling that diagnoses itself;
 where it falls short they are carried on by Markov steps, and emcee is the independent check.
-No files, no devices.
+No devices, and no files but the prototypes of spectra that the package ships.
 """
 
 from typing import TYPE_CHECKING

@@ -18,9 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import BandSignals, Estimate, FitError, Reradiation, SpectralCurve
-from finray_calib.fit._band_data import band_data
-from finray_calib.fit._emission import EmissionPosterior, summarise
-from finray_calib.fit._family_choice import FitOptions, fit_family
+from finray_calib.fit._emission import summarise
 from finray_calib.fit._prior import AbsorptionPrior
 from finray_calib.spectra import WAVELENGTH_NM, absorptance, photon_yield, reradiation_matrix, smooth_covariance
 
@@ -31,7 +29,7 @@ def paint_absorption(
     bands: BandSignals,
     drawn: Floats,
     reflected: tuple[Estimate, ...],
-    lights: Sequence[tuple[float, EmissionPosterior]],
+    lights: Sequence[tuple[float, Floats]],
     rng: np.random.Generator,
 ) -> Reradiation:
     """Return the absorption: prior-driven with one light, constrained by the yields of several.
@@ -45,12 +43,12 @@ def paint_absorption(
     reflected
         Reflectance at each filter.
     lights
-        Excitation wavelength of each other light, nm, and the emission under it.
+        Excitation wavelength of each other light, nm, and (N, L) emission draws under it, nm^-1.
     rng
         Of the draws of the absorption.
     """
     laser_nm = bands.optics.laser.wavelength_nm
-    yields = excitation_yields({laser_nm: drawn, **{nm: p.curve_draws.curves for nm, p in lights}})
+    yields = excitation_yields({laser_nm: drawn, **dict(lights)})
     least = _reflected_curve(bands, reflected, "low95")
     return fit_absorption(drawn, WAVELENGTH_NM, laser_nm, yields, AbsorptionPrior(), rng, least)
 
@@ -236,8 +234,8 @@ EXCITATION_NM.flags.writeable = False
 REDRAWS = 40
 LARGEST_YIELD_SD_REL = 0.5
 FEWEST_SHAPES = 50
-PRIOR_DRIVEN_SHARE = 0.8
-"""Further lights that narrow the Stokes shift by less than a fifth have not measured it."""
+MEASURED_STOKES_SD_NM = 15.0
+"""A Stokes shift with a larger standard deviation is belief, whatever was measured."""
 _ONE_LIGHT = (
     "the Stokes shift comes from the prior: one laser at {laser:g} nm fixes absorption at {laser:g} nm only; measure "
     "the yield under further lights to learn the rest"
@@ -283,8 +281,9 @@ def fit_absorption(
     """Return the posterior of the absorption, one draw for each emission draw.
 
     The emission draws keep their weights: yields judge absorption shapes, and an emission draw enters through its
-    maximum, from which the prior of the Stokes shift counts. Draws that would send out more photons than the paint
-    can absorb, P(laser) a(l)/a(laser) > 1 - reflectance(l), are drawn again. Importance sampling from the prior;
+    maximum, from which the prior of the Stokes shift counts. Energy is conserved: draws that would send out more
+    photons than the paint can absorb, P(laser) a(l)/a(laser) > 1 - reflectance(l), are drawn again, and what still
+    exceeds it is cut there, where the paint absorbs all that it does not reflect. Importance sampling from the prior;
     valid while the yields do not contradict it (``distinct_shapes`` tells).
 
     Parameters
@@ -318,7 +317,7 @@ def fit_absorption(
     mode_nm = _modes(emission_draws_per_nm, wavelength_nm, laser_nm)
     seen = _relative_to_laser(yields, laser_nm)
     sampler = _Sampler(mode_nm, seen, prior, excitation_nm, rng)
-    most = 1.0 if least_reflectance is None else 1 - least_reflectance(excitation_nm)
+    most = 1 - (np.zeros(excitation_nm.size) if least_reflectance is None else least_reflectance(excitation_nm))
     ceiling = most / photon_yield(emission_draws_per_nm, wavelength_nm, laser_nm)[:, None]
     draws, shift_nm, rejected, violating = sampler.draw_below(ceiling)
     low95, high95 = np.quantile(draws, [0.025, 0.975], axis=0)
@@ -332,7 +331,7 @@ def fit_absorption(
         stokes_shift_nm=_estimate(shift_nm),
         stokes_shift_draws_nm=shift_nm,
         measured_at_nm=tuple(light.excitation_nm for light in yields),
-        prior_driven=len(yields) == 1 or float(shift_nm.std()) > PRIOR_DRIVEN_SHARE * prior.stokes_sd_nm,
+        prior_driven=len(yields) == 1 or float(shift_nm.std()) > MEASURED_STOKES_SD_NM,
         prior=prior.in_words,
         distinct_shapes=sampler.candidates.effective,
         rejected_share=rejected,
@@ -366,7 +365,7 @@ class _Sampler:
         return np.exp(shapes + self.deviation.draw(residual, self.rng)), self.mode_nm[rows] - columns[0]
 
     def draw_below(self, ceiling: Floats) -> tuple[Floats, Floats, float, float]:
-        """Return absorptions, shifts (nm), and the shares of draws first and finally above the (N, E) ceiling."""
+        """Return absorptions, shifts (nm), and the shares first above the (N, E) ceiling and above it at the laser."""
         count = self.mode_nm.size
         draws, shift_nm = self.draw(np.arange(count))
         rows = np.flatnonzero((draws > ceiling).any(axis=1))
@@ -376,7 +375,9 @@ class _Sampler:
                 break
             draws[rows], shift_nm[rows] = self.draw(rows)
             rows = np.flatnonzero((draws > ceiling).any(axis=1))
-        return draws, shift_nm, rejected, rows.size / count
+        at_laser = np.abs(self.excitation_nm - self.yields.laser_nm).argmin()
+        violating = float((ceiling[:, at_laser] < 1).mean())  # more than is absorbed at the laser itself
+        return np.minimum(draws, ceiling), shift_nm, rejected, violating
 
 
 def _modes(draws: Floats, wavelength_nm: Floats, laser_nm: float) -> Floats:
@@ -453,13 +454,6 @@ def refuse_unfit_lights(bands: BandSignals, other_lights: Sequence[BandSignals])
             f"other lights: two sessions have the same excitation ({', '.join(f'{nm:g}' for nm in lights_nm[1:])} nm "
             f"and the first at {lights_nm[0]:g} nm); give one session per light"
         )
-
-
-def excited_emission(
-    light: BandSignals, family: str, options: FitOptions, rng: np.random.Generator
-) -> tuple[float, EmissionPosterior]:
-    """Return the wavelength of another light, nm, and the emission that it excites."""
-    return light.optics.laser.wavelength_nm, fit_family(band_data(light), family, options, rng)
 
 
 def excitation_yields(curves_per_nm: Mapping[float, Floats]) -> list[ExcitationYield]:

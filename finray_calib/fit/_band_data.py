@@ -2,8 +2,9 @@ r"""Normalised band values of one region, ready to fit, and the directions in wh
 
 .. math:: y = \mu(\theta) + U k + e, \quad k \sim N(0, I), \quad e \sim N(0, S)
 
-One column of U per band for each of: its calibration, its blocking, its filter's centre and its filter's width. The
-imperfections k are integrated out analytically, :math:`y \sim N(\mu, S + U U^T)`.
+One column of U per band for each of: its calibration, its blocking, its filter's centre and its filter's width; and one
+for the temperature of the lamp, which moves all bands together. The imperfections
+k are integrated out analytically, :math:`y \sim N(\mu, S + U U^T)`.
 
 U is fixed before sampling: the calibration columns from the measured values, the others at a reference fit. Were U
 to move with the model, a model that cannot follow the data could buy likelihood by predicting too much, because
@@ -31,6 +32,7 @@ from finray_calib.spectra import (
     EmissionWeights,
     band_quadrature,
     held_shares,
+    lamp_response,
     read_only,
     tolerances_of,
     weights_of,
@@ -194,6 +196,8 @@ class BandData:
         Relative standard uncertainty of each band's calibration, common to its channels.
     tolerances
         Tolerances of the filters' centre, width and blocking; perfectly known filters when None.
+    lamp_response_rel
+        (B C,) relative change of each value for one standard uncertainty of the lamp; a perfectly known one when None.
     quadrature
         Few-node rule of the weights.
 
@@ -210,6 +214,7 @@ class BandData:
     weights: EmissionWeights
     band_calibration_rel: float = 0.01
     tolerances: BandTolerances | None = None
+    lamp_response_rel: FloatArray | None = None
     quadrature: BandQuadrature = field(init=False)
 
     def __post_init__(self) -> None:
@@ -285,6 +290,8 @@ class BandData:
         columns = [calibration_columns(y, self.weights, self.band_calibration_rel)]
         if reference is not None and self.tolerances is not None:
             columns.append(tolerance_columns(reference, self.weights, self.tolerances))
+        if self.lamp_response_rel is not None:
+            columns.append((self.lamp_response_rel * y)[:, None])
         return np.concatenate(columns, axis=1)[self.kept]
 
 
@@ -321,6 +328,7 @@ def band_data(bands: BandSignals) -> BandData:
         weights=weights,
         band_calibration_rel=BAND_CALIBRATION_REL,
         tolerances=tolerances_of(bands.optics, bands.channel_weights),
+        lamp_response_rel=lamp_response(bands.optics, bands.channel_weights),
     )
 
 

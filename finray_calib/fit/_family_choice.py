@@ -23,6 +23,7 @@ from finray_calib.fit._band_data import BandData
 from finray_calib.fit._emission import FEWEST_DRAWS, EmissionPosterior, FitSettings, fit_emission
 from finray_calib.fit._importance import WeightedSample, smooth_weights
 from finray_calib.fit._likelihood import LogPosterior
+from finray_calib.fit._measured_spectra import MeasuredSpectra
 from finray_calib.fit._mixture_proposal import log_sum_exp
 from finray_calib.fit._prior import NO_DISCREPANCY, PAINT_DISCREPANCY, Discrepancy, EmissionPrior
 from finray_calib.spectra import FAMILIES, machine_threads, skew_shape_table
@@ -44,6 +45,8 @@ class FitOptions:
         Size of the sampling.
     check_by_emcee
         Whether to sample the reported posterior again with emcee, as an independent check.
+    spectra
+        Learned prior of the spectrum that is reported where no family is asked for; None takes the one shipped.
     """
 
     family: str | None = None
@@ -51,6 +54,7 @@ class FitOptions:
     prior: EmissionPrior = field(default_factory=EmissionPrior)
     settings: FitSettings = field(default_factory=FitSettings)
     check_by_emcee: bool = False
+    spectra: MeasuredSpectra | None = None
 
 
 FloatArray = NDArray[np.float64]
@@ -241,9 +245,15 @@ def choose_family(scores: Mapping[str, FamilyScore]) -> tuple[str, str]:
             f"{best}: the bands speak clearly against the default, {DEFAULT_FAMILY} (probabilities {told}; left-out "
             f"bands predicted better by {gain:.1f} +- {scores[best].difference_sd:.1f} nats)"
         )
+    left_out = f"left-out bands: {best} {gain:+.1f} +- {scores[best].difference_sd:.1f} nats"
+    if scores[DEFAULT_FAMILY].probability < SMALLEST_DEFAULT_PROBABILITY:
+        return DEFAULT_FAMILY, (
+            f"{DEFAULT_FAMILY}: the default, although it is improbable given these bands (probabilities {told}), "
+            f"because {best} does not predict left-out bands clearly better ({left_out})"
+        )
     return DEFAULT_FAMILY, (
         f"{DEFAULT_FAMILY}: the default, because the bands do not clearly tell the families apart (probabilities "
-        f"{told}; left-out bands: {best} {gain:+.1f} +- {scores[best].difference_sd:.1f} nats)"
+        f"{told}; {left_out})"
     )
 
 

@@ -33,17 +33,23 @@ from data_schemas import (
     PaintCalibration,
     PaintWithoutEmission,
     PriorSensitivity,
-    Reradiation,
 )
-from finray_calib.fit._absorption import excited_emission, matrix_warnings, paint_absorption, refuse_unfit_lights
+from finray_calib.fit._absorption import matrix_warnings, paint_absorption, refuse_unfit_lights
 from finray_calib.fit._band_data import BandData, band_data
 from finray_calib.fit._detection import blank_model, detect_emission
 from finray_calib.fit._emission import EmissionPosterior, summarise
-from finray_calib.fit._family_choice import FamilyFits, FamilyScore, FitOptions, fit_families
+from finray_calib.fit._family_choice import FamilyFits, FamilyScore, FitOptions, fit_families, fit_family
 from finray_calib.fit._importance import mean_shifts
 from finray_calib.fit._markov_chains import ChainDiagnostics, SamplerSettings, sample_posterior
-from finray_calib.fit._prior import Discrepancy
-from finray_calib.spectra import WAVELENGTH_NM, family_named, from_mode_parameters, transmissions
+from finray_calib.fit._prior import AbsorptionPrior, Discrepancy
+from finray_calib.fit._reported_spectrum import (
+    ReportedSpectrum,
+    prior_share,
+    prior_shares,
+    reported_spectrum,
+    simultaneous_band,
+)
+from finray_calib.spectra import WAVELENGTH_NM, CurveQuantities, family_named, from_mode_parameters, transmissions
 
 Floats = NDArray[np.float64]
 
@@ -86,9 +92,8 @@ def estimate(draws: Floats) -> Estimate:
     )
 
 
-def _quantities(posterior: EmissionPosterior) -> dict[str, Floats]:
+def _quantities(q: CurveQuantities) -> dict[str, Floats]:
     """Return the draws of the quantities that every curve has."""
-    q = posterior.quantities
     return {
         "mode_nm": q.mode_nm,
         "fwhm_nm": q.fwhm_nm,
@@ -98,12 +103,12 @@ def _quantities(posterior: EmissionPosterior) -> dict[str, Floats]:
     }
 
 
-def parameters(posterior: EmissionPosterior) -> dict[str, Estimate]:
-    """Summarise the quantities of the curve, then the sampled parameters."""
+def parameters(reported: ReportedSpectrum, posterior: EmissionPosterior) -> dict[str, Estimate]:
+    """Summarise the quantities of the reported curve, then the sampled parameters of the family."""
     names = posterior.log_posterior.prior.names
     draws: Mapping[str, Floats] = {
-        **_quantities(posterior),
-        "reflectance_at_laser": posterior.reflectance_at_laser,
+        **_quantities(reported.quantities),
+        "reflectance_at_laser": reported.posterior.reflectance_at_laser,
         "share_below_laser": posterior.share_below_laser,
         **{name: posterior.draws[:, i] for i, name in enumerate(names)},
     }
@@ -118,9 +123,8 @@ def paper_parameters(posterior: EmissionPosterior) -> dict[str, Estimate]:
     return {name: estimate(values) for name, values in draws.items()}
 
 
-def band_integrals(bands: BandSignals, posterior: EmissionPosterior) -> tuple[Estimate, ...]:
+def band_integrals(bands: BandSignals, curves: Floats) -> tuple[Estimate, ...]:
     """Return the mean emission over each filter's transmission, nm^-1."""
-    curves = posterior.curve_draws.curves
     return tuple(estimate(curves @ passed / passed.sum()) for passed in transmissions(bands.optics))
 
 
@@ -137,7 +141,7 @@ def discrepancy(settings: Discrepancy) -> DiscrepancySettings:
 
 def prior_sensitivity(posterior: EmissionPosterior) -> dict[str, PriorSensitivity]:
     """Return how far the quantities move when the prior is made narrower and wider."""
-    prior, quantities = posterior.log_posterior.prior, _quantities(posterior)
+    prior, quantities = posterior.log_posterior.prior, _quantities(posterior.quantities)
     halved, doubled = (mean_shifts(prior, posterior.draws, quantities, factor) for factor in (0.5, 2.0))
     return {name: PriorSensitivity(halved=halved[name], doubled=doubled[name]) for name in quantities}
 
@@ -156,7 +160,7 @@ def families(
                 name=posterior.family.name,
                 title=posterior.family.title,
                 with_discrepancy=posterior.log_posterior.discrepancy.acts,
-                quantities={key: estimate(draws) for key, draws in _quantities(posterior).items()},
+                quantities={key: estimate(draws) for key, draws in _quantities(posterior.quantities).items()},
                 ln_evidence=sample.ln_evidence,
                 ln_evidence_sd=sample.ln_evidence_sd,
                 probability=score.probability if score else None,
@@ -171,9 +175,9 @@ def families(
     return tuple(results)
 
 
-def band_residuals(bands: BandSignals, posterior: EmissionPosterior) -> tuple[BandResidual, ...]:
+def band_residuals(bands: BandSignals, reported: ReportedSpectrum) -> tuple[BandResidual, ...]:
     """Return how well each filter is explained; a filter without usable channels has no degrees of freedom."""
-    check = posterior.bands
+    check = reported.posterior
     p_values = np.nan_to_num(check.p_value, nan=1.0)
     return tuple(
         BandResidual(
@@ -183,7 +187,7 @@ def band_residuals(bands: BandSignals, posterior: EmissionPosterior) -> tuple[Ba
             degrees_of_freedom=int(check.degrees_of_freedom[b]),
             posterior_predictive_p=float(p_values[b]),
             explained=bool(p_values[b] >= SMALLEST_P),
-            calibration_pull=estimate(posterior.curve_draws.imperfections[:, b]),
+            calibration_pull=estimate(check.imperfections[:, b]),
         )
         for b, band in enumerate(bands.optics.filters)
     )
@@ -300,34 +304,48 @@ def _calibrate(
     """Return the calibration record."""
     fits = fit_families(data, options, PAPER_FAMILY, rng)
     posterior = fits.posterior
-    energy_yield = estimate(posterior.quantities.energy_yield)
-    _require_energy(energy_yield, bands)
+    reported = reported_spectrum(data, options, posterior, rng)
+    _require_energy(estimate(reported.quantities.energy_yield), bands)
     independent = options.check_by_emcee and posterior.sampling.chain is None
     check = check_by_chain(posterior, options.settings.chain, rng) if independent else None
-    at_laser = estimate(posterior.reflectance_at_laser)
-    curve, drawn = curve_bands(posterior.curve_draws.curves), posterior.curve_draws.curves[:CURVE_DRAWS]
+    at_laser = estimate(reported.posterior.reflectance_at_laser)
+    curve, drawn = curve_bands(reported.curves), reported.curves[:CURVE_DRAWS]
     reflected = reflectance(bands, curve.mean, at_laser) if colour_match is None else colour_match.at_filters
-    lights = [excited_emission(light, fits.chosen, options, rng) for light in other_lights]
+    lights = [_under_other_light(light, fits.chosen, options, rng) for light in other_lights]
     reradiation = paint_absorption(bands, drawn, reflected, lights, rng)
-    residuals, measured_sd = band_residuals(bands, posterior), np.sqrt(np.diag(data.covariance)).reshape(-1, 3)
+    residuals, measured_sd = band_residuals(bands, reported), np.sqrt(np.diag(data.covariance)).reshape(-1, 3)
+    shares = prior_shares(reported, data, options, posterior, rng)
+    shares["stokes_shift_nm"] = prior_share(
+        AbsorptionPrior().draw(PRIOR_DRAWS, rng)[0], reradiation.stokes_shift_draws_nm
+    )
     return PaintCalibration(
         detection=detection,
         **_family_fields(fits, options),
-        **_posterior_fields(posterior, curve, bands, rng),
+        **_posterior_fields(reported, posterior, curve, bands, rng),
+        prior_shares=shares,
         reflectance=reflected,
         reflectance_method=REFLECTANCE_METHOD if colour_match is None else colour_match.statement,
         colour_match=colour_match,
         reradiation=reradiation,
-        **_measurement_fields(bands, data, posterior),
+        **_measurement_fields(bands, data, reported),
         measured_sd=measured_sd,
         bands=residuals,
         diagnostics=diagnostics(posterior, check),
         warnings=(
             *fit_warnings(posterior, residuals, check, options.check_by_emcee),
-            *absorption_warnings(reradiation),
+            *energy_warnings(reported),
             *matrix_warnings(bands, drawn, reflected, reradiation),
         ),
     )
+
+
+def _under_other_light(
+    light: BandSignals, family: str, options: FitOptions, rng: np.random.Generator
+) -> tuple[float, Floats]:
+    """Return the wavelength of another light, nm, and draws of the emission that it excites, (N, L), nm^-1."""
+    data = band_data(light)
+    reported = reported_spectrum(data, options, fit_family(data, family, options, rng), rng)
+    return light.optics.laser.wavelength_nm, reported.curves
 
 
 def _require_energy(energy_yield: Estimate, bands: BandSignals) -> None:
@@ -358,12 +376,18 @@ def _family_fields(fits: FamilyFits, options: FitOptions) -> dict[str, Any]:
 
 
 def _posterior_fields(
-    posterior: EmissionPosterior, curve: CurveBands, bands: BandSignals, rng: np.random.Generator
+    reported: ReportedSpectrum,
+    posterior: EmissionPosterior,
+    curve: CurveBands,
+    bands: BandSignals,
+    rng: np.random.Generator,
 ) -> dict[str, Any]:
-    """Return the fields of the record that tell of the reported family's parameters and curve."""
+    """Return the fields of the record that tell of the reported curve and of the family's parameters."""
     prior = posterior.log_posterior.prior
+    low, high = simultaneous_band(reported.curves)
     return {
-        "parameters": parameters(posterior),
+        "spectrum_from": reported.title,
+        "parameters": parameters(reported, posterior),
         "prior": dict(zip(prior.names, prior.words, strict=True)),
         "prior_sensitivity": prior_sensitivity(posterior),
         "sampled": prior.names,
@@ -376,22 +400,24 @@ def _posterior_fields(
         "emission_high95_per_nm": curve.high95,
         "emission_low68_per_nm": curve.low68,
         "emission_high68_per_nm": curve.high68,
-        "emission_draws_per_nm": posterior.curve_draws.curves[:CURVE_DRAWS],
-        "energy_yield": estimate(posterior.quantities.energy_yield),
-        "band_integrals": band_integrals(bands, posterior),
+        "emission_low95_simultaneous_per_nm": low,
+        "emission_high95_simultaneous_per_nm": high,
+        "emission_draws_per_nm": reported.curves[:CURVE_DRAWS],
+        "energy_yield": estimate(reported.quantities.energy_yield),
+        "band_integrals": band_integrals(bands, reported.curves),
     }
 
 
-def _measurement_fields(bands: BandSignals, data: BandData, posterior: EmissionPosterior) -> dict[str, Any]:
+def _measurement_fields(bands: BandSignals, data: BandData, reported: ReportedSpectrum) -> dict[str, Any]:
     """Return the fields of the record that set what was measured beside what is predicted."""
     return {
         "paint_name": bands.paint_name,
         "optics": bands.optics,
         "usable": data.usable,
         "measured": bands.fluorescence,
-        "predicted": posterior.bands.predicted_mean,
-        "predicted_sd": posterior.bands.predicted_sd,
-        "chi_square": posterior.bands.total_chi2,
+        "predicted": reported.posterior.predicted_mean,
+        "predicted_sd": reported.posterior.predicted_sd,
+        "chi_square": reported.posterior.total_chi2,
         "usable_values": data.kept.size,
     }
 
@@ -432,7 +458,8 @@ def chain_record(names: Sequence[str], chain: ChainDiagnostics, mean_shift_sd: F
 
 
 LARGEST_SHARE_BELOW_LASER: Final = 0.05
-LARGEST_VIOLATING_SHARE: Final = 0.01
+LARGEST_EXCESS_SHARE: Final = 0.8
+"""A paint that emits all that it absorbs lies at half: its draws are cut there. Far beyond, the level is wrong."""
 _CLOSE_MAXIMA_NATS: Final = 5.0
 
 
@@ -475,14 +502,14 @@ def fit_warnings(
     return tuple(said)
 
 
-def absorption_warnings(reradiation: Reradiation) -> tuple[str, ...]:
-    """Say where draws emit more light than the paint can absorb."""
-    share = reradiation.violating_share
-    if share <= LARGEST_VIOLATING_SHARE:
+def energy_warnings(reported: ReportedSpectrum) -> tuple[str, ...]:
+    """Say where the level of the signals contradicts the conservation of energy."""
+    if reported.excess_share <= LARGEST_EXCESS_SHARE:
         return ()
+    kept = "" if reported.conserving else "; too few are left, so all were kept"
     return (
-        f"{share:.0%} of the draws emit more light than the paint can absorb beside its reflectance: emission or "
-        "reflectance is too high; check the white reference and the laser's level",
+        f"{reported.excess_share:.0%} of the draws emit more photons than are absorbed at the laser and were left out"
+        f"{kept}: the signals are brighter than energy allows; check the white reference and the laser's level",
     )
 
 

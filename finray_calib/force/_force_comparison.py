@@ -373,7 +373,7 @@ def error_size(error: Floats, systematic: Floats, noise: Floats) -> Interval:
 
 UNKNOWN_UNCERTAINTY = (
     "intervals and verdicts: the design's inputs have no sensitivities and the CSV states no uncertainty, so that "
-    "u_val holds the numerics at most. Simulate with --only mechanics --sensitivities, and give the columns "
+    "u_val holds the numerics at most. Simulate with 'press --sensitivities', and give the columns "
     "force_uncertainty_n and displacement_uncertainty_mm"
 )
 

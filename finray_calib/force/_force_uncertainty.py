@@ -19,8 +19,11 @@ Floats = NDArray[np.float64]
 
 # an elastomer's or plastic's modulus from the literature, for another batch, cure and rate
 ASSUMED_MODULUS_REL: Final = 0.2
-# K / mu is measured for hardly any silicone; a factor of 1.6 either way is nu = 0.46 to 0.48
-ASSUMED_BULK_REL: Final = 0.5
+# K / mu is measured for hardly any silicone: from nu = 0.475 to 0.49975, even in its logarithm. The force changes less
+# and less with it, so that this sensitivity, taken where the design is, makes the interval too wide rather than short
+ASSUMED_BULK_OVER_SHEAR: Final = (20.0, 2000.0)
+_BULK_LN = math.log(ASSUMED_BULK_OVER_SHEAR[1] / ASSUMED_BULK_OVER_SHEAR[0]) / math.sqrt(12.0)
+ASSUMED_BULK_REL: Final = math.sqrt(math.expm1(_BULK_LN**2))
 # rolled and cast sheets are sold to about a tenth of their thickness
 ASSUMED_SHEET_REL: Final = 0.1
 # a print's or mould's limits; a rectangular distribution within them (JCGM 100, 4.3.7)
@@ -76,7 +79,7 @@ def force_inputs(press: PressMechanics, depth_mm: Floats) -> ForceInputs:
         missing=(
             *(f"{v.field}: its press failed ({v.failure})" for v in varied if len(v.depth_mm) < 2),
             *(f"{field}: stated by the design, which was not pressed with it changed" for field in sorted(stated)),
-            *(() if varied else ("materials and dimensions: simulate with --only mechanics --sensitivities",)),
+            *(() if varied else ("materials and dimensions: 'finray simulate press --sensitivities'",)),
         ),
     )
 
@@ -88,7 +91,8 @@ def _uncertainty(design: FingerDesign, field: str) -> tuple[float, str]:
     if field.endswith("_mpa"):
         return ASSUMED_MODULUS_REL, f"assumed: {ASSUMED_MODULUS_REL:.0%} of a modulus"
     if field.endswith("bulk_over_shear"):
-        return ASSUMED_BULK_REL, f"assumed: {ASSUMED_BULK_REL:.0%} of K / mu"
+        low, high = ASSUMED_BULK_OVER_SHEAR
+        return ASSUMED_BULK_REL, f"assumed: K / mu from {low:g} to {high:g}, even in its logarithm"
     if field in _SHEETS:
         return ASSUMED_SHEET_REL, f"assumed: {ASSUMED_SHEET_REL:.0%} of a sheet"
     value_mm = float(attrgetter(field)(design))

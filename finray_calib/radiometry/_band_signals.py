@@ -148,6 +148,8 @@ def optics_of(session: CaptureSession) -> Optics:
         excitation_filter=session.plan.excitation_filter,
         laser=session.rig.laser,
         lamp=session.lamp,
+        lamp_temperature_k=session.rig.lamp.temperature_k,
+        lamp_temperature_uncertainty_k=session.rig.lamp.temperature_uncertainty_k,
         white_reference=session.rig.white_reference,
         camera_response=session.camera_response,
         filter_curves={f.name: session.filter_curves[f.name] for f in filters if f.curve is not None},

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         decision_validation,
         equivalent_text,
     )
+    from finray_calib.reports._design_study_page import design_study_page, study_text
     from finray_calib.reports._finger_page import finger_page
     from finray_calib.reports._finger_pictures import finger_page_png, pressed_finger_png, untouched_finger_png
     from finray_calib.reports._finger_views import finger_outline
@@ -105,6 +106,7 @@ __all__ = [
     "decision_table",
     "decision_validation",
     "denoised",
+    "design_study_page",
     "display_remark",
     "display_white",
     "drawing",
@@ -153,6 +155,7 @@ __all__ = [
     "spot_sentence",
     "spots_note",
     "spread_sentence",
+    "study_text",
     "to_display",
     "touch_pair",
     "two_lights_png",

@@ -7,13 +7,14 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from data_schemas import ForceComparison, InputUncertainty, PhotometricErrorReport, ValidationCell
+from data_schemas import FittedToneCurve, ForceComparison, InputUncertainty, PhotometricErrorReport, ValidationCell
 from finray_calib.reports._comparison_statements import row_of
 from finray_calib.reports._images import Floats, TouchChanges, coarser
 from finray_calib.reports._plain_text import percent, signed_percent
 from finray_calib.reports._style import (
     BLUE,
     CANDIDATES,
+    CHANNELS,
     INK,
     MUTED,
     ORANGE,
@@ -138,6 +139,33 @@ def _change_figure(values: Floats, changes: TouchChanges) -> str:
     bar = figure.colorbar(drawn, ax=axes, location="bottom", aspect=30, extend="both")
     bar.set_label("change / untouched level (1)")
     return svg_text(figure)
+
+
+@styled()
+def tone_figure(curve: FittedToneCurve) -> str:
+    """Draw the captured level over the render's light without contact, with the fitted curve and all of its draws."""
+    figure = new_figure(5.4, 3.6)
+    axes = figure.subplots()
+    light = np.linspace(curve.log_light.min(), curve.log_light.max(), 80)
+    for c, (name, marker, colour) in enumerate(CHANNELS):
+        axes.plot(
+            curve.log_light[:, c], curve.level_dn[:, c], marker, color=colour, markersize=3, alpha=0.35, linewidth=0
+        )
+        drawn = np.array([_through(curve, c, p, b, light) for p, b in curve.draws])
+        low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
+        axes.fill_between(light, low, high, color=colour, alpha=0.2, linewidth=0)
+        best = _through(curve, c, curve.exponent.estimate, curve.offset_dn.estimate, light)
+        axes.plot(light, best, color=colour, linewidth=1.6, label=name, marker=marker, markevery=20, markersize=5)
+    axes.set(xlabel="light of the render, ln(L / mean of its channel) (1)", ylabel="captured level (DN)")
+    figure.legend(loc="outside upper left", ncols=3)
+    return svg_text(figure)
+
+
+def _through(curve: FittedToneCurve, channel: int, exponent: float, offset_dn: float, light: Floats) -> Floats:
+    """Return the level of a channel over the logarithm of light, through the middle of its points."""
+    level = np.maximum(curve.level_dn[:, channel] - offset_dn, 1e-3)
+    middle = (np.log(level) - exponent * curve.log_light[:, channel]).mean()
+    return np.asarray(offset_dn + np.exp(middle + exponent * light))
 
 
 _LOOK = {"A": ("from repeated observations (A)", BLUE, ""), "B": ("from other knowledge (B)", ORANGE, "///")}

@@ -22,6 +22,7 @@ from finray_calib.reports._comparison_figures import (
     change_figures,
     error_map_figure,
     score_figure,
+    tone_figure,
     validation_figure,
 )
 from finray_calib.reports._comparison_statements import (
@@ -31,7 +32,9 @@ from finray_calib.reports._comparison_statements import (
     metric_table,
     row_of,
     sensing_table,
+    tone_table,
     validation_table,
+    white_balance_table,
 )
 from finray_calib.reports._images import (
     TouchChanges,
@@ -115,7 +118,11 @@ def _key_numbers(report: PhotometricErrorReport) -> tuple[tuple[str, str, str], 
         if not words.is_noise_taken_out(report):
             noise = "with its noise, which is in the simulation's score too"
         repeated = (words.repeat_text(floor.skill.estimate), noise)
-    between = f"95 %: {fixed(skill.low95, 2)} to {fixed(skill.high95, 2)}"
+    between = f"95 %: {fixed(skill.low95, 3)} to {fixed(skill.high95, 3)}"
+    if fixed(skill.low95, 2) != fixed(skill.high95, 2):
+        between = f"95 %: {fixed(skill.low95, 2)} to {fixed(skill.high95, 2)}"
+    elif skill.low95 == skill.high95:
+        between = "without an interval: nothing that is known to be uncertain changes it"
     numbers = [
         ("Skill of the simulation", fixed(skill.estimate, 2), between),
         ("Doing nothing", "0", "the untouched image in its place"),
@@ -131,6 +138,8 @@ def _key_numbers(report: PhotometricErrorReport) -> tuple[tuple[str, str, str], 
 def _sections(report: PhotometricErrorReport, press: SimulatedPress, capture: TactileCapture) -> list[Part]:
     """Return images, metrics, uncertainty, parts and origin, as far as there are any."""
     parts = [images_part(report, press, capture), _metrics(report)]
+    if report.tone_curve is not None or report.white_balance is not None:
+        parts.append(_camera(report))
     if report.budget:
         parts.append(budget_part(report))
     if report.validation:
@@ -141,6 +150,26 @@ def _sections(report: PhotometricErrorReport, press: SimulatedPress, capture: Ta
     lead = " ".join((words.exposure_sentence(report), *words.scale_sentences(report)))
     parts.append(Part("What was compared", Content(lead=lead, tables=(*scales, images_table(press, capture)))))
     return parts
+
+
+def _camera(report: PhotometricErrorReport) -> Part:
+    """Show the tone curve that was fitted, and the gains between the captured images."""
+    curve, drift = report.tone_curve, report.white_balance
+    rows: tuple[tuple[Picture, ...], ...] = ()
+    if curve is not None:
+        picture = drawing(
+            tone_figure(curve),
+            f"Captured level over the light of the render, with a fitted curve. {words.tone_sentence(curve)}",
+            "Without contact: captured level over the light of the render, one point for each block of pixels, the "
+            "fitted curve of each channel and the 95 % band of its draws. What to see: the points should follow the "
+            "curve; where they scatter, the render's light without contact is wrong.",
+        )
+        rows = ((picture,),)
+    sentences = [] if curve is None else [words.tone_sentence(curve)]
+    sentences += [] if drift is None else [words.white_balance_sentence(drift)]
+    tables = [] if curve is None else [tone_table(curve)]
+    tables += [] if drift is None else [white_balance_table(drift)]
+    return Part("The camera between render and capture", Content(" ".join(sentences), rows, tables=tuple(tables)))
 
 
 def _sensed(sensing: SensingError) -> Part:
@@ -166,7 +195,7 @@ def _sensed(sensing: SensingError) -> Part:
         "As the sensor would see it",
         Content(
             lead="One map from colour to surface normals is applied to render and capture. The normals differ by "
-            f"{fixed(angle.estimate, 1)} deg in the mean ({fixed(angle.low95, 1)} to {fixed(angle.high95, 1)} deg).",
+            f"{fixed(angle.estimate, 1)} deg in the mean ({words.between(angle)}).",
             tables=(sensing_table(sensing),),
             remarks=tuple(remarks),
             has_wide_tables=True,

@@ -10,6 +10,7 @@ from typing import Literal
 
 from data_schemas import (
     ErrorRow,
+    FittedToneCurve,
     Interval,
     PhotometricErrorReport,
     RecordError,
@@ -17,6 +18,7 @@ from data_schemas import (
     SensingError,
     SensingRow,
     ValidationCell,
+    WhiteBalanceDrift,
 )
 from finray_calib.reports._page import ReportTable, TableGroup, one_group
 from finray_calib.reports._plain_text import (
@@ -200,18 +202,23 @@ def limits(report: PhotometricErrorReport) -> tuple[str, ...]:
                 "digit: the ends of the interval may change with another seed."
             )
     skills = (report.headline_skill, *(row.skill for region in report.regions for row in region.rows))
-    if any(skill.estimate > 1 and skill.low95 >= 1 for skill in skills):
+    if any(skill.low95 > 1 for skill in skills):
         told.append(
-            "An interval from 1 to 1 beside an estimate above 1 is the rest of one that lies above 1 altogether: model "
-            "and noise disagree. Less is left of the difference than the noise that was taken out, so that this noise "
-            "is too large, or the capture was used to make the render."
+            "An interval of a skill that lies above 1 altogether says that model and noise disagree: less is left of "
+            "the difference than the noise that was taken out, so that this noise is too large, or the capture was "
+            "used to make the render."
         )
-    if any(skill.estimate > 1 > skill.low95 for skill in skills):
+    if any(skill.high95 > 1 >= skill.low95 for skill in skills):
         told.append(
-            "An estimate of a skill above 1 means 1 within its uncertainty: the noise is taken out, and what is left "
-            "scatters about the true skill, which cannot exceed 1. Intervals end there."
+            "What lies above 1 in the interval of a skill comes from noise: it is taken out, and what is left scatters "
+            "about the true skill, which cannot exceed 1."
         )
-    if report.values != "linear light":
+    if report.tone_curve is not None:
+        told.append(
+            "The render is light, the capture holds encoded values: they meet through a tone curve that was fitted to "
+            "the images without contact, and scores compare code values."
+        )
+    elif report.values != "linear light":
         told.append(
             "The images hold encoded values of an unknown camera curve, not light: scores compare code values only."
         )
@@ -222,6 +229,8 @@ def limits(report: PhotometricErrorReport) -> tuple[str, ...]:
 
 def exposure_sentence(report: PhotometricErrorReport) -> str:
     """Say whether the render was scaled, and by what."""
+    if report.tone_curve is not None:
+        return "The render enters as the ratio of its images with and without contact, through the fitted tone curve."
     if report.exposure_factor is None:
         return "The render was not scaled."
     sd = report.exposure_factor_sd
@@ -230,6 +239,52 @@ def exposure_sentence(report: PhotometricErrorReport) -> str:
         f"The render was multiplied by one exposure factor, the same for all channels{known}. No other correction was "
         "fitted, so an error of a paint or of the light stays visible."
     )
+
+
+def tone_sentence(curve: FittedToneCurve) -> str:
+    """Say which tone curve was fitted, what it rests on and what it adds to the uncertainty."""
+    p = curve.exponent
+    rests = f"The two images without contact agree in pattern by a correlation of {fixed(curve.correlation, 2)}"
+    if curve.correlation < _LITTLE_CORRELATION:
+        rests += ", so that the exponent rests mostly on what 8-bit cameras usually do (0.45 +- 0.05, or linear)"
+    beyond = ""
+    if curve.outside_share > _TOLD_SHARE:
+        beyond = (
+            f" {percent(curve.outside_share)} of the scored pixels have a level that does not occur without contact: "
+            "there the curve is an extrapolation."
+        )
+    return (
+        f"Camera values follow light to the power {fixed(p.estimate, 2)} (95 %: {fixed(p.low95, 2)} to "
+        f"{fixed(p.high95, 2)}); that and the gains add {significant(curve.skill_u, 2)} to the standard uncertainty of "
+        f"the skill. {rests}. A gain common to both captured images cannot be known, and does not enter.{beyond}"
+    )
+
+
+_LITTLE_CORRELATION, _TOLD_SHARE = 0.7, 0.01
+
+
+def white_balance_sentence(drift: WhiteBalanceDrift) -> str:
+    """Say which channel changed most between the captured images, and whether that was taken out."""
+    known = [c for c in range(3) if drift.blocks[c] > 0]
+    if not known:
+        return "Whether the white balance changed between the captured images cannot be told."
+    worst = max(known, key=lambda c: abs(drift.gains[c] / drift.expected_gains[c] - 1.0))
+    gain, expected = drift.gains[worst], drift.expected_gains[worst]
+    done = "It was not taken out."
+    if drift.corrected:
+        done = "It was taken out of both sides, each by its own, so that an unchanged image with such a gain scores 0."
+    return (
+        f"Far from the contact the capture changes most in {CHANNELS[worst]}: by {signed_percent(gain - 1.0)}, where "
+        f"the simulation changes by {signed_percent(expected - 1.0)} (standard uncertainty "
+        f"{percent(drift.u_rel[worst])}). {done}"
+    )
+
+
+def between(value: Interval) -> str:
+    """Return the ends of an interval with one decimal, or that there is none."""
+    if value.low95 == value.high95:
+        return "without an interval: no input with a known uncertainty changes it"
+    return f"95 %: {fixed(value.low95, 1)} to {fixed(value.high95, 1)} deg"
 
 
 def scale_sentences(report: PhotometricErrorReport) -> tuple[str, ...]:
@@ -269,6 +324,44 @@ def metric_table(report: PhotometricErrorReport, region: RegionError) -> ReportT
         row = ("SSIM of the whole frame", *shown, "higher; says little")
         groups[-1] = TableGroup(paper.heading, (*paper.rows, row))
     return ReportTable(_sentence(region_heading(report, region)), _METRIC_COLUMNS, tuple(g for g in groups if g.rows))
+
+
+def tone_table(curve: FittedToneCurve) -> ReportTable:
+    """List what was fitted between render and capture."""
+    red, green, blue = curve.white_balance
+    rows = [("exponent of the tone curve", _interval(curve.exponent)), ("offset (DN)", _interval(curve.offset_dn))]
+    named = zip(CHANNELS, (red, green, blue), strict=True)
+    rows += [
+        (f"white balance in light, {name} over green", _interval(value)) for name, value in named if name != "green"
+    ]
+    return one_group(
+        "Fitted to the images without contact alone; the white balance cancels in the score.",
+        ("quantity", "value"),
+        tuple((name, text or NO_VALUE) for name, text in rows),
+    )
+
+
+def white_balance_table(drift: WhiteBalanceDrift) -> ReportTable:
+    """List the gains far from the contact."""
+    rows = []
+    for c, name in enumerate(CHANNELS):
+        if drift.blocks[c] == 0:
+            rows.append((name, NO_VALUE, NO_VALUE, NO_VALUE, NO_VALUE))
+            continue
+        rows.append(
+            (
+                name,
+                fixed(drift.gains[c], 3),
+                fixed(drift.expected_gains[c], 3),
+                percent(drift.u_rel[c]),
+                percent(drift.uneven_rel[c]),
+            )
+        )
+    return one_group(
+        "Contact over no contact, beyond 3 half-widths from the contact.",
+        ("channel", "captured", "simulated", "standard uncertainty", "change across the picture"),
+        tuple(rows),
+    )
 
 
 def sensing_table(sensing: SensingError) -> ReportTable:

@@ -63,10 +63,11 @@ def angle_figure(decision: LightAngleDecision, sweep: LightAngleSweep, true_swee
         axes.plot(grid, decision.mean / best, color=BLUE, label="mean with captures")
     style, name = ("--", "mean of the renders") if decision.validated else ("-", "mean curve")
     axes.plot(grid, decision.mean_simulation_only / best, color=BLUE, linestyle=style, linewidth=1.2, label=name)
-    values = on_curve_scale(sweep, decision) / best
-    for repeat in range(values.shape[1]):
-        label = "renders" if repeat == 0 else None
-        axes.plot(sweep.angles_deg, values[:, repeat], "o", color=INK, markersize=3.2, alpha=0.7, label=label)
+    if len(decision.contacts) < 2:  # the renders of one of several touches lie on no curve of this figure
+        values = on_curve_scale(sweep, decision) / best
+        for repeat in range(values.shape[1]):
+            label = "renders" if repeat == 0 else None
+            axes.plot(sweep.angles_deg, values[:, repeat], "o", color=INK, markersize=3.2, alpha=0.7, label=label)
     if true_sweep is not None:
         truth = on_curve_scale(true_sweep, decision).mean(axis=1) / best
         axes.plot(true_sweep.angles_deg, truth, "--D", color=VERMILLION, linewidth=1.3, markersize=3.5, label="truth")
@@ -125,7 +126,10 @@ def other_objectives_figure(decision: LightAngleDecision, sweep: LightAngleSweep
     """Draw every objective relative to its best rendered angle: 1 is best for each of them."""
     figure = new_figure(5.8, 4.1)
     axes = figure.subplots()
-    lines = [("decided on", (BLUE, "-", "o"), sweep.values)]
+    decided = sweep.values
+    if len(decision.contacts) > 1:  # the value over all touches, at the angles of the sweep
+        decided = np.interp(sweep.angles_deg, decision.grid_deg, decision.mean)[:, None]
+    lines = [("decided on", (BLUE, "-", "o"), decided)]
     lines += [(o.name, look, o.utility) for o, look in zip(sweep.other_objectives, cycle(_LOOKS), strict=False)]
     for name, (colour, style, marker), utility in lines:
         mean = utility.mean(axis=1)
@@ -157,6 +161,42 @@ def _mark_forbidden(axes: Axes, angles_deg: NDArray[np.float64], forbidden: NDAr
         axes.axvspan(*span, facecolor="none", edgecolor=INK, hatch="xxx", linewidth=0.0, alpha=0.4, label=label)
 
 
+_LOSS_LEVELS: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2, 0.4)
+
+
+@styled()
+def contacts_figure(decision: LightAngleDecision) -> str:
+    """Draw how much less bright each touch is than at its own best angle, over angle and touch, with contour lines."""
+    if decision.contact_value is None:
+        raise ValueError("the decision holds no map; decide again on its sweeps")
+    order = np.argsort([contact.position_mm for contact in decision.contacts], kind="stable")
+    contacts = [decision.contacts[k] for k in order]
+    loss = 1.0 - decision.contact_value[order]
+    figure = new_figure(5.8, 1.6 + 0.22 * len(contacts))
+    axes = figure.subplots()
+    rows = np.arange(len(contacts))
+    places = np.array([contact.position_mm for contact in contacts])
+    at = places if (np.diff(places) > 0).all() else rows.astype(np.float64)
+    shown = axes.pcolormesh(
+        decision.grid_deg, at, loss, cmap="cividis_r", vmin=0.0, vmax=0.6, shading="nearest", rasterized=True
+    )
+    lines = axes.contour(decision.grid_deg, at, loss, levels=_LOSS_LEVELS, colors=INK, linewidths=0.7)
+    axes.clabel(lines, fmt=lambda level: f"{100 * level:g} %", fontsize=8)
+    axes.plot([contact.best_deg for contact in contacts], at, "o", color=INK, markersize=4.5, markerfacecolor="white")
+    axes.axvline(decision.angle_deg, color=VERMILLION, linewidth=1.8, linestyle="--")
+    axes.text(
+        decision.angle_deg, 1.01, f"{decision.angle_deg:.0f} deg", transform=axes.get_xaxis_transform(), ha="center",
+        va="bottom", weight="bold",
+    )  # fmt: skip
+    axes.set(xlabel="angle of the blue light (deg)", ylabel="touch, from the base (mm)")
+    axes.set_yticks(at, [f"{place:g}" for place in places])
+    axes.xaxis.set_major_locator(MultipleLocator(10 if np.ptp(decision.grid_deg) <= 130 else 30))
+    axes.grid(visible=False)
+    bar = figure.colorbar(shown, ax=axes, fraction=0.05, pad=0.02)
+    bar.set_label("less bright than at its best (1)")
+    return svg_text(figure)
+
+
 _BEFORE_MM, _AFTER_MM, _MARGIN_MM = 12.0, 34.0, 8.0
 _RAY_MM, _ARC_MM = 20.0, 13.0
 
@@ -165,20 +205,26 @@ _RAY_MM, _ARC_MM = 20.0, 13.0
 def mounting_figure(decision: LightAngleDecision, design: FingerDesign) -> str:
     """Draw pad and panel from the side: along the pad to the right, into the pad upwards; lengths are to scale."""
     along, into = design.light.position_mm[2], design.light.position_mm[1]
-    right = max(design.pad.length_mm, along) if design.pad.length_mm < _AFTER_MM else along + _AFTER_MM
+    touched = [contact.position_mm for contact in decision.contacts]
+    right = max(design.pad.length_mm, along)
+    if not touched and design.pad.length_mm >= _AFTER_MM:
+        right = along + _AFTER_MM
     low, high = into - _MARGIN_MM, max(design.pad.thickness_mm, into + _RAY_MM) + _MARGIN_MM / 2
     left = along - (_BEFORE_MM if decision.angle_deg <= 90 else _RAY_MM + _MARGIN_MM)
-    figure = new_figure(5.6, 5.6 * (high - low) / (right - left) + 0.2)
+    figure = new_figure(5.8, 5.8 * (high - low) / (right - left) + 0.2)
     axes = figure.subplots()
     axes.add_patch(
         Rectangle((0.0, 0.0), design.pad.length_mm, design.pad.thickness_mm, facecolor=SKY, alpha=0.3, edgecolor=MUTED)
     )
     axes.text(right - 3.0, design.pad.thickness_mm / 2, "pad", ha="right", va="center")
+    top = np.full(len(touched), design.pad.thickness_mm + 1.2)
+    axes.plot(touched, top, "v", color=VERMILLION, markersize=5.0, clip_on=False)
     axes.plot([along, right], [into, into], color=MUTED, linewidth=0.9, linestyle="--")
     axes.text(right, into - 0.6, "0 deg, along the pad", ha="right", va="top", fontsize=9, color=MUTED)
     axes.plot([along, along], [into, into + _RAY_MM], color=MUTED, linewidth=0.9, linestyle="--")
     axes.text(along - 0.8, into + _RAY_MM, "90 deg,\ninto the pad", ha="right", va="top", fontsize=9, color=MUTED)
-    for start, end in decision.statement.equivalent_deg:
+    ranges = decision.statement.equivalent_deg if decision.tolerance_deg is None else (decision.tolerance_deg,)
+    for start, end in ranges:
         axes.add_patch(
             Wedge((along, into), _RAY_MM, start, end, facecolor="none", edgecolor=GREEN, hatch="///", linewidth=0.8)
         )

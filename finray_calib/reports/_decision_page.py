@@ -3,18 +3,40 @@
 What the decision says stands in plain sentences; every sentence is computed from the record.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Final
 
-from data_schemas import AngleStatement, LightAngleDecision, LightAngleSweep, OtherObjective, package_version
-from finray_calib.reports._decision_figures import angle_figure, mounting_figure, other_objectives_figure
+import numpy as np
+
+from data_schemas import (
+    AngleProposal,
+    AngleStatement,
+    DecidedContact,
+    LightAngleDecision,
+    LightAngleSweep,
+    OtherObjective,
+    package_version,
+)
+from finray_calib.reports._decision_figures import (
+    angle_figure,
+    contacts_figure,
+    mounting_figure,
+    other_objectives_figure,
+)
 from finray_calib.reports._page import Content, Part, Picture, ReportTable, drawing, files_table, one_group, render_page
 from finray_calib.reports._plain_text import Json, percent, plain, probability, signed_percent
 
 TEMPLATE = "result_page.html.j2"
+VERDICTS: Final = {
+    "decided": "decided",
+    "tie": "a tie: angles beside it do as well",
+    "undecided": "not decided: more renders are needed",
+    "needs captures": "not decided: captures are needed",
+}
 
 
 def decision_page(
-    decision: LightAngleDecision, sweep: LightAngleSweep, command: str, digests: Mapping[str, str]
+    decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep], command: str, digests: Mapping[str, str]
 ) -> str:
     """Return the page of a decision as self-contained HTML; equal input gives equal text.
 
@@ -22,28 +44,31 @@ def decision_page(
     ----------
     decision
         The decision.
-    sweep
-        What it was made from.
+    sweeps
+        What it was made from, one of each touch.
     command
         The command that reproduces it.
     digests
         Name of each input file -> SHA-256.
     """
+    sweep = sweeps[0]
+    told = dict.fromkeys(note for swept in sweeps for note in swept.notes)
     return render_page(
         TEMPLATE,
         verb="finray decide",
         title=f"Angle of the blue light: {sweep.design.name}",
-        lead="At which angle to mount the light of the finger, how exactly, and what may be lost.",
-        verdict=verdict_title(decision),
-        sentence=decision.sentence,
+        lead="",
+        verdict=decision.headline or verdict_title(decision),
+        sentence="",
         key_numbers=_key_numbers(decision),
-        findings=_findings(decision),
+        findings=(),
+        opening=tuple(_opening(decision, sweeps)),
         limits=limits(decision),
-        notes=(*decision.notes, *(note for note in sweep.notes if note not in decision.notes)),
-        sections=tuple(_sections(decision, sweep)),
+        notes=(*decision.notes, *(note for note in told if note not in decision.notes)),
+        sections=tuple(_sections(decision, sweeps)),
         command=command,
         files=files_table(digests, package_version()),
-        summary=_summary(decision, sweep, command, digests),
+        summary=_summary(decision, sweeps, command, digests),
     )
 
 
@@ -52,58 +77,144 @@ def _key_numbers(decision: LightAngleDecision) -> tuple[tuple[str, str, str], ..
     claim, angle = decision.statement, decision.angle_deg
     if decision.at_range_end:
         return (("Light angle", f"{angle:.0f} deg", "end of the sweep: no tolerance can be promised"),)
+    within = "" if claim.p_within_tolerance is None else probability(claim.p_within_tolerance)
+    tolerance = percent(decision.tolerance_rel)
+    odds = () if not within else ((f"None better by more than {tolerance}", within, "probability"),)
+    side = mounting_range(decision)
     return (
-        ("Light angle", f"{angle:.0f} deg", decision.verdict),
-        ("Mounting tolerance", tolerance_text(claim, angle), f"equivalent: {equivalent_text(claim)}"),
-        ("Expected loss", percent(claim.expected_regret), f"at most {percent(claim.regret_95)} with 95 % probability"),
-        ("Best angle within 5 deg", probability(claim.p_within_5deg), "probability"),
+        ("Light angle", f"{angle:.0f} deg", VERDICTS[decision.verdict]),
+        *(() if side is None else (("Mount it between", side, f"costs at most {tolerance} more, as expected"),)),
+        *odds,
+        (
+            "Another angle may be better",
+            f"by {percent(claim.expected_regret)}",
+            f"on average; by at most {percent(claim.regret_95)} with 95 % probability",
+        ),
     )
 
 
-def _findings(decision: LightAngleDecision) -> tuple[str, ...]:
-    """Return the sentences below the verdict: what to do, what to draw, the risk, captures, other objectives."""
-    other = disagreement_sentence(decision)
-    promised = () if decision.at_range_end else (mounting_sentence(decision), risk_sentence(decision))
+def mounting_range(decision: LightAngleDecision) -> str | None:
+    """Return between which angles the light may be mounted; None in records of older versions."""
+    if decision.tolerance_deg is None:
+        return None
+    low, high = decision.tolerance_deg
+    return f"{low:.0f} and {high:.0f} deg"
+
+
+def _opening(decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep]) -> list[Part]:
+    """Return the finger with its light, the map of places and angles, and why."""
+    lead = (
+        "The angle of the light (light.angle_deg of the design) lies between the pad's plane and the direction in "
+        "which "
+        "the panel shines: 0 deg along the pad towards the tip, 90 deg straight into it."
+    )
+    parts = [Part("The finger with its light", Content(lead, ((_mounting(decision, sweeps[0]),),)))]
+    if len(decision.contacts) > 1:
+        parts.append(_map(decision))
+    rest = decision.sentence.removeprefix(decision.headline).strip()
+    why = Content(rest if decision.headline else decision_meaning(decision), remarks=_reasons(decision, rest))
+    return [*parts, Part("Why, and how sure it is", why)]
+
+
+def _reasons(decision: LightAngleDecision, rest: str) -> tuple[str, ...]:
+    """Return the sentences below the reason; older records do not tell risk and captures in their own."""
+    other, choice = disagreement_sentence(decision), criterion_sentence(decision)
+    older: tuple[str, ...] = ()
+    if not decision.headline:
+        promised = () if decision.at_range_end else (mounting_sentence(decision), risk_sentence(decision))
+        older = (rest, *promised, capture_sentence(decision))
+    elif decision.validated:
+        older = (capture_sentence(decision),)
+    return (*older, *(() if choice is None else (choice,)), *(() if other is None else (other,)))
+
+
+def criterion_sentence(decision: LightAngleDecision) -> str | None:
+    """Say what the other way to weigh the touches would choose, and what that costs; None for one touch."""
+    value, average_deg, worst_deg = decision.contact_value, decision.angle_average_deg, decision.angle_worst_deg
+    if len(decision.contacts) < 2 or value is None or average_deg is None or worst_deg is None:
+        return None
+    weights = [contact.weight_share for contact in decision.contacts]
+
+    def told(angle_deg: float) -> str:
+        losses = np.maximum(1.0 - value[:, int(np.abs(decision.grid_deg - angle_deg).argmin())], 0.0)
+        return f"{percent(float(losses @ weights))} on average and {percent(float(losses.max()))} at the worst place"
+
+    chosen = "on average" if decision.criterion == "average" else "at the worst place"
     return (
-        decision_meaning(decision),
-        *promised,
-        capture_sentence(decision),
-        *(() if other is None else (other,)),
+        f"The least loss on average has {average_deg:.0f} deg: {told(average_deg)}. The least loss at the worst "
+        "place has "
+        f"{worst_deg:.0f} deg: {told(worst_deg)}. Chosen was the least loss {chosen} (--criterion)."
     )
 
 
-def _sections(decision: LightAngleDecision, sweep: LightAngleSweep) -> list[Part]:
-    """Return curve, numbers, other objectives where there are any, proposals and origin."""
-    parts = [_curve(decision, sweep), _claims(decision)]
-    if decision.other_objectives:
-        parts.append(_others(decision, sweep))
-    return [*parts, _next(decision), _sweep(sweep)]
-
-
-def _curve(decision: LightAngleDecision, sweep: LightAngleSweep) -> Part:
-    """Show the objective over the angle."""
+def _map(decision: LightAngleDecision) -> Part:
+    """Show what each place loses at each angle."""
+    worst = max(decision.contacts, key=lambda contact: contact.loss_rel)
     picture = drawing(
-        angle_figure(decision, sweep, None),
-        f"The objective over the light angle is best near {decision.angle_deg:.0f} deg. {decision.sentence}",
-        "Objective over the angle of the light. What to see: where the curve is flat the angle matters little; hatched "
+        contacts_figure(decision),
+        f"Loss of brightness over place and angle. At {decision.angle_deg:.0f} deg the most is lost at "
+        f"{worst.position_mm:g} mm from the base: {percent(worst.loss_rel)}.",
+        "How much less bright a touch is than at the best angle for its own place, as expected. Dots: the best angle "
+        "of "
+        "each place; dashed line: the chosen angle. What to see: bright is good; no angle is bright for all places.",
+    )
+    rows = (
+        (
+            touch_text(contact, decision.contacts),
+            f"{contact.weight_share:.1%}",
+            f"{contact.best_deg:.0f} deg",
+            percent(contact.loss_rel),
+            percent(contact.loss_95_rel),
+        )
+        for contact in decision.contacts
+    )
+    columns = ("touch", "weight", "its own best angle", "expected loss at the chosen angle", "loss, 95 % bound")
+    table = one_group(f"Each touch, with the light at {decision.angle_deg:.0f} deg", columns, rows, is_words=True)
+    lead = "Every place has a best angle of its own; one light has to serve all of them."
+    return Part("What each place loses", Content(lead, ((picture,),), tables=(table,)))
+
+
+def _sections(decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep]) -> list[Part]:
+    """Return curve, numbers, other objectives where there are any, proposals and origin."""
+    parts = [_curve(decision, sweeps), _claims(decision)]
+    if decision.other_objectives:
+        parts.append(_others(decision, sweeps[0]))
+    return [*parts, _next(decision), _sweep(sweeps)]
+
+
+def _curve(decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep]) -> Part:
+    """Show the objective over the angle."""
+    several = len(sweeps) > 1
+    what = "The brightness over all touches" if several else "The objective"
+    picture = drawing(
+        angle_figure(decision, sweeps[0], None),
+        f"{what} over the light angle is best near {decision.angle_deg:.0f} deg. "
+        f"{decision.headline or decision.sentence}",
+        f"{what} over the angle of the light. What to see: where the curve is flat the angle matters little; hatched "
         f"angles lose at most {percent(decision.tolerance_rel)}. The wider the bands, the less is known.",
     )
     lead = (
-        f"Objective: {decision.objective.rstrip('.')}. It was rendered at {len(sweep.angles_deg)} angles with "
-        f"{sweep.values.shape[1]} repeats that share their random draws; a smooth random curve through them gives the "
-        "probability of each angle."
+        f"Objective: {decision.objective.rstrip('.')}. It was rendered at {len(sweeps[0].angles_deg)} angles with "
+        f"{sweeps[0].values.shape[1]} repeats that share their random draws; smooth and less smooth random curves "
+        "through "
+        "them give the probability of each angle."
     )
-    return Part("Curve and mounting", Content(lead, ((picture, _mounting(decision, sweep)),)))
+    return Part("Curve over the angle", Content(lead, ((picture,),)))
 
 
 def _mounting(decision: LightAngleDecision, sweep: LightAngleSweep) -> Picture:
     """Show what the angle means on the finger."""
+    between = mounting_range(decision)
+    hatched = (
+        ""
+        if between is None
+        else f" Hatched: between {between} it costs at most " + (f"{percent(decision.tolerance_rel)} more.")
+    )
     return drawing(
         mounting_figure(decision, sweep.design),
-        f"Side view of pad and light panel: the panel shines at {decision.angle_deg:.0f} deg from the pad's plane. "
-        f"Equivalent: {equivalent_text(decision.statement)}.",
-        "What the angle means, from the side and to scale: between the pad's plane and the direction in which the "
-        "panel shines. Hatched: equivalent angles.",
+        f"Side view of pad and light panel: the panel shines at {decision.angle_deg:.0f} deg from the pad's plane."
+        f"{hatched}",
+        f"Pad and panel from the side, to scale. Marks on the pad: where it was touched.{hatched}",
     )
 
 
@@ -114,6 +225,18 @@ def _claims(decision: LightAngleDecision) -> Part:
     if decision.captures:
         tables.append(_captures_table(decision))
     return Part("Numbers", Content(lead, tables=tuple(tables)))
+
+
+def touch_text(contact: DecidedContact, contacts: Sequence[DecidedContact]) -> str:
+    """Return what tells a touch from the others."""
+    parts = [f"{contact.position_mm:g} mm"]
+    if len({other.across_mm for other in contacts}) > 1:
+        parts.append(f"{contact.across_mm:g} mm across")
+    if len({other.depth_mm for other in contacts}) > 1:
+        parts.append(f"{contact.depth_mm:g} mm deep")
+    if len({other.shape for other in contacts}) > 1:
+        parts.append(contact.shape)
+    return ", ".join(parts)
 
 
 def _captures_table(decision: LightAngleDecision) -> ReportTable:
@@ -162,14 +285,15 @@ def _next(decision: LightAngleDecision) -> Part:
     return Part("What would help most", Content(lead, remarks=next_sentences(decision)))
 
 
-def _sweep(sweep: LightAngleSweep) -> Part:
+def _sweep(sweeps: Sequence[LightAngleSweep]) -> Part:
     """Show what was rendered."""
-    lead = "What was rendered. The decision holds for this finger, with its light and its mirror, and these points."
-    return Part("What was decided on", Content(lead, tables=(_sweep_table(sweep),)))
+    lead = "What was rendered. The decision holds for this finger, with its light and its mirror, and these touches."
+    return Part("What was decided on", Content(lead, tables=(_sweep_table(sweeps),)))
 
 
-def _sweep_table(sweep: LightAngleSweep) -> ReportTable:
-    """List finger, light, angles and paints of a sweep."""
+def _sweep_table(sweeps: Sequence[LightAngleSweep]) -> ReportTable:
+    """List finger, light, angles and paints of the sweeps."""
+    sweep = sweeps[0]
     design, light = sweep.design, sweep.design.light
     stored = "not stored before" if sweep.provenance is None else sweep.provenance.created_utc
     rows = [
@@ -181,18 +305,29 @@ def _sweep_table(sweep: LightAngleSweep) -> ReportTable:
         ("light panel", f"{light.width_mm:g} x {light.height_mm:g} mm, {light.peak_wavelength_nm:g} nm"),
         ("panel sits at", f"x, y, z = {', '.join(f'{p:g}' for p in light.position_mm)} mm"),
         ("mirror", f"reflects {percent(design.mirror.reflectance)}, radius {design.mirror.radius_mm:g} mm"),
-        ("points looked at", str(len(sweep.probe_points_mm))),
+        ("touches", str(len(sweeps))),
+        ("points looked at in each", str(len(sweep.probe_points_mm))),
     ]
     rows += [(f"{colour} paint", f"SHA-256 {digest}") for colour, digest in sorted(sweep.paints.items())]
     return one_group("Sweep of the light angle", ("item", "value"), rows, is_words=True)
 
 
-def _summary(decision: LightAngleDecision, sweep: LightAngleSweep, command: str, digests: Mapping[str, str]) -> Json:
+def _summary(
+    decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep], command: str, digests: Mapping[str, str]
+) -> Json:
     """Return every number of the page."""
     numbers: Json = plain(
         {
             "decision": decision.model_dump(mode="json", exclude={"provenance"}),
-            "sweep": {"name": sweep.name, "angles_deg": sweep.angles_deg, "values": sweep.values},
+            "sweeps": [
+                {
+                    "name": sweep.name,
+                    "position_mm": sweep.design.indenter.position_mm,
+                    "angles_deg": sweep.angles_deg,
+                    "values": sweep.values,
+                }
+                for sweep in sweeps
+            ],
             "command": command,
             "input_sha256": dict(digests),
             "package_version": package_version(),
@@ -381,11 +516,19 @@ def next_sentences(decision: LightAngleDecision) -> tuple[str, ...]:
             told.append(f"{what}: none is expected to change the decision.")
         else:
             told.append(
-                f"{what}: at {proposal.angle_deg:.0f} deg. It may move the chosen angle; expected gain on average: "
+                f"{what}: at {proposal.angle_deg:.0f} deg{_place(decision, proposal)}. It may move the chosen angle; "
+                "expected gain on average: "
                 f"{percent(proposal.gain_rel)} of the signal (assumed: an observation is good to "
                 f"{percent(proposal.noise_rel)})."
             )
     return tuple(told)
+
+
+def _place(decision: LightAngleDecision, proposal: AngleProposal) -> str:
+    """Return where to touch the finger, where there is more than one place."""
+    if len(decision.contacts) < 2 or proposal.position_mm is None:
+        return ""
+    return f", {proposal.position_mm:g} mm from the base"
 
 
 def disagreement_sentence(decision: LightAngleDecision) -> str | None:

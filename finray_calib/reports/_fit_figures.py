@@ -48,8 +48,13 @@ def draw_emission(fit: PaintCalibration, truth: PaintTruth | None = None) -> str
     figure = new_figure(5.4, 3.9)
     axes = figure.subplots()
     x, high95 = fit.wavelength_nm, PER_THOUSAND * fit.emission_high95_per_nm
-    _band(axes, x, fit.emission_low95_per_nm, fit.emission_high95_per_nm, "95 % band", outlined=True)
-    _band(axes, x, fit.emission_low68_per_nm, fit.emission_high68_per_nm, "68 % band")
+    low, high = fit.emission_low95_simultaneous_per_nm, fit.emission_high95_simultaneous_per_nm
+    if low is not None and high is not None:
+        for limit, label in ((low, "95 %, whole curve"), (high, None)):
+            axes.plot(x, PER_THOUSAND * limit, color=MUTED, linewidth=0.9, label=label)
+        high95 = np.maximum(high95, PER_THOUSAND * high)
+    _band(axes, x, fit.emission_low95_per_nm, fit.emission_high95_per_nm, "95 %, pointwise", outlined=True)
+    _band(axes, x, fit.emission_low68_per_nm, fit.emission_high68_per_nm, "68 %, pointwise")
     axes.plot(x, PER_THOUSAND * fit.emission_per_nm, color=BLUE, label="fit")
     paper = PER_THOUSAND * fit.family_emission_per_nm[-1]
     axes.plot(x, paper, color=VERMILLION, linestyle="-.", linewidth=1.3, label="the paper's curve")

@@ -72,7 +72,11 @@ def fit_verdict(paint: PaintCalibration) -> Verdict:
     """Return whether the fit can be used: not when its draws cannot be trusted, with care when there is a warning."""
     if not said.is_trusted(paint.diagnostics):
         return "Do not use"
-    return "Use with care" if paint.warnings or not all(band.explained for band in paint.bands) else "Fit can be used"
+    return (
+        "Use with care"
+        if paint.warnings or paint.mostly_prior or not all(band.explained for band in paint.bands)
+        else "Fit can be used"
+    )
 
 
 def _lead(paint: FittedPaint) -> str:
@@ -107,13 +111,15 @@ def _fit_findings(paint: FittedPaint, verdict: Verdict) -> tuple[str, ...]:
     """Return the sentences below the verdict: why it is so, the bands, the family, the absorption."""
     reasons = {
         "Fit can be used": "The draws are trusted, every band is explained, and there are no warnings.",
-        "Use with care": f"The draws are trusted; read the warnings first ({len(paint.fit.warnings)}, below).",
+        "Use with care": f"The draws are trusted; read the warnings first ({len(paint.fit.warnings)}, below), and what "
+        "is mostly prior.",
         "Do not use": "The draws of the posterior cannot be trusted, so neither can any number of this page.",
     }
     conclusion = said.bands_conclusion(paint)
     return (
         reasons[verdict],
         f"{conclusion[:1].upper()}{conclusion[1:]}.",
+        said.prior_share_statement(paint),
         said.family_statement(paint),
         said.absorption_statement(paint),
     )
@@ -132,7 +138,7 @@ def _fit_limits(paint: FittedPaint) -> tuple[str, ...]:
 
 def _assumptions(paint: FittedPaint) -> tuple[str, ...]:
     """List what was taken for granted."""
-    optics, fit = paint.fit.optics, paint.fit
+    optics = paint.fit.optics
     sources = sorted({curve.source for curve in optics.camera_response})
     centers = ", ".join(f"{band.center_nm:g}" for band in optics.filters)
     centre_nm, width_nm, leak_od = (
@@ -143,9 +149,22 @@ def _assumptions(paint: FittedPaint) -> tuple[str, ...]:
         f"Camera response: {'; '.join(sources)}. Lamp: {optics.lamp.source}.",
         f"Filters at {centers} nm, as the rig file states them: centres within {centre_nm:g} nm, widths within "
         f"{width_nm:g} nm, blocking within {leak_od:g} OD (standard uncertainty, the largest of all filters).",
-        f"Emission: {fit.family_title} with a discrepancy of {percent(fit.discrepancy.amplitude_rel)}, from "
-        f"{fit.discrepancy.origin}.",
+        _emission_assumption(paint),
         *([] if paint.bands.tilt_ratios else ["A diffuse paint: the same radiance in all directions."]),
+    )
+
+
+def _emission_assumption(paint: FittedPaint) -> str:
+    """Say what the spectrum rests on."""
+    fit = paint.fit
+    if paint.rests_on_measured_spectra:
+        return (
+            "Emission: prototypes of measured spectra (fluorophores, ink, textile, papers) with departures of three "
+            "sizes, all averaged. A paint unlike any of them is not foreseen, such as narrow lines between the filters."
+        )
+    return (
+        f"Emission: {fit.family_title} with a discrepancy of {percent(fit.discrepancy.amplitude_rel)}, from "
+        f"{fit.discrepancy.origin}."
     )
 
 
@@ -181,7 +200,9 @@ def _emission(paints: Paints) -> Content:
     laser_nm = paints[0].fit.optics.laser.wavelength_nm
     return Content(
         lead=f"What the paint emits at each wavelength for light at {laser_nm:g} nm, per nm of emission, relative to a "
-        "perfect diffuse white.",
+        "perfect diffuse white. The bands marked pointwise hold the truth at each wavelength by itself; the one of the "
+        "whole curve holds all of it at once, where it exceeds 5 % of its peak.",
+        remarks=tuple(said.prior_share_statement(paint) for paint in paints),
         picture_rows=_row(paints, _emission_picture),
         tables=tuple(quantities_table(paint) for paint in paints),
         has_wide_tables=True,

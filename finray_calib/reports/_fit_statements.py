@@ -106,17 +106,38 @@ def bands_conclusion(paint: FittedPaint) -> str:
 
 
 def family_statement(paint: FittedPaint) -> str:
-    """Say why this family is reported, how sure that is, and what the choice changes."""
+    """Say why this family is reported or stands beside the spectrum, how sure that is, and what the choice changes."""
     text = paint.fit.family_choice
     for family in paint.competing:
         text = text.replace(family.name, family.title)
     remark, chance = "", paint.chosen.probability
     if chance is not None and chance < IMPROBABLE:
         remark = (
-            f" By these bands alone the reported family is unlikely (probability "
+            f" By these bands alone this family is unlikely (probability "
             f"{probability(chance)}): its discrepancy had to do part of its work."
         )
-    return f"{paint.titled(text)}.{remark} {_spread(paint)}"
+    beside = ""
+    if paint.rests_on_measured_spectra:
+        beside = " The reported spectrum does not rest on it, only the parameters and the maps of pixels do."
+    return f"{paint.titled(text)}.{remark}{beside} {_spread(paint)}"
+
+
+def prior_share_statement(paint: FittedPaint) -> str:
+    """Say which quantities the measurement has hardly constrained."""
+    shares = paint.fit.prior_shares
+    if not shares:
+        return paint.titled("how much of each number is prior was not judged by the version that made this fit.")
+    weak = [QUANTITIES[name][0] for name in paint.fit.mostly_prior]
+    largest = max((n for n in shares if n in QUANTITIES), key=lambda name: shares[name].share)
+    if weak:
+        return paint.titled(
+            f"emission constrained in part: {', '.join(weak)} mostly prior, because more than half of the variance "
+            "that it had before the measurement is left."
+        )
+    return paint.titled(
+        f"the measurement decides: of the variance before it at most {percent(shares[largest].share)} is left "
+        f"({QUANTITIES[largest][0]})."
+    )
 
 
 def _spread(paint: FittedPaint) -> str:
@@ -263,14 +284,23 @@ def quantities_table(paint: FittedPaint) -> ReportTable:
         value = fit.parameters[name]
         paper = estimate_text(paint.paper.quantities[name], unit, factor)
         true = _truth_cell(value, known.get(name), unit, factor)
-        rows.append((label, estimate_text(value, unit, factor), paper, *([] if truth is None else [true])))
+        share = fit.prior_shares.get(name)
+        left = NO_VALUE if share is None else f"{percent(share.share)} ({share.shift_sd:+.1f} sd)"
+        rows.append((label, estimate_text(value, unit, factor), left, paper, *([] if truth is None else [true])))
     blank = () if truth is None else ("",)
-    rows.append(("reflectance at the laser", estimate_text(fit.parameters["reflectance_at_laser"]), NO_VALUE, *blank))
+    at_laser = estimate_text(fit.parameters["reflectance_at_laser"])
+    rows.append(("reflectance at the laser", at_laser, NO_VALUE, NO_VALUE, *blank))
     symbols = [
-        (label, NO_VALUE, estimate_text(fit.paper[name], unit), *blank)
+        (label, NO_VALUE, NO_VALUE, estimate_text(fit.paper[name], unit), *blank)
         for name, (label, unit) in _PAPER_SYMBOLS.items()
     ]
-    columns = ("quantity", "fit", "the paper's curve alone", *([] if truth is None else [f"{truth.word} value"]))
+    columns = (
+        "quantity",
+        "fit",
+        "prior left (shift)",
+        "the paper's curve alone",
+        *([] if truth is None else [f"{truth.word} value"]),
+    )
     groups = (TableGroup("", tuple(rows)), TableGroup("The paper's four parameters, in its symbols", tuple(symbols)))
     return ReportTable(paint.titled("emission, median and 95 % interval"), columns, groups)
 
@@ -285,8 +315,8 @@ def _truth_cell(value: Estimate, true: float | None, unit: str, factor: float) -
 
 def families_table(paint: FittedPaint) -> ReportTable:
     """List what each family of curves makes of the same bands, the paper's alone last."""
-    chosen = paint.chosen
-    rows = [(f"{f.title} (reported)" if f is chosen else f.title, *_family_cells(f)) for f in paint.competing]
+    chosen, mark = paint.chosen, "parameters and maps" if paint.rests_on_measured_spectra else "reported"
+    rows = [(f"{f.title} ({mark})" if f is chosen else f.title, *_family_cells(f)) for f in paint.competing]
     paper = paint.paper
     rows.append((f"{paper.title} alone", *_family_cells(paper)))
     columns = ("family", "mode (nm)", "FWHM (nm)", "skew", "yield (%)", "ln evidence", "probability")
@@ -352,10 +382,10 @@ def absorption_table(paint: FittedPaint) -> ReportTable:
     lights = ", ".join(f"{nm:g} nm" for nm in absorption.measured_at_nm)
     origin = "prior" if absorption.prior_driven else "measurement and prior"
     rows = [
-        (f"Stokes shift ({origin})", estimate_text(absorption.stokes_shift_nm, "nm")),
+        (f"Stokes shift from the last absorption maximum ({origin})", estimate_text(absorption.stokes_shift_nm, "nm")),
         ("excitation lights measured", lights or "none"),
         ("draws replaced, they emitted more than absorbed", percent(absorption.rejected_share)),
-        ("draws kept although they emit more than absorbed", percent(absorption.violating_share)),
+        ("draws that emit more than is absorbed at the laser", percent(absorption.violating_share)),
         *(
             (f"prior of {name.removesuffix('_nm').replace('_', ' ')}", words)
             for name, words in absorption.prior.items()

@@ -80,8 +80,13 @@ class FittedPaint:
         return f"{self.label.capitalize()}: {text}" if self.label else text[:1].upper() + text[1:]
 
     @property
+    def rests_on_measured_spectra(self) -> bool:
+        """Whether the reported spectrum is that of the learned prior, and no family's."""
+        return self.fit.spectrum_from not in ("", self.fit.family_title)
+
+    @property
     def chosen(self) -> FamilyResult:
-        """The family that is reported."""
+        """The family that is reported, or whose parameters stand beside the spectrum."""
         return next(family for family in self.fit.families if family.name == self.fit.family)
 
     @property
@@ -168,6 +173,8 @@ def fit_summary(paint: FittedPaint) -> Json:
     return {
         "paint_name": fit.paint_name,
         **_truth(paint),
+        "spectrum_from": fit.spectrum_from or fit.family_title,
+        "prior_shares": {name: share.model_dump(mode="json") for name, share in fit.prior_shares.items()},
         "family": fit.family,
         "family_choice": fit.family_choice,
         "families": {family.name: _family(family) for family in paint.competing},

@@ -128,7 +128,7 @@ def comparison_lines(report: PhotometricErrorReport) -> str:
         Lines separated by newlines, ending with one.
     """
     lines = [f"{_cut(report.simulated)} against {_cut(report.captured)}", _cut(report.label, WIDTH_COLUMNS)]
-    lines.append(f"values: {report.values}; exposure factor: {_exposure(report)}")
+    lines.append(f"values: {report.values}; {_exposure(report)}")
     for region in report.regions:
         lines += ["", _cut(_heading(report, region), WIDTH_COLUMNS), _line([title for title, _ in _COLUMNS])]
         lines += [_line(_cells(row)) for row in region.rows]
@@ -148,11 +148,14 @@ def _heading(report: PhotometricErrorReport, region: RegionError) -> str:
 
 
 def _exposure(report: PhotometricErrorReport) -> str:
-    """Return the exposure factor with its standard deviation, or that it was not fitted."""
+    """Return the exposure factor with its standard deviation, or that it was not fitted; or the tone curve."""
+    if report.tone_curve is not None:
+        p = report.tone_curve.exponent
+        return f"exponent {interval_text(p.estimate, p.low95, p.high95, most_decimals=2)}"
     if report.exposure_factor is None:
-        return "not fitted (1)"
+        return "exposure factor: not fitted (1)"
     spread = "" if report.exposure_factor_sd is None else f", sd {significant(report.exposure_factor_sd, 2)}"
-    return f"{significant(report.exposure_factor, 4)}{spread}"
+    return f"exposure factor: {significant(report.exposure_factor, 4)}{spread}"
 
 
 def _cells(row: ErrorRow) -> list[str]:

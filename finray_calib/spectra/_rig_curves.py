@@ -82,6 +82,39 @@ def weights_of(optics: Optics, channel_weights: ArrayLike) -> EmissionWeights:
     )
 
 
+SECOND_RADIATION_CONSTANT_NM_K = 1.438776877e7
+
+
+def lamp_response(optics: Optics, channel_weights: ArrayLike) -> Floats:
+    r"""Return the relative change of each band value for one standard uncertainty of the lamp's temperature, (N,).
+
+    Band values are referred to white under the lamp, filter by filter, and to the laser through the excitation filter,
+
+    .. math:: \frac{d \ln y_{bc}}{dT} = -\left<g\right>_{bc} + \sum_c v_c \left<g\right>_{ec}, \qquad
+              g = \frac{d \ln L}{dT} = \frac{c_2}{\lambda T^2}
+
+    with the means over the white signal, and v the shares of the channels in the level of the laser. Valid for a lamp
+    whose error is a tilt of its spectrum, as that of a temperature is (Wien's law, good to 1 % below 800 nm at 2856 K).
+
+    Parameters
+    ----------
+    optics
+        Curves with the lamp's temperature and its uncertainty.
+    channel_weights
+        (3,) weights of the channels in the laser level (sum 1).
+    """
+    grid = WAVELENGTH_NM
+    response = np.array([curve(grid) for curve in optics.camera_response])
+    white = transmissions(optics)[:, None, :] * response * optics.lamp(grid)
+    slope = SECOND_RADIATION_CONSTANT_NM_K / (grid * optics.lamp_temperature_k**2)
+    mean = (white @ slope) / white.sum(axis=2)
+    excitation = [f.name for f in optics.filters].index(optics.excitation_filter)
+    seen = response @ laser_line(optics.laser, grid) / white[excitation].sum(axis=1)
+    share = np.asarray(channel_weights) * seen
+    level = float(share @ mean[excitation] / share.sum())
+    return np.asarray(optics.lamp_temperature_uncertainty_k * (level - mean).ravel())
+
+
 def held_shares(optics: Optics) -> Floats:
     """Return the share of each band's weight over which the response or the lamp holds an end value, (B, 3)."""
     shares = []

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from data_schemas import BadFrameError, CameraSettings, DeviceIdentity, LostError, RefusedError, TimedOutError
 from rigs import CallThread, NoAnswerError, RawFrame
+from rigs.transports import RECOVERS_WITHIN_S, repeated
 
 CONTAINER_BITS: Final = {8: 8, 10: 16, 12: 16, 14: 16, 16: 16}
 
@@ -181,6 +182,13 @@ def read_settings(features: Features) -> dict[str, str | float]:
     found |= {name: features.text(name) for name in AUTOMATIC if features.has(name)}
     found |= {name: features.number(name) for name in ("Gain", "BlackLevel", "Gamma") if features.has(name)}
     return found
+
+
+def _agree(now: str | float | None, before: str | float) -> bool:
+    """Whether a setting is as it was read back before."""
+    if isinstance(now, float) and isinstance(before, float):
+        return abs(now - before) <= GAIN_STEP_DB
+    return now == before
 
 
 def exposure_name(features: Features, camera: str) -> str:
@@ -404,6 +412,7 @@ class _Connection:
     device: Device
     pixels: RawPixels
     identity: DeviceIdentity
+    settings: dict[str, str | float]
 
 
 class GenicamCamera:
@@ -428,6 +437,7 @@ class GenicamCamera:
         self._thread = CallThread(f"{settings.driver} camera")
         self._connection: _Connection | None = None
         self._identity: DeviceIdentity | None = None
+        self._pixels: RawPixels | None = None
         self._exposure_s: float | None = None
         self._last: tuple[int, float] | None = None
 
@@ -452,10 +462,13 @@ class GenicamCamera:
         except ConnectionBrokenError as error:
             raise LostError(f"{self._where}: cannot be opened ({error}); check its cable and power") from error
         except FeatureError as error:
-            raise RefusedError(
+            # A camera keeps the connection that broke for some seconds, and refuses another.
+            kind = RefusedError if self._identity is None else LostError
+            raise kind(
                 f"{self._where}: cannot be opened or configured ({error}); does another program use it?"
             ) from error
         self._identity, self._exposure_s = self._connection.identity, None
+        self._pixels = self._connection.pixels
 
     def close(self) -> None:
         """Close the connection."""
@@ -463,7 +476,13 @@ class GenicamCamera:
 
     def identity(self) -> DeviceIdentity:
         """Return what the camera says it is."""
-        return self._ask(lambda device: device.identity())
+
+        def ask(end_s: float) -> DeviceIdentity:
+            if self._connection is None:
+                self.open(min(end_s - time.monotonic(), REOPEN_DEADLINE_S))
+            return self._ask(lambda device: device.identity())
+
+        return repeated(ask, time.monotonic() + RECOVERS_WITHIN_S, self._where)
 
     def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
         """Take one frame.
@@ -480,9 +499,9 @@ class GenicamCamera:
             The camera cannot expose like this.
         """
         end_s = time.monotonic() + deadline_s
-        if self._connection is None:
-            self.open(min(deadline_s, REOPEN_DEADLINE_S))
-        actual_s = self._ask(lambda device: set_exposure(device, exposure_s, self._where))
+        # What may be repeated leaves time for the exposure, which may not: whoever asked for it decides anew.
+        exposing_s = min((exposure_s if exposure_s > 0.0 else 0.0) + TRANSFER_S, 0.5 * deadline_s)
+        actual_s = repeated(lambda end_s: self._made_ready(exposure_s, end_s), end_s - exposing_s, self._where)
         kept = False
         if exposure_s != self._exposure_s:
             kept = 2 * (actual_s + TRANSFER_S) + ANSWER_S > end_s - time.monotonic()
@@ -491,7 +510,7 @@ class GenicamCamera:
             self._exposure_s = exposure_s
         started_utc = datetime.now(UTC).isoformat(timespec="milliseconds")
         delivered = self._grab(actual_s, end_s)
-        settings = {**self._ask(read_settings), TRANSPORT: delivered.fault or "success"}
+        settings = {**self._require_kept(actual_s), TRANSPORT: delivered.fault or "success"}
         if kept:
             settings[FIRST_FRAME] = "kept: no time for two"
         timed = delivered.device_time_s > 0.0
@@ -505,6 +524,35 @@ class GenicamCamera:
             device_time_s=delivered.device_time_s if timed else None,
             settings=settings,
         )
+
+    def _require_kept(self, exposure_s: float) -> dict[str, str | float]:
+        """Return the settings after a frame; a camera that was restarted answers as before and has lost them.
+
+        Raises
+        ------
+        LostError
+            One is not as it was set; the next exposure sets all of them anew.
+        """
+        name = self._ask(lambda device: exposure_name(device, self._where))
+        now_s = 1e-6 * self._ask(lambda device: device.number(name))
+        settings, before = self._ask(read_settings), self._require_connection().settings
+        # A black level may follow the temperature.
+        lost = [key for key, value in before.items() if key != "BlackLevel" and not _agree(settings.get(key), value)]
+        if abs(now_s - exposure_s) > LINE_S + CLOCK_REL * exposure_s:
+            lost.append(name)
+        if lost:
+            self._give_up()
+            raise LostError(
+                f"{self._where}: has lost its settings ({', '.join(lost)}), as after a restart; check its power "
+                "supply, and that no other program sets it"
+            )
+        return settings
+
+    def _made_ready(self, exposure_s: float, end_s: float) -> float:
+        """Open a camera that was lost, and set the exposure; return the one that is read back (s)."""
+        if self._connection is None:
+            self.open(min(end_s - time.monotonic(), REOPEN_DEADLINE_S))
+        return self._ask(lambda device: set_exposure(device, exposure_s, self._where))
 
     def _counts(self, delivered: Delivered) -> NDArray[np.uint16]:
         """Return the counts of a frame, or refuse it."""
@@ -582,13 +630,17 @@ class GenicamCamera:
                 )
             exposure_name(device, self._where)
             pixels = configure(device, self._settings, self._where)
+            if self._pixels not in (None, pixels):
+                # Entries that cannot be asked in time count as not offered, and a monochrome format would be chosen.
+                raise ConnectionBrokenError(f"it offers {pixels.name} where it sent {self._pixels.name} before")
+            settings = read_settings(device)
             device.prepare()
             if time.monotonic() > end_s:
                 raise ConnectionBrokenError("too late")  # the caller has gone: leave nothing open behind
         except BaseException:
             device.close()
             raise
-        return _Connection(device, pixels, identity)
+        return _Connection(device, pixels, identity, settings)
 
     def _closed(self) -> None:
         """Close what is open; runs in the thread."""

@@ -26,9 +26,11 @@ from data_schemas import (
 )
 from rigs import RawFrame
 from rigs.cameras._image_files import decoded_jpeg, jpeg_size_px
-from rigs.transports import MultipartStream, NewestPart, Part
+from rigs.transports import MultipartStream, NewestPart, Part, repeated
 
 OPEN_DEADLINE_S: Final = 5.0
+STALLED_S: Final = 2.5
+"""A stream that brings no picture for so long is opened anew."""
 STALE_PARTS: Final = 3
 """After a call one part may be half received, one half sent and one half exposed: these are not of the call."""
 
@@ -77,7 +79,7 @@ class MjpegCamera:
         self._settings, self._name = settings, f"camera at {settings.address}"
         self._reader: NewestPart | None = None
         self._server, self._is_ustreamer = "", False
-        self._last: tuple[bytes, float | None] | None = None
+        self._last = b""
 
     def open(self, end_s: float) -> NewestPart:
         """Open the stream, unless it is open, before `end_s` (:func:`time.monotonic`)."""
@@ -87,7 +89,7 @@ class MjpegCamera:
             stream = MultipartStream(self._settings.address, "camera", end_s)
             self._server = stream.headers.get("server", "")
             self._is_ustreamer = stream.headers.get("set-cookie", "").startswith("stream_client=")
-            self._reader = NewestPart(stream)
+            self._reader = NewestPart(stream, _device_time_s)
         return self._reader
 
     def close(self) -> None:
@@ -103,7 +105,9 @@ class MjpegCamera:
     def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
         """Return the fourth picture that arrives after the call, (H, W, 3) RGB of 8 bits; `exposure_s` is not set.
 
-        It was exposed after the call unless the network held back more than three; a stream does not tell that.
+        Pictures that were held back on the way are passed over: those behind the stream's pace, and where the server
+        stamps its pictures, those that took longer than the fastest of this connection. What stays unknown is a delay
+        that every picture of a stream has; no stream tells it.
 
         Raises
         ------
@@ -118,9 +122,8 @@ class MjpegCamera:
         TimedOutError
             No picture came in time.
         """
-        end_s = time.monotonic() + deadline_s
         try:
-            part = self._fresh_part(self.open(end_s), end_s)
+            part = repeated(self._fresh_part, time.monotonic() + deadline_s, self._name, after_fault=self.close)
         except CaptureError:
             self.close()
             raise
@@ -128,7 +131,7 @@ class MjpegCamera:
         self._require_size(*jpeg_size_px(part.body, self._name))
         counts = decoded_jpeg(part.body, self._name)
         device_time_s = _device_time_s(part)
-        self._require_new(part.body, device_time_s, counts)
+        self._require_new(part.body, counts)
         return RawFrame(
             counts=counts.astype(np.uint16),
             exposure_requested_s=exposure_s,
@@ -138,16 +141,17 @@ class MjpegCamera:
             settings={"exposure": "unknown", "pixel_format": "RGB8", "compression": "JPEG", "time": "of arrival"},
         )
 
-    def _fresh_part(self, reader: NewestPart, end_s: float) -> Part:
+    def _fresh_part(self, end_s: float) -> Part:
         """Wait for a part whose picture was exposed after now."""
+        reader = self.open(end_s)
         started_s, before = time.monotonic(), reader.count()
         count = before
         while True:
-            count, part = reader.newer_than(count, end_s, self._name)
+            count, part = reader.newer_than(count, min(end_s, time.monotonic() + STALLED_S), self._name)
             self._require_online(part)
             age_s = _number(part, "x-ustreamer-send-time") - _number(part, "x-ustreamer-grab-time")
             old = math.isfinite(age_s) and part.begun_s - age_s < started_s
-            if count - before > STALE_PARTS and part.begun_s >= started_s and not old:
+            if count - before > STALE_PARTS and part.taken_s >= started_s and not old:
                 return part
             if time.monotonic() > end_s:
                 raise TimedOutError(
@@ -178,16 +182,13 @@ class MjpegCamera:
                 f"{asked[0]} x {asked[1]} px (height x width); correct the rig file or the server's resolution"
             )
 
-    def _require_new(self, body: bytes, device_time_s: float | None, counts: NDArray[np.uint8]) -> None:
+    def _require_new(self, body: bytes, counts: NDArray[np.uint8]) -> None:
         """Refuse the picture that was delivered last time; two pictures of one value each may well be equal."""
-        if self._last is not None:
-            last_body, last_time_s = self._last
-            same_time = device_time_s is not None and device_time_s == last_time_s
-            if same_time or (body == last_body and counts.min() < counts.max()):
-                raise BadFrameError(
-                    f"{self._name}: sent the same picture twice; its camera hangs, or a picture stands in for it"
-                )
-        self._last = body, device_time_s
+        if body == self._last and counts.min() < counts.max():
+            raise BadFrameError(
+                f"{self._name}: sent the same picture twice; its camera hangs, or a picture stands in for it"
+            )
+        self._last = body
 
 
 def _device_time_s(part: Part) -> float | None:

@@ -3,8 +3,10 @@
 The exposures are even steps up to beyond the saturation of every channel.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +16,9 @@ from numpy.typing import NDArray
 from data_schemas import CameraPlan, CameraSession, CameraSettings, CaptureError, RegionOfInterest, RigFile
 from data_schemas.storage import write_manifest
 from rigs import OpenRig, Operator, open_rig, rig_locked
-from rigs.capture._exposure import exposure_ladder, meter_exposure, shine
+from rigs.capture._exposure import exposure_ladder, meter_exposure, under_light
 from rigs.capture._frame_store import FrameStore, Shot, numbered
-from rigs.capture._journal import Journal
+from rigs.capture._journal import Journal, fault_notes, faults_noted
 from rigs.capture._plan import Step, require_region_inside
 from rigs.capture._resume import Interrupted, require_same_camera, require_same_inputs, resume_notes, take_over
 from rigs.capture._session_folder import curve_digests, curve_files, require_empty, write_session, write_start
@@ -122,10 +124,10 @@ def capture_camera_with(
         else:
             take_over(out, interrupted)
             journal.append("resume", frames=len(interrupted.frames))
-        with FrameStore(opened, rig, whole_cells, out, journal, interrupted) as store:
+        with faults_noted(journal), FrameStore(opened, rig, whole_cells, out, journal, interrupted) as store:
             recorder = _Recorder(opened, rig, plan, step, store, journal, progress)
             recorder.record(None if interrupted is None else interrupted.levels)
-        notes = (*opened.notes, *recorder.notes, *resume_notes(interrupted))
+        notes = (*opened.notes, *recorder.notes, *resume_notes(interrupted), *fault_notes(out))
         for note in notes:
             journal.append("note", text=note)
         session = CameraSession(plan=plan, rig=rig, frames=store.frames, devices=opened.identities(), notes=notes)
@@ -163,17 +165,22 @@ class _Recorder:
         self._opened.operator.place("white")
         if self._flat.slot is None:
             self._opened.operator.swing_wheel_out()
-        with shine(self._opened, "lamp"):
-            if levels is None:
-                levels = self._meter()
-                self._journal.append("levels", **levels)
-            self.notes = tuple(levels["notes"])
-            flats = numbered((self._flat, t) for t in levels["flats_s"])
-            self._take_all(flats, "flat frames")
+        found: dict[str, Any] = {} if levels is None else dict(levels)
+        tasks: deque[Callable[[], None]] = deque()
+
+        def meter() -> None:
+            if not found:
+                found.update(self._meter())
+                self._journal.append("levels", **found)
+            tasks.extend(self._takes(numbered((self._flat, t) for t in found["flats_s"]), "flat frames"))
+
+        tasks.append(meter)
+        under_light(self._opened, "lamp", tasks, self._tell_fault)
+        self.notes = tuple(found["notes"])
         dark = replace(self._flat, frame_type="dark", light="off")
-        darks = numbered(((dark, t) for t in (*levels["flats_s"], *levels["extra_darks_s"])), first=len(flats))
-        with shine(self._opened, "off"):
-            self._take_all(darks, "dark frames")
+        exposures_s = (*found["flats_s"], *found["extra_darks_s"])
+        darks = numbered(((dark, t) for t in exposures_s), first=len(found["flats_s"]))
+        under_light(self._opened, "off", self._takes(darks, "dark frames"), self._tell_fault)
 
     def _meter(self) -> dict[str, Any]:
         """Return the exposures (s) of the flat frames, those of further dark frames, and what the user should know."""
@@ -196,13 +203,20 @@ class _Recorder:
             "notes": level_notes(saturation_s, self._plan, self._camera),
         }
 
-    def _take_all(self, shots: list[Shot], phase: str) -> None:
-        """Store the frames that are still missing."""
+    def _takes(self, shots: list[Shot], phase: str) -> deque[Callable[[], None]]:
+        """Return what takes and stores the frames that are still missing."""
         missing = self._store.missing(shots)
-        for done, shot in enumerate(missing, 1):
+
+        def take(done: int, shot: Shot) -> None:
             self._store.take(shot)
             if self._progress is not None:
                 self._progress(done, len(missing), f"{phase}: {shot.exposure_s:.3g} s")
+
+        return deque(partial(take, done, shot) for done, shot in enumerate(missing, 1))
+
+    def _tell_fault(self, text: str) -> None:
+        """Note a light that is lit anew."""
+        self._journal.append("light lost", text=text)
 
 
 def _up_and_down(levels_s: tuple[float, ...], times: int) -> Iterator[float]:

@@ -19,7 +19,7 @@ from data_schemas import (
 )
 from rigs import OpenRig
 from rigs.capture._exposure import CheckedCamera, exposure_ladder, meter_exposure, shine
-from rigs.capture._filter_proof import judge_filters, predicted_rates
+from rigs.capture._filter_proof import judge_filters, predicted_rates, signal_floor
 from rigs.capture._plan import Step
 
 Counts = NDArray[np.uint16]
@@ -73,7 +73,10 @@ class CheckFrames:
         opened = self._opened
         predicted = predicted_rates(self._filters, opened.filter_curves, opened.lamp_spectrum, opened.camera_response)
         names = [band.name for band in self._filters]
-        return judge_filters(names, np.array(rates), predicted, lambda: self._rates_in_the_dark(self._filters[0]))
+        measured = np.array(rates)
+        in_the_dark = np.array([self._rates_in_the_dark(band) for band in self._filters])
+        floor = signal_floor([self._metered_s[name] for name in names], 2**self._settings.bit_depth - 1)
+        return judge_filters(names, measured - in_the_dark, predicted, lambda: in_the_dark[0], (), floor)
 
     def brightest_filter(self) -> BandPassFilter:
         """Return the filter with the shortest metered exposure; the filters are metered first if need be.

@@ -7,8 +7,10 @@ the brightest pixels in range.
 """
 
 import math
+import time
+from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Final, Literal, TypeVar
 
@@ -29,6 +31,7 @@ from data_schemas import (
 )
 from rigs import Camera, OpenRig, RawFrame
 from rigs.capture._plan import Step
+from rigs.light_guard import LightLostError
 
 WHEEL_DEADLINE_S = 20.0
 CAMERA_DEADLINE_MARGIN_S = 5.0
@@ -75,6 +78,52 @@ def shine(opened: OpenRig, light: LightState) -> Iterator[None]:
         yield
 
 
+RELIGHTS: Final = 3
+"""How often in a row a light that was lost is lit anew, without anything done between."""
+RELIGHT_PAUSE_S: Final = 1.0
+
+
+def under_light(
+    opened: OpenRig,
+    light: LightState,
+    tasks: deque[Callable[[], None]],
+    on_fault: Callable[[str], None],
+    around: Callable[[], AbstractContextManager[None]] = nullcontext,
+) -> None:
+    """Do tasks with the planned light on; after a light that was lost it is lit anew, and the task is done again.
+
+    Parameters
+    ----------
+    opened, light
+        The rig and the light that is on.
+    tasks
+        What to do, in order; a task may add others at the end.
+    on_fault
+        Called with a text when the light was lost.
+    around
+        Entered before the light is switched on, and left after it is off.
+
+    Raises
+    ------
+    LightLostError
+        The light was lost again and again.
+    """
+    lost = 0
+    while tasks:
+        try:
+            with around(), shine(opened, light):
+                while tasks:
+                    tasks[0]()
+                    tasks.popleft()
+                    lost = 0
+        except LightLostError as error:
+            lost += 1
+            if lost > RELIGHTS:
+                raise
+            on_fault(f"light '{light}' was lost and is lit anew: {error}")
+            time.sleep(RELIGHT_PAUSE_S)
+
+
 class CheckedCamera:
     """The camera of a rig behind its wheel and lights: everything that can be read back is checked.
 
@@ -98,7 +147,8 @@ class CheckedCamera:
         """Turn the wheel to the filter of `step` and take a frame; four attempts at most.
 
         A refused frame is taken again, and so is one that did not come: a camera that is lost or late is connected
-        again by its next exposure. A wheel that is lost is redone too, one that is late is not: it may be stuck.
+        again by its next exposure. A wheel that is lost or at another slot is sent anew; one that is late once only,
+        since it may be stuck.
 
         Raises
         ------
@@ -106,8 +156,10 @@ class CheckedCamera:
             The wheel is or was at another slot.
         BadFrameError, FrameSizeError, LostError
             Every attempt failed.
+        LightLostError
+            The planned light is off.
         CaptureError
-            A light is not as planned, or the camera used another exposure.
+            Another light is on, or the camera used another exposure.
         """
 
         def once(attempt: int) -> CheckedFrame:
@@ -197,10 +249,14 @@ def _require_slot(opened: OpenRig, step: Step, when: str) -> int | None:
     if step.slot is None:
         return None
     position = opened.wheel.position()
+    if position is None:
+        raise LostError(
+            f"filter wheel: reads no slot {when} the exposure of {step.label}, slot {step.slot} is needed; it moves or "
+            "was connected anew: look whether it turns, and check its cable"
+        )
     if position != step.slot:
-        reads = "no slot (it moves)" if position is None else f"slot {position}"
         raise WrongPositionError(
-            f"filter wheel: reads {reads} {when} the exposure of {step.label}, slot {step.slot} is needed; "
+            f"filter wheel: reads slot {position} {when} the exposure of {step.label}, slot {step.slot} is needed; "
             "the wheel slipped or is not where the operator left it: home it and start again"
         )
     return position
@@ -211,7 +267,7 @@ def _require_lights(opened: OpenRig, planned: LightState) -> tuple[LightName, ..
     states: dict[LightName, bool] = {"lamp": opened.lamp.state(), "laser": opened.laser.state()}
     for name, on in states.items():
         if on != (name == planned):
-            raise CaptureError(
+            raise (CaptureError if on else LightLostError)(
                 f"{name}: reads back {'on' if on else 'off'} where the step needs light '{planned}'; check its "
                 "connection, switch and interlock"
             )
@@ -219,8 +275,8 @@ def _require_lights(opened: OpenRig, planned: LightState) -> tuple[LightName, ..
 
 
 T = TypeVar("T")
-RETAKEN: Final = (BadFrameError, FrameSizeError, LostError)
-"""What another attempt may mend."""
+RETAKEN: Final = (BadFrameError, FrameSizeError, LostError, WrongPositionError, TimedOutError)
+"""What another attempt may mend. A device that is late again is stuck."""
 ATTEMPTS: Final = 4
 """Exposures before a frame that is refused every time ends the capture."""
 
@@ -253,18 +309,23 @@ def within_attempts(once: Callable[[int], T], on_refusal: Callable[[str], None],
 
     Raises
     ------
-    BadFrameError, FrameSizeError, LostError
+    BadFrameError, FrameSizeError, LostError, WrongPositionError
         Every attempt failed.
+    TimedOutError
+        Two attempts were late.
     """
-    for attempt in range(1, ATTEMPTS):
+    attempt = late = 0
+    while True:
+        attempt += 1
         try:
             return once(attempt), attempt
+        except LightLostError:
+            raise  # another attempt in the dark mends nothing
         except RETAKEN as error:
+            late += isinstance(error, TimedOutError)
+            if late > 1 or attempt == ATTEMPTS:
+                raise type(error)(f"{error} ({attempt} attempts at {what})") from error
             on_refusal(f"{what}, attempt {attempt}: {error}")
-    try:
-        return once(ATTEMPTS), ATTEMPTS
-    except RETAKEN as error:
-        raise type(error)(f"{error} ({ATTEMPTS} attempts at {what})") from error
 
 
 DEADLINE_EXPOSURES: Final = 3.0

@@ -42,6 +42,9 @@ LIT_SHARE = 0.5  # of the rate with the lamp on: what is left of it without the 
 LEAST_RATE_DN_PER_S = 1.0
 LEAST_RELATIVE = 1e-6  # of all rates: a filter that passes nothing at all
 FEWEST_COMMON = 3
+LEAST_SIGNAL_FRACTION = 0.02
+"""Of full scale: below it a change cannot be told from the dark level."""
+TOO_DIM = "brighten the lamp, open the aperture, allow longer exposures, or correct black_level_dn of the rig file"
 LARGEST_DRIFT_LN = 0.15
 """Of one filter against the median of all: lamps age and filters gather dust by a few per cent."""
 
@@ -75,6 +78,7 @@ def judge_filters(
     predicted: FloatArray,
     lamp_off: Callable[[], Sequence[float]] = lambda: (0.0, 0.0, 0.0),
     apart: Collection[frozenset[str]] = (),
+    floor: FloatArray | None = None,
 ) -> FilterProof:
     """Return whether the measured rates show the filters in the claimed order.
 
@@ -94,7 +98,15 @@ def judge_filters(
         camera that shows a picture of its own looks so, too.
     apart
         Pairs of filters that are known not to be exchanged, from the laser's line.
+    floor
+        (F,) rate that a filter's brightest channel must exceed to be a signal (:func:`signal_floor`), DN/s; filters
+        below it are not judged.
     """
+    seen = np.full(len(names), True) if floor is None else measured.max(axis=1) > floor
+    if len(names) > 1 and 0 < seen.sum() < len(names):
+        return _judge_seen(names, seen, measured, predicted, lamp_off, apart)
+    if not seen.any():
+        return FilterProof(verdict="cannot tell", text=f"the white tile gives no signal through any filter: {TOO_DIM}")
     if measured.max() < LEAST_RATE_DN_PER_S:
         return FilterProof(
             verdict="cannot tell",
@@ -121,6 +133,46 @@ def judge_filters(
             text="the frames cannot tell apart filters " + ", ".join(unclear) + "; the others are where they should be",
         )
     return FilterProof(verdict="confirmed", text="the frames show every filter in its slot")
+
+
+def _judge_seen(
+    names: Sequence[str],
+    seen: NDArray[np.bool_],
+    measured: FloatArray,
+    predicted: FloatArray,
+    lamp_off: Callable[[], Sequence[float]],
+    apart: Collection[frozenset[str]],
+) -> FilterProof:
+    """Judge the filters that give a signal; the others are named, and nothing is confirmed of them."""
+    unseen = ", ".join(name for name, is_seen in zip(names, seen, strict=True) if not is_seen)
+    kept = [name for name, is_seen in zip(names, seen, strict=True) if is_seen]
+    if len(kept) < FEWEST_COMMON:
+        text = f"only {len(kept)} filters give a signal on the white tile: {TOO_DIM}"
+        return FilterProof(verdict="cannot tell", text=text)
+    proof = judge_filters(kept, measured[seen], predicted[seen], lamp_off, apart)
+    verdict = proof.verdict if proof.verdict == "contradicted" else "cannot tell"
+    return FilterProof(verdict=verdict, text=f"{proof.text}; filters {unseen} are too dim to be judged: {TOO_DIM}")
+
+
+def signal_floor(
+    exposures_s: Sequence[float], full_scale_dn: float, uncertainty_dn_per_s: FloatArray | float = 0.0
+) -> FloatArray:
+    r"""Return the rate above which light is a signal (DN/s), for each exposure: 2 % of full scale and 5 u above that.
+
+    .. math:: r > \frac{0.02 \, c_{max}}{t} + 5 u(r)
+
+    Below it what is left of a wrong black level, dark current or noise looks like light of some colour.
+
+    Parameters
+    ----------
+    exposures_s
+        (F,) exposures (s).
+    full_scale_dn
+        Largest count of the camera (DN).
+    uncertainty_dn_per_s
+        Standard uncertainty u of the dark level (DN/s), (F,) or one for all.
+    """
+    return np.asarray(LEAST_SIGNAL_FRACTION * full_scale_dn / np.asarray(exposures_s) + 5.0 * uncertainty_dn_per_s)
 
 
 def _alike_at_every_slot(name: str, still_lit: bool) -> FilterProof:
@@ -160,7 +212,9 @@ def _exchanges(
     return better, unclear
 
 
-def compare_with_last(names: Sequence[str], measured: FloatArray, last: CaptureSession) -> FilterProof:
+def compare_with_last(
+    names: Sequence[str], measured: FloatArray, last: CaptureSession, floor: FloatArray | None = None
+) -> FilterProof:
     """Return whether the white rates are those of an earlier session, up to one factor (aperture, lamp level).
 
     Parameters
@@ -171,16 +225,20 @@ def compare_with_last(names: Sequence[str], measured: FloatArray, last: CaptureS
         (F, 3) rates above the dark level, DN/s.
     last
         The earlier session on the same rig.
+    floor
+        (F,) rate that a filter's brightest channel must exceed to be compared (:func:`signal_floor`), DN/s.
     """
     if measured.max() < LEAST_RATE_DN_PER_S:
         return FilterProof(
             verdict="cannot tell", text="the white tile is dark, so that it cannot repeat an earlier session"
         )
     before = dict(zip(_white_filters(last), last.white_rates_dn_per_s, strict=False))
-    common = [name for name in names if name in before]
+    seen = np.full(len(names), True) if floor is None else measured.max(axis=1) > floor
+    common = [name for name, is_seen in zip(names, seen, strict=True) if name in before and is_seen]
     if len(common) < FEWEST_COMMON:
+        dim = "" if seen.all() else f" that are bright enough: {TOO_DIM}"
         return FilterProof(
-            verdict="cannot tell", text=f"the earlier session shares only {len(common)} filters with this one"
+            verdict="cannot tell", text=f"the earlier session shares only {len(common)} filters with this one{dim}"
         )
     now, then = measured[[list(names).index(name) for name in common]], np.array([before[name] for name in common])
     bright = (_share_of_brightest(now) > TRUSTED_FRACTION) | (_share_of_brightest(then) > TRUSTED_FRACTION)
@@ -270,6 +328,8 @@ class LaserLine:
         Rates of red, green and blue on the white tile under the laser behind the excitation filter.
     sample_dn_per_s
         (F, 3) those of the sample under the laser behind each filter.
+    white_floor_dn_per_s, sample_floor_dn_per_s
+        Rates above which light is a signal (:func:`signal_floor`), DN/s: of the white tile, and (F,) of the sample.
     """
 
     def __init__(
@@ -281,6 +341,8 @@ class LaserLine:
         response: Sequence[SpectralCurve],
         white_dn_per_s: Sequence[float],
         sample_dn_per_s: Sequence[Sequence[float]],
+        white_floor_dn_per_s: float = 0.0,
+        sample_floor_dn_per_s: Sequence[float] | FloatArray = (),
     ) -> None:
         curves = np.array([curve(GRID_NM) for curve in response])
         line = int(np.abs(GRID_NM - laser_nm).argmin())
@@ -295,7 +357,14 @@ class LaserLine:
         leaks = np.array([passed[f.name][line] * 10.0**f.blocking_uncertainty_od for _, f in others])
         self._if_exchanged = LEAST_REFLECTANCE * through / leaks
         self._rates = np.array([sample_dn_per_s[k][channel] for k, _ in others])
-        self._white = max(float(white_dn_per_s[channel]), LEAST_LINE_RATE_DN_PER_S)
+        self._floor = max(white_floor_dn_per_s, LEAST_LINE_RATE_DN_PER_S)
+        self._white = max(float(white_dn_per_s[channel]), self._floor)
+        self._signals = np.array(
+            [
+                len(sample_floor_dn_per_s) == 0 or self._rates[n] > sample_floor_dn_per_s[k]
+                for n, (k, _) in enumerate(others)
+            ]
+        )
 
     def judge(self, laser_off: Callable[[str], Sequence[float]]) -> FilterProof:
         """Return whether the laser's line comes through the excitation filter.
@@ -308,9 +377,9 @@ class LaserLine:
         """
         if not self._others:
             return FilterProof(verdict="cannot tell", text="the laser's line has no other filter to come through")
-        most = int((self._rates / self._most).argmax())
+        most = int(np.where(self._signals, self._rates / self._most, -np.inf).argmax())
         name, rate = self._others[most], float(self._rates[most])
-        if rate > CLEAR_FACTOR * self._most[most] * self._white:
+        if self._signals[most] and rate > CLEAR_FACTOR * self._most[most] * self._white:
             if laser_off(name)[self._channel] > LIT_SHARE * rate:
                 return FilterProof(verdict="cannot tell", text="the sample looks the same when the laser goes off")
             return FilterProof(
@@ -341,4 +410,4 @@ class LaserLine:
 
     def _is_seen(self) -> bool:
         """Whether the line is there, and fades behind some filter as a picture of the camera's own would not."""
-        return self._white > LEAST_LINE_RATE_DN_PER_S and float(self._rates.min()) < LIT_SHARE * self._white
+        return self._white > self._floor and float(self._rates.min()) < LIT_SHARE * self._white

@@ -11,6 +11,9 @@ import json
 import os
 import re
 import threading
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +22,7 @@ from typing import Any, Final
 from data_schemas import CaptureError
 from data_schemas.storage import LARGEST_TEXT_BYTES, parse_json, read_bytes
 from rigs import CallThread, Clock, NoAnswerError
+from rigs.transports import faults_told
 
 JOURNAL_NAME = "journal.jsonl"
 DISK_WITHIN_S: Final = 60.0
@@ -136,6 +140,31 @@ class Journal:
             raise CaptureError(
                 f"{self._path}: exists already, so that another capture writes into this folder; choose another --out"
             )
+
+
+@contextmanager
+def faults_noted(journal: Journal) -> Iterator[None]:
+    """Note every fault after which an exchange is repeated, for a ``with`` block."""
+    with faults_told(lambda fault: journal.append("fault", **fault._asdict())):
+        yield
+
+
+def fault_notes(folder: Path) -> tuple[str, ...]:
+    """Return what the journal of a session says about faults that did not stop it; nothing where there were none."""
+    lines = read_journal(folder)
+    faults = [line for line in lines if line["event"] == "fault"]
+    counted = [f"{name} {number}" for name, number in Counter(str(line["device"]) for line in faults).items()]
+    retaken = sum(line["event"] == "refused" for line in lines)
+    relit = sum(line["event"] == "light lost" for line in lines)
+    said = [f"{len(faults)} exchanges were repeated ({', '.join(counted)})"] if faults else []
+    said += [f"{retaken} frames were taken again"] if retaken else []
+    said += [f"a light was lit anew {relit} times"] if relit else []
+    if not said:
+        return ()
+    spent_s = sum(float(line["spent_s"]) for line in faults)
+    return (
+        f"faults that did not stop the session: {', '.join(said)}; {JOURNAL_NAME} tells each ({spent_s:.1f} s lost)",
+    )
 
 
 def disk_hangs(path: Path, session: Path) -> CaptureError:

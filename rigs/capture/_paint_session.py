@@ -4,9 +4,11 @@ Meter, prove the filters, dark frames, every step at every exposure, dark frames
 without moving, lighting or storing anything.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import nullcontext
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby, pairwise
 from pathlib import Path
 from typing import TypeVar
@@ -28,10 +30,24 @@ from data_schemas import (
 )
 from data_schemas.storage import write_manifest
 from rigs import OpenRig, Operator, RawFrame, open_rig, rig_locked
-from rigs.capture._exposure import WHEEL_DEADLINE_S, exposure_ladder, meter_exposure, rung_at_or_below, shine
-from rigs.capture._filter_proof import LaserLine, compare_with_last, judge_filters, predicted_rates
+from rigs.capture._exposure import (
+    WHEEL_DEADLINE_S,
+    exposure_ladder,
+    meter_exposure,
+    rung_at_or_below,
+    shine,
+    under_light,
+)
+from rigs.capture._filter_proof import (
+    LEAST_SIGNAL_FRACTION,
+    LaserLine,
+    compare_with_last,
+    judge_filters,
+    predicted_rates,
+    signal_floor,
+)
 from rigs.capture._frame_store import BYTES_PER_PIXEL, FrameStore, Shot, numbered
-from rigs.capture._journal import Journal
+from rigs.capture._journal import Journal, fault_notes, faults_noted
 from rigs.capture._plan import Step, paint_steps, with_repeat
 from rigs.capture._resume import Interrupted, require_same_camera, require_same_inputs, resume_notes, take_over
 from rigs.capture._session_folder import curve_digests, curve_files, require_empty, write_session, write_start
@@ -41,9 +57,12 @@ Progress = Callable[[int, int, str], None]
 T = TypeVar("T")
 Rates = tuple[float, float, float]
 
+Mend = Callable[[str], bool]
+"""Tells somebody what is to be mended; returns, when it is, whether to go on."""
+MOST_REPAIRS = 5
+
 LARGEST_CHANGE = 1.25
 """Factor by which the signal of a step may differ from its metering; lamps warm up by less, filters differ by more."""
-LEAST_SIGNAL_FRACTION = 0.02  # of full scale: below it a change cannot be told from the dark level
 
 
 class PaintRecorder:
@@ -59,7 +78,9 @@ class PaintRecorder:
         progress: Progress | None,
         interrupted: Interrupted | None,
         last_good: CaptureSession | None,
+        mend: Mend,
     ):
+        self._mend = mend
         self._opened, self._rig, self._plan, self._last_good = opened, rig, plan, last_good
         self._journal, self._progress, self._store = journal, progress, store
         self._ladder = exposure_ladder(rig.camera.shortest_exposure_s, rig.camera.longest_exposure_s)
@@ -78,8 +99,7 @@ class PaintRecorder:
         for step in steps:
             if step.label in self._before:
                 self._exposures_s[step], self._rates[step] = self._before[step.label]
-        self._walk([(s, s) for s in steps[::-1] if s not in self._exposures_s], "metering", self._meter)
-        self._prove(steps)
+        self._meter_and_prove(steps)
         longest_s = {step: self._exposures_s[step][0] for step in steps}
         steps = with_repeat(steps, self._plan.excitation_filter, longest_s)
         for step in steps:
@@ -98,6 +118,22 @@ class PaintRecorder:
             shots = [shot for shot in missing if first <= shot.sequence < last]
             self._walk([(shot.step, shot) for shot in shots], phase, self._take)
 
+    def _meter_and_prove(self, steps: tuple[Step, ...]) -> None:
+        """Meter and prove the filters; where somebody mends what the frames contradict, do both again."""
+        for repair in range(MOST_REPAIRS + 1):
+            self._walk([(s, s) for s in steps[::-1] if s not in self._exposures_s], "metering", self._meter)
+            try:
+                self._prove(steps)
+            except WrongPositionError as error:
+                # Frames that are there were taken behind the filters in doubt: a resumption sets them aside.
+                if repair == MOST_REPAIRS or self._store.frames or not self._mend(str(error)):
+                    raise
+                self._journal.append("repair", text=str(error))
+                for known in (self._exposures_s, self._rates, self._metered_s):
+                    known.clear()
+            else:
+                return
+
     def white_rates(self) -> tuple[tuple[float, float, float], ...]:
         """Return the rates of the white tile behind each filter in the order of the plan, DN/s."""
         return tuple(self._rates[step] for step in self._white)
@@ -106,23 +142,37 @@ class PaintRecorder:
         """Do `act` at every step with its target in place and its light on; light off between groups."""
         todo = list(todo)
         done = 0
+
+        def once(step: Step, what: T) -> None:
+            nonlocal done
+            act(what)
+            done += 1
+            if self._progress is not None:
+                self._progress(done, len(todo), f"{phase}: {step.label}")
+
         for (target, light, tilt_deg, by_hand), group in groupby(todo, key=lambda t: self._setting(t[0])):
             self._place(target, tilt_deg)
             if by_hand is not None and self._opened.wheel.position() != by_hand:
                 self._opened.wheel.go_to(by_hand, WHEEL_DEADLINE_S)
-            on_sample = light == "laser" and target == "sample"
-            dose = self._store.dose
-            # The dose begins with the command, and holds the test of a dead-man too.
-            with dose.shining() if on_sample else nullcontext(), shine(self._opened, light):
-                if light == "laser":
-                    self._journal.append("laser on", target=target, sample_dose_j=dose.energy_j())
-                for step, what in group:
-                    act(what)
-                    done += 1
-                    if self._progress is not None:
-                        self._progress(done, len(todo), f"{phase}: {step.label}")
-            if light == "laser":
-                self._journal.append("laser off", target=target, sample_dose_j=dose.energy_j())
+            lit = partial(self._laser_noted, target) if light == "laser" else nullcontext
+            tasks: deque[Callable[[], None]] = deque(partial(once, step, what) for step, what in group)
+            under_light(self._opened, light, tasks, self._tell_fault, lit)
+
+    @contextmanager
+    def _laser_noted(self, target: Target) -> Iterator[None]:
+        """Note in the journal that the laser goes on and off, and count its dose on the sample."""
+        dose = self._store.dose
+        # The dose begins with the command, and holds the test of a dead-man too.
+        with dose.shining() if target == "sample" else nullcontext():
+            self._journal.append("laser on", target=target, sample_dose_j=dose.energy_j())
+            yield
+        self._journal.append("laser off", target=target, sample_dose_j=dose.energy_j())
+
+    def _tell_fault(self, text: str) -> None:
+        """Note a light that is lit anew, and warn whoever is at the rig."""
+        self._journal.append("light lost", text=text)
+        if self._progress is not None:
+            self._progress(0, 1, text)
 
     def _setting(self, step: Step) -> tuple[Target, LightState, float, int | None]:
         """Return what stays while a light is on; a wheel turned by hand is turned in the dark."""
@@ -198,28 +248,18 @@ class PaintRecorder:
     def _prove(self, steps: tuple[Step, ...]) -> None:
         """Judge from the metered rates whether the wheel holds the filters that the rig file names."""
         self._white = tuple(step for step in steps if step.frame_type == "white")
-        measured = np.array(self.white_rates())
         known = {f.name: f for f in self._rig.filter_wheel.filters}
         filters = [known[str(step.filter_name)] for step in self._white]
-        opened = self._opened
-        predicted = predicted_rates(filters, opened.filter_curves, opened.lamp_spectrum, opened.camera_response)
-        names = [f.name for f in filters]
         line = self._laser_line(steps, filters)
-        excitation = self._plan.excitation_filter
-        self.proof = judge_filters(
-            names,
-            measured,
-            predicted,
-            lambda: self._rates_in_the_dark(self._white[0]),
-            [frozenset((excitation, other)) for other in line.not_exchanged()],
-        )
+        self.proof = self._judge_by_lamp(filters, line)
         if self.proof.verdict != "contradicted":
             under_laser = {str(s.filter_name): s for s in steps if s.frame_type == "fluorescence"}
             shown = line.judge(lambda name: self._rates_in_the_dark(under_laser[name]))
             verdict = shown.verdict if shown.verdict == "contradicted" else self.proof.verdict
             self.proof = FilterProof(verdict=verdict, text=f"{self.proof.text}; {shown.text}")
         if self._last_good is not None and self.proof.verdict != "contradicted":
-            repeated = compare_with_last(names, measured, self._last_good)
+            names, measured = [f.name for f in filters], np.array(self.white_rates())
+            repeated = compare_with_last(names, measured, self._last_good, self._floor(self._white))
             if repeated.verdict == "cannot tell":
                 repeated = FilterProof(verdict=self.proof.verdict, text=f"{self.proof.text}; {repeated.text}")
             self.proof = repeated
@@ -227,9 +267,30 @@ class PaintRecorder:
         if self.proof.verdict == "contradicted":
             raise WrongPositionError(f"filter wheel: {self.proof.text}")
 
+    def _judge_by_lamp(self, filters: Sequence[BandPassFilter], line: LaserLine) -> FilterProof:
+        """Judge from the rates of the white tile; before a conviction the dark level behind each filter is measured."""
+        opened, measured = self._opened, np.array(self.white_rates())
+        predicted = predicted_rates(filters, opened.filter_curves, opened.lamp_spectrum, opened.camera_response)
+        excitation = self._plan.excitation_filter
+        apart = [frozenset((excitation, other)) for other in line.not_exchanged()]
+
+        def judged(rates: NDArray[np.float64], floor: NDArray[np.float64]) -> FilterProof:
+            first = self._white[0]
+            names = [f.name for f in filters]
+            return judge_filters(names, rates, predicted, lambda: self._rates_in_the_dark(first), apart, floor)
+
+        proof = judged(measured, self._floor(self._white))
+        if proof.verdict != "contradicted":
+            return proof
+        # A wrong black level in the rig file colours every dim filter.
+        pairs = np.array([[self._rates_in_the_dark(step) for step in self._white] for _ in range(2)])
+        uncertainty_dn_per_s = np.abs(pairs[0] - pairs[1]).max(axis=1) / np.sqrt(2.0)
+        return judged(measured - pairs.mean(axis=0), self._floor(self._white, uncertainty_dn_per_s))
+
     def _laser_line(self, steps: tuple[Step, ...], filters: Sequence[BandPassFilter]) -> LaserLine:
         """Return what the metered rates under the laser say, in the order of the filters."""
-        rates = {(s.frame_type, s.filter_name): self._rates[s] for s in steps if s.light == "laser"}
+        lit = {(s.frame_type, s.filter_name): s for s in steps if s.light == "laser"}
+        rates = {key: self._rates[step] for key, step in lit.items()}
         excitation = self._plan.excitation_filter
         return LaserLine(
             filters,
@@ -239,7 +300,16 @@ class PaintRecorder:
             self._opened.camera_response,
             rates["laser white", excitation],
             [rates["fluorescence", f.name] for f in filters],
+            float(self._floor([lit["laser white", excitation]])[0]),
+            self._floor([lit["fluorescence", f.name] for f in filters]),
         )
+
+    def _floor(
+        self, steps: Sequence[Step], uncertainty_dn_per_s: NDArray[np.float64] | float = 0.0
+    ) -> NDArray[np.float64]:
+        """Return the rates above which the light of metered steps is a signal (DN/s)."""
+        exposures_s = [self._exposures_s[step][0] for step in steps]
+        return signal_floor(exposures_s, self._store.full_scale_dn, uncertainty_dn_per_s)
 
     def _rates_in_the_dark(self, lit: Step) -> Rates:
         """Return the rates of a step with its light off (DN/s)."""
@@ -262,6 +332,7 @@ def capture_paint_session(
     interrupted: Interrupted | None = None,
     last_good: CaptureSession | None = None,
     sources: Mapping[str, str] | None = None,
+    mend: Mend = lambda text: False,
 ) -> CaptureSession:
     """Capture a paint session into the folder `out`: frames, journal, ``session.json`` and checksums.
 
@@ -289,6 +360,9 @@ def capture_paint_session(
         An earlier session on this rig whose white frames these must resemble.
     sources
         Path -> SHA-256 of the files that plan and rig were read from, for the provenance.
+    mend
+        Called with a text when the frames contradict the filters; True goes on with the proofs taken again. Nobody
+        mends anything when left out.
 
     Raises
     ------
@@ -309,7 +383,7 @@ def capture_paint_session(
         if interrupted is not None:
             require_same_inputs(interrupted, inputs)
         return capture_with(
-            opened, rig, plan, steps, out, inputs, command, progress, interrupted, last_good, rig_folder, sources
+            opened, rig, plan, steps, out, inputs, command, progress, interrupted, last_good, rig_folder, sources, mend
         )
 
 
@@ -326,6 +400,7 @@ def capture_with(
     last_good: CaptureSession | None = None,
     rig_folder: Path = Path(),
     sources: Mapping[str, str] | None = None,
+    mend: Mend = lambda text: False,
 ) -> CaptureSession:
     """Capture the `steps` of a paint session with devices that are open already."""
     out.mkdir(parents=True, exist_ok=True)
@@ -341,8 +416,8 @@ def capture_with(
             journal.append("resume", frames=len(interrupted.frames), sample_dose_j=interrupted.dose_j)
         for note in opened.notes:
             journal.append("note", text=note)
-        with FrameStore(opened, rig, plan.region, out, journal, interrupted) as store:
-            recorder = PaintRecorder(opened, rig, plan, store, journal, progress, interrupted, last_good)
+        with faults_noted(journal), FrameStore(opened, rig, plan.region, out, journal, interrupted) as store:
+            recorder = PaintRecorder(opened, rig, plan, store, journal, progress, interrupted, last_good, mend)
             recorder.record(steps)
         session = CaptureSession(
             plan=plan,
@@ -354,7 +429,7 @@ def capture_with(
             devices=opened.identities(),
             filter_proof=recorder.proof,
             white_rates_dn_per_s=recorder.white_rates(),
-            notes=(*opened.notes, *colour_notes(store.frames), *resume_notes(interrupted)),
+            notes=(*opened.notes, *colour_notes(store.frames), *resume_notes(interrupted), *fault_notes(out)),
         )
         noted = dict(sources or {}) if interrupted is None else interrupted.sources
         write_session(session, out, {**noted, **inputs}, command, journal)

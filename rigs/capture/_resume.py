@@ -132,9 +132,8 @@ def read_interrupted(folder: Path) -> Interrupted:
         raise CaptureError(
             f"{folder}: replays a folder of images, which would begin again at its first; capture the session again"
         )
-    frames = dict(_good_frames(folder, lines))
     try:
-        interrupted = _replayed(start, frames, lines)
+        interrupted = _replayed(folder, start, lines)
     except (KeyError, TypeError, ValueError):
         raise CaptureError(
             f"{folder / JOURNAL_NAME}: holds lines that finray did not write; restore it, or capture the session again "
@@ -143,15 +142,26 @@ def read_interrupted(folder: Path) -> Interrupted:
     return interrupted
 
 
-def _replayed(start: dict[str, Any], frames: dict[int, Frame], lines: list[dict[str, Any]]) -> Interrupted:
-    """Return what the lines of a journal say."""
+def _contradicts(line: dict[str, Any]) -> bool:
+    """Whether a line of a journal tells that the frames contradict the filters."""
+    return line["event"] == "filter proof" and line.get("verdict") == "contradicted"
+
+
+def _replayed(folder: Path, start: dict[str, Any], lines: list[dict[str, Any]]) -> Interrupted:
+    """Return what the lines of a journal say.
+
+    Once the frames have contradicted the filters somebody looks into the wheel: what was metered and stored before is
+    of the wheel as it was, and is taken again.
+    """
+    contradicted = [number for number, line in enumerate(lines) if _contradicts(line)]
+    current = lines[contradicted[-1] + 1 :] if contradicted else lines
     doses_j = [float(line.get("sample_dose_j", line.get("laser_dose_j", 0.0))) for line in lines]
     return Interrupted(
         start=start,
-        frames=frames,
+        frames=dict(_good_frames(folder, current)),
         metered={
             line["label"]: ([float(t) for t in line["exposures_s"]], _rates(line["rates_dn_per_s"]))
-            for line in lines
+            for line in current
             if line["event"] == "step" and "rates_dn_per_s" in line
         },
         dose_j=max(doses_j),

@@ -26,10 +26,10 @@ from data_schemas import (
     provenance,
 )
 from data_schemas.storage import read_frame, sha256_of, write_frame, write_manifest, write_record
-from rigs import Camera, Clock, Operator, SystemClock, TerminalOperator, device_locked, open_camera
+from rigs import Camera, Clock, Operator, SystemClock, TerminalOperator, device_locked, driver_notes, open_camera
 from rigs.capture._exposure import TactileCamera, saturated_fraction
 from rigs.capture._frame_store import BYTES_PER_PIXEL, require_space
-from rigs.capture._journal import JOURNAL_NAME, Journal, read_journal
+from rigs.capture._journal import JOURNAL_NAME, Journal, fault_notes, faults_noted, read_journal
 from rigs.capture._plan import TactileShot, instruction, press_of, tactile_shots
 from rigs.capture._resume import ORPHANS, begun_with
 from rigs.capture._session_folder import SESSION_NAME, clear_session, require_empty, write_session
@@ -347,8 +347,9 @@ def capture_tactile_session(
                 take_over(out, interrupted, device)
                 recorder.frames.update(interrupted.frames)
                 journal.append("resume", frames=len(interrupted.frames))
-            recorder.record(shots)
-            notes = interrupted.notes if interrupted else ()
+            with faults_noted(journal):
+                recorder.record(shots)
+            notes = (*driver_notes(rig), *(interrupted.notes if interrupted else ()), *fault_notes(out))
             session = _session_of(plan, rig, presses, recorder.frames, device, notes)
             _write_captures(session, out, command)
             noted = dict(sources or {}) if interrupted is None else interrupted.sources

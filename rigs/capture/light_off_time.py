@@ -13,9 +13,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
@@ -31,7 +30,7 @@ from data_schemas import (
     UnsafeError,
     Witness,
 )
-from rigs import LIGHTS, OpenRig, open_camera
+from rigs import LightSwitch, OpenRig, driver_module, find_driver, open_camera
 from rigs.capture._check_frames import CheckFrames
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, WHEEL_DEADLINE_S, shine
 from rigs.capture._plan import Step
@@ -168,7 +167,7 @@ class ConnectionWatch:
         time.sleep(self._quiet_s)
         start_s = time.monotonic()
         try:
-            with import_module(LIGHTS[self._laser.driver]).open_switch(self._laser.address, "laser", None) as switch:
+            with _open_switch(self._laser) as switch:
                 on = bool(switch.state(ASK_WITHIN_S))
                 answered_s = time.monotonic()
                 asked_dead_man = bool(switch.has_dead_man) and self._quiet_s > ASK_EVERY_S
@@ -182,6 +181,13 @@ def can_be_asked_anew(laser: LaserSettings) -> bool:
     return laser.driver in ("indi", "alpaca") or laser.address.startswith("socket://")
 
 
+def _open_switch(laser: LaserSettings) -> AbstractContextManager[LightSwitch]:
+    """Return the laser's switch over a connection of its own, without a guard, for a ``with`` block."""
+    switch: AbstractContextManager[LightSwitch]
+    switch = driver_module(find_driver("light", laser.driver)).open_switch(laser.address, "laser", None)
+    return switch
+
+
 def make_off(laser: LaserSettings) -> None:
     """Switch the laser off over a connection of our own, trying for some seconds.
 
@@ -193,7 +199,7 @@ def make_off(laser: LaserSettings) -> None:
     end_s = time.monotonic() + OFF_WITHIN_S
     while True:
         try:
-            with import_module(LIGHTS[laser.driver]).open_switch(laser.address, "laser", None) as switch:
+            with _open_switch(laser) as switch:
                 switch.switch(False, ASK_WITHIN_S)
                 return
         except CaptureError as error:

@@ -1,6 +1,6 @@
 """What every camera, filter wheel and light must do: the same tests for all implementations and users' own rigs.
 
-On a rig of your own: ``pytest -p rigs.contracts.plugin --pyargs rigs.contracts --rig my-rig.toml``. For a driver of
+On a rig of your own: ``pytest --pyargs rigs.contracts --rig my-rig.toml``. For a driver of
 your own, a class of tests derives from one of the contracts and brings its fixtures: :class:`CameraContract` `camera`
 (open) and `camera_settings`, :class:`FilterWheelContract` `wheel` (open) and `wheel_settings`, :class:`LightContract`
 `light` (open). The contracts need pytest.

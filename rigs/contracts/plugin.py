@@ -1,25 +1,44 @@
-"""Pytest plugin that runs the contracts on the devices of a rig file.
+"""Pytest plugin that runs the contracts on the devices of a rig file: ``pytest --pyargs rigs.contracts --rig RIG``.
 
-``pytest -p rigs.contracts.plugin --pyargs rigs.contracts --rig my-rig.toml``
+An installation offers it to every run of pytest, so that nothing but pytest is imported before a rig file is named.
 """
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 
-from data_schemas import CameraSettings, FilterWheelSettings, FinrayError, RigFile
-from data_schemas.storage import read_toml
-from rigs import Camera, FilterWheel, Light, TerminalOperator, lone_camera, lone_lamp, lone_laser, lone_wheel
+if TYPE_CHECKING:
+    from data_schemas import CameraSettings, FilterWheelSettings, RigFile, TactileRig
+    from rigs import Camera, FilterWheel, Light
 
 HERE = Path(__file__).parent
 SUITE = "devices.py"
-RIG = pytest.StashKey[tuple[RigFile, Path]]()
+
+
+class NamedRig(NamedTuple):
+    """The rig file of ``--rig``, and where relative paths in it start."""
+
+    rig: "RigFile | TactileRig"
+    folder: Path
+
+    @property
+    def whole(self) -> "RigFile":
+        """The rig, where it has more than a camera; tests of what it lacks are skipped."""
+        from data_schemas import RigFile
+
+        if not isinstance(self.rig, RigFile):
+            pytest.skip("a rig of a tactile session has a camera only")
+        return self.rig
+
+
+RIG = pytest.StashKey[NamedRig]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options."""
-    group = parser.getgroup("finray", "contracts of calibration rigs")
+    group = parser.getgroup("finray", "contracts of calibration rigs (pytest --pyargs rigs.contracts --rig RIG)")
     group.addoption("--rig", type=Path, metavar="RIG", help="rig file (TOML) whose devices are tested")
     group.addoption(
         "--with-laser",
@@ -29,29 +48,49 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Read the rig file."""
+    """Read the rig file, and see that its drivers are there."""
     path: Path | None = config.getoption("--rig")
     if path is None:
         return
+    from data_schemas import FinrayError, RigFile, TactileRig
+    from data_schemas.storage import read_toml, read_toml_tables
+    from rigs import rig_drivers
+
     try:
-        config.stash[RIG] = read_toml(path, RigFile), path.parent
+        has_a_wheel = "filter_wheel" in read_toml_tables(path)
+        rig = read_toml(path, RigFile) if has_a_wheel else read_toml(path, TactileRig)
+        rig_drivers(rig)
     except FinrayError as error:
         raise pytest.UsageError(str(error)) from error
+    config.stash[RIG] = NamedRig(rig, path.parent)
 
 
 def pytest_report_header(config: pytest.Config) -> list[str]:
-    """Say what is tested, and the safety line."""
+    """Say what is tested, and what will move and shine."""
     if RIG not in config.stash:
         return []
+    from data_schemas import RigFile
+    from rigs import device_title
+
     rig, _ = config.stash[RIG]
+    lines = [f"rig: {rig.name}", f"{device_title('camera', rig.camera)}; takes frames, and its exposure is changed"]
+    if not isinstance(rig, RigFile):
+        return lines
     laser = rig.laser
     label = f"{laser.wavelength_nm:g} nm, {laser.power_mw:g} mW, class {laser.laser_class}"
-    shines = config.getoption("--with-laser")
+    shines = "IS SWITCHED ON; close the box, wear goggles" if _may_shine(config) else "stays off, without --with-laser"
     return [
-        f"rig: {rig.name}; the filter wheel turns and the lamp is switched",
-        f"laser ({label}): "
-        + ("IS SWITCHED ON; close the box, wear goggles" if shines else "stays off, without --with-laser"),
+        *lines,
+        f"{device_title('filter wheel', rig.filter_wheel)}; TURNS through all of its slots",
+        f"{device_title('lamp', rig.lamp)}; IS SWITCHED ON for moments",
+        f"{device_title('laser', laser)} ({label}); {shines}",
     ]
+
+
+def _may_shine(config: pytest.Config) -> bool:
+    """Whether the laser may be switched on: it was asked for, or there is none."""
+    rig = config.stash[RIG].whole
+    return bool(config.getoption("--with-laser")) or rig.is_simulated
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Module | None:
@@ -62,48 +101,65 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Mod
 
 
 @pytest.fixture(scope="session")
-def rig_and_folder(request: pytest.FixtureRequest) -> tuple[RigFile, Path]:
+def named_rig(request: pytest.FixtureRequest) -> NamedRig:
     """Return the rig, and where relative paths in its file start."""
     return request.config.stash[RIG]
 
 
 @pytest.fixture(scope="session")
-def camera_settings(rig_and_folder: tuple[RigFile, Path]) -> CameraSettings:
+def camera_settings(named_rig: NamedRig) -> "CameraSettings":
     """Return the camera of the rig file."""
-    return rig_and_folder[0].camera
+    return named_rig.rig.camera
 
 
 @pytest.fixture(scope="session")
-def wheel_settings(rig_and_folder: tuple[RigFile, Path]) -> FilterWheelSettings:
+def wheel_settings(named_rig: NamedRig) -> "FilterWheelSettings":
     """Return the filter wheel of the rig file."""
-    return rig_and_folder[0].filter_wheel
+    return named_rig.whole.filter_wheel
 
 
 @pytest.fixture(scope="class")
-def camera(rig_and_folder: tuple[RigFile, Path]) -> Iterator[Camera]:
+def camera(named_rig: NamedRig) -> "Iterator[Camera]":
     """Open the camera."""
-    with lone_camera(*rig_and_folder) as device:
+    from rigs import lone_camera
+
+    with lone_camera(named_rig.rig, named_rig.folder) as device:
         yield device
 
 
 @pytest.fixture(scope="class")
-def wheel(rig_and_folder: tuple[RigFile, Path]) -> Iterator[FilterWheel]:
+def wheel(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[FilterWheel]":
     """Open the filter wheel."""
-    with lone_wheel(*rig_and_folder, TerminalOperator()) as device:
+    from rigs import TerminalOperator, lone_wheel
+
+    _require_operator(request.config, named_rig.whole.filter_wheel.driver)
+    with lone_wheel(named_rig.whole, named_rig.folder, TerminalOperator()) as device:
         yield device
 
 
 @pytest.fixture(scope="class")
-def laser(request: pytest.FixtureRequest, rig_and_folder: tuple[RigFile, Path]) -> Iterator[Light]:
+def laser(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[Light]":
     """Open the laser, if it may be switched on."""
-    if not rig_and_folder[0].is_simulated and not request.config.getoption("--with-laser"):
+    from rigs import lone_laser
+
+    rig = named_rig.whole
+    if not _may_shine(request.config):
         pytest.skip("LASER NOT TESTED: it is switched on only with --with-laser; box closed, goggles on everyone")
-    with lone_laser(*rig_and_folder) as device:
+    with lone_laser(rig, named_rig.folder) as device:
         yield device
 
 
 @pytest.fixture(scope="class")
-def lamp(rig_and_folder: tuple[RigFile, Path]) -> Iterator[Light]:
+def lamp(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[Light]":
     """Open the lamp."""
-    with lone_lamp(*rig_and_folder, TerminalOperator()) as device:
+    from rigs import TerminalOperator, lone_lamp
+
+    _require_operator(request.config, named_rig.whole.lamp.driver)
+    with lone_lamp(named_rig.whole, named_rig.folder, TerminalOperator()) as device:
         yield device
+
+
+def _require_operator(config: pytest.Config, driver: str) -> None:
+    """Skip what a person does by hand where pytest keeps the terminal to itself."""
+    if driver == "manual" and config.getoption("capture") != "no":
+        pytest.skip("NOT TESTED: the operator is asked at the terminal, which pytest leaves to the tests only with -s")

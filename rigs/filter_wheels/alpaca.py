@@ -8,7 +8,14 @@ from typing import Final
 from data_schemas import DeviceIdentity, FilterWheelSettings, RefusedError
 from rigs import FilterWheel, Operator
 from rigs.filter_wheels._arrival import Arrival, require_slot, require_slots
-from rigs.transports import ALPACA_OPENS_WITHIN_S, AlpacaClient, alpaca_address, alpaca_devices, device_number
+from rigs.transports import (
+    ALPACA_OPENS_WITHIN_S,
+    RECOVERS_WITHIN_S,
+    AlpacaClient,
+    alpaca_address,
+    alpaca_devices,
+    device_number,
+)
 
 ASK_WITHIN_S: Final = 5.0
 ELSEWHERE_S: Final = 2.0
@@ -34,6 +41,7 @@ class AlpacaFilterWheel:
         self._client = client
         self._address = address
         self._slots = tuple(range(_FIRST_SLOT, _FIRST_SLOT + count))
+        self._known_in = client.connections
 
     def identity(self) -> DeviceIdentity:
         """Ask the device what it is."""
@@ -45,8 +53,9 @@ class AlpacaFilterWheel:
         return self._slots
 
     def position(self) -> int | None:
-        """Ask the device for the slot in the beam; None while it moves."""
-        return self._ask(time.monotonic() + ASK_WITHIN_S)
+        """Ask the device for the slot in the beam; None while it moves, and after its server has been restarted."""
+        at = self._ask(time.monotonic() + RECOVERS_WITHIN_S)
+        return at if self._client.connections == self._known_in else None
 
     def go_to(self, slot: int, deadline_s: float) -> None:
         """Move until two polls report `slot`; at most `deadline_s` seconds.
@@ -67,10 +76,15 @@ class AlpacaFilterWheel:
         # A move that missed its deadline must not be taken for this one.
         while self._ask(end_s) is None:
             self._client.pause(end_s, "end the previous move")
-        self._client.put("position", {"Position": slot - _FIRST_SLOT}, end_s)
-        arrival = Arrival(self._client.name, slot, ELSEWHERE_S)
-        while not arrival.sees(self._ask(end_s)):
-            self._client.pause(end_s, f"move to slot {slot}")
+        is_there = False
+        while not is_there:
+            self._client.put("position", {"Position": slot - _FIRST_SLOT}, end_s)
+            arrival, sent_in = Arrival(self._client.name, slot, ELSEWHERE_S), self._client.connections
+            # A server that was restarted meanwhile has forgotten the order.
+            while not is_there and sent_in == self._client.connections:
+                if not (is_there := arrival.sees(self._ask(end_s))):
+                    self._client.pause(end_s, f"move to slot {slot}")
+        self._known_in = self._client.connections
 
     def _ask(self, end_s: float) -> int | None:
         """Return the slot; None for moving and for a number that no slot has."""

@@ -7,9 +7,9 @@ move is not documented, so a move is over only when the prompt has come and two 
 
 import re
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Final
+from typing import Final, TypeVar
 
 from data_schemas import (
     BandPassFilter,
@@ -23,7 +23,9 @@ from data_schemas import (
 )
 from rigs import FilterWheel, Operator
 from rigs.filter_wheels._arrival import require_slot
-from rigs.transports import SerialLink, usb_serial_ports
+from rigs.transports import RECOVERS_WITHIN_S, SerialLink, repeated, usb_serial_ports
+
+T = TypeVar("T")
 
 QUIET_S: Final = 0.1
 """Silence after which nothing of a former session is under way; a USB adapter holds bytes back for 16 ms."""
@@ -47,6 +49,10 @@ class Dialogue:
     def __init__(self, link: SerialLink, name: str) -> None:
         self._link = link
         self._name = name
+        self._in_step = False
+
+    def lose_step(self) -> None:
+        """Note that answers may no longer belong to their commands."""
         self._in_step = False
 
     def ask(self, keyword: str, end_s: float) -> str:
@@ -76,6 +82,7 @@ class Dialogue:
         if not self._in_step:
             self._find_step(end_s)
         self._in_step = False
+        self._link.forget()  # an answer that came twice must not pass for this one's
         self._link.write(command.encode() + b"\r", end_s)
         frame = self._link.read_until(_PROMPT, end_s)[: -len(_PROMPT)]
         lines = [line.strip() for line in frame.decode("ascii", "replace").strip().split("\r")]
@@ -103,8 +110,11 @@ class Dialogue:
 
 
 BAUD: Final = 115200
-ANSWER_S: Final = 2.0
+ANSWER_S: Final = 1.0
 """Longest wait for an answer that moves nothing; a healthy wheel needs some milliseconds."""
+MOVE_ANSWER_S: Final = 5.0
+"""Longest wait for the answer to a move, which some wheels may give at its end."""
+OPENS_WITHIN_S: Final = 3.0
 POLL_S: Final = 0.05
 REST_S: Final = 2.0
 """A wheel that says this long that it stands between start and target is at rest, not passing."""
@@ -116,10 +126,13 @@ _IDENTITY: Final = re.compile(r"THORLABS (FW\d{3}\S*)(?:.*version (\S+))?", re.I
 class ThorlabsWheel:
     """A wheel over its dialogue; :func:`open_wheel` makes it.
 
+    Every exchange is repeated within its deadline, since positions and settings are absolute. After any fault the port
+    is opened anew where need be, and the wheel is proven again: the same wheel, with the same slots and settings.
+
     Parameters
     ----------
-    dialogue
-        Dialogue with the wheel.
+    link
+        Open link to the wheel.
     address
         Serial port or URL.
 
@@ -131,25 +144,17 @@ class ThorlabsWheel:
         It does not answer, or not as such a wheel does.
     """
 
-    def __init__(self, dialogue: Dialogue, address: str) -> None:
-        self._dialogue = dialogue
-        self._address = address
-        self._name = _name(address)
-        self.identity()
-        count = dialogue.ask_number("pcount", _in(ANSWER_S))
-        if count not in (6, 12):
-            raise RefusedError(
-                f"{self._name}: says that it has {count} slots, 6 (FW102C) or 12 (FW212C) are possible; set its "
-                "position count with the maker's program"
-            )
-        self._slots = tuple(range(1, count + 1))
-        # The infra-red sensors would light the sample while the wheel rests.
-        self._keep("sensors", 0)
-        self._keep("speed", 1)
+    def __init__(self, link: SerialLink, address: str) -> None:
+        self._link, self._address, self._name = link, address, _name(address)
+        self._dialogue = Dialogue(link, self._name)
+        self._identity: DeviceIdentity | None = None
+        self._slots: tuple[int, ...] = ()
+        self._failures, self._is_proven = 0, False
+        self._within(_in(OPENS_WITHIN_S), lambda end_s: None)
 
     def identity(self) -> DeviceIdentity:
         """Ask the wheel what it is."""
-        return _identity(self._dialogue, self._address, ANSWER_S)
+        return self._within(_in(RECOVERS_WITHIN_S), lambda end_s: _identity(self._dialogue, self._address, end_s))
 
     @property
     def slots(self) -> tuple[int, ...]:
@@ -161,7 +166,7 @@ class ThorlabsWheel:
 
         It has no word for "moving": what it says during a move is not known.
         """
-        reported = self._dialogue.ask_number("pos", _in(ANSWER_S))
+        reported = self._within(_in(RECOVERS_WITHIN_S), lambda end_s: self._ask_number("pos", end_s))
         return reported if reported in self._slots else None
 
     def go_to(self, slot: int, deadline_s: float) -> None:
@@ -170,31 +175,78 @@ class ThorlabsWheel:
         Raises
         ------
         RefusedError
-            The wheel has no such slot; nothing moved.
+            The wheel has no such slot, and nothing moved; or another wheel answers than before.
         TimedOutError
             It did not report the slot, or did not answer, before the deadline.
         WrongPositionError
             It rests at a slot that is neither the one it left nor the one asked for.
         LostError
-            The connection broke, or an answer was garbled.
+            The connection broke, or answers were garbled, until the deadline.
         """
         require_slot(slot, self._slots, self._name)
-        end_s = _in(deadline_s)
-        start = self._dialogue.ask_number("pos", end_s)
-        try:
-            if start != slot:
-                self._dialogue.assign("pos", slot, end_s)
-            arrived, last = self._follow(slot, start, end_s)
-        except TimedOutError as error:
-            raise self._overdue(slot, deadline_s, "it does not confirm the move") from error
+        arrived, last = self._within(_in(deadline_s), lambda end_s: self._move(slot, deadline_s, end_s))
         if not arrived:
             raise self._overdue(slot, deadline_s, f"its last report is slot {last}")
+
+    def _within(self, end_s: float, exchange: Callable[[float], T]) -> T:
+        """Return what an exchange returns, repeated after faults; before the first and after each, prove the wheel."""
+
+        def attempt(end_s: float) -> T:
+            if not self._is_proven:
+                self._prove(end_s)
+            result = exchange(end_s)
+            self._failures = 0
+            return result
+
+        return repeated(attempt, end_s, self._name, after_fault=self._doubt)
+
+    def _doubt(self) -> None:
+        """Note that an exchange failed."""
+        self._failures, self._is_proven = self._failures + 1, False
+
+    def _prove(self, end_s: float) -> None:
+        """See that the same wheel answers, with its slots; set and read back what it may have lost."""
+        # A line that stays silent may be broken without telling, as one to a serial server.
+        if self._link.is_broken or self._failures > 1:
+            self._link.reopen()
+        self._dialogue.lose_step()
+        identity = _identity(self._dialogue, self._address, end_s)
+        count = self._ask_number("pcount", end_s)
+        if count not in (6, 12):
+            raise RefusedError(
+                f"{self._name}: says that it has {count} slots, 6 (FW102C) or 12 (FW212C) are possible; set its "
+                "position count with the maker's program"
+            )
+        slots = tuple(range(1, count + 1))
+        if (self._identity or identity, self._slots or slots) != (identity, slots):
+            raise RefusedError(
+                f"{self._name}: another wheel answers now ({identity.model}, {count} slots); connect the one that the "
+                "session began with"
+            )
+        self._identity, self._slots = identity, slots
+        # The infra-red sensors would light the sample while the wheel rests.
+        self._keep("sensors", 0, end_s)
+        self._keep("speed", 1, end_s)
+        self._is_proven = True
+
+    def _ask_number(self, keyword: str, end_s: float) -> int:
+        return self._dialogue.ask_number(keyword, min(end_s, _in(ANSWER_S)))
+
+    def _move(self, slot: int, deadline_s: float, end_s: float) -> tuple[bool, int]:
+        """Send the wheel to a slot; return whether it arrived, and its last report."""
+        start = self._ask_number("pos", end_s)
+        if start != slot:
+            try:
+                self._dialogue.assign("pos", slot, min(end_s, _in(MOVE_ANSWER_S)))
+            except TimedOutError as error:
+                raise self._overdue(slot, deadline_s, "it does not confirm the move") from error
+        return self._follow(slot, start, end_s)
 
     def _follow(self, slot: int, start: int, end_s: float) -> tuple[bool, int]:
         """Poll until two reports in a row name `slot`, or the time is up; return whether they did, and the last."""
         seen, since_s, polls = start, time.monotonic(), 0
         while time.monotonic() < end_s:
-            reported = self._dialogue.ask_number("pos", end_s)
+            reported = self._ask_number("pos", end_s)
             if reported != seen:
                 seen, since_s, polls = reported, time.monotonic(), 0
             polls += 1
@@ -217,10 +269,10 @@ class ThorlabsWheel:
             "wheel, and check its power supply"
         )
 
-    def _keep(self, setting: str, value: int) -> None:
+    def _keep(self, setting: str, value: int, end_s: float) -> None:
         """Change a setting and see that it is kept."""
-        self._dialogue.assign(setting, value, _in(ANSWER_S))
-        kept = self._dialogue.ask_number(setting, _in(ANSWER_S))
+        self._dialogue.assign(setting, value, min(end_s, _in(ANSWER_S)))
+        kept = self._ask_number(setting, end_s)
         if kept != value:
             raise RefusedError(
                 f"{self._name}: was told '{setting}={value}' and says {setting} is {kept}; switch the wheel off and on"
@@ -240,7 +292,7 @@ def open_wheel(settings: FilterWheelSettings, operator: Operator) -> Iterator[Fi
     """
     name = _name(settings.address)
     with SerialLink(settings.address, BAUD, "filter wheel") as link:
-        wheel = ThorlabsWheel(Dialogue(link, name), settings.address)
+        wheel = ThorlabsWheel(link, settings.address)
         _require_slots(settings.filters, wheel.slots, name)
         yield wheel
 
@@ -251,16 +303,16 @@ def found() -> list[tuple[str, str]]:
     for port in usb_serial_ports():
         try:
             with SerialLink(port.address, BAUD, "filter wheel") as link:
-                wheel = _identity(Dialogue(link, _name(port.address)), port.address, DETECT_S)
+                wheel = _identity(Dialogue(link, _name(port.address)), port.address, _in(DETECT_S))
         except CaptureError:
             continue
         wheels.append((port.address, f"Thorlabs {wheel.model} filter wheel, firmware {wheel.firmware}"))
     return wheels
 
 
-def _identity(dialogue: Dialogue, address: str, within_s: float) -> DeviceIdentity:
+def _identity(dialogue: Dialogue, address: str, end_s: float) -> DeviceIdentity:
     """Ask who is there, and refuse any other device."""
-    said = dialogue.ask("*idn", _in(within_s))
+    said = dialogue.ask("*idn", min(end_s, _in(ANSWER_S)))
     match = _IDENTITY.fullmatch(said)
     if match is None:
         raise RefusedError(

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         require_outside_layer,
         safety_lines,
     )
+    from rigs.light_guard._held_light import LightLostError
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -28,6 +29,7 @@ __all__ = [
     "LEASE_S",
     "TEST_HOLDS_DAYS",
     "GuardedLight",
+    "LightLostError",
     "guarded_light",
     "has_dead_man",
     "off_lines",

@@ -17,10 +17,13 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from data_schemas import (
+    CaptureError,
     DeviceIdentity,
     FinrayError,
     LampSettings,
@@ -31,8 +34,19 @@ from data_schemas import (
     TimedOutError,
     UnsafeError,
 )
-from rigs.light_guard._held_light import EXIT_OFF, HeldLight, HungUpError, channel, error_from, receive, send
+from rigs.light_guard._held_light import (
+    EXIT_OFF,
+    NOBODY_ASKED,
+    HeldLight,
+    HungUpError,
+    LightLostError,
+    channel,
+    error_from,
+    receive,
+    send,
+)
 from rigs.light_guard.watch import LOOK_IN_THE_DARK_S, LOOK_S, OtherProcess
+from rigs.transports import RECOVERS_WITHIN_S, Fault, repeated, tell_fault
 
 if TYPE_CHECKING:
     from rigs import GuardedSwitch
@@ -51,6 +65,10 @@ END_WITHIN_S: Final = 1.0
 ANSWER_MARGIN_S: Final = 0.5
 """What the guard's answer takes beyond the light's."""
 RESCUE_ATTEMPT_S: Final = 1.0
+
+
+class _MustBeToldError(LightLostError):
+    """A light was lost in a way that its user must hear of: no other guard takes its place."""
 
 
 class GuardClient:
@@ -93,6 +111,16 @@ class GuardClient:
     def pid(self) -> int:
         """Process number of the guard."""
         return self._guard.pid
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the guard is gone and the light confirmed off without it."""
+        return isinstance(self._ending, LightLostError)
+
+    @property
+    def came_on_by_itself(self) -> bool:
+        """Whether it has ended because the light was on in the dark."""
+        return self._ending is not None and NOBODY_ASKED in str(self._ending)
 
     def open(self) -> None:
         """Wait until the guard has opened the light and it is confirmed off."""
@@ -156,6 +184,8 @@ class GuardClient:
             message = self._listen(max(deadline_s + ANSWER_MARGIN_S, GUARD_SILENT_S))
             if message.get("number") != number:
                 continue  # it tries again, or an interrupted question is answered now
+            for fault in message.get("faults", ()):
+                tell_fault(Fault(*fault))
             if "error" in message:
                 raise error_from(message)
             if ask in ("on", "off", "prove the dead-man"):
@@ -245,13 +275,14 @@ class GuardClient:
         died = f"killed by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
         reason = farewell.get("gone", died)
         if status == EXIT_OFF:
-            return LostError(
+            # Whoever told the guard to end wants no light: then nobody lights it anew.
+            return (CaptureError if farewell.get("was_told") else LightLostError)(
                 f"{self.name}: the guard process has ended ({reason}); it had the light confirmed off before. Take "
                 "the capture up again with --resume"
             )
         if (why_not := self._rescue()) is not None:
             return UnsafeError(self.unconfirmed(f"the guard process has ended ({reason}), and then: {why_not}"))
-        return LostError(
+        return LightLostError(
             f"{self.name}: the guard process has ended ({reason}); the light has been switched off without it and is "
             "confirmed off. Take the capture up again with --resume"
         )
@@ -305,13 +336,11 @@ class GuardedLight:
         lease_s: float = LEASE_S,
         laser: LaserSettings | None = None,
     ) -> None:
-        # rigs._drivers names this module; the table of lights is looked up when it is there.
-        from rigs import LIGHTS
-
-        self._guard = GuardClient(role, LIGHTS[driver], address, lease_s)
+        self._start = partial(GuardClient, role, _driver_of_light(driver).__name__, address, lease_s)
+        self._guard = self._start()
         self._laser = laser
         self._depth = 0
-        self._is_dead_man_proven = False
+        self._is_dead_man_proven = self._is_closed = False
 
     def open(self) -> None:
         """Wait until the guard has opened the light and it is confirmed off.
@@ -333,6 +362,7 @@ class GuardedLight:
         UnsafeError
             The light is not confirmed off.
         """
+        self._is_closed = True
         self._guard.close()
 
     @property
@@ -369,11 +399,47 @@ class GuardedLight:
 
     def identity(self) -> DeviceIdentity:
         """Ask the controller what it is."""
-        return DeviceIdentity.model_validate(self._guard.ask("identity", STATE_DEADLINE_S))
+        return DeviceIdentity.model_validate(self._asked("identity"))
 
     def state(self) -> bool:
-        """Ask the controller whether the light is on."""
-        return bool(self._guard.ask("state", STATE_DEADLINE_S))
+        """Ask the controller whether the light is on.
+
+        Raises
+        ------
+        LightLostError
+            It went off in a lit block; it is confirmed off.
+        TimedOutError, LostError
+            It cannot be asked.
+        """
+        return bool(self._asked("state"))
+
+    def _asked(self, ask: Literal["identity", "state"]) -> Any:
+        """Return the answer to a question, repeated after faults: in the dark also by a new guard."""
+
+        def attempt(end_s: float) -> Any:
+            if not self._depth:
+                self._replace_guard()
+            try:
+                return self._guard.ask(ask, STATE_DEADLINE_S)
+            except LightLostError as error:
+                raise (_MustBeToldError(str(error)) if self._must_be_told else error) from error
+
+        # In a lit block a light that is gone must be lit anew, which whoever needs it decides.
+        final = (LightLostError,) if self._depth else (_MustBeToldError,)
+        return repeated(attempt, time.monotonic() + RECOVERS_WITHIN_S, self._guard.name, final=final)
+
+    @property
+    def _must_be_told(self) -> bool:
+        """Whether the guard ended so that no other one may take its place: closed, or the light came on by itself."""
+        return self._is_closed or self._guard.came_on_by_itself
+
+    def _replace_guard(self) -> None:
+        """Start another guard where the last one has ended with the light confirmed off."""
+        if not self._guard.has_ended or self._must_be_told:
+            return
+        self._guard.close()
+        self._guard, self._is_dead_man_proven = self._start(), False
+        self._guard.open()
 
     @contextmanager
     def lit(self) -> Iterator[None]:
@@ -386,18 +452,19 @@ class GuardedLight:
         ------
         RefusedError
             The laser is of class 3R or above, and no tested layer outside the computer is declared.
-        LostError
-            The guard process is gone; the light is confirmed off.
+        LightLostError
+            It did not come on, or the guard process is gone; the light is confirmed off.
         UnsafeError
             The light is not confirmed off.
         """
         if why := self.refusal:
             raise RefusedError(f"{self._guard.name}: {why}")
+        if not self._depth:
+            self.state()  # asked in the dark, where everything may be opened anew
         self._depth += 1
         try:
             if self._depth == 1:
-                self._prove_dead_man()
-                self._guard.ask("on", SWITCH_DEADLINE_S)
+                self._switch_on()
             yield
         except BaseException:
             # A lost guard means "off" here, and what left the block says more.
@@ -405,6 +472,14 @@ class GuardedLight:
                 self._leave()
             raise
         self._leave()
+
+    def _switch_on(self) -> None:
+        """Switch on, in one attempt."""
+        try:
+            self._prove_dead_man()
+            self._guard.ask("on", SWITCH_DEADLINE_S)
+        except (LostError, TimedOutError) as error:
+            raise LightLostError(str(error)) from error
 
     def _prove_dead_man(self) -> None:
         """See once that the dead-man of a hazardous laser acts."""
@@ -519,10 +594,15 @@ def require_outside_layer(laser: LaserSettings) -> None:
 
 def has_dead_man(settings: LaserSettings | LampSettings) -> bool:
     """Whether the driver of a light speaks to a controller with a dead-man."""
-    # rigs._drivers names this package; the table of lights is looked up when it is there.
-    from rigs import LIGHTS
+    return bool(_driver_of_light(settings.driver).HAS_DEAD_MAN)
 
-    return bool(import_module(LIGHTS[settings.driver]).HAS_DEAD_MAN)
+
+def _driver_of_light(name: str) -> ModuleType:
+    """Return the module of a light's driver."""
+    # rigs._drivers imports this package; it is looked up when it is there.
+    from rigs import driver_module, find_driver
+
+    return driver_module(find_driver("light", name))
 
 
 def off_lines(has_dead_man: bool, layer: OutsideLayer | None = None) -> tuple[str, str]:

@@ -34,6 +34,13 @@ RETRY_FOR_S: Final = 5.0
 RETRY_PAUSE_S: Final = 0.2
 
 
+NOBODY_ASKED: Final = "on although nobody had asked for it"
+
+
+class LightLostError(LostError):
+    """A light did not come on, or went off unasked; it is confirmed off, and may be lit anew by who needs it."""
+
+
 class HeldLight:
     """A light that is made to be off, over a new connection where the old one fails.
 
@@ -59,9 +66,24 @@ class HeldLight:
         self._late_on_until_s = 0.0
 
     def open(self) -> None:
-        """Open the connection; raises what the driver does."""
+        """Open the connection; raises what the driver does.
+
+        Raises
+        ------
+        RefusedError
+            The driver's switch lacks something, so that the light could not be guarded.
+        """
+        # rigs names this package; its protocols are looked up when they are there.
+        from rigs import GuardedSwitch, missing_members
+
         self._before_opening()
-        self._switch = self._connection.enter_context(self._opening())
+        switch = self._connection.enter_context(self._opening())
+        if lacking := missing_members(switch, GuardedSwitch):
+            raise RefusedError(
+                f"{self._name}: its driver {type(switch).__module__} opens a switch that lacks {', '.join(lacking)}; "
+                "update the package that brings it, or tell its author (docs/how-to/write-a-driver.md)"
+            )
+        self._switch = switch
 
     def close(self) -> None:
         """Close the connection, also one that is lost."""
@@ -69,6 +91,12 @@ class HeldLight:
         with contextlib.suppress(Exception):
             self._connection.close()
         self._connection = ExitStack()
+
+    def reopened(self) -> "GuardedSwitch":
+        """Return the switch, over a new connection where there is none; raises what the driver does."""
+        if self._switch is None:
+            self.open()
+        return self.switch
 
     @property
     def switch(self) -> "GuardedSwitch":

@@ -23,11 +23,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from data_schemas import LostError
+from data_schemas import LostError, TimedOutError
 from rigs.light_guard import watch as watch_program
 from rigs.light_guard._held_light import (
     EXIT_NOT_OFF,
     EXIT_OFF,
+    NOBODY_ASKED,
     HeldLight,
     HungUpError,
     channel,
@@ -36,6 +37,7 @@ from rigs.light_guard._held_light import (
     send,
 )
 from rigs.light_guard.watch import LONGEST_PACKET_BYTES, LOOK_S, OtherProcess
+from rigs.transports import Fault, faults_told
 
 if TYPE_CHECKING:
     from rigs import GuardedSwitch, OffWords
@@ -53,6 +55,7 @@ ATTEMPT_S: Final = 0.5
 ALONE_FOR_S: Final = 600.0
 ARM_WITHIN_S: Final = 2.0
 WATCH_ENDS_WITHIN_S: Final = 1.0
+MOST_FAULTS: Final = 20  # told with one answer
 
 
 class GivenUp(BaseException):
@@ -235,13 +238,13 @@ class Guard:
     ) -> None:
         self._owner, self._owner_process, self._watch, self._name = owner, owner_process, watch, name
         self._light = HeldLight(opening, name, watch.let_go)
-        self._lit = self._is_owner_gone = False
+        self._lit = self._is_owner_gone = self._has_dead_man = False
         self._looked_s = time.monotonic()
         self._lease_s = self._lease_until_s = math.inf
         # Given up when the light must go off, or when the owner asks for something else meanwhile.
         self._wait = Wait(lambda: self._reason_to_go() is not None or bool(self._questions))
         self._questions: deque[dict[str, Any]] = deque()
-        self._signal = ""
+        self._signal = self._doubt = ""
         self._why_not_off: str | None = None
         self._woken, self._waker = socket.socketpair()
         for end in (self._woken, self._waker):
@@ -259,13 +262,14 @@ class Guard:
         reason = "at the start"
         if self._make_off() is None:
             pids = {"watch_pid": self._watch.process.pid}
-            self._tell(ready=True, has_dead_man=self._light.switch.has_dead_man, **pids)
+            self._has_dead_man = self._light.switch.has_dead_man
+            self._tell(ready=True, has_dead_man=self._has_dead_man, **pids)
             try:
                 reason = self._serve()
             except Exception as error:  # a mistake of ours, and the light may be on
                 reason = repr(error)
         why_not = self._why_not_off or self._make_off()
-        self._tell(gone=reason, not_off=why_not)
+        self._tell(gone=reason, not_off=why_not, was_told=bool(self._signal))
         if why_not is not None:
             shout(self._name, why_not)
         self._listen()
@@ -305,21 +309,20 @@ class Guard:
         """Return when the light must next hear of us, or be looked at; a dark one with a dead-man never."""
         if self._lit:
             return self._looked_s + KEEP_ALIVE_S
-        return math.inf if self._light.switch.has_dead_man else self._looked_s + LOOK_EVERY_S
+        return math.inf if self._has_dead_man else self._looked_s + LOOK_EVERY_S
 
     def _look_after(self) -> str | None:
         """Keep a lit light alive, and see that a dark one is dark; return why it is time to go."""
         self._looked_s = time.monotonic()
-        switch = self._light.switch
         try:
-            if self._lit and switch.has_dead_man:  # waits for nothing, and must not be torn from its line
-                switch.keep_alive()
+            if self._lit and self._has_dead_man:  # waits for nothing, and must not be torn from its line
+                self._light.switch.keep_alive()
                 return None
             with self._wait.for_the_light():
                 if self._lit:
-                    switch.keep_alive()
-                elif switch.state(LOOK_WITHIN_S):
-                    return "the light was on although nobody had asked for it"
+                    self._light.switch.keep_alive()
+                elif self._light.reopened().state(LOOK_WITHIN_S):
+                    return f"the light was {NOBODY_ASKED}"
         except GivenUp:
             return None
         except Exception as error:  # a dark light that cannot be asked now is asked again
@@ -335,6 +338,8 @@ class Guard:
             return "the light does not go off"
         if self._is_owner_gone:
             return "its owner is gone"
+        if self._doubt:
+            return self._doubt
         if self._lit:
             self._watch.beat()
             if missing := self._owner_process.missing():
@@ -368,19 +373,26 @@ class Guard:
 
     def _answer(self, message: dict[str, Any]) -> None:
         """Do what one message asks and answer it."""
+        faults: list[Fault] = []
         try:
-            answer: dict[str, object] = {"value": self._do(message["ask"], float(message["deadline_s"]))}
+            with faults_told(faults.append):
+                answer: dict[str, object] = {"value": self._do(message["ask"], float(message["deadline_s"]))}
         except GivenUp:
             return
         except Exception as error:
             answer = {**error_words(error)}
-        self._tell(number=message["number"], **answer)
+            if isinstance(error, LostError | TimedOutError):
+                if self._lit:
+                    self._doubt = f"it is lit and cannot be asked ({error})"
+                else:
+                    self._light.close()  # the next question opens it anew
+        self._tell(number=message["number"], faults=faults[-MOST_FAULTS:], **answer)
 
     def _do(self, ask: str, deadline_s: float) -> object:
         if ask == "off":
             return self._make_off()
         with self._wait.for_the_light():
-            switch = self._light.switch
+            switch = self._light.reopened()
             if ask == "identity":
                 return switch.identity().model_dump()
             if ask == "state":

@@ -44,7 +44,7 @@ class Relay:
 
     def command(self, on: bool, end_s: float) -> None:
         """Ask the device to switch."""
-        self._client.put("setswitch", {"Id": self._number, "State": on}, end_s)
+        self._client.put("setswitch", {"Id": self._number, "State": on}, end_s, once=on)
 
     def reading(self, end_s: float) -> bool:
         """Ask whether the switch is on."""
@@ -76,7 +76,7 @@ class Calibrator:
         """Ask the device to switch."""
         if on:
             brightest = self._client.get_int("maxbrightness", end_s)
-            self._client.put("calibratoron", {"Brightness": brightest}, end_s)
+            self._client.put("calibratoron", {"Brightness": brightest}, end_s, once=True)
         else:
             self._client.put("calibratoroff", {}, end_s)
 

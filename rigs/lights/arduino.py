@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 from data_schemas import CaptureError, DeviceIdentity, LostError, RefusedError, TimedOutError, UnsafeError
 from rigs import OffWords
-from rigs.transports import SerialLink, usb_serial_ports
+from rigs.transports import SerialLink, repeated, usb_serial_ports
 
 if TYPE_CHECKING:
     from rigs import Operator
@@ -23,6 +23,14 @@ BAUD: Final = 9600
 Word = Literal["ON", "OFF", "ERR", "TRIP", "LASER"]
 _WORDS: Final[dict[bytes, Word]] = {b"ON": "ON", b"OFF": "OFF", b"ERR": "ERR", b"TRIP": "TRIP", b"LASER": "LASER"}
 LINE: Final = re.compile(rb"(?:(ON|OFF|ERR|TRIP)|(LASER) (\d{1,3}\.\d{1,3}))\r?\n")
+
+
+class WentOffError(LostError):
+    """The light is off by itself: asking again would hide it."""
+
+
+class GarbledError(LostError):
+    """A line that the firmware never says."""
 
 
 class Said(NamedTuple):
@@ -42,7 +50,7 @@ def parse(line: bytes, name: str) -> Said:
     """
     match = LINE.fullmatch(line)
     if match is None:
-        raise LostError(
+        raise GarbledError(
             f"{name}: says {line[:32]!r}, which the light's firmware never does; check the cable, the ground between "
             f"board and computer, the speed ({BAUD} baud) and that no other program uses the port"
         )
@@ -53,6 +61,7 @@ HAS_DEAD_MAN: Final = True
 FIRMWARE_MAJOR: Final = 1
 ASK_WITHIN_S: Final = 0.5
 """An answer takes 5 ms on the wire and 45 ms through an emulated port."""
+IDENTITY_WITHIN_S: Final = 1.5
 RESET_WITHIN_S: Final = 2.5
 """Start of a board's boot loader until the firmware speaks."""
 QUIET_S: Final = 0.1
@@ -87,13 +96,13 @@ class ArduinoSwitch:
     def __init__(self, link: SerialLink, role: Literal["laser", "lamp"], address: str) -> None:
         self._link, self._role, self._address = link, role, address
         self._name = f"{role} at {address}"
-        self._unanswered = 0
+        self._unanswered = self._missed = 0
         self._out_of_step = False
         self._require_version(self._greet())
 
     def identity(self) -> DeviceIdentity:
         """Ask the controller who it is."""
-        said = self._exchange("I", ASK_WITHIN_S, wanted="LASER")
+        said = self._asked("I", IDENTITY_WITHIN_S, wanted="LASER")
         return DeviceIdentity(
             role=self._role, driver="arduino", address=self._address, model="light with dead-man", firmware=said.version
         )
@@ -127,7 +136,7 @@ class ArduinoSwitch:
         LostError
             The dead-man has switched the light off since the last exchange.
         """
-        return self._exchange("?", deadline_s, tell_trip=True).word == "ON"
+        return self._asked("?", deadline_s).word == "ON"
 
     def off_words(self) -> OffWords:
         """Return the off command; the line feed before it ends what is half said on the same line."""
@@ -164,17 +173,27 @@ class ArduinoSwitch:
             The controller has not answered the last keep-alives.
         """
         with self._in_step():
+            self._missed += bool(self._unanswered)
             while self._unanswered:
                 try:
                     said = self._hear(time.monotonic(), tell_trip=True)
-                except TimedOutError as error:
-                    if self._unanswered < MISSED_ANSWERS:
-                        break
-                    raise TimedOutError(
-                        f"{self._name}: answered none of the last {MISSED_ANSWERS} keep-alives; check cable and board"
-                    ) from error
+                except TimedOutError:
+                    break
+                except GarbledError:  # the next answer tells the same
+                    self._unanswered -= 1
+                    continue
                 if said.word != "ON":
-                    raise LostError(f"{self._name}: answers {said.word} although it was switched on; check the board")
+                    raise WentOffError(
+                        f"{self._name}: answers {said.word} although it was switched on; check the board"
+                    )
+                self._missed = 0
+            if self._missed >= MISSED_ANSWERS:
+                raise TimedOutError(
+                    f"{self._name}: answered none of the last {MISSED_ANSWERS} keep-alives; check cable and board"
+                )
+            # One that was lost on the way is not waited for; a question finds its step first.
+            self._out_of_step |= self._unanswered > 0
+            self._unanswered = 0
             self._send("K", time.monotonic() + ASK_WITHIN_S)
 
     def _greet(self) -> Said:
@@ -208,6 +227,15 @@ class ArduinoSwitch:
                 f"{self._name}: runs firmware {said.version}; this version of finray needs {FIRMWARE_MAJOR}.x: flash "
                 "rigs/lights/firmware to the board"
             )
+
+    def _asked(self, question: str, deadline_s: float, wanted: Word | None = None) -> Said:
+        """Return the answer to a question, repeated after faults but for those that switched the light off."""
+
+        def attempt(end_s: float) -> Said:
+            return self._exchange(question, end_s - time.monotonic(), tell_trip=True, wanted=wanted)
+
+        end_s = time.monotonic() + deadline_s
+        return repeated(attempt, end_s, self._name, attempt_s=ASK_WITHIN_S, final=(WentOffError,))
 
     def _exchange(
         self, command: str, deadline_s: float, *, tell_trip: bool = False, wanted: Word | None = None
@@ -245,13 +273,13 @@ class ArduinoSwitch:
             said = parse(self._link.read_until(b"\n", end_s), self._name)
             if said.word == "TRIP":
                 if tell_trip:
-                    raise LostError(
+                    raise WentOffError(
                         f"{self._name}: the dead-man switched it off, the board had heard nothing for 0.7 s; relieve "
                         "the computer, check the cable, and repeat what was going on"
                     )
                 continue
             if said.word == "LASER" and wanted != "LASER":
-                raise LostError(
+                raise WentOffError(
                     f"{self._name}: the board restarted, which switches the light off; check its power supply and cable"
                 )
             self._unanswered -= 1

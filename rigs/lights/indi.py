@@ -11,6 +11,7 @@ from rigs.lights._server_light import HAS_DEAD_MAN as HAS_DEAD_MAN
 from rigs.lights._server_light import LightRole, ServerLight
 from rigs.transports import INDI_OPENS_WITHIN_S, LIGHT_INTERFACE, IndiClient, found_on_this_computer, new_vector
 
+ATTEMPT_S: Final = 2.0
 _CONTROL: Final = "FLAT_LIGHT_CONTROL"
 _ON: Final = "FLAT_LIGHT_ON"
 _OFF: Final = "FLAT_LIGHT_OFF"
@@ -39,24 +40,34 @@ class IndiPanel:
 
     def set(self, on: bool, end_s: float) -> None:
         """Switch, wait for the driver's answer to it, then ask it again."""
-        self._client.ready(end_s)
-        self._client.change("Switch", _CONTROL, {_ON if on else _OFF: "On"}, end_s)
-        if self._ask(end_s) != on:
-            raise RefusedError(f"{self.name}: does not turn {'on' if on else 'off'}{self._client.said()}")
+        if on:
+            self._client.ready(end_s)
+            self._set(True, end_s)
+        else:
+            self._client.within(end_s, lambda end_s: self._set(False, end_s))
 
     def reading(self, end_s: float) -> bool:
         """Ask the driver afresh whether the light is on: twice, as INDI's answers do not name their question.
 
         The first may be what another client was told before the light changed.
         """
-        self._client.ready(end_s)
-        self._client.ask(_CONTROL, end_s)
-        return self._ask(end_s)
+        return self._client.within(end_s, self._reading, min(ATTEMPT_S, 0.45 * (end_s - time.monotonic())))
 
     def off_words(self) -> OffWords:
         """Return the message that switches off; the server obeys it from a connection that asked for nothing."""
         where = self._client.where
         return OffWords(new_vector("Switch", where.device, _CONTROL, {_OFF: "On"}), (where.host, where.port))
+
+    def _set(self, on: bool, end_s: float) -> None:
+        """Switch on a connection that stands."""
+        self._client.change("Switch", _CONTROL, {_ON if on else _OFF: "On"}, end_s)
+        if self._ask(end_s) != on:
+            raise RefusedError(f"{self.name}: does not turn {'on' if on else 'off'}{self._client.said()}")
+
+    def _reading(self, end_s: float) -> bool:
+        """Ask twice on a connection that stands."""
+        self._client.ask(_CONTROL, end_s)
+        return self._ask(end_s)
 
     def _ask(self, end_s: float) -> bool:
         """Return the state; a panel that is just changing counts as lit."""

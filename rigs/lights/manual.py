@@ -7,6 +7,8 @@ from typing import Final, Literal
 from data_schemas import CaptureError, DeviceIdentity, RefusedError, UnsafeError
 from rigs import Light, LightSwitch, Operator
 
+HAS_DEAD_MAN: Final = False
+
 
 class ManualSwitch:
     """The switch of a lamp in the operator's hand; deadlines do not hold for people.
@@ -17,14 +19,11 @@ class ManualSwitch:
         Who switches.
     """
 
+    has_dead_man: Final = HAS_DEAD_MAN
+
     def __init__(self, operator: Operator) -> None:
         self._operator = operator
         self._confirmed: bool | None = None
-
-    @property
-    def has_dead_man(self) -> bool:
-        """Nothing switches this lamp off by itself."""
-        return False
 
     def identity(self) -> DeviceIdentity:
         """Return that a person switches the lamp."""

@@ -33,7 +33,7 @@ from data_schemas import (
     SpectralCurve,
     Target,
 )
-from data_schemas.storage import LAMP_TEMPERATURE_K, planck_relative, read_donaldson_matrix
+from data_schemas.storage import lamp_curve, planck_relative, read_donaldson_matrix
 from rigs.simulated.sensor import mosaic
 
 Floats = NDArray[np.float64]
@@ -139,7 +139,7 @@ class Bench:
         }
         self.response = PEAK_QUANTUM_EFFICIENCY * np.array([curve(WAVELENGTH_NM) for curve in response])
         self.lights: dict[LightState, Floats] = {
-            "lamp": planck_relative(WAVELENGTH_NM, LAMP_TEMPERATURE_K),
+            "lamp": _lamp_light(rig, folder),
             "laser": LASER_LEVEL_NM_PER_MW * rig.laser.power_mw * laser_line(WAVELENGTH_NM, rig.laser),
             "room": ROOM_LEVEL_REL * planck_relative(WAVELENGTH_NM, ROOM_TEMPERATURE_K),
         }
@@ -223,6 +223,14 @@ class Bench:
         frame = mosaic(rgb)
         frame.flags.writeable = False
         return frame
+
+
+def _lamp_light(rig: RigFile, folder: Path) -> Floats:
+    """Return the lamp's light, 1 at 560 nm."""
+    if not rig.lamp.spectrum.endswith(".csv"):
+        return planck_relative(WAVELENGTH_NM, rig.lamp.temperature_k)
+    curve = lamp_curve(rig.lamp, folder)
+    return np.asarray(curve(WAVELENGTH_NM) / curve(560.0))
 
 
 TRUTH_NM: Floats = np.arange(470.0, 781.0)

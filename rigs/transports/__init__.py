@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         indi_address,
     )
     from rigs.transports._indi_messages import blob_bytes, new_vector
+    from rigs.transports._repeated_exchange import RECOVERS_WITHIN_S, Fault, faults_told, repeated, tell_fault
     from rigs.transports._serial_link import SerialLink, usb_serial_ports
     from rigs.transports._timed_http import MultipartStream, NewestPart, Part, TimedConnection
 else:
@@ -38,7 +39,9 @@ __all__ = [
     "FILTER_WHEEL_INTERFACE",
     "INDI_OPENS_WITHIN_S",
     "LIGHT_INTERFACE",
+    "RECOVERS_WITHIN_S",
     "AlpacaClient",
+    "Fault",
     "IndiClient",
     "IndiProperty",
     "MultipartStream",
@@ -50,8 +53,11 @@ __all__ = [
     "alpaca_devices",
     "blob_bytes",
     "device_number",
+    "faults_told",
     "found_on_this_computer",
     "indi_address",
     "new_vector",
+    "repeated",
+    "tell_fault",
     "usb_serial_ports",
 ]

@@ -11,17 +11,22 @@ import json
 import os
 import socket
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from http.client import HTTPException
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple, TypeVar
 from urllib.parse import urlencode, urlsplit
 
 from data_schemas import DeviceIdentity, LostError, RefusedError, TimedOutError
+from rigs.transports._repeated_exchange import repeated
 from rigs.transports._timed_http import TimedConnection
 
+T = TypeVar("T")
 ALPACA_OPENS_WITHIN_S: Final = 15.0
 POLL_S: Final = 0.02
+GET_ATTEMPT_S: Final = 2.0
+PUT_ATTEMPT_S: Final = 8.0
+"""Some servers answer to a move when it has ended."""
 LARGEST_ANSWER_BYTES: Final = 2**16
 _NOT_CONNECTED: Final = 0x407
 _ERRORS: Final = {
@@ -72,7 +77,8 @@ def device_number(text: str) -> int | None:
 class AlpacaClient:
     """One device of an Alpaca server.
 
-    Instants `end_s` are readings of :func:`time.monotonic`.
+    Requests are repeated within their deadline, but for those that say ``once``. After a fault the device is connected
+    again where its server has forgotten it. Instants `end_s` are readings of :func:`time.monotonic`.
 
     Parameters
     ----------
@@ -82,21 +88,43 @@ class AlpacaClient:
         Kind of the device (``filterwheel``) and its number there.
     name
         Role and address, for messages.
+
+    Attributes
+    ----------
+    connections
+        How often the server was found to have no connection to its device: it was restarted, and the device may have
+        moved.
     """
 
     def __init__(self, where: AlpacaAddress, device_type: str, number: int, name: str) -> None:
         self.name = name
+        self.connections = 0
+        self._is_doubtful = False
+        self._model: str | None = None
         self._host, self._port = where.host, where.port
         self._path = f"/api/v1/{device_type}/{number}/"
         self._transactions = itertools.count(1)
 
     def connect(self, end_s: float) -> None:
-        """Have the server connect to its device, and wait until it says that it did."""
-        if self.get_bool("connected", end_s):
-            return
-        self.put("connected", {"Connected": True}, end_s)
-        while not self.get_bool("connected", end_s):
-            self.pause(end_s, "connect to its device")
+        """Have the server connect to its device, and wait until it says that it did.
+
+        Raises
+        ------
+        RefusedError
+            Another device than before has this number.
+        """
+        if self._ask("GET", "connected", {}, end_s) is not True:
+            self.connections += 1
+            self._ask("PUT", "connected", {"Connected": True}, end_s)
+            while self._ask("GET", "connected", {}, end_s) is not True:
+                self.pause(end_s, "connect to its device")
+        model = str(self._ask("GET", "name", {}, end_s))
+        if self._model not in (None, model):
+            raise RefusedError(
+                f"{self.name}: '{model}' answers now, '{self._model}' did before; correct the numbers in the address, "
+                "or set the server up as it was"
+            )
+        self._model, self._is_doubtful = model, False
 
     def get(self, member: str, end_s: float, **parameters: int) -> Any:
         """Return what a member of the device holds.
@@ -110,7 +138,7 @@ class AlpacaClient:
         LostError
             Nothing listens, the connection broke, the device is not connected, or the answer is not Alpaca's.
         """
-        return self._exchange("GET", member, parameters, end_s).get("Value")
+        return self._within(end_s, lambda end_s: self._ask("GET", member, parameters, end_s))
 
     def get_bool(self, member: str, end_s: float, **parameters: int) -> bool:
         """Return a truth value."""
@@ -140,9 +168,14 @@ class AlpacaClient:
             raise self._not_alpaca(member, value)
         return value
 
-    def put(self, member: str, parameters: Mapping[str, bool | int], end_s: float) -> None:
-        """Set or start something; raises as :meth:`get` does."""
-        self._exchange("PUT", member, parameters, end_s)
+    def put(self, member: str, parameters: Mapping[str, bool | int], end_s: float, *, once: bool = False) -> None:
+        """Set or start something, with `once` in one attempt; raises as :meth:`get` does."""
+        if once:
+            if self._is_doubtful:
+                self.connect(end_s)
+            self._ask("PUT", member, parameters, end_s)
+        else:
+            self._within(end_s, lambda end_s: self._ask("PUT", member, parameters, end_s), PUT_ATTEMPT_S)
 
     def put_request(self, member: str, parameters: Mapping[str, bool | int]) -> tuple[bytes, tuple[str, int]]:
         """Return the request that :meth:`put` would send, as bytes, and host and port that it goes to."""
@@ -180,8 +213,24 @@ class AlpacaClient:
             raise TimedOutError(f"{self.name}: did not {what} before its deadline; check the device and its driver")
         time.sleep(POLL_S)
 
-    def _exchange(self, method: str, member: str, parameters: Mapping[str, bool | int], end_s: float) -> dict[str, Any]:
-        """Send one request and return the checked answer."""
+    def _within(self, end_s: float, request: Callable[[float], T], longest_s: float = GET_ATTEMPT_S) -> T:
+        """Return what a request returns, repeated after faults."""
+
+        def attempt(end_s: float) -> T:
+            if self._is_doubtful:
+                self.connect(end_s)
+            return request(end_s)
+
+        # Two attempts fit into any deadline.
+        attempt_s = min(longest_s, 0.45 * (end_s - time.monotonic()))
+        return repeated(attempt, end_s, self.name, attempt_s=attempt_s, after_fault=self._doubt)
+
+    def _doubt(self) -> None:
+        """Note that a request failed."""
+        self._is_doubtful = True
+
+    def _ask(self, method: str, member: str, parameters: Mapping[str, bool | int], end_s: float) -> Any:
+        """Send one request, and return the value of its checked answer."""
         transaction = next(self._transactions)
         fields = urlencode({**parameters, "ClientID": _CLIENT_ID, "ClientTransactionID": transaction})
         status, body = self._ask_server(method, self._path + member, fields, end_s)
@@ -200,7 +249,7 @@ class AlpacaClient:
         if answer.get("ClientTransactionID") not in (None, 0, transaction):
             raise self._not_alpaca(member, f"an answer to request {answer['ClientTransactionID']!s:.20}")
         self._require_success(member, answer)
-        return answer
+        return answer.get("Value")
 
     def _require_success(self, member: str, answer: Mapping[str, Any]) -> None:
         error = answer["ErrorNumber"]

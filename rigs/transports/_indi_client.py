@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Final, Literal, NamedTuple, Self
+from typing import Final, Literal, NamedTuple, Self, TypeVar
 
 from data_schemas import DeviceIdentity, LostError, RefusedError, TimedOutError
 from rigs.transports._indi_messages import (
@@ -22,6 +22,7 @@ from rigs.transports._indi_messages import (
     new_vector,
     number,
 )
+from rigs.transports._repeated_exchange import repeated
 
 DEFAULT_PORT: Final = 7624
 CAMERA_INTERFACE: Final = 1 << 1
@@ -243,14 +244,24 @@ class IndiDevice:
 
 INDI_OPENS_WITHIN_S: Final = 30.0
 """Drivers that connect reset their device; a wheel that turns once round for its mark took 10 s."""
+ATTEMPT_S: Final = 3.0
+"""A driver answers a question in milliseconds; one that crashed is back after one to three seconds."""
 _RECEIVE_BYTES: Final = 2**20
 ANSWER_WITHIN_S: Final = 5.0
 """A driver that crashed is back after one to three seconds."""
 _SWITCHED_ON: Final = "On"
 
 
+T = TypeVar("T")
+
+
 class IndiClient(IndiDevice):
     """One device of an INDI server; a lost connection is told once, and the next call connects again.
+
+    Attributes
+    ----------
+    connections
+        How often it has connected: a driver that was left may have been restarted, and its device moved.
 
     Instants `end_s` are readings of :func:`time.monotonic`.
 
@@ -269,6 +280,7 @@ class IndiClient(IndiDevice):
         super().__init__(self._where.device, f"{role} at {address}", needed)
         self._socket: socket.socket | None = None
         self._reader = IndiReader(self.name)
+        self.connections = 0
 
     def __enter__(self) -> Self:
         return self
@@ -310,7 +322,33 @@ class IndiClient(IndiDevice):
         except BaseException:
             self.close()
             raise
+        self.connections += 1
         return True
+
+    def within(self, end_s: float, exchange: Callable[[float], T], attempt_s: float = ATTEMPT_S) -> T:
+        """Return what an exchange returns, which may be done twice; after each fault over a new connection.
+
+        Parameters
+        ----------
+        end_s
+            When all attempts must be over.
+        exchange
+            Called with the instant at which this attempt must be over.
+        attempt_s
+            Longest duration of one attempt.
+
+        Raises
+        ------
+        LostError, TimedOutError
+            No attempt succeeded before the time was over.
+        """
+
+        def attempt(end_s: float) -> T:
+            self.ready(end_s)
+            return exchange(end_s)
+
+        # After a message that was cut off nothing on the old connection can be understood.
+        return repeated(attempt, end_s, self.name, attempt_s=attempt_s, after_fault=self.close)
 
     def ask(self, name: str, end_s: float) -> IndiProperty:
         """Ask the driver for a property, and return it when the answer to this question has come."""

@@ -52,6 +52,11 @@ class SerialLink:
     transcript
         Where every byte is noted: a line ``host b'...'`` or ``device b'...'`` for each piece.
 
+    Attributes
+    ----------
+    is_broken
+        Whether the connection broke since it was opened.
+
     Raises
     ------
     RefusedError
@@ -62,10 +67,33 @@ class SerialLink:
 
     def __init__(self, address: str, baud: int, device: str, transcript: TextIO | None = None) -> None:
         self._name = f"{device} at {address}"
+        self._address, self._baud = address, baud
         self._transcript = transcript
         self._unread = bytearray()
+        self.is_broken = False
+        self._open()
+
+    def reopen(self) -> None:
+        """Close the port and open the address anew; after a replug another port may be behind it.
+
+        Raises
+        ------
+        LostError
+            It cannot be opened now. A port that has just come back may not be ours yet, or be probed by the system.
+        """
+        # An open descriptor would keep the name of the port that was pulled.
+        self.close()
+        self._unread.clear()
         try:
-            self._port: Any = serial.serial_for_url(address, baudrate=baud, timeout=POLL_S, exclusive=True)
+            self._open()
+        except RefusedError as error:
+            raise LostError(str(error)) from error
+        self.is_broken = False
+
+    def _open(self) -> None:
+        """Open the port."""
+        try:
+            self._port: Any = serial.serial_for_url(self._address, baudrate=self._baud, timeout=POLL_S, exclusive=True)
         except ValueError as error:
             raise RefusedError(
                 f"{self._name}: is no address of a serial port ({error}); write a port such as /dev/ttyUSB0 or a URL "
@@ -161,6 +189,24 @@ class SerialLink:
         del self._unread[:end]
         return answer
 
+    def forget(self) -> None:
+        """Forget what has come already: it answers nothing that is asked from now on.
+
+        Raises
+        ------
+        LostError
+            The connection broke.
+        """
+        self._unread.clear()
+        try:
+            forgotten = 0
+            while forgotten <= LONGEST_ANSWER_BYTES and (waiting := self._port.in_waiting):
+                data = bytes(self._port.read(waiting))
+                self._note("device", data)
+                forgotten += max(len(data), 1)
+        except _PORT_ERRORS as error:
+            raise self._lost(error) from error
+
     def drain(self, quiet_s: float, end_s: float) -> bytes:
         """Take in and forget whatever comes until nothing has come for `quiet_s` seconds; return it.
 
@@ -206,6 +252,7 @@ class SerialLink:
             self._transcript.write(f"{who} {data!r}\n")
 
     def _lost(self, error: Exception) -> LostError:
+        self.is_broken = True
         return LostError(f"{self._name}: the connection broke ({error}); plug the cable in again and check its power")
 
     def _not_opened(self, error: Exception) -> RefusedError | LostError:

@@ -7,12 +7,16 @@ part is read before a deadline, and who asks gets the newest, not an old one tha
 import contextlib
 import http.client
 import io
+import math
 import re
 import socket
 import threading
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from statistics import fmean, median
 from types import TracebackType
 from typing import Any, Final, Self
 from urllib.parse import urlsplit
@@ -139,11 +143,16 @@ class Part:
         The bytes between the headers and the next boundary.
     begun_s
         Reading of :func:`time.monotonic` when the first byte of the part had come.
+    taken_s
+        Latest reading of :func:`time.monotonic` at which its content can have been there to be sent, as far as the
+        stream tells: by its sender's stamp, as if the fastest part of the stream had taken no time on its way, and by
+        the stream's pace. Parts that a line held back are behind the pace, until the line has caught up.
     """
 
     headers: Mapping[str, str]
     body: bytes
     begun_s: float
+    taken_s: float = -math.inf
 
 
 class MultipartStream:
@@ -335,6 +344,10 @@ SILENCE_S: Final = 600.0
 """A stream that sends nothing for so long has ended."""
 
 
+PACE_OF_PARTS: Final = 32
+"""So many parts tell the stream's pace."""
+
+
 class NewestPart:
     """Reads a stream in a thread all the time and keeps the newest part.
 
@@ -342,12 +355,15 @@ class NewestPart:
     ----------
     stream
         The open stream; it is closed with this.
+    stamp_s
+        Returns when a part was taken by its sender's clock (s); None where it does not say.
     """
 
-    def __init__(self, stream: MultipartStream) -> None:
-        self._stream = stream
+    def __init__(self, stream: MultipartStream, stamp_s: Callable[[Part], float | None] = lambda part: None) -> None:
+        self._stream, self._stamp_s, self._least_lag_s = stream, stamp_s, math.inf
         self._news = threading.Condition()
         self._count, self._part = 0, Part({}, b"", 0.0)
+        self._begun_s: deque[float] = deque(maxlen=PACE_OF_PARTS)
         self._error: CaptureError | None = None
         self._thread = threading.Thread(target=self._read, name="mjpeg-reader", daemon=True)
         self._thread.start()
@@ -393,6 +409,26 @@ class NewestPart:
                 self._news.wait(left_s)
             return self._count, self._part
 
+    def _timed(self, part: Part) -> Part:
+        """Return a part with when it was taken."""
+        taken_s = part.begun_s - self._behind_pace_s(part.begun_s)
+        if (stamp_s := self._stamp_s(part)) is not None:
+            self._least_lag_s = min(self._least_lag_s, part.begun_s - stamp_s)
+            taken_s = min(taken_s, stamp_s + self._least_lag_s)
+        return replace(part, taken_s=taken_s)
+
+    def _behind_pace_s(self, begun_s: float) -> float:
+        """Return how much later a part may begin than it was taken, by the stream's pace (s).
+
+        That is how far it is behind the fastest ones before it, and one interval, as a few parts tell the pace roughly.
+        """
+        self._begun_s.append(begun_s)
+        intervals_s = [after_s - before_s for before_s, after_s in pairwise(self._begun_s)] or [0.0]
+        # What is held back and not caught up with raises the mean; the median falls in a burst, and then waits longer.
+        pace_s = min(fmean(intervals_s), median(intervals_s))
+        behind_s = (begun_s - before_s - number * pace_s for number, before_s in enumerate(reversed(self._begun_s)))
+        return pace_s + max(behind_s)
+
     def close(self) -> None:
         """End the stream and its thread."""
         self._stream.close()
@@ -408,6 +444,6 @@ class NewestPart:
                 error = ended
             with self._news:
                 if error is None:
-                    self._count, self._part = self._count + 1, part
+                    self._count, self._part = self._count + 1, self._timed(part)
                 self._error = error
                 self._news.notify_all()

@@ -1,10 +1,10 @@
 """What is done with a painted finger: presses, captures, sweeps and studies, as records.
 
-`paint_finger` joins a design with calibrated paints and a renderer. `simulate_press` renders a press as a record,
-`press_records` makes the records of one pressed by finite elements, `recoloured` changes paints or camera of a stored
-press, `capture_twin` and `simulated_capture` pass a render through the sensor model, and `light_angle_sweep` measures
-the objectives of the light angle. A study (`study_...`, `reproduce_paper_paints`) returns a record and draws nothing:
-reports do. Here mechanics and optics meet.
+`paint_finger` joins a design with calibrated paints and a renderer. `simulate_press` renders a press as a record
+(`simulate_images` its images too), `press_records` makes the records of one pressed by finite elements, `recoloured`
+changes paints or camera of a stored press, `capture_twin` and `simulated_capture` pass a render through the sensor
+model, and `light_angle_sweep` measures the objectives of the light angle. A study (`study_...`,
+`reproduce_paper_paints`) returns a record and draws nothing: reports do. Here mechanics and optics meet.
 """
 
 from typing import TYPE_CHECKING
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from sim.experiments._ball_presses import BallPresses, render_ball_presses, render_finger_presses
     from sim.experiments._design_sensitivities import press_sensitivities, study_finger_stiffness
     from sim.experiments._fluorescent_rendering import study_fluorescent_rendering
-    from sim.experiments._illumination import study_light_angle, study_two_lights
+    from sim.experiments._illumination import coat_cells, study_light_angle, study_two_lights
     from sim.experiments._light_angle import light_angle_sweep
     from sim.experiments._mechanical_press import increment_record, press_records, stored_press
-    from sim.experiments._optics_products import OpticsProducts, optics_products
+    from sim.experiments._optics_products import OpticsProducts, simulate_images
     from sim.experiments._painted_finger import (
         CameraResponse,
         FingerScene,
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     )
     from sim.experiments._paper_paints import reproduce_paper_paints
     from sim.experiments._recolour import WhiteBalance, recoloured
-    from sim.experiments._rendered_press import camera_rgb, moved_designs, pose_response, press_record, simulate_press
+    from sim.experiments._rendered_press import Rendering, camera_rgb, pose_response, press_record, simulate_press
     from sim.experiments._tactile_camera import capture_twin, hidden_design, simulated_capture
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -41,15 +41,15 @@ __all__ = [
     "FingerScene",
     "OpticsProducts",
     "PaintedFinger",
+    "Rendering",
     "WhiteBalance",
     "camera_rgb",
     "capture_twin",
+    "coat_cells",
     "finger_scene",
     "hidden_design",
     "increment_record",
     "light_angle_sweep",
-    "moved_designs",
-    "optics_products",
     "paint_finger",
     "paint_optics",
     "pose_response",
@@ -61,6 +61,7 @@ __all__ = [
     "render_finger_presses",
     "reproduce_paper_paints",
     "require_paints_in_order",
+    "simulate_images",
     "simulate_press",
     "simulated_capture",
     "stored_press",

@@ -34,6 +34,7 @@ from sim.mechanics import (
     contact_forces_n,
     finger_mesh,
     frictionless_torque_n_mm,
+    left_out,
     press_finger,
     press_to_force,
     slip_torque_n_mm,
@@ -268,6 +269,8 @@ def press_sensitivities(
     """
     increments = len(pressed.depth_mm)
     before = pressed
+    if contact == "auto" and pressed.kind != "unknown" and not left_out(design):
+        contact = pressed.kind  # all by one contact: their differences count
     if design.mesh.preset != PRESET:
         before = press_finger(design, PRESET, increments, threads, contact=contact, folder=folder)
     start = before if chosen_contact(design, contact) == "penalty" else None

@@ -311,7 +311,7 @@ def study_two_lights(
     window = Window.around(*places, *(r.contact_maps.coat_mm(one) for r in renders))
     here = (window.rows, window.columns)
     seen = np.isfinite(places[0][..., 0]) & np.isfinite(places[1][..., 0])
-    cells = [_cells(one, places[0], seen, r, matrix) for r in renders]
+    cells = [coat_cells(one, places[0], seen, r, matrix) for r in renders]
     along = [_mean(mean, (1,)).T for mean, _ in cells]
     return TwoLights(
         name=f"{finger.design.name}, two lights",
@@ -364,12 +364,36 @@ def evenness(lights: str, mean: Floats, variance: Floats) -> list[Uniformity]:
     ]
 
 
-def _cells(
-    design: FingerDesign, place_mm: Floats, seen: NDArray[np.bool_], render: PressRender, matrix: Floats
+def coat_cells(
+    design: FingerDesign,
+    place_mm: Floats,
+    seen: NDArray[np.bool_],
+    render: PressRender,
+    matrix: Floats,
+    cell_mm: float = _CELL_MM,
 ) -> tuple[Floats, Floats]:
-    """Return means over square cells of the coat and their noise variance, (along, across, channel); NaN unseen."""
+    """Return the light of square cells of the coat without contact, and the variance of its render noise.
+
+    Parameters
+    ----------
+    design, render
+        Finger and render.
+    place_mm
+        Point (z, x) of the coat that each pixel sees, (row, column, 2).
+    seen
+        Pixels that count, (row, column).
+    matrix
+        Camera RGB from bands, (3, 3).
+    cell_mm
+        Side of a cell.
+
+    Returns
+    -------
+    tuple of arrays
+        (along, across, channel) each: the bands, then R, G, B; NaN where fewer than four pixels see a cell.
+    """
     pad = design.pad
-    shape = round(pad.length_mm / _CELL_MM), round(pad.width_mm / _CELL_MM)
+    shape = round(pad.length_mm / cell_mm), round(pad.width_mm / cell_mm)
     z, x = place_mm[seen].T
     i = np.minimum((z / pad.length_mm * shape[0]).astype(int), shape[0] - 1)
     j = np.minimum(((x / pad.width_mm + 0.5) * shape[1]).astype(int), shape[1] - 1)

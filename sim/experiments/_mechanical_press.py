@@ -112,7 +112,9 @@ def stored_press(
         When the design differs in more than the depth of its push, or its STL or the contact is another one.
     """
     _check_same_design(record, design)
-    _check_same_contact(record, chosen_contact(design, contact), indenter_sha256)
+    # a press that took the barrier by itself goes on with it
+    went_on = record.contact == "barrier" and contact == "auto"
+    _check_same_contact(record, "barrier" if went_on else chosen_contact(design, contact), indenter_sha256)
     return _as_press(record, _same_mesh(record, design))
 
 
@@ -210,6 +212,7 @@ def _mechanics(
         design=design,
         notes=(
             pressed.contact,
+            *([f"{pressed.crossing}: what it gives there is no finger's"] if pressed.crossing else []),
             *_chord_note(design, preset, pressed),
             f"gel: C10 = {gel.c10_mpa:g} MPa, K/mu = {gel.bulk_over_shear:g} (the paper gives no K)",
             f"mesh: on the 70 x 35 finger this fineness gives {FORCE_EXCESS_REL[preset]:.0%} more force than an "

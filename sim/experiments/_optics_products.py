@@ -4,14 +4,16 @@ How sure the colours are belongs to it: the camera's response at the LED is know
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import SimulatedPress, SimulateError, TactileCapture
+from sim.experiments._painted_finger import FingerScene
+from sim.experiments._rendered_press import Rendering, press_with_render
 from sim.experiments._tactile_camera import press_design, simulated_capture
-from sim.optics import BAND_NAMES, PaintBands, PixelMaps, PressRender, mix_chains
+from sim.optics import BAND_NAMES, PaintBands, PixelMaps, PressRender, Progress, mix_chains
 
 Floats = NDArray[np.float64]
 
@@ -133,20 +135,21 @@ class OpticsProducts:
     timings_s: Mapping[str, float]
 
 
-def optics_products(
-    render: PressRender,
-    press: SimulatedPress,
-    seed: int,
+def simulate_images(
+    scene: FingerScene, how: Rendering, paint_sha256: Mapping[str, str], progress: Progress | None = None
 ) -> OpticsProducts:
-    """Return the products of a press that has been rendered.
+    """Render a press and all images of it; the record says what the camera's response at the LED does to its colours.
 
-    Parameters
-    ----------
-    render, press
-        The render and its record.
-    seed
-        Of the sensor's noise.
+    Parameters and errors are those of :func:`sim.experiments.simulate_press`.
     """
+    press, render = press_with_render(scene, how, paint_sha256, progress)
+    products = optics_products(render, press, how.seed)
+    told = press.model_copy(update={"notes": (*press.notes, str(products.colours))})
+    return replace(products, press=told)
+
+
+def optics_products(render: PressRender, press: SimulatedPress, seed: int) -> OpticsProducts:
+    """Return the products of a press that has been rendered; the seed is that of the sensor's noise."""
     wavelength_nm = spectral_grid_nm(render.bands)
     return OpticsProducts(
         press=press,

@@ -1,7 +1,7 @@
 """A finger design with calibrated paints: what every study renders."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 
@@ -147,13 +147,13 @@ class FingerScene:
     finger
         Design, paints, camera and renderer.
     calibrations
-        Fits of the "red" and the "green" paint.
+        Fits of the "red" and the "green" paint; empty where the paints are known otherwise.
     shapes
         The finger without and with contact, where a press by finite elements is rendered; None for the analytic press.
     """
 
     finger: PaintedFinger
-    calibrations: Mapping[str, PaintCalibration]
+    calibrations: Mapping[str, PaintCalibration] = field(default_factory=dict)
     shapes: tuple[FingerShape, FingerShape] | None = None
 
 

@@ -122,7 +122,7 @@ def _lights(press: SimulatedPress) -> tuple[RenderedLight, RenderedLight, Finger
     if press.rendered_light is None or press.design is None or _layers(press)[0] is None:
         raise SimulateError(
             f"{press.name} ({press.label}) does not hold the light that it was rendered with; only a press rendered by "
-            "'finray simulate' of this version can be recoloured: render it again"
+            "'finray simulate render' of this version can be recoloured: render it again"
         )
     return press.rendered_light, press.shown_light or press.rendered_light, press.design
 

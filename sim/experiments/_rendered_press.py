@@ -6,7 +6,7 @@ contact image changes with the indenter's depth and place: central differences o
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -23,7 +23,14 @@ from data_schemas import (
     SimulateError,
     SpectralCurve,
 )
-from sim.experiments._painted_finger import COLOURS, CameraResponse, PaintedFinger, coverage_notes, response_matrix
+from sim.experiments._painted_finger import (
+    COLOURS,
+    CameraResponse,
+    FingerScene,
+    PaintedFinger,
+    coverage_notes,
+    response_matrix,
+)
 from sim.optics import (
     BAND_NAMES,
     PaintBands,
@@ -43,69 +50,78 @@ SHAPE_NOTE = "shape of the finger: "
 CAMERA_NOTE = "camera response: "
 
 
+@dataclass(frozen=True, slots=True)
+class Rendering:
+    """How a press is rendered.
+
+    Attributes
+    ----------
+    level
+        "b": walls re-emit the blue light that reaches them; "a" and "a_inverse_square": the paper's distance-textured
+        emitter; "c": the reference, fluorescence traced along each path.
+    seed
+        Of the random numbers.
+    samples_per_pixel
+        Paths per pixel, an even number: a press is rendered as two halves.
+    contact_samples_per_pixel
+        Paths per pixel around the contact, see :func:`sim.optics.render_press`.
+    with_pose_response
+        Also render how the contact image changes with the indenter's depth and position (analytic press only).
+    """
+
+    level: RenderLevel = "b"
+    seed: int = 1
+    samples_per_pixel: int = 128
+    contact_samples_per_pixel: int | None = None
+    with_pose_response: bool = False
+
+
 def simulate_press(
-    finger: PaintedFinger,
-    level: RenderLevel,
-    seed: int,
-    samples_per_pixel: int,
-    paint_sha256: Mapping[str, str],
-    progress: Progress | None = None,
-    shapes: tuple[FingerShape, FingerShape] | None = None,
-    calibrations: Mapping[str, PaintCalibration] | None = None,
-    with_pose_response: bool = False,
-    contact_samples_per_pixel: int | None = None,
+    scene: FingerScene, how: Rendering, paint_sha256: Mapping[str, str], progress: Progress | None = None
 ) -> SimulatedPress:
     """Render the contact and no-contact image of a finger in its camera's linear RGB.
 
     Parameters
     ----------
-    finger
-        Design, paints, camera response and renderer.
-    level
-        "b": walls re-emit the blue light that reaches them; "a": the paper's distance-textured emitter; "c": the
-        reference, fluorescence traced along each path.
-    seed, samples_per_pixel
-        Random seed and paths per pixel.
+    scene
+        The painted finger; with the fits of its paints, the press holds draws of what its colours rest on.
+    how
+        Level, seed and number of paths.
     paint_sha256
         Colour -> SHA-256 of the paint calibration the optics came from.
-    shapes
-        The finger without and with contact; by default the design's indenter is pressed in analytically.
-    calibrations
-        Fits that the paints came from: with them the press holds draws of what its colours rest on.
-    contact_samples_per_pixel
-        Paths per pixel around the contact, see :func:`sim.optics.render_press`.
-    with_pose_response
-        Also render how the contact image changes with the indenter's depth and position (analytic press only).
+    progress
+        Called with parts done, parts in all and what is done.
 
     Raises
     ------
     SimulateError
         A response to the pose is asked for of given shapes.
     """
-    if with_pose_response and shapes is not None:
+    return press_with_render(scene, how, paint_sha256, progress)[0]
+
+
+def press_with_render(
+    scene: FingerScene, how: Rendering, paint_sha256: Mapping[str, str], progress: Progress | None = None
+) -> tuple[SimulatedPress, PressRender]:
+    """Return the record of :func:`simulate_press` with the render that it was made from."""
+    finger = scene.finger
+    if how.with_pose_response and scene.shapes is not None:
         raise SimulateError(
             "the response to the pose is rendered for the analytic press only; leave it out, or leave the surfaces out"
         )
-    if with_pose_response:
+    if how.with_pose_response:
         moved_designs(finger.design)  # what cannot be moved is told before anything is rendered
     render = render_press(
-        finger.design,
-        finger.paints,
-        finger.renderer,
-        level,
-        seed,
-        samples_per_pixel,
-        progress,
-        shapes,
-        finger.calibration,
-        contact_samples_per_pixel,
-    )
+        finger.design, finger.paints, finger.renderer, how.level, how.seed, how.samples_per_pixel, progress,
+        scene.shapes, finger.calibration, how.contact_samples_per_pixel,
+    )  # fmt: skip
     pose = None
-    if with_pose_response:
+    if how.with_pose_response:
         pose = pose_response(
-            finger, level, seed, samples_per_pixel, contact_samples_per_pixel, render.chains, progress=progress
-        )
-    return press_record(finger, render, paint_sha256, calibrations or {}, pose)
+            finger, how.level, how.seed, how.samples_per_pixel, how.contact_samples_per_pixel, render.chains,
+            progress=progress,
+        )  # fmt: skip
+    return press_record(finger, render, paint_sha256, scene.calibrations, pose), render
 
 
 def press_record(

@@ -17,8 +17,8 @@ from sim.mechanics._contact_library import contact_library
 from sim.mechanics._indenters import RigidIndenter
 from sim.mechanics._mesh import FingerMesh
 from sim.mechanics._newton import Supports
+from sim.mechanics._own_surfaces import outer_triangles
 from sim.mechanics._rigid_bodies import TriangleMesh
-from sim.surface_meshes import boundary_quads, split_quads
 
 if TYPE_CHECKING:
     import ipctk
@@ -411,11 +411,6 @@ class BarrierPress(DrivenContact):
     def touch_mm(self) -> FloatArray:
         """Return where these lie in the undeformed pad, (f, 4, 3)."""
         return np.asarray(self.mesh.nodes_mm[self.mesh.surfaces["coat"]])
-
-
-def outer_triangles(mesh: FingerMesh) -> NDArray[np.int64]:
-    """Return the triangles (k, 3) of everything that can be touched: the boundary of all blocks that share nodes."""
-    return split_quads(boundary_quads(np.concatenate(list(mesh.hexahedra.values()))).quads, mesh.nodes_mm)
 
 
 def _within_reach(vertices: FloatArray, surface: TriangleMesh, nodes_mm: FloatArray, depth_mm: float) -> TriangleMesh:

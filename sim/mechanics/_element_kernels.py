@@ -319,9 +319,12 @@ def hexahedron(
     law: int,
     parameters: FloatArray,
     mean_dilatation: bool,
+    held_mpa: float,
     level: int,
     force: FloatArray,
     tangent: FloatArray,
+    swelling: FloatArray,
+    volume_strain: FloatArray,
 ) -> float:
     """Return the energy of one hexahedron in N mm; infinity where it is inside out.
 
@@ -336,10 +339,15 @@ def hexahedron(
     mean_dilatation
         Whether the volumetric energy K/2 (v/V - 1)^2 V uses the whole element's volume (J. C. Nagtegaal, D. M. Parks,
         J. R. Rice, 1974) or that of each point.
+    held_mpa
+        With the mean dilatation: pressure p that weighs the second derivative of the volume in the tangent, in place
+        of K (v/V - 1), which differs from it before the equilibrium. The force is that of K (v/V - 1).
     level
         0 energy only, 1 forces and tangent, 2 forces and a tangent without negative curvature.
     force, tangent
         Filled: (3 nodes,) in N, (3 nodes, 3 nodes) in N/mm.
+    swelling, volume_strain
+        Filled with the mean dilatation: dv/du (24,) in mm^2, at level 0 not; V in mm^3 and v/V - 1, (2,).
     """
     nodes = displacement.shape[0]
     gradients, volume, f, jacobians = np.empty((8, nodes, 3)), np.empty(8), np.empty((8, 3, 3)), np.empty(8)
@@ -355,6 +363,8 @@ def hexahedron(
     bulk = parameters[0]
     shared = bulk * (deformed / total - 1.0)
     energy = 0.5 * shared * (deformed - total) if mean_dilatation else 0.0
+    if mean_dilatation:
+        volume_strain[0], volume_strain[1] = total, deformed / total - 1.0
     stretch, first, second, shear, curve = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(3)
     material, spatial, work, axes = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     rows, weighted, dilation = np.empty((72, 3 * nodes)), np.empty((72, 3 * nodes)), np.zeros(3 * nodes)
@@ -363,7 +373,7 @@ def hexahedron(
         _principal_frame(f[q], stretch, material, spatial, work)
         energy += volume[q] * stretch_energy(law, parameters, stretch, first, second, curve)
         if bulk > 0.0:
-            pressure = shared if mean_dilatation else bulk * (jacobians[q] - 1.0)
+            pressure = held_mpa if mean_dilatation else bulk * (jacobians[q] - 1.0)
             if not mean_dilatation:
                 energy += 0.5 * pressure * (jacobians[q] - 1.0) * volume[q]
             _add_volumetric(pressure, 0.0 if mean_dilatation else bulk, jacobians[q:], stretch, first, second)
@@ -386,6 +396,8 @@ def hexahedron(
         np.dot(rows.T, weighted, tangent)
         if mean_dilatation:
             for r in range(3 * nodes):
+                force[r] += (shared - held_mpa) * dilation[r]
+                swelling[r] = dilation[r]
                 scaled = bulk / total * dilation[r]
                 for s in range(3 * nodes):
                     tangent[r, s] += scaled * dilation[s]
@@ -438,17 +450,21 @@ def many_hexahedra(
     modes: FloatArray,
     law: int,
     parameters: FloatArray,
+    held_mpa: FloatArray,
     level: int,
     energy: FloatArray,
     force: FloatArray,
     tangent: FloatArray,
     solved: FloatArray,
     mode_force: FloatArray,
+    swelling: FloatArray,
+    volume_strain: FloatArray,
 ) -> None:
     """Fill energies (m,), forces (m, 24) and tangents (m, 24, 24) of hexahedra (m, 8) of a mesh.
 
     With `modes` of shape (m, 3, 3) the elements have incompatible modes, which are eliminated: `solved` (m, 9, 25) and
-    `mode_force` (m, 9) are filled; with modes of shape (m, 0, 3) they use the mean dilatation.
+    `mode_force` (m, 9) are filled; with modes of shape (m, 0, 3) they use the mean dilatation, with the pressures
+    `held_mpa` (m,), and fill `swelling` (m, 24) and `volume_strain` (m, 2): see :func:`hexahedron`.
     """
     extra = modes.shape[1]
     nodes = 8 + extra
@@ -463,7 +479,19 @@ def many_hexahedra(
         for m in range(extra):
             for i in range(3):
                 displacement[8 + m, i] = modes[e, m, i]
-        energy[e] = hexahedron(here, displacement, law, parameters, extra == 0, level, whole_force, whole)
+        energy[e] = hexahedron(
+            here,
+            displacement,
+            law,
+            parameters,
+            extra == 0,
+            held_mpa[e],
+            level,
+            whole_force,
+            whole,
+            swelling[e],
+            volume_strain[e],
+        )
         if level == 0 or not energy[e] < math.inf:
             continue
         if extra == 0:

@@ -4,6 +4,7 @@ A prediction extrapolates the increments before, or takes a press on a coarser m
 """
 
 import math
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -30,6 +31,65 @@ class Increment:
     equilibrium: Equilibrium
 
 
+class Watch:
+    """Tells how far a press is, and ends it when its processor time is spent.
+
+    Parameters
+    ----------
+    progress
+        Called with stops done, stops in all and words.
+    total
+        Number of stops.
+    budget_s
+        Processor time of this process, all threads together, from now on; none: any. The press ends where the next
+        iteration, taken to be as long as the last one, would exceed it.
+    """
+
+    def __init__(
+        self, progress: Callable[[int, int, str], None] | None, total: int, budget_s: float | None = None
+    ) -> None:
+        self._progress, self._total, self._budget_s = progress, total, budget_s
+        self._begin_s = time.process_time()
+        self._told_s: float | None = None
+        self._before = ""
+        self._done = 0
+
+    @property
+    def left_s(self) -> float | None:
+        """Processor time that is left, none of an unlimited one."""
+        return None if self._budget_s is None else self._budget_s - (time.process_time() - self._begin_s)
+
+    def coarse(self, done: int, total: int, what: str) -> None:
+        """Tell of the press on the coarse mesh that goes before; none of its increments counts."""
+        if self._progress is not None:
+            self._progress(0, self._total, f"{what} on the coarse mesh")
+
+    def reached(self, done: int, what: str) -> None:
+        """Tell of an increment; what is told from now on is beyond it."""
+        self._done, self._before = done, f"{what}, "
+        if self._progress is not None:
+            self._progress(done, self._total, what)
+
+    def tell(self, what: str) -> None:
+        """Tell of an iteration.
+
+        Raises
+        ------
+        NoEquilibriumError
+            When the budget does not allow it.
+        """
+        if self._progress is not None:
+            self._progress(self._done, self._total, self._before + what)
+        now = time.process_time()
+        last_s, self._told_s = 0.0 if self._told_s is None else now - self._told_s, now
+        left_s = self.left_s
+        if left_s is not None and left_s < last_s:
+            raise NoEquilibriumError(
+                f"the budget of {self._budget_s:g} s of processor time is spent ({now - self._begin_s:.1f} s; the last "
+                f"iteration took {last_s:.1f} s). The increments before are kept; allow more time, or go on from them"
+            )
+
+
 Predictor = Callable[[State, float, float], State | None]
 """From the last equilibrium, its share of the load and the share aimed at: where to start the search, or nothing."""
 
@@ -51,6 +111,7 @@ class Extrapolation:
         return State(
             new.u_mm + further * (new.u_mm - old.u_mm),
             tuple(n + further * (n - o) for n, o in zip(new.modes, old.modes, strict=True)),
+            tuple(n + further * (n - o) for n, o in zip(new.pressures_mpa, old.pressures_mpa, strict=True)),
         )
 
 
@@ -59,7 +120,7 @@ def _allowed(assembly: Assembly, state: State, guess: State | None, supports: Su
     if guess is None:
         return None
     u = np.where(supports.fixed, supports.displacement_mm, guess.u_mm)
-    there = State(u, guess.modes)
+    there = State(u, guess.modes, guess.pressures_mpa)
     if assembly.max_step(state, u - state.u_mm) < 1.0 or not math.isfinite(assembly.energy(there)):
         return None
     return _with_own_modes(assembly, there)
@@ -90,7 +151,7 @@ def _settled(
     assembly: Assembly,
     supports: Supports,
     solver: SymmetricSolver,
-    options: NewtonOptions | None,
+    options: NewtonOptions,
 ) -> Equilibrium:
     """Return the equilibrium at which nothing that terms have lagged changes any more."""
     for _ in range(_MOST_ROUNDS):
@@ -143,7 +204,9 @@ def load_increments(
     NoEquilibriumError
         When an increment of the least size finds no equilibrium; all increments before have been yielded.
     """
-    state, at = start or assembly.at_rest(), begin
+    options = options or NewtonOptions()
+    patient = replace(options, stalled_after=0)
+    state, at = assembly.with_own_pressures(start or assembly.at_rest()), begin
     predicted = predict or Extrapolation()
     for stop in stops:
         way = stop - at
@@ -157,6 +220,8 @@ def load_increments(
             reached = find_equilibrium(assembly, state if guess is None else guess, supports, solver, options)
             if reached.failure and guess is not None:
                 reached = find_equilibrium(assembly, state, supports, solver, options)
+            if reached.failure and part / 2.0 < shortest_share:
+                reached = find_equilibrium(assembly, state, supports, solver, patient)
             if settle is not None:
                 reached = _settled(reached, settle, assembly, supports, solver, options)
             if refuse is not None and not reached.failure:
@@ -168,6 +233,8 @@ def load_increments(
                         f"no equilibrium beyond {at:.4g} of the load: {reached.failure}. The increments up to there "
                         "are kept; try a finer mesh, smaller increments, or a smaller load"
                     )
+                if options.tell is not None:
+                    options.tell(f"an increment of {part:.3g} in place of {2.0 * part:.3g}: {reached.failure}")
                 continue
             state, at, done = reached.state, aim, done + part
             part *= 2.0
@@ -272,7 +339,8 @@ class CoarserPath:
         further = self._beyond(state, at, aim)
         if aim > self._fractions[-1]:
             return further
-        return State(state.u_mm + self._interpolation(self._at(aim) - self._at(at)), state.modes)
+        moved = self._interpolation(self._at(aim) - self._at(at))
+        return State(state.u_mm + moved, state.modes, state.pressures_mpa)
 
 
 def _located(nodes: FloatArray, hexahedra: IntArray, points: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:

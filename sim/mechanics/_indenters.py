@@ -196,20 +196,8 @@ def _touch_of_mesh(design: FingerDesign, surface: TriangleMesh, rotation: FloatA
         x, z = np.clip(points[:, 0], -half, half), np.clip(points[:, 2], 0.0, pad.length_mm)
         return np.asarray(points[:, 1] - rest_height_mm(design, x, z))
 
-    least = least_over_triangles(over, height_mm, _steepest_curvature_per_mm(design))
+    least = least_over_triangles(over, height_mm, design.pad.most_curvature_per_mm())
     return Pose((wanted.across_mm, -least, wanted.position_mm), rotation)
-
-
-def _steepest_curvature_per_mm(design: FingerDesign) -> float:
-    """Return a bound of the second derivative of the undeformed coat's height."""
-    pad = design.pad
-    if pad.semi_axes_mm is not None:
-        a, b, c = pad.semi_axes_mm
-        left = 1.0 - (pad.width_mm / 2.0 / a) ** 2 - (pad.length_mm / 2.0 / c) ** 2
-        return float(b / min(a, c) ** 2 / left**1.5)
-    if pad.radius_mm is not None:
-        return float(pad.radius_mm**2 / (pad.radius_mm**2 - (pad.width_mm / 2.0) ** 2) ** 1.5)
-    return 0.0
 
 
 def _misses(design: FingerDesign) -> str:

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from data_schemas import FingerDesign, NoEquilibriumError, Preset, SimulateError
 from sim.mechanics._assembly import Assembly, Elasticity, State, Term
 from sim.mechanics._finger_mesh import STEPS, MeshSteps, finger_materials, finger_mesh, finger_ties
-from sim.mechanics._increments import Extrapolation, Increment, load_increments
+from sim.mechanics._increments import Extrapolation, Increment, Watch, load_increments
 from sim.mechanics._indenters import rigid_indenter
 from sim.mechanics._linear_solver import SymmetricSolver, linear_solver
 from sim.mechanics._mesh import FingerMesh
-from sim.mechanics._newton import Supports, find_equilibrium
+from sim.mechanics._newton import NewtonOptions, Supports, find_equilibrium
 from sim.mechanics._penalty_contact import PenaltyContact, PenaltyTouch, penalty_mpa_per_mm
 from sim.mechanics._pressed_finger import PressedFinger, PressHistory
 
@@ -267,6 +267,7 @@ def press_to_force(
     threads: int = 1,
     folder: Path = Path(),
     progress: Progress | None = None,
+    budget_s: float | None = None,
 ) -> PressedFinger:
     """Press the design's indenter in along the pad's normal until it pushes with a force; without friction.
 
@@ -286,7 +287,9 @@ def press_to_force(
     folder
         Where the design stands.
     progress
-        Called after each increment.
+        Called before each iteration and after each increment.
+    budget_s
+        See :func:`sim.mechanics.press_finger`.
 
     Returns
     -------
@@ -300,11 +303,13 @@ def press_to_force(
         even the first part of the force finds an equilibrium.
     """
     check_force(design, force_n)
+    watch = Watch(progress, increments, budget_s)
+    options = NewtonOptions(tell=watch.tell)
     touch = _DrivenIndenter(design, preset, folder)
     ties = finger_ties(design, touch.mesh, STEPS[preset or design.mesh.preset].skeleton_mm)
     assembly = Assembly(Elasticity(touch.mesh, finger_materials(design), threads), [*touch.terms, *ties])
     solver = linear_solver(threads=threads)
-    touched = touch.first_touch(assembly, solver)
+    touched = touch.first_touch(assembly, solver, options)
     begin = float(touch.force_n(touched.u_mm)[1]) / force_n
     predict = Extrapolation()
     predict(assembly.at_rest(), 0.0, 0.0)
@@ -313,13 +318,13 @@ def press_to_force(
     reached_n = 0.0
     try:
         for step in load_increments(
-            assembly, solver, lambda share: touch.push_with(share * force_n), stops, touched, begin, predict=predict
-        ):
+            assembly, solver, lambda share: touch.push_with(share * force_n), stops, touched, begin, options=options,
+            predict=predict,
+        ):  # fmt: skip
             depth_mm, reached_n = touch.depth_mm(step.equilibrium.state), step.fraction * force_n
             history.add(depth_mm, step.equilibrium)
-            if progress is not None:
-                reached = sum(step.fraction >= stop for stop in stops)
-                progress(reached, increments, f"pressed with {reached_n:.2f} N to {depth_mm:.2f} mm")
+            reached = sum(step.fraction >= stop for stop in stops)
+            watch.reached(reached, f"pressed with {reached_n:.2f} N to {depth_mm:.2f} mm")
     except NoEquilibriumError as stuck:
         if history.depth_mm is None:
             raise
@@ -371,7 +376,7 @@ class _DrivenIndenter(PenaltyTouch):
         """How the surfaces touch, and what drives the indenter."""
         return f"{super().note}; the indenter is driven by a force of {-self._force.force_n[1]:g} N"
 
-    def first_touch(self, assembly: Assembly, solver: SymmetricSolver) -> State:
+    def first_touch(self, assembly: Assembly, solver: SymmetricSolver, options: NewtonOptions) -> State:
         """Return the equilibrium at a small push without the force.
 
         Raises
@@ -379,7 +384,7 @@ class _DrivenIndenter(PenaltyTouch):
         NoEquilibriumError
             When there is none, or the coat is not touched: nothing would hold the indenter under a force.
         """
-        touched = find_equilibrium(assembly, assembly.at_rest(), self._held, solver)
+        touched = find_equilibrium(assembly, assembly.at_rest(), self._held, solver, options)
         if touched.failure:
             why = f"{touched.failure}; try a finer mesh"
             raise NoEquilibriumError(f"no equilibrium at a push of {_TOUCH_MM:g} mm: {why}")

@@ -1,6 +1,7 @@
-"""Equilibrium by Newton's method with an energy line search."""
+"""Equilibrium by Newton's method with a line search on the energy, softened where a gel hardly changes its volume."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +56,11 @@ class NewtonOptions:
         Steps are shortened to this.
     iterations
         At most.
+    stalled_after
+        Steps that together must reach the length of one whole step, or the search is given up; 0: never. A smaller
+        increment is cheaper than steps that short.
+    tell
+        Told before each factorisation how far the search is; what it raises ends the search.
     """
 
     residual_rel: float = 1e-6
@@ -62,6 +68,8 @@ class NewtonOptions:
     step_floor_mm: float = 1e-10
     longest_step_mm: float = 8.0
     iterations: int = 40
+    stalled_after: int = 8
+    tell: Callable[[str], None] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +107,7 @@ class _Search:
         self.assembly, self.supports, self.solver, self.options = assembly, supports, solver, options
         self.residuals: list[float] = []
         self.solved = 0
+        self.shares: list[float] = []
         self.bar_n = 0.0  # what the residual must reach
         self.factors = -1  # version of the pattern whose factors the solver holds
 
@@ -109,6 +118,8 @@ class _Search:
             return self._result(
                 state, gradient, energy, "an element is inside out, or a term not defined, at the start"
             )
+        if not state.pressures_mpa:
+            state = self.assembly.with_own_pressures(state)
         project = False
         while True:
             gradient, of_terms = self.assembly.assemble(state, project)
@@ -116,9 +127,10 @@ class _Search:
             moving = bool(remaining.any())
             settled = self._settled(gradient, of_terms)
             if settled and not moving:
-                return self._result(state, gradient, energy)
-            if self.solved >= self.options.iterations:
-                return self._result(state, gradient, energy, f"no equilibrium after {self.solved} iterations")
+                return self._result(self.assembly.with_own_pressures(state), gradient, energy)
+            if why := self._given_up():
+                return self._result(state, gradient, energy, why)
+            self._tell()
             found, why = None, "the line search found no lower energy"
             try:
                 du, rise = self._newton_step(gradient, remaining)
@@ -126,7 +138,7 @@ class _Search:
                 why = str(failed)
             else:
                 if not moving and np.abs(du).max() <= self.options.step_floor_mm:
-                    return self._result(state, gradient, energy)
+                    return self._result(self.assembly.with_own_pressures(state), gradient, energy)
                 if np.isfinite(du).all():
                     found = self._line_search(state, energy, du, rise, moving)
             if found is None and project:
@@ -137,6 +149,21 @@ class _Search:
 
     def _result(self, state: State, gradient: FloatArray, energy: float, failure: str = "") -> Equilibrium:
         return Equilibrium(state, gradient, energy, tuple(self.residuals), failure, self.solved)
+
+    def _given_up(self) -> str:
+        """Return why the search is not gone on with, or nothing."""
+        if self.solved >= self.options.iterations:
+            return f"no equilibrium after {self.solved} iterations"
+        last = self.shares[-self.options.stalled_after :] if self.options.stalled_after else []
+        if last and len(last) == self.options.stalled_after and sum(last) < 1.0:
+            return f"the last {len(last)} of {self.solved} steps were short, {sum(last):.2g} of a whole one together"
+        return ""
+
+    def _tell(self) -> None:
+        """Tell how far the search is."""
+        if self.options.tell is not None:
+            unbalanced = f"out of balance by {self.residuals[-1]:.2g} N, {self.bar_n:.1g} N allowed"
+            self.options.tell(f"iteration {self.solved + 1}, {unbalanced}")
 
     def _settled(self, gradient: FloatArray, of_terms: FloatArray) -> bool:
         fixed = self.supports.fixed
@@ -188,23 +215,31 @@ class _Search:
     def _line_search(
         self, state: State, energy: float, du: FloatArray, rise: float, moving: bool
     ) -> tuple[State, float] | None:
-        """Return the state at an acceptable share of the step and its energy, or none."""
+        """Return the state at an acceptable share of the step and its energy, or none.
+
+        What must fall is M of :class:`~sim.mechanics._assembly.Elasticity`, with the step's own pressures.
+        """
+        elasticity = self.assembly.elasticity
+        pressures, softer = elasticity.full_step_pressures_mpa(du)
+        merit, rise = energy + elasticity.excess_n_mm(pressures), rise + softer
         if not moving and rise > _NOISE * abs(energy):
             return None
-        step = self.assembly.elasticity.mode_step(du)
+        step = elasticity.mode_step(du)
         share = min(1.0, self.options.longest_step_mm / max(float(np.abs(du).max()), 1e-300))
         share *= self.assembly.max_step(state, share * du)
-        noise = _NOISE * sum(map(abs, self.assembly.elasticity.energy_of_blocks().values())) + _NOISE * abs(energy)
+        noise = _NOISE * (sum(map(abs, elasticity.energy_of_blocks().values())) + abs(energy) + abs(merit))
         while share > _SHORTEST:
             there = state.moved(share, du, step)
             if share == 1.0 and moving:
                 there.u_mm[self.supports.fixed] = self.supports.displacement_mm[self.supports.fixed]
-            new = self.assembly.energy(there)
+            there_energy = self.assembly.energy(there)
+            new = there_energy + elasticity.excess_n_mm(pressures) if there_energy < math.inf else math.inf
             allowed = _OVERSHOOT * rise if moving else _SUFFICIENT * share * rise
-            if new <= energy + allowed + noise:
-                return there, new
+            if new <= merit + allowed + noise:
+                self.shares.append(share)
+                return there.towards(pressures, share), there_energy
             # minimum of the parabola through both energies and the slope, kept between a tenth and a half
-            curve = new - energy - share * rise
+            curve = new - merit - share * rise
             best = -0.5 * rise * share**2 / curve if not moving and 0.0 < curve < math.inf else 0.5 * share
             share = min(max(best, 0.1 * share), 0.5 * share)
         return None
@@ -229,7 +264,8 @@ def find_equilibrium(
 ) -> Equilibrium:
     """Find the least energy near a state, with prescribed displacements.
 
-    Newton's method on displacements and incompatible modes; each step must lower the energy (Armijo). Where the exact
+    Newton's method on displacements, incompatible modes and the pressures of nearly incompressible elements; each step
+    must lower the energy (Armijo), in which the change of volume counts softly. Where the exact
     tangent gives no such step, as in buckling, the next one uses a tangent without negative curvature. Supports that
     are not yet where they shall be move there in the first step, or in several where that turns an element inside out
     or a term allows less.

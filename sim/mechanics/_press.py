@@ -1,17 +1,19 @@
 """Press an indenter into a finger: increments of the push, from first touch or from a stored press."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from data_schemas import FingerDesign, NoEquilibriumError, Preset, SimulateError
 from sim.mechanics._assembly import Assembly, Elasticity, State
+from sim.mechanics._contact_library import contact_library_failure
 from sim.mechanics._finger_mesh import STEPS, finger_materials, finger_mesh, finger_ties
-from sim.mechanics._increments import CoarserPath, load_increments
+from sim.mechanics._increments import CoarserPath, Watch, load_increments
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._mesh import FingerMesh
-from sim.mechanics._newton import Supports
+from sim.mechanics._newton import NewtonOptions, Supports
 from sim.mechanics._press_contact import ContactChoice, PressContact, chosen_contact, press_contact
 from sim.mechanics._pressed_finger import PressedFinger, PressHistory
 
@@ -32,11 +34,13 @@ def press_finger(
     store: Callable[[PressedFinger], None] | None = None,
     contact: ContactChoice = "auto",
     folder: Path = Path(),
+    budget_s: float | None = None,
 ) -> PressedFinger:
     """Press the design's indenter in by its depth along the pad's normal, from first touch.
 
     Contact by a penalty on exact distances, frictionless, where ribs do not see each other; or by a barrier with the
-    design's friction and contact of all parts. A push of 5 mm and more buckles ribs, which takes more increments.
+    design's friction and contact of all parts. Each increment is looked at for surfaces of the finger that pass
+    through each other, which the result then tells. A push of 5 mm and more buckles ribs, which takes more increments.
 
     Parameters
     ----------
@@ -49,7 +53,7 @@ def press_finger(
     threads
         Of elements and factorisation.
     progress
-        Called after each increment.
+        Called before each iteration and after each increment.
     start
         The same press on a coarser mesh, whose displacements, interpolated, are where each increment's search starts.
         By default a finer mesh than coarse starts from the first increment on the coarse one (not with the barrier).
@@ -58,18 +62,24 @@ def press_finger(
     store
         Called after each increment with the press so far, for example to keep it for `resume`.
     contact
-        "auto": the penalty where it can, the barrier for friction and meshes of the user.
+        "auto": the penalty where it can, the barrier for friction and meshes of the user, and for a press whose parts
+        pass through each other by the penalty: it begins again.
     folder
         Where the design stands: the STL of an indenter is relative to it.
+    budget_s
+        Processor time that it may take, see :class:`~sim.mechanics._increments.Watch`; then it ends early.
 
     Raises
     ------
     SimulateError
-        When there is no push, not even the first increment finds an equilibrium, or `start` or `resume` is a press of
-        another finger or mesh.
+        When there is no push, not even the first increment finds an equilibrium or has the time to, or `start` or
+        `resume` is a press of another finger or mesh.
     """
     if design.indenter.depth_mm <= 0.0:
         raise SimulateError(f"indenter.depth_mm = {design.indenter.depth_mm:g} mm: a press needs a depth above 0 mm")
+    if resume is not None and resume.kind == "barrier" and contact == "auto":
+        contact = "barrier"
+    watch = Watch(progress, increments, budget_s)
     steps, depth = STEPS[preset or design.mesh.preset], design.indenter.depth_mm
     touch = press_contact(design, finger_mesh(design, preset), steps.pad_mm, contact, threads, folder)
     mesh = touch.mesh
@@ -84,7 +94,7 @@ def press_finger(
         touch.accept(rest)
     stops = [(k + 1) / increments for k in range(increments) if (k + 1) / increments > begin + _SAME_SHARE]
     if start is None and resume is None:
-        predict = _path_from_coarse(_first_on_coarse(design, preset, increments, threads, contact), mesh, depth)
+        predict = _path_from_coarse(_first_on_coarse(design, preset, increments, threads, contact, watch), mesh, depth)
     else:
         predict = None if start is None else _path_of(start, mesh, depth)
     history = PressHistory(assembly, ties, touch, resume)
@@ -96,16 +106,24 @@ def press_finger(
             stops,
             rest,
             begin,
+            options=NewtonOptions(tell=watch.tell),
             predict=predict,
             settle=touch.settle,
             refuse=lambda state, fraction: _passed_through(touch, state, fraction * depth, steps.pad_mm),
         ):
             history.add(step.fraction * depth, step.equilibrium)
+            if history.crossing and contact == "auto" and touch.kind == "penalty" and contact_library_failure() is None:
+                watch.reached(0, f"{history.crossing}; pressing again with contact of all parts")
+                found = press_finger(
+                    design, preset, increments, threads, progress, store=store, contact="barrier", folder=folder,
+                    budget_s=watch.left_s,
+                )  # fmt: skip
+                why = f"{found.contact}; by the penalty, which was tried first, {history.crossing}"
+                return replace(found, contact=why)
             if store is not None:
                 store(history.pressed())
-            if progress is not None:
-                done = sum(step.fraction >= s for s in stops)
-                progress(done, len(stops), f"pressed to {step.fraction * depth:.2f} mm")
+            done = increments - sum(step.fraction < s for s in stops)
+            watch.reached(done, f"pressed to {step.fraction * depth:.2f} mm")
     except NoEquilibriumError as stuck:
         if history.depth_mm is None:
             raise
@@ -123,7 +141,7 @@ def _passed_through(touch: PressContact, state: State, pushed_mm: float, pad_mm:
 
 
 def _first_on_coarse(
-    design: FingerDesign, preset: Preset | None, increments: int, threads: int, contact: ContactChoice
+    design: FingerDesign, preset: Preset | None, increments: int, threads: int, contact: ContactChoice, watch: Watch
 ) -> PressedFinger | None:
     """Press by the first increment on the coarse mesh, which halves the finer one's iterations there.
 
@@ -133,7 +151,8 @@ def _first_on_coarse(
         return None
     first = design.indenter.model_copy(update={"depth_mm": design.indenter.depth_mm / increments})
     try:
-        return press_finger(design.model_copy(update={"indenter": first}), "coarse", 1, threads, contact=contact)
+        shallow = design.model_copy(update={"indenter": first})
+        return press_finger(shallow, "coarse", 1, threads, watch.coarse, contact="penalty", budget_s=watch.left_s)
     except SimulateError:
         return None
 

@@ -12,6 +12,7 @@ from data_schemas import ContactKind, SimulateError
 from sim.mechanics._assembly import Assembly, Modes, State
 from sim.mechanics._mesh import FingerMesh
 from sim.mechanics._newton import Equilibrium
+from sim.mechanics._own_surfaces import OwnSurfaces
 from sim.mechanics._press_contact import Touch
 from sim.mechanics._ties import TiedNodes
 
@@ -54,6 +55,8 @@ class PressedFinger:
         Work lost to friction from first touch on, (k,): each increment's force at its end, along its slip.
     kind
         How the contact was computed.
+    crossing
+        From which push on surfaces of the finger pass through each other, and where; empty where none do.
     """
 
     mesh: FingerMesh
@@ -70,6 +73,7 @@ class PressedFinger:
     contact_energy_n_mm: FloatArray | None = None
     friction_work_n_mm: FloatArray | None = None
     kind: ContactKind | Literal["unknown"] = "unknown"
+    crossing: str = ""
 
 
 class PressHistory:
@@ -81,12 +85,19 @@ class PressHistory:
         What is in equilibrium, and its parts whose energies are told apart.
     before
         The press that is gone on with.
+
+    Attributes
+    ----------
+    crossing
+        See :class:`PressedFinger`; of these increments.
     """
 
     def __init__(
         self, assembly: Assembly, ties: Sequence[TiedNodes], touch: Touch, before: PressedFinger | None = None
     ) -> None:
         self._assembly, self._ties, self._touch, self._before = assembly, ties, touch, before
+        self._surfaces = OwnSurfaces(touch.mesh)
+        self.crossing = ""
         self._states: list[State] = []
         self._iterations: list[int] = []
         self._rows: list[tuple[float, ...]] = []
@@ -103,6 +114,8 @@ class PressHistory:
         stored = self._assembly.elasticity.energy(state.u_mm, state.modes) + contact
         stored += sum(tie.energy(state.u_mm) for tie in self._ties)
         lost = self._touch.friction_work_n_mm(state.u_mm)
+        if not self.crossing and (found := self._surfaces.crossing(state.u_mm)):
+            self.crossing = f"from a push of {depth_mm:.4g} mm on {found}"
         self._states.append(state)
         self._iterations.append(equilibrium.iterations)
         self._rows.append((depth_mm, stored, contact, lost, *self._touch.force_n(state.u_mm)))
@@ -125,6 +138,7 @@ class PressHistory:
             contact_energy_n_mm=self._after("contact_energy_n_mm", rows[:, 2]),
             friction_work_n_mm=self._after("friction_work_n_mm", np.cumsum(rows[:, 3]), goes_on=True),
             kind=self._touch.kind,
+            crossing=self.crossing,
         )
 
     def _after(self, name: str, now: NDArray[Any], goes_on: bool = False) -> NDArray[Any]:

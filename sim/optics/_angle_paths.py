@@ -62,7 +62,7 @@ class Received:
     """
 
     led: Floats
-    by_wall: Floats
+    by_wall: NDArray[np.float32]
 
 
 class AnglePaths:
@@ -116,11 +116,10 @@ class AnglePaths:
             for k, radiance in enumerate(found):
                 led.add(radiance, group * self.count + k)
             dr.eval(led.sums, by_wall.sums, kept_away.sums)
-        free = np.array(by_wall.sums, dtype=np.float64).reshape(groups, 1, *texels)
-        lost = np.array(kept_away.sums, dtype=np.float64).reshape(groups, self.count, *texels)
-        return Received(
-            np.array(led.sums, dtype=np.float64).reshape(groups, self.count) / per_group, (free - lost) / per_group
-        )
+        arrived = by_wall.sums.numpy().reshape(groups, 1, *texels)
+        arrived = arrived - kept_away.sums.numpy().reshape(groups, self.count, *texels)
+        arrived /= per_group
+        return Received(np.array(led.sums, dtype=np.float64).reshape(groups, self.count) / per_group, arrived)
 
     def arriving(
         self, origins_mm: Floats, directions: NDArray[np.floating], emitted: Floats, seed: int

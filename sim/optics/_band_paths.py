@@ -57,6 +57,7 @@ class BandPaths:
         self.refractive, self.with_led = True, True
         self.guide: MirrorGuide | None = None
         self.chains: tuple[str, ...] = FIRST_CHAINS
+        self.batch = dr.opaque(mi.UInt32, 0)
         self.face, self.evaluate_face = face, face.map.in_renderer(mi)
         self.index = mi.Float(face.index)
         self.gap = mi.Float(face.map.gap_mm + LIFT_MM)
@@ -71,20 +72,31 @@ class BandPaths:
         dr.make_opaque(self.index, self.gap, self.inner, self.red, self.green, self.coat, self.panel_shapes)
 
     def emit(self, emission: Mapping[str, NDArray[np.float64]]) -> None:
-        """Set what the walls emit: per chain, radiance (TEXELS_ALONG, TEXELS_UP) of the wall that the chain ends at."""
+        """Set what the walls emit: per chain, radiance of the wall that the chain ends at.
+
+        Of shape (TEXELS_ALONG, TEXELS_UP), or (batch, TEXELS_ALONG, TEXELS_UP) for the lanes that
+        :meth:`divide_lanes` gives to each batch.
+        """
         further = tuple(chain for chain in emission if chain not in FIRST_CHAINS)
         self.chains = FIRST_CHAINS + further
         self.of_wall = {wall: [c for c in self.chains if last_band(c) == wall] for wall in WALLS}
         self.packets = -(-max(len(chains) for chains in self.of_wall.values()) // _PACKET)
-        texels = np.zeros((2, TEXELS_ALONG, TEXELS_UP, self.packets * _PACKET), dtype=np.float32)
+        batches = max([1, *(len(radiance) for radiance in emission.values() if np.ndim(radiance) > 2)])
+        texels = np.zeros((batches, 2, TEXELS_ALONG, TEXELS_UP, self.packets * _PACKET), dtype=np.float32)
         for k, wall in enumerate(WALLS):
             for channel, chain in enumerate(self.of_wall[wall]):
-                texels[k, ..., channel] = emission.get(chain, 0.0)
+                texels[:, k, ..., channel] = emission.get(chain, 0.0)
         self.texels = LookupTable(texels.reshape(-1, _PACKET), mi)
+        self.texels_per_batch = dr.opaque(mi.UInt32, 2 * TEXELS_ALONG * TEXELS_UP if batches > 1 else 0)
+
+    def divide_lanes(self, batch: Any) -> None:
+        """Tell which batch of what the walls emit each lane of the next rays sees."""
+        self.batch = batch
 
     def wall_radiance(self, si: Any, is_green: Any, active: Any) -> list[Any]:
         """Return the emission at wall points, bilinear between texel centres, one value per chain of the wall."""
         first, s, t = first_texel(si, is_green)
+        first += self.batch * self.texels_per_batch
         radiance: list[Any] = []
         for packet in range(self.packets):
             corner = [

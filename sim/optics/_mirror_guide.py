@@ -10,13 +10,14 @@ learned, the mean stays the same.
 Import this module only after a compiled variant has been set (see :func:`sim.optics.open_renderer`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from sim.optics._panel_light import Panel, panel_point
 from sim.optics._path_rules import LookupTable, cell_at
@@ -28,6 +29,8 @@ GUIDE_CHANCE = 0.2
 
 LIGHT_PATHS = 200_000
 _LONGEST_ROUTE = 10
+# what a light path has arrived at
+_AT_COAT, _AT_RED, _AT_GREEN = 1, 2, 3
 _SMALLEST_COSINE = 1e-3
 _LIFT_MM = 1e-3
 
@@ -38,6 +41,8 @@ class LightPanels(Protocol):
     panels: list[Panel]
     inner: Any
     coat: Any
+    red: Any
+    green: Any
 
 
 class Lobe(NamedTuple):
@@ -54,8 +59,9 @@ class MirrorGuide:
     Directions are slopes (x / -y, z / -y): all point from the coating to the inner face.
     """
 
-    def __init__(self, lobes: Floats) -> None:
+    def __init__(self, lobes: Floats, walls: Mapping[str, "WallGuide"] | None = None) -> None:
         self.table = LookupTable(lobes.reshape(-1, 4), mi)
+        self.walls = dict(walls or {})
 
     def lobes(self, si: Any, active: Any) -> list[Lobe]:
         """Return the routes at points of the coating."""
@@ -116,19 +122,22 @@ def learn_guide(scene: Any, panels: LightPanels) -> MirrorGuide:
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(0, LIGHT_PATHS)
     mirror = next(shape for shape in scene.shapes() if shape.id() == "mirror")
-    arrived, uv, towards, light, route = (
-        np.array(values)
-        for values in _light_paths(panels, mirror, scene, sampler)  # type: ignore[no-untyped-call]
-    )
-    useful = arrived & (towards[1] < -_SMALLEST_COSINE) & (light > 0.0)
-    down = -towards[1, useful].astype(np.float64)
-    slopes = np.stack([towards[0, useful] / down, towards[2, useful] / down], axis=-1)
-    return MirrorGuide(fit_lobes(uv[:, useful].T.astype(np.float64), slopes, light[useful], route[useful]))
+    found = _light_paths(panels, mirror, scene, sampler)  # type: ignore[no-untyped-call]
+    dr.eval(found)  # else each of them would compile and trace the paths by itself
+    arrived, uv, towards, light, route = (np.array(values) for values in found)
+
+    def lobes_at(number: int, cells: tuple[int, int], rare: int) -> Floats:
+        useful = (arrived == number) & (towards[1] < -_SMALLEST_COSINE) & (light > 0.0)
+        slopes = (towards[::2, useful] / -towards[1, useful]).T.astype(np.float64)
+        return fit_lobes(uv[:, useful].T.astype(np.float64), slopes, light[useful], route[useful], cells, rare)
+
+    walls = {wall: WallGuide(lobes_at(at, WALL_CELLS, 0)) for wall, at in (("red", _AT_RED), ("green", _AT_GREEN))}
+    return MirrorGuide(lobes_at(_AT_COAT, (CELLS_ACROSS, CELLS_ALONG), 1), walls)
 
 
 @dr.syntax
 def _light_paths(panels, mirror, scene, sampler):  # type: ignore[no-untyped-def]
-    """Return (arrived at the coating, where, direction to the light, light, route) of paths to the mirror."""
+    """Return (what it arrived at, where, direction to the light, light, route) of paths by the mirror."""
     start, (normal, exponent), light = panel_point(panels.panels, sampler.next_2d())
     by_face, spot = sampler.next_1d() < 0.5, sampler.next_2d()
     face = next(shape for shape in scene.shapes() if shape.id() == "inner")
@@ -141,15 +150,18 @@ def _light_paths(panels, mirror, scene, sampler):  # type: ignore[no-untyped-def
     ray = mi.Ray3f(start + normal * _LIFT_MM, direction)
     context = mi.BSDFContext(mi.TransportMode.Importance)
     uv, towards = mi.Point2f(0), mi.Vector3f(0)
-    active, arrived = light > 0.0, mi.Bool(False)
+    active, arrived = light > 0.0, mi.UInt32(0)
     mirrors, outsides, others, depth = mi.UInt32(0), mi.UInt32(0), mi.UInt32(0), mi.UInt32(0)
     while dr.hint(active):
         si = scene.ray_intersect(ray, active)
         active &= si.is_valid()
         front = mi.Frame3f.cos_theta(si.wi) > 0
-        here = active & ~front & (si.shape == panels.coat)
+        at = dr.select(~front & (si.shape == panels.coat), mi.UInt32(_AT_COAT), 0)
+        at = dr.select(front & (si.shape == panels.red), _AT_RED, at)
+        at = dr.select(front & (si.shape == panels.green), _AT_GREEN, at)
+        here = active & (at > 0)
         uv, towards = dr.select(here, si.uv, uv), dr.select(here, -ray.d, towards)
-        arrived |= here
+        arrived = dr.select(here, at, arrived)
         active &= ~here
         outside = (si.shape == panels.inner) & front
         # the renderer's glass reflects for numbers near 0 and transmits for numbers near 1, and returns that chance
@@ -168,8 +180,82 @@ def _light_paths(panels, mirror, scene, sampler):  # type: ignore[no-untyped-def
         active &= depth < _LONGEST_ROUTE
     route = dr.select((mirrors == 1) & (outsides < 2), outsides, ROUTES - 1)
     route = dr.select((mirrors == 2) & (outsides == 1), 2, route)
-    return arrived & (mirrors > 0), uv, towards, light, dr.select(others > 0, ROUTES - 1, route)
+    arrived = dr.select(mirrors > 0, arrived, 0)
+    return arrived, uv, towards, light, dr.select(others > 0, ROUTES - 1, route)
 
+
+class WallGuide:
+    """The learned directions at one painted wall, as numbers of numpy; slopes as in :class:`MirrorGuide`.
+
+    Parameters
+    ----------
+    lobes
+        From :func:`fit_lobes` with :data:`WALL_CELLS`, the place up the wall in the place of that across.
+    """
+
+    def __init__(self, lobes: Floats) -> None:
+        self.lobes = lobes
+
+    def mixed(self, uv: Floats, inward: Floats, usual: Floats, numbers: Floats) -> tuple[Floats, Floats]:
+        r"""Turn a part of the directions from a wall along the guide.
+
+        Parameters
+        ----------
+        uv, inward
+            Texture coordinates (up, along) of the points, shape (n, 2), and normals into the gel, (n, 3).
+        usual
+            Directions distributed by their cosine, shape (n, 3).
+        numbers
+            Evenly spread in 0 to 1 and independent of `usual`, shape (n, 4).
+
+        Returns
+        -------
+        directions
+            Shape (n, 3).
+        weight
+            :math:`(\cos / \pi) / p` with the density p of the mixture, shape (n,): means of radiance times weight are
+            those over directions that are distributed by their cosine.
+        """
+        lobes = self._lobes_at(uv)
+        known = lobes[..., 0].sum(axis=1) > 0.0
+        route = np.minimum((np.cumsum(lobes[..., 0], axis=1) <= numbers[:, 1:2]).sum(axis=1), ROUTES - 1)
+        chosen = np.take_along_axis(lobes, route[:, None, None], axis=1)[:, 0]
+        p, q = ndtri(np.clip(numbers[:, 2:], _SMALLEST_CHANCE, 1.0 - _SMALLEST_CHANCE)).T
+        slope_x, slope_z = chosen[:, 1] + chosen[:, 3] * p, chosen[:, 2] + chosen[:, 4] * p + chosen[:, 5] * q
+        drawn = np.column_stack([slope_x, np.full(len(uv), -1.0), slope_z])
+        drawn /= np.linalg.norm(drawn, axis=1, keepdims=True)
+        directions = np.where((known & (numbers[:, 0] < WALL_GUIDE_CHANCE))[:, None], drawn, usual)
+        by_cosine = np.maximum(np.einsum("ni,ni->n", directions, inward), 0.0) / np.pi
+        density = WALL_GUIDE_CHANCE * self._density(lobes, directions) + (1.0 - WALL_GUIDE_CHANCE) * by_cosine
+        return directions, np.where(known, by_cosine / np.where(known, density, 1.0), 1.0)
+
+    def _lobes_at(self, uv: Floats) -> Floats:
+        """Return chance, mean slopes and Cholesky factor (00, 10, 11) at points, (n, ROUTES, 6)."""
+        place = uv * WALL_CELLS
+        i, j = np.minimum(place.astype(np.int64), np.array(WALL_CELLS) - 1).T
+        found = self.lobes[i * WALL_CELLS[1] + j]
+        x, y = (place - np.stack([i, j], axis=-1) - 0.5).T[:, :, None, None]
+        mean = found[..., 1:3] + x * found[..., 3:5] + y * found[..., 5:7]
+        return np.concatenate([found[..., :1], mean, found[..., 7:10]], axis=-1)
+
+    def _density(self, lobes: Floats, directions: Floats) -> Floats:
+        """Return the density per solid angle of the guide's directions."""
+        down = np.maximum(-directions[:, 1], _SMALLEST_COSINE)
+        chance, mean_x, mean_z, l00, l10, l11 = np.moveaxis(lobes, -1, 0)
+        width = np.where(chance > 0.0, l00 * l11, 1.0)
+        a = (directions[:, :1] / down[:, None] - mean_x) / np.where(chance > 0.0, l00, 1.0)
+        b = (directions[:, 2:] / down[:, None] - mean_z - l10 * a) / np.where(chance > 0.0, l11, 1.0)
+        per_slopes = (chance * np.exp(-0.5 * (a**2 + b**2)) / (2.0 * np.pi * width)).sum(axis=1)
+        return np.asarray(np.where(-directions[:, 1] > _SMALLEST_COSINE, per_slopes / down**3, 0.0))
+
+
+WALL_GUIDE_CHANCE = 0.25
+"""Chance that a path leaves a painted wall along the guide."""
+
+WALL_CELLS = 3, 14
+"""Cells up and along a wall, larger than the coat's: fewer light paths arrive there."""
+
+_SMALLEST_CHANCE = 1e-9
 
 CELLS_ACROSS, CELLS_ALONG = 12, 24
 ROUTES = 4
@@ -188,7 +274,14 @@ _STIFFNESS = 0.01
 _BALANCE = 0.5
 
 
-def fit_lobes(uv: Floats, slopes: Floats, light: Floats, route: NDArray[np.integer[Any]]) -> Floats:
+def fit_lobes(
+    uv: Floats,
+    slopes: Floats,
+    light: Floats,
+    route: NDArray[np.integer[Any]],
+    cells: tuple[int, int] = (CELLS_ACROSS, CELLS_ALONG),
+    rare: int = 1,
+) -> Floats:
     """Fit a normal distribution of slopes, whose mean is linear in the place, per cell of the coating and route.
 
     Parameters
@@ -201,21 +294,25 @@ def fit_lobes(uv: Floats, slopes: Floats, light: Floats, route: NDArray[np.integ
         How much, shape (n,).
     route
         Number of the route, shape (n,).
+    cells
+        Number of cells across and along.
+    rare
+        Routes from this number on share their paths with the cells around.
 
     Returns
     -------
     array
-        Shape (CELLS_ACROSS * CELLS_ALONG, ROUTES, 12): chance; mean slopes; their change over the cell across, along;
+        Shape (cells, ROUTES, 12): chance; mean slopes; their change over the cell across, along;
         Cholesky factor (00, 10, 11); two zeros. Routes that fewer than 12 paths took have chance zero.
     """
-    uv, slopes, light, route, corner = _shared_with_neighbours(uv, slopes, light, route)
-    cell = (corner[:, 0] * CELLS_ALONG + corner[:, 1]) * ROUTES + route
-    count = CELLS_ACROSS * CELLS_ALONG * ROUTES
+    uv, slopes, light, route, corner = _shared_with_neighbours(uv, slopes, light, route, cells, rare)
+    cell = (corner[:, 0] * cells[1] + corner[:, 1]) * ROUTES + route
+    count = cells[0] * cells[1] * ROUTES
 
     def summed(values: Floats) -> Floats:
         return np.asarray(np.bincount(cell, weights=light * values, minlength=count), dtype=np.float64)
 
-    terms = np.column_stack([np.ones(len(uv)), uv * (CELLS_ACROSS, CELLS_ALONG) - corner - 0.5])
+    terms = np.column_stack([np.ones(len(uv)), uv * cells - corner - 0.5])
     total = summed(terms[:, 0])
     known = (np.bincount(cell, minlength=count) >= _FEWEST_PATHS) & (total > 0.0)
     gram = np.array([[summed(a * b) for b in terms.T] for a in terms.T]).transpose(2, 0, 1)
@@ -234,16 +331,16 @@ def fit_lobes(uv: Floats, slopes: Floats, light: Floats, route: NDArray[np.integ
 
 
 def _shared_with_neighbours(
-    uv: Floats, slopes: Floats, light: Floats, route: NDArray[np.integer[Any]]
+    uv: Floats, slopes: Floats, light: Floats, route: NDArray[np.integer[Any]], cells: tuple[int, int], rare: int
 ) -> tuple[Floats, Floats, Floats, NDArray[np.int64], NDArray[np.int64]]:
     """Return the same with the cell of each path; paths of the rarer routes count in the cells around theirs too."""
-    corner = np.floor(uv * (CELLS_ACROSS, CELLS_ALONG)).astype(np.int64)
+    corner = np.floor(uv * cells).astype(np.int64)
     row, shift = [np.arange(len(uv))], [np.zeros((len(uv), 2), dtype=np.int64)]
-    rare = np.flatnonzero(route > 0)
+    scarce = np.flatnonzero(route >= rare)
     for step in ((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)):
-        row.append(rare)
-        shift.append(np.full((len(rare), 2), step))
+        row.append(scarce)
+        shift.append(np.full((len(scarce), 2), step))
     rows, corners = np.concatenate(row), corner[np.concatenate(row)] + np.concatenate(shift)
-    inside = ((corners >= 0) & (corners < (CELLS_ACROSS, CELLS_ALONG))).all(axis=1)
+    inside = ((corners >= 0) & (corners < cells)).all(axis=1)
     kept = rows[inside]
     return uv[kept], slopes[kept], light[kept], route[kept].astype(np.int64), corners[inside]

@@ -12,7 +12,7 @@ the other. For many lights of one finger the same is a matrix product, :class:`W
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from sim.optics._position_map import PositionMap
 from sim.optics._refraction import curved_irradiance, inner_face
 from sim.optics._renderer import SCALAR_VARIANT
 from sim.optics._scene import wall_texels
+from sim.optics._wall_spline import BATCHES, SmoothedWall, WallSmoother, choose_smoother, smooth_batches
 from sim.surface_meshes import FingerShape
 
 Level = Literal["a", "a_inverse_square", "b"]
@@ -34,6 +35,8 @@ LEVEL_NAMES: dict[Level, str] = {
     "a_inverse_square": "level a (paper's emitter, inverse square)",
     "b": "level b",
 }
+
+Floats = NDArray[np.float64]
 
 WallLight = Mapping[str, NDArray[np.float64]]
 """Per chain of fluorescence: radiance of the wall at its end, (TEXELS_ALONG, TEXELS_UP), in units of the panel's."""
@@ -85,7 +88,8 @@ def paper_emission(design: FingerDesign, shape: FingerShape, light: WallLight, l
         points = wall_map(shape, wall).positions_mm(texel_uv())
         distance = np.linalg.norm(points - np.array(design.light.position_mm), axis=-1)
         rule = distance if level == "a" else distance**-2
-        emission[f"led>{wall}"] = rule * light[f"led>{wall}"].mean() / rule.mean()
+        means = light[f"led>{wall}"].mean(axis=(-2, -1))
+        emission[f"led>{wall}"] = rule * means[..., None, None] / rule.mean()
     return emission
 
 
@@ -137,26 +141,20 @@ def wall_map(shape: FingerShape, wall: str) -> PositionMap:
 
 def texel_uv() -> NDArray[np.float64]:
     """Return the texture coordinates (up, along) of the texel centres, shape (TEXELS_ALONG, TEXELS_UP, 2)."""
-    return grid_uv(TEXELS_ALONG, TEXELS_UP)
-
-
-def grid_uv(along: int, up: int) -> NDArray[np.float64]:
-    """Return texture coordinates (up, along) at the centres of a regular grid, shape (along, up, 2)."""
-    v, u = np.meshgrid((np.arange(along) + 0.5) / along, (np.arange(up) + 0.5) / up, indexing="ij")
+    centres = ((np.arange(count) + 0.5) / count for count in (TEXELS_ALONG, TEXELS_UP))
+    v, u = np.meshgrid(*centres, indexing="ij")
     return np.stack([u, v], axis=-1)
 
 
 SMALLEST_CHAIN_SHARE = 0.005
 """Chains that add less to the emission of their band are left out, and so is everything they would excite."""
 
-BAKE_SAMPLES = {False: 64_000, True: 12_000}
+BAKE_SAMPLES = {False: 128_000, True: 12_000}
 """Paths per wall of one bake, by whether the variant is scalar (there each path costs a call from Python)."""
 
 HIGHEST_ORDER = 6
 """Orders of fluorescence that are followed: each is a fifth of the one before, or less."""
 
-# the irradiance varies over centimetres: polynomials smooth the sampling noise without bias of its own scale
-_DEGREE_ALONG, _DEGREE_UP = 7, 1
 # emission by emission is a tenth of the light and comes from large walls: an eighth of the paths resolve it as well
 _SHARE_OF_FURTHER_ORDERS = 0.125
 
@@ -173,7 +171,28 @@ def bake_walls(
     repeats: int = 1,
     guide: Any = None,
 ) -> list[WallLight]:
-    """Return what the walls emit, chain by chain.
+    """Return what the walls emit, chain by chain: the means of the batches of :func:`bake_batches`.
+
+    With the same parameters, and as many independent bakes as wanted.
+    """
+    rng = np.random.default_rng(seed)
+    seeds = rng.integers(2**32, size=repeats).tolist()
+    bakes = (bake_batches(scene, design, shape, bands, renderer, level, s, samples, guide) for s in seeds)
+    return [{chain: batches.mean(axis=0) for chain, batches in light.items()} for light in bakes]
+
+
+def bake_batches(
+    scene: Any,
+    design: FingerDesign,
+    shape: FingerShape,
+    bands: PaintBands,
+    renderer: ModuleType,
+    level: Level = "b",
+    seed: int = 0,
+    samples: int = BAKE_SAMPLES[False],
+    guide: Any = None,
+) -> WallLight:
+    """Return what the walls emit, chain by chain, in :data:`BATCHES` independent batches.
 
     Level b: direct and detoured LED light excite "led>red" and "led>green"; these excite both walls again, and so on
     while a chain adds at least half a percent to the emission of its band. Level a: the paper's rule with the mean
@@ -190,24 +209,25 @@ def bake_walls(
     seed
         Random seed, >= 0.
     samples
-        Paths per wall and repeat for the LED's light.
-    repeats
-        Number of independent bakes.
+        Paths per wall for the LED's light, of all batches together.
     guide
         From :func:`sim.optics._band_paths.mirror_guide` for this scene: less noise.
+
+    Returns
+    -------
+    dict
+        Per chain an array (BATCHES, TEXELS_ALONG, TEXELS_UP). What batches have in common is the strength of their
+        smoothing; see :func:`sim.optics._wall_spline.smooth_batches`.
     """
     rng = np.random.default_rng(seed)
-    detours = indirect_irradiance(scene, design, shape, renderer, int(rng.integers(2**32)), samples, repeats, guide)
-    direct = {wall: direct_irradiance(design, shape, wall, texel_uv()) for wall in WALLS}
-    baked: list[WallLight] = []
-    for detour in detours:
-        light = excited("led", {wall: direct[wall] + detour[wall] for wall in WALLS}, bands)
-        if level == "b":
-            light |= _further_orders(scene, design, shape, bands, renderer, light, rng, samples)
-        else:
-            light = dict(paper_emission(design, shape, light, level))
-        baked.append(light)
-    return baked
+    detours = indirect_irradiance(scene, design, shape, renderer, int(rng.integers(2**32)), samples, guide)
+    received = {
+        wall: direct_irradiance(design, shape, wall, texel_uv()) + detour.batches for wall, detour in detours.items()
+    }
+    light = excited("led", received, bands)
+    if level != "b":
+        return paper_emission(design, shape, light, level)
+    return light | _further_orders(scene, design, shape, bands, renderer, light, rng, samples)
 
 
 def light_walls(scene: Any, light: WallLight, renderer: ModuleType) -> None:
@@ -228,14 +248,13 @@ def indirect_irradiance(
     renderer: ModuleType,
     seed: int,
     samples: int,
-    repeats: int = 1,
     guide: Any = None,
-) -> list[dict[str, NDArray[np.float64]]]:
+) -> dict[str, SmoothedWall]:
     """Estimate the LED irradiance of the walls by all ways but the direct one through the inner face.
 
-    E = pi times the mean LED radiance over cosine-distributed directions, at a grid of points, then a least-squares
-    polynomial over the wall. Noise: about 640 % per path (with a guide half of it) over the square root of paths per
-    coefficient (16).
+    E = pi times the mean LED radiance over cosine-distributed directions, at the texel centres, then a penalised spline
+    over the wall (:mod:`sim.optics._wall_spline`). Noise: about 640 % per path (with a guide two thirds of it) over the
+    square root of paths per degree of freedom of the spline (10 to 60, by what the light needs).
 
     Parameters
     ----------
@@ -246,28 +265,22 @@ def indirect_irradiance(
     seed
         Random seed, >= 0.
     samples
-        Paths per wall and repeat.
-    repeats
-        Number of independent estimates, traced together.
+        Paths per wall.
     guide
         From :func:`sim.optics._band_paths.mirror_guide` for this scene: less noise.
 
     Returns
     -------
-    list of dict
-        For each repeat, per wall an array of shape (TEXELS_ALONG, TEXELS_UP) in units of the panel's radiance; never
-        negative.
+    dict
+        Per wall, in units of the panel's radiance.
     """
     scalar = renderer.variant() == SCALAR_VARIANT
     integrator = scene.integrator() if scalar else _tracer(scene, design, shape, from_wall=True, guide=guide)
-    radiance = radiance_at_walls(scene, shape, integrator, renderer, seed, samples, repeats)[
-        ..., BAND_NAMES.index("led")
-    ]
-    means = np.pi * radiance
+    led = BAND_NAMES.index("led")
+    means = np.pi * radiance_at_walls(scene, shape, integrator, renderer, seed, samples, guide)[..., led]
     if scalar:  # the stock tracer meets the panel directly too
-        at = grid_uv(POINTS_ALONG, POINTS_UP)
-        means -= np.stack([direct_irradiance(design, shape, wall, at).ravel() for wall in WALLS])
-    return [{wall: _smooth(mean[k]) for k, wall in enumerate(WALLS)} for mean in means]
+        means -= np.stack([direct_irradiance(design, shape, wall, texel_uv()) for wall in WALLS])
+    return {wall: smooth_batches(means[:, k]) for k, wall in enumerate(WALLS)}
 
 
 def _further_orders(
@@ -307,27 +320,28 @@ def _exchanged(
     seed: int,
     samples: int,
 ) -> dict[str, dict[str, NDArray[np.float64]]]:
-    """Return, for each emitted chain, the irradiance of the walls by its light."""
+    """Return, for each emitted chain, the irradiance of the walls by its light, batch by batch."""
     if renderer.variant() == SCALAR_VARIANT:
         return _exchanged_by_stock_paths(scene, shape, renderer, emitted, seed, samples)
     tracer = _tracer(scene, design, shape, from_wall=True, with_led=False, emission=emitted)
-    radiance = np.pi * radiance_at_walls(scene, shape, tracer, renderer, seed, samples, 1)[0]
+    radiance = np.pi * radiance_at_walls(scene, shape, tracer, renderer, seed, samples)
+    channels = {chain: radiance[..., tracer.chains.index(chain)] for chain in emitted}
     return {
-        chain: {wall: _smooth(radiance[k, :, tracer.chains.index(chain)]) for k, wall in enumerate(WALLS)}
-        for chain in emitted
+        chain: {wall: smooth_batches(of_chain[:, k]).batches for k, wall in enumerate(WALLS)}
+        for chain, of_chain in channels.items()
     }
 
 
 def _exchanged_by_stock_paths(
     scene: Any, shape: FingerShape, renderer: ModuleType, emitted: WallLight, seed: int, samples: int
 ) -> dict[str, dict[str, NDArray[np.float64]]]:
-    """Return the same in a scalar variant, one chain after the other."""
+    """Return the same in a scalar variant, one chain after the other, all batches by the mean of what is emitted."""
     irradiance = {}
     for chain, light in emitted.items():
-        light_walls(scene, {chain: light}, renderer)
+        light_walls(scene, {chain: light.mean(axis=0)}, renderer)
         band = BAND_NAMES.index(last_band(chain))
-        traced = radiance_at_walls(scene, shape, scene.integrator(), renderer, seed, samples, 1)[0, ..., band]
-        irradiance[chain] = {wall: _smooth(np.pi * traced[k]) for k, wall in enumerate(WALLS)}
+        traced = np.pi * radiance_at_walls(scene, shape, scene.integrator(), renderer, seed, samples)[..., band]
+        irradiance[chain] = {wall: smooth_batches(traced[:, k]).batches for k, wall in enumerate(WALLS)}
     return irradiance
 
 
@@ -338,63 +352,52 @@ def _tracer(scene: Any, design: FingerDesign, shape: FingerShape, **options: Any
     return band_paths(scene, design, shape, **options)
 
 
-def _smooth(irradiance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Fit polynomials to values at the traced points and return them at the texel centres, not below zero."""
-    coefficients = np.linalg.lstsq(polynomial_basis(POINTS_ALONG, POINTS_UP), irradiance)[0]
-    fitted = polynomial_basis(TEXELS_ALONG, TEXELS_UP) @ coefficients
-    return np.asarray(np.maximum(fitted, 0.0).reshape(TEXELS_ALONG, TEXELS_UP))
-
-
-def polynomial_basis(along: int, up: int) -> NDArray[np.float64]:
-    """Return Legendre products at the centres of a grid, shape (along * up, coefficients)."""
-    v, u = ((np.arange(count) + 0.5) / count for count in (along, up))
-    legendre = np.polynomial.legendre.legvander
-    basis = np.kron(legendre(2.0 * v - 1.0, _DEGREE_ALONG), legendre(2.0 * u - 1.0, _DEGREE_UP))
-    return np.asarray(basis, dtype=np.float64)
-
-
-POINTS_ALONG: Final = 28
-POINTS_UP: Final = 4
-"""Grid of points on each wall where rays start."""
-
-
 def radiance_at_walls(
-    scene: Any, shape: FingerShape, integrator: Any, renderer: ModuleType, seed: int, samples: int, repeats: int
+    scene: Any, shape: FingerShape, integrator: Any, renderer: ModuleType, seed: int, samples: int, guide: Any = None
 ) -> NDArray[np.float64]:
-    """Return the mean radiance over cosine-distributed directions, (repeat, wall, point, channel)."""
+    """Return the mean radiance over cosine-distributed directions, (batch, wall, along, up, channel)."""
     rng = np.random.default_rng(seed)
-    points = POINTS_ALONG * POINTS_UP
-    per_point = max(1, round(samples / points))
-    origins, directions = rays_from_walls(shape, per_point, rng, repeats)
+    per_texel = max(1, round(samples / (BATCHES * TEXELS_ALONG * TEXELS_UP)))
+    origins, directions, weights = rays_from_walls(shape, per_texel, rng, BATCHES, guide)
     trace = _trace_one_by_one if renderer.variant() == SCALAR_VARIANT else _trace_together
     radiance = trace(scene, integrator, renderer, origins, directions, int(rng.integers(2**32)))
-    return np.asarray(radiance.reshape(repeats, len(WALLS), points, per_point, -1).mean(axis=3))
+    of_texels = (radiance * weights[:, None]).reshape(BATCHES, len(WALLS), TEXELS_ALONG, TEXELS_UP, per_texel, -1)
+    return np.asarray(of_texels.mean(axis=4))
 
 
 def rays_from_walls(
-    shape: FingerShape, per_point: int, rng: np.random.Generator, repeats: int = 1
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return origins and cosine-distributed directions into the gel, (repeat * wall * point * per_point, 3)."""
-    uv = grid_uv(POINTS_ALONG, POINTS_UP).reshape(-1, 2)
-    walls = [(where.positions_mm(uv), -where.normals(uv)) for where in (wall_map(shape, wall) for wall in WALLS)]
-    rays = [_wall_rays(points, inward, per_point, rng) for _ in range(repeats) for points, inward in walls]
-    origins, directions = (np.concatenate([ray[k] for ray in rays]) for k in (0, 1))
-    return origins, directions
+    shape: FingerShape, per_texel: int, rng: np.random.Generator, batches: int = 1, guide: Any = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return origins, directions into the gel and weights, (batch * wall * texel * per_texel, ...).
+
+    Directions are cosine-distributed, with a guide some of them along it; weighted means are the same.
+    """
+    uv = texel_uv().reshape(-1, 2)
+    of_walls = {wall: _wall_axes(wall_map(shape, wall), uv, per_texel) for wall in WALLS}
+    uv = np.repeat(uv, per_texel, axis=0)
+    rays = []
+    for wall in WALLS * batches:
+        origins, axes = of_walls[wall]
+        height, turn = even_points(len(uv), 2, rng).T * np.array([[1.0], [2.0 * np.pi]])
+        flat = np.sqrt(1.0 - height)
+        local = np.stack([np.sqrt(height), flat * np.cos(turn), flat * np.sin(turn)], axis=-1)
+        directions, weights = np.einsum("nik,nk->ni", axes, local), np.ones(len(uv))
+        if guide is not None:
+            directions, weights = guide.walls[wall].mixed(uv, axes[..., 0], directions, even_points(len(uv), 4, rng))
+        rays.append((origins, directions, weights))
+    origins, directions, weight = (np.concatenate([ray[k] for ray in rays]) for k in range(3))
+    return origins, directions, weight
 
 
-def _wall_rays(
-    points_mm: NDArray[np.float64], inward: NDArray[np.float64], per_point: int, rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return origins and cosine-distributed directions (n, 3) from wall points into the gel."""
-    normal = np.repeat(inward, per_point, axis=0)
-    origins = np.repeat(points_mm, per_point, axis=0) + LIFT_MM * normal
+def _wall_axes(where: PositionMap, uv: Floats, per_texel: int) -> tuple[Floats, Floats]:
+    """Return starts of rays (n, 3), and axes (n, 3, 3) whose first column points into the gel, so many per texel."""
+    inward = -where.normals(uv)
     # walls are nearly upright, so their normals are never near the pad's length
-    across = np.cross(normal, [0.0, 0.0, 1.0])
+    across = np.cross(inward, [0.0, 0.0, 1.0])
     across /= np.linalg.norm(across, axis=-1, keepdims=True)
-    # most of the light that reaches a wall at random has met smooth faces only, so that its direction decides
-    height, turn = even_points(len(origins), 2, rng).T * np.array([[1.0], [2.0 * np.pi]])
-    flat = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * np.cross(normal, across)
-    return origins, np.sqrt(height)[:, None] * normal + np.sqrt(1.0 - height)[:, None] * flat
+    axes = np.stack([inward, across, np.cross(inward, across)], axis=-1)
+    origins = where.positions_mm(uv) + LIFT_MM * inward
+    return np.repeat(origins, per_texel, axis=0), np.repeat(axes, per_texel, axis=0)
 
 
 def _trace_together(
@@ -405,12 +408,17 @@ def _trace_together(
     directions: NDArray[np.float64],
     seed: int,
 ) -> NDArray[np.float64]:
-    """Return the channels of radiance along all rays, traced as one wavefront."""
+    """Return the channels of radiance along all rays, traced as one wavefront, batch after batch."""
+    import drjit as dr
+
     o, d = (np.ascontiguousarray(v.T, dtype=np.float32) for v in (origins, directions))
     sampler = renderer.load_dict({"type": "independent"})
     sampler.seed(seed, len(origins))
     rays = renderer.Ray3f(renderer.Point3f(o), renderer.Vector3f(d))
+    per_batch = dr.opaque(renderer.UInt32, len(origins) // BATCHES)
+    integrator.divide_lanes(dr.arange(renderer.UInt32, len(origins)) // per_batch)
     radiance, _, further = integrator.sample(scene, sampler, rays, None, renderer.Bool(True))
+    dr.eval(radiance, further)
     channels = [*radiance.numpy(), *(np.array(channel) for channel in further)]
     return np.stack([np.asarray(c, dtype=np.float64) for c in channels], axis=-1)
 
@@ -430,9 +438,6 @@ def _trace_one_by_one(
     return np.array([np.array(integrator.sample(scene, sampler, renderer.RayDifferential3f(o, d))[0]) for o, d in rays])
 
 
-Floats = NDArray[np.float64]
-
-
 class WallsMet(Protocol):
     """Mean over the rays of each group: LED radiance (group, light), per texel of a wall (group, light, wall, ...)."""
 
@@ -441,7 +446,7 @@ class WallsMet(Protocol):
         """Radiance of the LED."""
 
     @property
-    def by_wall(self) -> Floats:
+    def by_wall(self) -> NDArray[np.float32]:
         """Radiance per radiance that a texel emits."""
 
 
@@ -454,32 +459,40 @@ class WallTracer(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class WallExchange:
-    """Light that reaches the walls, as coefficients of a polynomial over the receiving wall.
+    """Light that reaches the walls.
 
     Attributes
     ----------
     led
-        Irradiance by the LED but for its direct light, (wall, coefficient, light), in units of the panel's radiance.
+        Irradiance by the LED but for its direct light, smoothed, (wall, TEXELS_ALONG, TEXELS_UP, light), in units of
+        the panel's radiance.
     exchange
-        Irradiance per radiance that a texel emits, (wall, coefficient, light, emitting wall, TEXELS_ALONG, TEXELS_UP):
-        the panel of the light keeps some of it away.
+        Irradiance per radiance that a texel emits, as it was traced: (wall, TEXELS_ALONG, TEXELS_UP, light, emitting
+        wall, TEXELS_ALONG, TEXELS_UP). The panel of the light keeps some of it away.
+    smoothers
+        Of each light and wall, for what it receives by ``exchange``: a matrix; all is linear in what walls emit.
     """
 
     led: Floats
-    exchange: Floats
+    exchange: NDArray[np.float32]
+    smoothers: tuple[tuple[WallSmoother, ...], ...]
 
     @classmethod
     def traced(cls, tracer: WallTracer, shape: FingerShape, samples: int, rng: np.random.Generator) -> "WallExchange":
         """Trace this many paths from each wall."""
-        points = POINTS_ALONG * POINTS_UP
-        per_point = max(1, round(samples / points))
-        rays = rays_from_walls(shape, per_point, rng)
-        met = tracer.trace(*rays, per_point, int(rng.integers(2**32)), from_wall=True)
-        fit = np.pi * np.linalg.pinv(polynomial_basis(POINTS_ALONG, POINTS_UP))
-        led = np.einsum("cp,wpl->wcl", fit, met.led.reshape(len(WALLS), points, -1))
-        by_wall = met.by_wall.reshape(len(WALLS), points, -1)
-        exchange = np.einsum("cp,wpt->wct", fit, by_wall, optimize=True)
-        return cls(led, exchange.reshape(len(WALLS), len(fit), -1, len(WALLS), TEXELS_ALONG, TEXELS_UP))
+        per_texel = max(1, round(samples / (TEXELS_ALONG * TEXELS_UP)))
+        origins, directions, _ = rays_from_walls(shape, per_texel, rng)
+        met = tracer.trace(origins, directions, per_texel, int(rng.integers(2**32)), from_wall=True)
+        texels = len(WALLS), TEXELS_ALONG, TEXELS_UP
+        led = np.pi * met.led.reshape(*texels, -1)
+        exchange = met.by_wall.reshape(*texels, -1, *texels)
+        exchange *= np.pi
+        # each light by itself: what is found of one must not depend on which others are traced with it
+        smoothed = np.stack(
+            [[_smoother_of(wall)(wall) for wall in of_light] for of_light in np.moveaxis(led, -1, 0)], axis=-1
+        )
+        received = np.moveaxis(exchange.sum(axis=(4, 5, 6), dtype=np.float64), -1, 0)
+        return cls(smoothed, exchange, tuple(tuple(map(_smoother_of, of_light)) for of_light in received))
 
     def emitted(self, light: int, direct: Floats, bands: PaintBands) -> Floats:
         """Return the radiance of the walls in their own bands, all orders of fluorescence together.
@@ -501,15 +514,24 @@ class WallExchange:
             (wall, TEXELS_ALONG, TEXELS_UP), in units of the panel's radiance.
         """
         conversion = np.array([bands.conversion[wall] for wall in WALLS]) / np.pi
-        irradiance = direct + _over_texels(self.led[..., light])
-        latest = conversion[:, BAND_NAMES.index("led"), None, None] * irradiance
+        latest = conversion[:, BAND_NAMES.index("led"), None, None] * (direct + self.led[..., light])
         total = latest
         of_band = conversion[:, [BAND_NAMES.index(wall) for wall in WALLS]]
         for _ in range(2, HIGHEST_ORDER + 1):
-            received = np.einsum("wcvij,vij->vwc", self.exchange[:, :, light], latest, optimize=True)
-            latest = np.einsum("wv,vwij->wij", of_band, _over_texels(received))
+            latest = np.stack(
+                [
+                    smoother(np.einsum("v,ijvkl,vkl->ij", of_band[k], self.exchange[k, :, :, light], latest))
+                    for k, smoother in enumerate(self.smoothers[light])
+                ]
+            )
             total = total + latest
         return total
+
+
+def _smoother_of(received: Floats) -> WallSmoother:
+    """Choose a smoother for one noisy map without repeats: texels above each other tell the noise."""
+    noise2 = (np.diff(received, 2, axis=1) ** 2).mean(axis=1, keepdims=True) / 6.0
+    return choose_smoother(received, np.broadcast_to(noise2, received.shape), maps=1)
 
 
 def direct_lights(design: FingerDesign, shape: FingerShape, lights: Sequence[LightPanel]) -> list[Floats]:
@@ -520,9 +542,3 @@ def direct_lights(design: FingerDesign, shape: FingerShape, lights: Sequence[Lig
         further = sum(found[len(lights) :], np.zeros((TEXELS_ALONG, TEXELS_UP)))
         of_walls.append([one + further for one in found[: len(lights)]])
     return [np.stack(pair) for pair in zip(*of_walls, strict=True)]
-
-
-def _over_texels(coefficients: Floats) -> Floats:
-    """Return polynomials (..., coefficient) at the texel centres, not below zero."""
-    values = coefficients @ polynomial_basis(TEXELS_ALONG, TEXELS_UP).T
-    return np.asarray(np.maximum(values, 0.0).reshape(*coefficients.shape[:-1], TEXELS_ALONG, TEXELS_UP))

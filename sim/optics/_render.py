@@ -128,7 +128,7 @@ def _render_half(
     if level == "c":
         integrator, chains = pathwise_integrator(scene, design, shape, bands, renderer), FIRST_CHAINS
     else:
-        paths = BAKE_SAMPLES[renderer.variant() == SCALAR_VARIANT]
+        paths = BAKE_SAMPLES[renderer.variant() == SCALAR_VARIANT] // 2
         light = bake_walls(scene, design, shape, bands, renderer, level, seed, paths, guide=guide)[0]
         integrator, chains = lit_integrator(scene, design, shape, renderer, light, guide)
     bake_s = time.monotonic() - begun

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
         shape_from_mesh,
         split_quads,
     )
-    from sim.surface_meshes._intersections import check_no_intersections
+    from sim.surface_meshes._intersections import check_no_intersections, crossing_pair
     from sim.surface_meshes._pressed_pad import (
         contact_distance,
         contact_half_width_mm,
@@ -84,6 +84,7 @@ __all__ = [
     "contact_distance",
     "contact_half_width_mm",
     "corner_jacobians_mm3",
+    "crossing_pair",
     "gel_faces",
     "layout_scale",
     "mirror_shape",

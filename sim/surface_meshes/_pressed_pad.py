@@ -14,7 +14,7 @@ BLEND_MM = 0.15
 """Radius of the rounded transition between the indenter and the free face."""
 
 _ANALYTIC_SHAPES = ("cylinder", "ball")
-_BY_ELEMENTS = "Press by finite elements: finray simulate DESIGN --only mechanics, and render with --surfaces"
+_BY_ELEMENTS = "Press by finite elements: finray simulate press DESIGN, and render with --surfaces"
 _QUADRATURE_POINTS = 4001
 _QUADRATURE_COLUMNS = 401
 # a whole bulge beside a press in a pad of 70 mm has a mean near 0.2

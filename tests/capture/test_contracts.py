@@ -160,15 +160,20 @@ class TestImageFolder(CameraContract):
 
     @pytest.fixture
     def camera(self, camera_settings: CameraSettings, tmp_path: Path) -> Iterator[Camera]:
-        exposures_s = (0.01,) * 4 + (0.02,) * 2 + (2.0,) * 2
-        lines = ["file,exposure_s"]
-        for number, exposure_s in enumerate(exposures_s):
-            counts = np.random.default_rng(number).integers(0, 1024, (64, 96)).astype(np.uint16)
-            tifffile.imwrite(tmp_path / f"{number}.tiff", counts, photometric="minisblack")
-            lines.append(f"{number}.tiff,{exposure_s}")
-        (tmp_path / "frames.csv").write_text("\n".join(lines) + "\n")
+        folder_of_images(tmp_path)
         with open_camera(camera_settings, tmp_path) as camera:
             yield camera
+
+
+def folder_of_images(folder: Path) -> None:
+    """Write images of noise with the exposures that the contracts ask for."""
+    exposures_s = (0.01,) * 4 + (0.02,) * 2 + (2.0,) * 2
+    lines = ["file,exposure_s"]
+    for number, exposure_s in enumerate(exposures_s):
+        counts = np.random.default_rng(number).integers(0, 1024, (64, 96)).astype(np.uint16)
+        tifffile.imwrite(folder / f"{number}.tiff", counts, photometric="minisblack")
+        lines.append(f"{number}.tiff,{exposure_s}")
+    (folder / "frames.csv").write_text("\n".join(lines) + "\n")
 
 
 class TestRaspberryPiCamera(CameraContract):
@@ -398,7 +403,7 @@ class TestOnARigFile:
     """The suites as their users run them."""
 
     def run(self, folder: Path, *options: str) -> "subprocess.CompletedProcess[str]":
-        command = [sys.executable, "-m", "pytest", "-p", "rigs.contracts.plugin", "--pyargs", "rigs.contracts"]
+        command = [sys.executable, "-m", "pytest", "--pyargs", "rigs.contracts"]
         return subprocess.run(
             [*command, "-p", "no:cacheprovider", "-rs", *options],
             cwd=folder, capture_output=True, text=True, check=False, timeout=120,
@@ -408,20 +413,39 @@ class TestOnARigFile:
         write_rig(RIG, tmp_path / "my-rig.toml")
         done = self.run(tmp_path, "--rig", "my-rig.toml", "-v")
         assert done.returncode == 0, done.stdout
-        assert "laser (450 nm, 4.5 mW, class 3R): " in done.stdout
+        assert "laser: simulated (450 nm, 4.5 mW, class 3R); IS SWITCHED ON" in done.stdout
         for name in ("TestCamera::", "TestFilterWheel::", "TestLaser::", "TestLamp::"):
             assert name in done.stdout
 
     def test_laser_of_a_real_rig_stays_off_unless_it_is_asked_for(self, tmp_path: Path) -> None:
         for name, text in (("missing.toml", ""), ("real.toml", real_rig_text())):
             (tmp_path / name).write_text(text)
-        asked = self.run(tmp_path, "--rig", "real.toml", "-k", "TestLaser")
+        asked = self.run(tmp_path, "--rig", "real.toml", "-k", "TestLaser or TestLamp")
         assert asked.returncode == 0, asked.stdout
+        assert "camera: aravis at SERIAL-NUMBER; takes frames, and its exposure is changed" in asked.stdout
+        assert "filter wheel: thorlabs at /dev/ttyUSB0; TURNS through all of its slots" in asked.stdout
+        assert "NOT TESTED: the operator is asked at the terminal" in asked.stdout  # the lamp is switched by hand
         assert "stays off, without --with-laser" in asked.stdout
         assert "LASER NOT TESTED: it is switched on only with --with-laser" in asked.stdout
         refused = self.run(tmp_path, "--rig", "missing.toml")
         assert refused.returncode == pytest.ExitCode.USAGE_ERROR
         assert "missing.toml" in refused.stderr
+
+    def test_rig_of_a_tactile_session_has_a_camera_only(self, tmp_path: Path) -> None:
+        folder_of_images(tmp_path)
+        camera = 'driver = "folder"\naddress = "."\nwidth_px = 96\nheight_px = 64\n'
+        (tmp_path / "tactile.toml").write_text(f'name = "finger"\n[camera]\n{camera}')
+        done = self.run(tmp_path, "--rig", "tactile.toml", "-k", "says_what_it_is")
+        assert done.returncode == 0, done.stdout
+        assert "camera: folder at .; takes frames" in done.stdout
+        assert "1 passed, 3 skipped" in done.stdout
+        assert "a rig of a tactile session has a camera only" in done.stdout
+
+    def test_plugin_may_be_named(self, tmp_path: Path) -> None:
+        """As it had to be before."""
+        write_rig(RIG, tmp_path / "my-rig.toml")
+        done = self.run(tmp_path, "-p", "rigs.contracts.plugin", "--rig", "my-rig.toml", "-k", "says_what_it_is")
+        assert done.returncode == 0, done.stdout + done.stderr
 
     def test_nothing_is_tested_without_a_rig_file(self, tmp_path: Path) -> None:
         assert self.run(tmp_path).returncode == pytest.ExitCode.NO_TESTS_COLLECTED

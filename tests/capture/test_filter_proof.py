@@ -6,10 +6,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas import CaptureError, DeviceIdentity, PaintPlan, RigFile, WrongPositionError
+from data_schemas import (
+    CaptureError,
+    CaptureSession,
+    DeviceIdentity,
+    FilterProof,
+    PaintPlan,
+    RigFile,
+    WrongPositionError,
+)
 from rigs import FilterWheel, open_rig
-from rigs.capture import paint_steps, read_session
-from rigs.capture._filter_proof import compare_with_last, judge_filters
+from rigs.capture import Interrupted, paint_steps, read_interrupted, read_session
+from rigs.capture import _paint_session as paint_session
+from rigs.capture._filter_proof import LEAST_SIGNAL_FRACTION, compare_with_last, judge_filters, signal_floor
+from rigs.capture._journal import read_journal
 from rigs.capture._paint_session import capture_with
 
 NAMES = ("405", "450", "500", "532", "560", "600", "630", "660")
@@ -173,3 +183,136 @@ def test_session_unlike_an_earlier_one_is_refused(rig: RigFile, plan: PaintPlan,
     other = session.model_copy(update={"white_rates_dn_per_s": tuple(tuple(row) for row in rates)})
     with open_rig(rig, Path()) as opened, pytest.raises(CaptureError, match="differs from the earlier session"):
         capture_with(opened, rig, plan, paint_steps(plan, rig), tmp_path, {}, "finray capture", last_good=other)
+
+
+@pytest.mark.parametrize("where", ["at the terminal", "by resuming"])
+def test_exchanged_filters_that_are_put_right_let_the_session_go_on(
+    rig: RigFile, plan: PaintPlan, tmp_path: Path, where: str
+) -> None:
+    """The bench's filters are exchanged, found, and put right; the proofs are taken again, not remembered."""
+    small = plan.model_copy(update={"filters": ("450", "532", "600"), "bracket": (1.0,), "darks_per_exposure": 1})
+    steps, asked = paint_steps(small, rig), []
+    with open_rig(exchanged(rig, "450", "600"), Path()) as wrong, open_rig(rig, Path()) as right:
+
+        def put_right() -> None:
+            wrong.camera.bench = right.camera.bench
+
+        def mend(text: str) -> bool:
+            asked.append(text)
+            if where == "at the terminal":
+                put_right()
+            return where == "at the terminal"
+
+        def run(interrupted: Interrupted | None = None) -> CaptureSession:
+            return capture_with(
+                wrong, rig, small, steps, tmp_path, {}, "finray capture", interrupted=interrupted, mend=mend
+            )
+
+        if where == "by resuming":
+            with pytest.raises(WrongPositionError, match="450 and 600"):
+                run()
+            assert read_interrupted(tmp_path).metered == {}
+            put_right()
+            session = run(read_interrupted(tmp_path))
+        else:
+            session = run()
+    assert len(asked) == 1
+    assert "450 and 600" in asked[0]
+    assert session.filter_proof is not None
+    assert session.filter_proof.verdict != "contradicted"
+    repairs = [line for line in read_journal(tmp_path) if line["event"] == "repair"]
+    assert len(repairs) == (where == "at the terminal")
+
+
+def test_filters_that_stay_exchanged_end_the_session_after_some_repairs(
+    rig: RigFile, plan: PaintPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(paint_session, "MOST_REPAIRS", 1)
+    small = plan.model_copy(update={"filters": ("450", "532", "600"), "bracket": (1.0,), "darks_per_exposure": 1})
+    asked: list[str] = []
+    with (
+        open_rig(exchanged(rig, "450", "600"), Path()) as opened,
+        pytest.raises(WrongPositionError, match="450 and 600"),
+    ):
+        capture_with(
+            opened, rig, small, paint_steps(small, rig), tmp_path, {}, "finray capture",
+            mend=lambda text: not asked.append(text),
+        )  # fmt: skip
+    assert len(asked) == 1
+
+
+FULL_SCALE_DN = 65535
+
+
+def test_noise_of_a_camera_that_sees_nothing_convicts_nobody() -> None:
+    """Five counts of 65535 at 10 ms are 500 DN/s, which once decided; now nothing below 2 % of full scale does."""
+    rng = np.random.default_rng(8)
+    predicted = np.exp(rng.normal(0, 1.5, (8, 3)))
+    floor = signal_floor([0.01] * 8, FULL_SCALE_DN)
+    without = [judge_filters(NAMES, 500.0 * rng.random((8, 3)), predicted).verdict for _ in range(100)]
+    within = [judge_filters(NAMES, 500.0 * rng.random((8, 3)), predicted, floor=floor) for _ in range(100)]
+    assert "contradicted" in without
+    assert {proof.verdict for proof in within} == {"cannot tell"}
+    assert "no signal through any filter: brighten the lamp" in within[0].text
+
+
+def test_dim_filters_are_not_judged_and_named() -> None:
+    rng = np.random.default_rng(9)
+    predicted = np.exp(rng.normal(0, 1.5, (8, 3)))
+    measured = 1e4 * predicted
+    floor = signal_floor([1.0] * 8, FULL_SCALE_DN)
+    assert judge_filters(NAMES, measured, predicted, floor=floor).verdict != "contradicted"
+    dim = measured.copy()
+    dim[[0, 7]] = 100.0 * rng.random((2, 3))
+    proof = judge_filters(NAMES, dim, predicted, floor=floor)
+    assert proof.verdict == "cannot tell"
+    assert "filters 405, 660 are too dim to be judged" in proof.text
+    dim[2:] = 100.0
+    proof = judge_filters(NAMES, dim, predicted, floor=floor)
+    assert proof.verdict == "cannot tell"
+    assert "only 1 filters give a signal" in proof.text
+
+
+def test_floor_is_two_per_cent_of_full_scale_and_five_uncertainties() -> None:
+    assert signal_floor([1.0, 0.5], 1000.0, np.array([0.0, 2.0])).tolist() == [20.0, 50.0]
+
+
+def test_black_level_that_is_wrong_convicts_nobody_once_the_dark_level_is_measured() -> None:
+    """A tenth of full scale too low, it is most of what dim filters show at the camera's longest exposure."""
+    rng = np.random.default_rng(10)
+    verdicts = []
+    for _ in range(50):
+        predicted = np.exp(rng.normal(0, 1.5, (8, 3)))
+        exposures_s = np.minimum(0.6 / predicted.max(axis=1), 0.1)
+        pedestal = 0.1 * FULL_SCALE_DN / exposures_s[:, None]
+        measured = FULL_SCALE_DN * predicted + pedestal
+        floor = signal_floor(exposures_s, FULL_SCALE_DN)
+        verdicts.append(
+            [judge_filters(NAMES, rates, predicted, floor=floor).verdict for rates in (measured, measured - pedestal)]
+        )
+    assert "contradicted" in {before for before, _ in verdicts}
+    assert "contradicted" not in {after for _, after in verdicts}
+
+
+def test_dark_level_is_measured_before_a_conviction(
+    rig: RigFile, plan: PaintPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The rig file says 0 DN where the sensor's black level is 16 DN."""
+    told = rig.model_copy(update={"camera": rig.camera.model_copy(update={"black_level_dn": 0})})
+    small = plan.model_copy(update={"filters": ("450", "532", "600"), "bracket": (1.0,), "darks_per_exposure": 1})
+    judged: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def judge(names, measured, predicted, lamp_off, apart, floor) -> FilterProof:
+        judged.append((measured, floor))
+        return FilterProof(verdict="contradicted" if len(judged) == 1 else "cannot tell", text="lamp")
+
+    monkeypatch.setattr(paint_session, "judge_filters", judge)
+    with open_rig(rig, Path()) as opened:
+        session = capture_with(opened, told, small, paint_steps(small, told), tmp_path, {}, "finray capture")
+    assert session.filter_proof is not None
+    assert session.filter_proof.text.startswith("lamp")
+    (before, low), (after, high) = judged
+    exposures_s = LEAST_SIGNAL_FRACTION * 1023 / low[:, None]
+    # 784 px of read noise below 3 DN, in two frames, and the sensor's offsets: well below 1 DN
+    np.testing.assert_allclose((before - after) * exposures_s, 16.0, atol=1.0)
+    assert np.all(high >= low)

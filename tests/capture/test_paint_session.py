@@ -21,10 +21,12 @@ from data_schemas import (
     RigFile,
     SaturatedError,
     Target,
+    WrongPositionError,
 )
 from data_schemas.storage import sha256_of
 from rigs import Camera, FilterWheel, OpenRig, Operator, RawFrame, open_rig
 from rigs.capture import capture_paint_session, paint_steps, read_frame_of, read_session
+from rigs.capture._journal import read_journal
 from rigs.capture._paint_session import capture_with
 from rigs.simulated.sensor import bayer_planes
 
@@ -267,7 +269,7 @@ def capture(opened: OpenRig, rig: RigFile, plan: PaintPlan, out: Path) -> Captur
 
 
 def last_event(out: Path) -> dict[str, object]:
-    return dict(json.loads((out / "journal.jsonl").read_text().splitlines()[-1]))
+    return dict(read_journal(out)[-1])
 
 
 @pytest.mark.parametrize("after", [3, 12, 70])  # while metering with the laser, with the lamp, and while storing
@@ -304,11 +306,15 @@ def test_frame_that_is_not_what_was_asked_is_refused(
 # readings: 1 decides whether to move, 2 is before the exposure, 3 after it
 @pytest.mark.parametrize(("reading", "when"), [(2, "before"), (3, "after")])
 def test_wheel_that_slips_is_noticed(rig: RigFile, plan: PaintPlan, tmp_path: Path, reading: int, when: str) -> None:
+    """It is sent again; a wheel that slips every time ends the session."""
     with (
         open_rig(rig, Path()) as opened,
-        pytest.raises(CaptureError, match=rf"reads slot 7 {when} the exposure of .*slot 8 is needed"),
+        pytest.raises(WrongPositionError, match=r"reads slot 7 before the exposure .*slot 8 is needed.*4 attempts"),
     ):
         capture(replace(opened, wheel=SlippingWheel(opened.wheel, reading)), rig, plan, tmp_path)
+    refused = [line["text"] for line in read_journal(tmp_path) if line["event"] == "refused"]
+    assert len(refused) == 3
+    assert f"reads slot 7 {when} the exposure of" in refused[0]
 
 
 def test_light_that_does_not_obey_is_noticed(rig: RigFile, plan: PaintPlan, tmp_path: Path) -> None:

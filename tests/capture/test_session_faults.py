@@ -3,6 +3,7 @@
 import errno
 import threading
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from data_schemas import (
+    BadFrameError,
     CaptureError,
     CaptureSession,
     DeviceIdentity,
@@ -22,15 +24,17 @@ from data_schemas import (
     RigFile,
     SaturatedError,
     TimedOutError,
-    WrongPositionError,
 )
 from data_schemas.storage import sha256_of
-from rigs import Camera, Clock, FilterWheel, OpenRig, RawFrame, open_rig
+from rigs import Camera, Clock, FilterWheel, Light, OpenRig, RawFrame, open_rig
 from rigs.capture import Interrupted, paint_steps, read_interrupted, read_session
 from rigs.capture import _exposure as exchange
 from rigs.capture import _frame_store as frame_store
+from rigs.capture._journal import read_journal
 from rigs.capture._paint_session import capture_with
 from rigs.filter_wheels.thorlabs import open_wheel
+from rigs.light_guard import LightLostError
+from rigs.transports import Fault, tell_fault
 from tests.capture.drivers.thorlabs_wheel import EmulatedWheel, emulated_wheel
 
 FRAMES_BEFORE = 12
@@ -92,7 +96,7 @@ def device() -> Iterator[EmulatedWheel]:
     ("fault", "error", "message"),
     [
         ({"stuck": True}, TimedOutError, "is not at slot . within 3 s"),
-        ({"slip": 1}, WrongPositionError, "and rests at slot"),
+        ({"slip": 1}, TimedOutError, "its last report is slot"),  # sent again, it falls back to where it rests
         ({"mute": True}, TimedOutError, "did not answer within"),
         ({"garble": True}, LostError, "attempts at"),
     ],
@@ -353,3 +357,80 @@ def test_sample_that_may_be_tilted_is_turned_back_at_a_resumption(
         hands = replace(opened, operator=Hands(opened.operator))
         capture_with(hands, rig, tilted, steps, tmp_path, {}, "finray capture", interrupted=read_interrupted(tmp_path))
     assert asked == [0.0, 30.0]  # upright for what is left of metering, tilted for the last frames
+
+
+@dataclass
+class FailingLight:
+    """A light that is lost when it is asked for the so-many-th time while it is lit, and then as often again."""
+
+    light: Light
+    at_questions: tuple[int, ...]
+    asked: int = 0
+
+    def identity(self) -> DeviceIdentity:
+        return self.light.identity()
+
+    def state(self) -> bool:
+        if self.light.state():
+            self.asked += 1
+            if self.asked in self.at_questions:
+                raise LightLostError("lamp: the guard process has ended; confirmed off")
+        return self.light.state()
+
+    def lit(self) -> AbstractContextManager[None]:
+        return self.light.lit()
+
+
+def test_light_that_is_lost_is_lit_anew_and_the_frame_redone(
+    rig: RigFile, small: PaintPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(exchange, "RELIGHT_PAUSE_S", 0.0)
+    with open_rig(rig, Path()) as opened:
+        failing = replace(opened, lamp=FailingLight(opened.lamp, (7, 30)), laser=FailingLight(opened.laser, (20,)))
+        session = capture(failing, rig, small, tmp_path)
+        assert dark(opened)
+    whole = {frame.sequence for frame in session.frames}
+    assert whole == set(range(len(session.frames)))
+    assert all(frame.lights_before == frame.lights_after for frame in session.frames)
+    doses = [frame.laser_dose_j for frame in session.frames]
+    assert doses == sorted(doses)
+    lost = [line for line in read_journal(tmp_path) if line["event"] == "light lost"]
+    assert len(lost) == 3
+    assert any("a light was lit anew 3 times" in note for note in session.notes)
+
+
+def test_light_that_is_lost_again_and_again_ends_the_session(
+    rig: RigFile, small: PaintPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(exchange, "RELIGHT_PAUSE_S", 0.0)
+    with open_rig(rig, Path()) as opened:
+        failing = replace(opened, lamp=FailingLight(opened.lamp, tuple(range(1, 99))))
+        with pytest.raises(LightLostError, match="the guard process has ended"):
+            capture(failing, rig, small, tmp_path)
+        assert dark(opened)
+        assert failing.lamp.asked == exchange.RELIGHTS + 1
+
+
+def test_faults_are_noted_and_told_at_the_end(rig: RigFile, small: PaintPlan, tmp_path: Path) -> None:
+    """The wheel's driver repeats an exchange, and the camera delivers a frame that is taken again."""
+
+    class Repeating(TurningBench):
+        def go_to(self, slot: int, deadline_s: float) -> None:
+            tell_fault(Fault("filter wheel at /dev/ttyUSB0", "did not answer within 1 s", 1, 1.25))
+            super().go_to(slot, deadline_s)
+
+    def once(number: int, raw: RawFrame) -> RawFrame:
+        if number == 20:
+            raise BadFrameError("camera: torn")
+        return raw
+
+    with open_rig(rig, Path()) as opened:
+        wheel = Repeating(opened.wheel, opened.wheel)
+        session = capture(replace(opened, wheel=wheel, camera=ChangedCamera(opened.camera, once)), rig, small, tmp_path)
+    faults = [line for line in read_journal(tmp_path) if line["event"] == "fault"]
+    assert {line["what"] for line in faults} == {"did not answer within 1 s"}
+    assert len(faults) == wheel.moves
+    assert session.notes[-1] == (
+        f"faults that did not stop the session: {wheel.moves} exchanges were repeated (filter wheel at /dev/ttyUSB0 "
+        f"{wheel.moves}), 1 frames were taken again; journal.jsonl tells each ({1.25 * wheel.moves:.1f} s lost)"
+    )

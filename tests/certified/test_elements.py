@@ -27,12 +27,19 @@ KERNELS = {
 each_kernel = pytest.mark.parametrize(("element", "material"), KERNELS.values(), ids=KERNELS.keys())
 
 
-def evaluate(x, v, element, material, level=1):
+def evaluate(x, v, element, material, level=1, held_mpa=None):
+    """Energy, force and tangent, with the pressure that the displacement gives if none is held."""
     mean = element == "mean_dilatation"
     size = 24 if mean else 33
-    force, tangent = np.zeros(size), np.zeros((size, size))
-    energy = hexahedron(x, v.reshape(-1, 3).copy(), material.law, material.parameters, mean, level, force, tangent)
-    return energy, force, tangent
+    force, tangent, swelling, strain = np.zeros(size), np.zeros((size, size)), np.zeros(24), np.zeros(2)
+    u = v.reshape(-1, 3).copy()
+
+    def energy(level, held):
+        return hexahedron(x, u, material.law, material.parameters, mean, held, level, force, tangent, swelling, strain)
+
+    energy(0, 0.0)
+    own = material.bulk_modulus_mpa * strain[1]
+    return energy(level, own if held_mpa is None else held_mpa), force, tangent
 
 
 def distorted(rng, element):

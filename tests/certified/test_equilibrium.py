@@ -2,13 +2,15 @@
 
 import math
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from data_schemas import MissingExtraError, SimulateError
+from data_schemas import MissingExtraError, NoEquilibriumError, SimulateError
 from sim.mechanics import Block, Cylinder, FingerMesh, LinearElastic, Ogden, PenaltyContact, Pose
+from sim.mechanics import _increments as increments
 from sim.mechanics._assembly import UpperBlocks
 from sim.mechanics._increments import load_increments
 from sim.mechanics._linear_solver import linear_solver
@@ -113,6 +115,46 @@ def test_an_increment_too_large_is_cut_back():
     assert fractions[-1] == 1.0
     whole = press(assembly, loading)[-1]
     assert path[-1].equilibrium.state.u_mm == pytest.approx(whole.state.u_mm, abs=1e-5)
+
+
+def test_a_search_in_short_steps_is_given_up_and_each_iteration_and_cutback_is_told():
+    _, assembly, loading = sheared_beam()
+    told = []
+    # steps of at most 5 um of 2 mm: eight of them are no whole one
+    options = NewtonOptions(longest_step_mm=0.005, tell=told.append)
+    path = load_increments(assembly, linear_solver(), loading, (1.0,), options=options, shortest_share=0.5)
+    with pytest.raises(NoEquilibriumError, match="no equilibrium after 40 iterations"):
+        list(path)
+    first = [line for line in told if line.startswith("iteration ")][:9]
+    assert [line.split(",")[0] for line in first] == [f"iteration {n}" for n in (*range(1, 9), 1)]
+    assert all(" out of balance by " in line and line.endswith(" N allowed") for line in first)
+    cut = [line for line in told if line.startswith("an increment of 0.5 in place of 1: ")]
+    assert len(cut) == 1
+    assert "the last 8 of 8 steps were short" in cut[0]
+
+
+def test_a_watch_ends_a_press_before_the_iteration_that_would_take_too_long(monkeypatch):
+    clock = SimpleNamespace(now_s=0.0)
+    monkeypatch.setattr(increments, "time", SimpleNamespace(process_time=lambda: clock.now_s))
+    told = []
+    watch = increments.Watch(lambda *at: told.append(at), 4, 10.0)
+    watch.tell("iteration 1")
+    watch.reached(1, "pressed to 1 mm")
+    clock.now_s = 4.0
+    watch.tell("iteration 1")
+    assert watch.left_s == 6.0
+    clock.now_s = 8.5
+    with pytest.raises(
+        NoEquilibriumError, match=r"budget of 10 s of processor time is spent \(8\.5 s; the last iteration took 4\.5 s"
+    ):
+        watch.tell("iteration 2")
+    assert told == [
+        (0, 4, "iteration 1"),
+        (1, 4, "pressed to 1 mm"),
+        (1, 4, "pressed to 1 mm, iteration 1"),
+        (1, 4, "pressed to 1 mm, iteration 2"),
+    ]
+    assert increments.Watch(None, 4).left_s is None
 
 
 def test_increments_before_a_failure_are_kept():

@@ -184,7 +184,7 @@ def test_an_indenter_beside_the_pad_is_refused():
 def test_the_analytic_press_refuses_what_it_cannot_shape(wanted, message):
     design = FingerDesign(indenter=Indenter(**wanted))
     x, z = np.zeros(1), np.linspace(0.0, 70.0, 5)
-    with pytest.raises(SimulateError, match=message + r".*simulate DESIGN --only mechanics"):
+    with pytest.raises(SimulateError, match=message + r".*simulate press DESIGN"):
         pressed_height_mm(design, x, z)
     # at rest there is nothing to refuse
     np.testing.assert_array_equal(pressed_height_mm(without_press(design), x, z), 6.0)

@@ -17,7 +17,7 @@ from sim.experiments import increment_record, stored_press
 from sim.mechanics import STEPS, finger_materials, finger_mesh, press_finger
 from sim.mechanics._assembly import Assembly, Elasticity
 from sim.mechanics._finger_mesh import MeshSteps, finger_ties
-from sim.mechanics._increments import CoarserPath, Interpolation, load_increments
+from sim.mechanics._increments import CoarserPath, Interpolation, Watch, load_increments
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._mesh import CornerGrading
@@ -136,13 +136,13 @@ def test_a_start_saves_iterations(halfway):
 
 
 def test_a_finer_press_starts_from_the_first_increment_on_the_coarse_mesh(halfway):
-    start = _first_on_coarse(to_depth(1.0), "medium", 2, 1, "auto")
+    start = _first_on_coarse(to_depth(1.0), "medium", 2, 1, "auto", Watch(None, 2))
     assert start.depth_mm == pytest.approx([0.5])
     assert start.force_n[0] == pytest.approx(halfway.force_n[0], abs=1e-5)
-    assert _first_on_coarse(to_depth(1.0), "coarse", 2, 1, "auto") is None
-    assert _first_on_coarse(to_depth(1.0), "medium", 2, 1, "barrier") is None
+    assert _first_on_coarse(to_depth(1.0), "coarse", 2, 1, "auto", Watch(None, 2)) is None
+    assert _first_on_coarse(to_depth(1.0), "medium", 2, 1, "barrier", Watch(None, 2)) is None
     # a coarse press that fails costs the finer one its start, no more
-    assert _first_on_coarse(to_depth(0.0), "medium", 2, 1, "auto") is None
+    assert _first_on_coarse(to_depth(0.0), "medium", 2, 1, "auto", Watch(None, 2)) is None
 
 
 def test_a_stored_increment_must_fit(halfway):
@@ -168,7 +168,7 @@ def test_a_stored_increment_must_fit(halfway):
 def test_a_killed_press_goes_on(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "d.toml").write_text(PLAN + "depth_mm = 1.5\n")
-    press = "simulate d.toml --only mechanics --increments 3"
+    press = "simulate press d.toml --increments 3"
     command = [sys.executable, "-m", "finray_calib.cli.main", *press.split(), "--out", "cut.json"]
     killed = subprocess.Popen(command, env=os.environ)
     deadline = time.monotonic() + LONGEST_S
@@ -197,6 +197,6 @@ def test_a_killed_press_goes_on(tmp_path, monkeypatch):
     nothing = finray(f"{press} --out other.json --resume empty")
     assert nothing.status == 2
     assert "holds no increment of a press" in nothing.err
-    optical = finray("simulate d.toml --resume cut.increments")
+    optical = finray("simulate render d.toml --resume cut.increments")
     assert optical.status == 2
-    assert "--resume goes on with a press of finite elements" in optical.err
+    assert "finray simulate: error: 'finray simulate render' knows no --resume cut.increments" in optical.err

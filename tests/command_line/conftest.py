@@ -86,7 +86,7 @@ def paints(lab: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="package")
 def rendered(lab: Path, paints: Path) -> Path:
     """Folder of the paints with press.json and sweep.json simulated from them."""
-    finger = f"simulate {lab}/finger.toml --paint red={paints}/red/paint.json --paint green={paints}/green/paint.json"
-    succeed(f"{finger} --engine scalar --samples 4 --seed 6 --out {paints}/press.json")
-    succeed(f"{finger} --engine scalar --samples 40 --seed 6 --angles 0:90:30 --out {paints}/sweep.json")
+    finger = f"{lab}/finger.toml --paint red={paints}/red/paint.json --paint green={paints}/green/paint.json"
+    succeed(f"simulate render {finger} --engine scalar --samples 4 --seed 6 --out {paints}/press.json")
+    succeed(f"simulate sweep {finger} --engine scalar --samples 40 --seed 6 --angles 0:90:30 --out {paints}/sweep.json")
     return paints

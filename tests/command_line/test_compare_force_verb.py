@@ -1,4 +1,4 @@
-"""``finray simulate --only mechanics --sensitivities``, then ``finray compare --force``: a press against a bench."""
+"""``finray simulate press --sensitivities``, then ``finray compare --force``: a press against a bench."""
 
 import re
 import tomllib
@@ -37,7 +37,7 @@ def test_a_press_with_sensitivities_is_compared(tmp_path: Path, monkeypatch: pyt
     (tmp_path / "finger.toml").write_text(FINGER)
     monkeypatch.setattr("sim.experiments._design_sensitivities.UNCERTAIN_FIELDS", FIELDS)
     said = succeed(
-        f"simulate {tmp_path}/finger.toml --only mechanics --increments 2 --sensitivities --out {tmp_path}/f.press.json"
+        f"simulate press {tmp_path}/finger.toml --increments 2 --sensitivities --out {tmp_path}/f.press.json"
     )
     assert "2 presses with one number changed" in said
     press = read_record(tmp_path / "f.mechanics.json", PressMechanics)
@@ -106,9 +106,12 @@ def test_a_model_that_is_off_is_told_and_drawn(lab: Path) -> None:
             "--other-mesh {lab}/p.mechanics.json",
             "p.mechanics.json: power law, push of 2 mm: is on the coarse mesh too",
         ),
-        ("simulate {lab}/finger.toml --sensitivities", "those of a force; add --only mechanics"),
         (
-            "simulate {lab}/finger.toml --only mechanics --engine calculix --sensitivities",
+            "simulate render {lab}/finger.toml --sensitivities",
+            "finray simulate: error: 'finray simulate render' knows no --sensitivities",
+        ),
+        (
+            "simulate press {lab}/finger.toml --engine calculix --sensitivities",
             "--sensitivities need a whole press by the elements here",
         ),
     ],

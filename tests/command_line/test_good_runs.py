@@ -110,6 +110,38 @@ def test_swept_angles_lead_to_a_decision(rendered: Path, tmp_path: Path) -> None
     assert not decision.validated
 
 
+def test_several_places_are_swept_by_one_command_and_decided_by_another(
+    lab: Path, paints: Path, tmp_path: Path
+) -> None:
+    command = (
+        f"simulate sweep {lab}/finger.toml --paint red={paints}/red/paint.json --paint green={paints}/green/paint.json "
+        f"--engine scalar --samples 10 --angles 0:90:30 --out {tmp_path}/f.sweep.json"
+    )
+    succeed(f"{command} --positions 20")
+    first = tmp_path / "f.20.0mm.sweep.json"
+    before = first.read_bytes()
+    said = succeed(f"{command} --positions 20:50:30")
+    # what is swept already stays as it is: a run that was cut off goes on
+    assert f"{first}: is there already, from the same inputs" in said
+    assert first.read_bytes() == before
+    assert [
+        read_record(path, LightAngleSweep).design.indenter.position_mm for path in sorted(tmp_path.glob("*.json"))
+    ] == [
+        20.0,
+        50.0,
+    ]
+    for other in ("--seed 9", "--samples 12"):
+        outcome = finray(f"{command.replace('--samples 10', '')} {other} --positions 20")
+        assert outcome.status == 2
+        assert "f.20.0mm.sweep.json: exists already" in outcome.err
+    sweeps = " ".join(map(str, sorted(tmp_path.glob("*.sweep.json"))))
+    succeed(f"decide {sweeps} --weights 3,1 --criterion worst --out {tmp_path}/d.json")
+    decision = read_record(tmp_path / "d.json", LightAngleDecision)
+    assert [contact.weight_share for contact in decision.contacts] == [0.75, 0.25]
+    assert decision.criterion == "worst"
+    assert len(decision.contact_value) == 2
+
+
 def test_decision_finds_the_top_and_repeats_with_its_seed(lab: Path, tmp_path: Path) -> None:
     arguments = f"decide {lab}/sweep.json --photometric-error {lab}/report.json"
     decisions = {}

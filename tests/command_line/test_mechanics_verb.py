@@ -1,4 +1,4 @@
-"""``finray simulate --only mechanics``: a push that finds no equilibrium leaves what it reached, to go on from."""
+"""``finray simulate press``: a push that finds no equilibrium leaves what it reached, to go on from."""
 
 import re
 from collections.abc import Iterator
@@ -11,7 +11,8 @@ import pytest
 from data_schemas import FingerSurfaces, NoEquilibriumError, PressIncrement, PressMechanics, RecordError
 from data_schemas.storage import read_record, sha256_of
 from finray_calib.cli._simulate_press import last_increment, mechanics_paths
-from sim.mechanics import FORCE_EXCESS_REL, STEPS
+from sim import read_design
+from sim.mechanics import FORCE_EXCESS_REL, STEPS, press_finger
 from sim.mechanics._finger_mesh import MeshSteps
 from sim.mechanics._increments import Increment, load_increments
 from sim.mechanics._newton import NewtonOptions
@@ -60,7 +61,7 @@ def impatient(
 @pytest.mark.usefixtures("rough_mesh")
 def test_a_push_that_ends_early_is_kept_and_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "finger.toml").write_text(FINGER)
-    press = f"simulate {tmp_path}/finger.toml --only mechanics --increments 2 --out {tmp_path}"
+    press = f"simulate press {tmp_path}/finger.toml --increments 2 --out {tmp_path}"
     with monkeypatch.context() as patched:
         patched.setattr("sim.mechanics._press.load_increments", impatient)
         outcome = finray(f"{press}/early.press.json")
@@ -98,7 +99,7 @@ def test_a_push_that_never_begins_leaves_a_picture(tmp_path: Path, monkeypatch: 
 
     (tmp_path / "finger.toml").write_text(FINGER)
     monkeypatch.setattr("sim.mechanics._press.load_increments", never)
-    said = refused(f"simulate {tmp_path}/finger.toml --only mechanics --out {tmp_path}/stuck.json")
+    said = refused(f"simulate press {tmp_path}/finger.toml --out {tmp_path}/stuck.json")
     assert re.search(r"matrix is singular\. \S*stuck\.mechanics\.png shows where the indenter touches", said)
     assert (tmp_path / "stuck.mechanics.png").read_bytes().startswith(b"\x89PNG")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["finger.toml", "stuck.mechanics.png"]
@@ -128,7 +129,7 @@ def test_an_stl_that_changed_is_not_gone_on_with(tmp_path: Path) -> None:
     (tmp_path / "finger.toml").write_text(BABY + 'depth_mm = 0.2\nshape = "mesh"\nfile = "cube.stl"\n')
     body = CUBE - np.array([2.5, 0.0, 2.5])
     (tmp_path / "cube.stl").write_bytes(stl_bytes(FACETS, body, "body"))
-    press = f"simulate {tmp_path}/finger.toml --only mechanics"
+    press = f"simulate press {tmp_path}/finger.toml"
     succeed(f"{press} --increments 1 --out {tmp_path}/first.json")
     stored = read_record(tmp_path / "first.increments" / "001.json", PressIncrement)
     assert stored.contact == "barrier"
@@ -146,9 +147,7 @@ def test_an_stl_that_changed_is_not_gone_on_with(tmp_path: Path) -> None:
 
 def test_a_press_to_a_force_tells_the_depth_and_the_torque_at_slip(tmp_path: Path) -> None:
     (tmp_path / "finger.toml").write_text(BABY)
-    said = succeed(
-        f"simulate {tmp_path}/finger.toml --only mechanics --force 0.8 --increments 2 --out {tmp_path}/held.json"
-    )
+    said = succeed(f"simulate press {tmp_path}/finger.toml --force 0.8 --increments 2 --out {tmp_path}/held.json")
     record = read_record(tmp_path / "held.mechanics.json", PressMechanics)
     assert f"push  {record.depth_mm[-1]:.3f} mm   force   0.800 N" in said
     assert record.wanted_force_n == 0.8
@@ -166,9 +165,7 @@ def test_a_press_to_a_force_tells_the_depth_and_the_torque_at_slip(tmp_path: Pat
 def test_a_force_that_is_not_reached_is_told_as_what_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "finger.toml").write_text(BABY)
     monkeypatch.setattr("sim.mechanics._loads.load_increments", impatient)
-    outcome = finray(
-        f"simulate {tmp_path}/finger.toml --only mechanics --force 0.8 --increments 2 --out {tmp_path}/held.json"
-    )
+    outcome = finray(f"simulate press {tmp_path}/finger.toml --force 0.8 --increments 2 --out {tmp_path}/held.json")
     assert outcome.status == 2
     assert "error: the push ended early, at 0.4 of 0.8 N: no equilibrium beyond 0.5 of the load" in outcome.err
     record = read_record(tmp_path / "held.mechanics.json", PressMechanics)
@@ -185,7 +182,7 @@ def test_a_press_is_stored_though_none_with_a_number_changed_is(
 
     (tmp_path / "finger.toml").write_text(BABY + "depth_mm = 0.2\n")
     monkeypatch.setattr("sim.experiments._design_sensitivities.press_sensitivities", never)
-    press = f"simulate {tmp_path}/finger.toml --only mechanics --increments 1 --sensitivities"
+    press = f"simulate press {tmp_path}/finger.toml --increments 1 --sensitivities"
     outcome = finray(f"{press} --out {tmp_path}/lone.json")
     assert outcome.status == 2
     assert re.search(
@@ -201,26 +198,31 @@ def test_a_press_is_stored_though_none_with_a_number_changed_is(
 @pytest.mark.parametrize(
     ("tables", "options", "message"),
     [
-        ("", "--only mechanics --seed 1", r"--seed: a press knows no chance; leave it out"),
-        ("", "--force 2", r"--force is that of a press by finite elements; add --only mechanics"),
-        ("", "--only mechanics --force 2 --contact barrier", r"--force presses from first touch by the penalty"),
-        ("", "--only mechanics --force 2 --resume d.increments", r"--force presses from first touch by the penalty"),
-        ("", "--only mechanics --force two", r"--force: 'two' must be a force in N above 0 and at most 1000"),
-        ("friction = 0.3", "--only mechanics --force 2", r"a press to a force is without friction and on exact"),
-        ("edge_radius_mm = 1.0", "--only mechanics", r"indenter\.edge_radius_mm has no effect: it is of a cuboid"),
+        (
+            "",
+            "--seed 1",
+            r"finray simulate: error: 'finray simulate press' knows no --seed 1; .* --help' lists what can be",
+        ),
+        ("", "--force 2 --contact barrier", r"--force presses from first touch by the penalty"),
+        ("", "--force 2 --resume d.increments", r"--force presses from first touch by the penalty"),
+        ("", "--force two", r"--force: 'two' must be a force in N above 0 and at most 1000"),
+        ("friction = 0.3", "--force 2", r"a press to a force is without friction and on exact"),
+        ("edge_radius_mm = 1.0", "", r"indenter\.edge_radius_mm has no effect: it is of a cuboid"),
+        ("", "--budget 60 --sensitivities", r"--budget is of one press by the elements here"),
+        ("", "--budget soon", r"--budget: 'soon' must be a processor time in s above 0 and at most"),
         (
             'shape = "cuboid"\nsize_mm = [9, 9, 9]\nradius_mm = 5',
-            "--only mechanics",
+            "",
             r"indenter\.radius_mm has no effect: it is of a cylinder or a ball, not of shape = \"cuboid\"; leave it",
         ),
-        ("[skeleton]\nrib_count = 1\nrib_spacing_mm = 9", "--only mechanics", r"rib_spacing_mm .* rib_count = 2 or"),
-        ("[skeleton]\nrib_count = 40\nrib_thickness_mm = 2.5", "--only mechanics", r"overlap or nearly touch .*= 40,"),
-        ("[skeleton]\nrib_count = 41", "--only mechanics", r"'skeleton\.rib_count': .* less than or equal to 40"),
+        ("[skeleton]\nrib_count = 1\nrib_spacing_mm = 9", "", r"rib_spacing_mm .* rib_count = 2 or"),
+        ("[skeleton]\nrib_count = 40\nrib_thickness_mm = 2.5", "", r"overlap or nearly touch .*= 40,"),
+        ("[skeleton]\nrib_count = 41", "", r"'skeleton\.rib_count': .* less than or equal to 40"),
     ],
 )
 def test_what_has_no_effect_is_refused(tmp_path: Path, tables: str, options: str, message: str) -> None:
     (tmp_path / "finger.toml").write_text(BABY + tables)
-    said = refused(f"simulate {tmp_path}/finger.toml {options} --out {tmp_path}/no.json")
+    said = refused(f"simulate press {tmp_path}/finger.toml {options} --out {tmp_path}/no.json")
     assert re.search(message, said), said
 
 
@@ -235,7 +237,7 @@ def test_what_has_no_effect_is_refused(tmp_path: Path, tables: str, options: str
 def test_a_force_that_rests_on_few_nodes_is_told(tmp_path, radius_mm, depth_mm, message):
     path = tmp_path / "ball.toml"
     path.write_text(BABY + f'shape = "ball"\nradius_mm = {radius_mm}\ndepth_mm = {depth_mm}\nacross_mm = 0.0\n')
-    outcome = finray(f"simulate {path} --only mechanics --increments 1 --out {tmp_path}/ball.press.json")
+    outcome = finray(f"simulate press {path} --increments 1 --out {tmp_path}/ball.press.json")
     assert outcome.status == (2 if "no node" in message else 0)
     assert message in outcome.err
     stored = read_record(tmp_path / "ball.mechanics.json", PressMechanics)
@@ -250,7 +252,7 @@ def small_ball(tmp_path: Path, radius_mm: float, depth_mm: float) -> Path:
 
 
 def test_a_force_of_no_touch_is_noted_as_the_meshs(tmp_path):
-    finray(f"simulate {small_ball(tmp_path, 2.0, 0.1)} --only mechanics --increments 1 --out {tmp_path}/b.press.json")
+    finray(f"simulate press {small_ball(tmp_path, 2.0, 0.1)} --increments 1 --out {tmp_path}/b.press.json")
     stored = read_record(tmp_path / "b.mechanics.json", PressMechanics)
     assert stored.force_n[-1, 1] == 0.0
     assert any("touches no node, or has passed between them" in note for note in stored.notes)
@@ -266,7 +268,7 @@ def test_an_indenter_that_would_jump_through_the_coat_takes_smaller_increments(t
     path.write_text(BABY + f"{indenter}\ndepth_mm = {depth_mm}\n")
     for increments in (1, 4):
         out = tmp_path / f"{increments}.press.json"
-        assert finray(f"simulate {path} --only mechanics --increments {increments} --out {out}").status == 0
+        assert finray(f"simulate press {path} --increments {increments} --out {out}").status == 0
         reached[increments] = read_record(tmp_path / f"{increments}.mechanics.json", PressMechanics)
     assert len(reached[1].depth_mm) > 1
     assert reached[1].depth_mm[-1] == depth_mm
@@ -275,9 +277,7 @@ def test_an_indenter_that_would_jump_through_the_coat_takes_smaller_increments(t
 
 
 def test_an_indenter_that_passes_between_the_nodes_is_refused(tmp_path):
-    outcome = finray(
-        f"simulate {small_ball(tmp_path, 0.5, 3.0)} --only mechanics --increments 1 --out {tmp_path}/b.press.json"
-    )
+    outcome = finray(f"simulate press {small_ball(tmp_path, 0.5, 3.0)} --increments 1 --out {tmp_path}/b.press.json")
     assert outcome.status == 2
     assert re.search(r"at a push of 1\.\d+ mm the indenter touches no node of the coat", outcome.err)
     stored = read_record(tmp_path / "b.mechanics.json", PressMechanics)
@@ -288,7 +288,7 @@ def test_an_indenter_that_passes_between_the_nodes_is_refused(tmp_path):
 
 def test_a_force_on_an_indenter_that_touches_no_node_is_refused(tmp_path):
     path = small_ball(tmp_path, 2.0, 0.1)
-    outcome = finray(f"simulate {path} --only mechanics --force 0.05 --out {tmp_path}/b.press.json")
+    outcome = finray(f"simulate press {path} --force 0.05 --out {tmp_path}/b.press.json")
     assert outcome.status == 2
     assert "from which the force begins, the indenter touches no node of the coat" in outcome.err
     assert (tmp_path / "b.mechanics.png").exists()
@@ -298,7 +298,7 @@ def test_a_force_on_an_indenter_that_touches_no_node_is_refused(tmp_path):
 def test_an_interrupted_press_goes_on_with_the_same_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The process dies while the last product is written; before that, while the second increment is sought."""
     (tmp_path / "finger.toml").write_text(BABY + "depth_mm = 0.3\n")
-    press = f"simulate {tmp_path}/finger.toml --only mechanics --increments 3 --out {tmp_path}"
+    press = f"simulate press {tmp_path}/finger.toml --increments 3 --out {tmp_path}"
     assert finray(f"{press}/whole.press.json").status == 0
 
     def dies(*_: Any, **__: Any) -> Iterator[Increment]:
@@ -347,10 +347,90 @@ def test_an_interrupted_press_is_not_mixed_with_another(
         raise KeyboardInterrupt
 
     (tmp_path / "finger.toml").write_text(BABY + "depth_mm = 0.2\n")
-    press = f"simulate {tmp_path}/finger.toml --only mechanics"
+    press = f"simulate press {tmp_path}/finger.toml"
     with monkeypatch.context() as patched:
         patched.setattr("sim.mechanics._press.load_increments", dies_after_one)
         assert finray(f"{press} --increments 2 --out {tmp_path}/cut.press.json").status == 130
     (tmp_path / "finger.toml").write_text(BABY + f"depth_mm = {depth_mm}\n")
     said = refused(f"{press} {options} --out {tmp_path}/cut.press.json")
     assert "cut.increments: exists already and is not overwritten" in said
+
+
+class Ticking:
+    """A processor's clock that goes on by a second whenever it is read."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def process_time(self) -> float:
+        self.now_s += 1.0
+        return self.now_s
+
+
+# ribs at -24.5 deg of 0.65 mm fold under a turned cuboid: two increments of 2.5 mm once took 225 s without a word
+FOLDING = """
+preset = "flat-70x35"
+[skeleton]
+rib_count = 5
+rib_thickness_mm = 0.65
+rib_angle_deg = -24.5
+front_fin_thickness_mm = 2.35
+back_fin_thickness_mm = 1.99
+[indenter]
+shape = "cuboid"
+size_mm = [50, 12, 12]
+position_mm = 13.5
+across_mm = -2.7
+rotation_deg = [0, 29.2, 0]
+depth_mm = 5.0
+"""
+
+
+@pytest.mark.usefixtures("rough_mesh")
+def test_a_press_that_hardly_goes_on_tells_each_iteration_and_ends_with_its_budget(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "finger.toml").write_text(FOLDING)
+    monkeypatch.setattr("sim.mechanics._increments.time", Ticking())
+    told: list[str] = []
+    with pytest.raises(NoEquilibriumError, match="the budget of 60 s of processor time is spent"):
+        press_finger(
+            read_design(tmp_path / "finger.toml"), increments=2, progress=lambda *at: told.append(at[2]), budget_s=60.0
+        )
+    # the clock is read twice an iteration, and the last one is foreseen
+    assert 28 <= sum("out of balance by " in line for line in told) <= 30
+
+
+@pytest.mark.usefixtures("rough_mesh")
+@pytest.mark.parametrize("force", ["", "--force 0.1"])
+def test_the_last_increment_before_the_budget_was_spent_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: str
+) -> None:
+    from sim.mechanics._increments import Watch
+
+    clock, reached = Ticking(), Watch.reached
+
+    def slowly(watch: Watch, *told: Any) -> None:
+        clock.now_s += 1000.0
+        reached(watch, *told)
+
+    monkeypatch.setattr("sim.mechanics._increments.time", clock)
+    monkeypatch.setattr(Watch, "reached", slowly)
+    (tmp_path / "finger.toml").write_text(BABY + "depth_mm = 0.4\n")
+    press = f"simulate press {tmp_path}/finger.toml --increments 2 {force} --out {tmp_path}/d.press.json"
+    outcome = finray(f"{press} --budget 900")
+    assert outcome.status == 2
+    assert re.search(r"the push ended early, at \S+ of \S+ (mm|N): the budget of 900 s of .* is stored", outcome.err)
+    record = read_record(tmp_path / "d.mechanics.json", PressMechanics)
+    assert len(record.depth_mm) == 1
+    assert record.unreached.startswith("the budget of 900 s of processor time is spent")
+    check_no_intersections(restore_shapes(read_record(tmp_path / "d.surfaces.json", FingerSurfaces))[1].gel)
+
+
+@pytest.mark.usefixtures("rough_mesh")
+def test_a_press_is_named_after_its_design_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("one", "two"):  # of the same name inside
+        (tmp_path / f"{name}.toml").write_text(BABY + "depth_mm = 0.5\n")
+        succeed(f"simulate press {name}.toml --increments 1")
+        assert (tmp_path / f"{name}.mechanics.json").is_file()

@@ -1,4 +1,4 @@
-"""``finray design show`` and ``finray simulate --only optics`` on small pictures."""
+"""``finray design show`` and ``finray simulate render --images`` on small pictures."""
 
 import cv2
 import numpy as np
@@ -7,6 +7,7 @@ import pytest
 
 from data_schemas import SimulatedPress, TactileCapture, provenance
 from data_schemas.storage import read_record, write_record
+from finray_calib.cli import spelled_now
 from sim import read_design
 from sim.surface_meshes import pressed_shape, rest_shape, store_shapes
 from tests.command_line.running import finray, succeed
@@ -65,21 +66,71 @@ def test_camera_that_sees_nothing_and_missing_calibration_are_told(design, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("before", "now"),
     [
-        ("--denoise", "--denoise makes pictures, which --only optics writes"),
-        ("--only optics --angles 0:90:30", "--angles writes no images"),
+        ("{design} {paints}", "render {design} {paints}"),
+        ("{design} {paints} --only optics --denoise", "render {design} {paints} --denoise --images"),
+        ("--only=mechanics {design} --increments 2", "press {design} --increments 2"),
+        ("{design} --only mechanics", "press {design}"),
+        ("{design} {paints} --angles 0:90:30", "sweep {design} {paints} --angles 0:90:30"),
+        ("{design} --angles=0:90:30", "sweep {design} --angles=0:90:30"),
     ],
 )
-def test_options_that_exclude_each_other(design, options, message):
-    outcome = finray(f"simulate {design} --paint red=r.json --paint green=g.json {options}")
+def test_an_earlier_spelling_says_what_to_type_now(before, now, capsys):
+    names = {"design": "a/my.toml", "paints": "--paint red=r.json --paint green=g.json"}
+    assert spelled_now(f"simulate {before.format(**names)}".split()) == f"simulate {now.format(**names)}".split()
+    assert f"ends with the next one; type now: finray simulate {now.format(**names)}\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", ["", "fit a.json --map", "simulate", "simulate --help", "simulate press d.toml"])
+def test_a_spelling_of_now_is_left_alone(words, capsys):
+    assert spelled_now(words.split()) == words.split()
+    assert capsys.readouterr().err == ""
+
+
+def test_an_earlier_spelling_does_the_same_and_is_stored_as_spelled_now(design, paints, tmp_path, monkeypatch):
+    files = f"--paint red={paints}/red/paint.json --paint green={paints}/green/paint.json"
+    rest = f"{design} {files} --engine scalar --samples 2 --seed 3 --out"
+    told = finray(f"simulate {rest} {tmp_path}/before.press.json")
+    assert told.status == 0
+    assert told.err.startswith(
+        "this spelling is of an earlier version and ends with the next one; type now: finray sim"
+    )
+    succeed(f"simulate render {rest} {tmp_path}/now.press.json")
+    before, now = (read_record(tmp_path / f"{name}.press.json", SimulatedPress) for name in ("before", "now"))
+    np.testing.assert_array_equal(before.contact, now.contact)
+    assert before.provenance.input_sha256 == now.provenance.input_sha256
+
+
+def test_a_mistyped_job_is_told(design):
+    outcome = finray(f"simulate presss {design}")
     assert outcome.status == 2
-    assert message in outcome.err
+    assert "invalid choice: 'presss' (choose from" in outcome.err
+
+
+def test_surfaces_are_rendered_with_the_design_beside_them(paints, tmp_path):
+    small = "[camera]\nwidth_px = 64\nheight_px = 48\n[indenter]\ndepth_mm = 0.5\n"
+    (tmp_path / "d.toml").write_text(f'preset = "baby-48x18"\nname = "small"\n{small}')
+    succeed(f"simulate press {tmp_path}/d.toml --increments 1 --out {tmp_path}/d.press.json")
+    files = f"--paint red={paints}/red/paint.json --paint green={paints}/green/paint.json"
+    how = f"{files} --engine scalar --samples 2"
+    succeed(f"simulate render {tmp_path}/d.surfaces.json {how} --out {tmp_path}/alone.press.json")
+    surfaces = f"--surfaces {tmp_path}/d.surfaces.json"
+    succeed(f"simulate render {tmp_path}/d.toml {surfaces} {how} --out {tmp_path}/both.press.json")
+    alone, both = (read_record(tmp_path / f"{name}.press.json", SimulatedPress) for name in ("alone", "both"))
+    np.testing.assert_array_equal(alone.contact, both.contact)
+    assert alone.design == both.design
+    (tmp_path / "d.mechanics.json").unlink()
+    refused = finray(f"simulate render {tmp_path}/d.surfaces.json {how} --out {tmp_path}/no.press.json")
+    assert refused.status == 2
+    assert "the design of these surfaces is read from d.mechanics.json beside them, which is not there" in refused.err
 
 
 def test_optics_writes_record_capture_and_images(design, paints, tmp_path):
     files = f"--paint red={paints}/red/paint.json --paint green={paints}/green/paint.json"
-    run = f"simulate {design} {files} --only optics --engine scalar --samples 2 --seed 3 --out {tmp_path}/a.press.json"
+    run = (
+        f"simulate render {design} {files} --images --engine scalar --samples 2 --seed 3 --out {tmp_path}/a.press.json"
+    )
     told = succeed(run)
     assert "a.capture.json: raw counts of 10 bit" in told
     assert "camera response at the LED uncertain by 30%" in told
@@ -106,7 +157,7 @@ def test_render_of_stored_surfaces_has_the_push_that_they_had(design, paints, tm
     surfaces = store_shapes(rest_shape(finger), pressed, "ended early", push_mm=0.75)
     write_record(surfaces, tmp_path / "early.surfaces.json", provenance("test", {}, 1))
     files = f"--paint red={paints}/red/paint.json --paint green={paints}/green/paint.json"
-    run = f"simulate {design} {files} --surfaces {tmp_path}/early.surfaces.json --engine scalar --samples 2"
+    run = f"simulate render {design} {files} --surfaces {tmp_path}/early.surfaces.json --engine scalar --samples 2"
     succeed(f"{run} --out {tmp_path}/early.press.json")
     press = read_record(tmp_path / "early.press.json", SimulatedPress)
     assert press.name == "small finger, press of 0.75 mm"

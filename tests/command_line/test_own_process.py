@@ -58,7 +58,7 @@ def without_progress(err: str) -> list[str]:
 
 def test_a_mistake_is_told_in_the_same_words_and_leaves_no_log(tmp_path):
     (tmp_path / "f.toml").write_text(FINGER)
-    for arguments in ("simulate f.toml --only mechanics --seed 1", "simulate none.toml", "simulate f.toml --level x"):
+    for arguments in ("simulate press f.toml --seed 1", "simulate none.toml", "simulate render f.toml --level x"):
         apart = Program(arguments, tmp_path).end()
         before = os.getcwd()
         os.chdir(tmp_path)
@@ -73,7 +73,7 @@ def test_a_mistake_is_told_in_the_same_words_and_leaves_no_log(tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGKILL])
 def test_a_press_that_dies_is_one_sentence_and_goes_on(tmp_path, number):
     (tmp_path / "f.toml").write_text(FINGER)
-    press = "simulate f.toml --only mechanics --increments 3 --out "
+    press = "simulate press f.toml --increments 3 --out "
     first = Program(press + "a.press.json", tmp_path)
     first.wait_for(tmp_path / "a.increments" / "001.json")
     (child,) = children_of(first.process.pid)
@@ -88,7 +88,7 @@ def test_a_press_that_dies_is_one_sentence_and_goes_on(tmp_path, number):
         said,
     ), said
     assert "The process was " in (tmp_path / "a.log").read_text()
-    kept = tree(tmp_path / "a.increments")
+    kept = {path: what for path, what in tree(tmp_path / "a.increments").items() if not Path(path).name.startswith(".")}
 
     status, out, err = Program(press + "a.press.json", tmp_path).end()
     assert status == 0, err
@@ -104,7 +104,7 @@ def test_a_press_that_dies_is_one_sentence_and_goes_on(tmp_path, number):
 
 def test_ctrl_c_ends_it_and_its_process(tmp_path):
     (tmp_path / "f.toml").write_text(FINGER)
-    running = Program("simulate f.toml --only mechanics --increments 6 --out a.press.json", tmp_path)
+    running = Program("simulate press f.toml --increments 6 --out a.press.json", tmp_path)
     running.wait_for(tmp_path / "a.increments" / "001.json")
     children = children_of(running.process.pid)
     running.process.send_signal(signal.SIGINT)

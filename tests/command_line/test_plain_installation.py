@@ -115,9 +115,9 @@ def test_a_check_of_a_rig(absent: Path, lab: Path, tmp_path: Path) -> None:
     "arguments",
     [
         "demo --out out",
-        "simulate {lab}/finger.toml --paint red={paint} --paint green={paint} --out out.json",
-        "simulate {lab}/finger.toml --paint red={paint} --paint green={paint} --angles 0:90:30 --out out.json",
-        "simulate {lab}/finger.toml --paint red={paint} --paint green={paint} --only optics --out out.json",
+        "simulate render {lab}/finger.toml --paint red={paint} --paint green={paint} --out out.json",
+        "simulate sweep {lab}/finger.toml --paint red={paint} --paint green={paint} --angles 0:90:30 --out out.json",
+        "simulate render {lab}/finger.toml --paint red={paint} --paint green={paint} --images --out out.json",
         "design show {lab}/finger.toml --out out.png",
         "study two-lights --paint red={paint} --paint green={paint} --out out",
     ],
@@ -136,12 +136,12 @@ def test_a_verb_that_renders_names_the_extra_in_a_sentence(
 def test_finite_elements_go_without(absent: Path, tmp_path: Path) -> None:
     """They take SciPy's solver and the penalty; friction is left out, said and stored."""
     (tmp_path / "rough.toml").write_text(BABY + "friction = 0.3\ndepth_mm = 0.2\n")
-    done = run_plain(absent, tmp_path, "simulate rough.toml --only mechanics --increments 1")
+    done = run_plain(absent, tmp_path, "simulate press rough.toml --increments 1")
     assert done.returncode == 0, done.stderr
     left_out = "this press leaves friction out (indenter.friction = 0.3), because ipctk is not installed"
     assert left_out in done.stderr
     stored = next(tmp_path.glob("*.mechanics.json")).read_text()
     assert left_out in stored
-    done = run_plain(absent, tmp_path, "simulate rough.toml --only mechanics --contact barrier --out other.press.json")
+    done = run_plain(absent, tmp_path, "simulate press rough.toml --contact barrier --out other.press.json")
     assert done.returncode == 2
     assert "--contact barrier needs the contact by a barrier, and ipctk is not installed" in done.stderr

@@ -24,9 +24,7 @@ from data_schemas import (
 )
 from data_schemas.storage import read_toml
 from finray_calib.cli._rig import choose
-from rigs import FoundDevice, detect, paper_rig, rig_toml
-from rigs import _drivers as detect_module
-from rigs import _drivers as drivers
+from rigs import Driver, FoundDevice, Kind, detect, driver_module, offered, paper_rig, rig_toml
 from rigs.simulated import SimulatedFilterWheel, SimulatedLight
 from tests.capture.drivers.fake_gigevision_camera import fake_camera
 from tests.capture.drivers.firmware_in_qemu import build, firmware_board
@@ -35,17 +33,21 @@ from tests.capture.drivers.programs import require
 from tests.capture.drivers.thorlabs_wheel import emulated_wheel
 from tests.command_line.running import edit, finray, succeed
 
+KINDS: tuple[Kind, ...] = ("camera", "filter wheel", "light")
 CAMERA = FoundDevice("camera", "aravis", "FLIR-1234", "FLIR Chameleon3, serial 1234, at usb")
 WHEEL = FoundDevice("filter wheel", "thorlabs", "/dev/ttyUSB7", "Thorlabs FW212C filter wheel, firmware 1.04")
 LIGHTS = tuple(FoundDevice("light", "arduino", f"/dev/ttyACM{n}", "light with dead-man") for n in (3, 4))
 
 
-def driver(monkeypatch: pytest.MonkeyPatch, table: str, name: str, **contents: object) -> None:
+FUNCTIONS = ("open_camera", "open_wheel", "open_switch", "HAS_DEAD_MAN")
+
+
+def driver(monkeypatch: pytest.MonkeyPatch, kind: Kind, name: str, **contents: object) -> None:
     """Put a module with these contents in the place of a driver."""
-    module = ModuleType(f"stand_in_{table}_{name}".replace("-", "_").lower())
-    vars(module).update(contents)
+    module = ModuleType(f"stand_in_{kind}_{name}".replace("-", "_").replace(" ", "_"))
+    vars(module).update(dict.fromkeys(FUNCTIONS), **contents)
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    monkeypatch.setitem(getattr(drivers, table), name, module.__name__)
+    monkeypatch.setitem(offered(kind), name, (Driver(kind, name, module.__name__),))
 
 
 def raising(error: Exception):
@@ -58,9 +60,9 @@ def raising(error: Exception):
 @pytest.fixture
 def nothing_in_reach(monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep the search from this computer's own ports and networks."""
-    for table in ("CAMERAS", "FILTER_WHEELS", "LIGHTS"):
-        for name in tuple(getattr(drivers, table)):
-            driver(monkeypatch, table, name, found=lambda: [])
+    for kind in KINDS:
+        for name in offered(kind):
+            driver(monkeypatch, kind, name, found=lambda: [])
 
 
 def test_init_without_a_terminal_writes_the_papers_rig_and_says_what_to_fill_in(tmp_path: Path) -> None:
@@ -124,7 +126,7 @@ class Terminal(io.StringIO):
 
 @pytest.mark.usefixtures("nothing_in_reach")
 def test_init_on_a_terminal_offers_what_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    driver(monkeypatch, "FILTER_WHEELS", "thorlabs", found=lambda: [(WHEEL.address, WHEEL.what)])
+    driver(monkeypatch, "filter wheel", "thorlabs", found=lambda: [(WHEEL.address, WHEEL.what)])
     monkeypatch.setattr(sys, "stdin", Terminal("y\n"))
     monkeypatch.setattr(sys, "stderr", Terminal())
     from finray_calib.cli._rig import chosen_devices
@@ -135,13 +137,14 @@ def test_init_on_a_terminal_offers_what_is_found(monkeypatch: pytest.MonkeyPatch
 @pytest.mark.usefixtures("nothing_in_reach")
 def test_detect_lists_devices_and_no_error_hides_another(monkeypatch: pytest.MonkeyPatch) -> None:
     missing = MissingExtraError("harvesters is not installed (pip install 'finray-calib[gentl]')")
-    driver(monkeypatch, "CAMERAS", "gentl", found=raising(missing))
-    driver(monkeypatch, "CAMERAS", "aravis", found=lambda: [(CAMERA.address, CAMERA.what)])
-    driver(monkeypatch, "CAMERAS", "mjpeg")
-    for table in ("FILTER_WHEELS", "LIGHTS"):
-        driver(monkeypatch, table, "indi", found=raising(LostError("no server")))
-    driver(monkeypatch, "FILTER_WHEELS", "thorlabs", found=raising(RuntimeError("a driver's own mistake")))
-    driver(monkeypatch, "LIGHTS", "arduino", found=lambda: [(LIGHTS[0].address, LIGHTS[0].what)])
+    driver(monkeypatch, "camera", "gentl", found=raising(missing))
+    driver(monkeypatch, "camera", "aravis", found=lambda: [(CAMERA.address, CAMERA.what)])
+    driver(monkeypatch, "camera", "mjpeg")
+    kinds: tuple[Kind, ...] = ("filter wheel", "light")
+    for kind in kinds:
+        driver(monkeypatch, kind, "indi", found=raising(LostError("no server")))
+    driver(monkeypatch, "filter wheel", "thorlabs", found=raising(RuntimeError("a driver's own mistake")))
+    driver(monkeypatch, "light", "arduino", found=lambda: [(LIGHTS[0].address, LIGHTS[0].what)])
     outcome = finray("rig detect")
     assert outcome.status == 0
     table = [line.split(maxsplit=3) for line in outcome.out.splitlines()]
@@ -163,8 +166,8 @@ def test_detect_says_when_there_is_nothing() -> None:
 @pytest.mark.usefixtures("nothing_in_reach")
 def test_a_search_that_hangs_ends_at_its_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
     released = threading.Event()
-    driver(monkeypatch, "CAMERAS", "aravis", found=lambda: [("late", "late")] if released.wait(60.0) else [])
-    driver(monkeypatch, "LIGHTS", "arduino", found=lambda: [(LIGHTS[0].address, LIGHTS[0].what)])
+    driver(monkeypatch, "camera", "aravis", found=lambda: [("late", "late")] if released.wait(60.0) else [])
+    driver(monkeypatch, "light", "arduino", found=lambda: [(LIGHTS[0].address, LIGHTS[0].what)])
     try:
         detection = detect(limit_s=0.2)
     finally:
@@ -175,11 +178,15 @@ def test_a_search_that_hangs_ends_at_its_deadline(monkeypatch: pytest.MonkeyPatc
 
 def test_every_search_returns_addresses_that_a_rig_file_can_hold() -> None:
     """Whatever drivers are there: what a search is called and what it returns is what the table needs."""
-    for modules in detect_module.DRIVERS.values():
-        assert modules
-    for module in {m for modules in detect_module.DRIVERS.values() for m in modules.values()}:
-        found = getattr(__import__(module, fromlist=["found"]), "found", None)
-        assert found is None or found.__annotations__["return"] in (list[tuple[str, str]], "list[tuple[str, str]]")
+    drivers = [found for kind in KINDS for (found,) in offered(kind).values() if found.name != "simulated"]
+    assert {(found.kind, found.name) for found in drivers} >= {
+        *(("camera", name) for name in ("aravis", "gentl", "mjpeg", "picamera2", "indi", "micro-manager", "folder")),
+        *(("filter wheel", name) for name in ("thorlabs", "indi", "alpaca", "manual")),
+        *(("light", name) for name in ("arduino", "indi", "alpaca", "manual")),
+    }
+    for found in drivers:
+        search = getattr(driver_module(found), "found", None)
+        assert search is None or search.__annotations__["return"] in (list[tuple[str, str]], "list[tuple[str, str]]")
 
 
 def test_show_prints_every_part_of_a_simulated_rig_and_moves_nothing(

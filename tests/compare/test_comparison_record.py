@@ -6,7 +6,7 @@ import pytest
 from data_schemas import CompareError
 from finray_calib.compare import DILATED, compare_press
 from finray_calib.compare import _input_draws as stopping_rule
-from finray_calib.compare._candidate_errors import LARGEST_SKILL, chromaticity_error, skill_interval
+from finray_calib.compare._candidate_errors import chromaticity_error, skill_interval
 from finray_calib.compare._comparison_record import ALWAYS_UNKNOWN, COVERS_INPUTS, COVERS_PARTS
 from finray_calib.compare._input_draws import DRIFT, PIXELS, POSE, WALLS
 from finray_calib.compare._regions import PATCH
@@ -188,23 +188,23 @@ def replaced(record, **changes):
     return record.model_copy(update=changes)
 
 
-def test_the_interval_of_a_skill_ends_at_one_and_its_estimate_does_not():
+def test_a_skill_never_lies_outside_its_own_interval():
+    """Noise that is taken out leaves estimates on both sides of 1; neither they nor their intervals are cut."""
     rng = np.random.default_rng(4)
     draws = 1.0 + 0.02 * rng.standard_normal(4000)
-    for shift, low in ((0.0, 1.0 - 0.0392), (0.1, 1.0)):
+    for shift in (-0.5, 0.0, 0.1):
         found = skill_interval(draws + shift, draws + shift)
         # the quantile of 4000 draws is known to 0.05 standard deviations
-        assert found.low95 == pytest.approx(low, abs=4 * 0.05 * 0.02)
-        assert found.high95 == LARGEST_SKILL
-        assert found.estimate == pytest.approx(1.0 + shift, abs=0.002)
-    below = skill_interval(draws - 0.5, draws - 0.5)
-    assert below.high95 == pytest.approx(0.5 + 0.0392, abs=4 * 0.05 * 0.02)
+        assert found.low95 == pytest.approx(1.0 + shift - 0.0392, abs=4 * 0.05 * 0.02)
+        assert found.high95 == pytest.approx(1.0 + shift + 0.0392, abs=4 * 0.05 * 0.02)
+    apart = skill_interval(draws, np.array([1.3]))
+    assert apart.low95 <= apart.estimate == apart.high95 == 1.3
 
 
-def test_no_interval_of_a_report_passes_one(pair):
+def test_every_skill_of_a_report_lies_in_its_interval(pair):
     report = compare_press(*pair, seed=1)
     skills = [row.skill for region in report.regions for row in region.rows]
-    assert all(skill.high95 <= LARGEST_SKILL for skill in (*skills, report.headline_skill))
+    assert all(skill.low95 <= skill.estimate <= skill.high95 for skill in (*skills, report.headline_skill))
 
 
 def test_images_of_another_size_are_refused(pair):
@@ -216,10 +216,10 @@ def test_images_of_another_size_are_refused(pair):
         compare_press(press, replaced(capture, **cut), seed=1)
 
 
-def test_linear_light_is_not_compared_with_encoded_values(pair):
+def test_an_encoded_render_is_not_compared_with_linear_light(pair):
     press, capture = pair
-    with pytest.raises(CompareError, match=r"press holds linear values, twin \d+ unknown ones: linear light cannot"):
-        compare_press(press, replaced(capture, encoding="unknown"), seed=1)
+    with pytest.raises(CompareError, match=r"press holds encoded values, twin \d+ linear light: no curve leads from"):
+        compare_press(replaced(press, encoding="unknown"), capture, seed=1)
 
 
 def test_a_render_with_holes_is_refused(pair):

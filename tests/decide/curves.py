@@ -4,15 +4,15 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 
 from finray_calib.decide._capture_errors import CaptureErrors
-from finray_calib.decide._gaussian_process import (
+from finray_calib.decide._gaussian_process import draw_normal, matern_correlation
+from finray_calib.decide._sim_to_real import (
     PRIOR_ERROR_LENGTH_DEG,
     PRIOR_ERROR_LENGTH_LOG_SD,
     PRIOR_ERROR_LOG_SD,
     PRIOR_ERROR_REL,
-    draw_normal,
-    matern_correlation,
 )
 
 Floats = NDArray[np.float64]
@@ -63,13 +63,18 @@ def log_discrepancy(family: Family, rng: np.random.Generator) -> Floats:
 
 
 def honest_captures(
-    curve: Floats, log_error: Floats, angles_deg: Floats, rng: np.random.Generator, absolute: bool
+    curve: Floats,
+    log_error: Floats,
+    angles_deg: Floats,
+    rng: np.random.Generator,
+    absolute: bool,
+    noise_rel: float = 0.01,
+    angle_sd_deg: float = 1.0,
 ) -> CaptureErrors:
-    """Return what captures of the real curve tell, with 1 % noise and an angle known to 1 deg, as they state.
+    """Return what captures of the real curve tell, with noise and an angle known so well as they state.
 
     Absolute ratios have a common scale that nobody knows.
     """
-    noise_rel, angle_sd_deg = 0.01, 1.0
     angles = np.asarray(angles_deg, dtype=np.float64)
     true_deg = angles + angle_sd_deg * rng.standard_normal(angles.size)
     real = curve * np.exp(-log_error)
@@ -122,5 +127,68 @@ def glint(rng: np.random.Generator) -> Pair:
     return curve, curve * (1 + size * np.exp(-0.5 * ((FINE_DEG - at_deg) / width_deg) ** 2))
 
 
-FOREIGN = (shadow_edge, triangle, plateau, glint)
+def near_flat(rng: np.random.Generator) -> Pair:
+    """A curve that hardly depends on the angle, and an error of some waves that is about as small."""
+    curve = 1 + rng.uniform(0.01, 0.05) * np.cos(np.radians(FINE_DEG - rng.uniform(0, 90))) ** 2
+    return curve, curve * np.exp(_waves(rng, rng.uniform(0.005, 0.02)))
+
+
+def jagged(rng: np.random.Generator) -> Pair:
+    """A lobe on which four reflections come and go in the finger, each within 2 deg."""
+    curve = 0.2 + np.cos(np.radians(FINE_DEG - rng.uniform(15, 60))) ** rng.uniform(1, 6)
+    steps = sum(
+        size * np.tanh((FINE_DEG - at_deg) / 1.5) / 2
+        for at_deg, size in zip(rng.uniform(0, 90, 4), 0.1 * rng.standard_normal(4), strict=True)
+    )
+    return curve, curve * np.exp(steps)
+
+
+def wandering(rng: np.random.Generator) -> Pair:
+    """A lobe, and an error of three waves of 50 to 240 deg, 3 to 15 %."""
+    curve = 0.2 + np.cos(np.radians(FINE_DEG - rng.uniform(15, 60))) ** rng.uniform(1, 6)
+    return curve, curve * np.exp(_waves(rng, rng.uniform(0.03, 0.15)))
+
+
+def _waves(rng: np.random.Generator, size: float) -> Floats:
+    """A few sines of random length and phase: smooth, but no Gaussian process."""
+    return np.asarray(
+        sum(
+            size * np.sqrt(2 / 3) * rng.standard_normal() * np.sin(2 * np.pi * FINE_DEG / length + phase)
+            for length, phase in zip(rng.uniform(50, 240, 3), rng.uniform(0, 6.3, 3), strict=True)
+        )
+    )
+
+
+SWEPT = np.array(
+    [
+        [0.592, 0.698, 0.795, 0.870, 0.930, 0.977, 1.000, 0.994, 0.959, 0.898],
+        [0.680, 0.793, 0.879, 0.937, 0.979, 1.000, 1.000, 0.974, 0.922, 0.846],
+        [0.806, 0.893, 0.960, 0.994, 1.000, 0.996, 0.972, 0.924, 0.851, 0.756],
+        [0.876, 0.944, 0.987, 1.000, 0.991, 0.959, 0.916, 0.855, 0.773, 0.670],
+        [0.924, 0.973, 1.000, 0.995, 0.963, 0.910, 0.854, 0.784, 0.696, 0.590],
+        [0.956, 0.994, 1.000, 0.976, 0.929, 0.862, 0.776, 0.699, 0.614, 0.509],
+        [0.970, 1.000, 0.991, 0.956, 0.899, 0.816, 0.715, 0.628, 0.540, 0.442],
+        [0.975, 1.000, 0.990, 0.950, 0.879, 0.796, 0.688, 0.578, 0.495, 0.401],
+        [0.985, 1.000, 0.989, 0.929, 0.860, 0.763, 0.663, 0.541, 0.457, 0.365],
+        [0.990, 1.000, 0.984, 0.941, 0.868, 0.776, 0.659, 0.539, 0.437, 0.349],
+        [0.983, 1.000, 0.974, 0.917, 0.848, 0.749, 0.634, 0.509, 0.400, 0.319],
+        [1.000, 0.996, 0.989, 0.940, 0.872, 0.765, 0.653, 0.537, 0.402, 0.321],
+        [0.989, 1.000, 0.986, 0.933, 0.857, 0.761, 0.653, 0.530, 0.394, 0.299],
+        [0.984, 1.000, 0.973, 0.925, 0.853, 0.756, 0.635, 0.515, 0.377, 0.279],
+        [0.992, 1.000, 0.983, 0.932, 0.870, 0.772, 0.640, 0.513, 0.383, 0.279],
+    ]
+)
+"""Brightness beside a cylinder every 4 mm from 8 to 64 mm of flat-70x35, at 0, 10, ... 90 deg: `finray simulate`."""
+
+
+def swept(rng: np.random.Generator) -> Pair:
+    """Simulated as swept at one place of the finger; real as at a neighbouring one, or on the way to it."""
+    place = rng.integers(len(SWEPT) - 1)
+    first, second = (place, place + 1) if rng.random() < 0.5 else (place + 1, place)
+    here, there = (PchipInterpolator(SWEEP_DEG, SWEPT[k])(FINE_DEG) for k in (first, second))
+    share = rng.uniform(0.2, 1)
+    return here, (1 - share) * here + share * there
+
+
+FOREIGN = (shadow_edge, triangle, plateau, glint, near_flat, jagged, wandering, swept)
 """Simulated and real curves that no Gaussian process drew: with kinks, edges, flat tops and narrow peaks."""

@@ -49,7 +49,7 @@ def test_only_allowed_angles_are_optima_and_equivalent():
     ("simulation", "full", "verdict"),
     [
         (risk(regret_95=0.021), risk(regret_95=0.5), "undecided"),
-        (risk(regret_95=0.01), risk(regret_95=0.021), "model-limited"),
+        (risk(regret_95=0.01), risk(regret_95=0.021), "needs captures"),
         (risk(regret_95=0.01), risk(wide_deg=10.5, regret_95=0.019), "tie"),
         (risk(wide_deg=10.5, regret_95=0.01), risk(wide_deg=10.0, regret_95=0.01), "decided"),
         (risk(regret_95=0.01), risk(regret_95=0.019), "decided"),
@@ -64,5 +64,5 @@ def test_the_first_rule_that_applies_gives_the_verdict(simulation, full, verdict
 def test_without_captures_nothing_is_decided(wide_deg):
     """A loss that is small because only some angles are open, or because the prior is small, is no measurement."""
     small = risk(wide_deg, regret_95=0.001)
-    assert verdict_of(small, small, 0.02, validated=False) == "model-limited"
+    assert verdict_of(small, small, 0.02, validated=False) == "needs captures"
     assert verdict_of(risk(regret_95=0.021), small, 0.02, validated=False) == "undecided"

@@ -8,12 +8,17 @@ from finray_calib.decide._capture_errors import (
     LEAST_SD_REL,
     NO_CAPTURES,
     UNSTATED_ANGLE_SD_DEG,
-    capture_errors,
     objective_log_error,
 )
+from finray_calib.decide._capture_errors import capture_errors as errors_of
 from tests.command_line.records import sweep as sweep_record
 
 DRAWS = 500
+
+
+def capture_errors(sweep, reports):
+    """Captures of one touch."""
+    return errors_of([sweep], reports, [0] * len(reports))
 
 
 def objective_error(log_ratio, log_exposure=None, source="paints", sd=0.0, rng=None, rig="rig 1"):

@@ -1,86 +1,135 @@
+"""The sentences of a decision: what to do first, then how sure that is."""
+
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
-from finray_calib.decide._decision_record import OtherOptimum, decision_sentence
-from finray_calib.decide._light_angle import AngleRisk, Proposal
+from data_schemas import DecidedContact, Indenter
+from finray_calib.decide._decision_words import decision_sentence, headline, outside
+from finray_calib.decide._light_angle import AngleRisk
+from finray_calib.decide._next_observation import Proposal
+from finray_calib.decide._other_objectives import OtherOptimum
 
 NONE = np.empty(0)
+RISK = AngleRisk(0.5, 0.0304, 0.0161, (), 0.96)
 
 
-ALONE = AngleRisk(0.97, 0.0001, 0.003, (), 1.0)
-
-
-def decision(best_deg, risk, verdict, at_range_end=False, alone=ALONE, alone_deg=0.0, validated=False):
+def decision(best_deg=30.0, verdict="needs captures", risk=RISK, at_range_end=False, validated=False):
     """Only what a sentence reads."""
     return SimpleNamespace(
         validated=validated,
         best_deg=best_deg,
-        best_simulation_only_deg=alone_deg,
+        best_simulation_only_deg=9.0,
         risk=risk,
-        simulation_only=alone,
         verdict=verdict,
         at_range_end=at_range_end,
+        contacts=SimpleNamespace(tolerance_deg=(best_deg - 6, best_deg + 9)),
         discrepancy=SimpleNamespace(amplitude_quantiles_rel=(0.04, 0.1, 0.3)),
     )
 
 
-def test_a_decision_reads_as_one_sentence():
-    risk = AngleRisk(0.93, 0.00304, 0.0161, ((27.0, 34.0),), 0.96)
-    found = decision_sentence(decision(30.0, risk, "model-limited"), NONE, 0.02, None, Proposal(70.0, 0.01, 0.02))
+def touches(*losses, across_mm=0.0, depth_mm=1.5):
+    return [
+        DecidedContact(
+            sweep=f"place {n}",
+            shape="cylinder",
+            position_mm=8.0 + 4 * n,
+            across_mm=across_mm,
+            depth_mm=depth_mm,
+            weight_share=1 / len(losses),
+            best_deg=30.0,
+            loss_rel=loss,
+            loss_95_rel=0.3,
+        )
+        for n, loss in enumerate(losses)
+    ]
+
+
+def test_the_first_sentence_says_what_to_do_and_for_which_touches():
+    found = headline(decision(33.0), touches(0.02, 0.1, 0.06), "worst", 0.02)
     assert found == (
-        "30 deg: within 2 % of the best with probability 0.96, true optimum within 5 deg with 0.93; expected loss "
-        "0.3 %, at most 1.6 % with 95 % probability; 27-34 deg are equivalent within 2 %; not decided, only captures "
-        "can tell how far the finger differs from the simulation; not validated against a capture, a sim-to-real error "
-        "of 10 % (95 %: 4 % to 30 %) is assumed; if the simulation were exact, at most 0.3 %; next: capture at 70 deg."
+        "Mount the light at 33 \u00b1 6 deg: the brightness of the touch is at most 10 % below the best at any of the "
+        "3 places from 8 to 16 mm, and 6 % on average."
+    )
+    found = headline(decision(33.0), touches(0.02, 0.1, 0.06), "average", 0.02)
+    assert found == (
+        "Mount the light at 33 \u00b1 6 deg: the brightness of the touch is on average 6 % below the best at the 3 "
+        "places "
+        "from 8 to 16 mm, and at most 10 % (12 mm from the base)."
+    )
+    found = headline(decision(), [*touches(0.0), *touches(0.05, depth_mm=3.0)], "average", 0.02)
+    assert "at the 2 touches at 8 mm, and at most 5 %" in found
+
+
+def test_one_sweep_is_for_one_place_only():
+    found = headline(decision(44.0), touches(0.0, across_mm=3.0), "average", 0.02)
+    assert found == (
+        "For one place only, 8 mm from the base and 3 mm beside its middle: mount the light at 44 \u00b1 6 deg; "
+        "between "
+        "these angles the touch is at most 2 % less bright than at the best."
     )
 
 
-def test_captures_are_shown_beside_what_the_simulation_alone_says():
-    risk = AngleRisk(0.5, 0.000374, 0.0012, ((3.0, 8.0), (60.0, 75.0)), 0.99)
-    alone = AngleRisk(0.9, 0.0001, 0.00044, (), 1.0)
-    found = decision_sentence(decision(5.0, risk, "tie", False, alone, 9.0, True), np.array([70.0, 10, 40]), 0.025)
+@pytest.mark.parametrize("losses", [(0.0,), (0.0, 0.1)])
+def test_an_angle_at_the_end_of_the_sweep_is_not_to_be_mounted(losses):
+    found = headline(decision(90.0, "undecided", at_range_end=True), touches(*losses), "average", 0.02)
+    assert "best angle found, 90 deg, is the end of the sweep" in found
+    assert "simulate a wider sweep before the light is mounted." in found
+    assert found.startswith("For one place only" if len(losses) == 1 else "The best")
+
+
+def test_what_lies_outside_is_said():
+    assert outside(touches(0.0, 0.0), Indenter()) == (
+        "It holds for touches at 8 to 12 mm along the pad, on the middle line, 1.5 mm deep, by a cylinder of 10 mm "
+        "radius; "
+        "other places, depths and objects were not simulated."
+    )
+    wide = [*touches(0.0), *touches(0.0, across_mm=3.0, depth_mm=3.0)]
+    assert "at 8 mm along the pad, 0 to 3 mm from the middle line, 1.5 to 3 mm deep" in outside(wide, Indenter())
+
+
+def test_without_captures_nothing_is_decided_and_the_next_one_is_named():
+    found = decision_sentence(decision(), NONE, 0.02, None, Proposal(70.0, 0.01, 0.02))
     assert found == (
-        "5 deg: within 2.5 % of the best with probability 0.99, true optimum within 5 deg with 0.50; expected loss "
-        "0.037 %, at most 0.12 % with 95 % probability; 3-8 deg and 60-75 deg are equivalent within 2.5 %; a tie, any "
-        "of these angles will do; 3 captures at 10, 40 and 70 deg included, with a sim-to-real error of 10 %; by "
-        "simulation alone 9 deg, at most 0.044 %."
+        "So says the simulation; no capture has checked it, and it is not decided before one does. An error of 10 % "
+        "(95 %: 4 % to 30 %) at each angle is assumed. Another angle may be better by 3 % on average and by at most "
+        "1.6 % "
+        "with 95 % probability; that it is better by no more than 2 % has a probability of 0.96, and that the best "
+        "angle "
+        "lies within 5 deg one of 0.50. Capture next with the light at 70 deg."
     )
 
 
-def test_a_model_limited_decision_asks_for_a_capture_and_names_who_disagrees():
-    risk = AngleRisk(0.5, 0.01, 0.03, (), 0.85)
-    other = OtherOptimum("normal error", "deg", 55.0, 2.0, 3.0, 0.31, 0.2, 0.4, True)
+def test_of_several_places_the_one_to_capture_is_named():
+    proposal = Proposal(70.0, 0.01, 0.02, contact=1)
+    found = decision_sentence(decision(), NONE, 0.02, None, proposal, (), touches(0.0, 0.1))
+    assert found.endswith("Capture next with the light at 70 deg, 12 mm from the base.")
+
+
+def test_captures_are_named_with_what_they_changed():
+    tie = AngleRisk(0.5, 0.000374, 0.0012, ((3.0, 18.0),), 0.99)
+    found = decision_sentence(decision(5.0, "tie", tie, validated=True), np.array([70.0, 10, 40]), 0.025)
+    assert found.startswith(
+        "3 captures at 10, 40 and 70 deg are in this: the simulation is off by some 10 % at an angle. Without them it "
+        "would be 9 deg."
+    )
+    assert found.endswith("Any angle from 3 to 18 deg will do.")
+    other = OtherOptimum("normal error", "deg", 55.0, False, (2.0, 3.0), 0.31, 0.2, 0.4, True)
     found = decision_sentence(
-        decision(20.0, risk, "model-limited", False, risk, 20.0, True),
-        np.array([30.0]),
-        0.02,
-        Proposal(45.0, 0.01, 0.02),
-        Proposal(70.0, 0.01, 0.02),
-        [other],
+        decision(20.0, validated=True), np.array([30.0]), 0.02, None, Proposal(70.0, 0.01, 0.02), [other]
     )
+    assert found.startswith("A capture at 30 deg is in this, which is not enough to decide: the simulation is off")
     assert found.endswith(
-        "so more renders will not decide; a capture at 30 deg included, with a sim-to-real error of 10 %; by "
-        "simulation alone 20 deg, at most 3 %; next: capture at 70 deg; normal error would choose 55 deg and "
-        "loses 31 % here."
+        "Capture next with the light at 70 deg. Normal error would choose 55 deg and loses 31 % here."
     )
 
 
-def test_an_undecided_one_asks_for_a_render():
-    risk = AngleRisk(0.4, 0.05, 0.1, (), 0.3)
-    found = decision_sentence(decision(40.0, risk, "undecided"), NONE, 0.02, Proposal(45.0, 0.01, 0.02))
-    assert "undecided, more renders are needed; not validated against a capture, a sim-to-real error of 10 %" in found
-    assert found.endswith("next: render 45 deg.")
-
-
-def test_what_is_missing_is_said():
-    risk = AngleRisk(0.4, 0.05, 0.999, (), 0.3)
+def test_noisy_renders_ask_for_more_of_them():
+    found = decision_sentence(decision(40.0, "undecided"), NONE, 0.02, Proposal(45.0, 0.01, 0.02))
+    assert found.endswith(
+        "The renders are still too noisy to choose; more repeats or samples will help. Render 45 deg next."
+    )
     # a render inside a sweep that is too narrow is not asked for
-    next_render = Proposal(85.0, 0.01, 0.02)
-    assert decision_sentence(decision(90.0, risk, "undecided", True), NONE, 0.02, next_render) == (
-        "90 deg: within 2 % of the best with probability 0.30, true optimum within 5 deg with 0.40; expected loss 5 %, "
-        "at most 100 % with 95 % probability; no angle is within 2 % of the best with 95 % probability; the best angle "
-        "is at the end of the sweep, so the optimum may lie outside it: widen the sweep; not validated against a "
-        "capture, a sim-to-real error of 10 % (95 %: 4 % to 30 %) is assumed; if the simulation were exact, at most "
-        "0.3 %."
-    )
+    ended = decision_sentence(decision(90.0, "undecided", at_range_end=True), NONE, 0.02, Proposal(45.0, 0.01, 0.02))
+    assert "Render" not in ended

@@ -2,19 +2,23 @@
 
 import numpy as np
 import pytest
-from scipy.special import gamma, kv
 from scipy.stats import multivariate_normal
 
-from finray_calib.decide import _gaussian_process as module
+from finray_calib.decide import _sim_to_real as module
 from finray_calib.decide._capture_errors import NO_CAPTURES, CaptureErrors
-from finray_calib.decide._gaussian_process import (
+from finray_calib.decide._sim_to_real import (
+    COMMON_SHARE,
+    EDGE_PROBABILITY,
+    EDGE_SIZE_LOG_SD,
+    EDGE_SIZE_REL,
     PRIOR_ERROR_LENGTH_DEG,
     PRIOR_ERROR_LENGTH_LOG_SD,
     PRIOR_ERROR_LOG_SD,
     PRIOR_ERROR_REL,
     discrepancy_posterior,
-    matern_correlation,
+    edges_and_glints,
 )
+from tests.decide.test_gaussian_process import matern_by_bessel_functions
 
 GRID = np.linspace(0, 90, 31)
 ANGLES = np.array([12.0, 30.0, 71.0])
@@ -26,20 +30,6 @@ def captures(log_error, scale_of=None, sd=0.02, angles=ANGLES):
     names = tuple(map(str, range(size)))
     groups = None if scale_of is None else np.array(scale_of)
     return CaptureErrors(names, np.asarray(angles[:size]), np.full(size, 1.0), np.array(log_error), shared, groups)
-
-
-def matern_by_bessel_functions(angles, length, smoothness):
-    """The Matern correlation of any smoothness, from its definition."""
-    q = np.maximum(np.sqrt(2 * smoothness) * np.abs(np.subtract.outer(angles, angles)) / length, 1e-10)
-    return 2 ** (1 - smoothness) / gamma(smoothness) * q**smoothness * kv(smoothness, q)
-
-
-def test_correlations_agree_with_bessel_functions():
-    for smoothness in (0.5, 1.5, 2.5):
-        expected = matern_by_bessel_functions(GRID, 20.0, smoothness)
-        assert matern_correlation(GRID, GRID, 20.0, smoothness) == pytest.approx(expected, abs=1e-9)
-    with pytest.raises(ValueError, match=r"smoothness nu = 2 has no closed form here; must be 0\.5, 1\.5 or 2\.5"):
-        matern_correlation(GRID, GRID, 20.0, 2.0)
 
 
 def posterior(errors, slope=0.0):
@@ -58,12 +48,12 @@ def test_without_captures_it_is_the_prior():
     assert np.diag(prior.covariance) == pytest.approx(np.full(31, mean_square), rel=0.02)
 
 
-@pytest.mark.parametrize("scale_of", [None, [0, 0, 0], [0, 0, 1]])
+@pytest.mark.parametrize("scale_of", [[0, 0, 0], [0, 0, 1]])
 def test_posterior_agrees_with_a_dense_joint_normal(scale_of, monkeypatch):
     """The scales as normal variables of huge variance, then plain conditioning; two amplitudes and two kernels."""
     nodes = [(a, kernel) for a in (0.05, 0.2) for kernel in ((35.0, 2.5), (12.0, 2.5), (35.0, 0.5), (12.0, 0.5))]
     monkeypatch.setattr(module, "_NODES_REL", np.array([0.05, 0.2]))
-    monkeypatch.setattr(module, "_ERROR_LENGTHS_DEG", np.array([35.0, 12.0]))
+    monkeypatch.setattr(module, "_LENGTHS_DEG", np.array([35.0, 12.0]))
     monkeypatch.setattr(module, "_SMOOTHNESSES", (0.5, 2.5))
     errors = captures([0.31, 0.2, 0.28], scale_of)
     found = posterior(errors, slope=0.03)
@@ -73,10 +63,10 @@ def test_posterior_agrees_with_a_dense_joint_normal(scale_of, monkeypatch):
     everything = np.concatenate([ANGLES, GRID])
     for amplitude, (length, smoothness) in nodes:
         joint = amplitude**2 * matern_by_bessel_functions(everything, length, smoothness)
-        groups = np.array([-1] * 3 if scale_of is None else scale_of)
+        groups = np.array(scale_of)
         # t on the grid has the scale of the first rig
         rig = np.concatenate([groups, np.full(31, groups[0])])
-        joint += vague * np.equal.outer(rig, rig) * (rig[:, None] >= 0)
+        joint += vague * np.equal.outer(rig, rig)
         whole = joint[:3, :3] + noise
         gain = np.linalg.solve(whole, joint[:3, 3:]).T
         log_weights.append(multivariate_normal.logpdf(errors.log_error, np.zeros(3), whole))
@@ -93,25 +83,76 @@ def test_posterior_agrees_with_a_dense_joint_normal(scale_of, monkeypatch):
     assert np.abs(found.covariance - (spread - np.outer(mean, mean))).max() < 1e-5
 
 
-def test_draws_have_the_posterior_mean_and_spread():
-    found = posterior(captures([0.25, 0.05, -0.1], [0, 0, 0]))
-    draws = found.shape_draws(20_000, np.random.default_rng(1))
-    assert draws.mean(axis=1) == pytest.approx(np.zeros(20_000), abs=1e-12)
-    error = found.shape_sd / np.sqrt(20_000)
-    # 5 standard errors over 31 correlated angles.
-    assert (np.abs(draws.mean(axis=0) - found.shape_mean) < 5 * error).all()
-    # Mixtures of amplitudes have heavy tails: a standard deviation is good to 3 %.
-    assert draws.std(axis=0) == pytest.approx(found.shape_sd, rel=0.03)
+def test_draws_have_the_posterior_mean_and_spread(monkeypatch):
+    """Without edges, what is drawn is what the formulas say."""
+    monkeypatch.setattr(module, "EDGE_PROBABILITY", 0.0)
+    for scale_of in ([0, 0, 0], None):
+        found = posterior(captures([0.25, 0.05, -0.1], scale_of))
+        draws = found.shape_draws(20_000, np.random.default_rng(1))[:, 0]
+        assert draws.mean(axis=1) == pytest.approx(np.zeros(20_000), abs=1e-12)
+        error = found.shape_sd / np.sqrt(20_000)
+        # 5 standard errors over 31 correlated angles.
+        assert (np.abs(draws.mean(axis=0) - found.shape_mean) < 5 * error).all()
+        # Mixtures of amplitudes have heavy tails: a standard deviation is good to 3 %.
+        assert draws.std(axis=0) == pytest.approx(found.shape_sd, rel=0.03)
 
 
-def test_one_capture_tells_the_size_of_the_error_and_its_level_near_its_angle():
+def test_edges_and_reflections_have_their_sizes_and_rates():
+    shapes = edges_and_glints(GRID, 20_000, GRID, np.random.default_rng(2))
+    none = (np.abs(shapes).max(axis=1) == 0).mean()
+    # binomial standard error 0.0035
+    assert none == pytest.approx((1 - EDGE_PROBABILITY) ** 2, abs=0.015)
+    only_edge = shapes[(np.abs(shapes).max(axis=1) > 0)]
+    # an edge ends at +- b, a reflection peaks at b: both medians are near that of b, seen through a grid of 3 deg
+    assert np.median(np.abs(only_edge).max(axis=1)) == pytest.approx(EDGE_SIZE_REL, rel=0.25)
+    mean_square = EDGE_SIZE_REL**2 * np.exp(2 * EDGE_SIZE_LOG_SD**2) * EDGE_PROBABILITY
+    # the edge alone gives nearly b^2 everywhere; a reflection is narrow
+    assert mean_square < (shapes**2).mean() < 1.5 * mean_square
+
+
+def test_importance_sampling_of_edges_agrees_with_rejection(monkeypatch):
+    """Draws of the whole prior, kept by the likelihood of two captures: nothing of the update is shared."""
+    monkeypatch.setattr(module, "_SHAPES", 4000)
+    monkeypatch.setattr(module, "EDGE_PROBABILITY", 0.9)
+    errors = captures([0.15, -0.05], [0, 0], sd=0.05)
+    draws = posterior(errors).shape_draws(20_000, np.random.default_rng(3))[:, 0]
+    prior = posterior(NO_CAPTURES).shape_draws(60_000, np.random.default_rng(4))[:, 0]
+    # captures at angles of the grid; the unknown scale takes up the mean, so that only their difference counts
+    first, second = (int(np.abs(GRID - angle).argmin()) for angle in errors.angles_deg)
+    misfit = (prior[:, first] - prior[:, second]) - (errors.log_error[0] - errors.log_error[1])
+    variance = errors.covariance[0, 0] + errors.covariance[1, 1] - 2 * errors.covariance[0, 1]
+    weights = np.exp(-0.5 * misfit**2 / variance)
+    weights /= weights.sum()
+    kept = 1 / (weights**2).sum()
+    mean = weights @ prior
+    sd = np.sqrt(weights @ (prior - mean) ** 2)
+    error = sd * np.sqrt(1 / kept + 1 / 20_000 + 1 / 1000)  # 4000 shapes, a quarter of which have weight
+    assert (np.abs(draws.mean(axis=0) - mean) < 5 * error).all()
+    # heavy tails: standard deviations agree to 10 %
+    assert draws.std(axis=0) == pytest.approx(sd, rel=0.1)
+
+
+def test_one_capture_tells_the_size_of_the_contact_error_and_its_level_near_its_angle():
     small, large = posterior(captures([0.01])), posterior(captures([0.4]))
     prior = posterior(NO_CAPTURES).amplitude_quantiles_rel[1]
-    assert small.amplitude_quantiles_rel[1] < prior < large.amplitude_quantiles_rel[1]
+    # the part in common with the no-contact image stays as large as it was
+    assert np.sqrt(COMMON_SHARE) * prior < small.amplitude_quantiles_rel[1] < prior < large.amplitude_quantiles_rel[1]
     near, far = np.abs(GRID - 12).argmin(), len(GRID) - 1
     assert large.mean[near] == pytest.approx(0.4, abs=0.03)
     assert abs(large.mean[far]) < 0.2
-    assert large.covariance[near, near] < 0.05 * large.covariance[far, far]
+    visible = large.visible.covariance
+    assert visible[near, near] < 0.05 * visible[far, far]
+    assert (np.diag(large.covariance) > np.diag(large.hidden.covariance)).all()
+
+
+def test_relative_captures_leave_the_common_part_its_prior():
+    """Perfect captures at every angle that show no error: without their exposures half of the spread stays at least."""
+    angles = np.arange(0.0, 91.0, 10.0)
+    exact = posterior(captures([0.0] * 10, [0] * 10, sd=0.002, angles=angles))
+    relative = posterior(captures([0.0] * 10, None, sd=0.002, angles=angles))
+    prior = posterior(NO_CAPTURES)
+    assert exact.shape_sd.max() < 0.1 * prior.shape_sd.min()
+    assert (relative.shape_sd > 0.8 * prior.shape_sd).all()
 
 
 def test_a_common_scale_of_one_rig_changes_nothing():

@@ -37,7 +37,7 @@ def report_on(design):
     ids=["same", "name", "angle of the light", "size of the picture", "lens"],
 )
 def test_what_makes_no_other_finger_is_taken(design):
-    assert require_one_finger(sweep(), [report_on(design)]) == ()
+    assert require_one_finger([sweep()], [report_on(design)]) == ((), (0,))
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_what_makes_no_other_finger_is_taken(design):
 def test_another_finger_is_refused_and_both_are_named(design, parts):
     design = design.model_copy(update={"name": "other finger"})
     with pytest.raises(DecideError, match=rf"on the finger 'other finger', the sweep 'hill' on '.*', .* in {parts}:"):
-        require_one_finger(sweep(), [report_on(DESIGN), report_on(design)])
+        require_one_finger([sweep()], [report_on(DESIGN), report_on(design)])
 
 
 def leaves(value, path=""):
@@ -81,7 +81,9 @@ def test_a_default_that_changes_makes_another_finger(monkeypatch):
 
 def test_another_version_of_the_identity_is_taken_on_trust():
     older = finger_identity(changed("pad", thickness_mm=4.0)).model_copy(update={"version": 1})
-    (note,) = require_one_finger(sweep(), [PhotometricErrorReport.model_construct(captured="press 1", finger=older)])
+    (note,) = require_one_finger([sweep()], [PhotometricErrorReport.model_construct(captured="press 1", finger=older)])[
+        0
+    ]
     assert "as another version of finray does" in note
     assert "taken on trust" in note
     # what was stored before there were versions
@@ -97,9 +99,9 @@ def test_other_fields_are_another_version():
 
 
 def test_a_report_that_names_no_finger_and_another_depth_are_told():
-    (unknown,) = require_one_finger(sweep(), [report_on(None)])
+    (unknown,) = require_one_finger([sweep()], [report_on(None)])[0]
     assert "does not say which finger" in unknown
-    (depth,) = require_one_finger(sweep(), [report_on(changed("indenter", depth_mm=0.5))])
+    (depth,) = require_one_finger([sweep()], [report_on(changed("indenter", depth_mm=0.5))])[0]
     # the depth is that of the design that was rendered; how deep the capture was pressed the report does not say
     assert depth.startswith("the render compared with press 1 was pressed 0.5 mm deep, the sweep is of 1.5 mm")
 

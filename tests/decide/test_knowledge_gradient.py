@@ -6,14 +6,15 @@ from scipy.stats import norm
 
 from finray_calib.decide import decide_angle
 from finray_calib.decide._capture_errors import NO_CAPTURES, CaptureErrors
-from finray_calib.decide._gaussian_process import Matern52, condition, discrepancy_posterior
-from finray_calib.decide._light_angle import (
+from finray_calib.decide._gaussian_process import CurvePrior, curve_posterior, observations
+from finray_calib.decide._next_observation import (
     ASSUMED_CAPTURE_SD_REL,
     expected_maximum_gain,
     knowledge_gradient,
     propose_capture,
     propose_render,
 )
+from finray_calib.decide._sim_to_real import discrepancy_posterior
 from tests.decide.curves import FINE_DEG, SWEEP_DEG, sweep
 
 PEAK = 0.5 + np.exp(-0.5 * ((FINE_DEG - 33) / 20) ** 2)
@@ -51,17 +52,23 @@ def test_lines_that_never_win_and_equal_slopes_do_not_count():
 def test_render_gain_agrees_with_simulated_renders():
     """Every simulated render is put into the regression anew; nothing of the update is shared."""
     rng = np.random.default_rng(3)
-    grid, kernel = np.arange(0, 91.0, 5), Matern52(30.0, 0.5)
+    grid = np.arange(0, 91.0, 5)
+    one = CurvePrior(30.0, 0.7, 0.5, 1.0, np.array([0.5]), (2.5,), np.array([30.0]))
+
+    def condition(angles, values, noise):
+        seen = observations(angles, values, np.diag(noise), np.ones((len(angles), 1)))
+        return curve_posterior(one, seen, grid)
+
     noise = np.full(len(SWEEP_DEG), 0.05**2)
     means = PEAK[::10] + 0.05 * rng.standard_normal(len(SWEEP_DEG))
-    now = condition(kernel, SWEEP_DEG, means, noise, grid)
-    gains = knowledge_gradient(now.mean, now.covariance, np.diag(now.covariance), np.full(len(grid), 0.05**2))
+    now = condition(SWEEP_DEG, means, noise)
+    gains = knowledge_gradient(now.mean[0], now.covariance, np.diag(now.covariance), np.full(len(grid), 0.05**2))
     for j in (int(gains.argmax()), 2):
         angles = np.append(SWEEP_DEG, grid[j])
         sd = np.sqrt(now.covariance[j, j] + 0.05**2)
         found = [
-            condition(kernel, angles, np.append(means, y), np.append(noise, 0.05**2), grid).mean.max()
-            for y in now.mean[j] + sd * rng.standard_normal(DRAWS // 4)
+            condition(angles, np.append(means, y), np.append(noise, 0.05**2)).mean.max()
+            for y in now.mean[0, j] + sd * rng.standard_normal(DRAWS // 4)
         ]
         error = np.std(found) / np.sqrt(len(found))
         assert np.mean(found) - now.mean.max() == pytest.approx(gains[j], abs=SURE * error)
@@ -70,9 +77,9 @@ def test_render_gain_agrees_with_simulated_renders():
 @pytest.mark.parametrize("absolute", [False, True])
 def test_capture_gain_agrees_with_simulated_captures(absolute, monkeypatch):
     """One amplitude of the sim-to-real error, so that a capture's effect is linear and the belief stays normal."""
-    monkeypatch.setattr("finray_calib.decide._gaussian_process._NODES_REL", np.array([0.1]))
-    monkeypatch.setattr("finray_calib.decide._gaussian_process._ERROR_LENGTHS_DEG", np.array([35.0]))
-    monkeypatch.setattr("finray_calib.decide._gaussian_process._SMOOTHNESSES", (2.5,))
+    monkeypatch.setattr("finray_calib.decide._sim_to_real._NODES_REL", np.array([0.1]))
+    monkeypatch.setattr("finray_calib.decide._sim_to_real._LENGTHS_DEG", np.array([35.0]))
+    monkeypatch.setattr("finray_calib.decide._sim_to_real._SMOOTHNESSES", (2.5,))
     rng = np.random.default_rng(4)
     values = sweep(PEAK, rng, 0.003, 4)
     angles, log_error = np.array([20.0, 60.0]), np.array([0.05, -0.08])
@@ -83,7 +90,7 @@ def test_capture_gain_agrees_with_simulated_captures(absolute, monkeypatch):
     j = int(proposal.angle_deg)
     grid_deg = decision.simulated.posterior.grid_deg
     slope = np.interp(np.append(angles, proposal.angle_deg), grid_deg, decision.simulated.log_slope_per_deg)
-    sd = np.sqrt(decision.discrepancy.covariance[j, j] + proposal.noise_rel**2)
+    sd = np.sqrt(decision.discrepancy.visible.covariance[j, j] + proposal.noise_rel**2)
     found = []
     for e in decision.discrepancy.mean[j] + sd * rng.standard_normal(DRAWS // 4):
         more = _captures(np.append(angles, proposal.angle_deg), np.append(log_error, e), absolute)

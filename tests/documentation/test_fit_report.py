@@ -145,7 +145,7 @@ def test_a_stokes_shift_from_the_prior_is_called_belief() -> None:
     measured = RED.fit.reradiation.model_copy(update={"prior_driven": False, "statement": "three lights fix it"})
     lights = with_fit(RED, reradiation=measured)
     assert said.absorption_statement(lights) == "Red paint: Stokes shift 38 [13, 63] nm. Three lights fix it."
-    assert "Stokes shift (measurement and prior)" in cells(absorption_table(lights))
+    assert "Stokes shift from the last absorption maximum (measurement and prior)" in cells(absorption_table(lights))
     caption = (
         next(part for part in fit_parts([lights]) if part.title == "Absorption").content.picture_rows[0][0].caption
     )
@@ -169,10 +169,10 @@ def test_the_paper_stands_beside_the_fit_and_the_truth() -> None:
         "OUTSIDE",
     ]
     assert rows["mode"][-1] == "519.0 nm, inside"
-    assert rows["location (\u03bb\u2080)"][1] == "507.0 [504.1, 509.9] nm"
+    assert rows["location (\u03bb\u2080)"][2] == "507.0 [504.1, 509.9] nm"
     alone = quantities_table(FittedPaint(GREEN.bands, GREEN.fit))
-    assert alone.columns == ("quantity", "fit", "the paper's curve alone")
-    assert {len(row) for group in alone.groups for row in group.rows} == {3}
+    assert alone.columns == ("quantity", "fit", "prior left (shift)", "the paper's curve alone")
+    assert {len(row) for group in alone.groups for row in group.rows} == {4}
 
 
 def test_the_families_table_marks_what_is_reported_and_what_is_only_indicative() -> None:

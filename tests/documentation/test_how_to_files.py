@@ -13,6 +13,7 @@ from data_schemas.storage import read_toml
 from finray_calib.cli.main import build_parser
 from finray_calib.exchange import BandFolder
 from rigs.capture import camera_step, check_filters, paint_steps
+from sim.studies import SHIPPED_PLANS, read_plan, study_points
 
 HOW_TO = Path(__file__).resolve().parents[2] / "docs" / "how-to"
 PAGES = sorted(HOW_TO.glob("*.md"))
@@ -103,3 +104,13 @@ def test_every_printed_command_is_understood(page, line):
 def test_commands_are_found_at_all():
     lines = [line for page, line in commands() if page == "calibrate-a-paint.md"]
     assert {line.split()[1] for line in lines} == {"rig", "capture", "radiometry", "fit", "simulate", "export"}
+
+
+def test_plans_of_the_study_page_make_points(tmp_path):
+    blocks = FENCED.findall(text_of("run-a-design-study.md"))
+    counts = []
+    for block in blocks:
+        (tmp_path / "plan.toml").write_text(block, encoding="utf-8")
+        counts.append(len(study_points(*read_plan(tmp_path / "plan.toml"))))
+    assert counts == [9, 64]
+    assert all(f"| `{name}` |" in text_of("run-a-design-study.md") for name in SHIPPED_PLANS)

@@ -149,7 +149,7 @@ def test_lines_break_neither_between_number_and_unit_nor_inside_an_interval() ->
         ("tie", "Any of these angles will do: 25 to 39 deg"),
         ("undecided", "may lose 0.4 %. With captures the best guess is 32 deg. More angles or more repeats would help"),
         (
-            "model-limited",
+            "needs captures",
             "By the renders alone 32 deg loses at most 0.4 %; with the difference between simulation and capture "
             "32 deg is the best guess and may lose 1.4 %",
         ),

@@ -102,10 +102,10 @@ def test_equal_input_gives_equal_bytes_whatever_the_users_matplotlib_settings(ht
 
 @pytest.fixture(scope="module")
 def hostile() -> str:
-    """Return the page of a smaller, unvalidated, model-limited run whose red paint has a hostile name."""
+    """Return the page of a smaller, unvalidated, needs captures run whose red paint has a hostile name."""
     results = example_results(paint_name=HOSTILE)
     press = results.press.model_copy(update={"camera_matrix": None})
-    decision = example_decision("model-limited", validated=False)
+    decision = example_decision("needs captures", validated=False)
     return demo_report(replace(results, press=press, decision=decision, true_sweep=None, report_level_a=None))
 
 
@@ -120,7 +120,7 @@ def test_hostile_names_stay_text(hostile: str) -> None:
 
 def test_another_verdict_is_named_in_title_and_box(hostile: str) -> None:
     text = Page(hostile).prose
-    assert "model-limited: finray demo report" in text
+    assert "needs captures: finray demo report" in text
     assert "More renders will not help" in text
     assert "not validated against a capture" in text
     assert "hidden true finger" not in text

@@ -8,7 +8,8 @@ import pytest
 from scipy.integrate import quad
 
 from data_schemas import CurveError, SpectralCurve
-from finray_calib.exchange import assumed_led, led_camera_matrix, read_light
+from data_schemas.storage import read_light
+from finray_calib.exchange import assumed_led, led_camera_matrix
 from finray_calib.exchange._led_camera_matrix import led_camera_json
 from tests.exchange.conftest import LASER_NM, SD_REL, absorption, emission, reflectance
 

@@ -26,8 +26,15 @@ from finray_calib.fit import (
     smooth_weights,
 )
 from finray_calib.fit import _paint_calibration as paint_calibration
-from finray_calib.fit._paint_calibration import absorption_warnings, fit_warnings
-from finray_calib.spectra import FAMILIES, WAVELENGTH_NM, SkewCauchy, filter_transmission, held_shares
+from finray_calib.fit._paint_calibration import energy_warnings, fit_warnings
+from finray_calib.spectra import (
+    FAMILIES,
+    WAVELENGTH_NM,
+    SkewCauchy,
+    filter_transmission,
+    held_shares,
+    photon_yield,
+)
 from rigs import simulated_rig
 from rigs.simulated import Bench, bench_truth
 
@@ -191,9 +198,32 @@ def test_an_ambiguity_and_other_doubts_are_told(bands):
     assert "emcee made the draws" in fit_warnings(fine, (), None, True)[0]  # asked for, but not independent
 
 
-def test_draws_beyond_the_absorbed_light_are_told():
-    assert absorption_warnings(SimpleNamespace(violating_share=0.01)) == ()
-    assert absorption_warnings(SimpleNamespace(violating_share=0.034))[0].startswith("3% of the draws emit more light")
+def test_a_level_that_contradicts_energy_is_told():
+    """A paint that emits all that it absorbs has half of its draws cut off: no reason to warn."""
+    assert energy_warnings(SimpleNamespace(excess_share=0.6, conserving=True)) == ()
+    told = energy_warnings(SimpleNamespace(excess_share=0.99, conserving=False))[0]
+    assert told.startswith("99% of the draws emit more photons than are absorbed at the laser")
+    assert "too few are left, so all were kept" in told
+
+
+def test_the_spectrum_rests_on_measured_spectra_unless_a_family_is_asked_for(bands, paint):
+    assert paint.spectrum_from == "prior learned from measured spectra"
+    assert set(paint.prior_shares) == {"mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "stokes_shift_nm"}
+    assert paint.prior_shares["mode_nm"].share < 0.01  # some nm of some sixty
+    assert paint.mostly_prior == ()
+    low, high = paint.emission_low95_simultaneous_per_nm, paint.emission_high95_simultaneous_per_nm
+    counted = paint.emission_per_nm > 0.05 * paint.emission_per_nm.max()
+    whole = ((paint.emission_draws_per_nm >= low) & (paint.emission_draws_per_nm <= high))[:, counted].all(axis=1)
+    assert 0.9 < whole.mean() < 0.99  # 400 of the 500 draws of which 95 % define it: 2 sd of 0.011 and of 0.01
+    asked = calibrate_paint(bands, 1, replace(FEW, family="zheng2014"))
+    assert asked.spectrum_from == asked.family_title
+
+
+def test_photons_are_conserved_in_every_draw(paint):
+    emitted = photon_yield(paint.emission_draws_per_nm, WAVELENGTH_NM, paint.optics.laser.wavelength_nm)
+    absorbed = emitted[:, None] * paint.reradiation.absorption_rel_draws
+    assert (absorbed <= 1 + 1e-9).all()
+    assert paint.reradiation.violating_share < 0.05
 
 
 def test_emcee_that_took_over_is_no_check_of_itself(bands, tmp_path, monkeypatch):

@@ -119,7 +119,7 @@ def test_a_render_names_its_paints_and_is_recoloured(lab, paint, rendered, tmp_p
 
 def test_the_verb_renders_the_same_press(lab, paint, rendered, tmp_path):
     red = f"--paint red={lab}/red.paint.json --paint green={lab}/red.paint.json"
-    succeed(f"simulate {lab}/finger.toml {red} --engine scalar --samples 2 --seed 6 --out {tmp_path}/press.json")
+    succeed(f"simulate render {lab}/finger.toml {red} --engine scalar --samples 2 --seed 6 --out {tmp_path}/press.json")
     np.testing.assert_array_equal(read_record(tmp_path / "press.json", finray.SimulatedPress).contact, rendered.contact)
 
 

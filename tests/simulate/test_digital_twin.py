@@ -9,7 +9,7 @@ from data_schemas import Coating, CurveError, FingerDesign, LightPanel, Spectral
 from data_schemas._design_parts import TactileCamera
 from data_schemas.storage import assumed_camera_response
 from rigs.simulated.sensor import bayer_planes
-from sim.experiments import PaintedFinger
+from sim.experiments import FingerScene, PaintedFinger
 from sim.experiments import _light_angle as light_angle
 from sim.experiments import _rendered_press as press
 from sim.experiments import _tactile_camera as digital_twin
@@ -141,7 +141,7 @@ def test_curves_that_begin_late_are_noted_in_both_records(monkeypatch, paints):
     monkeypatch.setattr(press, "render_press", lambda *arguments, **options: render)
     monkeypatch.setattr(light_angle, "sweep_light_angle", lambda *_, **__: swept)
     for record in (
-        press.simulate_press(late, "b", 1, 2, {}),
+        press.simulate_press(FingerScene(late), press.Rendering(samples_per_pixel=2), {}),
         light_angle.light_angle_sweep(late, {}, [0.0, 1.0, 2.0, 3.0], 2, 2, 1, {}),
     ):
         held = [note for note in record.notes if "its end value is held" in note]

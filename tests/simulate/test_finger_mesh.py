@@ -54,6 +54,28 @@ def with_skeleton(design=DESIGN, **fields):
     return design.model_copy(update={"skeleton": Skeleton(**{"backing": Backing(), **fields})})
 
 
+@pytest.mark.parametrize(
+    "pad", [GelPad(), CYLINDER, GelPad(shape="ellipsoidal", semi_axes_mm=(40.0, 15.0, 60.0))], ids=lambda pad: pad.shape
+)
+def test_no_line_over_the_pad_is_curved_more_than_its_bound(pad):
+    """Second differences of the height, in twelve directions, right up to the corners."""
+    step_mm = 0.01
+    x_mm, z_mm = np.meshgrid(
+        np.linspace(-1.0, 1.0, 41) * (pad.width_mm / 2.0 - step_mm),
+        np.linspace(-1.0, 1.0, 41) * (pad.length_mm / 2.0 - step_mm),
+    )
+    steepest_per_mm = 0.0
+    for turned in np.linspace(0.0, np.pi, 12, endpoint=False):
+        dx_mm, dz_mm = step_mm * np.cos(turned), step_mm * np.sin(turned)
+        around = [pad.drop_mm(x_mm + k * dx_mm, z_mm + k * dz_mm) for k in (-1, 0, 1)]
+        steepest_per_mm = max(steepest_per_mm, float((around[0] - 2.0 * around[1] + around[2]).max()) / step_mm**2)
+    bound_per_mm = pad.most_curvature_per_mm()
+    # rounding of heights of up to 30 mm, twice over the step squared
+    assert steepest_per_mm <= bound_per_mm + 1e-9 / step_mm**2
+    # a bound that is far off would divide triangles in vain
+    assert bound_per_mm <= 2.0 * steepest_per_mm or pad.shape == "flat"
+
+
 def conforming(mesh):
     """Return all hexahedra that share nodes with the skeleton."""
     return np.concatenate([h for name, h in mesh.hexahedra.items() if name not in ("gel", "film", "bond")])

@@ -15,7 +15,13 @@ DESIGN = FingerDesign(indenter=Indenter(depth_mm=1.0))
 def pressed():
     steps = []
     result = press_finger(DESIGN, increments=2, progress=lambda *step: steps.append(step))
-    assert steps == [(1, 2, "pressed to 0.50 mm"), (2, 2, "pressed to 1.00 mm")]
+    ends = [(1, 2, "pressed to 0.50 mm"), (2, 2, "pressed to 1.00 mm")]
+    assert [step for step in steps if step in ends] == ends
+    # and before each iteration, how far the search is
+    iterations = [what for _, _, what in steps if "iteration " in what]
+    assert len(iterations) == result.iterations.sum()
+    assert all(" N allowed" in what for what in iterations)
+    assert any(what.startswith("pressed to 0.50 mm, iteration 1, out of balance by ") for what in iterations)
     return result
 
 

@@ -82,7 +82,6 @@ def test_the_printed_shifts_lie_on_the_plateau_but_not_at_its_maximum(paper):
         assert paint.stokes_shift_low_nm <= paint.stokes_shift_nm <= paint.stokes_shift_high_nm
         assert 0 < paint.emission_peak_nm - paint.absorption_edge_nm < 20
         assert paint.one_laser.prior_driven
-        assert not paint.several_lights.prior_driven
 
 
 @pytest.mark.shared_data

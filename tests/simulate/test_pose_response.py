@@ -10,7 +10,7 @@ from data_schemas import FingerDesign, SimulateError
 from data_schemas._design_parts import TactileCamera
 from data_schemas.storage import assumed_camera_response
 from finray_calib.compare._region_sums import render_layers
-from sim.experiments import PaintedFinger, pose_response, simulate_press
+from sim.experiments import FingerScene, PaintedFinger, Rendering, pose_response, simulate_press
 from sim.experiments import _rendered_press as module
 from sim.experiments._rendered_press import POSE_STEPS_MM
 from sim.optics import BAKE_SAMPLES
@@ -19,6 +19,7 @@ DESIGN = FingerDesign(camera=TactileCamera(width_px=64, height_px=48))
 CHAINS = ("led>red", "led>green", "led")
 SHAPE = (4, 5)
 BASE = np.random.default_rng(0).random((2, *SHAPE, 3)).astype(np.float32)
+WITH_POSE = Rendering(samples_per_pixel=2, with_pose_response=True)
 
 
 def closed_form(depth_mm, position_mm):
@@ -79,7 +80,7 @@ def test_a_step_out_of_the_pad_is_refused_before_anything_is_rendered(finger, ca
     indenter = finger.design.indenter.model_copy(update={field: value_mm})
     near = replace(finger, design=finger.design.model_copy(update={"indenter": indenter}))
     with pytest.raises(SimulateError, match=rf"moves indenter\.{field} by .* mm is not possible: press deeper, or"):
-        simulate_press(near, "b", 1, 2, {}, with_pose_response=True)
+        simulate_press(FingerScene(near), WITH_POSE, {})
     assert not calls
 
 
@@ -87,16 +88,14 @@ def test_given_shapes_have_no_response(finger):
     with pytest.raises(
         SimulateError, match="rendered for the analytic press only; leave it out, or leave the surfaces"
     ):
-        simulate_press(finger, "b", 0, 2, {}, shapes=(None, None), with_pose_response=True)
+        simulate_press(FingerScene(finger, shapes=(None, None)), WITH_POSE, {})
 
 
 def test_a_rendered_press_holds_its_response(scalar, paints, monkeypatch):
     """Of chains, halves and pose in one order; the finger moves only where the indenter is near."""
     monkeypatch.setitem(BAKE_SAMPLES, True, 300)
-    press = simulate_press(
-        PaintedFinger(DESIGN, paints, assumed_camera_response(), scalar), "b", 3, 2, {}, with_pose_response=True,
-        contact_samples_per_pixel=4,
-    )  # fmt: skip
+    scene = FingerScene(PaintedFinger(DESIGN, paints, assumed_camera_response(), scalar))
+    press = simulate_press(scene, replace(WITH_POSE, seed=3, contact_samples_per_pixel=4), {})
     response = press.pose_response
     assert response.names == ("depth_mm", "position_mm")
     assert response.derivative.shape == response.half_difference.shape == (2, *press.contact_half_difference.shape)

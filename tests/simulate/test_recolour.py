@@ -12,7 +12,7 @@ from finray_calib.cli import main
 from finray_calib.compare import compare_press
 from finray_calib.compare._prepared_images import prepare_images
 from finray_calib.compare._region_sums import render_layers
-from sim.experiments import PaintedFinger, recoloured, simulate_press, simulated_capture
+from sim.experiments import FingerScene, PaintedFinger, Rendering, recoloured, simulate_press, simulated_capture
 from sim.experiments import _painted_finger as painted_finger
 from sim.experiments._rendered_press import light_record
 from sim.optics import BAKE_SAMPLES, PaintOptics, camera_matrix, paint_bands
@@ -65,16 +65,18 @@ def press(paints, renderer=None, **changed):
     return SimulatedPress(**{**values, **changed})
 
 
+def rendered(paints, renderer, samples):
+    scene = FingerScene(PaintedFinger(DESIGN, paints, assumed_camera_response(), renderer))
+    return simulate_press(scene, Rendering("b", 4, samples), NO_SHA)
+
+
 @pytest.mark.renderer
 def test_recoloured_is_a_new_render_with_the_same_seed(llvm, exciting, monkeypatch):
     monkeypatch.setitem(BAKE_SAMPLES, False, 10_000)
     # another yield changes all chains through red paint; half the absorption width those excited by green light
     changed = other(exciting, narrower=True)
     changed["red"] = replace(changed["red"], absorption_rel=changed["red"].absorption_rel ** 1.5)
-    new, old = (
-        simulate_press(PaintedFinger(DESIGN, p, assumed_camera_response(), llvm), "b", 4, 4, NO_SHA)
-        for p in (changed, exciting)
-    )
+    new, old = (rendered(p, llvm, 4) for p in (changed, exciting))
     assert "led>green>red" in old.chains
     made = recoloured(old, changed)
     for name in ("no_contact", "contact", "contact_bands"):
@@ -94,10 +96,7 @@ def test_a_yield_alone_is_exact(llvm, paints, monkeypatch):
     monkeypatch.setitem(BAKE_SAMPLES, False, 10_000)
     # no paint excites paint, so no chain stands at the edge of being left out
     brighter = other(paints, yield_rel=1.3)
-    new, old = (
-        simulate_press(PaintedFinger(DESIGN, p, assumed_camera_response(), llvm), "b", 4, 2, NO_SHA)
-        for p in (brighter, paints)
-    )
+    new, old = (rendered(p, llvm, 2) for p in (brighter, paints))
     made = recoloured(old, brighter)
     for name in ("no_contact", "contact"):
         same_but_for_few_paths(getattr(made, name), getattr(new, name))

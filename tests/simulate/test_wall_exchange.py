@@ -1,6 +1,6 @@
 """Light between the painted walls: form factors, and fluorescence of fluorescence against matrix inverses."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -8,11 +8,12 @@ import pytest
 from data_schemas import Coating, FingerDesign, GelPad
 from data_schemas._design_parts import Enclosure, Mirror, TactileCamera
 from sim.optics import BAND_NAMES, TEXELS_ALONG, WALLS, PaintBands, open_scene, paint_bands
-from sim.optics._painted_walls import TEXELS_UP, WallExchange, polynomial_basis, texel_uv
+from sim.optics._painted_walls import TEXELS_UP, WallExchange, texel_uv
+from sim.optics._wall_spline import WallSmoother
 from sim.surface_meshes import rest_shape
 
 TEXELS = TEXELS_ALONG * TEXELS_UP
-COEFFICIENTS = polynomial_basis(1, 1).shape[1]
+AS_TRACED = WallSmoother(np.ones(TEXELS_ALONG), np.ones((TEXELS_ALONG, TEXELS_UP)))
 # a cube, whose opposite faces see much of each other, and the default pad, whose walls see little
 CUBE, PAD = GelPad(length_mm=40.0, width_mm=40.0, thickness_mm=40.0), GelPad(refractive_index=1.0)
 # both paints excite each other, which no real pair does: only then does every order add to both walls
@@ -98,10 +99,9 @@ def test_form_factor_of_the_test_is_that_of_the_catalogue():
 def test_orders_of_even_walls_are_a_geometric_series():
     """Evenly lit, evenly seen walls: L_r = (a_r + b_r F a_g) / (1 - b_r b_g F^2), whatever their texels."""
     factor, red_by_green, bands = 0.4, 0.6, bands_of(0.6)
-    exchange = np.zeros((2, COEFFICIENTS, 1, 2, TEXELS_ALONG, TEXELS_UP))
-    # the first Legendre product is one
-    exchange[0, 0, 0, 1] = exchange[1, 0, 0, 0] = np.pi * factor / TEXELS
-    walls = WallExchange(np.zeros((2, COEFFICIENTS, 1)), exchange)
+    exchange = np.zeros((2, TEXELS_ALONG, TEXELS_UP, 1, 2, TEXELS_ALONG, TEXELS_UP))
+    exchange[0, :, :, 0, 1] = exchange[1, :, :, 0, 0] = np.pi * factor / TEXELS
+    walls = WallExchange(np.zeros((2, TEXELS_ALONG, TEXELS_UP, 1)), exchange, ((AS_TRACED, AS_TRACED),))
     seen = walls.emitted(0, np.full((2, TEXELS_ALONG, TEXELS_UP), np.pi), bands)
     loop = red_by_green * GREEN_BY_RED * factor**2
     expected = {
@@ -124,7 +124,7 @@ def test_orders_in_an_empty_box_are_those_of_a_dense_inverse():
     first = FROM_LED["red"] / np.pi * direct[0].mean()
     assert 0.08 < 1.0 - first / expected[0].mean() < 0.12
     seen = walls.emitted(0, direct, bands)
-    # the ten per cent along the wall: 400 000 rays, of which a fifth meets the other face, in 16 coefficients
+    # the ten per cent along the wall: 400 000 rays, of which a fifth meets the other face, smoothed over ten texels
     np.testing.assert_allclose(seen.mean(axis=2), expected.reshape(seen.shape).mean(axis=2), rtol=3e-3)
     # a light that keeps half of what the walls send away
     np.testing.assert_allclose(
@@ -153,14 +153,12 @@ def test_traced_walls_of_a_black_finger_see_each_other_by_their_form_factor(llvm
     factor = opposite_form_factor(PAD.length_mm, PAD.thickness_mm, PAD.width_mm)
     # each ray meets the other wall or does not
     error_rel = np.sqrt((1.0 - factor) / factor / samples)
-    even = WallExchange(np.zeros_like(walls.led), walls.exchange)
-    ones = np.ones((TEXELS_ALONG, TEXELS_UP))
-    basis = polynomial_basis(TEXELS_ALONG, TEXELS_UP)
+    even, ones = replace(walls, led=np.zeros_like(walls.led)), np.ones((TEXELS_ALONG, TEXELS_UP))
     for here, there in ((0, 1), (1, 0)):
-        arriving = np.einsum("cij,ij->c", even.exchange[here, :, 0, there], ones) @ basis.T
+        arriving = walls.smoothers[0][here](walls.exchange[here, :, :, 0, there].sum(axis=(2, 3)))
         assert arriving.mean() == pytest.approx(np.pi * factor, rel=STANDARD_ERRORS * error_rel)
         # a wall is flat and does not see itself
-        assert np.abs(even.exchange[here, :, 0, here]).max() == 0.0
+        assert np.abs(walls.exchange[here, :, :, 0, here]).max() == 0.0
     direct = np.stack([ones, 2.0 * ones]) * np.linspace(2.0, 0.5, TEXELS_ALONG)[:, None]
     expected, seen = all_orders(texel_kernel(PAD), direct, bands), even.emitted(0, direct, bands)
     second = 1.0 - FROM_LED["red"] / np.pi * direct[0].mean() / expected[0].mean()

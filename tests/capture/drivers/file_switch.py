@@ -19,8 +19,7 @@ from pathlib import Path
 import pytest
 
 from data_schemas import DeviceIdentity, LostError, RefusedError, UnsafeError
-from rigs import OffWords, Operator
-from rigs import _drivers as drivers
+from rigs import Driver, OffWords, Operator, offered
 
 # Ends when nobody holds the other end of its pipe any more.
 LINE = """
@@ -34,7 +33,7 @@ done &
 
 def install(monkeypatch: pytest.MonkeyPatch) -> None:
     """Take the place of INDI's lights, here and in the guard."""
-    monkeypatch.setitem(drivers.LIGHTS, "indi", __name__)
+    monkeypatch.setitem(offered("light"), "indi", (Driver("light", "indi", __name__),))
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
 
 

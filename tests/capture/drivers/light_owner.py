@@ -51,7 +51,8 @@ def owner(address: str, habit: str = "waits", driver: str = "arduino") -> Iterat
 
 def start_owner(folder: Path, habit: str = "waits") -> "subprocess.Popen[str]":
     """Start an owner that keeps the light in a file on."""
-    program = f"from rigs import _drivers\n_drivers.LIGHTS['indi'] = {file_switch.__name__!r}\n{OWNER}"
+    stand_in = f"offered('light')['indi'] = (Driver('light', 'indi', {file_switch.__name__!r}),)"
+    program = f"from rigs import Driver, offered\n{stand_in}\n{OWNER}"
     command = [sys.executable, "-c", program, str(folder), habit, "indi"]
     pipe = subprocess.PIPE
     return subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, start_new_session=True)

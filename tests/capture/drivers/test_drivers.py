@@ -2,13 +2,13 @@
 
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from data_schemas import CameraSettings, LampSettings, LaserSettings, RefusedError, RigFile
 from rigs import TerminalOperator, open_camera, open_lamp, open_rig
-from rigs import _drivers as drivers
 from rigs.light_guard import GuardedLight
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.rig_excerpts import wheel_settings
@@ -29,19 +29,18 @@ def test_an_indi_camera_is_told_the_wheel_of_its_own_server(
 ) -> None:
     heard: list[dict[str, Any]] = []
 
-    def record(settings: CameraSettings, folder: Path, **extra: Any) -> nullcontext[None]:
+    def record(settings: CameraSettings, folder: Path, **extra: Any) -> nullcontext[SimpleNamespace]:
         heard.append(extra)
-        return nullcontext()
+        return nullcontext(SimpleNamespace(identity=None, expose=None))
 
     monkeypatch.setattr("rigs.cameras.indi.open_camera", record)
     camera = CameraSettings.model_construct(driver="indi", address=camera_at)
-    open_camera(camera, Path(), wheel_settings(wheel_at, driver=wheel_driver))
-    assert heard == [told]
+    with open_camera(camera, Path(), wheel_settings(wheel_at, driver=wheel_driver)):
+        assert heard == [told]
 
 
 def test_a_lamp_with_a_controller_has_a_guard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file_switch.install(monkeypatch)
-    assert drivers.LIGHTS["indi"] == file_switch.__name__
     with open_lamp(LampSettings.model_construct(driver="indi", address=str(tmp_path)), TerminalOperator()) as lamp:
         assert isinstance(lamp, GuardedLight)
         with lamp.lit():

@@ -229,10 +229,52 @@ def test_broken_connection_is_lost_and_another_camera_is_not_taken() -> None:
     camera.open()
     with pytest.raises(LostError, match=r"the connection broke \(unplugged\)"):
         camera.expose(0.01, 5.0)
-    with pytest.raises(LostError, match="the connection broke before"):
-        camera.identity()
-    with pytest.raises(RefusedError, match=r"another camera answers now .M, serial 2.; give the serial number"):
+    for ask in (camera.identity, lambda: camera.expose(0.01, 5.0)):
+        with pytest.raises(RefusedError, match=r"another camera answers now .M, serial \d.; give the serial number"):
+            ask()
+    camera.close()
+
+
+@pytest.mark.parametrize(("name", "reset"), [("PixelFormat", "Mono8"), ("Gain", 0.0), ("ExposureTime", 20000.0)])
+def test_camera_that_lost_its_settings_in_a_frame_is_set_anew(name: str, reset: str | float) -> None:
+    """A camera without a session of its own is restarted, answers as before, and sends what it likes."""
+
+    restarts = [False, True]  # in the frame after the one that is thrown away
+
+    class Restarted(Unreachable):
+        def identity(self) -> DeviceIdentity:
+            return DeviceIdentity(role="camera", driver="gentl", model="M")
+
+        def acquire(self, limit_s: float) -> Delivered | None:
+            if restarts and restarts.pop(0):
+                self.values[name] = reset
+            return Delivered("", 1, time.monotonic(), 64, 64, np.zeros(2 * 64 * 64, dtype=np.uint8))
+
+    camera = GenicamCamera(SETTINGS, lambda: Restarted(nodes().values))
+    camera.open()
+    with pytest.raises(LostError, match=r"has lost its settings \(\w+\), as after a restart; check its power"):
         camera.expose(0.01, 5.0)
+    assert camera.expose(0.01, 5.0).settings["pixel_format"] == "BayerRG16"
+    camera.close()
+
+
+def test_camera_that_comes_back_with_fewer_formats_is_not_believed() -> None:
+    """While a camera starts, formats that cannot be asked in time count as not offered."""
+    offers = [("BayerRG8", "BayerRG16"), ("Mono8", "Mono16"), ("BayerRG8", "BayerRG16")]
+
+    class Starting(Unreachable):
+        def identity(self) -> DeviceIdentity:
+            return DeviceIdentity(role="camera", driver="gentl", model="M")
+
+        def entries(self, name: str) -> tuple[str, ...]:
+            return offers.pop(0) if name == "PixelFormat" else super().entries(name)
+
+    camera = GenicamCamera(SETTINGS, lambda: Starting(nodes().values))
+    camera.open()
+    with pytest.raises(LostError, match="the connection broke"):
+        camera.expose(0.01, 5.0)
+    assert camera.identity().model == "M"  # opened twice: the first offered Mono16
+    assert not offers
     camera.close()
 
 

@@ -55,7 +55,7 @@ def test_guard_is_told_to_end_while_on_is_not_confirmed(folder):
             began_s = time.monotonic()
             os.kill(the_guard(str(folder)), signal.SIGTERM)
             is_off_at_once(folder, began_s)
-            assert "LostError" in process.stdout.readline()
+            assert "the guard process has ended (it received SIGTERM)" in process.stdout.readline()
         finally:
             process.kill()
 

@@ -3,9 +3,10 @@
 import os
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -23,8 +24,8 @@ from data_schemas import (
 )
 from rigs import FilterWheel, TerminalOperator, open_wheel
 from rigs.filter_wheels import thorlabs
-from rigs.filter_wheels.thorlabs import ANSWER_S, Dialogue
-from rigs.transports import SerialLink
+from rigs.filter_wheels.thorlabs import Dialogue
+from rigs.transports import Fault, SerialLink, faults_told
 from rigs.transports._serial_link import UsbSerialPort
 from tests.capture.drivers.programs import free_port, others_python, require, wait_until
 from tests.capture.drivers.serial_replay import TRANSCRIPTS, read_transcript, replayed
@@ -33,6 +34,7 @@ from tests.capture.drivers.thorlabs_wheel import EmulatedWheel, emulated_wheel
 # Deadlines are kept to one poll (0.05 s); the rest is for a busy machine.
 LATE_S = 1.0
 MOVE_S = 10.0
+SHORT_S = 2.5
 PROMPT_MODES = pytest.mark.parametrize("prompt_after_move", [False, True], ids=["prompt at once", "prompt at the end"])
 
 
@@ -46,6 +48,12 @@ def started() -> Iterator[EmulatedWheel]:
 def device(started: EmulatedWheel) -> EmulatedWheel:
     started.reset()
     return started
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give up questions early: nobody mends the wheel in these tests."""
+    monkeypatch.setattr(thorlabs, "RECOVERS_WITHIN_S", SHORT_S)
 
 
 def wheel_settings(address: str, slots: range = range(1, 9)) -> FilterWheelSettings:
@@ -156,7 +164,7 @@ def test_an_error_that_the_wheel_says(device: EmulatedWheel) -> None:
 
 
 @pytest.mark.rigs
-def test_a_mute_wheel_times_out(device: EmulatedWheel) -> None:
+def test_a_mute_wheel_times_out(device: EmulatedWheel, impatient: None) -> None:
     with opened(device.address) as wheel:
         device.control.put(mute=True)
         began_s = time.monotonic()
@@ -164,9 +172,9 @@ def test_a_mute_wheel_times_out(device: EmulatedWheel) -> None:
             wheel.go_to(3, 0.4)
         assert time.monotonic() - began_s < 0.4 + LATE_S
         began_s = time.monotonic()
-        with pytest.raises(TimedOutError, match="did not answer within 2 s"):
+        with pytest.raises(TimedOutError, match=r"did not answer within 1 s .*\(tried \d times\)"):
             wheel.position()
-        assert time.monotonic() - began_s < ANSWER_S + LATE_S
+        assert time.monotonic() - began_s < SHORT_S + LATE_S
         device.control.put(mute=False)
         assert wheel.position() == 1
 
@@ -179,7 +187,7 @@ def test_a_wheel_that_is_mute_from_the_start(device: EmulatedWheel) -> None:
 
 
 @pytest.mark.rigs
-def test_a_garbled_answer_is_no_answer(device: EmulatedWheel) -> None:
+def test_a_garbled_answer_is_no_answer(device: EmulatedWheel, impatient: None) -> None:
     with opened(device.address) as wheel:
         device.control.put(garble=True)
         with pytest.raises(LostError, match=r"answers 'pos\?' with \['#os\?', '1'\]; check that no other program"):
@@ -238,11 +246,50 @@ def test_another_device_is_refused(device: EmulatedWheel) -> None:
 
 
 @pytest.mark.rigs
-def test_a_value_that_is_no_number(device: EmulatedWheel) -> None:
+def test_a_value_that_is_no_number(device: EmulatedWheel, impatient: None) -> None:
     with opened(device.address) as wheel:
         device.control.put(pos="three")
         with pytest.raises(LostError, match=r"answers 'pos\?' with \['three'\]"):
             wheel.position()
+
+
+@pytest.mark.rigs
+def test_a_wheel_that_lost_its_power_is_proven_again(device: EmulatedWheel) -> None:
+    """Back at slot 1 with its sensors lit, as after a restart; one answer was lost meanwhile."""
+    faults: list[Fault] = []
+    with opened(device.address) as wheel:
+        wheel.go_to(5, MOVE_S)
+        device.control.put(pos=1, sensors=1, speed=0, late_s=1.4)
+        threading.Timer(0.2, lambda: device.control.put(late_s=0.0)).start()
+        with faults_told(faults.append):
+            wheel.go_to(7, MOVE_S)
+        assert (device.control.get("pos"), device.control.get("sensors"), device.control.get("speed")) == (7, 0, 1)
+    assert [(fault.device, fault.attempt) for fault in faults] == [(f"filter wheel at {device.address}", 1)]
+    assert "did not answer within 1 s" in faults[0].what
+
+
+@pytest.mark.rigs
+def test_another_wheel_after_a_fault_is_refused(device: EmulatedWheel, tmp_path: Path) -> None:
+    with opened(device.address) as wheel:
+        device.control.put(garble=True)
+        threading.Timer(0.2, lambda: device.control.put(garble=False, pcount=6)).start()
+        with pytest.raises(RefusedError, match=r"another wheel answers now \(FW102C/FW212C, 6 slots\)"):
+            wheel.go_to(3, MOVE_S)
+
+
+@pytest.mark.rigs
+def test_a_cable_that_is_pulled_and_plugged_in_again(device: EmulatedWheel, tmp_path: Path) -> None:
+    with serial_port(device, tmp_path) as (port, cable), opened(str(port)) as wheel:
+        wheel.go_to(2, MOVE_S)
+        cable.kill()
+        cable.wait()
+        again = ExitStack()
+        back = threading.Timer(0.7, lambda: again.enter_context(serial_port(device, tmp_path)))
+        back.start()
+        wheel.go_to(6, MOVE_S)
+        back.join()
+        with again:
+            assert wheel.position() == device.control.get("pos") == 6
 
 
 @pytest.mark.rigs
@@ -251,8 +298,8 @@ def test_an_unplugged_wheel_is_lost() -> None:
         with opened(device.address) as wheel:
             device.stop()
             for _ in range(2):
-                with pytest.raises(LostError, match="the connection broke"):
-                    wheel.go_to(3, MOVE_S)
+                with pytest.raises(LostError, match=r"the connection broke|cannot be opened"):
+                    wheel.go_to(3, 1.0)
         with pytest.raises(LostError, match="cannot be opened"), opened(device.address):
             pass
 
@@ -326,6 +373,9 @@ class Chatter:
     def drain(self, quiet_s: float, end_s: float) -> bytes:
         return b""
 
+    def forget(self) -> None:
+        """Nothing has come but what answers."""
+
 
 LIKE_AN_ANSWER = st.lists(
     st.sampled_from([b"pos?", b"pos=3", b"\r", b"> ", b">", b"3", b"-1", b"\xb2", b"Command error", b" CMD_", b"\n"]),
@@ -375,7 +425,7 @@ def serial_port(device: EmulatedWheel, folder: Path) -> Iterator[tuple[Path, sub
 
 
 @pytest.mark.rigs
-def test_a_serial_port(device: EmulatedWheel, tmp_path: Path) -> None:
+def test_a_serial_port(device: EmulatedWheel, tmp_path: Path, impatient: None) -> None:
     with serial_port(device, tmp_path) as (port, cable):
         # A former session died in the middle of a command, and nobody read the answer to the one before.
         left = os.open(port, os.O_RDWR | os.O_NOCTTY)

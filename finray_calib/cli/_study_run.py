@@ -1,0 +1,174 @@
+"""``finray study run`` and ``show``: a design study by its plan, and the table of one that was run."""
+
+import argparse
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from finray_calib.cli._run import (
+    add_paint,
+    add_paints_as_given,
+    command_line,
+    file_name,
+    input_digests,
+    paint_files,
+    progress_bar,
+    require_place,
+    say,
+)
+
+if TYPE_CHECKING:
+    from data_schemas import Provenance, StudyMetric, StudyPoint, StudyResult
+    from sim.studies import StudyPaints
+
+RUN_HELP = "run a design study by its plan: change a finger, and press, render and measure each variant"
+RUN_DESCRIPTION = """\
+Change one finger as a plan (TOML) says, and compute every variant: press, images, colours, evenness, how the touch
+shows, force. Points are computed by worker processes, as many as cores and memory allow; what points share is computed
+once. Each point is stored as soon as it is finished: an interrupted study goes on with the same command. A point that
+fails leaves its reason and stops no other.
+
+Writes into the folder of the study: points/ (a record each), table.csv (one row a point), study.json, study.html.
+
+A plan names its finger, what is set, what varies and what is computed:
+
+  name = "tilt"
+  design = "flat-70x35"             # a ready-made finger, or a design file beside the plan
+  combine = "grid"                  # or "together"; or "random" with count = 64 and low, high in place of values
+
+  [set]
+  "indenter.depth_mm" = 1.5
+
+  [measure]
+  press = "finite elements"         # or "analytic": the pad takes its shape at once, without force
+
+  [[vary]]
+  field = "light.angle_deg"
+  values = [0.0, 30.0, 60.0]"""
+RUN_EPILOG = """\
+examples:
+  finray study run pad-shapes
+  finray study run tilt.toml --paint red=red.paint.json --paint green=green.paint.json --out tilt
+  finray study run big.toml --scheduler tcp://10.0.0.5:8786     # a Dask scheduler whose workers see the same folders
+plans that come with finray: """
+SHOW_HELP = "show the table of a design study"
+TABLE_NAME, RESULT_NAME, PAGE_NAME = "table.csv", "study.json", "study.html"
+
+
+def add_design_studies(studies: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register ``run`` and ``show``."""
+    run = studies.add_parser(
+        "run",
+        help=RUN_HELP,
+        description=RUN_DESCRIPTION,
+        epilog=RUN_EPILOG + "pad-shapes, finger-family, ribs, light-over-pad",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    run.add_argument("plan", metavar="PLAN", help="plan (TOML), or the name of one that comes with finray")
+    add_paint(run)
+    add_paints_as_given(run)
+    run.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
+    run.add_argument("--workers", type=_count, metavar="N", help="worker processes (default: by cores and memory)")
+    run.add_argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this Dask scheduler instead")
+    run.add_argument("--out", type=Path, metavar="DIR", help="folder of the study (default: its name)")
+    run.set_defaults(run=run_design_study)
+    show = studies.add_parser("show", help=SHOW_HELP, description=SHOW_HELP)
+    show.add_argument("study", type=Path, metavar="DIR", help="folder that 'finray study run' wrote")
+    show.set_defaults(run=show_study)
+
+
+def _count(text: str) -> int:
+    """Parse a number of workers."""
+    if not text.isdecimal() or not 1 <= int(text) <= 1024:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from 1 to 1024")
+    return int(text)
+
+
+def run_design_study(arguments: argparse.Namespace) -> None:
+    """Run a study; store its table, its result and its page."""
+    from data_schemas import SimulateError, StudyResult, StudyRow, provenance
+    from data_schemas.storage import clear_leftovers
+    from finray_calib.reports import study_text
+    from sim.studies import StudyPaints, StudyTask, read_plan, run_study, study_points
+
+    plan, path = read_plan(arguments.plan)
+    points = study_points(plan, path)
+    paints, files = _paints(arguments) if plan.measure.images else (StudyPaints({}, {}), [])
+    out = require_place(arguments.out or Path(file_name(plan.name)))
+    out.mkdir(parents=True, exist_ok=True)
+    clear_leftovers(out)
+    origin = provenance(command_line(), input_digests([path, *files]), plan.seed)
+    task = StudyTask(plan, paints, arguments.engine, out.absolute(), path.parent.absolute(), origin)
+    with progress_bar(f"study {plan.name}") as progress:
+        found, failures = run_study(task, points, arguments.workers, arguments.scheduler, progress)
+    if not found:
+        raise SimulateError(f"{path}: no point could be computed; the first failed because: {failures[0].reason}")
+    result = StudyResult(
+        name=plan.name,
+        about=plan.about,
+        varied=tuple(variation.field for variation in plan.vary),
+        points=tuple(StudyRow(number=p.number, changes=p.changes, metrics=p.metrics) for p in found),
+        failures=tuple(failures),
+    )
+    _store(out, result, found, origin)
+    say(study_text(result))
+    for failure in failures:
+        say(f"point {failure.number} failed: {failure.reason}")
+    say(f"{out / PAGE_NAME}")
+
+
+def _paints(arguments: argparse.Namespace) -> "tuple[StudyPaints, list[Path]]":
+    """Return the paints of the walls, those of the simulated rig where none are given, and their files."""
+    from finray_calib.cli._study import calibrated_paints, stand_in_paints
+    from sim.studies import StudyPaints
+
+    files = paint_files(arguments, without="the simulated rig's paints")
+    optics, sources = calibrated_paints(files, arguments.paints_as_given) if files else stand_in_paints()
+    return StudyPaints(optics, sources), list(files.values())
+
+
+def _store(out: Path, result: "StudyResult", points: "Sequence[StudyPoint]", origin: "Provenance") -> None:
+    """Store table, page and result together, in place of those of an earlier run of the same study."""
+    from data_schemas.storage import ProductSet, write_record
+    from finray_calib.reports import design_study_page
+
+    names = (RESULT_NAME, TABLE_NAME, PAGE_NAME)
+    for name in names:  # made again from the points, which are what is kept
+        (out / name).unlink(missing_ok=True)
+    page = design_study_page(result, points, origin.command, origin.input_sha256, origin.package_version)
+    with ProductSet(out / RESULT_NAME) as products:
+        products.add(out / TABLE_NAME, table_csv(result).encode())
+        products.add(out / PAGE_NAME, page.encode())
+        write_record(result, out / RESULT_NAME, origin, products)
+
+
+def table_csv(result: "StudyResult") -> str:
+    """Return one row a point: number, what was changed, and each metric with its limits."""
+    names = list(dict.fromkeys(metric.name for row in result.points for metric in row.metrics))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["point", *result.varied, *(f"{n}{end}" for n in names for end in ("", "_low95", "_high95"))])
+    for row in result.points:
+        metrics = {metric.name: metric for metric in row.metrics}
+        cells = [value for name in names for value in _three(metrics.get(name))]
+        writer.writerow([row.number, *(row.changes[field] for field in result.varied), *cells])
+    return text.getvalue()
+
+
+def _three(metric: "StudyMetric | None") -> tuple[float | None, float | None, float | None]:
+    """Return a number and its limits; None where they are not known."""
+    return (None, None, None) if metric is None else (metric.value, metric.low95, metric.high95)
+
+
+def show_study(arguments: argparse.Namespace) -> None:
+    """Show the table of a study."""
+    from data_schemas import StudyResult
+    from data_schemas.storage import read_record
+    from finray_calib.reports import study_text
+
+    result = read_record(arguments.study / RESULT_NAME, StudyResult)
+    say(study_text(result))
+    for failure in result.failures:
+        say(f"point {failure.number} failed: {failure.reason}")

@@ -1,0 +1,230 @@
+"""Folders of images that any simulator renders, as the simulated side of a comparison.
+
+One folder holds one press: ``contact`` and ``no_contact`` (PNG, OpenEXR or npy), where the contact is (``depth.npy``,
+how deep each pixel of the gel is pressed in, in mm; or a mask, ``contact_mask.png``; or a circle), and ``render.json``,
+which says what the values are. A folder of such folders holds several presses. What cannot be known from the files is
+asked for: PNG is encoded and OpenEXR linear light unless render.json says otherwise, npy says nothing by itself.
+"""
+
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError
+from scipy.ndimage import distance_transform_edt
+
+from data_schemas import ContactCircle, ImportFormatError, Model, SimulatedPress, explain
+from data_schemas.storage import read_json, read_npy
+from finray_calib.exchange._bispectral_exr import exr_image
+from rigs.cameras import read_picture
+
+Floats = NDArray[np.float64]
+CONTACT: Final = "contact"
+NO_CONTACT: Final = "no_contact"
+DESCRIPTION: Final = "render.json"
+DEPTH: Final = "depth.npy"
+MASK: Final = "contact_mask.png"
+IMAGE_ENDINGS: Final = (".exr", ".npy", ".png")
+#: A gel that is pressed in by less than this share of the greatest depth is taken for one that is not touched.
+LEAST_DEPTH_SHARE: Final = 0.01
+
+
+class RenderDescription(Model):
+    """What a render's folder says of itself (render.json); what is left out is not known."""
+
+    simulator: str = Field(default="a simulator that is not named", description="program and version")
+    encoding: Literal["linear", "encoded"] | None = Field(
+        default=None, description="linear: proportional to light; encoded: as a camera's 8-bit images"
+    )
+    channels: Literal["RGB", "BGR"] | None = Field(default=None, description="order in npy files")
+    command: str = ""
+    seed: int | None = None
+    samples: int | None = None
+    seconds: Annotated[float, Field(ge=0.0)] | None = None
+    mm_per_px: Annotated[float, Field(gt=0.0)] | None = None
+    contact_circle: ContactCircle | None = None
+
+
+def read_renders(folder: Path, circles: dict[str, ContactCircle] | None = None) -> dict[str, SimulatedPress]:
+    """Read a folder of one press, or of a folder for each press.
+
+    Parameters
+    ----------
+    folder
+        Holds contact and no_contact images, or folders that do.
+    circles
+        Press name -> contact circle of its capture, which stands for what the folder says of the contact.
+
+    Returns
+    -------
+    dict of str to SimulatedPress
+        By name of the press.
+
+    Raises
+    ------
+    ImportFormatError
+        A file is missing or not what the layout says, or the two images differ in size or kind.
+    """
+    if not folder.is_dir():
+        raise ImportFormatError(f"{folder}: no such folder; give a folder with {CONTACT}.png and {NO_CONTACT}.png")
+    if _image_file(folder, CONTACT) is not None:
+        folders = [folder]
+    else:
+        folders = sorted(inner for inner in folder.iterdir() if inner.is_dir() and _image_file(inner, CONTACT))
+    if not folders:
+        endings = ", ".join(IMAGE_ENDINGS)
+        raise ImportFormatError(
+            f"{folder}: neither it nor a folder in it holds a file {CONTACT} ({endings}); put the image with contact "
+            f"there, and {NO_CONTACT} beside it"
+        )
+    known = circles or {}
+    return {inner.resolve().name: _press(inner, known.get(inner.resolve().name)) for inner in folders}
+
+
+def _image_file(folder: Path, stem: str) -> Path | None:
+    """Return the image of a name."""
+    return next((folder / f"{stem}{e}" for e in IMAGE_ENDINGS if (folder / f"{stem}{e}").is_file()), None)
+
+
+def _press(folder: Path, circle: ContactCircle | None) -> SimulatedPress:
+    """Return one press."""
+    said = _description(folder / DESCRIPTION)
+    files = {stem: _image_file(folder, stem) for stem in (CONTACT, NO_CONTACT)}
+    contact_file, rest_file = files[CONTACT], files[NO_CONTACT]
+    if contact_file is None or rest_file is None:
+        raise ImportFormatError(
+            f"{folder}: there is no {NO_CONTACT} ({', '.join(IMAGE_ENDINGS)}) beside {CONTACT}; render the gel "
+            "untouched by the same call, with a height of zero"
+        )
+    if contact_file.suffix != rest_file.suffix:
+        raise ImportFormatError(
+            f"{folder}: {contact_file.name} and {rest_file.name} are of two kinds; write both the same way"
+        )
+    encoding = said.encoding or {".exr": "linear", ".png": "encoded"}.get(contact_file.suffix)
+    if encoding is None:
+        raise ImportFormatError(
+            f'{folder}: npy files do not say what they hold; write "encoding": "linear" (proportional to light) or '
+            f'"encoded" (values of an 8-bit image) into {DESCRIPTION}'
+        )
+    contact, no_contact = (_image(file, said.channels) for file in (contact_file, rest_file))
+    if contact.shape != no_contact.shape:
+        raise ImportFormatError(
+            f"{folder}: {contact_file.name} is {contact.shape[1]} x {contact.shape[0]} px, {rest_file.name} "
+            f"{no_contact.shape[1]} x {no_contact.shape[0]} px; render both with one camera"
+        )
+    distance, how = _distance(folder, contact.shape[:2], circle, said.contact_circle)
+    notes = [f"imported from a folder of images, by {said.simulator}; its contact: {how}"]
+    notes += [f"rendered by: {said.command}"] if said.command else []
+    notes += (
+        [] if said.samples is None else [f"{said.samples} samples per pixel: the render's noise stays in its errors"]
+    )
+    return SimulatedPress(
+        name=folder.resolve().name,
+        label=f"rendered, {said.simulator}",
+        method="rendered",
+        encoding="linear" if encoding == "linear" else "unknown",
+        no_contact=no_contact.astype(np.float32),
+        contact=contact.astype(np.float32),
+        distance=distance.astype(np.float32),
+        variance=None,
+        light_angle_deg=None,
+        design=None,
+        notes=tuple(notes),
+    )
+
+
+def _description(path: Path) -> RenderDescription:
+    """Return what render.json says; nothing where it is not there."""
+    if not path.is_file():
+        return RenderDescription()
+    found = read_json(path, "the description of a render", ImportFormatError)
+    try:
+        return RenderDescription.model_validate(found)
+    except ValidationError as error:
+        raise ImportFormatError(f"{path}: {explain(error, RenderDescription)}") from None
+
+
+def _image(path: Path, channels: str | None) -> Floats:
+    """Return an image (H, W, 3) in RGB order."""
+    if path.suffix == ".png":
+        picture = read_picture(path, "a PNG image", ImportFormatError)
+        if picture.ndim != 3 or picture.shape[2] not in (3, 4) or picture.dtype != np.uint8:
+            raise ImportFormatError(
+                f"{path}: expected an 8-bit colour image, got {picture.dtype} of shape {picture.shape}; write light as "
+                "npy or OpenEXR"
+            )
+        return np.asarray(picture[..., 2::-1], dtype=np.float64)
+    if path.suffix == ".exr":
+        return _exr(path)
+    array = read_npy(path, "an image (npy)", ImportFormatError).astype(np.float64)
+    if array.ndim != 3 or array.shape[2] != 3 or not np.isfinite(array).all() or array.min(initial=0.0) < 0.0:
+        raise ImportFormatError(
+            f"{path}: expected finite numbers >= 0 of shape (rows, columns, 3), got shape {array.shape}; correct it"
+        )
+    if channels is None:
+        raise ImportFormatError(f'{path}: npy files do not say their order; write "channels": "RGB" or "BGR"')
+    return np.asarray(array[..., ::-1] if channels == "BGR" else array)
+
+
+def _exr(path: Path) -> Floats:
+    """Return the channels R, G, B of an OpenEXR image."""
+    found: dict[str, NDArray[Any]] = exr_image(path)
+    names = {name.rsplit(".", 1)[-1].upper(): name for name in found}
+    if not {"R", "G", "B"} <= names.keys():
+        raise ImportFormatError(f"{path}: needs the channels R, G and B, got {', '.join(sorted(found)) or 'none'}")
+    image = np.stack([np.asarray(found[names[c]], dtype=np.float64) for c in "RGB"], axis=-1)
+    if image.ndim != 3 or not np.isfinite(image).all():
+        raise ImportFormatError(f"{path}: holds values that are not finite; render it again")
+    return np.maximum(image, 0.0)
+
+
+def _distance(
+    folder: Path, shape: tuple[int, ...], of_capture: ContactCircle | None, of_render: ContactCircle | None
+) -> tuple[Floats, str]:
+    """Return the distance from the contact in half-widths, and what tells where the contact is."""
+    for circle, whose in ((of_capture, "the circle of the capture"), (of_render, f"the circle of {DESCRIPTION}")):
+        if circle is not None:
+            rows, columns = np.indices(shape[:2])
+            away = np.hypot(rows - circle.row_px, columns - circle.column_px)
+            return np.asarray(away / circle.radius_px), whose
+    if (folder / DEPTH).is_file():
+        depth = read_npy(folder / DEPTH, "a map of depths (npy)", ImportFormatError).astype(np.float64)
+        if depth.shape != shape[:2] or not np.isfinite(depth).all() or not depth.max(initial=0.0) > 0.0:
+            raise ImportFormatError(
+                f"{folder / DEPTH}: expected finite depths in mm of {shape[0]} x {shape[1]} (rows, columns), some "
+                f"above 0, got shape {depth.shape}; positive is into the gel"
+            )
+        inside = depth > LEAST_DEPTH_SHARE * depth.max()
+        return outline_distance(inside), f"where {DEPTH} exceeds {LEAST_DEPTH_SHARE:.0%} of its largest depth"
+    if (folder / MASK).is_file():
+        mask = read_picture(folder / MASK, "a mask (PNG)", ImportFormatError)
+        touched: NDArray[np.bool_] = np.asarray(mask if mask.ndim == 2 else mask.max(axis=2)) > 0
+        if touched.shape != shape[:2] or not touched.any():
+            raise ImportFormatError(f"{folder / MASK}: must be as large as the images and white where the contact is")
+        return outline_distance(touched), f"the mask {MASK}"
+    raise ImportFormatError(
+        f"{folder}: nothing says where the contact is, and a score needs its region; write {DEPTH} (mm, positive into "
+        f"the gel), {MASK}, or contact_circle into {DESCRIPTION}, or give the capture with --capture"
+    )
+
+
+def outline_distance(inside: NDArray[np.bool_]) -> Floats:
+    """Return the distance from the contact in half-widths for a contact of any shape.
+
+    With d the distance from the outline in pixels, positive outside, and w the largest distance inside, 1 + d / w: 1 on
+    the outline, 0 at the middle. Of a disc it is the distance from its centre over its radius.
+
+    Parameters
+    ----------
+    inside : ndarray of bool, shape (H, W)
+        At least one pixel.
+    """
+    if inside.all():
+        return np.zeros(inside.shape)
+    within = np.asarray(distance_transform_edt(inside), dtype=np.float64)
+    outside = np.asarray(distance_transform_edt(~inside), dtype=np.float64)
+    # the outline runs between pixels: half a pixel from the last one on either side
+    signed = np.where(inside, 0.5 - within, outside - 0.5)
+    width = max(float(within.max()) - 0.5, 0.5)
+    return np.asarray(np.maximum(1.0 + signed / width, 0.0))

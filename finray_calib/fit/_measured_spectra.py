@@ -1,0 +1,523 @@
+r"""A prior of emission curves learned from measured fluorophores, and its posterior in closed form.
+
+A curve is one of a few prototypes of shape g, put at a place and stretched in wavenumber, with linear departures:
+
+.. math:: f = a\left[g(u) + \sum_j z_j v_j(u) + s\,(g + \epsilon)\,d(\lambda) + r\,g\,e(\lambda) + t\,h(\lambda)\right],
+          \quad u = (\nu - \nu_m) / W
+
+with v the directions in which measured shapes of a prototype differ (and those of place and width between the points
+of the grid), d a Gaussian process of amplitude s, e a re-absorbed blue edge and h a second dye of any shape. Prototype,
+place, width, s in three sizes and t are discrete; everything else is normal, so that given them the bands are jointly
+normal: the evidence of each of some thousand components is closed form, and so are its draws. Choice of the shape and
+size of the departure thereby belong to the interval. Nothing is adapted and no chain has to converge.
+
+The height a is integrated out with a proper prior: without one a component that emits beyond the last filter explains
+any signal with any height. Where a multiplies the departures' covariance it is its own estimate, iterated. Leaks, which
+are log-normal, enter with their mean and covariance.
+
+Prototypes are means of at least five measured curves each, the directions are those of all curves together: no single
+curve can be read back.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from finray_calib.fit._band_data import BandData, Reference, tolerance_columns
+from finray_calib.fit._prior import chi_square_survival
+
+Floats = NDArray[np.float64]
+
+PROTOTYPES_FILE: Final = Path(__file__).with_name("measured_spectra.json")
+LEAST_CURVES_OF_A_PROTOTYPE: Final = 5
+_PLACE_STEP_KK, _LN_WIDTH_STEP = 0.25, 0.16
+_LOWEST_KK = 13.7
+_ABOVE_LASER_NM = 12.0
+_WIDTH_REACH_SD = 2.0
+_PROCESS_LENGTH_NM, _PROCESS_FLOOR = 14.0, 0.03
+_DETAIL_LENGTH_NM, _DETAIL_SHARE = 5.0, 0.15
+"""Part of the variance of the process that changes within a filter: vibronic detail, which smooth curves lack."""
+_SIZES: Final = ((0.05, 0.3), (0.1, 0.4), (0.2, 0.3))
+_SECOND_DYE: Final = ((0.0, 0.8), (0.3, 0.2))
+_EDGE_SD = 0.25
+_SECOND_RANK = 14
+_KEPT = 160
+_HEIGHT_AT_YIELD, _HEIGHT_SD_REL = 0.15, 1.5
+_REFLECTANCE, _REFLECTANCE_SD = 0.2, 0.5
+_FIRST_PASS_SIZE = 0.15
+_NM_OF_KK = 1e4
+
+
+@dataclass(frozen=True)
+class MeasuredSpectra:
+    """What was learned of the shapes of emission curves.
+
+    Attributes
+    ----------
+    u
+        (U,) positions: wavenumber from the mode over the full width at half maximum; the blue side is positive.
+    shapes
+        (K, U) prototypes, peak 1.
+    directions
+        (J, U) departures of one standard deviation, common to all prototypes.
+    members
+        (K,) number of measured curves behind each prototype.
+    ln_width_kk, ln_width_sd
+        (K,) logarithm of the full width in wavenumber (1000 per cm): mean and standard deviation of each prototype.
+    origin
+        Where it was learned.
+    """
+
+    u: Floats
+    shapes: Floats
+    directions: Floats
+    members: Floats
+    ln_width_kk: Floats
+    ln_width_sd: Floats
+    origin: str
+
+    @cached_property
+    def share(self) -> Floats:
+        """Prior share of each prototype."""
+        return np.asarray((self.members + 1) / (self.members + 1).sum())
+
+
+@lru_cache(maxsize=1)
+def learned_spectra() -> MeasuredSpectra:
+    """Return what the package ships."""
+    return spectra_of(json.loads(PROTOTYPES_FILE.read_text(encoding="utf-8")))
+
+
+def spectra_of(stored: Mapping[str, Any]) -> MeasuredSpectra:
+    """Return prototypes from the content of their file."""
+    first, last, count = stored["u"]
+    arrays = {
+        name: np.array(stored[name]) for name in ("shapes", "directions", "members", "ln_width_kk", "ln_width_sd")
+    }
+    return MeasuredSpectra(u=np.linspace(first, last, int(count)), origin=stored["origin"], **arrays)
+
+
+@dataclass(frozen=True)
+class Components:
+    """The components of a prior above a laser.
+
+    Attributes
+    ----------
+    prototype
+        (C,) prototype of each.
+    mode_kk, width_kk
+        (C,) place and full width, 1000 per cm.
+    ln_share
+        (C,) logarithm of the prior share.
+    curves
+        (C, L) curves of peak 1.
+    """
+
+    spectra: MeasuredSpectra
+    wavelength_nm: Floats
+    laser_nm: float
+    prototype: NDArray[np.int64]
+    mode_kk: Floats
+    width_kk: Floats
+    ln_share: Floats
+    curves: Floats
+
+    def positions(self, chosen: NDArray[np.int64] | slice = slice(None)) -> Floats:
+        """Return u of each component at each wavelength, (C, L)."""
+        nu = _NM_OF_KK / self.wavelength_nm
+        return np.asarray((nu - self.mode_kk[chosen, None]) / self.width_kk[chosen, None])
+
+    def moved(self, chosen: NDArray[np.int64] | slice = slice(None)) -> Floats:
+        """Return the directions of place and width, one standard deviation of the grid's cell each, (C, 2, L)."""
+        u = self.positions(chosen)
+        slope = _sampled(self._slopes, self.spectra.u, self.prototype[chosen], u) * self._above
+        place = -slope / self.width_kk[chosen, None] * (_PLACE_STEP_KK / np.sqrt(12))
+        return np.stack([place, -u * slope * (_LN_WIDTH_STEP / np.sqrt(12))], axis=1)
+
+    def departures(self, chosen: NDArray[np.int64]) -> Floats:
+        """Return all directions but those of the process and the second dye, (C, 3 + J, L)."""
+        u, curves = self.positions(chosen), self.curves[chosen]
+        learned = np.stack(
+            [np.interp(u.ravel(), self.spectra.u, v, 0.0, 0.0).reshape(u.shape) for v in self.spectra.directions],
+            axis=1,
+        )
+        edge = _EDGE_SD * curves / (1 + np.exp(np.clip((0.5 - u) / 0.12, -60, 60)))
+        return np.concatenate([self.moved(chosen), learned * self._above, edge[:, None]], axis=1)
+
+    @cached_property
+    def _slopes(self) -> Floats:
+        return np.gradient(self.spectra.shapes, self.spectra.u, axis=1)
+
+    @cached_property
+    def _above(self) -> Floats:
+        return np.asarray((self.wavelength_nm >= self.laser_nm).astype(np.float64))
+
+    @cached_property
+    def process(self) -> Floats:
+        """Factor (L, R) of the process of amplitude 1."""
+        apart_nm = self.wavelength_nm[:, None] - self.wavelength_nm
+        smooth, detail = (np.exp(-0.5 * (apart_nm / nm) ** 2) for nm in (_PROCESS_LENGTH_NM, _DETAIL_LENGTH_NM))
+        roots, vectors = np.linalg.eigh((1 - _DETAIL_SHARE) * smooth + _DETAIL_SHARE * detail)
+        large = roots > 1e-3 * roots[-1]
+        return np.asarray(vectors[:, large] * np.sqrt(roots[large]))
+
+    @cached_property
+    def second(self) -> Floats:
+        """Directions (R, L) of a second dye of height 1: the second moment of all components."""
+        weighted = self.curves * np.sqrt(np.exp(self.ln_share))[:, None]
+        roots, vectors = np.linalg.eigh(weighted.T @ weighted)
+        return np.asarray((vectors[:, -_SECOND_RANK:] * np.sqrt(np.maximum(roots[-_SECOND_RANK:], 0.0))).T)
+
+
+def _sampled(table: Floats, u: Floats, prototype: NDArray[np.int64], at: Floats) -> Floats:
+    """Return rows of a table (K, U) interpolated at (C, L) positions; 0 outside."""
+    step = u[1] - u[0]
+    place = (at - u[0]) / step
+    inside = (place >= 0) & (place <= u.size - 1)
+    cell = np.clip(place.astype(np.int64), 0, u.size - 2)
+    right = place - cell
+    row = prototype[:, None]
+    return np.where(inside, (1 - right) * table[row, cell] + right * table[row, cell + 1], 0.0)
+
+
+@lru_cache(maxsize=4)
+def _components(spectra_key: int, laser_nm: float, wavelengths: bytes) -> Components:
+    spectra, grid = _KNOWN[spectra_key], np.frombuffer(wavelengths)
+    highest = _NM_OF_KK / (laser_nm + _ABOVE_LASER_NM)
+    places = np.arange(_LOWEST_KK, highest, _PLACE_STEP_KK)
+    prototype, mode, width, ln_share = [], [], [], []
+    for k, (centre, sd) in enumerate(zip(spectra.ln_width_kk, spectra.ln_width_sd, strict=True)):
+        steps = np.arange(-int(_WIDTH_REACH_SD * sd / _LN_WIDTH_STEP), int(_WIDTH_REACH_SD * sd / _LN_WIDTH_STEP) + 1)
+        ln_prior = -0.5 * (steps * _LN_WIDTH_STEP / sd) ** 2
+        ln_prior -= np.log(np.exp(ln_prior).sum() * places.size) - np.log(spectra.share[k])
+        prototype.append(np.full(steps.size * places.size, k))
+        mode.append(np.tile(places, steps.size))
+        width.append(np.repeat(np.exp(centre + steps * _LN_WIDTH_STEP), places.size))
+        ln_share.append(np.repeat(ln_prior, places.size))
+    which, modes, widths = np.concatenate(prototype), np.concatenate(mode), np.concatenate(width)
+    u = (_NM_OF_KK / grid - modes[:, None]) / widths[:, None]
+    curves = _sampled(spectra.shapes, spectra.u, which, u) * (grid >= laser_nm)
+    return Components(spectra, grid, laser_nm, which, modes, widths, np.concatenate(ln_share), curves)
+
+
+_KNOWN: dict[int, MeasuredSpectra] = {}
+
+
+def components_of(spectra: MeasuredSpectra, wavelength_nm: Floats, laser_nm: float) -> Components:
+    """Return the components of a prior on a grid above a laser."""
+    _KNOWN[id(spectra)] = spectra
+    return _components(id(spectra), laser_nm, np.ascontiguousarray(wavelength_nm).tobytes())
+
+
+@dataclass(frozen=True)
+class SpectrumPosterior:
+    """Posterior of the emission under the learned prior.
+
+    Attributes
+    ----------
+    curves
+        (n, L) draws, nm^-1, of 0 or more, zero below the laser.
+    reflectance_at_laser
+        (n,) draws.
+    imperfections
+        (n, B) draws of the calibration of each band, in prior standard deviations.
+    ln_evidence
+        Of the prior, nats.
+    effective
+        How many components share the posterior.
+    chi2, degrees_of_freedom, p_value
+        (B,) posterior mean chi-square of each band, its usable channels, and posterior predictive probability of a
+        larger one; NaN where no channel is usable.
+    total_chi2
+        Posterior mean chi-square of all values.
+    predicted_mean, predicted_sd
+        (B, C) predicted band values, noise left out of the standard deviation.
+    """
+
+    curves: Floats
+    reflectance_at_laser: Floats
+    imperfections: Floats
+    ln_evidence: float
+    effective: float
+    chi2: Floats
+    degrees_of_freedom: NDArray[np.int64]
+    p_value: Floats
+    total_chi2: float
+    predicted_mean: Floats
+    predicted_sd: Floats
+
+
+@dataclass(frozen=True)
+class _Rig:
+    """The bands as a linear map at the mean leak, and what is uncertain beside the paint.
+
+    emission (K, L), laser (K,) of the usable rows; fixed (K, K) covariance, calibration (K, B) columns.
+    """
+
+    data: BandData
+    leak_factor: float
+    ln_blocking_sd: float
+    y: Floats = field(init=False)
+    emission: Floats = field(init=False)
+    laser: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        kept, w = self.data.kept, self.data.weights
+        more, white = self._mean_leak()
+        object.__setattr__(self, "y", self.data.y.ravel()[kept])
+        object.__setattr__(self, "emission", ((w.emission + more[:, None] * w.leaked_emission) / white[:, None])[kept])
+        object.__setattr__(self, "laser", ((w.reflected_laser + more * w.leaked_laser) / white)[kept])
+
+    def _mean_leak(self) -> tuple[Floats, Floats]:
+        more = self.leak_factor * self.data.leak_mean - 1
+        return more, 1 + more * self.data.weights.leaked_white
+
+    def columns(self, curve: Floats | None, reflectance: float) -> Floats:
+        """Return the columns of what is uncertain beside noise and paint, calibration first, (K, M)."""
+        data, w, kept = self.data, self.data.weights, self.data.kept
+        calibration = data.imperfections()
+        if curve is None:
+            return calibration
+        more, white = self._mean_leak()
+        found = [calibration]
+        mu = (w.emission @ curve + reflectance * w.reflected_laser) / white
+        if data.tolerances is not None:
+            leak = more + 1
+            every = tolerance_columns(Reference(curve, reflectance, leak), w, data.tolerances)
+            found.append(every[kept, w.bands : 3 * w.bands])
+            leaked = w.leaked_emission @ curve + reflectance * w.leaked_laser
+            slope = (leak * (leaked - mu * w.leaked_white) / white)[kept]
+            band, sd = w.band_index[kept], data.leak_sd[kept]
+            ln = self.ln_blocking_sd**2 + np.equal.outer(band, band) * np.outer(sd, sd)
+            roots, vectors = np.linalg.eigh(np.outer(slope, slope) * np.expm1(ln))
+            large = roots > 1e-12 * max(float(roots[-1]), np.finfo(float).tiny)
+            found.append(vectors[:, large] * np.sqrt(roots[large]))
+        return np.concatenate(found, axis=1)
+
+
+@dataclass(frozen=True)
+class _Scored:
+    """Components with their height and reflectance given the bands."""
+
+    chosen: NDArray[np.int64]
+    size: Floats
+    second: Floats
+    height: Floats  # (n, 2) mean of height and reflectance
+    precision: Floats  # (n, 2, 2) of both
+    inverse: Floats  # (n, K, K) of the covariance of the bands
+    weight: Floats
+    ln_evidence: float
+
+
+def fit_spectrum(
+    data: BandData, spectra: MeasuredSpectra, ln_blocking_sd: float, draws: int, rng: np.random.Generator
+) -> SpectrumPosterior:
+    """Return the posterior of the emission under the learned prior, in closed form.
+
+    Two passes: all components with one size of the departure, then the best with all sizes and a second dye, and with
+    the filters' tolerances at the mean of the first.
+
+    Parameters
+    ----------
+    data
+        Band values with covariance, usable entries and the rig's weights.
+    spectra
+        What was learned.
+    ln_blocking_sd
+        Uncertainty of the filters' blocking, as the logarithm of a multiplier around 1.
+    draws
+        Number of draws.
+    rng
+        Source of all randomness.
+    """
+    leaks = bool((data.weights.leaked_laser > 0).any() or (data.weights.leaked_emission > 0).any())
+    sd = ln_blocking_sd if leaks else 0.0
+    rig = _Rig(data, float(np.exp(sd**2 / 2)), sd)
+    parts = components_of(spectra, data.weights.wavelength_nm, data.weights.laser_nm)
+    bands = parts.curves @ rig.emission.T
+    seen = np.flatnonzero(bands.max(axis=1) > 1e-6 * bands.max())
+    first = _first_pass(rig, parts, bands, seen)
+    best = first.chosen[np.argsort(-first.weight)[:_KEPT]]
+    curve = (first.weight * np.maximum(first.height[:, 0], 0.0)) @ parts.curves[first.chosen]
+    reflectance = max(float(first.weight @ first.height[:, 1]), 1e-3)
+    columns = rig.columns(curve, reflectance)
+    second = _second_pass(rig, parts, bands, best, columns, first)
+    return _drawn(rig, parts, bands, second, columns, draws, rng)
+
+
+def prior_curves(parts: Components, count: int, rng: np.random.Generator) -> Floats:
+    """Return curves drawn from the prior, without the smaller departures, (count, L), nm^-1."""
+    share = np.exp(parts.ln_share)
+    chosen = rng.choice(share.size, count, p=share / share.sum())
+    mean, precision = _height_prior(parts, chosen)
+    height = np.abs(mean[:, 0] + rng.standard_normal(count) / np.sqrt(precision[:, 0]))
+    return np.asarray(parts.curves[chosen] * height[:, None])
+
+
+def _height_prior(parts: Components, chosen: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """Return mean and precision (n, 2) of height and reflectance."""
+    area = parts.curves[chosen].sum(axis=1) * (parts.wavelength_nm[1] - parts.wavelength_nm[0])
+    height = _HEIGHT_AT_YIELD / np.maximum(area, 1e-12)
+    mean = np.stack([height, np.full(height.size, _REFLECTANCE)], axis=1)
+    sd = np.stack([_HEIGHT_SD_REL * height, np.full(height.size, _REFLECTANCE_SD)], axis=1)
+    return mean, sd**-2
+
+
+def _scored(
+    rig: _Rig,
+    parts: Components,
+    bands: Floats,
+    chosen: NDArray[np.int64],
+    departures: Floats,
+    rest: Floats,
+    ln_prior: Floats,
+    height: Floats,
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return ln evidence (n,), height and reflectance (n, 2), their precision and the inverse covariance."""
+    mean, precision = _height_prior(parts, chosen)
+    design = np.stack([bands[chosen], np.broadcast_to(rig.laser, bands[chosen].shape)], axis=2)
+    for _ in range(2):
+        inverse = np.linalg.inv(rest + (height**2)[:, None, None] * departures)
+        weighted = inverse @ design
+        information = design.transpose(0, 2, 1) @ weighted + np.eye(2) * precision[:, None, :]
+        right = weighted.transpose(0, 2, 1) @ rig.y + precision * mean
+        found = np.linalg.solve(information, right[..., None])[..., 0]
+        height = np.maximum(found[:, 0], 1e-3 * mean[:, 0])
+    residual = rig.y - (design @ found[..., None])[..., 0]
+    ln = -0.5 * np.einsum("ni,nij,nj->n", residual, inverse, residual) + 0.5 * np.linalg.slogdet(inverse)[1]
+    ln += -0.5 * (precision * (found - mean) ** 2).sum(axis=1) + 0.5 * np.log(precision).sum(axis=1)
+    ln += -0.5 * np.linalg.slogdet(information)[1] + ln_prior - 0.5 * rig.y.size * np.log(2 * np.pi)
+    return np.where(found[:, 0] > 0, ln, -np.inf), np.asarray(found), information, np.asarray(inverse)
+
+
+def _first_pass(rig: _Rig, parts: Components, bands: Floats, seen: NDArray[np.int64]) -> _Scored:
+    """Score all components with one coarse size of the departure."""
+    own = bands[seen]
+    centre = (rig.emission @ parts.wavelength_nm) / np.maximum(rig.emission.sum(axis=1), 1e-300)
+    near = np.exp(-0.5 * ((centre[:, None] - centre) / (2 * _PROCESS_LENGTH_NM)) ** 2)
+    floor = own + _PROCESS_FLOOR * rig.emission.sum(axis=1)
+    departures = _FIRST_PASS_SIZE**2 * floor[:, :, None] * near * floor[:, None, :]
+    moved = parts.moved(seen) @ rig.emission.T
+    departures = departures + np.einsum("nqi,nqj->nij", moved, moved)
+    columns = rig.columns(None, 0.0)
+    covariance = rig.data.covariance[np.ix_(rig.data.kept, rig.data.kept)]
+    rest = covariance + columns @ columns.T
+    emitting = ~rig.data.weights.is_excitation[rig.data.kept]
+    height = np.abs(rig.y[emitting]).max() / np.maximum(own[:, emitting].max(axis=1), 1e-12)
+    scored = _scored(rig, parts, bands, seen, departures, rest, parts.ln_share[seen], height)
+    weight, evidence = _weights(scored[0])
+    ones = np.ones(seen.size)
+    return _Scored(seen, ones, 0 * ones, scored[1], scored[2], scored[3], weight, evidence)
+
+
+def _weights(ln: Floats) -> tuple[Floats, float]:
+    top = float(ln.max())
+    weight = np.exp(ln - top)
+    return weight / weight.sum(), float(np.log(weight.sum()) + top)
+
+
+def _second_pass(
+    rig: _Rig, parts: Components, bands: Floats, best: NDArray[np.int64], columns: Floats, first: _Scored
+) -> _Scored:
+    """Score the best components with every size of the departure, without and with a second dye."""
+    rigid = parts.departures(best) @ rig.emission.T
+    smooth = np.matmul(rig.emission * (parts.curves[best] + _PROCESS_FLOOR)[:, None, :], parts.process * _above(parts))
+    other = parts.second @ rig.emission.T
+    fixed = np.einsum("nqi,nqj->nij", rigid, rigid)
+    process, dye = smooth @ smooth.transpose(0, 2, 1), other.T @ other
+    departures, ln_prior, sizes, seconds = [], [], [], []
+    for size, size_share in _SIZES:
+        for second, second_share in _SECOND_DYE:
+            departures.append(fixed + size**2 * process + second**2 * dye)
+            ln_prior.append(parts.ln_share[best] + np.log(size_share * second_share))
+            sizes.append(np.full(best.size, size))
+            seconds.append(np.full(best.size, second))
+    times = len(departures)
+    heights = dict(zip(first.chosen.tolist(), first.height[:, 0], strict=True))
+    height = np.tile(np.maximum([heights[c] for c in best.tolist()], 1e-9), times)
+    covariance = rig.data.covariance[np.ix_(rig.data.kept, rig.data.kept)] + columns @ columns.T
+    every = np.tile(best, times)
+    ln, found, information, inverse = _scored(
+        rig, parts, bands, every, np.concatenate(departures), covariance, np.concatenate(ln_prior), height
+    )
+    weight, evidence = _weights(ln)
+    return _Scored(every, np.concatenate(sizes), np.concatenate(seconds), found, information, inverse, weight, evidence)
+
+
+def _above(parts: Components) -> Floats:
+    return np.asarray((parts.wavelength_nm >= parts.laser_nm).astype(np.float64))[:, None]
+
+
+def _drawn(
+    rig: _Rig, parts: Components, bands: Floats, scored: _Scored, columns: Floats, draws: int, rng: np.random.Generator
+) -> SpectrumPosterior:
+    """Draw component, height and departures (Matheron's rule), and check the bands."""
+    data = rig.data
+    picked = rng.choice(scored.chosen.size, draws, p=scored.weight)
+    roots = np.linalg.cholesky(np.linalg.inv(scored.precision[picked]))
+    both = scored.height[picked] + np.einsum("nij,nj->ni", roots, rng.standard_normal((draws, 2)))
+    both = np.abs(both)
+    noise_root = np.linalg.cholesky(data.covariance[np.ix_(data.kept, data.kept)])
+    k = rng.standard_normal((draws, columns.shape[1]))
+    noise = k @ columns.T + rng.standard_normal((draws, rig.y.size)) @ noise_root.T
+    curves = np.empty((draws, parts.wavelength_nm.size))
+    predicted = bands[scored.chosen[picked]] * both[:, :1] + rig.laser * both[:, 1:]
+    pulls = np.empty_like(k)
+    inverses = scored.inverse[picked]
+    for p in np.unique(picked):
+        rows = np.flatnonzero(picked == p)
+        which = scored.chosen[p]
+        own = parts.curves[which]
+        v = np.concatenate(
+            [
+                parts.departures(scored.chosen[p : p + 1])[0],
+                scored.size[p] * (parts.process * _above(parts)).T * (own + _PROCESS_FLOOR),
+                scored.second[p] * parts.second,
+            ]
+        ) * max(scored.height[p, 0], 1e-9)
+        seen = v @ rig.emission.T
+        z = rng.standard_normal((rows.size, len(v)))
+        misfit = rig.y - predicted[rows] - z @ seen - noise[rows]
+        alpha = misfit @ scored.inverse[p]
+        z += alpha @ seen.T
+        curves[rows] = own * both[rows, :1] + z @ v
+        pulls[rows] = k[rows] + alpha @ columns
+    shown = _checked(rig, predicted, inverses)
+    return SpectrumPosterior(
+        np.maximum(curves, 0.0),
+        both[:, 1],
+        pulls[:, : data.weights.bands],
+        scored.ln_evidence,
+        float(1 / (scored.weight**2).sum()),
+        *shown,
+    )
+
+
+def _checked(
+    rig: _Rig, predicted: Floats, inverses: Floats
+) -> tuple[Floats, NDArray[np.int64], Floats, float, Floats, Floats]:
+    """Return chi-square, channels and predictive p of each band, the total, and mean and sd of the prediction."""
+    data, residual = rig.data, rig.y - predicted
+    some = slice(None, None, max(1, len(predicted) // 200))
+    residual, covariance = residual[some], np.linalg.inv(inverses[some])
+    bands, band = data.weights.bands, data.weights.band_index[data.kept]
+    chi2, p = np.full(bands, np.nan), np.full(bands, np.nan)
+    for b in np.unique(band):
+        rows = np.flatnonzero(band == b)
+        own = residual[:, rows]
+        each = np.einsum("ni,ni->n", own, np.linalg.solve(covariance[:, rows][:, :, rows], own[..., None])[..., 0])
+        chi2[b], p[b] = each.mean(), chi_square_survival(each, rows.size).mean()
+    total = float(np.einsum("ni,nij,nj->n", residual, inverses[some], residual).mean())
+    mean, sd = np.zeros(data.y.size), np.zeros(data.y.size)
+    mean[data.kept] = predicted.mean(axis=0)
+    measured = np.diag(data.covariance)[data.kept]
+    variance = predicted.var(axis=0, ddof=1) + np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0) - measured
+    sd[data.kept] = np.sqrt(np.maximum(variance, 0.0))
+    freedom = np.bincount(band, minlength=bands).astype(np.int64)
+    return chi2, freedom, p, total, mean.reshape(data.y.shape), sd.reshape(data.y.shape)

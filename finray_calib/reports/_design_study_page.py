@@ -1,0 +1,285 @@
+"""The page of a design study, and its table as text: pictures of all points, numbers with intervals, what matters."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from data_schemas import DesignValue, StudyMetric, StudyPoint, StudyResult, StudyRow
+from finray_calib.reports._images import ByteImage, to_display
+from finray_calib.reports._page import (
+    Content,
+    Part,
+    Picture,
+    ReportTable,
+    drawing,
+    files_table,
+    one_group,
+    raster,
+    render_page,
+)
+from finray_calib.reports._plain_text import NO_VALUE, interval_text
+from finray_calib.reports._style import BLUE, HAIRLINE, INK, MUTED, new_figure, styled, svg_text
+
+MOST_PICTURES = 60
+"""Points whose pictures the page shows; the records hold all."""
+
+_LARGEST_SIDE_PX = 200
+_PANELS_IN_A_ROW = 3
+_WHITE_PERCENTILE = 95.0  # brighter are the walls and, at some angles, the panel itself
+_SHOWN = ("vividness", "variation_rel", "touch_rel", "brightness_rel", "force_n", "seen_area_mm2")
+"""Metrics with a panel of their own, and the order in which a sentence is made of them."""
+
+_BEST: Mapping[str, tuple[str, bool]] = {
+    "vividness": ("The colours are most vivid", True),
+    "variation_rel": ("the light is most even", False),
+    "touch_rel": ("the touch changes the picture most", True),
+    "force_n": ("the force is lowest", False),
+}
+
+
+def design_study_page(
+    result: StudyResult, points: Sequence[StudyPoint], command: str, digests: Mapping[str, str], version: str
+) -> str:
+    """Return the page of a design study (HTML).
+
+    Parameters
+    ----------
+    result
+        The table of the study.
+    points
+        Its points with their images, in the same order.
+    command
+        That made it.
+    digests
+        Input file -> SHA-256.
+    version
+        Of the package.
+    """
+    computed, failed = len(result.points), len(result.failures)
+    return render_page(
+        "result_page.html.j2",
+        verb="finray study run",
+        title=result.name,
+        lead=result.about or f"What changes: {', '.join(result.varied)}.",
+        verdict=f"{computed} of {computed + failed} points computed",
+        sentence=_sentence(result),
+        key_numbers=tuple(_key_numbers(result)),
+        findings=tuple(f"Point {f.number} ({_words(f.changes)}) failed: {f.reason}" for f in result.failures),
+        limits=_LIMITS,
+        notes=tuple(dict.fromkeys(note for point in points for note in point.notes)),
+        sections=tuple(_sections(result, points)),
+        command=command,
+        files=files_table(digests, version),
+        summary=result.model_dump(mode="json", exclude={"provenance"}),
+    )
+
+
+_LIMITS = (
+    "Intervals (95 %) of what images show come from independent renders of each point: they know the noise of the "
+    "renders, and nothing of assumed materials, dimensions or camera response, which all points share.",
+    "All points share their random numbers, so that the difference of two points is surer than each of them.",
+    "Forces are those of a finite-element model of assumed dimensions; no finger of this project has been measured. "
+    "Their limits say what the mesh leaves open.",
+    "Vividness takes the camera's channels for those of sRGB, exposed and white-balanced on the coat itself; it orders "
+    "fingers of one camera and is no absolute colour.",
+)
+
+
+def study_text(result: StudyResult) -> str:
+    """Return the table of a study as aligned text: one line a point."""
+    names = _metric_names(result)
+    head = ["point", *result.varied, *names]
+    rows = [[str(row.number), *_change_cells(result, row), *_metric_cells(row, names)] for row in result.points]
+    widths = [max(len(line[k]) for line in [head, *rows]) for k in range(len(head))]
+    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip()
+                     for line in [head, *rows])  # fmt: skip
+
+
+def _sentence(result: StudyResult) -> str:
+    """Say where each metric is best, and whether the next one is really worse."""
+    parts = []
+    for name, (words, is_high) in _BEST.items():
+        rows = [(metric, row) for row in result.points if (metric := _found(row, name)) is not None]
+        if len(rows) < 2:
+            continue
+        rows.sort(key=lambda pair: pair[0].value, reverse=is_high)
+        (best, where), (second, _) = rows[0], rows[1]
+        sure = "" if _apart(best, second) else ", within its interval of the next"
+        parts.append(f"{words} at {_words(where.changes)} ({_value(best)}{sure})")
+    return f"{'; '.join(parts)}." if parts else "One point was computed."
+
+
+def _apart(one: StudyMetric, other: StudyMetric) -> bool:
+    """Return whether two intervals do not overlap."""
+    if one.low95 is None or one.high95 is None or other.low95 is None or other.high95 is None:
+        return True
+    return one.low95 > other.high95 or one.high95 < other.low95
+
+
+def _key_numbers(result: StudyResult) -> Iterator[tuple[str, str, str]]:
+    """Yield the range of the few metrics that stand beside the verdict."""
+    for name in _SHOWN[:4]:
+        metrics = [m for row in result.points if (m := _found(row, name)) is not None]
+        if metrics:
+            low, high = min(m.value for m in metrics), max(m.value for m in metrics)
+            yield name, f"{low:.3g} to {high:.3g}", metrics[0].meaning
+
+
+def _sections(result: StudyResult, points: Sequence[StudyPoint]) -> Iterator[Part]:
+    """Yield pictures, curves, what matters, and all numbers."""
+    shown = [point for point in points if point.contact is not None][:MOST_PICTURES]
+    if shown:
+        yield Part("Pictures", _pictures(shown))
+    names = _metric_names(result)
+    curves = drawing(
+        _curves(result, [name for name in _SHOWN if name in names]),
+        "Each metric at each point of the study.",
+        "Each metric over the points, with 95 % limits. What to see: differences that are larger than the limits.",
+    )
+    yield Part("Numbers over the points", Content("One panel for each metric.", ((curves,),)))
+    if len(result.varied) > 1:
+        yield Part("What matters", Content(
+            "Range of a metric's mean over the values of one field, all other fields averaged.",
+            tables=(_effects(result, names),),
+        ))  # fmt: skip
+    yield Part("All numbers", Content(
+        "One row a point, as in table.csv; 95 % limits in brackets.",
+        tables=(_table(result, names), _meanings(result)), has_wide_tables=True,
+    ))  # fmt: skip
+
+
+def _pictures(points: Sequence[StudyPoint]) -> Content:
+    """Show each point without and with contact, all balanced alike."""
+    pixels = np.concatenate([p.no_contact.reshape(-1, 3) for p in points if p.no_contact is not None])
+    white = np.percentile(pixels, _WHITE_PERCENTILE, axis=0).astype(np.float64)
+    white = np.where(white > 0.0, white, max(float(pixels.max()), 1.0))
+    rows: list[tuple[Picture, ...]] = []
+    pictures = [
+        raster(_pair(point, white), f"Point {point.number}, {_words(point.changes)}.",
+               f"{point.number}: {_words(point.changes)}. Left without contact, right with it.")
+        for point in points
+    ]  # fmt: skip
+    for start in range(0, len(pictures), 3):
+        rows.append(tuple(pictures[start : start + 3]))
+    lead = (
+        "What the camera sees, each channel balanced for the screen alike in all pictures. Base of the finger at the "
+        "left, tip at the right."
+    )
+    return Content(lead, tuple(rows))
+
+
+def _pair(point: StudyPoint, white: NDArray[np.float64]) -> ByteImage:
+    """Return both images of a point side by side, small."""
+    sides = []
+    for image in (image for image in (point.no_contact, point.contact) if image is not None):
+        step = max(1, max(image.shape[:2]) // _LARGEST_SIDE_PX)
+        rows, columns = (size // step * step for size in image.shape[:2])
+        blocks = image[:rows, :columns].reshape(rows // step, step, columns // step, step, 3)
+        sides.append(to_display(blocks.mean(axis=(1, 3)), white, True))
+    gap = np.full((sides[0].shape[0], 4, 3), 255, dtype=np.uint8)
+    return np.concatenate([sides[0], gap, sides[1]], axis=1)
+
+
+def _curves(result: StudyResult, names: Sequence[str]) -> str:
+    """Draw each metric over the points."""
+    rows = -(-len(names) // _PANELS_IN_A_ROW)
+    with styled():
+        figure = new_figure(10.0, 2.6 * rows)
+        for k, name in enumerate(names):
+            _panel(figure.add_subplot(rows, _PANELS_IN_A_ROW, k + 1), result, name)
+        return svg_text(figure)
+
+
+def _panel(axes: Axes, result: StudyResult, name: str) -> None:
+    """Draw one metric: over the values of the last field where they are numbers, a line for each of the others."""
+    axes.set_title(name, fontsize=9, loc="left", color=INK)
+    axes.grid(axis="y", color=HAIRLINE)
+    last = result.varied[-1]
+    lines: dict[str, list[tuple[float, StudyMetric]]] = {}
+    is_number = all(isinstance(row.changes[last], int | float) for row in result.points)
+    for row in result.points:
+        metric = _found(row, name)
+        if metric is not None:
+            others = {f: v for f, v in row.changes.items() if f != last} if is_number else {}
+            x = float(row.changes[last]) if is_number else float(row.number)
+            lines.setdefault(_words(others), []).append((x, metric))
+    for number, (words, found) in enumerate(lines.items()):
+        found.sort(key=lambda pair: pair[0])
+        places, values = [pair[0] for pair in found], [pair[1].value for pair in found]
+        below = [m.value - (m.value if m.low95 is None else m.low95) for _, m in found]
+        above = [(m.value if m.high95 is None else m.high95) - m.value for _, m in found]
+        shade = (BLUE, INK, MUTED)[number % 3]
+        style = ("-", "--", ":", "-.")[number // 3 % 4] if is_number else "none"
+        axes.errorbar(places, values, [np.maximum(below, 0.0), np.maximum(above, 0.0)], fmt="o", ms=3, color=shade,
+                      linestyle=style, linewidth=1, label=words)  # fmt: skip
+    axes.set_xlabel(last if is_number else "point")
+    if len(lines) > 1 and len(lines) <= 6:
+        axes.legend(fontsize=6)
+
+
+def _effects(result: StudyResult, names: Sequence[str]) -> ReportTable:
+    """Return by how much each field moves each metric."""
+    rows = []
+    for name in names:
+        cells = []
+        for field in result.varied:
+            by_value: dict[DesignValue, list[float]] = {}
+            for row in result.points:
+                if (metric := _found(row, name)) is not None:
+                    by_value.setdefault(row.changes[field], []).append(metric.value)
+            means = [float(np.mean(values)) for values in by_value.values()]
+            cells.append(f"{max(means) - min(means):.3g}" if len(means) > 1 else NO_VALUE)
+        rows.append((name, *cells))
+    return one_group("By how much each field moves each metric", ("metric", *result.varied), rows)
+
+
+def _table(result: StudyResult, names: Sequence[str]) -> ReportTable:
+    """Return all numbers."""
+    rows = [(str(row.number), *_change_cells(result, row), *_metric_cells(row, names)) for row in result.points]
+    return one_group("All points", ("point", *result.varied, *names), rows)
+
+
+def _meanings(result: StudyResult) -> ReportTable:
+    """Say what each metric is."""
+    seen = {metric.name: metric for row in result.points for metric in row.metrics}
+    return one_group("What the metrics are", ("metric", "unit", "meaning"),
+                     [(m.name, m.unit, m.meaning) for m in seen.values()], is_words=True)  # fmt: skip
+
+
+def _metric_names(result: StudyResult) -> list[str]:
+    """Return the names of all metrics, in order."""
+    return list(dict.fromkeys(metric.name for row in result.points for metric in row.metrics))
+
+
+def _change_cells(result: StudyResult, row: StudyRow) -> tuple[str, ...]:
+    """Return what a point changes, field by field."""
+    return tuple(_short(row.changes[field]) for field in result.varied)
+
+
+def _metric_cells(row: StudyRow, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the metrics of a point as text."""
+    return tuple(NO_VALUE if (metric := _found(row, name)) is None else _value(metric) for name in names)
+
+
+def _found(row: StudyRow, name: str) -> StudyMetric | None:
+    """Return a metric of a point, or None."""
+    return next((metric for metric in row.metrics if metric.name == name), None)
+
+
+def _value(metric: StudyMetric) -> str:
+    """Return a number with its interval."""
+    if metric.low95 is None or metric.high95 is None or metric.low95 == metric.high95:
+        return f"{metric.value:.4g}"
+    return interval_text(metric.value, metric.low95, metric.high95)
+
+
+def _short(value: DesignValue) -> str:
+    """Return a value of a design."""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _words(changes: Mapping[str, DesignValue]) -> str:
+    """Say what a point changes."""
+    return ", ".join(f"{field} {_short(value)}" for field, value in changes.items()) or "all"

@@ -1,0 +1,29 @@
+"""Design studies: one finger, what changes, and what is computed at each point; on one machine or on many.
+
+A plan (TOML, `read_plan`; `SHIPPED_PLANS` come with the package) becomes points (`study_points`), each a whole design.
+`run_study` presses, renders and measures them in worker processes of Dask, computes once what points share, keeps what
+is finished, and goes on where it was interrupted. A point is stored as soon as it is computed; one that fails leaves
+its reason and stops no other.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from sim.studies._engine import run_study
+    from sim.studies._plan import SHIPPED_PLANS, PlannedPoint, read_plan, study_points
+    from sim.studies._point import StudyPaints, StudyTask, point_file
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "SHIPPED_PLANS",
+    "PlannedPoint",
+    "StudyPaints",
+    "StudyTask",
+    "point_file",
+    "read_plan",
+    "run_study",
+    "study_points",
+]

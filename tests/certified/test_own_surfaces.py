@@ -1,0 +1,111 @@
+"""Surfaces of a finger that pass through each other are found, and told or avoided."""
+
+import numpy as np
+import pytest
+
+from sim import preset_design
+from sim.experiments import press_records
+from sim.mechanics import STEPS, Block, FingerMesh, finger_mesh, press_finger
+from sim.mechanics._contact_library import contact_library_failure
+from sim.mechanics._finger_mesh import MeshSteps
+from sim.mechanics._mesh import Tie
+from sim.mechanics._own_surfaces import OwnSurfaces
+from tests.certified.blocks import unit_cells
+
+needs_the_toolkit = pytest.mark.skipif(
+    contact_library_failure() is not None, reason=f"NO BARRIER CONTACT: {contact_library_failure()}"
+)
+
+
+def two_blocks(apart_mm, tied=False):
+    """One unit block over another, and the nodes of the upper one."""
+    below, above = unit_cells(2, 2, 2), unit_cells(3, 3, 3)
+    nodes = np.concatenate([below.nodes_mm, above.nodes_mm + np.array([0.1, 1.0 + apart_mm, 0.1])])
+    count = len(below.nodes_mm)
+    blocks = (
+        Block("lower_rib", below.hexahedra, "material", "mean_dilatation"),
+        Block("upper_rib", above.hexahedra + count, "material", "mean_dilatation"),
+    )
+    face = count + np.flatnonzero(above.nodes_mm[:, 1] == 0.0)
+    ties = (Tie(face, below.top_quads()),) if tied else ()
+    return FingerMesh(nodes, blocks, {}, {}, ties), np.arange(count, len(nodes))
+
+
+@pytest.mark.parametrize(("down_mm", "crosses"), [(0.0, False), (0.299, False), (0.301, True), (0.8, True)])
+def test_a_part_that_passes_through_another_is_named(down_mm, crosses):
+    mesh, upper = two_blocks(0.3)
+    move = np.zeros_like(mesh.nodes_mm)
+    move[upper, 1] = -down_mm
+    told = OwnSurfaces(mesh).crossing(move)
+    assert bool(told) == crosses
+    if crosses:
+        assert told.startswith("the finger passes through itself: its ")
+        assert "upper rib" in told
+        assert "lower rib" in told
+        assert told.endswith(" mm of the undeformed finger")
+
+
+def test_a_body_that_folds_through_itself_is_found():
+    # a strip along x, bent by more than a whole turn about z: its end comes out of its beginning
+    strip = unit_cells(40, 1, 1, size=(10.0, 0.1, 1.0))
+    mesh = strip.mesh("incompatible_modes")
+    surfaces = OwnSurfaces(mesh)
+    for turns, crosses in ((0.9, False), (1.1, True)):
+        radius = 10.0 / (2.0 * np.pi * turns)
+        angle = mesh.nodes_mm[:, 0] / radius
+        far = radius - mesh.nodes_mm[:, 1]
+        place = np.column_stack([far * np.sin(angle), radius - far * np.cos(angle), mesh.nodes_mm[:, 2]])
+        assert bool(surfaces.crossing(place - mesh.nodes_mm)) == crosses
+
+
+def test_tied_faces_may_lie_in_each_other_and_nothing_else_may():
+    mesh, upper = two_blocks(-1e-3, tied=True)
+    rest = np.zeros_like(mesh.nodes_mm)
+    assert OwnSurfaces(mesh).crossing(rest) == ""
+    apart = FingerMesh(mesh.nodes_mm, mesh.blocks, {}, {}, ())
+    assert OwnSurfaces(apart).crossing(rest)
+    # the upper block's free faces reach the lower one's
+    rest[upper, 1] = -0.9
+    assert OwnSurfaces(mesh).crossing(rest)
+
+
+_BABY = preset_design("baby-48x18")
+SMALL = _BABY.model_copy(
+    update={"indenter": _BABY.indenter.model_copy(update={"position_mm": 24.0, "depth_mm": 0.6, "friction": 0.0})}
+)
+
+
+@pytest.fixture
+def crossing_by_penalty(monkeypatch):
+    """Let the surfaces of a press by the penalty cross beyond 0.4 mm, those by the barrier (one node more) never."""
+    monkeypatch.setitem(STEPS, "coarse", MeshSteps(pad_mm=3.0, pad_layer_mm=3.0, skeleton_mm=4.0, across_mm=4.0))
+    nodes = len(finger_mesh(SMALL).nodes_mm)
+
+    def crossing(_, displacement_mm):
+        crosses = np.abs(displacement_mm).max() > 0.4 and len(displacement_mm) == nodes
+        return "the finger passes through itself: its skeleton through its skeleton" if crosses else ""
+
+    monkeypatch.setattr(OwnSurfaces, "crossing", crossing)
+
+
+@needs_the_toolkit
+@pytest.mark.usefixtures("crossing_by_penalty")
+def test_a_press_whose_ribs_meet_goes_on_by_the_barrier():
+    stored, told = [], []
+    pressed = press_finger(SMALL, increments=2, store=stored.append, progress=lambda *at: told.append(at[2]))
+    assert pressed.kind == "barrier"
+    assert pressed.crossing == ""
+    assert pressed.depth_mm == pytest.approx([0.3, 0.6])
+    assert "by the penalty, which was tried first, from a push of 0.6 mm on the finger passes" in pressed.contact
+    # the increment that crosses is not kept
+    assert [(p.kind, len(p.depth_mm)) for p in stored] == [("penalty", 1), ("barrier", 1), ("barrier", 2)]
+    assert any("pressing again with contact of all parts" in what for what in told)
+
+
+@pytest.mark.usefixtures("crossing_by_penalty")
+def test_a_press_that_is_asked_for_by_the_penalty_tells_where_parts_meet():
+    pressed = press_finger(SMALL, increments=2, contact="penalty")
+    assert pressed.kind == "penalty"
+    assert pressed.crossing.startswith("from a push of 0.6 mm on the finger passes through itself")
+    mechanics, _ = press_records(SMALL, pressed)
+    assert any("passes through itself" in note and "is no finger's" in note for note in mechanics.notes)

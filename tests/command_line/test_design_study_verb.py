@@ -1,0 +1,100 @@
+"""``finray study run``: killed in the middle it goes on, and its table, page and records say the same."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from data_schemas import StudyPoint, StudyResult
+from data_schemas.storage import read_record
+from finray_calib.cli.main import main
+
+ROOT = Path(__file__).resolve().parents[2]
+PLAN = """
+kind = "design"
+name = "tiny & <small>"
+about = "Two light angles on one pad."
+
+[set]
+"camera.width_px" = 160
+"camera.height_px" = 120
+
+[measure]
+samples = 2
+
+[[vary]]
+field = "light.angle_deg"
+values = [0.0, 40.0]
+
+[[vary]]
+field = "preset"
+values = ["cylindrical-r40"]
+"""
+
+
+def begin(tmp_path, *more):
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", "finray_calib.cli.main", "study", "run", "plan.toml", "--out", "out", *more],
+        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        env={**os.environ, "PYTHONPATH": os.fspath(ROOT)},
+    )  # fmt: skip
+
+
+@pytest.mark.renderer
+@pytest.mark.timeout(1200)
+def test_a_killed_study_goes_on_with_what_is_missing(tmp_path, capsys):
+    (tmp_path / "plan.toml").write_text(PLAN)
+    first = begin(tmp_path, "--workers", "1")
+    one = tmp_path / "out" / "points" / "00001.json"
+    deadline = time.monotonic() + 600.0
+    while not one.exists():
+        assert first.poll() is None, first.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    os.killpg(first.pid, signal.SIGKILL)
+    first.communicate()
+    kept = {path: path.read_bytes() for path in one.parent.glob("*.json")}
+
+    again = begin(tmp_path)
+    said, warned = again.communicate(timeout=600.0)
+    assert again.returncode == 0, warned
+    assert all(path.read_bytes() == content for path, content in kept.items())
+    assert not list((tmp_path / "out").rglob(".*"))
+
+    result = read_record(tmp_path / "out" / "study.json", StudyResult)
+    points = [read_record(tmp_path / "out" / "points" / f"{n:05d}.json", StudyPoint) for n in (1, 2)]
+    assert [row.metrics for row in result.points] == [point.metrics for point in points]
+    assert points[0].contact.shape == (60, 80, 3)
+    rows = list(csv.DictReader((tmp_path / "out" / "table.csv").read_text().splitlines()))
+    assert [row["preset"] for row in rows] == ["cylindrical-r40"] * 2
+    brightness = {m.name: m for m in points[1].metrics}["brightness_rel"]
+    assert float(rows[1]["brightness_rel"]) == brightness.value
+    assert float(rows[1]["brightness_rel_low95"]) == brightness.low95
+    page = (tmp_path / "out" / "study.html").read_text()
+    assert "tiny &amp; &lt;small&gt;" in page
+    assert page.count("data:image/png") == 2
+    assert "2 of 2 points computed" in page
+    assert "cylindrical-r40" in said
+
+    capsys.readouterr()
+    assert main(["study", "show", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().out in said
+
+
+def test_mistakes_in_a_plan_are_one_sentence(tmp_path, capsys):
+    assert main(["study", "run", str(tmp_path / "none.toml")]) == 2
+    assert "no such plan; give a plan file (TOML), or one of the shipped plans" in capsys.readouterr().err
+    (tmp_path / "plan.toml").write_text(PLAN.replace("light.angle_deg", "light.angel"))
+    assert main(["study", "run", str(tmp_path / "plan.toml"), "--out", str(tmp_path / "out")]) == 2
+    assert "point 1 (light.angel = 0.0, preset = cylindrical-r40): 'light.angel' is no field" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_study_that_was_never_run_cannot_be_shown(tmp_path, capsys):
+    assert main(["study", "show", str(tmp_path)]) == 2
+    assert "study.json" in capsys.readouterr().err

@@ -1,0 +1,251 @@
+"""Design studies: the points of a plan, the metrics of images, what points share, and workers that fail and die."""
+
+import os
+from pathlib import Path
+
+import colour
+import numpy as np
+import psutil
+import pytest
+
+from data_schemas import RecordError, SimulateError, StudyPoint, provenance
+from data_schemas.storage import write_record
+from sim.studies import SHIPPED_PLANS, StudyPaints, StudyTask, point_file, read_plan, run_study, study_points
+from sim.studies._engine import _client, _each, _Steps
+from sim.studies._metrics import _metrics, _root_of_products, _Seen, vividness
+from sim.studies._point import point_key, press_file
+
+HEAD = 'name = "a study"\n'
+
+
+def plan_of(tmp_path, text):
+    path = tmp_path / "plan.toml"
+    path.write_text(HEAD + text)
+    return read_plan(path)
+
+
+def points_of(tmp_path, text):
+    return study_points(*plan_of(tmp_path, text))
+
+
+def vary(field, values):
+    return f'[[vary]]\nfield = "{field}"\nvalues = {values}\n'
+
+
+def test_a_grid_has_every_value_with_every_other(tmp_path):
+    points = points_of(tmp_path, vary("light.angle_deg", [0.0, 30.0]) + vary("skeleton.rib_count", [5, 6, 7]))
+    assert [point.number for point in points] == [1, 2, 3, 4, 5, 6]
+    assert {(p.design.light.angle_deg, p.design.skeleton.rib_count) for p in points} == {
+        (angle, ribs) for angle in (0.0, 30.0) for ribs in (5, 6, 7)
+    }
+
+
+def test_together_takes_the_values_in_step(tmp_path):
+    text = 'combine = "together"\n' + vary("light.angle_deg", [0.0, 30.0]) + vary("indenter.depth_mm", [1.0, 2.0])
+    assert [p.changes for p in points_of(tmp_path, text)] == [
+        {"light.angle_deg": 0.0, "indenter.depth_mm": 1.0},
+        {"light.angle_deg": 30.0, "indenter.depth_mm": 2.0},
+    ]
+
+
+def test_a_random_study_fills_its_box_evenly_and_repeats_itself(tmp_path):
+    text = (
+        'combine = "random"\ncount = 64\nseed = 4\n'
+        '[[vary]]\nfield = "light.angle_deg"\nlow = 10.0\nhigh = 50.0\n'
+        '[[vary]]\nfield = "skeleton.rib_count"\nlow = 4.0\nhigh = 8.0\n'
+    )
+    points = points_of(tmp_path, text)
+    angles = np.array([p.design.light.angle_deg for p in points])
+    # 64 points of a Sobol' sample: four in each sixteenth of the range
+    assert np.histogram(angles, bins=16, range=(10.0, 50.0))[0].tolist() == [4] * 16
+    assert {type(p.design.skeleton.rib_count) for p in points} == {int}
+    assert [p.changes for p in points_of(tmp_path, text)] == [p.changes for p in points]
+
+
+def test_what_a_point_changes_is_no_longer_the_paper_s(tmp_path):
+    (point,) = points_of(tmp_path, '[set]\n"pad.length_mm" = 66.0\n' + vary("indenter.radius_mm", [8.0]))
+    assert "pad.width_mm" in point.design.origin
+    assert "pad.length_mm" not in point.design.origin
+    assert "indenter.radius_mm" not in point.design.origin
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (vary("light.angel_deg", [1.0]), r"point 1 \(light\.angel_deg = 1\.0\): 'light\.angel_deg' is no field of a d"),
+        (vary("second_light.angle_deg", [1.0]), r"is no field of this finger, which has no \[second_light\]"),
+        (
+            vary("pad.length_mm", [-3.0]),
+            r"point 1 \(pad\.length_mm = -3\.0\): 'pad\.length_mm' \(in mm\): input should be",
+        ),
+        (vary("preset", ["flat"]), r"there is no preset design 'flat'; there are flat-70x35"),
+        (vary("preset", [3]), r"preset = 3 must be the name of a ready-made finger"),
+        (vary("seed", [-1]), r"seed = -1 must be a whole number from 0"),
+    ],
+)
+def test_a_point_that_is_no_finger_is_refused_by_number_and_field(tmp_path, text, message):
+    with pytest.raises(SimulateError, match=message):
+        points_of(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", r"vary"),
+        ('[[vary]]\nfield = "seed"\n', r"vary seed: give values, or low and high of a random study"),
+        ('[[vary]]\nfield = "seed"\nlow = 2.0\nhigh = 1.0\n', r"low and high are both needed, low below high"),
+        (vary("seed", [1, 1]), r"vary seed: 1 stands in its values twice"),
+        (vary("seed", [1]) + vary("seed", [2]), r"seed is given twice; vary it or set it, once"),
+        ("[set]\nseed = 3\n" + vary("seed", [1]), r"seed is given twice"),
+        ("count = 4\n" + vary("seed", [1]), r'count goes with combine = "random", and only with it'),
+        ('combine = "random"\ncount = 4\n' + vary("seed", [1]), r'combine = "random" needs low and high, not values'),
+        ('[[vary]]\nfield = "seed"\nlow = 1.0\nhigh = 2.0\n', r'low and high need combine = "random"; give values'),
+        ('combine = "together"\n' + vary("seed", [1]) + vary("light.angle_deg", [1.0, 2.0]), r"must be of one length"),
+        ("[measure]\nimages = false\n" + vary("seed", [1]), r'press = "analytic" without images computes nothing'),
+    ],
+)
+def test_a_plan_that_contradicts_itself_is_refused(tmp_path, text, message):
+    with pytest.raises(RecordError, match=message):
+        plan_of(tmp_path, text)
+
+
+def test_a_plan_that_is_not_there_names_those_that_come_with_the_package():
+    with pytest.raises(RecordError, match=r"no such plan; give a plan file \(TOML\), or one of the shipped plans: f"):
+        read_plan("pads.toml")
+
+
+@pytest.mark.parametrize("name", SHIPPED_PLANS)
+def test_every_shipped_plan_makes_points(name):
+    points = study_points(*read_plan(name))
+    assert len(points) == len({str(point.changes) for point in points}) >= 6
+
+
+# metrics
+
+
+def test_products_of_independent_rows_know_no_noise():
+    rng = np.random.default_rng(5)
+    signal = rng.normal(size=20_000)
+    noisy = signal + rng.normal(scale=3.0, size=(3, signal.size))
+    # the product of two rows has a standard deviation of 9 per value: 9 / sqrt(3 x 20,000) of the mean square 1
+    assert _root_of_products(noisy) == pytest.approx(1.0, abs=4 * 0.5 * 9.0 / np.sqrt(60_000))
+    assert np.sqrt((noisy.mean(axis=0) ** 2).mean()) > 1.9
+    assert _root_of_products(rng.normal(size=(3, 4))) >= 0.0
+
+
+def test_vividness_is_the_chroma_of_another_library():
+    grey = np.full((5, 3), [0.2, 0.4, 0.7])
+    assert vividness(grey) == pytest.approx(0.0, abs=0.02)  # the library's white differs from sRGB's in the 5th digit
+    rgb = np.random.default_rng(2).uniform(0.05, 1.0, size=(40, 3))
+    balanced = np.clip(0.18 * rgb / rgb.mean(axis=0), 0.0, 1.0)
+    lab = colour.XYZ_to_Lab(
+        colour.RGB_to_XYZ(balanced, "sRGB"), colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
+    )
+    assert vividness(rgb) == pytest.approx(np.hypot(lab[:, 1], lab[:, 2]).mean(), abs=0.05)
+
+
+def test_shares_and_variation_are_those_of_a_coat_whose_light_is_known():
+    light = np.array([[3.0, 1.0, 1.0], [1.0, 3.0, 1.0], [1.0, 3.0, 1.0], [1.0, 1.0, 9.0]])
+    rgb = np.repeat(np.array([[1.0], [2.0], [3.0], [2.0]]), 3, axis=1)
+    one = _Seen(light, rgb, np.full(6, 2.0), np.full(6, 2.5))
+    found = _metrics([one, one, one])
+    assert [found[f"{name}_share"] for name in ("red", "green", "blue")] == [0.25, 0.5, 0.25]
+    assert found["variation_rel"] == pytest.approx(np.std([1, 2, 3, 2]) / 2.0)
+    assert found["touch_rel"] == pytest.approx(0.25)
+    assert found["brightness_rel"] == pytest.approx(2.0)
+
+
+# workers
+
+
+def behave(task, point):
+    """Fail, die or work, by the seed of a point."""
+    if point.seed == 1:
+        raise SimulateError("no equilibrium")
+    if point.seed == 2:
+        os._exit(7)
+    Path(task.folder, f"{point.number}").write_text("done")
+
+
+def tried(task, point):
+    try:
+        behave(task, point)
+    except SimulateError as error:
+        return str(error)
+    return None
+
+
+def test_a_point_that_fails_or_kills_its_worker_stops_no_other(tmp_path):
+    plan, path = plan_of(tmp_path, vary("seed", [0, 1, 2, 3, 4]))
+    points = study_points(plan, path)
+    task = StudyTask(plan, StudyPaints({}, {}), "scalar", tmp_path, tmp_path, provenance("a test", {}, 1))
+    told = []
+    with _client(2, None) as client:
+        ended = {
+            point.seed: reason
+            for point, reason in _each(client, tried, task, points, _Steps(5, lambda *step: told.append(step)), "")
+        }
+    assert ended.pop(2).startswith("its worker process died twice")
+    assert ended == {0: None, 1: "no equilibrium", 3: None, 4: None}
+    assert sorted(path.name for path in tmp_path.iterdir() if path.name.isdecimal()) == ["1", "4", "5"]
+    assert [done for done, _, _ in told] == [1, 2, 3, 4, 5]
+
+
+def study_of(tmp_path, text, sources=None):
+    plan, path = plan_of(tmp_path, text)
+    paints = StudyPaints({}, sources or {})
+    task = StudyTask(plan, paints, "auto", tmp_path / "out", tmp_path, provenance("a test", {}, 1))
+    return task, study_points(plan, path)
+
+
+def test_a_folder_of_another_study_is_refused(tmp_path):
+    task, points = study_of(tmp_path, vary("light.angle_deg", [0.0, 30.0]), {"red": "one", "green": "two"})
+    file = point_file(task.folder, 1)
+    file.parent.mkdir(parents=True)
+    other = StudyPoint(
+        study="a study", number=1, key="0" * 64, changes={}, design=points[0].design, metrics=(), processor_s=1.0
+    )
+    write_record(other, file, task.origin)
+    with pytest.raises(SimulateError, match=r"00001\.json: was computed from another plan, design, paint or seed"):
+        run_study(task, points, workers=1)
+
+
+def test_a_point_is_known_by_design_paints_seed_and_measure(tmp_path):
+    text = vary("light.angle_deg", [0.0])
+    task, (point,) = study_of(tmp_path, text, {"red": "one"})
+    others = [
+        study_of(tmp_path, text, {"red": "another"}),
+        study_of(tmp_path, "seed = 2\n" + text, {"red": "one"}),
+        study_of(tmp_path, "[measure]\nsamples = 2\n" + text, {"red": "one"}),
+        study_of(tmp_path, vary("light.angle_deg", [1.0]), {"red": "one"}),
+    ]
+    keys = {point_key(task, point), *(point_key(other, *points) for other, points in others)}
+    assert len(keys) == 5
+
+
+def test_points_that_differ_in_the_light_share_their_press(tmp_path):
+    text = '[measure]\npress = "finite elements"\n'
+    task, points = study_of(
+        tmp_path, text + vary("light.angle_deg", [0.0, 30.0]) + vary("indenter.position_mm", [20.0, 35.0])
+    )
+    files = [press_file(task, point.design) for point in points]
+    assert files[0] == files[2] != files[1] == files[3]
+
+
+def test_everything_listens_on_the_loopback_interface_only():
+    with _client(1, None):
+        own = psutil.Process()
+        listening = [
+            connection.laddr.ip
+            for process in (own, *own.children(recursive=True))
+            for connection in process.net_connections()
+            if connection.status == psutil.CONN_LISTEN
+        ]
+    assert listening
+    assert {ip for ip in listening if ip != "::1"} == {"127.0.0.1"}
+
+
+def test_a_scheduler_that_does_not_answer_is_told(tmp_path):
+    task, points = study_of(tmp_path, vary("light.angle_deg", [0.0]))
+    with pytest.raises(SimulateError, match=r"--scheduler tcp://127\.0\.0\.1:1: no Dask scheduler answers there"):
+        run_study(task, points, scheduler="tcp://127.0.0.1:1")
