@@ -13,7 +13,7 @@ from tests.capture.drivers.programs import require
 RESULTS = example_results()
 PAGES = {
     "comparison": lambda: comparison_page(RESULTS.report, RESULTS.press, RESULTS.capture, "finray compare", {}),
-    "decision": lambda: decision_page(RESULTS.decision, RESULTS.sweep, "finray decide", {}),
+    "decision": lambda: decision_page(RESULTS.decision, [RESULTS.sweep], "finray decide", {}),
 }
 A4_PT = (595, 842)
 PROBE = """<script>

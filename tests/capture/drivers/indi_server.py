@@ -101,6 +101,13 @@ class IndiServer:
         if stays:
             wait_until(lambda: self._run("indi_getprop", "-1", f"{device}.{name}") == value, f"{device}.{setting}")
 
+    def crash_camera(self) -> None:
+        """Have the driver of the camera crash; wait until the server has withdrawn the device and starts it again."""
+        log = self._folder / "server.log"
+        before = log.read_text().count("restart #")
+        self.put(CCD, "CCD_SIMULATE_CRASH.CRASH=On", stays=False)
+        wait_until(lambda: log.read_text().count("restart #") > before, "the restart of the camera's driver")
+
     def _run(self, program: str, *arguments: str) -> str:
         where = ("-h", "127.0.0.1", "-p", str(self.port), "-t", "2")
         command = [require(program, "indi-bin"), *where, *arguments]

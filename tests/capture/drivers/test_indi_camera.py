@@ -215,7 +215,7 @@ def test_a_driver_that_crashes_is_connected_again_with_its_settings(server: Indi
     faults: list[Fault] = []
     with open_camera(camera_settings(server.address(CCD), gain_db=7.0), Path()) as camera:
         assert camera.expose(0.05, FRAME_S).settings["gain"] == 7.0
-        server.put(CCD, "CCD_SIMULATE_CRASH.CRASH=On", stays=False)
+        server.crash_camera()
         with faults_told(faults.append):
             assert camera.expose(0.05, FRAME_S).settings["gain"] == 7.0
     assert "the driver withdrew the device: it crashed" in faults[0].what
