@@ -15,7 +15,7 @@ from data_schemas import CameraCalibration, Coating, FingerDesign, LightPanel, S
 from sim.optics._calibrated_camera import opencv_sensor
 from sim.optics._optical_layout import PanelFrame, Window, camera_pose, panel_frame
 from sim.optics._paint_bands import PaintBands
-from sim.optics._path_rules import MAX_DEPTH, ROULETTE_DEPTH
+from sim.optics._path_rules import MAX_DEPTH, ROULETTE_DEPTH, aligned
 from sim.surface_meshes import GEL_FACES, FingerShape, Surface
 
 PANEL_RADIANCE_REL = 1.0
@@ -121,7 +121,7 @@ def wall_emitter(radiance: NDArray[np.float64], renderer: ModuleType) -> dict[st
 
 def wall_texels(radiance: NDArray[np.float64], renderer: ModuleType) -> Any:
     """Return a (along z, up the wall, 3) map as the renderer's texture data."""
-    return renderer.TensorXf(np.ascontiguousarray(radiance, dtype=np.float32))
+    return renderer.TensorXf(aligned(radiance))
 
 
 def panel_shape(light: LightPanel, renderer: ModuleType) -> dict[str, Any]:
@@ -227,9 +227,9 @@ def surface_mesh(
         has_vertex_texcoords=True,
     )
     parameters = renderer.traverse(mesh)
-    parameters["vertex_positions"] = np.ascontiguousarray(surface.vertices_mm, dtype=np.float32).ravel()
+    parameters["vertex_positions"] = aligned(surface.vertices_mm).ravel()
     parameters["faces"] = np.ascontiguousarray(surface.triangles, dtype=np.uint32).ravel()
-    parameters["vertex_texcoords"] = np.ascontiguousarray(surface.uv, dtype=np.float32).ravel()
+    parameters["vertex_texcoords"] = aligned(surface.uv).ravel()
     parameters.update()
     if smooth:
         mesh.recompute_vertex_normals()

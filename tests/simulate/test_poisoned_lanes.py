@@ -52,3 +52,21 @@ def test_the_same_map_in_numpy_has_a_cell_for_every_float():
     places = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, -0.1, 0.0, 0.99, 1.0])
     cells, _ = cell_and_fraction(places, 5)
     np.testing.assert_array_equal(cells, [0, 4, 0, 4, 0, 0, 0, 4, 4])
+
+
+@pytest.mark.renderer
+def test_a_table_is_read_by_one_kernel_wherever_its_numbers_lie(llvm):
+    """A kernel that depends on the place of an array misses the disk cache by chance: seconds at every start."""
+    import drjit as dr
+
+    kernels = set()
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        for offset in (0, 1, 4, 8):
+            memory = np.zeros(400 + offset, dtype=np.float32)
+            place = memory[offset:].reshape(100, 4)
+            place[:] = np.arange(100.0)[:, None]
+            row = LookupTable(place, llvm).row(dr.arange(llvm.UInt32, 7))
+            assert np.array_equal(np.array(row)[0], np.arange(7.0))
+            kernels |= {kernel["hash"] for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT}
+    assert len(kernels) == 1
