@@ -393,10 +393,10 @@ def _store_images(
 
 
 def _views(press: "SimulatedPress", samples: int, denoise: bool) -> "dict[str, NDArray[np.uint8]]":
-    """Return pictures for the eye: the camera's colours, and the bands as colours."""
+    """Return pictures for the eye: the camera's colours, as a Raspberry Pi shows them, and the bands as colours."""
     import numpy as np
 
-    from finray_calib.reports import denoised, display_white, to_display
+    from finray_calib.reports import denoised, display_white, raspberry_pi_display, to_display
     from sim.experiments import camera_rgb
 
     bands = {"contact": press.contact_bands, "no_contact": press.no_contact_bands}
@@ -407,7 +407,9 @@ def _views(press: "SimulatedPress", samples: int, denoise: bool) -> "dict[str, N
         pictures |= {f"{state}-view-denoised": camera_rgb(image, press.camera_matrix) for state, image in clean.items()}
         pictures |= {f"{state}-view-bands-denoised": image for state, image in clean.items()}
     pad = np.isfinite(press.distance)
-    return {name: to_display(image, display_white(image[pad]), linear=True) for name, image in pictures.items()}
+    shown = {name: to_display(image, display_white(image[pad]), linear=True) for name, image in pictures.items()}
+    camera = {"contact": press.contact, "no_contact": press.no_contact}
+    return shown | {f"{state}-view-pi": raspberry_pi_display(image, pad) for state, image in camera.items()}
 
 
 RECOLOUR_HELP = "show a rendered press with other paints, camera or white balance"

@@ -30,7 +30,8 @@ geometry.exr   per pixel of the contact: part seen, texture coordinates, positio
 depth.png      how far the coat has moved inward, in 0.001 mm; moved outward or not seen: 0
 contact.png    white where the contact is seen
 normal.png     normal, -1..1 as 0..255
-*-view*.png    for the eye only: white-balanced by the pad, sRGB; never measure in them
+*-view*.png    for the eye only, never measure in them: white-balanced by the pad, sRGB
+*-view-pi.png  for the eye only: as the image processing of a Raspberry Pi (camera module 2) would show it
 timings.json   seconds of each step
 """
 

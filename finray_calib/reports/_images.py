@@ -70,6 +70,47 @@ def to_display(image: NDArray[np.floating], white: FloatImage, linear: bool) -> 
     return np.asarray(np.rint(255 * value), dtype=np.uint8)
 
 
+def raspberry_pi_display(image: NDArray[np.floating], pad: NDArray[np.bool_]) -> ByteImage:
+    r"""Return what the image processing of a Raspberry Pi (camera module 2) makes of linear camera values, 8-bit.
+
+    s = T(e M diag(g) v) with the white balance g and colour matrix M of its bluest daylight, 8575 K, where automatic
+    white balance ends under blue light, and its tone curve T. The exposure e puts the brightest of the pad at 70 %.
+    For the eye: lens shading, sharpening and the tone curve's adaptation to the picture are left out.
+
+    Parameters
+    ----------
+    image
+        (H, W, 3) linear values, any unit.
+    pad
+        (H, W) pixels to expose by.
+
+    Raises
+    ------
+    RecordError
+        When the pad is black.
+
+    References
+    ----------
+    Tuning of the IMX219 in libcamera (src/ipa/rpi/vc4/data/imx219.json, BSD-2-Clause): ct_curve, ccm, contrast.
+    """
+    colours = np.asarray(image, dtype=np.float64) * _PI_GAINS @ _PI_MATRIX.T
+    brightest = np.nanpercentile(colours[pad].max(axis=-1), WHITE_PERCENTILE) if pad.any() else 0.0
+    if not brightest > 0.0:
+        raise RecordError("display image: the pad is black in the colours of a Raspberry Pi; check lights and paints")
+    exposed = np.clip(np.nan_to_num(_PI_EXPOSED_TO / brightest * colours), 0.0, 1.0)
+    return np.asarray(np.rint(255.0 * np.interp(exposed, *_PI_TONE_CURVE)), dtype=np.uint8)
+
+
+_PI_EXPOSED_TO = 0.7
+_PI_GAINS = np.array([2.31, 1.0, 1.24])
+_PI_MATRIX = np.array([[2.212, -0.532, -0.679], [-0.579, 3.079, -1.500], [-0.277, -0.733, 2.010]])
+_PI_TONE_CURVE = (
+    np.array([0, 1024, 4096, 8192, 16384, 32768, 49152, 65535]) / 65535,
+    np.array([0, 5040, 15312, 25744, 40642, 54876, 61183, 65535]) / 65535,
+)
+"""Linear and shown value."""
+
+
 def with_outline(image: ByteImage, mask: NDArray[np.bool_]) -> ByteImage:
     """Return the image with the border of a mask drawn as a white line beside a black one (seen on any ground).
 

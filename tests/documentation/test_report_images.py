@@ -16,6 +16,7 @@ from finray_calib.reports import (
     display_white,
     error_map_figure,
     pad_window,
+    raspberry_pi_display,
     score_figure,
     to_display,
     touch_pair,
@@ -55,6 +56,20 @@ def test_white_balance_makes_a_grey_card_grey_and_refuses_a_dark_channel() -> No
     assert np.unique(to_display(card, display_white(card), linear=True)).tolist() == [255]
     with pytest.raises(RecordError, match=r"every channel must be above 0 to be shown white-balanced"):
         display_white(card * [1.0, 1.0, 0.0])
+
+
+def test_a_raspberry_pi_shows_daylight_grey_and_its_leds_blue() -> None:
+    pad = np.ones((4, 4), dtype=bool)
+    daylight = np.full((4, 4, 3), (1 / 2.31, 1.0, 1 / 1.24))  # what the sensor sees of a grey card at 8575 K
+    card = raspberry_pi_display(daylight, pad)
+    assert np.ptp(card.astype(int)) <= 1
+    assert card[0, 0, 1] == round(255 * np.interp(0.7 * 65535, [32768, 49152], [54876, 61183]) / 65535)
+    led = raspberry_pi_display(np.full((4, 4, 3), (0.034, 0.075, 0.83)), pad)  # the IMX219's response at 450 nm
+    assert led[0, 0, 0] == 0
+    assert led[0, 0, 1] == 0
+    assert led[0, 0, 2] > 200
+    with pytest.raises(RecordError, match=r"the pad is black in the colours of a Raspberry Pi"):
+        raspberry_pi_display(np.zeros((4, 4, 3)), pad)
 
 
 def test_a_bayer_frame_becomes_half_size_rgb_above_black() -> None:
