@@ -400,6 +400,10 @@ def band_integrator(
             """Return the names of the channels beyond the first three chains."""
             return list(paths.chains[len(FIRST_CHAINS) :])
 
+        def divide_lanes(self, batch: Any) -> None:
+            """Tell which batch of what the walls emit each lane of the next rays sees."""
+            paths.divide_lanes(batch)
+
     return BandIntegrator(mi.Properties())
 
 

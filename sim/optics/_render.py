@@ -1,12 +1,14 @@
 """Render a press: the finger without and with the indenter, as band images with their noise and position maps.
 
 A finger's scene is opened with paint on its walls, and each level in each variant has what renders it. Each state, with
-contact or without, is rendered as two independent halves: their difference is its noise.
+contact or without, is rendered in up to 16 independent passes: what they differ by is its noise.
 """
 
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import count as counting
 from types import ModuleType
 from typing import Any, Literal
 
@@ -14,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import CameraCalibration, FingerDesign, SimulateError
-from sim.optics._optical_layout import Window
+from sim.optics._optical_layout import Window, camera_pose
 from sim.optics._paint_bands import BAND_NAMES, PaintBands, PaintOptics, paint_bands
 from sim.optics._painted_walls import (
     BAKE_SAMPLES,
@@ -23,11 +25,12 @@ from sim.optics._painted_walls import (
     WALLS,
     Level,
     WallLight,
-    bake_walls,
+    bake_batches,
     last_band,
     light_walls,
     unbaked_walls,
 )
+from sim.optics._passes import PassedPicture, joined_passes, known_variance, passes_of, traced_picture
 from sim.optics._pixel_maps import PixelMaps, pixel_maps
 from sim.optics._renderer import SCALAR_VARIANT
 from sim.optics._scene import camera_sensor, finger_scene
@@ -61,13 +64,33 @@ class CameraWindows:
         contact = Window.around(np.where(near, 0.0, np.nan)[..., None]) if near.any() else None
         return cls(design, calibration, Window.around(*(m.coat_mm(design) for m in maps)), contact)
 
+    def regions(self, samples: "PathsPerPixel") -> list[tuple[NDArray[np.int64], int]]:
+        """Return (column, row) of the surroundings' pixels, the pad's and the contact's, with the paths of each."""
+        pose = camera_pose(self.design)
+        region = np.zeros((pose.rows_px, pose.columns_px), dtype=np.int64)
+        region[self.window.rows, self.window.columns] = 1
+        if self.contact is not None:
+            region[self.contact.rows, self.contact.columns] = 2
+        counts = (samples.surroundings, samples.pad, samples.contact)
+        return [(np.argwhere(region == k)[:, ::-1], count) for k, count in enumerate(counts)]
+
 
 @dataclass(frozen=True, slots=True)
 class PathsPerPixel:
-    """Paths per pixel of both halves together: over the pad, and around the contact."""
+    """Paths per pixel of all passes together: over the pad, and around the contact."""
 
     pad: int
     contact: int
+
+    @property
+    def passes(self) -> int:
+        """Independent passes that they divide into."""
+        return passes_of(self.pad, self.contact)
+
+    @property
+    def surroundings(self) -> int:
+        """Paths per pixel that sees neither coat nor walls: nothing is measured there."""
+        return self.passes * max(1, round(self.pad / (SURROUNDINGS_SHARE * self.passes)))
 
     def __post_init__(self) -> None:
         """Refuse numbers that cannot be halved."""
@@ -80,10 +103,10 @@ class PathsPerPixel:
 
 @dataclass(frozen=True, slots=True)
 class StateRender:
-    """The finger without or with contact: an image per chain, half the difference of both halves, their seconds."""
+    """The finger without or with contact: its chains, their picture in passes, seconds of bake and paths."""
 
-    chains: Mapping[str, NDArray[np.float32]]
-    half_difference: Mapping[str, NDArray[np.float32]]
+    chains: tuple[str, ...]
+    picture: PassedPicture
     bake_s: float
     render_s: float
 
@@ -97,61 +120,57 @@ def render_state(
     seed: int,
     samples: PathsPerPixel,
 ) -> StateRender:
-    """Render two independent halves, whose difference tells the noise."""
+    """Render independent passes, each with its own batch of the walls' light; what they differ by tells the noise."""
     begun, design = time.monotonic(), camera.design
     scene = open_scene(design, shape, bands, renderer, camera_sensor(design, renderer, camera.calibration))
-    guide = None if level == "c" else open_guide(scene, design, shape, renderer)
-    prepared_s = time.monotonic() - begun
-    (one, bake_s), (other, more_s) = (
-        _render_half(scene, guide, camera, shape, bands, renderer, level, stream_seed(seed, half), samples)
-        for half in (0, 1)
-    )
-    bake_s += prepared_s + more_s
-    mean, half_difference = _mean_and_half_difference(one, other)
-    return StateRender(mean, half_difference, bake_s, time.monotonic() - begun - bake_s)
-
-
-def _render_half(
-    scene: Any,
-    guide: Any,
-    camera: CameraWindows,
-    shape: FingerShape,
-    bands: PaintBands,
-    renderer: ModuleType,
-    level: RenderLevel,
-    seed: int,
-    samples: PathsPerPixel,
-) -> tuple[dict[str, NDArray[np.float32]], float]:
-    """Bake the walls and render once, the windows finely; return an image per chain and the seconds of the bake."""
-    begun, design = time.monotonic(), camera.design
+    scalar, light = renderer.variant() == SCALAR_VARIANT, {}
     chains: tuple[str, ...]
     if level == "c":
         integrator, chains = pathwise_integrator(scene, design, shape, bands, renderer), FIRST_CHAINS
     else:
-        paths = BAKE_SAMPLES[renderer.variant() == SCALAR_VARIANT] // 2
-        light = bake_walls(scene, design, shape, bands, renderer, level, seed, paths, guide=guide)[0]
-        integrator, chains = lit_integrator(scene, design, shape, renderer, light, guide)
+        guide = open_guide(scene, design, shape, renderer)
+        batches = bake_batches(
+            scene, design, shape, bands, renderer, level, stream_seed(seed, 0), BAKE_SAMPLES[scalar], guide
+        )
+        light = {chain: _in_passes(of_chain, samples.passes) for chain, of_chain in batches.items()}
+        integrator, chains = lit_integrator(scene, design, shape, renderer, {} if scalar else light, guide)
     bake_s = time.monotonic() - begun
-    coarse = max(1, samples.pad // 2 // SURROUNDINGS_SHARE)
-    image = np.array(renderer.render(scene, integrator=integrator, spp=coarse, seed=seed), dtype=np.float32)
-    for stream, (window, count) in enumerate(((camera.window, samples.pad), (camera.contact, samples.contact)), 1):
-        if window is not None:
-            sensor = renderer.load_dict(camera_sensor(design, renderer, camera.calibration, window))
-            fine = renderer.render(
-                scene, sensor=sensor, integrator=integrator, spp=count // 2, seed=stream_seed(seed, stream)
-            )
-            image[window.rows, window.columns] = np.array(fine, dtype=np.float32)
-    return {chain: image[..., k] for k, chain in enumerate(chains)}, bake_s
+    seed_of = partial(stream_seed, seed)
+    if scalar:
+        picture = _scalar_picture(scene, camera, renderer, light, samples, seed_of)
+    else:
+        picture = traced_picture(scene, integrator, renderer, chains, camera.regions(samples), seed_of)
+    return StateRender(chains, picture, bake_s, time.monotonic() - begun - bake_s)
 
 
-def _mean_and_half_difference(
-    one: dict[str, NDArray[np.float32]], other: dict[str, NDArray[np.float32]]
-) -> tuple[dict[str, NDArray[np.float32]], dict[str, NDArray[np.float32]]]:
-    """Return mean and half difference of two halves; a chain at the edge of being left out may be in one of them."""
-    dark = np.zeros_like(next(iter(one.values())))
-    pairs = {c: (one.get(c, dark), other.get(c, dark)) for c in dict.fromkeys([*one, *other])}
-    half = np.float32(0.5)
-    return {c: half * (a + b) for c, (a, b) in pairs.items()}, {c: half * (a - b) for c, (a, b) in pairs.items()}
+def _in_passes(batches: NDArray[np.float64], passes: int) -> NDArray[np.float64]:
+    """Return batches (batch, ...) joined to as many as there are passes."""
+    return np.asarray(batches.reshape(passes, -1, *batches.shape[1:]).mean(axis=1))
+
+
+def _scalar_picture(
+    scene: Any,
+    camera: CameraWindows,
+    renderer: ModuleType,
+    light: WallLight,
+    samples: PathsPerPixel,
+    seed_of: Callable[[int], int],
+) -> PassedPicture:
+    """Render each pass by the scene's own integrator, the windows finely."""
+    streams, images = counting(1), []
+    for number in range(samples.passes):
+        light_walls(scene, {chain: batches[number] for chain, batches in light.items()}, renderer)
+        image = np.array(
+            renderer.render(scene, spp=samples.surroundings // samples.passes, seed=seed_of(next(streams)))
+        )
+        for window, count in ((camera.window, samples.pad), (camera.contact, samples.contact)):
+            if window is not None:
+                sensor = renderer.load_dict(camera_sensor(camera.design, renderer, camera.calibration, window))
+                fine = renderer.render(scene, sensor=sensor, spp=count // samples.passes, seed=seed_of(next(streams)))
+                image[window.rows, window.columns] = np.array(fine)
+        images.append(image)
+    mean, half_difference, variance = joined_passes(np.array(images), FIRST_CHAINS)
+    return PassedPicture(mean, half_difference, known_variance(variance))
 
 
 CONTACT_SHARE = 2
@@ -173,11 +192,11 @@ class PressRender:
 
     Images are (rows, columns, 3 bands: red emission, green emission, LED), radiance in units of the panel's;
     ``*_chains`` hold the same light apart, per chain of fluorescence in the order of ``chains``: the mean of two
-    independent halves, and ``*_half_difference`` half their difference, so that mean + and - it are the halves. Each
-    half has its own bake of the walls, so the variance holds the bake's noise too; that part (about 2 % of the painted
-    bands) is common to all pixels and does not average out over an area.
-    ``*_variance`` is the variance of the mean of the halves, ``*_maps`` is what each pixel sees,
-    ``contact_label`` where the pressed shape comes from.
+    independent halves, and ``*_half_difference`` half their difference, so that mean + and - it are the halves.
+    ``*_variance`` is the variance of the mean of the bands, from up to 16 passes: with K of them it has K - 1 degrees
+    of freedom. Each pass sees its own batch of the baked walls, so both hold the bake's noise too; that part is common
+    to all pixels and does not average out over an area. ``*_maps`` is what each pixel sees, ``contact_label`` where
+    the pressed shape comes from.
     """
 
     no_contact_bands: NDArray[np.float32]
@@ -236,8 +255,8 @@ def render_press(
     seed
         Random seed, >= 0.
     samples_per_pixel
-        Paths per pixel that sees the pad, an even number >= 2: two independent halves are rendered. The
-        surroundings get an eighth.
+        Paths per pixel that sees the pad, an even number >= 2, in as many passes as it and the next number divide
+        into: 16, 8, 4 or 2. The surroundings get about an eighth, at least one path of each pass.
     progress
         Called after each step.
     shapes
@@ -318,26 +337,24 @@ def _check_scalar(design: FingerDesign, renderer: ModuleType) -> None:
 
 
 def _images(name: str, state: StateRender, chains: tuple[str, ...], maps: PixelMaps) -> dict[str, Any]:
-    """Return the fields of a render that belong to one state."""
+    """Return the fields of a render that belong to one state; `chains` are those of both."""
+    mean, half_difference = (
+        _in_order(image, state.chains, chains) for image in (state.picture.mean, state.picture.half_difference)
+    )
+    of_band = np.array([[last_band(chain) == band for band in BAND_NAMES] for chain in chains], dtype=np.float32)
     return {
-        f"{name}_bands": _bands_of(state.chains),
-        f"{name}_chains": _stacked(state.chains, chains),
-        f"{name}_half_difference": _stacked(state.half_difference, chains),
-        f"{name}_variance": _bands_of(state.half_difference) ** 2,
+        f"{name}_bands": np.asarray(mean @ of_band),
+        f"{name}_chains": mean,
+        f"{name}_half_difference": half_difference,
+        f"{name}_variance": state.picture.band_variance,
         f"{name}_maps": maps,
     }
 
 
-def _bands_of(images: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
-    """Return the band images (rows, columns, 3) that chain images add up to."""
-    of_band = {b: [image for chain, image in images.items() if last_band(chain) == b] for b in BAND_NAMES}
-    return np.stack([np.sum(of_band[band], axis=0, dtype=np.float32) for band in BAND_NAMES], axis=-1)
-
-
-def _stacked(images: Mapping[str, NDArray[np.float32]], chains: tuple[str, ...]) -> NDArray[np.float32]:
-    """Return chain images as (rows, columns, chain)."""
-    dark = np.zeros_like(next(iter(images.values())))
-    return np.stack([images.get(chain, dark) for chain in chains], axis=-1)
+def _in_order(image: NDArray[np.float32], chains: Sequence[str], wanted: Sequence[str]) -> NDArray[np.float32]:
+    """Return an image (rows, columns, chain) with other chains, dark where it has them not."""
+    dark = np.zeros(image.shape[:2], dtype=np.float32)
+    return np.stack([image[..., chains.index(c)] if c in chains else dark for c in wanted], axis=-1)
 
 
 def check_paints(design: FingerDesign, paints: Mapping[str, PaintOptics]) -> PaintBands:

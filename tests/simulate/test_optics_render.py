@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from data_schemas import FingerDesign, GelPad, Indenter, LightPanel, SimulateError
 from data_schemas._design_parts import Mirror, TactileCamera
 from sim.optics import BAKE_SAMPLES, choose_variant, open_renderer, paint_bands, render_press, sweep_light_angle
+from sim.optics._passes import joined_passes, passes_of
 from sim.optics._scene import finger_scene
 from sim.surface_meshes import pressed_shape, rest_shape, without_press
 from tests.simulate.flat_refraction import trace_crossing
@@ -234,8 +235,34 @@ def test_more_paths_around_the_contact_make_it_quieter_and_change_nothing_else(l
     errors = [np.sqrt(render.contact_variance[near].sum(axis=0)) / near.sum() for render in (few, many)]
     # the noise of a bake is common to all pixels, about 3 % of the painted bands with so few paths
     assert (np.abs(means[0] - means[1]) < STANDARD_ERRORS * (np.hypot(*errors) + 0.03 * means[1])).all()
-    # the halves are the mean and half their difference: their bands' spread is the variance
-    bands = [c.rsplit(">", 1)[-1] == "led" for c in many.chains]
-    np.testing.assert_allclose(
-        many.contact_half_difference[..., bands].sum(axis=-1) ** 2, many.contact_variance[..., 2], rtol=1e-4
-    )
+
+
+@pytest.mark.renderer
+def test_two_seeds_differ_as_much_as_their_variances_say(llvm, paints):
+    """Shares of pixels beyond their 95 % points (normal), dark ones too; 3.5 to 5.5 % were seen on large pictures."""
+    one, other = (render_press(DESIGN, paints, llvm, seed=seed, samples_per_pixel=64) for seed in (8, 9))
+    coat = pad_pixels(one)
+    difference = (one.contact_bands - other.contact_bands)[coat]
+    sd = np.sqrt(one.contact_variance + other.contact_variance)[coat]
+    assert (sd > 0.0).all()
+    beyond = (np.abs(difference) > 1.96 * sd).mean(axis=0)
+    # some 800 pixels of each band; light that is rare and bright makes the count uneven
+    assert ((beyond > 0.02) & (beyond < 0.08)).all(), beyond
+    spread = np.sqrt((difference**2).mean(axis=0) / (sd**2).mean(axis=0))
+    assert (np.abs(np.log(spread)) < np.log(1.5)).all(), spread
+
+
+def test_passes_tell_mean_half_difference_and_variance_of_the_bands():
+    chains = ("led>red", "led>green", "led", "led>green>red")
+    passes = np.random.default_rng(1).normal(size=(16, 3, 4))
+    picture = joined_passes(passes, chains)
+    np.testing.assert_allclose(picture.mean, passes.mean(axis=0), rtol=1e-5)
+    np.testing.assert_allclose(picture.mean + picture.half_difference, passes[:8].mean(axis=0), rtol=1e-5)
+    red = passes[..., 0] + passes[..., 3]
+    np.testing.assert_allclose(picture.band_variance[:, 0], red.var(axis=0, ddof=1) / 16, rtol=1e-5)
+
+
+def test_numbers_of_paths_give_as_many_passes_as_they_share():
+    assert [passes_of(*n) for n in ((64, 128), (8, 128), (24,), (4, 6), (2,))] == [16, 8, 8, 2, 2]
+    with pytest.raises(SimulateError, match=r"paths per pixel must be even numbers, got 3, 4"):
+        passes_of(3, 4)

@@ -17,7 +17,7 @@ from data_schemas import CaptureError, LampSettings, LaserSettings, LostError, R
 from rigs import TerminalOperator, open_lamp, open_laser
 from rigs.light_guard import GuardedLight, guarded_light
 from rigs.light_guard._held_light import HungUpError, channel, error_from, error_words, receive, send
-from rigs.light_guard.watch import GUARD_SILENT_S, OtherProcess
+from rigs.light_guard.watch import GUARD_SILENT_S, LOOK_S, OtherProcess
 from rigs.lights.indi import open_switch
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.firmware_in_qemu import SOURCE, Tap, build, firmware_board
@@ -496,14 +496,26 @@ class TestFewerThanThree:
                 assert "LostError" in process.stdout.readline()
 
     def test_all_three_leave_it_on(self, folder):
-        """What is said of a light without a layer outside the computer is true."""
-        with file_owner(folder) as process:
-            pids = (the_watch(str(folder)), the_guard(str(folder)), process.pid)
-            for number in (signal.SIGSTOP, signal.SIGKILL):
+        """What is said of a light without a layer outside the computer is true.
+
+        They look after each other every 20 ms: on a busy machine the last one may act before it is stopped too.
+        """
+        for _ in range(20):
+            with file_owner(folder) as process:
+                pids = (the_watch(str(folder)), the_guard(str(folder)), process.pid)
+                began_s = time.monotonic()
                 for pid in pids:
-                    os.kill(pid, number)
-            time.sleep(2.0 * OFF_WITHIN_S)
-            assert (folder / "on").exists()
+                    os.kill(pid, signal.SIGSTOP)
+                at_once = time.monotonic() - began_s < 0.5 * LOOK_S
+                for pid in pids:
+                    os.kill(pid, signal.SIGKILL)
+                time.sleep(2.0 * OFF_WITHIN_S)
+                stayed_on = (folder / "on").exists()
+            if at_once:
+                break
+            (folder / "on").unlink(missing_ok=True)
+        assert at_once
+        assert stayed_on
 
     def test_successor_of_the_last_one_goes_on_until_the_light_is_off(self, folder, capfd):
         """Owner and guard are gone, and what the watch sends does not help."""
