@@ -111,7 +111,8 @@ def known_variance(variance: FloatImage) -> FloatImage:
     There all passes are alike, dark, and their own variance of 0 would claim that the pixel is known exactly.
     """
     around = cv2.blur(variance, (_AROUND_PX, _AROUND_PX), borderType=cv2.BORDER_REPLICATE)
-    return np.where(variance > 0.0, variance, around).astype(np.float32)
+    # its running sums may end a last digit below zero
+    return np.where(variance > 0.0, variance, np.maximum(around, 0.0)).astype(np.float32)
 
 
 class _Lanes(NamedTuple):

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from data_schemas import FingerDesign, GelPad, Indenter, LightPanel, SimulateError
 from data_schemas._design_parts import Mirror, TactileCamera
 from sim.optics import BAKE_SAMPLES, choose_variant, open_renderer, paint_bands, render_press, sweep_light_angle
-from sim.optics._passes import joined_passes, passes_of
+from sim.optics._passes import joined_passes, known_variance, passes_of
 from sim.optics._scene import finger_scene
 from sim.surface_meshes import pressed_shape, rest_shape, without_press
 from tests.simulate.flat_refraction import trace_crossing
@@ -260,6 +260,17 @@ def test_passes_tell_mean_half_difference_and_variance_of_the_bands():
     np.testing.assert_allclose(picture.mean + picture.half_difference, passes[:8].mean(axis=0), rtol=1e-5)
     red = passes[..., 0] + passes[..., 3]
     np.testing.assert_allclose(picture.band_variance[:, 0], red.var(axis=0, ddof=1) / 16, rtol=1e-5)
+
+
+def test_a_pixel_without_light_is_as_uncertain_as_its_neighbours():
+    variance = np.random.default_rng(1).uniform(0.5, 2.0, (40, 50, 3)).astype(np.float32)
+    variance[:, :20] *= 1e12  # sums that run on lose what comes after
+    variance[10, 30], variance[20:40, 30:50] = 0.0, 0.0
+    known = known_variance(variance)
+    assert (known >= 0.0).all()
+    assert ((known[10, 30] > 0.3) & (known[10, 30] < 2.0)).all()
+    assert (known[30, 40] == 0.0).all()
+    assert np.array_equal(known[variance > 0.0], variance[variance > 0.0])
 
 
 def test_numbers_of_paths_give_as_many_passes_as_they_share():
