@@ -21,7 +21,7 @@ from sim.mechanics._linear_solver import SymmetricSolver, linear_solver
 from sim.mechanics._mesh import FingerMesh
 from sim.mechanics._newton import NewtonOptions, Supports, find_equilibrium
 from sim.mechanics._penalty_contact import PenaltyContact, PenaltyTouch, penalty_mpa_per_mm
-from sim.mechanics._pressed_finger import PressedFinger, PressHistory
+from sim.mechanics._press import PressedFinger, PressHistory
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -1,21 +1,272 @@
-"""Press an indenter into a finger: increments of the push, from first touch or from a stored press."""
+"""Press an indenter into a finger: increments of the push, from first touch or from a stored press.
 
-from collections.abc import Callable
-from dataclasses import replace
+What a press found, increment by increment, and the torque that its contact can hold.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
 
-from data_schemas import FingerDesign, NoEquilibriumError, Preset, SimulateError
-from sim.mechanics._assembly import Assembly, Elasticity, State
+from data_schemas import ContactKind, FingerDesign, NoEquilibriumError, Preset, SimulateError
+from sim.mechanics._assembly import Assembly, Elasticity, Modes, State
 from sim.mechanics._contact_library import contact_library_failure
-from sim.mechanics._finger_mesh import STEPS, finger_materials, finger_mesh, finger_ties
+from sim.mechanics._finger_mesh import STEPS, TiedNodes, finger_materials, finger_mesh, finger_ties
 from sim.mechanics._increments import CoarserPath, Watch, load_increments
 from sim.mechanics._linear_solver import linear_solver
-from sim.mechanics._mesh import FingerMesh
-from sim.mechanics._newton import NewtonOptions, Supports
-from sim.mechanics._press_contact import ContactChoice, PressContact, chosen_contact, press_contact
-from sim.mechanics._pressed_finger import PressedFinger, PressHistory
+from sim.mechanics._mesh import FingerMesh, OwnSurfaces
+from sim.mechanics._newton import Equilibrium, NewtonOptions, Supports
+from sim.mechanics._press_contact import ContactChoice, PressContact, Touch, chosen_contact, press_contact
+
+FloatArray = NDArray[np.float64]
+
+# a patch that reaches over this share of the pad is a strip across it
+_WHOLE_WIDTH = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class PressedFinger:
+    """Equilibria of a finger under a rigid indenter; k increments, the last one is the whole push.
+
+    Attributes
+    ----------
+    mesh
+        The mesh.
+    depth_mm
+        Push of the indenter from first touch, (k,).
+    force_n
+        Force on the indenter, (k, 3).
+    energy_n_mm
+        Energy that is stored, (k,): strain of the elements, ties and contact.
+    displacement_mm
+        Of the nodes, (k, n, 3); of the last increments only, (l, n, 3), where a stored press was gone on with.
+    iterations
+        Newton iterations of each increment, (k,).
+    modes_mm
+        Incompatible modes of each block at the last increment, (m, 3, 3) or (m, 0, 3).
+    pressure_mpa, touch_mm
+        Of the last increment: contact pressure at the q sampling points of the coat's f faces (f, q), and where these
+        lie in the undeformed pad (f, q, 3).
+    unreached
+        Why the push ended early; empty when it did not.
+    contact
+        In words: how the indenter and the parts touch.
+    contact_energy_n_mm
+        Of the energy, what the contact stores, (k,); none where another program's results do not tell it.
+    friction_work_n_mm
+        Work lost to friction from first touch on, (k,): each increment's force at its end, along its slip.
+    kind
+        How the contact was computed.
+    crossing
+        From which push on surfaces of the finger pass through each other, and where; empty where none do.
+    """
+
+    mesh: FingerMesh
+    depth_mm: FloatArray
+    force_n: FloatArray
+    energy_n_mm: FloatArray
+    displacement_mm: FloatArray
+    iterations: NDArray[np.int64]
+    modes_mm: Modes
+    pressure_mpa: FloatArray
+    touch_mm: FloatArray
+    unreached: str
+    contact: str
+    contact_energy_n_mm: FloatArray | None = None
+    friction_work_n_mm: FloatArray | None = None
+    kind: ContactKind | Literal["unknown"] = "unknown"
+    crossing: str = ""
+
+
+class PressHistory:
+    """The increments of a press so far, after those of a press that is gone on with.
+
+    Parameters
+    ----------
+    assembly, ties, touch
+        What is in equilibrium, and its parts whose energies are told apart.
+    before
+        The press that is gone on with.
+
+    Attributes
+    ----------
+    crossing
+        See :class:`PressedFinger`; of these increments.
+    """
+
+    def __init__(
+        self, assembly: Assembly, ties: Sequence[TiedNodes], touch: Touch, before: PressedFinger | None = None
+    ) -> None:
+        self._assembly, self._ties, self._touch, self._before = assembly, ties, touch, before
+        self._surfaces = OwnSurfaces(touch.mesh)
+        self.crossing = ""
+        self._states: list[State] = []
+        self._iterations: list[int] = []
+        self._rows: list[tuple[float, ...]] = []
+
+    @property
+    def depth_mm(self) -> float | None:
+        """Push at the last increment; none before the first."""
+        return self._rows[-1][0] if self._rows else None
+
+    def add(self, depth_mm: float, equilibrium: Equilibrium) -> None:
+        """Add an increment, before its contact is moved on."""
+        state = equilibrium.state
+        contact = self._touch.energy_n_mm(state.u_mm)
+        stored = self._assembly.elasticity.energy(state.u_mm, state.modes) + contact
+        stored += sum(tie.energy(state.u_mm) for tie in self._ties)
+        lost = self._touch.friction_work_n_mm(state.u_mm)
+        if not self.crossing and (found := self._surfaces.crossing(state.u_mm)):
+            self.crossing = f"from a push of {depth_mm:.4g} mm on {found}"
+        self._states.append(state)
+        self._iterations.append(equilibrium.iterations)
+        self._rows.append((depth_mm, stored, contact, lost, *self._touch.force_n(state.u_mm)))
+
+    def pressed(self, unreached: str = "") -> PressedFinger:
+        """Return what was reached."""
+        rows, last = np.array(self._rows), self._states[-1]
+        return PressedFinger(
+            mesh=self._touch.mesh,
+            depth_mm=self._after("depth_mm", rows[:, 0]),
+            force_n=self._after("force_n", rows[:, 4:]),
+            energy_n_mm=self._after("energy_n_mm", rows[:, 1]),
+            displacement_mm=np.array([state.u_mm for state in self._states]),
+            iterations=self._after("iterations", np.array(self._iterations, dtype=np.int64)),
+            modes_mm=last.modes,
+            pressure_mpa=self._touch.pressures_mpa(last.u_mm),
+            touch_mm=self._touch.touch_mm(),
+            unreached=unreached,
+            contact=self._touch.note,
+            contact_energy_n_mm=self._after("contact_energy_n_mm", rows[:, 2]),
+            friction_work_n_mm=self._after("friction_work_n_mm", np.cumsum(rows[:, 3]), goes_on=True),
+            kind=self._touch.kind,
+            crossing=self.crossing,
+        )
+
+    def _after(self, name: str, now: NDArray[Any], goes_on: bool = False) -> NDArray[Any]:
+        """Return values after those before, NaN where an older file does not tell them; sums go on from the last."""
+        if self._before is None:
+            return now
+        before = getattr(self._before, name)
+        if before is None:
+            before = np.full(len(self._before.depth_mm), np.nan)
+        return np.concatenate([before, now + before[-1] if goes_on else now])
+
+
+def coat_areas_mm2(mesh: FingerMesh) -> FloatArray:
+    """Return the areas at rest of the coat's f faces, (f,)."""
+    corners = mesh.nodes_mm[mesh.surfaces["coat"]]
+    return np.asarray(
+        np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]), axis=1) / 2.0
+    )
+
+
+def contact_pressure_mpa(pressed: PressedFinger) -> FloatArray:
+    """Return the contact pressure of the last increment at the mesh's n nodes, (n,); 0 away from the coat.
+
+    p_a = sum_f A_f p_f / sum_f A_f over the faces f at node a, with p_f the mean of a face's points and A_f its area
+    at rest: pressure times the coat's area is the same at the nodes as on the faces.
+    """
+    faces, areas = pressed.mesh.surfaces["coat"], coat_areas_mm2(pressed.mesh)
+    count = len(pressed.mesh.nodes_mm)
+    held = np.bincount(faces.ravel(), np.repeat(areas * pressed.pressure_mpa.mean(axis=1), 4), count)
+    area = np.bincount(faces.ravel(), np.repeat(areas, 4), count)
+    return np.asarray(np.divide(held, area, out=np.zeros(count), where=area > 0.0))
+
+
+def contact_distance(pressed: PressedFinger, nodes: NDArray[np.int64]) -> FloatArray:
+    """Return the distance of coat nodes from the middle of the contact in units of its half-width; <= 1 in contact.
+
+    The patch is taken as an ellipse in the undeformed pad, or as a strip where it reaches across the pad. It ends half
+    the distance between sampling points beyond the outermost one that touches, and is known to about that. NaN without
+    contact.
+    """
+    touching = pressed.touch_mm[pressed.pressure_mpa > 0.0]
+    # two Gauss points lie 1/sqrt(3) of a face apart, on average half a face
+    margin = np.median(np.ptp(pressed.touch_mm, axis=1), axis=0) * np.sqrt(3.0) / 4.0
+    if not len(touching):
+        return np.full(len(nodes), np.nan)
+    places = pressed.mesh.nodes_mm[nodes]
+    squares = np.zeros(len(nodes))
+    for axis in (0, 2):
+        low, high = touching[:, axis].min() - margin[axis], touching[:, axis].max() + margin[axis]
+        pad_low, pad_high = places[:, axis].min(), places[:, axis].max()
+        if high - low < _WHOLE_WIDTH * (pad_high - pad_low):
+            squares += ((places[:, axis] - (low + high) / 2.0) / ((high - low) / 2.0)) ** 2
+    return np.asarray(np.sqrt(squares))
+
+
+def contact_forces_n(pressed: PressedFinger) -> tuple[FloatArray, FloatArray]:
+    """Return where a pressed contact pushes, places on the coat at rest (k, 3), and how hard, (k,) in N.
+
+    The pressures times their areas, made to add up to the size of the force on the indenter; places at rest: the
+    patch's own stretch, a few per cent, is left out.
+    """
+    pushes = pressed.pressure_mpa * coat_areas_mm2(pressed.mesh)[:, None]
+    touching = pushes > 0.0
+    whole = float(pushes.sum())
+    if whole <= 0.0:
+        raise SimulateError("nothing touches: a contact without pressure holds no torque; press deeper")
+    return pressed.touch_mm[touching], pushes[touching] * float(np.linalg.norm(pressed.force_n[-1])) / whole
+
+
+def slip_torque_n_mm(places_mm: FloatArray, forces_n: FloatArray, friction: float) -> float:
+    r"""Return the torque about the pad's normal at which a pressed object begins to turn on the pad.
+
+    T = mu min_c sum_i N_i |r_i - c|, in the plane across the normal (x, z).
+
+    Coulomb's law with the frictionless normal forces N_i, taken to stay as they are while the object slides, on all
+    of the patch at once, as a rigid body about the centre c that holds least (limit analysis: with c the friction
+    forces add up to nothing, a pure torque). The pad's own shear before that, and the change of the pressures by
+    friction, are left out.
+
+    Parameters
+    ----------
+    places_mm, forces_n
+        Of the normal forces, (k, 3) and (k,): see :func:`contact_forces_n`.
+    friction
+        Coulomb's coefficient mu between object and coat.
+
+    Raises
+    ------
+    SimulateError
+        When the coefficient is negative.
+    """
+    if not 0.0 <= friction < np.inf:
+        raise SimulateError(f"friction = {friction:g}: Coulomb's coefficient must be finite and not negative")
+    flat = places_mm[:, [0, 2]]
+
+    def torque(centre: FloatArray) -> float:
+        return float(forces_n @ np.linalg.norm(flat - centre, axis=1))
+
+    start = forces_n @ flat / forces_n.sum()
+    return friction * float(minimize(torque, start, method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-9}).fun)
+
+
+def frictionless_torque_n_mm(places_mm: FloatArray, forces_n: FloatArray, width_mm: float) -> float:
+    """Return the torque about the finger's long axis that normal forces alone can hold: T = N (w / 2 - |x|).
+
+    x is where their resultant N acts across the finger. An object that turns about that axis shifts the resultant
+    towards the pad's edge and tips over it there; the finger's own twist (see
+    :meth:`sim.mechanics.LoadedFinger.twist`) is left out.
+
+    Parameters
+    ----------
+    places_mm, forces_n
+        Of the normal forces, (k, 3) and (k,).
+    width_mm
+        Of the pad.
+    """
+    whole = float(forces_n.sum())
+    return whole * (width_mm / 2.0 - abs(float(forces_n @ places_mm[:, 0]) / whole))
+
+
+IntArray = NDArray[np.int64]
+
 
 Progress = Callable[[int, int, str], None]
 

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import FingerDesign, SimulateError
-from sim.surface_meshes._finger_shape import GEL_FACES, FingerShape, MirrorShape, Surface, mirror_shape
-from sim.surface_meshes._pressed_pad import rest_height_mm
+from sim.surface_meshes._finger_shape import GEL_FACES, FingerShape, MirrorShape, Surface, mirror_shape, rest_height_mm
 
 # corners of the faces of a hexahedron in C3D8 order, counter-clockwise seen from outside
 HEXAHEDRON_FACES = np.array([[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]])

@@ -9,13 +9,13 @@ from finray_calib.acceptance import ToleranceInterval, conformance_probability, 
 from finray_calib.acceptance._conformity import (
     ISO_14253_1_FACTOR,
     conformance_probability_of_draws,
+    global_risks_normal,
     guard_band,
     guard_factor_for,
     measured,
     verdict_of,
     zone,
 )
-from finray_calib.acceptance._inspection_risk import global_risks_normal
 
 RESISTORS = ToleranceInterval(1499.8, 1500.2)
 

@@ -12,12 +12,12 @@ from data_schemas import MissingExtraError, NoEquilibriumError, SimulateError
 from sim.mechanics import Block, Cylinder, FingerMesh, LinearElastic, Ogden, PenaltyContact, Pose
 from sim.mechanics import _increments as increments
 from sim.mechanics._assembly import UpperBlocks
+from sim.mechanics._finger_mesh import TiedNodes
 from sim.mechanics._increments import load_increments
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._mesh import Tie
 from sim.mechanics._newton import NewtonOptions, Supports, find_equilibrium
-from sim.mechanics._ties import TiedNodes
 from tests.certified.blocks import GridBlock, assemble, press, unit_cells
 
 GEL = neo_hooke(0.1333)

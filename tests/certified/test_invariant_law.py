@@ -5,7 +5,7 @@ import pytest
 
 from data_schemas import SimulateError
 from sim.mechanics import Ogden
-from sim.mechanics.other_engines._deck_materials import fit_invariant_law
+from sim.mechanics.other_engines._deck import fit_invariant_law
 
 TPU = Ogden((6.279, 1.639), (1.6663, -7.136))
 

@@ -8,8 +8,7 @@ from sim.experiments import press_records
 from sim.mechanics import STEPS, Block, FingerMesh, finger_mesh, press_finger
 from sim.mechanics._contact_library import contact_library_failure
 from sim.mechanics._finger_mesh import MeshSteps
-from sim.mechanics._mesh import Tie
-from sim.mechanics._own_surfaces import OwnSurfaces
+from sim.mechanics._mesh import OwnSurfaces, Tie
 from tests.certified.blocks import unit_cells
 
 needs_the_toolkit = pytest.mark.skipif(

@@ -12,8 +12,7 @@ from finray_calib.fit import (
     leave_one_band_out,
 )
 from finray_calib.fit._family_choice import BandPrediction
-from finray_calib.fit._importance import WeightedSample
-from finray_calib.fit._mixture_proposal import MixtureProposal
+from finray_calib.fit._importance import MixtureProposal, WeightedSample
 from tests.fit.synthetic_bands import LOG_NORMAL, orange, simulate
 
 FAIR_PARETO_K = 0.7
