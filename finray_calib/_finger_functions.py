@@ -160,20 +160,18 @@ def press_finger(
     """
     from finray_calib.spectra import machine_threads
     from sim.experiments import press_records
+    from sim.mechanics import PressSettings, press_to_force
     from sim.mechanics import press_finger as press
-    from sim.mechanics import press_to_force
 
     finger, folder, files = _design(design)
-    threads = machine_threads()
+    settings = PressSettings(None, increments, machine_threads(), contact, budget_s)
     if force_n is not None and contact == "barrier":
         raise SimulateError("force_n is reached by the penalty contact only; leave out contact, or force_n")
     with naming(SimulateError, *files[:1]):
         if force_n is not None:
-            pressed = press_to_force(finger, force_n, None, increments, threads, folder, progress, budget_s)
+            pressed = press_to_force(finger, force_n, settings, folder=folder, progress=progress)
         else:
-            pressed = press(
-                finger, None, increments, threads, progress, contact=contact, folder=folder, budget_s=budget_s
-            )
+            pressed = press(finger, settings, folder=folder, progress=progress)
         mechanics, surfaces = press_records(finger, pressed, wanted_force_n=force_n)
     if finger.indenter.file is not None:
         files = [*files, folder / finger.indenter.file]

@@ -186,10 +186,10 @@ class Demo:
         """Press the finger by finite elements; everything rendered afterwards has its shape."""
         from finray_calib.spectra import machine_threads
         from sim.experiments import press_records
-        from sim.mechanics import press_finger
+        from sim.mechanics import PressSettings, press_finger
 
         design = self.design()
-        pressed = press_finger(design, MESH, PUSH_INCREMENTS, machine_threads(), progress)
+        pressed = press_finger(design, PressSettings(MESH, PUSH_INCREMENTS, machine_threads()), progress=progress)
         mechanics, surfaces = press_records(design, pressed, MESH)
         return self._store(mechanics, MECHANICS, []), self._store(surfaces, SURFACES, [])
 

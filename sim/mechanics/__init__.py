@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from sim.mechanics._penalty_contact import QUAD_CORNERS, PenaltyContact, penalty_mpa_per_mm, quad_shapes
     from sim.mechanics._press import (
         PressedFinger,
+        PressSettings,
         contact_distance,
         contact_forces_n,
         contact_pressure_mpa,
@@ -61,6 +62,7 @@ __all__ = [
     "Part",
     "PenaltyContact",
     "Pose",
+    "PressSettings",
     "PressedFinger",
     "RoundedBox",
     "SkeletonLayout",

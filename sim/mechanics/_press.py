@@ -3,7 +3,7 @@
 What a press found, increment by increment, and the torque that its contact can hold.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -16,10 +16,10 @@ from data_schemas import ContactKind, FingerDesign, NoEquilibriumError, Preset, 
 from sim.mechanics._assembly import Assembly, Elasticity, Modes, State
 from sim.mechanics._contact_library import contact_library_failure
 from sim.mechanics._finger_mesh import STEPS, TiedNodes, finger_materials, finger_mesh, finger_ties
-from sim.mechanics._increments import CoarserPath, Watch, load_increments
+from sim.mechanics._increments import CoarserPath, Increment, Load, Watch, load_increments
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._mesh import FingerMesh, OwnSurfaces
-from sim.mechanics._newton import Equilibrium, NewtonOptions, Supports
+from sim.mechanics._newton import Equilibrium, NewtonOptions
 from sim.mechanics._press_contact import ContactChoice, PressContact, Touch, chosen_contact, press_contact
 
 FloatArray = NDArray[np.float64]
@@ -274,18 +274,46 @@ Progress = Callable[[int, int, str], None]
 _SAME_SHARE = 1e-9
 
 
+@dataclass(frozen=True, slots=True)
+class PressSettings:
+    """How a press is computed.
+
+    Attributes
+    ----------
+    preset
+        Fineness of the mesh; the design's own by default.
+    increments
+        Equal steps of the push that are wanted; smaller ones are put between where needed.
+    threads
+        Of elements and factorisation.
+    contact
+        "auto": the penalty where it can, the barrier for friction and meshes of the user, and for a press whose parts
+        pass through each other by the penalty: it begins again.
+    budget_s
+        Processor time that it may take, see :class:`~sim.mechanics._increments.Watch`; then it ends early.
+    """
+
+    preset: Preset | None = None
+    increments: int = 4
+    threads: int = 1
+    contact: ContactChoice = "auto"
+    budget_s: float | None = None
+
+    @property
+    def stops(self) -> list[float]:
+        """Shares of the push that are wanted."""
+        return [(k + 1) / self.increments for k in range(self.increments)]
+
+
 def press_finger(
     design: FingerDesign,
-    preset: Preset | None = None,
-    increments: int = 4,
-    threads: int = 1,
-    progress: Progress | None = None,
+    settings: PressSettings | None = None,
+    *,
+    folder: Path = Path(),
     start: PressedFinger | None = None,
     resume: PressedFinger | None = None,
     store: Callable[[PressedFinger], None] | None = None,
-    contact: ContactChoice = "auto",
-    folder: Path = Path(),
-    budget_s: float | None = None,
+    progress: Progress | None = None,
 ) -> PressedFinger:
     """Press the design's indenter in by its depth along the pad's normal, from first touch.
 
@@ -297,14 +325,10 @@ def press_finger(
     ----------
     design
         Finger, materials and indenter; ``indenter.depth_mm`` is the whole push.
-    preset
-        Fineness of the mesh; the design's own by default.
-    increments
-        Equal steps of the push that are wanted; smaller ones are put between where needed.
-    threads
-        Of elements and factorisation.
-    progress
-        Called before each iteration and after each increment.
+    settings
+        How it is computed.
+    folder
+        Where the design stands: the STL of an indenter is relative to it.
     start
         The same press on a coarser mesh, whose displacements, interpolated, are where each increment's search starts.
         By default a finer mesh than coarse starts from the first increment on the coarse one (not with the barrier).
@@ -312,13 +336,8 @@ def press_finger(
         The same press on the same mesh to a lower depth, to go on from.
     store
         Called after each increment with the press so far, for example to keep it for `resume`.
-    contact
-        "auto": the penalty where it can, the barrier for friction and meshes of the user, and for a press whose parts
-        pass through each other by the penalty: it begins again.
-    folder
-        Where the design stands: the STL of an indenter is relative to it.
-    budget_s
-        Processor time that it may take, see :class:`~sim.mechanics._increments.Watch`; then it ends early.
+    progress
+        Called before each iteration and after each increment.
 
     Raises
     ------
@@ -326,54 +345,26 @@ def press_finger(
         When there is no push, not even the first increment finds an equilibrium or has the time to, or `start` or
         `resume` is a press of another finger or mesh.
     """
-    if design.indenter.depth_mm <= 0.0:
-        raise SimulateError(f"indenter.depth_mm = {design.indenter.depth_mm:g} mm: a press needs a depth above 0 mm")
-    if resume is not None and resume.kind == "barrier" and contact == "auto":
-        contact = "barrier"
-    watch = Watch(progress, increments, budget_s)
-    steps, depth = STEPS[preset or design.mesh.preset], design.indenter.depth_mm
-    touch = press_contact(design, finger_mesh(design, preset), steps.pad_mm, contact, threads, folder)
-    mesh = touch.mesh
-    ties = finger_ties(design, mesh, steps.skeleton_mm)
-    assembly = Assembly(Elasticity(mesh, finger_materials(design), threads), [*touch.terms, *ties])
-
-    def loading(fraction: float) -> Supports:
-        return touch.push(fraction * depth)
-
-    begin, rest = (0.0, None) if resume is None else resumed(resume, mesh, depth)
-    if rest is not None:
-        touch.accept(rest)
-    stops = [(k + 1) / increments for k in range(increments) if (k + 1) / increments > begin + _SAME_SHARE]
-    if start is None and resume is None:
-        predict = _path_from_coarse(_first_on_coarse(design, preset, increments, threads, contact, watch), mesh, depth)
-    else:
-        predict = None if start is None else _path_of(start, mesh, depth)
-    history = PressHistory(assembly, ties, touch, resume)
+    depth = design.indenter.depth_mm
+    if depth <= 0.0:
+        raise SimulateError(f"indenter.depth_mm = {depth:g} mm: a press needs a depth above 0 mm")
+    settings = settings or PressSettings()
+    if resume is not None and resume.kind == "barrier" and settings.contact == "auto":
+        settings = replace(settings, contact="barrier")
+    watch = Watch(progress, settings.increments, settings.budget_s)
+    touch, history, path = _prepared(design, settings, folder, start, resume, watch)
     try:
-        for step in load_increments(
-            assembly,
-            linear_solver(threads=threads),
-            loading,
-            stops,
-            rest,
-            begin,
-            options=NewtonOptions(tell=watch.tell),
-            predict=predict,
-            settle=touch.settle,
-            refuse=lambda state, fraction: _passed_through(touch, state, fraction * depth, steps.pad_mm),
-        ):
+        for step in path:
             history.add(step.fraction * depth, step.equilibrium)
-            if history.crossing and contact == "auto" and touch.kind == "penalty" and contact_library_failure() is None:
+            if history.crossing and settings.contact == "auto" and _barrier_may_help(touch):
                 watch.reached(0, f"{history.crossing}; pressing again with contact of all parts")
-                found = press_finger(
-                    design, preset, increments, threads, progress, store=store, contact="barrier", folder=folder,
-                    budget_s=watch.left_s,
-                )  # fmt: skip
+                again = replace(settings, contact="barrier", budget_s=watch.left_s)
+                found = press_finger(design, again, folder=folder, store=store, progress=progress)
                 why = f"{found.contact}; by the penalty, which was tried first, {history.crossing}"
                 return replace(found, contact=why)
             if store is not None:
                 store(history.pressed())
-            done = increments - sum(step.fraction < s for s in stops)
+            done = settings.increments - sum(step.fraction < stop for stop in settings.stops)
             watch.reached(done, f"pressed to {step.fraction * depth:.2f} mm")
     except NoEquilibriumError as stuck:
         if history.depth_mm is None:
@@ -381,6 +372,48 @@ def press_finger(
         touch.push(history.depth_mm)
         return history.pressed(str(stuck))
     return history.pressed()
+
+
+def _prepared(
+    design: FingerDesign,
+    settings: PressSettings,
+    folder: Path,
+    start: PressedFinger | None,
+    resume: PressedFinger | None,
+    watch: Watch,
+) -> tuple[PressContact, PressHistory, Iterator[Increment]]:
+    """Return the contact, the history that an earlier press began, and the increments still to be found."""
+    depth, steps = design.indenter.depth_mm, STEPS[settings.preset or design.mesh.preset]
+    bare = finger_mesh(design, settings.preset)
+    touch = press_contact(design, bare, steps.pad_mm, settings.contact, settings.threads, folder)
+    ties = finger_ties(design, touch.mesh, steps.skeleton_mm)
+    assembly = Assembly(Elasticity(touch.mesh, finger_materials(design), settings.threads), [*touch.terms, *ties])
+    begin = None if resume is None else resumed(resume, touch.mesh, depth)
+    if begin is not None:
+        touch.accept(begin[1])
+    if start is None and resume is None:
+        predict = _path_from_coarse(_first_on_coarse(design, settings, watch), touch.mesh, depth)
+    else:
+        predict = None if start is None else _path_of(start, touch.mesh, depth)
+    path = load_increments(
+        assembly,
+        linear_solver(threads=settings.threads),
+        Load(
+            at=lambda share: touch.push(share * depth),
+            settle=touch.settle,
+            refuse=lambda state, share: _passed_through(touch, state, share * depth, steps.pad_mm),
+        ),
+        [stop for stop in settings.stops if begin is None or stop > begin[0] + _SAME_SHARE],
+        begin,
+        options=NewtonOptions(tell=watch.tell),
+        predict=predict,
+    )
+    return touch, PressHistory(assembly, ties, touch, resume), path
+
+
+def _barrier_may_help(touch: PressContact) -> bool:
+    """Whether parts that pass through each other can be pressed again with a contact that sees them all."""
+    return touch.kind == "penalty" and contact_library_failure() is None
 
 
 def _passed_through(touch: PressContact, state: State, pushed_mm: float, pad_mm: float) -> str:
@@ -391,19 +424,18 @@ def _passed_through(touch: PressContact, state: State, pushed_mm: float, pad_mm:
     return "" if force_n > 0.0 or between else "the indenter has passed through the coat"
 
 
-def _first_on_coarse(
-    design: FingerDesign, preset: Preset | None, increments: int, threads: int, contact: ContactChoice, watch: Watch
-) -> PressedFinger | None:
+def _first_on_coarse(design: FingerDesign, settings: PressSettings, watch: Watch) -> PressedFinger | None:
     """Press by the first increment on the coarse mesh, which halves the finer one's iterations there.
 
     Further increments are extrapolated: from 3 to 4 mm the coarse path led to a slow start on the medium mesh.
     """
-    if (preset or design.mesh.preset) == "coarse" or chosen_contact(design, contact) == "barrier":
+    preset, contact = settings.preset or design.mesh.preset, settings.contact
+    if preset == "coarse" or chosen_contact(design, contact) == "barrier":
         return None
-    first = design.indenter.model_copy(update={"depth_mm": design.indenter.depth_mm / increments})
+    first = design.indenter.model_copy(update={"depth_mm": design.indenter.depth_mm / settings.increments})
+    coarse = PressSettings("coarse", 1, settings.threads, "penalty", watch.left_s)
     try:
-        shallow = design.model_copy(update={"indenter": first})
-        return press_finger(shallow, "coarse", 1, threads, watch.coarse, contact="penalty", budget_s=watch.left_s)
+        return press_finger(design.model_copy(update={"indenter": first}), coarse, progress=watch.coarse)
     except SimulateError:
         return None
 

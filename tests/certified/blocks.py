@@ -4,7 +4,7 @@ import numpy as np
 
 from sim.mechanics import Block, FingerMesh
 from sim.mechanics._assembly import Assembly, Elasticity
-from sim.mechanics._increments import load_increments
+from sim.mechanics._increments import Load, load_increments
 from sim.mechanics._linear_solver import linear_solver
 
 
@@ -45,4 +45,6 @@ def assemble(mesh, material, terms=()):
 
 def press(assembly, loading, stops=(1.0,), options=None, solver="auto"):
     """All equilibria of a load path."""
-    return [i.equilibrium for i in load_increments(assembly, linear_solver(solver), loading, stops, options=options)]
+    return [
+        i.equilibrium for i in load_increments(assembly, linear_solver(solver), Load(loading), stops, options=options)
+    ]
