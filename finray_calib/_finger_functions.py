@@ -282,17 +282,17 @@ def sweep_light_angle(
         Increasing, at least 4 of them for a decision; 0 along the pad, 90 into it.
     """
     from sim.experiments import light_angle_sweep
+    from sim.optics import ProbePaths
 
     if options.get("level", "b") != "b":
         raise SimulateError("level: sweeps are made with level b; leave it out")
     if not options.get("narrow_sweep", False) and look_like_radians(list(angles_deg)):
         raise SimulateError(f"angles_deg: {narrow_sweep_text(list(angles_deg))}")
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
-    rest, shape = scene.shapes or (None, None)
+    paths = ProbePaths(options.get("samples", DEFAULT_SAMPLES_PER_PROBE), SWEEP_REPEATS, seed)
     sweep = light_angle_sweep(
-        scene.finger, scene.calibrations, list(angles_deg), SWEEP_REPEATS,
-        options.get("samples", DEFAULT_SAMPLES_PER_PROBE), seed, digests, progress, shape,
-        options.get("all_objectives", False), rest,
+        scene.finger, scene.calibrations, list(angles_deg), paths, digests, progress,
+        shapes=scene.shapes, further_objectives=options.get("all_objectives", False),
     )  # fmt: skip
     return made(sweep, "sweep_light_angle", files, seed)
 

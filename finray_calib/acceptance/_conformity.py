@@ -242,11 +242,10 @@ def measured(
     sd: float,
     unit: str,
     evidence: str,
-    *,
-    low: float | None = None,
-    high: float | None = None,
+    limits: ToleranceInterval | None = None,
 ) -> CheckResult:
     """Return the result of a check with a number, judged against its limits."""
+    low, high = (None, None) if limits is None else (limits.low, limits.high)
     return CheckResult(
         section=section,
         name=name,

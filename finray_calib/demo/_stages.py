@@ -269,11 +269,11 @@ class Demo:
     ) -> LightAngleSweep:
         """Sweep the light angle of a finger."""
         from sim.experiments import light_angle_sweep
+        from sim.optics import ProbePaths
 
         digests = self._digests() if calibrations else {}
-        samples = self.settings.effort.probe_samples
-        shape = self.shapes()[1]
-        return light_angle_sweep(finger, calibrations, ANGLES_DEG, repeats, samples, seed, digests, progress, shape)
+        paths = ProbePaths(self.settings.effort.probe_samples, repeats, seed)
+        return light_angle_sweep(finger, calibrations, ANGLES_DEG, paths, digests, progress, shapes=self.shapes())
 
     def _finger(self, design: FingerDesign, paints: "Mapping[str, PaintOptics]") -> "PaintedFinger":
         """Join design, paints, the tactile camera's response and the renderer."""

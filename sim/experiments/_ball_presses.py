@@ -15,7 +15,15 @@ from scipy.ndimage import map_coordinates
 from data_schemas import FingerDesign, Indenter, PlainSensor, SimulateError
 from sim.experiments._painted_finger import PaintedFinger
 from sim.experiments._rendered_press import camera_rgb
-from sim.optics import PixelMaps, Progress, plain_sensor_integrator, plain_sensor_scene, render_press, stream_seed
+from sim.optics import (
+    PixelMaps,
+    Progress,
+    RenderSettings,
+    plain_sensor_integrator,
+    plain_sensor_scene,
+    render_press,
+    stream_seed,
+)
 from sim.surface_meshes import contact_distance, contact_half_width_mm, pressed_height_mm
 
 Floats = NDArray[np.float64]
@@ -260,7 +268,11 @@ def render_finger_presses(
     for step, design in enumerate(designs, start=1):
         pressed = replace(finger, design=design)
         render = render_press(
-            design, finger.paints, finger.renderer, "b", seed, samples_per_pixel, calibration=finger.calibration
+            design,
+            finger.paints,
+            finger.renderer,
+            RenderSettings("b", seed, samples_per_pixel),
+            calibration=finger.calibration,
         )
         matrix = pressed.camera_matrix(render.bands)
         if plane is None:

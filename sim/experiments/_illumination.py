@@ -24,7 +24,9 @@ from sim.experiments._painted_finger import PaintedFinger
 from sim.optics import (
     BAND_NAMES,
     PressRender,
+    ProbePaths,
     Progress,
+    RenderSettings,
     Window,
     inner_face,
     panel_frame,
@@ -94,7 +96,15 @@ def study_light_angle(
                 progress(before * of + done, len(MIRRORS) * of, f"{case}, {what}")
 
         sweeps.append(
-            sweep_light_angle(one, finger.paints, finger.renderer, ANGLES_DEG, repeats, seed, samples, points, told)
+            sweep_light_angle(
+                one,
+                finger.paints,
+                finger.renderer,
+                ANGLES_DEG,
+                ProbePaths(samples, repeats, seed),
+                points,
+                told,
+            )
         )
     radiance = np.stack([sweep.radiance_rel for sweep in sweeps])
     probes = sweeps[0].probe_points_mm
@@ -302,8 +312,15 @@ def study_two_lights(
     both = type(one).model_validate({**one.model_dump(), "second_light": tip.model_dump()})
     renders = []
     for number, design in enumerate((one, both)):
-        renders.append(render_press(design, finger.paints, finger.renderer, "b", seed, samples,
-                                    calibration=finger.calibration))  # fmt: skip
+        renders.append(
+            render_press(
+                design,
+                finger.paints,
+                finger.renderer,
+                RenderSettings("b", seed, samples),
+                calibration=finger.calibration,
+            )
+        )
         if progress is not None:
             progress(number + 1, 2, (ONE, TWO)[number])
     matrix = finger.camera_matrix(renders[0].bands)

@@ -6,7 +6,7 @@ contact or without, is rendered as two independent halves: their difference is i
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any, Literal
 
@@ -30,7 +30,7 @@ from sim.optics._painted_walls import (
 )
 from sim.optics._pixel_maps import PixelMaps, pixel_maps
 from sim.optics._renderer import SCALAR_VARIANT
-from sim.optics._scene import camera_sensor, finger_scene
+from sim.optics._scene import LoadedScene, camera_sensor, finger_scene
 from sim.surface_meshes import FingerShape, check_no_intersections, pressed_shape, rest_shape
 
 SURROUNDINGS_SHARE = 8
@@ -62,20 +62,59 @@ class CameraWindows:
         return cls(design, calibration, Window.around(*(m.coat_mm(design) for m in maps)), contact)
 
 
-@dataclass(frozen=True, slots=True)
-class PathsPerPixel:
-    """Paths per pixel of both halves together: over the pad, and around the contact."""
+CONTACT_SHARE = 2
+"""Pixels near the contact get this many times more paths by default: comparisons look there, and they are few."""
 
-    pad: int
-    contact: int
+
+@dataclass(frozen=True, slots=True)
+class RenderSettings:
+    """How a press is rendered.
+
+    Attributes
+    ----------
+    level
+        How the walls emit. Level c needs a compiled variant.
+    seed
+        Random seed, >= 0.
+    samples_per_pixel
+        Paths per pixel that sees the pad, an even number >= 2: two independent halves are rendered. The
+        surroundings get an eighth.
+    contact_samples_per_pixel
+        Paths per pixel of the rectangle around the contact and its halo, an even number; by default twice those
+        of the pad.
+    common_random_numbers
+        Whether both images use the same random numbers, so that their difference away from the contact is small.
+        What stands for a capture needs noise of its own in each image, as cameras have it.
+
+    Raises
+    ------
+    SimulateError
+        When a number of paths cannot be halved.
+    """
+
+    level: RenderLevel = "b"
+    seed: int = 0
+    samples_per_pixel: int = 64
+    contact_samples_per_pixel: int | None = None
+    common_random_numbers: bool = True
 
     def __post_init__(self) -> None:
         """Refuse numbers that cannot be halved."""
-        for name, count in (("samples_per_pixel", self.pad), ("contact_samples_per_pixel", self.contact)):
-            if count < 2 or count % 2:
+        for name in ("samples_per_pixel", "contact_samples_per_pixel"):
+            count = getattr(self, name)
+            if count is not None and (count < 2 or count % 2):
                 raise SimulateError(
                     f"{name} must be an even number of at least 2 (two independent halves), got {count}"
                 )
+
+    @property
+    def around_contact(self) -> int:
+        """Paths per pixel around the contact."""
+        return self.contact_samples_per_pixel or CONTACT_SHARE * self.samples_per_pixel
+
+    def of_contact(self) -> "RenderSettings":
+        """Return the same for the image with contact, whose random numbers may be its own."""
+        return self if self.common_random_numbers else replace(self, seed=stream_seed(self.seed, _CONTACT_STREAM))
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,22 +128,16 @@ class StateRender:
 
 
 def render_state(
-    camera: CameraWindows,
-    shape: FingerShape,
-    bands: PaintBands,
-    renderer: ModuleType,
-    level: RenderLevel,
-    seed: int,
-    samples: PathsPerPixel,
+    camera: CameraWindows, shape: FingerShape, bands: PaintBands, renderer: ModuleType, settings: RenderSettings
 ) -> StateRender:
     """Render two independent halves, whose difference tells the noise."""
     begun, design = time.monotonic(), camera.design
     scene = open_scene(design, shape, bands, renderer, camera_sensor(design, renderer, camera.calibration))
-    guide = None if level == "c" else open_guide(scene, design, shape, renderer)
+    guide = None if settings.level == "c" else open_guide(scene, design, shape, renderer)
+    finger = LoadedScene(scene, design, shape, bands, renderer)
     prepared_s = time.monotonic() - begun
     (one, bake_s), (other, more_s) = (
-        _render_half(scene, guide, camera, shape, bands, renderer, level, stream_seed(seed, half), samples)
-        for half in (0, 1)
+        _render_half(finger, guide, camera, replace(settings, seed=stream_seed(settings.seed, half))) for half in (0, 1)
     )
     bake_s += prepared_s + more_s
     mean, half_difference = _mean_and_half_difference(one, other)
@@ -112,29 +145,23 @@ def render_state(
 
 
 def _render_half(
-    scene: Any,
-    guide: Any,
-    camera: CameraWindows,
-    shape: FingerShape,
-    bands: PaintBands,
-    renderer: ModuleType,
-    level: RenderLevel,
-    seed: int,
-    samples: PathsPerPixel,
+    finger: LoadedScene, guide: Any, camera: CameraWindows, settings: RenderSettings
 ) -> tuple[dict[str, NDArray[np.float32]], float]:
     """Bake the walls and render once, the windows finely; return an image per chain and the seconds of the bake."""
-    begun, design = time.monotonic(), camera.design
+    begun, seed = time.monotonic(), settings.seed
+    scene, design, shape, renderer = finger.scene, finger.design, finger.shape, finger.renderer
     chains: tuple[str, ...]
-    if level == "c":
-        integrator, chains = pathwise_integrator(scene, design, shape, bands, renderer), FIRST_CHAINS
+    if settings.level == "c":
+        integrator, chains = pathwise_integrator(scene, design, shape, finger.bands, renderer), FIRST_CHAINS
     else:
         paths = BAKE_SAMPLES[renderer.variant() == SCALAR_VARIANT] // 2
-        light = bake_walls(scene, design, shape, bands, renderer, level, seed, paths, guide=guide)[0]
+        light = bake_walls(finger, settings.level, seed, paths, guide=guide)[0]
         integrator, chains = lit_integrator(scene, design, shape, renderer, light, guide)
     bake_s = time.monotonic() - begun
-    coarse = max(1, samples.pad // 2 // SURROUNDINGS_SHARE)
+    coarse = max(1, settings.samples_per_pixel // 2 // SURROUNDINGS_SHARE)
     image = np.array(renderer.render(scene, integrator=integrator, spp=coarse, seed=seed), dtype=np.float32)
-    for stream, (window, count) in enumerate(((camera.window, samples.pad), (camera.contact, samples.contact)), 1):
+    windows = ((camera.window, settings.samples_per_pixel), (camera.contact, settings.around_contact))
+    for stream, (window, count) in enumerate(windows, 1):
         if window is not None:
             sensor = renderer.load_dict(camera_sensor(design, renderer, camera.calibration, window))
             fine = renderer.render(
@@ -153,9 +180,6 @@ def _mean_and_half_difference(
     half = np.float32(0.5)
     return {c: half * (a + b) for c, (a, b) in pairs.items()}, {c: half * (a - b) for c, (a, b) in pairs.items()}
 
-
-CONTACT_SHARE = 2
-"""Pixels near the contact get this many times more paths by default: comparisons look there, and they are few."""
 
 # beside the streams of halves and windows, which count from zero
 _CONTACT_STREAM = 100
@@ -210,14 +234,11 @@ def render_press(
     design: FingerDesign,
     paints: Mapping[str, PaintOptics],
     renderer: ModuleType,
-    level: RenderLevel = "b",
-    seed: int = 0,
-    samples_per_pixel: int = 64,
-    progress: Progress | None = None,
+    settings: RenderSettings | None = None,
+    *,
     shapes: tuple[FingerShape, FingerShape] | None = None,
     calibration: CameraCalibration | None = None,
-    contact_samples_per_pixel: int | None = None,
-    common_random_numbers: bool = True,
+    progress: Progress | None = None,
 ) -> PressRender:
     """Render a finger without and with its press.
 
@@ -231,33 +252,22 @@ def render_press(
         Optics of the paints "red" (x = -width/2) and "green" (x = +width/2).
     renderer
         From :func:`sim.optics.open_renderer`.
-    level
-        How the walls emit. Level c needs a compiled variant.
-    seed
-        Random seed, >= 0.
-    samples_per_pixel
-        Paths per pixel that sees the pad, an even number >= 2: two independent halves are rendered. The
-        surroundings get an eighth.
-    progress
-        Called after each step.
+    settings
+        Level, seed and numbers of paths.
     shapes
         The finger without and with contact, equal meshes.
     calibration
         Of the camera; without it the ideal pinhole of the design.
-    contact_samples_per_pixel
-        Paths per pixel of the rectangle around the contact and its halo, an even number; by default twice those
-        of the pad.
-    common_random_numbers
-        Whether both images use the same random numbers, so that their difference away from the contact is small.
-        What stands for a capture needs noise of its own in each image, as cameras have it.
+    progress
+        Called after each step.
 
     Raises
     ------
     SimulateError
-        When a paint is missing, a paint gains energy, samples_per_pixel is odd, the gel intersects itself, the camera
-        does not see the coat, or level c meets a scalar variant.
+        When a paint is missing, a paint gains energy, the gel intersects itself, the camera does not see the coat, or
+        level c meets a scalar variant.
     """
-    samples = PathsPerPixel(samples_per_pixel, contact_samples_per_pixel or CONTACT_SHARE * samples_per_pixel)
+    settings = settings or RenderSettings()
     _check_scalar(design, renderer)
     start = time.monotonic()
     bands = check_paints(design, paints)
@@ -268,10 +278,9 @@ def render_press(
     maps = [pixel_maps(design, shape, rest, renderer, calibration) for shape in (rest, pressed)]
     timings = {"pixel maps": time.monotonic() - start}
     camera = CameraWindows.of(design, calibration, maps)
-    states = []
-    for step, (name, shape) in enumerate((("no contact", rest), ("contact", pressed)), start=1):
-        own = seed if common_random_numbers or step == 1 else stream_seed(seed, _CONTACT_STREAM)
-        states.append(render_state(camera, shape, bands, renderer, level, own, samples))
+    states, both = [], (("no contact", rest, settings), ("contact", pressed, settings.of_contact()))
+    for step, (name, shape, own) in enumerate(both, start=1):
+        states.append(render_state(camera, shape, bands, renderer, own))
         timings |= {f"bake {name}": states[-1].bake_s, f"render {name}": states[-1].render_s}
         if progress is not None:
             progress(step, 2, f"rendered {name}")
@@ -284,13 +293,17 @@ def render_press(
         chains=chains,
         contact_label=pressed.label,
         bands=bands,
-        samples_per_pixel=samples_per_pixel,
-        seed=seed,
+        samples_per_pixel=settings.samples_per_pixel,
+        seed=settings.seed,
         timings_s=timings,
         variant=variant,
-        level=level,
-        label=f"rendered, {'level c' if level == 'c' else LEVEL_NAMES[level]}, {variant}{_left_out(design, variant)}",
+        level=settings.level,
+        label=f"rendered, {_level_name(settings.level)}, {variant}{_left_out(design, variant)}",
     )
+
+
+def _level_name(level: RenderLevel) -> str:
+    return "level c" if level == "c" else LEVEL_NAMES[level]
 
 
 def _left_out(design: FingerDesign, variant: str) -> str:

@@ -31,7 +31,16 @@ from data_schemas.storage import ProductSet, clear_leftovers, read_record, write
 from finray_calib.compare import srgb_to_lab
 from sim.experiments import camera_rgb, coat_cells, paint_finger, press_records
 from sim.mechanics import PressSettings, press_finger
-from sim.optics import BAND_NAMES, PaintOptics, Preference, PressRender, choose_variant, open_renderer, render_press
+from sim.optics import (
+    BAND_NAMES,
+    PaintOptics,
+    Preference,
+    PressRender,
+    RenderSettings,
+    choose_variant,
+    open_renderer,
+    render_press,
+)
 from sim.studies._plan import PlannedPoint
 from sim.surface_meshes import restore_shapes
 
@@ -184,11 +193,15 @@ def _rendered(
     shapes = None if surfaces is None else restore_shapes(surfaces)
     renders: list[PressRender] = [
         render_press(
-            design, finger.paints, renderer, "b", _repeat_seed(point.seed, k), measure.samples,
-            shapes=shapes, calibration=finger.calibration,
+            design,
+            finger.paints,
+            renderer,
+            RenderSettings("b", _repeat_seed(point.seed, k), measure.samples),
+            shapes=shapes,
+            calibration=finger.calibration,
         )
         for k in range(measure.repeats)
-    ]  # fmt: skip
+    ]
     matrix = finger.camera_matrix(renders[0].bands)
     pictures = {
         name: camera_rgb(np.mean([getattr(r, f"{name}_bands") for r in renders], axis=0), matrix)

@@ -160,10 +160,10 @@ def test_simple_acceptance_decides_what_guard_bands_leave_open(value, simple, gu
 
 
 def test_a_check_carries_its_conformance_probability():
-    result = measured("wheel", "n", "w", 0.8, 0.1, "s", "e", high=1.0)
+    result = measured("wheel", "n", "w", 0.8, 0.1, "s", "e", ToleranceInterval(None, 1.0))
     assert result.p_conform == pytest.approx(stats.norm.cdf(2.0))
     assert result.verdict == verdict_of(0.8, 0.1, None, 1.0) == "PASS"
-    assert measured("wheel", "n", "w", 0.8, float("inf"), "s", "e", high=1.0).p_conform is None
+    assert measured("wheel", "n", "w", 0.8, float("inf"), "s", "e", ToleranceInterval(None, 1.0)).p_conform is None
     assert measured("wheel", "n", "w", 0.8, 0.1, "s", "e").p_conform == 1.0
 
 

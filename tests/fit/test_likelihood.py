@@ -245,7 +245,9 @@ def test_absurd_parameters_give_minus_infinity_or_a_number_but_never_nan(weights
 
 def test_rig_without_leak_has_no_blocking_parameter(rig):
     curves = rig.sampled(np.arange(380.0, 781.0))
-    weights = emission_weights(**(curves | {"leak": 0.0, "transmission": curves["transmission"] - rig.leak}))
+    filters = curves["filters"]
+    without_leak = filters._replace(transmission=filters.transmission - rig.leak, leak=0.0)
+    weights = emission_weights(**(curves | {"filters": without_leak}))
     data, _ = simulate(np.append(orange()[:5], 0.0), weights, np.random.default_rng(1))
     posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior())
     assert posterior.prior.names[-1] == "ln_reflected_laser"
