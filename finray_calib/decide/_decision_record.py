@@ -7,6 +7,7 @@ apart exactly (`swept_contacts`). The sentences say first what to do, then what 
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,9 +98,6 @@ def decide(
     then = decision_sentence(decision, captures.angles_deg, TOLERANCE_REL, next_render, next_capture, others, decided)
     # over several touches the curve is a share of the best
     scale = float(swept[0].values.mean()) if len(swept) == 1 else 1.0
-    real = _band(decision.mean_rel, decision.sd_rel, scale)
-    alone = _band(decision.simulation_only_mean_rel, decision.simulation_only_sd_rel, scale)
-    low_rel, discrepancy_rel, high_rel = decision.discrepancy.amplitude_quantiles_rel
     return LightAngleDecision(
         objective=swept[0].objective,
         angle_deg=decision.best_deg,
@@ -115,24 +113,38 @@ def decide(
         angle_average_deg=decision.contacts.average_deg,
         angle_worst_deg=decision.contacts.worst_deg,
         contact_value=decision.contacts.relative,
-        validated=decision.validated,
-        discrepancy_rel=discrepancy_rel,
-        discrepancy_95_rel=(low_rel, high_rel),
         captures=_deciding_captures(decision, captures, scale),
-        statement=_statement(decision.risk),
-        statement_simulation_only=_statement(decision.simulation_only),
-        grid_deg=decision.grid_deg,
-        mean=real[0],
-        low95=real[1],
-        high95=real[2],
-        mean_simulation_only=alone[0],
-        low95_simulation_only=alone[1],
-        high95_simulation_only=alone[2],
+        **_certainty(decision),
+        **_curves(decision, scale),
         next_render=_proposal(next_render, decided),
         next_capture=_proposal(next_capture, decided),
         other_objectives=tuple(_other(other) for other in others),
         notes=(*of_finger, *left_out, *_notes(swept, decision, captures)),
     )
+
+
+def _certainty(decision: AngleDecision) -> dict[str, Any]:
+    """Return the fields that say how sure the decision is."""
+    low_rel, discrepancy_rel, high_rel = decision.discrepancy.amplitude_quantiles_rel
+    return {
+        "validated": decision.validated,
+        "discrepancy_rel": discrepancy_rel,
+        "discrepancy_95_rel": (low_rel, high_rel),
+        "statement": _statement(decision.risk),
+        "statement_simulation_only": _statement(decision.simulation_only),
+    }
+
+
+def _curves(decision: AngleDecision, scale: float) -> dict[str, Any]:
+    """Return the fields that hold the curve over the angle, corrected by captures and by simulation only."""
+    real = _band(decision.mean_rel, decision.sd_rel, scale)
+    alone = _band(decision.simulation_only_mean_rel, decision.simulation_only_sd_rel, scale)
+    names = ("mean", "low95", "high95")
+    return {
+        "grid_deg": decision.grid_deg,
+        **dict(zip(names, real, strict=True)),
+        **dict(zip((f"{name}_simulation_only" for name in names), alone, strict=True)),
+    }
 
 
 def _band(mean_rel: Floats, sd_rel: Floats, scale: float) -> tuple[Floats, Floats, Floats]:

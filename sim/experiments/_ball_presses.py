@@ -264,17 +264,11 @@ def render_finger_presses(
     """
     pictures, no_contact, slopes, distances = [], np.empty(0), [], []
     designs = planned_presses(finger.design, ball_radius_mm, count)
+    how = RenderSettings("b", seed, samples_per_pixel)
     plane: _PadPlane | None = None
     for step, design in enumerate(designs, start=1):
-        pressed = replace(finger, design=design)
-        render = render_press(
-            design,
-            finger.paints,
-            finger.renderer,
-            RenderSettings("b", seed, samples_per_pixel),
-            calibration=finger.calibration,
-        )
-        matrix = pressed.camera_matrix(render.bands)
+        render = render_press(design, finger.paints, finger.renderer, how, calibration=finger.calibration)
+        matrix = replace(finger, design=design).camera_matrix(render.bands)
         if plane is None:
             plane = _pad_plane(design, render.no_contact_maps)
             no_contact = plane.rectified(camera_rgb(render.no_contact_bands, matrix))

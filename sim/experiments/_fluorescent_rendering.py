@@ -71,15 +71,8 @@ def study_fluorescent_rendering(
     """
     renders = []
     for number, level in enumerate(LEVELS):
-        renders.append(
-            render_press(
-                finger.design,
-                finger.paints,
-                finger.renderer,
-                RenderSettings(level, seed, samples),
-                calibration=finger.calibration,
-            )
-        )
+        how = RenderSettings(level, seed, samples)
+        renders.append(render_press(finger.design, finger.paints, finger.renderer, how, calibration=finger.calibration))
         if progress is not None:
             progress(number + 1, len(LEVELS) + 1, f"level {level}")
     baked, walls = renders[-1], wall_profiles(finger, seed)

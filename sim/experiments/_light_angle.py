@@ -86,10 +86,9 @@ def light_angle_sweep(
     basis = sweep.radiance_rel
     rgb = np.einsum("rcb,arpb->arc", to_camera, basis) / basis.shape[2]
     channels = rgb / rgb.mean(axis=(0, 1))
-    others: tuple[AngleObjective, ...] = ()
-    constraints: AngleConstraints | None = None
+    further = None
     if further_objectives:
-        others, constraints = angle_objectives(
+        further = angle_objectives(
             finger, to_camera[:REPEATS], sweep.angles_deg, paths.seed, progress=progress, shapes=shapes
         )
     return LightAngleSweep(
@@ -102,8 +101,8 @@ def light_angle_sweep(
         basis=basis,
         bands=BAND_NAMES,
         probe_points_mm=sweep.probe_points_mm,
-        other_objectives=others,
-        constraints=constraints,
+        other_objectives=() if further is None else further[0],
+        constraints=None if further is None else further[1],
         design=finger.design,
         paints=dict(paint_sha256),
         notes=(
