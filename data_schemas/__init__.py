@@ -139,9 +139,10 @@ if TYPE_CHECKING:
         Reradiation,
         SamplingMethod,
     )
-    from data_schemas._model import Estimate, Model, Quantity, Record, explain, register_record_methods
+    from data_schemas._model import Estimate, Model, Quantity, Record, explain
     from data_schemas._provenance import Provenance, digest_of_input, note_renderer, package_version, provenance
     from data_schemas._radiometry import BandSignals, Bleaching, Flag, Optics, PixelSignals, TiltRatio
+    from data_schemas._record_methods import register_record_methods
     from data_schemas._record_text import decimals_for, fixed, interval_text, significant
     from data_schemas._rig import (
         NO_ADDRESS,

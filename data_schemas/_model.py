@@ -1,13 +1,10 @@
 """The base of every model that crosses a file or the command line: frozen, and unknown keys are errors.
 
 With the estimate, one number with its uncertainty, and plain-language explanations of what is wrong with a record.
-Rooms above this one bring methods of records: plots, exports, draws through a function. The ground knows their names
-only; who provides one registers where it lives, as text, so that nothing is loaded before a method is called.
 """
 
 import difflib
 from collections.abc import Iterator, Mapping
-from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, get_args
 
 import numpy as np
@@ -16,38 +13,11 @@ from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
 from data_schemas._provenance import Provenance
+from data_schemas._record_methods import call_record_method
 from data_schemas._record_text import array_text, interval_text, record_html, record_text
 
 if TYPE_CHECKING:
     from xarray import Dataset
-
-
-_homes: dict[str, str] = {}
-
-
-def register_record_methods(**homes: str) -> None:
-    """Say where methods of records live: method name -> ``"package:function"``; the function takes the record first."""
-    _homes.update(homes)
-
-
-def call_record_method(record: object, method: str, *arguments: Any, **options: Any) -> Any:
-    """Call a registered method of a record and return its result.
-
-    Raises
-    ------
-    RecordError
-        Nothing has registered the method: the package that brings it is not imported.
-    """
-    from data_schemas.errors import RecordError
-
-    if method not in _homes:
-        raise RecordError(
-            f"{type(record).__name__}.{method}(): comes with the package finray_calib, which is not imported; write "
-            "'import finray_calib' first"
-        )
-    module, _, function = _homes[method].partition(":")
-    return getattr(import_module(module), function)(record, *arguments, **options)
-
 
 _NUMBERS: Final = {"float", "int"}
 # Where pydantic's schema of a type holds those of its parts.

@@ -175,7 +175,9 @@ class _Search:
     load: Load
     options: NewtonOptions
 
-    def equilibrium(self, state: State, guess: State | None, aim: float, supports: Supports, last: bool) -> Equilibrium:
+    def equilibrium(
+        self, state: State, guess: State | None, share: float, supports: Supports, last: bool
+    ) -> Equilibrium:
         """Search from a guess, where there is one, and then from a state; with patience when it is the last try."""
         reached = self._from(state if guess is None else guess, supports, self.options)
         if reached.failure and guess is not None:
@@ -184,7 +186,7 @@ class _Search:
             reached = self._from(state, supports, replace(self.options, stalled_after=0))
         reached = self._settled(reached, supports)
         if self.load.refuse is not None and not reached.failure:
-            return replace(reached, failure=self.load.refuse(reached.state, aim))
+            return replace(reached, failure=self.load.refuse(reached.state, share))
         return reached
 
     def _from(self, state: State, supports: Supports, options: NewtonOptions) -> Equilibrium:

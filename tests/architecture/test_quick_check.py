@@ -39,4 +39,4 @@ def test_no_listed_test_waits_for_another_program(listed):
 
 
 def test_a_list_over_several_lines_is_read_whole():
-    assert quick_tests("A := x\nQUICK := tests/a.py \\\n   tests/b.py\nquick:\n") == ["tests/a.py", "tests/b.py"]
+    assert quick_tests("A := x\nQUICK := one \\\n   two\nquick:\n") == ["one", "two"]
