@@ -2,7 +2,7 @@ r"""Does a measured quantity conform to its limits, and how a check decides it (
 
 All numbers of one call are in one unit, that of the quantity; probabilities are 0 to 1.
 
-A quantity with estimate y and standard uncertainty u (or given by draws) conforms to the tolerance interval
+A quantity with estimate y and standard uncertainty u conforms to the tolerance interval
 :math:`[T_L, T_U]` with the conformance probability :math:`p_c = P(T_L \le \eta \le T_U)`. A decision rule accepts where
 y lies in an acceptance interval: inside the tolerance interval by a guard band w (guarded acceptance, ISO 14253-1),
 equal to it (simple acceptance, w = 0), or outside it (guarded rejection, w < 0); w = r U with U = 2 u.
@@ -110,28 +110,6 @@ def conformance_probability(estimate: float, sd: float, tolerance: ToleranceInte
     return float(norm.cdf(-below) - norm.cdf(-above)) if below > 0 else float(norm.cdf(above) - norm.cdf(below))
 
 
-def conformance_probability_of_draws(draws: Floats, tolerance: ToleranceInterval) -> tuple[float, float]:
-    """Return the share of draws (D,) of a quantity that conform, and its standard error for independent draws.
-
-    Valid for any distribution (JCGM 101). With n of D draws inside, p = n / D; the standard error is that of
-    (n + 1) / (D + 2), so that it is not zero where no draw or every draw conforms.
-
-    Raises
-    ------
-    FinrayError
-        There are no draws, or some are not numbers.
-    """
-    if draws.size == 0 or not np.isfinite(draws).all():
-        raise FinrayError(
-            f"{draws.size} draws, {int((~np.isfinite(draws)).sum())} of them not finite: give at least one draw of the "
-            "quantity, and only finite ones"
-        )
-    low, high = tolerance.edges
-    inside = int(((draws >= low) & (draws <= high)).sum())
-    share = (inside + 1) / (draws.size + 2)
-    return inside / draws.size, float(np.sqrt(share * (1 - share) / draws.size))
-
-
 def guard_band(sd: float, guard_factor: float = ISO_14253_1_FACTOR) -> float:
     """Return the guard band w = r U, U = 2 u, in the unit of the uncertainty.
 
@@ -154,23 +132,6 @@ def guard_band(sd: float, guard_factor: float = ISO_14253_1_FACTOR) -> float:
     """
     check_sd(sd)
     return guard_factor * COVERAGE_FACTOR * sd
-
-
-def guard_factor_for(probability: float) -> float:
-    """Return the factor r of the guard band at whose end one limit is kept with a conformance probability.
-
-    r = Phi^-1(p) / 2: 0 for 50 %, 0.82 for 95 %, 1 for 97.7 %.
-
-    Raises
-    ------
-    FinrayError
-        The probability is not between 0 and 1.
-    """
-    if not 0.0 < probability < 1.0:
-        raise FinrayError(
-            f"conformance probability {probability}: must lie between 0 and 1, both excluded; 0.95 is usual"
-        )
-    return float(norm.ppf(probability)) / COVERAGE_FACTOR
 
 
 def zone(estimate: float, sd: float, tolerance: ToleranceInterval, guard_factor: float = ISO_14253_1_FACTOR) -> Zone:
@@ -297,7 +258,6 @@ def limit_text(low: float | None, high: float | None, unit: str) -> str:
     return text.strip()
 
 
-_TAIL_SDS: Final = 9.0  # beyond it a normal distribution has less than 1e-18
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 
@@ -382,30 +342,6 @@ def global_risks(
         producer_share=float((weight * (1 - accepted))[conforms].sum()),
         conforming_share=float(weight[conforms].sum()),
     )
-
-
-def global_risks_normal(
-    mean: float, process_sd: float, sd: float, tolerance: ToleranceInterval, guard: float = 0.0
-) -> GlobalRisks:
-    """Return the global risks of items that are normally distributed.
-
-    Parameters
-    ----------
-    mean, process_sd : float
-        Of the items, in the unit of the limits.
-    sd, tolerance, guard
-        As for :func:`global_risks`.
-
-    Raises
-    ------
-    FinrayError
-        One of the standard deviations is not above 0.
-    """
-    check_sd(process_sd)
-    if process_sd == 0.0:
-        raise FinrayError("the standard deviation of the items is 0: use conformance_probability for one known item")
-    reach = _TAIL_SDS * process_sd
-    return global_risks(norm(mean, process_sd).pdf, (mean - reach, mean + reach), sd, tolerance, guard)
 
 
 def _quadrature(

@@ -81,8 +81,7 @@ def light_angle_sweep(
     sweep = sweep_light_angle(
         finger.design, finger.paints, finger.renderer, angles_deg, paths, progress=progress, shape=shape
     )
-    rng = np.random.default_rng(paths.seed)
-    to_camera = np.array([_camera_of_draw(finger, calibrations, sweep.bands, rng) for _ in range(paths.repeats)])
+    to_camera = _cameras_of_draws(finger, calibrations, sweep.bands, paths)
     basis = sweep.radiance_rel
     rgb = np.einsum("rcb,arpb->arc", to_camera, basis) / basis.shape[2]
     channels = rgb / rgb.mean(axis=(0, 1))
@@ -111,6 +110,14 @@ def light_angle_sweep(
             *finger.coverage_notes(sweep.bands),
         ),
     )
+
+
+def _cameras_of_draws(
+    finger: PaintedFinger, calibrations: Mapping[str, PaintCalibration], mean: PaintBands, paths: ProbePaths
+) -> Floats:
+    """Return the (channel, band) matrix of each repeat, (repeat, 3, 3), each for one draw of both paints."""
+    rng = np.random.default_rng(paths.seed)
+    return np.array([_camera_of_draw(finger, calibrations, mean, rng) for _ in range(paths.repeats)])
 
 
 def _camera_of_draw(

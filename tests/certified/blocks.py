@@ -8,6 +8,15 @@ from sim.mechanics._increments import Load, load_increments
 from sim.mechanics._linear_solver import linear_solver
 
 
+def uniaxial_stress_mpa(material, stretch):
+    """Return the nominal stress of an incompressible Ogden material under uniaxial load, in closed form.
+
+    P = sum 2 mu_p/alpha_p (lambda^(alpha_p - 1) - lambda^(-alpha_p/2 - 1)).
+    """
+    terms = zip(material.mu_mpa, material.alpha, strict=True)
+    return sum(2.0 * m / a * (stretch ** (a - 1.0) - stretch ** (-a / 2.0 - 1.0)) for m, a in terms)
+
+
 class GridBlock:
     """Hexahedra between three rising lists of coordinates, with the numbers of its nodes on the grid."""
 

@@ -7,11 +7,12 @@ from data_schemas import Coating, FingerDesign, GelPad, LightPanel
 from data_schemas._design_parts import Enclosure, Mirror, TactileCamera
 from sim.optics import TEXELS_ALONG, camera_pose, paint_bands
 from sim.optics import _scene as scene_module
-from sim.optics._optical_layout import coat_positions, pixel_directions
+from sim.optics._optical_layout import pixel_directions
 from sim.optics._painted_walls import TEXELS_UP, texel_uv, wall_map
 from sim.optics._path_rules import LedSearch
 from sim.optics._scene import band_film, camera_sensor, finger_scene, panel_shape
 from sim.surface_meshes import pressed_shape
+from tests.simulate.closed_form_view import coat_positions
 from tests.simulate.flat_refraction import refracted_irradiance
 
 SMALL_CAMERA = TactileCamera(width_px=64, height_px=48)

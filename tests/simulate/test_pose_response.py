@@ -10,10 +10,10 @@ from data_schemas import FingerDesign, SimulateError
 from data_schemas._design_parts import TactileCamera
 from data_schemas.storage import assumed_camera_response
 from finray_calib.compare._region_sums import render_layers
-from sim.experiments import FingerScene, PaintedFinger, Rendering, RenderSettings, pose_response, simulate_press
+from sim.experiments import FingerScene, PaintedFinger, Rendering, pose_response, simulate_press
 from sim.experiments import _rendered_press as module
 from sim.experiments._rendered_press import POSE_STEPS_MM
-from sim.optics import BAKE_SAMPLES
+from sim.optics import BAKE_SAMPLES, RenderSettings
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=64, height_px=48))
 CHAINS = ("led>red", "led>green", "led")
