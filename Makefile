@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 OTHERS := .venv-others
 PYTHONS := 3.11 3.12 3.13
 
-.PHONY: plain demo test test-rigs test-pythons lint check-types contracts pytest schemas drawing reference lock check-arm llvm \
+.PHONY: plain demo test quick test-rigs test-pythons lint check-types contracts pytest schemas drawing reference lock check-arm llvm \
         rig-programs clean bench bench-fit bench-compare bench-optics bench-mechanics bench-fuzz verification
 
 # For a camera computer: everything but the simulation, on ARM too.
@@ -32,6 +32,20 @@ contracts: $(VENV)/installed-dev
 WORKERS ?= 2
 pytest: $(VENV)/installed-dev
 	$(BIN)/pytest -m "not rigs" --numprocesses $(WORKERS) --dist loadfile
+
+# While you work, under a minute on two cores once mypy's cache and the compiled kernels are warm: the shape of the tree
+# and what is stored, whole, and of each stage the tests that fail first. It does not stand for `make test`.
+QUICK := tests/architecture tests/library/test_face.py \
+         tests/schemas/test_json_schemas.py tests/schemas/test_frozen_versions.py tests/schemas/test_storage.py \
+         tests/capture/test_plan.py tests/capture/test_journal.py tests/capture/test_devices.py \
+         tests/radiometry/test_band_signals.py \
+         tests/fit/test_likelihood.py tests/fit/test_map_search.py \
+         tests/simulate/test_flat_refraction.py tests/certified/test_materials.py \
+         tests/compare/test_mismatch.py tests/compare/test_validation.py \
+         tests/decide/test_decision_record.py tests/decide/test_decision_sentence.py \
+         tests/documentation/test_names_of_code.py tests/documentation/test_links.py tests/documentation/test_api_pages.py
+quick: $(VENV)/installed-dev lint check-types contracts
+	$(BIN)/pytest -m "not rigs" --numprocesses $(WORKERS) --dist loadfile $(QUICK)
 
 # The drivers against device simulators of others. A missing program is a skip that names its package; with CI set in
 # the environment it is a failure.

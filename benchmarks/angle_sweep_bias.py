@@ -69,13 +69,15 @@ def in_scene(
     """Return (repeat, probe, band) with the panel in the scene, and what its reflectance adds to the LED band."""
     import mitsuba as mi
 
-    from sim.optics import bake_walls, open_scene
+    from sim.optics import LoadedScene, bake_walls, open_scene
     from sim.optics._render import lit_integrator
 
     bands = paint_bands(*paints().values(), design.light)
     scene, radiance, added = open_scene(design, shape, bands, mi), [], []
     parameters = mi.traverse(scene)
-    for repeat, light in enumerate(bake_walls(scene, design, shape, bands, mi, "b", 7, BAKE_PATHS, repeats)):
+    for repeat, light in enumerate(
+        bake_walls(LoadedScene(scene, design, shape, bands, mi), "b", 7, BAKE_PATHS, repeats)
+    ):
         integrator, chains = lit_integrator(scene, design, shape, mi, light)
         radiance.append(
             [

@@ -81,13 +81,15 @@ def sweep_to(
     """Return radiances of a sweep of about the asked noise, its paths per probe and repeat, and its seconds."""
     import mitsuba as mi
 
-    from sim.optics import sweep_light_angle
+    from sim.optics import ProbePaths, sweep_light_angle
 
     took: list[Seconds] = []
     samples = pilot
     for attempt in range(1, ATTEMPTS + 1):
         with timed(took):
-            radiance = sweep_light_angle(design, paints(), mi, angles_deg, repeats, attempt, samples).radiance_rel
+            radiance = sweep_light_angle(
+                design, paints(), mi, angles_deg, ProbePaths(samples, repeats, attempt)
+            ).radiance_rel
         reached = noise_rel(radiance, columns)
         if reached <= NEAR * noise or attempt == ATTEMPTS:
             break
@@ -109,7 +111,7 @@ class Picture:
         """Bake the walls of a finger."""
         import mitsuba as mi
 
-        from sim.optics import BAKE_SAMPLES, bake_walls, open_guide, open_scene, paint_bands
+        from sim.optics import BAKE_SAMPLES, LoadedScene, bake_walls, open_guide, open_scene, paint_bands
         from sim.optics._render import lit_integrator
         from sim.surface_meshes import pressed_shape
 
@@ -118,7 +120,9 @@ class Picture:
         with timed(took):
             scene = open_scene(design, shape, bands, mi)
             guide = open_guide(scene, design, shape, mi)
-            light = bake_walls(scene, design, shape, bands, mi, "b", 3, BAKE_SAMPLES[False], guide=guide)[0]
+            light = bake_walls(LoadedScene(scene, design, shape, bands, mi), "b", 3, BAKE_SAMPLES[False], guide=guide)[
+                0
+            ]
             integrator, chains = lit_integrator(scene, design, shape, mi, light, guide)
         return cls(scene, integrator, chains, took[0])
 

@@ -30,7 +30,7 @@ from finray_calib.demo import DemoSettings
 from finray_calib.demo._stages import Demo
 from sim.experiments import PaintedFinger, paint_finger, paint_optics, pose_response, press_record
 from sim.experiments._tactile_camera import LED_DRIFT_REL, BandImages, camera_capture
-from sim.optics import PressRender, choose_variant, render_press
+from sim.optics import PressRender, RenderSettings, choose_variant, render_press
 
 Floats = NDArray[np.float64]
 POSE_SD_MM = {"depth_mm": 0.05, "position_mm": 0.3}
@@ -78,7 +78,7 @@ def hidden_finger(finger: PaintedFinger, samples: int, seed: int, rng: np.random
     light_deg, coating_rel = LIGHT_SD_DEG * rng.standard_normal(), COATING_SD_REL * rng.standard_normal()
     designs = (changed(finger.design, light_deg, coating_rel, pose_mm), changed(finger.design, 0.0, 0.0, pose_mm))
     renders = [
-        render_press(d, finger.paints, finger.renderer, "b", seed + i, PAD_SAMPLES, contact_samples_per_pixel=samples)
+        render_press(d, finger.paints, finger.renderer, RenderSettings("b", seed + i, PAD_SAMPLES, samples))
         for i, d in enumerate(designs)
     ]
     return Hidden(renders[0], renders[1])
@@ -106,8 +106,9 @@ def exposed(render: PressRender, matrix: Floats, design: FingerDesign, seed: int
         name=f"twin {seed}",
         source="digital twin",
         led_drift_rel=LED_DRIFT_REL,
-        pose_uncertainty_mm=(POSE_SD_MM["depth_mm"], POSE_SD_MM["position_mm"]),
     )
+    pose = {f"{name.removesuffix('_mm')}_uncertainty_mm": sd_mm for name, sd_mm in POSE_SD_MM.items()}
+    capture = capture.model_copy(update={"indenter": capture.indenter.model_copy(update=pose)})
     clean = (np.asarray(image.astype(np.float64) @ matrix.T) for image in (contact, no_contact))
     return capture, Captured(*clean, repeat=None, noise=NO_NOISE)
 
@@ -162,11 +163,15 @@ def main() -> None:
         for i in range(arguments.fingers):
             seed = 1000 * arguments.seed + 10 * i
             render = render_press(
-                finger.design, finger.paints, finger.renderer, "b", seed, PAD_SAMPLES,
-                contact_samples_per_pixel=arguments.samples_per_pixel // 4,
-            )  # fmt: skip
+                finger.design,
+                finger.paints,
+                finger.renderer,
+                RenderSettings("b", seed, PAD_SAMPLES, arguments.samples_per_pixel // 4),
+            )
             if pose is None:
-                pose = pose_response(finger, "b", seed + 5, PAD_SAMPLES, arguments.samples_per_pixel, render.chains)
+                pose = pose_response(
+                    finger, RenderSettings("b", seed + 5, PAD_SAMPLES, arguments.samples_per_pixel), render.chains
+                )
             press = press_record(finger, render, {}, demo.calibrations(), pose)
             hidden = hidden_finger(finger, arguments.samples_per_pixel, seed + 6, rng)
             for j in range(arguments.paints_each):

@@ -26,7 +26,7 @@ from data_schemas import FingerDesign, Indenter
 from sim.mechanics import STEPS, LoadedFinger, finger_materials, finger_mesh
 from sim.mechanics._assembly import Assembly, Elasticity
 from sim.mechanics._finger_mesh import finger_ties
-from sim.mechanics._increments import CoarserPath, load_increments
+from sim.mechanics._increments import CoarserPath, Load, load_increments
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._press_contact import press_contact
 
@@ -53,7 +53,9 @@ def pressed(design, steps, before, threads):
     predict = None if before is None else CoarserPath(before[0], mesh, np.ones(1), before[1][None])
     depth = design.indenter.depth_mm
     solver = linear_solver(threads=threads)
-    increments = load_increments(assembly, solver, lambda share: touch.push(share * depth), (1.0,), predict=predict)
+    increments = load_increments(
+        assembly, solver, Load(lambda share: touch.push(share * depth)), (1.0,), predict=predict
+    )
     last = list(increments)[-1].equilibrium
     found = {
         "unknowns": 3 * len(mesh.nodes_mm),

@@ -94,7 +94,7 @@ def measure(
     """Render once per seed at level "b" or "c"; means are over the whole image."""
     import mitsuba as mi
 
-    from sim.optics import bake_walls, last_band, open_guide, open_scene
+    from sim.optics import LoadedScene, bake_walls, last_band, open_guide, open_scene
     from sim.optics._band_paths import band_paths
     from sim.optics._fluorescent_paint import fluorescent_bands
     from sim.optics._render import lit_integrator
@@ -108,7 +108,7 @@ def measure(
     images, seconds = [], 0.0
     for seed in seeds:
         if level == "b":
-            light = bake_walls(scene, design, shape, bands, mi, "b", seed, bake_samples, guide=guide)[0]
+            light = bake_walls(LoadedScene(scene, design, shape, bands, mi), "b", seed, bake_samples, guide=guide)[0]
             integrator, chains = lit_integrator(scene, design, shape, mi, light, guide)
         start = time.monotonic()
         image = mi.render(scene, integrator=integrator, spp=samples_per_pixel, seed=seed).numpy().astype(float)

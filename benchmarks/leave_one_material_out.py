@@ -33,7 +33,7 @@ from finray_calib.fit import (
     FitSettings,
     fit_emission,
 )
-from finray_calib.spectra import FAMILIES, WAVELENGTH_NM, EmissionFamily, EmissionWeights, emission_weights
+from finray_calib.spectra import FAMILIES, WAVELENGTH_NM, EmissionFamily, EmissionWeights, FilterSet, emission_weights
 
 FILTERS_NM = np.array([405, 450, 500, 532, 560, 600, 630, 660.0])
 CALIBRATION_REL, FLOOR_REL = 0.01, 0.003
@@ -62,7 +62,7 @@ def rig_weights() -> EmissionWeights:
     passed = 0.6 * np.exp2(-((2 * (grid - FILTERS_NM[:, None]) / 10) ** 2)) + 1e-5
     laser = np.exp2(-((grid - 450.0) ** 2))
     flat = np.ones(grid.size)
-    return emission_weights(grid, passed, flat[None], flat, 0.98 * flat, laser, 1, [1.0], 1e-5)
+    return emission_weights(grid, FilterSet(passed, 1, 1e-5), flat[None], flat, 0.98 * flat, laser, [1.0])
 
 
 def seen(curve: np.ndarray, weights: EmissionWeights, rng: np.random.Generator) -> BandData:

@@ -10,6 +10,7 @@ from finray_calib.fit._emission import REFERENCE_ROUNDS
 from finray_calib.spectra import (
     WAVELENGTH_NM,
     EmissionFamily,
+    FilterSet,
     emission_weights,
     family_named,
     filter_transmission,
@@ -50,7 +51,7 @@ def five_parameter_posterior(seed: int) -> LogPosterior:
     response = sum(curve(grid) for curve in optics.camera_response)[None]
     excitation = [f.name for f in optics.filters].index(optics.excitation_filter)
     line = laser_line(optics.laser, grid)
-    weights = emission_weights(grid, passed, response, optics.lamp(grid), white, line, excitation, [1.0])
+    weights = emission_weights(grid, FilterSet(passed, excitation), response, optics.lamp(grid), white, line, [1.0])
     family = family_named("zheng2014")
     y, sd = _measured(family, weights, np.random.default_rng(seed))
     data = BandData(y[:, None], np.diag(sd**2), np.ones((8, 1), bool), weights, CALIBRATION_REL)

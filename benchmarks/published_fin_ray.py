@@ -26,7 +26,7 @@ from sim.mechanics import Block, Cylinder, FingerMesh, LinearElastic, body_mesh
 from sim.mechanics._assembly import Assembly, Elasticity
 from sim.mechanics._barrier_contact import Barrier, BarrierContact, DrivenContact
 from sim.mechanics._colliding_surfaces import Obstacle
-from sim.mechanics._increments import load_increments
+from sim.mechanics._increments import Load, load_increments
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._mesh import hexahedra_on_grid, quads_of_layer
 from sim.mechanics._newton import Supports
@@ -263,7 +263,7 @@ def press(finger: SteelFinger, at_mm: tuple[float, ...], step_mm: float = 3.0, a
     depths = np.array(at_mm) - finger.late_mm
     stops = np.unique(np.concatenate([np.arange(PUSH_STEP_MM, depths[-1], PUSH_STEP_MM), depths]))
     forces, stretch = {}, 0.0
-    for step in load_increments(assembly, linear_solver(), touch.push, list(stops), settle=touch.settle):
+    for step in load_increments(assembly, linear_solver(), Load(touch.push, touch.settle), list(stops)):
         u = step.equilibrium.state.u_mm
         forces[step.fraction] = 2.0 * touch.contact.force_n(u)
         stretch = max(stretch, float(np.abs(ribs.stretch_mm(u)).max(initial=0.0)))

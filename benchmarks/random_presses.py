@@ -22,7 +22,7 @@ from pydantic import ValidationError
 
 from data_schemas import FingerDesign, NoEquilibriumError, SimulateError
 from sim import PRESETS, preset_design
-from sim.mechanics import press_finger
+from sim.mechanics import PressSettings, press_finger
 
 DEPTH_MM, INCREMENTS = 5.0, 5
 ENERGY_REL = 0.05
@@ -91,7 +91,9 @@ def measure(seed: int, budget_s: float) -> dict[str, Any]:
 
     found: dict[str, Any] = {"seed": seed}
     try:
-        pressed = press_finger(random_design(seed), "coarse", INCREMENTS, progress=progress, budget_s=budget_s)
+        pressed = press_finger(
+            random_design(seed), PressSettings("coarse", INCREMENTS, budget_s=budget_s), progress=progress
+        )
     except NoEquilibriumError as stuck:
         found |= {"class": "no first increment", "why": str(stuck)}
     except (SimulateError, ValidationError) as refused:

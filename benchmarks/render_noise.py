@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.fluorescence_levels import paints
 from data_schemas import FingerDesign
-from sim.optics import BAND_NAMES, choose_variant, open_renderer, render_press
+from sim.optics import BAND_NAMES, RenderSettings, choose_variant, open_renderer, render_press
 
 LEAST, MOST = 0.04, 0.06
 POINT = 1.96
@@ -35,7 +35,8 @@ def main() -> None:
     camera = design.camera.model_copy(update={"width_px": args.width, "height_px": args.width * 3 // 4})
     design = design.model_copy(update={"camera": camera})
     renders = [
-        render_press(design, paints(), mi, seed=seed, samples_per_pixel=args.samples) for seed in range(args.seeds)
+        render_press(design, paints(), mi, RenderSettings(seed=seed, samples_per_pixel=args.samples))
+        for seed in range(args.seeds)
     ]
     coat = renders[0].contact_maps.sees("coat")
     images = np.array([render.contact_bands[coat] for render in renders], dtype=np.float64)

@@ -21,7 +21,7 @@ from benchmarks.paint_problems import default_posterior, five_parameter_posterio
 from benchmarks.plain_densities import DefaultDensity, FiveParameterDensity
 from benchmarks.sampling_paths import Run, run_emcee, run_fit, run_nuts
 from finray_calib.fit import FitSettings, LogPosterior, find_maxima
-from finray_calib.fit._mixture_proposal import MixtureProposal
+from finray_calib.fit._importance import MixtureProposal
 
 BARS = {
     ("five parameters", "emcee, Python loop"): 300.0,

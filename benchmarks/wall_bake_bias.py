@@ -34,6 +34,7 @@ from sim.optics import (
     open_scene,
     paint_bands,
 )
+from sim.optics._path_rules import LedSearch
 
 Floats = NDArray[np.float64]
 
@@ -62,7 +63,7 @@ def traced(name: str, samples: int, first: int, count: int, renderer: ModuleType
     shape = rest_shape(design) if name == "rest" else pressed_shape(design)
     scene = open_scene(design, shape, paint_bands(*paints().values(), design.light), renderer)
     guide = open_guide(scene, design, shape, renderer)
-    tracer = band_paths(scene, design, shape, from_wall=True, guide=guide)
+    tracer = band_paths(scene, design, shape, led=LedSearch(from_wall=True), guide=guide)
     found: dict[str, list[Floats]] = {"raw": [], "smooth": [], "error": []}
     for seed in range(first, first + count):
         batches = np.pi * radiance_at_walls(scene, shape, tracer, renderer, seed, samples, guide)[..., 2]

@@ -56,7 +56,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     mi = open_renderer(choose_variant("llvm"))
-    from sim.optics import BAKE_SAMPLES, bake_walls, open_guide, pixel_maps
+    from sim.optics import BAKE_SAMPLES, LoadedScene, bake_walls, open_guide, pixel_maps
     from sim.optics._painted_walls import light_walls, unbaked_walls
     from sim.optics._render import lit_integrator
     from sim.optics._scene import finger_scene
@@ -66,7 +66,7 @@ def main() -> None:
     scene = finger_scene(design, shape, bands, mi, unbaked_walls())
     begun = time.monotonic(), time.process_time()
     guide = open_guide(scene, design, shape, mi)
-    light = bake_walls(scene, design, shape, bands, mi, "b", 3, BAKE_SAMPLES[False], guide=guide)[0]
+    light = bake_walls(LoadedScene(scene, design, shape, bands, mi), "b", 3, BAKE_SAMPLES[False], guide=guide)[0]
     baked = time.monotonic() - begun[0], time.process_time() - begun[1]
     light_walls(scene, light, mi)
     ours, chains = lit_integrator(scene, design, shape, mi, light, guide)

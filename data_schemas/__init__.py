@@ -135,11 +135,11 @@ if TYPE_CHECKING:
         PatchDistance,
         PriorSensitivity,
         PriorShare,
+        PropagatedDraws,
         Reradiation,
         SamplingMethod,
     )
     from data_schemas._model import Estimate, Model, Quantity, Record, explain
-    from data_schemas._propagated_draws import PropagatedDraws
     from data_schemas._provenance import Provenance, digest_of_input, note_renderer, package_version, provenance
     from data_schemas._radiometry import BandSignals, Bleaching, Flag, Optics, PixelSignals, TiltRatio
     from data_schemas._record_methods import register_record_methods

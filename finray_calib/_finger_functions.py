@@ -160,20 +160,18 @@ def press_finger(
     """
     from finray_calib.spectra import machine_threads
     from sim.experiments import press_records
+    from sim.mechanics import PressSettings, press_to_force
     from sim.mechanics import press_finger as press
-    from sim.mechanics import press_to_force
 
     finger, folder, files = _design(design)
-    threads = machine_threads()
+    settings = PressSettings(None, increments, machine_threads(), contact, budget_s)
     if force_n is not None and contact == "barrier":
         raise SimulateError("force_n is reached by the penalty contact only; leave out contact, or force_n")
     with naming(SimulateError, *files[:1]):
         if force_n is not None:
-            pressed = press_to_force(finger, force_n, None, increments, threads, folder, progress, budget_s)
+            pressed = press_to_force(finger, force_n, settings, folder=folder, progress=progress)
         else:
-            pressed = press(
-                finger, None, increments, threads, progress, contact=contact, folder=folder, budget_s=budget_s
-            )
+            pressed = press(finger, settings, folder=folder, progress=progress)
         mechanics, surfaces = press_records(finger, pressed, wanted_force_n=force_n)
     if finger.indenter.file is not None:
         files = [*files, folder / finger.indenter.file]
@@ -284,17 +282,17 @@ def sweep_light_angle(
         Increasing, at least 4 of them for a decision; 0 along the pad, 90 into it.
     """
     from sim.experiments import light_angle_sweep
+    from sim.optics import ProbePaths
 
     if options.get("level", "b") != "b":
         raise SimulateError("level: sweeps are made with level b; leave it out")
     if not options.get("narrow_sweep", False) and look_like_radians(list(angles_deg)):
         raise SimulateError(f"angles_deg: {narrow_sweep_text(list(angles_deg))}")
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
-    rest, shape = scene.shapes or (None, None)
+    paths = ProbePaths(options.get("samples", DEFAULT_SAMPLES_PER_PROBE), SWEEP_REPEATS, seed)
     sweep = light_angle_sweep(
-        scene.finger, scene.calibrations, list(angles_deg), SWEEP_REPEATS,
-        options.get("samples", DEFAULT_SAMPLES_PER_PROBE), seed, digests, progress, shape,
-        options.get("all_objectives", False), rest,
+        scene.finger, scene.calibrations, list(angles_deg), paths, digests, progress,
+        shapes=scene.shapes, further_objectives=options.get("all_objectives", False),
     )  # fmt: skip
     return made(sweep, "sweep_light_angle", files, seed)
 

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from sim._design_files import design_inputs, read_design
-    from sim._designs import PRESETS, design_toml, preset_design
+    from sim._designs import PRESETS, design_inputs, design_toml, preset_design, read_design
     from sim._library_proofs import is_installed, proof_failure
 else:
     __getattr__ = lazy_exports(__name__, __file__)

@@ -11,8 +11,12 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.acceptance._acceptance_report import SECTIONS, judge, result_line, value_text
-    from finray_calib.acceptance._conformity import GUARD_FACTOR, ToleranceInterval, conformance_probability
-    from finray_calib.acceptance._inspection_risk import global_risks
+    from finray_calib.acceptance._conformity import (
+        GUARD_FACTOR,
+        ToleranceInterval,
+        conformance_probability,
+        global_risks,
+    )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 

@@ -25,7 +25,7 @@ from data_schemas import (
     RigFile,
     Section,
 )
-from finray_calib.acceptance._conformity import limit_text, measured, overall, unmeasured
+from finray_calib.acceptance._conformity import ToleranceInterval, limit_text, measured, overall, unmeasured
 
 SECTIONS: Final[dict[Section, str]] = {
     "opening": "rig opens",
@@ -113,7 +113,14 @@ def _handshake(hand: Handshake, plan: CheckPlan) -> CheckResult:
         return unmeasured("handshake", name, what, "UNDECIDED", "it answers and does not say what it is")
     evidence = f"{', '.join(words)}; {len(hand.durations_s)} times asked"
     return measured(
-        "handshake", name, what, max(hand.durations_s), CLOCK_SD_S, "s", evidence, high=plan.limits.handshake_s
+        "handshake",
+        name,
+        what,
+        max(hand.durations_s),
+        CLOCK_SD_S,
+        "s",
+        evidence,
+        limits=ToleranceInterval(None, plan.limits.handshake_s),
     )
 
 
@@ -138,10 +145,10 @@ def judge_wheel(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
     durations_s = [move.duration_s for move in facts.moves]
     mean_s = sum(durations_s) / moves
     return (
-        measured("wheel", *arrival, float(len(wrong)), 0.0, "moves", evidence, high=0.0),
+        measured("wheel", *arrival, float(len(wrong)), 0.0, "moves", evidence, limits=ToleranceInterval(None, 0.0)),
         measured(
             "wheel", *times, max(durations_s), CLOCK_SD_S, "s", f"mean {mean_s:.3g} s of {moves} moves",
-            high=plan.limits.move_s,
+            limits=ToleranceInterval(None, plan.limits.move_s),
         ),
     )  # fmt: skip
 
@@ -177,7 +184,7 @@ def _light_off(layer: LightOff, plan: CheckPlan) -> CheckResult:
         )  # fmt: skip
     value_s, sd_s = slowest_off(layer)
     evidence = f"slowest of {len(layer.latest_s)}; seen by {layer.witness}"
-    return measured("light off", name, what, value_s, sd_s, "s", evidence, high=limit_s)
+    return measured("light off", name, what, value_s, sd_s, "s", evidence, limits=ToleranceInterval(None, limit_s))
 
 
 def slowest_off(layer: LightOff) -> tuple[float, float]:
@@ -227,7 +234,18 @@ def judge_revisits(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...
     number = len(facts.revisits)
     evidence = f"{number} times behind filter {facts.revisit_filter}; {100 * still:.2g} % without a move"
     sd = 100 * moved / math.sqrt(2 * number)
-    return (measured("revisits", name, what, 100 * moved, sd, "%", evidence, high=100 * plan.limits.revisit_rel),)
+    return (
+        measured(
+            "revisits",
+            name,
+            what,
+            100 * moved,
+            sd,
+            "%",
+            evidence,
+            limits=ToleranceInterval(None, 100 * plan.limits.revisit_rel),
+        ),
+    )
 
 
 def judge_dark_frames(facts: CheckFacts, plan: CheckPlan, camera: CameraSettings) -> tuple[CheckResult, ...]:
@@ -242,7 +260,7 @@ def judge_dark_frames(facts: CheckFacts, plan: CheckPlan, camera: CameraSettings
         measured(
             "dark frames", "dark level", "dark level at exposure zero", level_dn, level_sd_dn, "DN",
             f"{evidence}; the rig file says {camera.black_level_dn:g} DN",
-            low=camera.black_level_dn - apart_dn, high=camera.black_level_dn + apart_dn,
+            limits=ToleranceInterval(camera.black_level_dn - apart_dn, camera.black_level_dn + apart_dn),
         ),
         _dark_rate(rate, rate_sd, f"{evidence}, lamp and laser off", plan.limits.dark_rate_dn_per_s),
         _read_noise(facts.darks[0], plan, camera),
@@ -255,7 +273,7 @@ def _dark_rate(rate: float, sd: float, evidence: str, most: float) -> CheckResul
     if not math.isfinite(sd):
         reason = f"{evidence}: one exposure time shows no growth; raise longest_dark_s"
         return unmeasured("dark frames", name, what, "UNDECIDED", reason, limit_text(-most, most, "DN/s"))
-    return measured("dark frames", name, what, rate, sd, "DN/s", evidence, low=-most, high=most)
+    return measured("dark frames", name, what, rate, sd, "DN/s", evidence, limits=ToleranceInterval(-most, most))
 
 
 def dark_line(darks: tuple[DarkFrames, ...]) -> tuple[float, float, float, float]:
@@ -295,7 +313,7 @@ def _read_noise(dark: DarkFrames, plan: CheckPlan, camera: CameraSettings) -> Ch
     differences = dark.pixels * (len(dark.means_dn) // 2)
     evidence = f"{dark.noise_dn:.3g} DN at {dark.exposure_s:.3g} s and {camera.gain_e_per_dn:g} e/DN of the rig file"
     sd_e = noise_e / math.sqrt(2 * differences)
-    return measured("dark frames", name, what, noise_e, sd_e, "e", evidence, low=low, high=high)
+    return measured("dark frames", name, what, noise_e, sd_e, "e", evidence, limits=ToleranceInterval(low, high))
 
 
 def judge_exposures(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
@@ -318,7 +336,16 @@ def judge_exposures(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ..
         what = "signal per second of exposure, apart from that of the shortest of three"
         name = f"exposure ratio {factor} : 1"
         results.append(
-            measured("exposures", name, what, 100 * (ratio - 1.0), 100 * sd, "%", evidence, low=-most, high=most)
+            measured(
+                "exposures",
+                name,
+                what,
+                100 * (ratio - 1.0),
+                100 * sd,
+                "%",
+                evidence,
+                limits=ToleranceInterval(-most, most),
+            )
         )
     return tuple(results)
 

@@ -2,7 +2,7 @@ r"""Does a measured quantity conform to its limits, and how a check decides it (
 
 All numbers of one call are in one unit, that of the quantity; probabilities are 0 to 1.
 
-A quantity with estimate y and standard uncertainty u (or given by draws) conforms to the tolerance interval
+A quantity with estimate y and standard uncertainty u conforms to the tolerance interval
 :math:`[T_L, T_U]` with the conformance probability :math:`p_c = P(T_L \le \eta \le T_U)`. A decision rule accepts where
 y lies in an acceptance interval: inside the tolerance interval by a guard band w (guarded acceptance, ISO 14253-1),
 equal to it (simple acceptance, w = 0), or outside it (guarded rejection, w < 0); w = r U with U = 2 u.
@@ -13,10 +13,14 @@ A check has guard bands on both sides of every limit: y passes an upper limit T 
 
 and fails it when ``y - k u > T``; between the two it is undecided. With a normally distributed value a quantity at the
 limit passes, and fails, in 5 % of all checks each; one beyond it passes more rarely.
+
+Who bears the risk when many items are inspected: `global_risks`, the consumer's and the producer's (JCGM 106, 9.5).
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final, Literal
 
 import numpy as np
@@ -106,28 +110,6 @@ def conformance_probability(estimate: float, sd: float, tolerance: ToleranceInte
     return float(norm.cdf(-below) - norm.cdf(-above)) if below > 0 else float(norm.cdf(above) - norm.cdf(below))
 
 
-def conformance_probability_of_draws(draws: Floats, tolerance: ToleranceInterval) -> tuple[float, float]:
-    """Return the share of draws (D,) of a quantity that conform, and its standard error for independent draws.
-
-    Valid for any distribution (JCGM 101). With n of D draws inside, p = n / D; the standard error is that of
-    (n + 1) / (D + 2), so that it is not zero where no draw or every draw conforms.
-
-    Raises
-    ------
-    FinrayError
-        There are no draws, or some are not numbers.
-    """
-    if draws.size == 0 or not np.isfinite(draws).all():
-        raise FinrayError(
-            f"{draws.size} draws, {int((~np.isfinite(draws)).sum())} of them not finite: give at least one draw of the "
-            "quantity, and only finite ones"
-        )
-    low, high = tolerance.edges
-    inside = int(((draws >= low) & (draws <= high)).sum())
-    share = (inside + 1) / (draws.size + 2)
-    return inside / draws.size, float(np.sqrt(share * (1 - share) / draws.size))
-
-
 def guard_band(sd: float, guard_factor: float = ISO_14253_1_FACTOR) -> float:
     """Return the guard band w = r U, U = 2 u, in the unit of the uncertainty.
 
@@ -150,23 +132,6 @@ def guard_band(sd: float, guard_factor: float = ISO_14253_1_FACTOR) -> float:
     """
     check_sd(sd)
     return guard_factor * COVERAGE_FACTOR * sd
-
-
-def guard_factor_for(probability: float) -> float:
-    """Return the factor r of the guard band at whose end one limit is kept with a conformance probability.
-
-    r = Phi^-1(p) / 2: 0 for 50 %, 0.82 for 95 %, 1 for 97.7 %.
-
-    Raises
-    ------
-    FinrayError
-        The probability is not between 0 and 1.
-    """
-    if not 0.0 < probability < 1.0:
-        raise FinrayError(
-            f"conformance probability {probability}: must lie between 0 and 1, both excluded; 0.95 is usual"
-        )
-    return float(norm.ppf(probability)) / COVERAGE_FACTOR
 
 
 def zone(estimate: float, sd: float, tolerance: ToleranceInterval, guard_factor: float = ISO_14253_1_FACTOR) -> Zone:
@@ -238,11 +203,10 @@ def measured(
     sd: float,
     unit: str,
     evidence: str,
-    *,
-    low: float | None = None,
-    high: float | None = None,
+    limits: ToleranceInterval | None = None,
 ) -> CheckResult:
     """Return the result of a check with a number, judged against its limits."""
+    low, high = (None, None) if limits is None else (limits.low, limits.high)
     return CheckResult(
         section=section,
         name=name,
@@ -292,3 +256,100 @@ def limit_text(low: float | None, high: float | None, unit: str) -> str:
     else:
         text = f"at least {low:.4g} {unit}" if high is None else f"{low:.4g} to {high:.4g} {unit}"
     return text.strip()
+
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
+
+
+@dataclass(frozen=True, slots=True)
+class GlobalRisks:
+    """Hold the risks of inspecting many items.
+
+    Attributes
+    ----------
+    consumer_share : float
+        R_C: probability that an item is accepted and does not conform.
+    producer_share : float
+        R_P: probability that an item conforms and is rejected.
+    conforming_share : float
+        Probability that an item conforms, before inspection.
+    """
+
+    consumer_share: float
+    producer_share: float
+    conforming_share: float
+
+
+def global_risks(
+    prior: Callable[[Floats], Floats],
+    support: tuple[float, float],
+    sd: float,
+    tolerance: ToleranceInterval,
+    guard: float = 0.0,
+) -> GlobalRisks:
+    """Return the consumer's and producer's risk of inspecting items of a known distribution.
+
+    R_C = int_{not C} g0(eta) P(accept | eta) d eta and R_P = int_C g0(eta) (1 - P(accept | eta)) d eta over conforming
+    values C, with P(accept | eta) = Phi((A_U - eta) / u) - Phi((A_L - eta) / u): measurements scatter normally about
+    the true value, and are accepted within the tolerance interval narrowed by the guard band.
+
+    Parameters
+    ----------
+    prior : callable
+        Density g0 of the quantity over the items, per unit of it, for example ``scipy.stats.gamma(4, scale=0.25).pdf``.
+    support : tuple of float
+        Finite interval that holds all of g0 that matters.
+    sd : float
+        Standard uncertainty u of one measurement, in the unit of the limits; above 0.
+    tolerance : ToleranceInterval
+    guard : float
+        Guard band w, in that unit; negative for guarded rejection.
+
+    Returns
+    -------
+    GlobalRisks
+
+    Raises
+    ------
+    FinrayError
+        The uncertainty is not above 0, the support is no finite interval, or the density is not 1 over it.
+
+    References
+    ----------
+    JCGM 106:2012, 9.5.
+    """
+    check_sd(sd)
+    if sd == 0.0 or not np.isfinite(support).all() or support[0] >= support[1]:
+        raise FinrayError(
+            f"support {support} and uncertainty {sd}: the support must be a finite interval, lowest value first, and "
+            "the uncertainty of a measurement above 0; for an exact measurement both risks are 0"
+        )
+    value, weight = _quadrature(support, tolerance, guard, sd)
+    weight = weight * np.asarray(prior(value))
+    low, high = tolerance.narrowed(guard)
+    # guard bands that overlap leave nothing that could be accepted
+    accepted = np.maximum(norm.cdf((high - value) / sd) - norm.cdf((low - value) / sd), 0.0)
+    conforms = (value >= tolerance.edges[0]) & (value <= tolerance.edges[1])
+    whole = float(weight.sum())
+    # a support that cuts more off than this changes risks that one would state
+    if abs(whole - 1) > 1e-4:
+        raise FinrayError(
+            f"the distribution of the items integrates to {whole:.6g} over {support}: it must be a density, per unit "
+            "of the quantity; widen the support or normalise it"
+        )
+    return GlobalRisks(
+        consumer_share=float((weight * accepted)[~conforms].sum()),
+        producer_share=float((weight * (1 - accepted))[conforms].sum()),
+        conforming_share=float(weight[conforms].sum()),
+    )
+
+
+def _quadrature(
+    support: tuple[float, float], tolerance: ToleranceInterval, guard: float, sd: float
+) -> tuple[Floats, Floats]:
+    """Return nodes and weights of Gauss-Legendre panels: short where acceptance changes, none across a limit."""
+    bends = [limit + step * sd for limit in tolerance.narrowed(guard) for step in range(-8, 9, 2)]
+    inner = [*np.linspace(*support, 33), *tolerance.edges, *bends]
+    ends = sorted({float(end) for end in inner if support[0] <= end <= support[1]})
+    middle, half = np.array([((b + a) / 2, (b - a) / 2) for a, b in pairwise(ends)]).T
+    return (middle[:, None] + half[:, None] * _NODES).ravel(), (half[:, None] * _WEIGHTS).ravel()

@@ -41,6 +41,12 @@ def add_design(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     names = actions.add_parser("list", help="the ready-made fingers")
     names.set_defaults(run=run_list)
+    _add_init(actions)
+    _add_show(actions)
+    _add_export(actions)
+
+
+def _add_init(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     init = actions.add_parser(
         "init",
         help="write a design to start from",
@@ -55,6 +61,9 @@ def add_design(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     )
     init.add_argument("--out", type=Path, metavar="TOML", help="default: PRESET.toml; must be new")
     init.set_defaults(run=run_init)
+
+
+def _add_show(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     show = actions.add_parser(
         "show",
         help="drawing, the camera's view of the pad",
@@ -67,6 +76,9 @@ def add_design(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         "--out", type=Path, metavar="FILE", help="drawing (.png) or interactive page (.html); must be new"
     )
     show.set_defaults(run=run_show)
+
+
+def _add_export(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     export = actions.add_parser(
         "export",
         help="files to print skeleton, base plate, backing and the pad's mould (STL, STEP)",

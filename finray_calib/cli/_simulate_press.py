@@ -215,9 +215,10 @@ def _pressed(
         pressed = press_finger_calculix(design, None, count, threads, progress)
         return pressed, {"engine": engine, "notes": calculix_notes(design)}
     if arguments.force is not None:
-        from sim.mechanics import press_to_force
+        from sim.mechanics import PressSettings, press_to_force
 
-        pressed = press_to_force(design, arguments.force, None, count, threads, folder, progress, arguments.budget)
+        settings = PressSettings(None, count, threads, budget_s=arguments.budget)
+        pressed = press_to_force(design, arguments.force, settings, folder=folder, progress=progress)
         return pressed, {"wanted_force_n": arguments.force}
     from sim.mechanics import left_out
 
@@ -260,7 +261,7 @@ def _pressed_to_depth(
     from data_schemas.storage import read_record, write_record
     from finray_calib.spectra import machine_threads
     from sim.experiments import increment_record, stored_press
-    from sim.mechanics import press_finger
+    from sim.mechanics import PressSettings, press_finger
 
     folder, contact = arguments.design.parent, arguments.contact
     digest = origin.input_sha256.get((folder / (design.indenter.file or "")).as_posix())
@@ -272,10 +273,8 @@ def _pressed_to_depth(
         if not path.exists():  # the last one of an interrupted press is computed again
             write_record(record, path, origin)
 
-    return press_finger(
-        design, None, count, machine_threads(), progress, resume=before, store=store, contact=contact, folder=folder,
-        budget_s=arguments.budget,
-    )  # fmt: skip
+    settings = PressSettings(None, count, machine_threads(), contact, arguments.budget)
+    return press_finger(design, settings, folder=folder, resume=before, store=store, progress=progress)
 
 
 def _store(

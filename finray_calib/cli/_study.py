@@ -24,7 +24,7 @@ from finray_calib.cli._run import (
     require_new,
     say,
 )
-from finray_calib.cli._study_run import add_design_studies
+from finray_calib.cli._study_run import add_design_studies, calibrated_paints, stand_in_paints
 from finray_calib.cli._study_sensing import add_normal_map_study, add_pixel_scale_study
 
 if TYPE_CHECKING:
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     )
     from finray_calib.cli._run import LongWork
     from sim.experiments import PaintedFinger
-    from sim.optics import PaintOptics
 
 
 STUDY_HELP = (
@@ -147,7 +146,6 @@ def _entry(title: str, text: str, hanging: int = 0) -> str:
     return textwrap.fill(text, WIDTH, initial_indent=f"  {title:6s}", subsequent_indent=indent + " " * hanging)
 
 
-STAND_IN = "stand-in: default hidden paint of the simulated rig, not the paper's paint"
 FLATTEST = "ellipsoidal-30-8-90"
 _BANDS = {"red": "red emission", "green": "green emission", "led": "blue light"}
 ILLUMINATION_EPILOG = """\
@@ -237,31 +235,6 @@ def _finger(study: _Study, arguments: argparse.Namespace) -> "tuple[PaintedFinge
     folder = Path() if arguments.design is None else arguments.design.parent
     paints, sources = calibrated_paints(files) if files else stand_in_paints()
     return paint_finger(design, paints, folder, open_engine(arguments.engine)), sources
-
-
-def calibrated_paints(files: dict[str, Path], as_given: bool = True) -> "tuple[dict[str, PaintOptics], dict[str, str]]":
-    """Return the optics of calibrated paints and their names and checksums."""
-    from data_schemas import PaintCalibration, digest_of_input
-    from data_schemas.storage import read_record
-    from sim.experiments import paint_optics, require_paints_in_order
-
-    paints = {colour: read_record(file, PaintCalibration) for colour, file in files.items()}
-    if not as_given:
-        modes_nm = {colour: paint.mode_nm.estimate for colour, paint in paints.items()}
-        require_paints_in_order(modes_nm, {colour: str(file) for colour, file in files.items()}, "--paints-as-given")
-    sources = {c: f"{paint.paint_name}, SHA-256 {digest_of_input(files[c])}" for c, paint in paints.items()}
-    return {colour: paint_optics(paint) for colour, paint in paints.items()}, sources
-
-
-def stand_in_paints() -> "tuple[dict[str, PaintOptics], dict[str, str]]":
-    """Return the optics of the simulated rig's two default paints."""
-    from finray_calib.demo import true_paint_optics
-    from rigs import DEFAULT_PAINTS, simulated_rig
-    from rigs.simulated import bench_truth
-
-    truths = {colour: bench_truth(simulated_rig(colour, None, seed=1), Path()) for colour in DEFAULT_PAINTS}
-    paints = {colour: true_paint_optics(colour, truth) for colour, truth in truths.items()}
-    return paints, dict.fromkeys(paints, STAND_IN)
 
 
 def _samples(text: str, even: bool) -> int:

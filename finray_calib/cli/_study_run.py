@@ -1,4 +1,7 @@
-"""``finray study run`` and ``show``: a design study by its plan, and the table of one that was run."""
+"""``finray study run`` and ``show``: a design study by its plan, and the table of one that was run.
+
+And the paints of a study: calibrated ones, or those of the simulated rig in their place.
+"""
 
 import argparse
 import csv
@@ -21,6 +24,7 @@ from finray_calib.cli._run import (
 
 if TYPE_CHECKING:
     from data_schemas import Provenance, StudyMetric, StudyPoint, StudyResult
+    from sim.optics import PaintOptics
     from sim.studies import StudyPaints
 
 RUN_HELP = "run a design study by its plan: change a finger, and press, render and measure each variant"
@@ -121,12 +125,39 @@ def run_design_study(arguments: argparse.Namespace) -> None:
 
 def _paints(arguments: argparse.Namespace) -> "tuple[StudyPaints, list[Path]]":
     """Return the paints of the walls, those of the simulated rig where none are given, and their files."""
-    from finray_calib.cli._study import calibrated_paints, stand_in_paints
     from sim.studies import StudyPaints
 
     files = paint_files(arguments, without="the simulated rig's paints")
     optics, sources = calibrated_paints(files, arguments.paints_as_given) if files else stand_in_paints()
     return StudyPaints(optics, sources), list(files.values())
+
+
+STAND_IN = "stand-in: default hidden paint of the simulated rig, not the paper's paint"
+
+
+def calibrated_paints(files: dict[str, Path], as_given: bool = True) -> "tuple[dict[str, PaintOptics], dict[str, str]]":
+    """Return the optics of calibrated paints and their names and checksums."""
+    from data_schemas import PaintCalibration, digest_of_input
+    from data_schemas.storage import read_record
+    from sim.experiments import paint_optics, require_paints_in_order
+
+    paints = {colour: read_record(file, PaintCalibration) for colour, file in files.items()}
+    if not as_given:
+        modes_nm = {colour: paint.mode_nm.estimate for colour, paint in paints.items()}
+        require_paints_in_order(modes_nm, {colour: str(file) for colour, file in files.items()}, "--paints-as-given")
+    sources = {c: f"{paint.paint_name}, SHA-256 {digest_of_input(files[c])}" for c, paint in paints.items()}
+    return {colour: paint_optics(paint) for colour, paint in paints.items()}, sources
+
+
+def stand_in_paints() -> "tuple[dict[str, PaintOptics], dict[str, str]]":
+    """Return the optics of the simulated rig's two default paints."""
+    from finray_calib.demo import true_paint_optics
+    from rigs import DEFAULT_PAINTS, simulated_rig
+    from rigs.simulated import bench_truth
+
+    truths = {colour: bench_truth(simulated_rig(colour, None, seed=1), Path()) for colour in DEFAULT_PAINTS}
+    paints = {colour: true_paint_optics(colour, truth) for colour, truth in truths.items()}
+    return paints, dict.fromkeys(paints, STAND_IN)
 
 
 def _store(out: Path, result: "StudyResult", points: "Sequence[StudyPoint]", origin: "Provenance") -> None:

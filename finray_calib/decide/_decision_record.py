@@ -1,6 +1,13 @@
-"""From sweeps of the light angle and photometric error reports to the stored decision."""
+"""From sweeps of the light angle and photometric error reports to the stored decision and its sentences.
+
+A repeat of a sweep has its own paths and its own draw of both paints. Paths average out over the repeats; the paint of
+the real finger is one draw, so that its scatter must be kept. The bands of each repeat are stored beside its colours,
+and colours are linear in bands: every draw of the paints can be put on the bands of every repeat, which takes the two
+apart exactly (`swept_contacts`). The sentences say first what to do, then what is lost, and how sure that is.
+"""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,19 +16,30 @@ from data_schemas import (
     AngleProposal,
     AngleStatement,
     DecidedContact,
+    DecideError,
     DecidingCapture,
+    Indenter,
     LightAngleDecision,
     LightAngleSweep,
     OtherObjective,
     PhotometricErrorReport,
+    finger_identity,
+    look_like_radians,
+    narrow_sweep_text,
 )
 from finray_calib.decide._capture_errors import CaptureErrors, capture_errors, require_one_finger
-from finray_calib.decide._decision_words import decision_sentence, headline, outside
-from finray_calib.decide._light_angle import AngleDecision, AngleRisk, Criterion, decide_contacts
+from finray_calib.decide._light_angle import (
+    CONFIDENCE,
+    NEARBY_DEG,
+    AngleDecision,
+    AngleRisk,
+    Criterion,
+    SweptContact,
+    decide_contacts,
+)
 from finray_calib.decide._next_observation import Proposal, propose_capture, propose_render
 from finray_calib.decide._other_objectives import OtherOptimum, other_optima
 from finray_calib.decide._sim_to_real import COMMON_SHARE
-from finray_calib.decide._swept_contacts import swept_contacts
 
 Floats = NDArray[np.float64]
 TOLERANCE_REL = 0.02
@@ -80,9 +98,6 @@ def decide(
     then = decision_sentence(decision, captures.angles_deg, TOLERANCE_REL, next_render, next_capture, others, decided)
     # over several touches the curve is a share of the best
     scale = float(swept[0].values.mean()) if len(swept) == 1 else 1.0
-    real = _band(decision.mean_rel, decision.sd_rel, scale)
-    alone = _band(decision.simulation_only_mean_rel, decision.simulation_only_sd_rel, scale)
-    low_rel, discrepancy_rel, high_rel = decision.discrepancy.amplitude_quantiles_rel
     return LightAngleDecision(
         objective=swept[0].objective,
         angle_deg=decision.best_deg,
@@ -98,24 +113,38 @@ def decide(
         angle_average_deg=decision.contacts.average_deg,
         angle_worst_deg=decision.contacts.worst_deg,
         contact_value=decision.contacts.relative,
-        validated=decision.validated,
-        discrepancy_rel=discrepancy_rel,
-        discrepancy_95_rel=(low_rel, high_rel),
         captures=_deciding_captures(decision, captures, scale),
-        statement=_statement(decision.risk),
-        statement_simulation_only=_statement(decision.simulation_only),
-        grid_deg=decision.grid_deg,
-        mean=real[0],
-        low95=real[1],
-        high95=real[2],
-        mean_simulation_only=alone[0],
-        low95_simulation_only=alone[1],
-        high95_simulation_only=alone[2],
+        **_certainty(decision),
+        **_curves(decision, scale),
         next_render=_proposal(next_render, decided),
         next_capture=_proposal(next_capture, decided),
         other_objectives=tuple(_other(other) for other in others),
         notes=(*of_finger, *left_out, *_notes(swept, decision, captures)),
     )
+
+
+def _certainty(decision: AngleDecision) -> dict[str, Any]:
+    """Return the fields that say how sure the decision is."""
+    low_rel, discrepancy_rel, high_rel = decision.discrepancy.amplitude_quantiles_rel
+    return {
+        "validated": decision.validated,
+        "discrepancy_rel": discrepancy_rel,
+        "discrepancy_95_rel": (low_rel, high_rel),
+        "statement": _statement(decision.risk),
+        "statement_simulation_only": _statement(decision.simulation_only),
+    }
+
+
+def _curves(decision: AngleDecision, scale: float) -> dict[str, Any]:
+    """Return the fields that hold the curve over the angle, corrected by captures and by simulation only."""
+    real = _band(decision.mean_rel, decision.sd_rel, scale)
+    alone = _band(decision.simulation_only_mean_rel, decision.simulation_only_sd_rel, scale)
+    names = ("mean", "low95", "high95")
+    return {
+        "grid_deg": decision.grid_deg,
+        **dict(zip(names, real, strict=True)),
+        **dict(zip((f"{name}_simulation_only" for name in names), alone, strict=True)),
+    }
 
 
 def _band(mean_rel: Floats, sd_rel: Floats, scale: float) -> tuple[Floats, Floats, Floats]:
@@ -264,3 +293,279 @@ def _unseen_channels(sweep: LightAngleSweep) -> list[str]:
     if sweep.channels is not None:
         return []
     return ["the sweep was written by an older version without its channels: red, green and blue count alike"]
+
+
+def headline(
+    decision: AngleDecision, contacts: Sequence[DecidedContact], criterion: Criterion, tolerance_rel: float
+) -> str:
+    """Return the first sentence: where to mount the light, what is lost, and for which touches that is so.
+
+    Parameters
+    ----------
+    decision : AngleDecision
+    contacts : sequence of DecidedContact
+        What was touched.
+    criterion : str
+        What was minimised over the touches.
+    tolerance_rel : float
+        Loss that does not matter, which gives the tolerance of the angle.
+    """
+    one = f"For one place only, {_at(contacts[0])}: " if len(contacts) == 1 else ""
+    if decision.at_range_end:
+        start = "The" if not one else f"{one}the"
+        return (
+            f"{start} best angle found, {decision.best_deg:.0f} deg, is the end of the sweep, so that a better one may "
+            "lie beyond it: simulate a wider sweep before the light is mounted."
+        )
+    verb = "mount" if one else "Mount"
+    angle = f"{one}{verb} the light at {mounting_angle(decision)} deg"
+    if one:
+        return (
+            f"{angle}; between these angles the touch is at most {percent(tolerance_rel)} less bright than at the best."
+        )
+    losses = [contact.loss_rel for contact in contacts]
+    worst = contacts[int(np.argmax(losses))]
+    average = float(np.dot([contact.weight_share for contact in contacts], losses))
+    span, most = span_of(contacts), percent(max(losses))
+    if criterion == "worst":
+        return (
+            f"{angle}: the brightness of the touch is at most {most} below the best at any of the {span}, and "
+            f"{percent(average)} on average."
+        )
+    return (
+        f"{angle}: the brightness of the touch is on average {percent(average)} below the best at the {span}, and at "
+        f"most {most} ({_at(worst)})."
+    )
+
+
+def mounting_angle(decision: AngleDecision) -> str:
+    """Return the angle with the lesser of the two sides of its tolerance, as in '33 ± 6'."""
+    low, high = decision.contacts.tolerance_deg
+    side = min(decision.best_deg - low, high - decision.best_deg)
+    return f"{decision.best_deg:.0f} \u00b1 {side:.0f}"
+
+
+def span_of(contacts: Sequence[DecidedContact]) -> str:
+    """Return how many touches there are, and where."""
+    places = sorted({contact.position_mm for contact in contacts})
+    along = f"from {places[0]:g} to {places[-1]:g} mm" if len(places) > 1 else f"at {places[0]:g} mm"
+    if len(places) == len(contacts):
+        return f"{len(contacts)} places {along}"
+    return f"{len(contacts)} touches {along}"
+
+
+def outside(contacts: Sequence[DecidedContact], indenter: Indenter) -> str:
+    """Return what the decision says nothing about.
+
+    Parameters
+    ----------
+    contacts : sequence of DecidedContact
+        What was touched.
+    indenter : Indenter
+        Of the first of them.
+    """
+    places = sorted({contact.position_mm for contact in contacts})
+    across = sorted({contact.across_mm for contact in contacts})
+    depths = sorted({contact.depth_mm for contact in contacts})
+    shapes = sorted({contact.shape for contact in contacts})
+    size = f" of {indenter.radius_mm:g} mm radius" if shapes in (["cylinder"], ["ball"]) else ""
+    along = f"{places[0]:g} to {places[-1]:g} mm" if len(places) > 1 else f"{places[0]:g} mm"
+    beside = "on the middle line" if across == [0.0] else f"{across[0]:g} to {across[-1]:g} mm from the middle line"
+    deep = f"{depths[0]:g} mm" if len(depths) == 1 else f"{depths[0]:g} to {depths[-1]:g} mm"
+    return (
+        f"It holds for touches at {along} along the pad, {beside}, {deep} deep, by a {' or '.join(shapes)}{size}; "
+        "other places, depths and objects were not simulated."
+    )
+
+
+def decision_sentence(
+    decision: AngleDecision,
+    captures_deg: Floats,
+    tolerance_rel: float,
+    next_render: Proposal | None = None,
+    next_capture: Proposal | None = None,
+    others: Sequence[OtherOptimum] = (),
+    contacts: Sequence[DecidedContact] = (),
+) -> str:
+    """Return what follows the first sentence: how sure the choice is, why, and what to do next.
+
+    Parameters
+    ----------
+    decision : AngleDecision
+    captures_deg : ndarray, shape (N,)
+        Angles of the captures in it; none: not validated.
+    tolerance_rel : float
+        Relative loss that does not matter.
+    next_render, next_capture : Proposal, optional
+        Said where the verdict asks for it.
+    others : sequence of OtherOptimum
+        Other objectives; those that disagree are named.
+    contacts : sequence of DecidedContact
+        Of several, the one to capture is named.
+
+    Returns
+    -------
+    str
+    """
+    parts = [_ground(decision, captures_deg), _odds(decision, tolerance_rel)]
+    if decision.verdict == "tie":
+        ranges = " or ".join(f"{low:.0f} to {high:.0f} deg" for low, high in decision.risk.equivalent_deg)
+        parts.append(f"Any angle from {ranges} will do.")
+    if decision.verdict == "undecided" and not decision.at_range_end:
+        parts.append("The renders are still too noisy to choose; more repeats or samples will help.")
+        if next_render is not None:
+            parts.append(f"Render {next_render.angle_deg:.0f} deg next.")
+    if next_capture is not None and (decision.verdict == "needs captures" or not captures_deg.size):
+        where = f", {_at(contacts[next_capture.contact])}" if len(contacts) > 1 else ""
+        parts.append(f"Capture next with the light at {next_capture.angle_deg:.0f} deg{where}.")
+    parts += [
+        f"{other.name[:1].upper()}{other.name[1:]} would choose {other.best_deg:.0f} deg and loses "
+        f"{percent(other.loss_rel)} here."
+        for other in others
+        if other.disagrees
+    ]
+    return " ".join(parts)
+
+
+def _ground(decision: AngleDecision, captures_deg: Floats) -> str:
+    """Say what the choice rests on: captures, or an assumed sim-to-real error."""
+    low_rel, amplitude_rel, high_rel = decision.discrepancy.amplitude_quantiles_rel
+    if not captures_deg.size:
+        return (
+            "So says the simulation; no capture has checked it, and it is not decided before one does. An error of "
+            f"{percent(amplitude_rel)} (95 %: {percent(low_rel)} to {percent(high_rel)}) at each angle is assumed."
+        )
+    angles = [f"{angle:.0f}" for angle in sorted(set(captures_deg.tolist()))]
+    listed = " and ".join([*([", ".join(angles[:-1])] if len(angles) > 1 else []), angles[-1]])
+    number = "A capture" if captures_deg.size == 1 else f"{captures_deg.size} captures"
+    enough = "" if decision.verdict in {"decided", "tie"} else ", which is not enough to decide"
+    return (
+        f"{number} at {listed} deg {'is' if captures_deg.size == 1 else 'are'} in this{enough}: the simulation is off "
+        f"by some {percent(amplitude_rel)} at an angle. Without them it would be "
+        f"{decision.best_simulation_only_deg:.0f} deg."
+    )
+
+
+def _odds(decision: AngleDecision, tolerance_rel: float) -> str:
+    """Say what may be lost against another angle, and with what probability."""
+    risk = decision.risk
+    return (
+        f"Another angle may be better by {percent(risk.expected_regret_rel)} on average and by at most "
+        f"{percent(risk.regret_95_rel)} with {percent(CONFIDENCE)} probability; that it is better by no more than "
+        f"{percent(tolerance_rel)} has a probability of {risk.p_within_tolerance:.2f}, and that the best angle lies "
+        f"within {NEARBY_DEG:.0f} deg one of {risk.p_within_5deg:.2f}."
+    )
+
+
+def _at(contact: DecidedContact) -> str:
+    """Return where the pad is touched."""
+    beside = f" and {contact.across_mm:g} mm beside its middle" if contact.across_mm else ""
+    return f"{contact.position_mm:g} mm from the base{beside}"
+
+
+def percent(fraction: float) -> str:
+    """Return a fraction as per cent with two significant digits."""
+    return f"{float(f'{100 * fraction:.2g}'):g} %"
+
+
+#: Colours that follow from the bands do so but for rounding.
+_LARGEST_MISFIT_REL = 1e-6
+
+
+def swept_contacts(
+    sweeps: Sequence[LightAngleSweep], weights: Sequence[float] | None, narrow_sweep: bool = False
+) -> list[SweptContact]:
+    """Return what sweeps of one finger say, one for each touch.
+
+    Parameters
+    ----------
+    sweeps
+        Of one finger, paints and objective, over the same angles.
+    weights
+        How often each touch occurs; None: all alike.
+    narrow_sweep
+        Whether angles that span less than 4 deg are meant so.
+
+    Raises
+    ------
+    DecideError
+        The sweeps do not belong together, the weights do not fit, or angles look like radians.
+    """
+    if weights is not None and (len(weights) != len(sweeps) or not (np.array(weights) > 0).all()):
+        raise DecideError(
+            f"{len(weights)} weights ({', '.join(f'{w:g}' for w in weights)}) for {len(sweeps)} sweeps; give one "
+            "number above 0 for each sweep, in their order, or none for equal weights"
+        )
+    for sweep in sweeps:
+        if look_like_radians(sweep.angles_deg) and not narrow_sweep:
+            raise DecideError(narrow_sweep_text(sweep.angles_deg))
+        _require_together(sweeps[0], sweep)
+    touches = [sweep.design.indenter.model_dump_json() for sweep in sweeps]
+    if len(set(touches)) < len(touches):
+        twice = next(sweep for number, sweep in enumerate(sweeps) if touches[number] in touches[:number])
+        raise DecideError(
+            f"two sweeps are of one touch (position_mm = {twice.design.indenter.position_mm:g} mm): it would count "
+            "twice. Give each sweep once, and its weight by --weights"
+        )
+    return [_contact(sweep, 1.0 if weights is None else weights[k]) for k, sweep in enumerate(sweeps)]
+
+
+def _require_together(first: LightAngleSweep, sweep: LightAngleSweep) -> None:
+    """Refuse a sweep of another finger, paints, objective or angles than the first."""
+    parts = set(finger_identity(first.design).differs_in(finger_identity(sweep.design))) - {"indenter"}
+    if parts:
+        raise DecideError(
+            f"the sweeps '{first.name}' and '{sweep.name}' are of two fingers, which differ in "
+            f"{', '.join(sorted(parts))}: no one light suits both. Only [indenter] may differ between the sweeps"
+        )
+    if first.paints != sweep.paints:
+        raise DecideError(
+            f"the sweeps '{first.name}' and '{sweep.name}' have different paint calibrations; simulate all of them "
+            "with the same --paint files"
+        )
+    if first.objective != sweep.objective:
+        raise DecideError(
+            f"the sweeps '{first.name}' and '{sweep.name}' have different objectives; decide on each alone"
+        )
+    if first.angles_deg.tolist() != sweep.angles_deg.tolist():
+        raise DecideError(
+            f"the sweeps '{first.name}' and '{sweep.name}' have different angles "
+            f"({first.angles_deg[0]:g} to {first.angles_deg[-1]:g} deg and {sweep.angles_deg[0]:g} to "
+            f"{sweep.angles_deg[-1]:g} deg); simulate all of them with the same --angles"
+        )
+
+
+def _contact(sweep: LightAngleSweep, weight: float) -> SweptContact:
+    """Return one touch, its paints apart where that can be told."""
+    allowed = None if sweep.constraints is None else sweep.constraints.allowed
+    crossed = _each_paint_on_each_repeat(sweep)
+    if crossed is None:
+        # paints and paths cannot be told apart: the whole scatter is kept as if it were of the paints
+        table = _relative(sweep.values)
+        return SweptContact(sweep.angles_deg, sweep.values, allowed, np.log(np.maximum(table, 1e-6)).T, weight)
+    relative = _relative(crossed)
+    return SweptContact(sweep.angles_deg, relative.mean(axis=1), allowed, np.log(relative.mean(axis=2)).T, weight)
+
+
+def _relative(values: Floats) -> Floats:
+    """Return values (A, ...) over their means over the angles."""
+    return np.asarray(values / values.mean(axis=0))
+
+
+def _each_paint_on_each_repeat(sweep: LightAngleSweep) -> Floats | None:
+    """Return the objective (angle, paint draw, repeat) of each paint draw with the paths of each repeat.
+
+    None where the colours of the sweep do not follow from its bands.
+    """
+    if sweep.channels is None or sweep.basis.shape[1] != sweep.values.shape[1]:
+        return None
+    bands = sweep.basis.mean(axis=2)
+    matrices = []
+    for repeat in range(bands.shape[1]):
+        matrix, _, rank, _ = np.linalg.lstsq(bands[:, repeat], sweep.channels[:, repeat], rcond=None)
+        misfit = np.abs(bands[:, repeat] @ matrix - sweep.channels[:, repeat]).max()
+        if rank < bands.shape[2] or misfit > _LARGEST_MISFIT_REL * np.abs(sweep.channels[:, repeat]).max():
+            return None
+        matrices.append(matrix)
+    values = np.einsum("arb,pbc->apr", bands, np.array(matrices)) / sweep.channels.shape[2]
+    return values if (values > 0).all() else None

@@ -186,10 +186,10 @@ class Demo:
         """Press the finger by finite elements; everything rendered afterwards has its shape."""
         from finray_calib.spectra import machine_threads
         from sim.experiments import press_records
-        from sim.mechanics import press_finger
+        from sim.mechanics import PressSettings, press_finger
 
         design = self.design()
-        pressed = press_finger(design, MESH, PUSH_INCREMENTS, machine_threads(), progress)
+        pressed = press_finger(design, PressSettings(MESH, PUSH_INCREMENTS, machine_threads()), progress=progress)
         mechanics, surfaces = press_records(design, pressed, MESH)
         return self._store(mechanics, MECHANICS, []), self._store(surfaces, SURFACES, [])
 
@@ -269,11 +269,11 @@ class Demo:
     ) -> LightAngleSweep:
         """Sweep the light angle of a finger."""
         from sim.experiments import light_angle_sweep
+        from sim.optics import ProbePaths
 
         digests = self._digests() if calibrations else {}
-        samples = self.settings.effort.probe_samples
-        shape = self.shapes()[1]
-        return light_angle_sweep(finger, calibrations, ANGLES_DEG, repeats, samples, seed, digests, progress, shape)
+        paths = ProbePaths(self.settings.effort.probe_samples, repeats, seed)
+        return light_angle_sweep(finger, calibrations, ANGLES_DEG, paths, digests, progress, shapes=self.shapes())
 
     def _finger(self, design: FingerDesign, paints: "Mapping[str, PaintOptics]") -> "PaintedFinger":
         """Join design, paints, the tactile camera's response and the renderer."""

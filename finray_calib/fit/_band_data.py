@@ -19,7 +19,7 @@ leaks are sampled beside the shape, and their columns are empty.
 A measured region also has errors that its photon noise does not know: calibration, channel response, stray light.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -250,18 +250,6 @@ class BandData:
         for name in ("y", "covariance", "usable"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
         object.__setattr__(self, "quadrature", band_quadrature(self.weights))
-
-    def without_band(self, band: int) -> "BandData":
-        """Return the data with one band left out.
-
-        Raises
-        ------
-        FitError
-            When fewer than four bands remain.
-        """
-        usable = self.usable.copy()
-        usable[band] = False
-        return replace(self, usable=usable)
 
     @property
     def kept(self) -> NDArray[np.int64]:

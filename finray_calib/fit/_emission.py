@@ -19,11 +19,16 @@ from numpy.typing import NDArray
 
 from data_schemas import FitError, SamplingMethod
 from finray_calib.fit._band_data import BandData, band_values, blocking_column
-from finray_calib.fit._importance import SMALLEST_EFFECTIVE_SHARE, WeightedSample, importance_sample
+from finray_calib.fit._importance import (
+    GOOD_EFFECTIVE_SHARE,
+    SMALLEST_EFFECTIVE_SHARE,
+    MixtureProposal,
+    WeightedSample,
+    importance_sample,
+)
 from finray_calib.fit._likelihood import LogPosterior
 from finray_calib.fit._map_search import Maxima, find_maxima, starting_points
 from finray_calib.fit._markov_chains import ChainDiagnostics, MovedDraws, SamplerSettings, moved_draws, sample_posterior
-from finray_calib.fit._mixture_proposal import GOOD_EFFECTIVE_SHARE, MixtureProposal
 from finray_calib.fit._prior import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM, Discrepancy, EmissionPrior, chi_square_survival
 from finray_calib.spectra import CurveQuantities, EmissionFamily, curve_quantities
 

@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 
 from finray_calib.fit._band_data import BandData
 from finray_calib.fit._emission import FEWEST_DRAWS, EmissionPosterior, FitSettings, fit_emission
-from finray_calib.fit._importance import WeightedSample, smooth_weights
+from finray_calib.fit._importance import WeightedSample, log_sum_exp, smooth_weights
 from finray_calib.fit._likelihood import LogPosterior
 from finray_calib.fit._measured_spectra import MeasuredSpectra
-from finray_calib.fit._mixture_proposal import log_sum_exp
 from finray_calib.fit._prior import NO_DISCREPANCY, PAINT_DISCREPANCY, Discrepancy, EmissionPrior
 from finray_calib.spectra import FAMILIES, machine_threads, skew_shape_table
 

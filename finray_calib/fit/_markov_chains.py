@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import FitError
-from finray_calib.fit._importance import WeightedSample
+from finray_calib.fit._importance import WeightedSample, tempered_weights
 from finray_calib.fit._map_search import Maxima
-from finray_calib.fit._mixture_proposal import tempered_weights
 
 FloatArray = NDArray[np.float64]
 

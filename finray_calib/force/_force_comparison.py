@@ -2,18 +2,26 @@
 
 The one nuisance is the displacement at which the indenter first touches. Where no uncertainty is known, errors are
 given without intervals and verdicts.
+
+What the simulated force may be off by comes from uncertain inputs of the design and from the mesh. Constants and
+dimensions are uncertain as stated or by named defaults; the mesh's share is known from the 70 x 35 finger's
+convergence, or from another mesh. A force curve is simulated between the increments of a press, or measured.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from operator import attrgetter
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 from scipy.optimize import minimize_scalar
 
 from data_schemas import (
     CompareError,
+    FingerDesign,
     FirstTouch,
     ForceComparison,
     ForceEstimate,
@@ -23,11 +31,301 @@ from data_schemas import (
     ForceThird,
     Interval,
     PressMechanics,
+    PressSensitivities,
+    VariedPress,
 )
-from finray_calib.force._force_curves import ForceCurve, MeasuredForce
-from finray_calib.force._force_uncertainty import ForceInputs, MeshError, force_inputs, mesh_error
 
 Floats = NDArray[np.float64]
+
+# of a depth: small against its increments, large against rounding
+_SLOPE_STEP = 1e-5
+_BEYOND = 1.05
+_SAME_DEPTH = 1.0 + 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class ForceCurve:
+    """Force over push through the increments of a press; exact for every power F = a d^p.
+
+    A monotone cubic (PCHIP) of ln F over ln d; outside the increments the power law of the two nearest ones; 0 above
+    the pad (d <= 0). Valid to a twentieth beyond the last increment, so that a first touch can be fitted to points that
+    reach as deep as the press.
+
+    Parameters
+    ----------
+    name
+        Of the press, for messages.
+    depth_mm, force_n
+        Of its increments (k,), from first touch.
+
+    Raises
+    ------
+    CompareError
+        When there are fewer than two increments, or a force is not above 0.
+    """
+
+    name: str
+    depth_mm: Floats
+    force_n: Floats
+
+    def __post_init__(self) -> None:
+        if len(self.depth_mm) < 2:
+            raise CompareError(
+                f"{self.name}: has {len(self.depth_mm)} increment(s), which tell no curve; simulate with --increments 4"
+            )
+        if (self.force_n <= 0.0).any() or (self.depth_mm <= 0.0).any() or (np.diff(self.depth_mm) <= 0.0).any():
+            raise CompareError(f"{self.name}: its pushes must rise from above 0 mm and its forces be above 0 N")
+
+    @property
+    def reach_mm(self) -> float:
+        """The deepest push at which the curve may be read."""
+        return float(_BEYOND * self.depth_mm[-1])
+
+    def at(self, depth_mm: Floats) -> Floats:
+        """Return the force in N at pushes of any shape."""
+        x, y = np.log(self.depth_mm), np.log(self.force_n)
+        inside = depth_mm > 0.0
+        at = np.log(np.where(inside, depth_mm, 1.0))
+        outside = [y[k] + (y[k] - y[k + step]) / (x[k] - x[k + step]) * (at - x[k]) for k, step in ((0, 1), (-1, -1))]
+        between = PchipInterpolator(x, y)(np.clip(at, x[0], x[-1]))
+        return np.where(inside, np.exp(np.select([at < x[0], at > x[-1]], outside, between)), 0.0)
+
+    def slope_at(self, depth_mm: Floats) -> Floats:
+        """Return dF/dd in N/mm at pushes of any shape."""
+        step = _SLOPE_STEP * self.reach_mm
+        high = np.minimum(depth_mm + step, self.reach_mm)
+        return (self.at(high) - self.at(high - 2.0 * step)) / (2.0 * step)
+
+    def interpolation_error(self, depth_mm: Floats) -> Floats:
+        """Return the difference in N to another curve through the increments: how free the curve is between them.
+
+        The other one is a monotone cubic of F over d from the origin, continued on a straight line.
+        """
+        depth, force = np.r_[0.0, self.depth_mm], np.r_[0.0, self.force_n]
+        slope = (force[-1] - force[-2]) / (depth[-1] - depth[-2])
+        beyond = slope * np.maximum(depth_mm - depth[-1], 0.0)
+        other = PchipInterpolator(depth, force)(np.clip(depth_mm, 0.0, depth[-1])) + beyond
+        return np.asarray(np.abs(self.at(depth_mm) - other))
+
+
+def log_sensitivity(press: PressSensitivities, varied: VariedPress, depth_mm: Floats) -> Floats:
+    """Return d ln F / d ln x at pushes (n,), by the secant of the varied press at the increments that both reach.
+
+    Straight lines over ln d between the increments, constant beyond them.
+
+    Raises
+    ------
+    CompareError
+        When the varied press has no two increments.
+    """
+    one = ForceCurve("unchanged press", press.depth_mm, press.force_n)
+    other = ForceCurve(f"press with {varied.field} changed", varied.depth_mm, varied.force_n)
+    shared = one.depth_mm[one.depth_mm <= other.depth_mm[-1] * _SAME_DEPTH]
+    if not len(shared):
+        shared = other.depth_mm[-1:]
+    secant = np.log(other.at(shared) / one.at(shared)) / np.log1p(varied.change_rel)
+    return np.asarray(np.interp(np.log(np.maximum(depth_mm, shared[0])), np.log(shared), secant))
+
+
+FEWEST_POINTS = 5
+_UNITS_APART = 300.0  # mN for N is 1000, g for N is 102; no finger of the right unit is this far off
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredForce:
+    """Points of a loading curve, in any order.
+
+    Attributes
+    ----------
+    name
+        For example of the file.
+    displacement_mm
+        Of the indenter along the pad's normal, (n,); the compliance of the testing machine taken off.
+    force_n
+        Along the pad's normal, (n,); pushing counts positive.
+    u_force_n, u_displacement_mm
+        Standard uncertainties (n,), independent from point to point; None where they are not stated.
+    """
+
+    name: str
+    displacement_mm: Floats
+    force_n: Floats
+    u_force_n: Floats | None = None
+    u_displacement_mm: Floats | None = None
+
+    def __post_init__(self) -> None:
+        count = len(self.displacement_mm)
+        if count < FEWEST_POINTS:
+            raise CompareError(f"{self.name}: has {count} points; a comparison needs {FEWEST_POINTS} or more")
+        for what, values in (("force", self.u_force_n), ("displacement", self.u_displacement_mm)):
+            if values is not None and (values < 0.0).any():
+                raise CompareError(f"{self.name}: an uncertainty of the {what} is negative; give 0 or more")
+        if self.force_n.mean() <= 0.0:
+            raise CompareError(
+                f"{self.name}: the force is {self.force_n.mean():.3g} N on average; pushing counts positive, turn the "
+                "sign"
+            )
+
+    def variance_n2(self, slope_n_per_mm: Floats) -> Floats:
+        """Return the variance of each force, with that of its displacement through the slope of the curve (n,)."""
+        of_force, of_displacement = (
+            np.zeros_like(self.force_n) if u is None else u**2 for u in (self.u_force_n, self.u_displacement_mm)
+        )
+        return of_force + slope_n_per_mm**2 * of_displacement
+
+    def check_units(self, depth_mm: float, force_n: float) -> None:
+        """Refuse numbers of another magnitude than a press of this depth and largest force, both above 0.
+
+        Raises
+        ------
+        CompareError
+            When displacement or force seem to be in another unit.
+        """
+        for what, unit, own, other in (
+            ("displacement", "mm", float(np.abs(self.displacement_mm).max()), depth_mm),
+            ("force", "N", float(self.force_n.max()), force_n),
+        ):
+            if not 1.0 / _UNITS_APART < own / other < _UNITS_APART:
+                raise CompareError(
+                    f"{self.name}: the largest {what} is {own:.3g} {unit}, that of the simulated press {other:.3g} "
+                    f"{unit}; is it in another unit? Give {unit}"
+                )
+
+
+# an elastomer's or plastic's modulus from the literature, for another batch, cure and rate
+ASSUMED_MODULUS_REL: Final = 0.2
+# K / mu is measured for hardly any silicone: from nu = 0.475 to 0.49975, even in its logarithm. The force changes less
+# and less with it, so that this sensitivity, taken where the design is, makes the interval too wide rather than short
+ASSUMED_BULK_OVER_SHEAR: Final = (20.0, 2000.0)
+_BULK_LN = math.log(ASSUMED_BULK_OVER_SHEAR[1] / ASSUMED_BULK_OVER_SHEAR[0]) / math.sqrt(12.0)
+ASSUMED_BULK_REL: Final = math.sqrt(math.expm1(_BULK_LN**2))
+# rolled and cast sheets are sold to about a tenth of their thickness
+ASSUMED_SHEET_REL: Final = 0.1
+# a print's or mould's limits; a rectangular distribution within them (JCGM 100, 4.3.7)
+PRINT_LIMIT_MM: Final = 0.1
+_SHEETS: Final = ("pad.film.thickness_mm", "skeleton.mirror_thickness_mm")
+
+
+@dataclass(frozen=True, slots=True)
+class ForceInputs:
+    """Uncertain inputs of a force, log-normal and independent, each with its effect on ln F.
+
+    Attributes
+    ----------
+    names, sources
+        Field of the design, and in words where its uncertainty is from.
+    u_rel
+        Standard uncertainties over the values, (i,).
+    ln_force_per_ln_input
+        d ln F / d ln x at the points, (i, n).
+    missing
+        What has no sensitivity although it is uncertain, in words.
+    """
+
+    names: tuple[str, ...]
+    sources: tuple[str, ...]
+    u_rel: Floats
+    ln_force_per_ln_input: Floats
+    missing: tuple[str, ...]
+
+    def draw_ratios(self, draws: int, rng: np.random.Generator) -> Floats:
+        """Return draws of the force over that of the design as it is, (draws, n).
+
+        ln F moves by the sum of sensitivities times ln x / x0; ln x is normal with variance ln(1 + u_rel^2).
+        """
+        u_ln = np.sqrt(np.log1p(self.u_rel**2))
+        deviations = u_ln * rng.standard_normal((draws, len(self.names)))
+        return np.exp(deviations @ self.ln_force_per_ln_input)
+
+
+def force_inputs(press: PressMechanics, depth_mm: Floats) -> ForceInputs:
+    """Return the uncertain inputs of a press at pushes (n,): those that it was pressed again with."""
+    again = press.sensitivities
+    varied = again.varied if again is not None else ()
+    known = [v for v in varied if len(v.depth_mm) > 1]
+    effects = [log_sensitivity(again, v, depth_mm) for v in known] if again is not None else []
+    stated = set(press.design.uncertainty_rel) - {v.field for v in varied}
+    uncertain = [_uncertainty(press.design, v.field) for v in known]
+    return ForceInputs(
+        names=tuple(v.field for v in known),
+        sources=tuple(source for _, source in uncertain),
+        u_rel=np.array([u for u, _ in uncertain]),
+        ln_force_per_ln_input=np.array(effects).reshape(len(known), len(depth_mm)),
+        missing=(
+            *(f"{v.field}: its press failed ({v.failure})" for v in varied if len(v.depth_mm) < 2),
+            *(f"{field}: stated by the design, which was not pressed with it changed" for field in sorted(stated)),
+            *(() if varied else ("materials and dimensions: 'finray simulate press --sensitivities'",)),
+        ),
+    )
+
+
+def _uncertainty(design: FingerDesign, field: str) -> tuple[float, str]:
+    """Return the relative standard uncertainty of a field, and where it is from."""
+    if field in design.uncertainty_rel:
+        return design.uncertainty_rel[field], "stated by the design"
+    if field.endswith("_mpa"):
+        return ASSUMED_MODULUS_REL, f"assumed: {ASSUMED_MODULUS_REL:.0%} of a modulus"
+    if field.endswith("bulk_over_shear"):
+        low, high = ASSUMED_BULK_OVER_SHEAR
+        return ASSUMED_BULK_REL, f"assumed: K / mu from {low:g} to {high:g}, even in its logarithm"
+    if field in _SHEETS:
+        return ASSUMED_SHEET_REL, f"assumed: {ASSUMED_SHEET_REL:.0%} of a sheet"
+    value_mm = float(attrgetter(field)(design))
+    return PRINT_LIMIT_MM / math.sqrt(3.0) / value_mm, f"assumed: printed to +-{PRINT_LIMIT_MM:g} mm"
+
+
+@dataclass(frozen=True, slots=True)
+class MeshError:
+    """What the mesh may make a force wrong by.
+
+    Attributes
+    ----------
+    excess_rel
+        By how much the force exceeds that of an infinitely fine mesh.
+    other
+        Curve of another mesh, if there is one.
+    source
+        In words where it is known from; empty where nothing is known.
+    """
+
+    excess_rel: float
+    other: ForceCurve | None
+    source: str
+
+    def at(self, depth: Floats, force: Floats) -> Floats:
+        """Return the standard uncertainty, N, at pushes (n,) with the force that the press has there."""
+        known = self.excess_rel / (1.0 + self.excess_rel) * force
+        return known if self.other is None else np.maximum(known, np.abs(self.other.at(depth) - force))
+
+
+def mesh_error(press: PressMechanics, other: PressMechanics | None) -> MeshError:
+    """Return what is known of the error of a press's mesh, taken for its standard uncertainty.
+
+    F e / (1 + e) with the force F and the excess e of the press's preset on the 70 x 35 finger; |F' - F| where the
+    force F' on another mesh differs by more.
+
+    Raises
+    ------
+    CompareError
+        When the other press is of another design, or on the same preset.
+    """
+    sources = [] if press.mesh_excess_rel is None else ["the mesh's excess on the 70 x 35 finger"]
+    curve = None if other is None else _curve_on_other_mesh(press, other)
+    if curve is not None:
+        sources.append("the other mesh's difference")
+    return MeshError(press.mesh_excess_rel or 0.0, curve, " or ".join(sources))
+
+
+def _curve_on_other_mesh(press: PressMechanics, other: PressMechanics) -> ForceCurve:
+    """Return the curve of the same finger on another mesh."""
+    own = press.design.model_dump(exclude={"mesh", "provenance", "uncertainty_rel"})
+    if own != other.design.model_dump(exclude={"mesh", "provenance", "uncertainty_rel"}):
+        raise CompareError(f"{other.name}: is a press of another design; give the same one on another mesh")
+    if other.preset == press.preset:
+        raise CompareError(f"{other.name}: is on the {other.preset} mesh too; give a press on another one")
+    return ForceCurve(other.name, other.depth_mm, other.force_n[:, 1])
+
+
 Candidate = Literal["do nothing", "simulation"]
 
 DRAWS = 2000

@@ -31,15 +31,17 @@ if TYPE_CHECKING:
         find_colour_checker,
         linear_cells,
     )
-    from finray_calib.radiometry._libcamera_tuning import LibcameraTuning, parse_tuning, shading_gains
     from finray_calib.radiometry._photon_transfer import FrameStack, PhotonTransfer, linearity, photon_transfer
     from finray_calib.radiometry._pixel_signals import laser_profile, pixel_signals
     from finray_calib.radiometry._raspberry_pi import (
         CaptureSettings,
+        LibcameraTuning,
         capture_settings,
+        parse_tuning,
         processed_signal,
         raw_signal,
         require_same_settings,
+        shading_gains,
     )
     from finray_calib.radiometry._session_steps import session_steps, signal_covariance
 else:

@@ -229,19 +229,15 @@ def _part_table(design: FingerDesign, layout: SkeletonLayout, parts: tuple[Scene
     return one_group("Parts", columns, rows, is_words=True)
 
 
+_SKELETON_SIZES = ("front_fin_thickness_mm", "back_fin_thickness_mm", "rib_count", "rib_thickness_mm", "rib_width_mm")
+
+
 def _what(design: FingerDesign, layout: SkeletonLayout, name: str) -> tuple[str, tuple[str, ...]]:
     """Return what a part is, and the fields of the design that its size rests on."""
     pad, skeleton, indenter = design.pad, design.skeleton, design.indenter
     ribs = len(layout.ribs)
     size = ("pad.length_mm", "pad.width_mm", "pad.thickness_mm")
     shape = {"cylindrical": f", radius {pad.radius_mm} mm", "ellipsoidal": f", semi-axes {_text(pad.semi_axes_mm)} mm"}
-    skeleton_sizes = (
-        "front_fin_thickness_mm",
-        "back_fin_thickness_mm",
-        "rib_count",
-        "rib_thickness_mm",
-        "rib_width_mm",
-    )
     known: dict[str, tuple[str, tuple[str, ...]]] = {
         "coating": (f"touched face of the pad, {pad.shape}{shape.get(pad.shape, '')}", size),
         "gel": (f"pad, {pad.thickness_mm:g} mm thick at its crown", size),
@@ -253,7 +249,7 @@ def _what(design: FingerDesign, layout: SkeletonLayout, name: str) -> tuple[str,
             f"fins {skeleton.front_fin_thickness_mm:g} mm in front, {skeleton.back_fin_thickness_mm:g} mm at the back, "
             f"{ribs} pairs of ribs {skeleton.rib_thickness_mm:g} x {skeleton.rib_width_mm:g} mm, tip "
             f"{skeleton.tip_length_mm:g} mm; hollow {2.0 * layout.rib_inner_mm:.1f} mm wide",
-            tuple(f"skeleton.{field}" for field in skeleton_sizes),
+            tuple(f"skeleton.{field}" for field in _SKELETON_SIZES),
         ),
         "base plate": (f"{skeleton.base_thickness_mm:g} mm thick", ("skeleton.base_thickness_mm",)),
         "backing": ("plate on the back fin, against twisting", ("skeleton.backing.thickness_mm",)),

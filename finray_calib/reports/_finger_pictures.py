@@ -53,7 +53,7 @@ def finger_page_png(view: CameraView, folder: Path | None = None) -> bytes:
     figure = new_figure(_PAGE_IN, finger.views_in + _TITLES_IN + _CAMERA_VIEW_IN)
     rows = figure.add_gridspec(2, 1, height_ratios=(finger.views_in + _TITLES_IN, _CAMERA_VIEW_IN))
     _draw_finger(figure.add_subfigure(rows[0]), finger)
-    draw_camera_view_on(figure.add_subfigure(rows[1]), view)
+    draw_camera_view(figure.add_subfigure(rows[1]), view)
     return png_bytes(figure)
 
 
@@ -92,20 +92,7 @@ _COLOURS = {"coat": "#f3efe6", "red": VERMILLION, "green": GREEN, "panel 1": BLU
 _GRID_ALONG_MM, _GRID_ACROSS_MM = 10.0, 5.0
 
 
-@styled()
-def camera_view_png(view: CameraView) -> bytes:
-    """Return the figure of a camera's view as PNG bytes."""
-    return png_bytes(draw_camera_view(view))
-
-
-def draw_camera_view(view: CameraView) -> Figure:
-    """Draw the camera's frame on the left and the pad on the right."""
-    figure = new_figure(11.0, 4.6)
-    draw_camera_view_on(figure, view)
-    return figure
-
-
-def draw_camera_view_on(figure: Figure | SubFigure, view: CameraView) -> None:
+def draw_camera_view(figure: Figure | SubFigure, view: CameraView) -> None:
     """Draw the camera's frame on the left and the pad on the right of a figure or a part of one."""
     frame, pad = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
     _draw_frame(frame, view)

@@ -99,11 +99,6 @@ class FittedPaint:
         """The paper's curve without discrepancy."""
         return self.fit.families[-1]
 
-    @property
-    def paper_emission_per_nm(self) -> Floats:
-        """Posterior mean of the paper's curve without discrepancy, nm^-1."""
-        return np.asarray(self.fit.family_emission_per_nm[-1])
-
 
 COMPARED_NM = (470.0, 720.0)
 STEP_NM = 1.0

@@ -8,7 +8,7 @@ and 41 shared ones replace 401 wavelengths; one rule for both parts would lose u
 """
 
 from dataclasses import dataclass
-from typing import Final, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,16 +77,32 @@ class EmissionWeights:
         return int(self.band_index[-1]) + 1
 
 
+class FilterSet(NamedTuple):
+    """The filters of a wheel on a grid of wavelengths.
+
+    Attributes
+    ----------
+    transmission
+        (B, L) transmission T_b, 0 to 1, blocking floor included.
+    excitation_band
+        Index e of the filter that passes the laser.
+    leak
+        (B,) or one transmission 10^-OD outside the pass band, contained in `transmission` at all wavelengths.
+    """
+
+    transmission: ArrayLike
+    excitation_band: int
+    leak: ArrayLike = 0.0
+
+
 def emission_weights(
     wavelength_nm: ArrayLike,
-    transmission: ArrayLike,
+    filters: FilterSet,
     response: ArrayLike,
     lamp: ArrayLike,
     white_reflectance: ArrayLike,
     laser: ArrayLike,
-    excitation_band: int,
     channel_weights: ArrayLike,
-    leak: ArrayLike = 0.0,
 ) -> EmissionWeights:
     """Return the weights of y_bc = (F_bc / W_bc) / V for a sample of emission f and laser reflectance rho.
 
@@ -104,8 +120,8 @@ def emission_weights(
     ----------
     wavelength_nm
         (L,) increasing grid, nm.
-    transmission
-        (B, L) filter transmission T_b, 0 to 1, blocking floor included.
+    filters
+        B filters and which of them passes the laser.
     response
         (C, L) camera response Q_c, any common unit.
     lamp
@@ -114,12 +130,8 @@ def emission_weights(
         (L,) reflectance R of the white reference, 0 to 1.
     laser
         (L,) laser line s, any scale.
-    excitation_band
-        Index e of the filter that passes the laser.
     channel_weights
         (C,) weights w_c of the channels in V; they sum to 1.
-    leak
-        (B,) or one transmission 10^-OD outside the pass band, contained in `transmission` at all wavelengths.
 
     Returns
     -------
@@ -134,20 +146,21 @@ def emission_weights(
         When the white signal of a band and channel is zero, the excitation band does not exist or passes no
         laser light, or the channel weights do not sum to 1.
     """
-    wavelength, filters, camera, light, white, line = _checked_curves(
-        wavelength_nm, transmission, response, lamp, white_reflectance, laser
+    excitation_band = filters.excitation_band
+    wavelength, transmission, camera, light, white, line = _checked_curves(
+        wavelength_nm, filters.transmission, response, lamp, white_reflectance, laser
     )
     share = _channel_shares(channel_weights, len(camera))
     quadrature = _trapezoid(wavelength)
     line = _unit_area("laser", line, quadrature)
-    passed = filters[:, None, :] * camera[None, :, :] * quadrature
+    passed = transmission[:, None, :] * camera[None, :, :] * quadrature
     white_signal = _lit_white(passed @ (white * light))
     visible = _visible_laser(passed @ (white * line), white_signal, excitation_band, share)
     scale = 1.0 / (white_signal * visible)
     laser_nm = float(wavelength @ (line * quadrature))
     above = wavelength >= laser_nm
-    bands = np.repeat(np.arange(len(filters)), len(camera))
-    floor = np.broadcast_to(np.asarray(leak, dtype=np.float64), len(filters)).copy()
+    bands = np.repeat(np.arange(len(transmission)), len(camera))
+    floor = np.broadcast_to(np.asarray(filters.leak, dtype=np.float64), len(transmission)).copy()
     leaked = floor[:, None, None] * camera * quadrature
     leaked_laser = leaked @ line
     leaked_laser[excitation_band] = 0.0  # the laser passes this filter; what leaks beside it is lamp and emission

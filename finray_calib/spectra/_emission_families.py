@@ -143,7 +143,6 @@ KAPPA_LIMIT = 8.0
 """Largest abs(asinh(skewness)); beyond it the curve is a half Cauchy to 0.1 %."""
 
 _BISECTIONS = 60  # halves a bracket of 20 scale lengths down to rounding
-_SHARE_NODES = 64
 
 
 def skew_cauchy(
@@ -267,31 +266,6 @@ def shape_tables(kappa: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
     return np.asarray(np.sign(values) * m), p, right - left
 
 
-def share_below(z: ArrayLike, skewness: ArrayLike) -> FloatArray:
-    """Return the share of the area of a skew-Cauchy curve that lies below z = (l - l0) / g.
-
-    With t = atan(z) the share is (2/pi) times the integral of atan(w tan t)/pi + 1/2 from -pi/2 to atan(z), by
-    Gauss-Legendre quadrature on the negative side; the odd part cancels over (-t, t), which gives the positive
-    side. Absolute error below 1e-6 for abs(skewness) <= 200.
-
-    Parameters
-    ----------
-    z, skewness
-        Dimensionless, broadcast together.
-
-    Returns
-    -------
-    numpy.ndarray
-        Share, 0 to 1.
-    """
-    angle, w = np.broadcast_arrays(np.arctan(z), np.asarray(skewness, dtype=np.float64))
-    nodes, weights = np.polynomial.legendre.leggauss(_SHARE_NODES)
-    length = np.pi / 2 - np.abs(angle)
-    t = -np.pi / 2 + length[..., None] * (nodes + 1) / 2
-    tail = (np.arctan(w[..., None] * np.tan(t)) / np.pi + 0.5) @ weights * length / 2
-    return np.asarray(2 / np.pi * (tail + np.maximum(angle, 0.0)))
-
-
 @dataclass(frozen=True, slots=True)
 class SkewCauchy:
     """One skew-Cauchy curve.
@@ -349,11 +323,6 @@ class SkewCauchy:
     def fwhm_nm(self) -> float:
         """Full width at half maximum, g v(w), nm."""
         return float(np.exp(self.to_mode()[1]))
-
-    @property
-    def peak_value(self) -> float:
-        """Height of the maximum, (h / g^2) p(w)."""
-        return float(np.exp(self.to_mode()[3]))
 
     @property
     def area(self) -> float:

@@ -121,23 +121,6 @@ def reradiation_matrix(
     return ReradiationMatrix(matrix, np.where(stokes, sd, 0.0), warnings)
 
 
-def emitted_energy(matrix: DonaldsonMatrix) -> Floats:
-    """Return emitted over incident energy at each excitation: the integral of its column, dimensionless (E,)."""
-    return np.asarray(np.trapezoid(matrix.radiance_factor_per_nm, matrix.emission_nm, axis=0))
-
-
-def emitted_photons(matrix: DonaldsonMatrix) -> Floats:
-    """Return emitted over incident photons at each excitation: the integral of D out/in, dimensionless (E,)."""
-    photons = matrix.radiance_factor_per_nm * matrix.emission_nm[:, None] / matrix.excitation_nm
-    return np.asarray(np.trapezoid(photons, matrix.emission_nm, axis=0))
-
-
-def rank_one_share(block: Floats) -> float:
-    """Return the share of the squared entries of a block that its best rank-one matrix holds, s_1^2 / sum s_i^2."""
-    singular = np.linalg.svd(block, compute_uv=False)
-    return float(singular[0] ** 2 / (singular**2).sum())
-
-
 @dataclass(frozen=True, slots=True)
 class _Returned:
     """What comes back of the light that comes in, at each excitation (E,): emitted, reflected, and the sum's sd."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from data_schemas import BandPassFilter, LaserSettings, Optics, SpectralCurve, half_maximum_nm
-from finray_calib.spectra._band_weights import EmissionWeights, emission_weights, read_only
+from finray_calib.spectra._band_weights import EmissionWeights, FilterSet, emission_weights, read_only
 
 Floats = NDArray[np.float64]
 WAVELENGTH_NM: Floats = np.arange(380.0, 781.0, 1.0)
@@ -71,14 +71,16 @@ def weights_of(optics: Optics, channel_weights: ArrayLike) -> EmissionWeights:
     names = [f.name for f in optics.filters]
     return emission_weights(
         grid,
-        transmissions(optics),
+        FilterSet(
+            transmissions(optics),
+            names.index(optics.excitation_filter),
+            np.array([10.0**-f.blocking_od for f in optics.filters]),
+        ),
         np.array([curve(grid) for curve in optics.camera_response]),
         optics.lamp(grid),
         np.full(grid.shape, optics.white_reference.reflectance),
         laser_line(optics.laser, grid),
-        names.index(optics.excitation_filter),
         channel_weights,
-        np.array([10.0**-f.blocking_od for f in optics.filters]),
     )
 
 

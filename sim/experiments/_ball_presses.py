@@ -15,7 +15,15 @@ from scipy.ndimage import map_coordinates
 from data_schemas import FingerDesign, Indenter, PlainSensor, SimulateError
 from sim.experiments._painted_finger import PaintedFinger
 from sim.experiments._rendered_press import camera_rgb
-from sim.optics import PixelMaps, Progress, plain_sensor_integrator, plain_sensor_scene, render_press, stream_seed
+from sim.optics import (
+    PixelMaps,
+    Progress,
+    RenderSettings,
+    plain_sensor_integrator,
+    plain_sensor_scene,
+    render_press,
+    stream_seed,
+)
 from sim.surface_meshes import contact_distance, contact_half_width_mm, pressed_height_mm
 
 Floats = NDArray[np.float64]
@@ -256,13 +264,11 @@ def render_finger_presses(
     """
     pictures, no_contact, slopes, distances = [], np.empty(0), [], []
     designs = planned_presses(finger.design, ball_radius_mm, count)
+    how = RenderSettings("b", seed, samples_per_pixel)
     plane: _PadPlane | None = None
     for step, design in enumerate(designs, start=1):
-        pressed = replace(finger, design=design)
-        render = render_press(
-            design, finger.paints, finger.renderer, "b", seed, samples_per_pixel, calibration=finger.calibration
-        )
-        matrix = pressed.camera_matrix(render.bands)
+        render = render_press(design, finger.paints, finger.renderer, how, calibration=finger.calibration)
+        matrix = replace(finger, design=design).camera_matrix(render.bands)
         if plane is None:
             plane = _pad_plane(design, render.no_contact_maps)
             no_contact = plane.rectified(camera_rgb(render.no_contact_bands, matrix))

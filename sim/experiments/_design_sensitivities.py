@@ -30,6 +30,7 @@ from sim.mechanics import (
     ContactChoice,
     LoadedFinger,
     PressedFinger,
+    PressSettings,
     chosen_contact,
     contact_forces_n,
     finger_mesh,
@@ -176,7 +177,7 @@ def _held_torques(design: FingerDesign, threads: int) -> tuple[float | None, flo
     """
     gripped = design.model_copy(update={"indenter": Indenter(position_mm=design.pad.length_mm / 2.0)})
     try:
-        pressed = press_to_force(gripped, GRIP_FORCE_N, increments=1, threads=threads)
+        pressed = press_to_force(gripped, GRIP_FORCE_N, PressSettings(increments=1, threads=threads))
     except NoEquilibriumError as stuck:
         return None, None, str(stuck)
     if pressed.unreached:
@@ -272,7 +273,7 @@ def press_sensitivities(
     if contact == "auto" and pressed.kind != "unknown" and not left_out(design):
         contact = pressed.kind  # all by one contact: their differences count
     if design.mesh.preset != PRESET:
-        before = press_finger(design, PRESET, increments, threads, contact=contact, folder=folder)
+        before = press_finger(design, PressSettings(PRESET, increments, threads, contact), folder=folder)
     start = before if chosen_contact(design, contact) == "penalty" else None
     changes = list(_changes(design, _uncertain(design) if fields is None else fields))
     varied = []
@@ -300,12 +301,13 @@ def _pressed(
     folder: Path,
 ) -> PressedFinger:
     """Press a changed design from a start, or from rest where its mesh is too different for that."""
+    settings = PressSettings(PRESET, increments, threads, contact)
     try:
-        return press_finger(design, PRESET, increments, threads, None, start, contact=contact, folder=folder)
+        return press_finger(design, settings, folder=folder, start=start)
     except SimulateError:
         if start is None:
             raise
-    return press_finger(design, PRESET, increments, threads, contact=contact, folder=folder)
+    return press_finger(design, settings, folder=folder)
 
 
 def _uncertain(design: FingerDesign) -> tuple[str, ...]:

@@ -16,8 +16,10 @@ from sim.optics import (
     TEXELS_ALONG,
     WALLS,
     Level,
+    LoadedScene,
     PressRender,
     Progress,
+    RenderSettings,
     WallLight,
     Window,
     bake_walls,
@@ -69,8 +71,8 @@ def study_fluorescent_rendering(
     """
     renders = []
     for number, level in enumerate(LEVELS):
-        renders.append(render_press(finger.design, finger.paints, finger.renderer, level, seed, samples,
-                                    calibration=finger.calibration))  # fmt: skip
+        how = RenderSettings(level, seed, samples)
+        renders.append(render_press(finger.design, finger.paints, finger.renderer, how, calibration=finger.calibration))
         if progress is not None:
             progress(number + 1, len(LEVELS) + 1, f"level {level}")
     baked, walls = renders[-1], wall_profiles(finger, seed)
@@ -138,7 +140,7 @@ def _baked(finger: PaintedFinger, design: FingerDesign, seed: int, repeats: int)
     scene = open_scene(design, shape, bands, finger.renderer)
     samples = BAKE_SAMPLES[finger.renderer.variant() == SCALAR_VARIANT]
     guide = open_guide(scene, design, shape, finger.renderer)
-    bakes = bake_walls(scene, design, shape, bands, finger.renderer, "b", seed, samples, repeats, guide)
+    bakes = bake_walls(LoadedScene(scene, design, shape, bands, finger.renderer), "b", seed, samples, repeats, guide)
     chains = dict.fromkeys(chain for bake in bakes for chain in bake)
     return {c: np.sum([b[c] for b in bakes if c in b], axis=0) / repeats for c in chains}
 

@@ -24,7 +24,9 @@ from sim.experiments._painted_finger import PaintedFinger
 from sim.optics import (
     BAND_NAMES,
     PressRender,
+    ProbePaths,
     Progress,
+    RenderSettings,
     Window,
     inner_face,
     panel_frame,
@@ -86,6 +88,7 @@ def study_light_angle(
     design = finger.design
     points = edge_points_mm(design)
     bare = design.model_copy(update={"mirror": design.mirror.model_copy(update={"reflectance": 0.0})})
+    paths = ProbePaths(samples, repeats, seed)
     sweeps = []
     for number, one in enumerate((design, bare)):
 
@@ -93,9 +96,7 @@ def study_light_angle(
             if progress is not None:
                 progress(before * of + done, len(MIRRORS) * of, f"{case}, {what}")
 
-        sweeps.append(
-            sweep_light_angle(one, finger.paints, finger.renderer, ANGLES_DEG, repeats, seed, samples, points, told)
-        )
+        sweeps.append(sweep_light_angle(one, finger.paints, finger.renderer, ANGLES_DEG, paths, points, told))
     radiance = np.stack([sweep.radiance_rel for sweep in sweeps])
     probes = sweeps[0].probe_points_mm
     depths = {f"{mm:g}": tuple(elevation_deg(_at_depth(design, mm), probes).tolist()) for mm in OTHER_DEPTHS_MM}
@@ -300,10 +301,9 @@ def study_two_lights(
     tip = light_at_the_tip(finger.design)
     one = finger.design.model_copy(update={"second_light": None})
     both = type(one).model_validate({**one.model_dump(), "second_light": tip.model_dump()})
-    renders = []
+    how, renders = RenderSettings("b", seed, samples), []
     for number, design in enumerate((one, both)):
-        renders.append(render_press(design, finger.paints, finger.renderer, "b", seed, samples,
-                                    calibration=finger.calibration))  # fmt: skip
+        renders.append(render_press(design, finger.paints, finger.renderer, how, calibration=finger.calibration))
         if progress is not None:
             progress(number + 1, 2, (ONE, TWO)[number])
     matrix = finger.camera_matrix(renders[0].bands)

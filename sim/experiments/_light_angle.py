@@ -32,6 +32,7 @@ from sim.optics import (
     SCALAR_VARIANT,
     PaintBands,
     PaintOptics,
+    ProbePaths,
     Progress,
     SeenPoints,
     check_paints,
@@ -57,14 +58,11 @@ def light_angle_sweep(
     finger: PaintedFinger,
     calibrations: Mapping[str, PaintCalibration],
     angles_deg: Sequence[float],
-    repeats: int,
-    samples: int,
-    seed: int,
+    paths: ProbePaths,
     paint_sha256: Mapping[str, str],
     progress: Progress | None = None,
-    shape: FingerShape | None = None,
+    shapes: tuple[FingerShape, FingerShape] | None = None,
     further_objectives: bool = False,
-    rest: FingerShape | None = None,
 ) -> LightAngleSweep:
     """Measure the objective at every angle, with one draw of both paints and one noise seed per repeat.
 
@@ -72,27 +70,25 @@ def light_angle_sweep(
     mean yield) are those of the repeat's posterior draw, the same at every angle, so that a common scale cannot
     change the ranking. The value is the mean of the three channels, each relative to its mean over the sweep: the
     blue channel, tens of times brighter in raw counts, would otherwise be the only one that counts.
-    `shape` is the finger with contact, by default that of the analytic press.
+    `shapes` are the finger without and with contact, by default those of the design and its analytic press.
 
     With `further_objectives`, those of :mod:`sim.experiments._light_angle` are measured too, with the first
-    draws of the paints, on the finger without contact, `rest` (by default that of the design).
+    draws of the paints, on the finger without contact.
     """
     if further_objectives:
         require_compiled(finger)
+    shape = None if shapes is None else shapes[1]
     sweep = sweep_light_angle(
-        finger.design, finger.paints, finger.renderer, angles_deg, repeats, seed, samples, None, progress, shape
+        finger.design, finger.paints, finger.renderer, angles_deg, paths, progress=progress, shape=shape
     )
-    rng = np.random.default_rng(seed)
-    to_camera = np.array([_camera_of_draw(finger, calibrations, sweep.bands, rng) for _ in range(repeats)])
+    to_camera = _cameras_of_draws(finger, calibrations, sweep.bands, paths)
     basis = sweep.radiance_rel
     rgb = np.einsum("rcb,arpb->arc", to_camera, basis) / basis.shape[2]
     channels = rgb / rgb.mean(axis=(0, 1))
-    others: tuple[AngleObjective, ...] = ()
-    constraints: AngleConstraints | None = None
+    further = None
     if further_objectives:
-        shapes = None if rest is None or shape is None else (rest, shape)
-        others, constraints = angle_objectives(
-            finger, to_camera[:REPEATS], sweep.angles_deg, seed, progress=progress, shapes=shapes
+        further = angle_objectives(
+            finger, to_camera[:REPEATS], sweep.angles_deg, paths.seed, progress=progress, shapes=shapes
         )
     return LightAngleSweep(
         name=f"{finger.design.name}, light angle",
@@ -104,8 +100,8 @@ def light_angle_sweep(
         basis=basis,
         bands=BAND_NAMES,
         probe_points_mm=sweep.probe_points_mm,
-        other_objectives=others,
-        constraints=constraints,
+        other_objectives=() if further is None else further[0],
+        constraints=None if further is None else further[1],
         design=finger.design,
         paints=dict(paint_sha256),
         notes=(
@@ -114,6 +110,14 @@ def light_angle_sweep(
             *finger.coverage_notes(sweep.bands),
         ),
     )
+
+
+def _cameras_of_draws(
+    finger: PaintedFinger, calibrations: Mapping[str, PaintCalibration], mean: PaintBands, paths: ProbePaths
+) -> Floats:
+    """Return the (channel, band) matrix of each repeat, (repeat, 3, 3), each for one draw of both paints."""
+    rng = np.random.default_rng(paths.seed)
+    return np.array([_camera_of_draw(finger, calibrations, mean, rng) for _ in range(paths.repeats)])
 
 
 def _camera_of_draw(
@@ -190,8 +194,7 @@ def facet_table(
     designs: Sequence[FingerDesign],
     to_camera: Floats,
     sensor: Sensor,
-    seed: int,
-    rays: int,
+    paths: ProbePaths,
     shapes: tuple[FingerShape, FingerShape],
     progress: Progress | None = None,
 ) -> FacetTable:
@@ -209,8 +212,8 @@ def facet_table(
         From bands to camera for each repeat, (repeat, 3, 3).
     sensor
         Full scale of the camera.
-    seed, rays
-        Random seed, and directions per point and repeat.
+    paths
+        Directions per point and repeat; as many repeats as camera matrices.
     shapes
         The finger without contact, where light is traced, and with contact, which says how much of it is tilted.
     progress
@@ -223,9 +226,7 @@ def facet_table(
     """
     slopes, bands = facet_slopes(), check_paints(finger.design, finger.paints)
     facets = tilted_facets(points.normals, slopes)
-    basis = measure_together(
-        designs, shapes[0], bands, finger.renderer, points.probes, facets, rays, len(to_camera), seed, progress
-    )
+    basis = measure_together(designs, shapes[0], bands, finger.renderer, points.probes, facets, paths, progress)
     rgb = np.einsum("rcb,arfpb->arpfc", to_camera, basis)
     return exposed_table(rgb, points.places_mm, facet_shares(*shapes), sensor)
 
@@ -332,7 +333,8 @@ def angle_objectives(
     points = seen_points(finger.design, rest, finger.renderer, POINTS_ACROSS, POINTS_ALONG, finger.calibration)
     designs = [with_light_angle(finger.design, float(angle)) for angle in angles_deg]
     sensor = tactile_sensor(finger.design, seed)
-    table = facet_table(finger, points, designs, to_camera, sensor, seed, rays, (rest, pressed), progress)
+    paths = ProbePaths(rays, len(to_camera), seed)
+    table = facet_table(finger, points, designs, to_camera, sensor, paths, (rest, pressed), progress)
     return objectives_of(table, sensor, seed), AngleConstraints(
         clipped_share=table.clipped_share,
         clipped_limit_share=CLIPPED_LIMIT,

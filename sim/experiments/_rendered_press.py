@@ -37,6 +37,7 @@ from sim.optics import (
     PressRender,
     Progress,
     RenderLevel,
+    RenderSettings,
     chain_matrix,
     chain_steps,
     conversion_gains,
@@ -75,6 +76,11 @@ class Rendering:
     contact_samples_per_pixel: int | None = None
     with_pose_response: bool = False
 
+    @property
+    def settings(self) -> RenderSettings:
+        """What the renderer takes of it."""
+        return RenderSettings(self.level, self.seed, self.samples_per_pixel, self.contact_samples_per_pixel)
+
 
 def simulate_press(
     scene: FingerScene, how: Rendering, paint_sha256: Mapping[str, str], progress: Progress | None = None
@@ -112,15 +118,17 @@ def press_with_render(
     if how.with_pose_response:
         moved_designs(finger.design)  # what cannot be moved is told before anything is rendered
     render = render_press(
-        finger.design, finger.paints, finger.renderer, how.level, how.seed, how.samples_per_pixel, progress,
-        scene.shapes, finger.calibration, how.contact_samples_per_pixel,
-    )  # fmt: skip
+        finger.design,
+        finger.paints,
+        finger.renderer,
+        how.settings,
+        shapes=scene.shapes,
+        calibration=finger.calibration,
+        progress=progress,
+    )
     pose = None
     if how.with_pose_response:
-        pose = pose_response(
-            finger, how.level, how.seed, how.samples_per_pixel, how.contact_samples_per_pixel, render.chains,
-            progress=progress,
-        )  # fmt: skip
+        pose = pose_response(finger, how.settings, render.chains, progress=progress)
     return press_record(finger, render, paint_sha256, scene.calibrations, pose), render
 
 
@@ -329,10 +337,7 @@ ShapeAt = Callable[[FingerDesign], FingerShape]
 
 def pose_response(
     finger: PaintedFinger,
-    level: RenderLevel,
-    seed: int,
-    samples_per_pixel: int,
-    contact_samples_per_pixel: int | None,
+    settings: RenderSettings,
     chains: tuple[str, ...],
     shape_at: ShapeAt = pressed_shape,
     progress: Progress | None = None,
@@ -341,7 +346,7 @@ def pose_response(
 
     Parameters
     ----------
-    finger, level, seed, samples_per_pixel, contact_samples_per_pixel
+    finger, settings
         As of the press.
     chains
         Layers of the press, in its order.
@@ -354,9 +359,14 @@ def pose_response(
     for (_, step_mm), designs in zip(POSE_STEPS_MM.items(), moved_designs(finger.design), strict=True):
         shapes = (shape_at(designs[0]), shape_at(designs[1]))
         render = render_press(
-            finger.design, finger.paints, finger.renderer, level, seed, samples_per_pixel, progress, shapes,
-            finger.calibration, contact_samples_per_pixel,
-        )  # fmt: skip
+            finger.design,
+            finger.paints,
+            finger.renderer,
+            settings,
+            shapes=shapes,
+            calibration=finger.calibration,
+            progress=progress,
+        )
         span_mm = np.float32(2.0 * step_mm)
         both = (
             (render.contact_chains, render.no_contact_chains),

@@ -12,7 +12,7 @@ from data_schemas import FingerDesign, IndenterPose, SimulatedPress, SimulateErr
 from rigs.simulated.sensor import Sensor, mosaic
 from sim.experiments._painted_finger import PaintedFinger
 from sim.experiments._rendered_press import camera_rgb
-from sim.optics import Progress, render_press
+from sim.optics import Progress, RenderSettings, render_press
 from sim.surface_meshes import FingerShape
 
 Floats = NDArray[np.float64]
@@ -105,7 +105,6 @@ def camera_capture(
     name: str,
     source: str,
     led_drift_rel: float = 0.0,
-    pose_uncertainty_mm: tuple[float, float] | None = None,
 ) -> TactileCapture:
     """Expose contact, no contact and a repeat of no contact of a render.
 
@@ -123,8 +122,6 @@ def camera_capture(
         As the capture records them.
     led_drift_rel
         Standard deviation of the LED's level from image to image.
-    pose_uncertainty_mm
-        Standard uncertainty of depth and position that the capture states.
 
     Raises
     ------
@@ -159,8 +156,6 @@ def camera_capture(
             radius_mm=indenter.radius_mm,
             depth_mm=indenter.depth_mm,
             position_mm=indenter.position_mm,
-            depth_uncertainty_mm=None if pose_uncertainty_mm is None else pose_uncertainty_mm[0],
-            position_uncertainty_mm=None if pose_uncertainty_mm is None else pose_uncertainty_mm[1],
         ),
         contact_circle=None,
         mm_per_px=None,
@@ -262,14 +257,10 @@ def capture_twin(
         finger.design,
         finger.paints,
         finger.renderer,
-        "b",
-        seed,
-        samples_per_pixel,
-        progress,
-        shapes,
-        finger.calibration,
-        contact_samples_per_pixel,
-        common_random_numbers=False,
+        RenderSettings("b", seed, samples_per_pixel, contact_samples_per_pixel, common_random_numbers=False),
+        progress=progress,
+        shapes=shapes,
+        calibration=finger.calibration,
     )
     return camera_capture(
         BandImages(render.contact_bands, render.no_contact_bands, render.no_contact_variance),

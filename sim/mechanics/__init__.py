@@ -28,16 +28,17 @@ if TYPE_CHECKING:
     from sim.mechanics._materials import LinearElastic, Material, Ogden
     from sim.mechanics._mesh import Block, FingerMesh
     from sim.mechanics._penalty_contact import QUAD_CORNERS, PenaltyContact, penalty_mpa_per_mm, quad_shapes
-    from sim.mechanics._press import press_finger
-    from sim.mechanics._press_contact import ContactChoice, chosen_contact, left_out
-    from sim.mechanics._pressed_finger import (
+    from sim.mechanics._press import (
         PressedFinger,
+        PressSettings,
         contact_distance,
         contact_forces_n,
         contact_pressure_mpa,
         frictionless_torque_n_mm,
+        press_finger,
         slip_torque_n_mm,
     )
+    from sim.mechanics._press_contact import ContactChoice, chosen_contact, left_out
     from sim.mechanics._printed_parts import Part, mould_sizes, mould_solid, mould_stl, part_solid, part_stl
     from sim.mechanics._rigid_bodies import Body, Cylinder, Pose, RoundedBox, Sphere, body_mesh
     from sim.mechanics._skeleton import SkeletonLayout, back_curve_mm, skeleton_layout, skeleton_mesh
@@ -61,6 +62,7 @@ __all__ = [
     "Part",
     "PenaltyContact",
     "Pose",
+    "PressSettings",
     "PressedFinger",
     "RoundedBox",
     "SkeletonLayout",

@@ -15,9 +15,8 @@ from sim.mechanics._assembly import State, Term
 from sim.mechanics._colliding_surfaces import CollidingSurfaces, Obstacle
 from sim.mechanics._contact_library import contact_library
 from sim.mechanics._indenters import RigidIndenter
-from sim.mechanics._mesh import FingerMesh
+from sim.mechanics._mesh import FingerMesh, outer_triangles
 from sim.mechanics._newton import Supports
-from sim.mechanics._own_surfaces import outer_triangles
 from sim.mechanics._rigid_bodies import TriangleMesh
 
 if TYPE_CHECKING:

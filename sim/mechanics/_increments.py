@@ -145,35 +145,74 @@ def _with_own_modes(assembly: Assembly, state: State) -> State:
     return state
 
 
-def _settled(
-    reached: Equilibrium,
-    settle: Callable[[State], bool],
-    assembly: Assembly,
-    supports: Supports,
-    solver: SymmetricSolver,
-    options: NewtonOptions,
-) -> Equilibrium:
-    """Return the equilibrium at which nothing that terms have lagged changes any more."""
-    for _ in range(_MOST_ROUNDS):
-        if reached.failure or settle(reached.state):
+@dataclass(frozen=True, slots=True)
+class Load:
+    """What a load does at a share of it, and which equilibria are its own.
+
+    Attributes
+    ----------
+    at
+        Sets the terms (an indenter's place) for a share of the load and returns the supports at that share.
+    settle
+        Renews at an equilibrium what terms have lagged (friction) and tells whether it still is one; else the search
+        goes on from there.
+    refuse
+        Tells why an equilibrium at a share of the load is none of this load's path (an indenter that has passed through
+        the coat), or nothing; a smaller increment is tried then.
+    """
+
+    at: Callable[[float], Supports]
+    settle: Callable[[State], bool] | None = None
+    refuse: Callable[[State, float], str] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """What every search for an increment's equilibrium shares."""
+
+    assembly: Assembly
+    solver: SymmetricSolver
+    load: Load
+    options: NewtonOptions
+
+    def equilibrium(
+        self, state: State, guess: State | None, share: float, supports: Supports, last: bool
+    ) -> Equilibrium:
+        """Search from a guess, where there is one, and then from a state; with patience when it is the last try."""
+        reached = self._from(state if guess is None else guess, supports, self.options)
+        if reached.failure and guess is not None:
+            reached = self._from(state, supports, self.options)
+        if reached.failure and last:
+            reached = self._from(state, supports, replace(self.options, stalled_after=0))
+        reached = self._settled(reached, supports)
+        if self.load.refuse is not None and not reached.failure:
+            return replace(reached, failure=self.load.refuse(reached.state, share))
+        return reached
+
+    def _from(self, state: State, supports: Supports, options: NewtonOptions) -> Equilibrium:
+        return find_equilibrium(self.assembly, state, supports, self.solver, options)
+
+    def _settled(self, reached: Equilibrium, supports: Supports) -> Equilibrium:
+        """Return the equilibrium at which nothing that terms have lagged changes any more."""
+        if self.load.settle is None:
             return reached
-        further = find_equilibrium(assembly, reached.state, supports, solver, options)
-        reached = replace(further, iterations=reached.iterations + further.iterations)
-    return replace(reached, failure=f"friction and push have not settled in {_MOST_ROUNDS} rounds")
+        for _ in range(_MOST_ROUNDS):
+            if reached.failure or self.load.settle(reached.state):
+                return reached
+            further = self._from(reached.state, supports, self.options)
+            reached = replace(further, iterations=reached.iterations + further.iterations)
+        return replace(reached, failure=f"friction and push have not settled in {_MOST_ROUNDS} rounds")
 
 
 def load_increments(
     assembly: Assembly,
     solver: SymmetricSolver,
-    loading: Callable[[float], Supports],
+    load: Load,
     stops: Sequence[float],
-    start: State | None = None,
-    begin: float = 0.0,
+    begin: tuple[float, State] | None = None,
     shortest_share: float = 1.0 / 64.0,
     options: NewtonOptions | None = None,
     predict: Predictor | None = None,
-    settle: Callable[[State], bool] | None = None,
-    refuse: Callable[[State, float], str] | None = None,
 ) -> Iterator[Increment]:
     """Yield equilibria at the given shares of the load, and between them where smaller increments are needed.
 
@@ -181,23 +220,17 @@ def load_increments(
     ----------
     assembly, solver, options
         See :func:`~sim.mechanics._newton.find_equilibrium`.
-    loading
-        Sets the terms (an indenter's place) for a share of the load and returns the supports at that share.
+    load
+        What acts.
     stops
         Rising or falling shares at which equilibria are wanted.
-    start, begin
-        State and share to go on from; by default rest and 0.
+    begin
+        Share and state to go on from; by default 0 and rest.
     shortest_share
         Least increment, as a share of the way from one stop to the next.
     predict
         Where to start the search at a share of the load; by default the last two equilibria are extrapolated. Where
         that start is not allowed or leads nowhere, the search starts from the last equilibrium.
-    settle
-        Renews at an equilibrium what terms have lagged (friction) and tells whether it still is one; else the search
-        goes on from there.
-    refuse
-        Tells why an equilibrium at a share of the load is none of this load's path (an indenter that has passed through
-        the coat), or nothing; a smaller increment is tried then.
 
     Raises
     ------
@@ -205,8 +238,9 @@ def load_increments(
         When an increment of the least size finds no equilibrium; all increments before have been yielded.
     """
     options = options or NewtonOptions()
-    patient = replace(options, stalled_after=0)
-    state, at = assembly.with_own_pressures(start or assembly.at_rest()), begin
+    search = _Search(assembly, solver, load, options)
+    at, start = begin or (0.0, assembly.at_rest())
+    state = assembly.with_own_pressures(start)
     predicted = predict or Extrapolation()
     for stop in stops:
         way = stop - at
@@ -215,17 +249,9 @@ def load_increments(
         while done < 1.0:
             part = min(part, 1.0 - done)
             aim = stop if done + part >= 1.0 else stop - way * (1.0 - done - part)
-            supports = loading(aim)
+            supports = load.at(aim)
             guess = _allowed(assembly, state, predicted(state, at, aim), supports)
-            reached = find_equilibrium(assembly, state if guess is None else guess, supports, solver, options)
-            if reached.failure and guess is not None:
-                reached = find_equilibrium(assembly, state, supports, solver, options)
-            if reached.failure and part / 2.0 < shortest_share:
-                reached = find_equilibrium(assembly, state, supports, solver, patient)
-            if settle is not None:
-                reached = _settled(reached, settle, assembly, supports, solver, options)
-            if refuse is not None and not reached.failure:
-                reached = replace(reached, failure=refuse(reached.state, aim))
+            reached = search.equilibrium(state, guess, aim, supports, last=part / 2.0 < shortest_share)
             if reached.failure:
                 part /= 2.0
                 if part < shortest_share:

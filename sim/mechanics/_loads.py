@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from data_schemas import FingerDesign, NoEquilibriumError, Preset, SimulateError
 from sim.mechanics._assembly import Assembly, Elasticity, State, Term
 from sim.mechanics._finger_mesh import STEPS, MeshSteps, finger_materials, finger_mesh, finger_ties
-from sim.mechanics._increments import Extrapolation, Increment, Watch, load_increments
+from sim.mechanics._increments import Extrapolation, Increment, Load, Watch, load_increments
 from sim.mechanics._indenters import rigid_indenter
 from sim.mechanics._linear_solver import SymmetricSolver, linear_solver
 from sim.mechanics._mesh import FingerMesh
 from sim.mechanics._newton import NewtonOptions, Supports, find_equilibrium
 from sim.mechanics._penalty_contact import PenaltyContact, PenaltyTouch, penalty_mpa_per_mm
-from sim.mechanics._pressed_finger import PressedFinger, PressHistory
+from sim.mechanics._press import PressedFinger, PressHistory, PressSettings
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -238,7 +238,7 @@ class LoadedFinger:
     def _path(self, loading: Callable[[float], Supports], increments: int) -> list[Increment]:
         """Return the equilibria from rest to the whole load."""
         stops = [(k + 1) / increments for k in range(increments)]
-        return list(load_increments(self._assembly, self._solver, loading, stops))
+        return list(load_increments(self._assembly, self._solver, Load(loading), stops))
 
     def nodes_at(self, place: Place, towards_n: float) -> IntArray:
         """Return the nodes that share a force; at the side, those of the face that it presses on."""
@@ -262,12 +262,10 @@ _TOUCH_MM = 0.1  # pushed in by displacement first: without contact nothing woul
 def press_to_force(
     design: FingerDesign,
     force_n: float,
-    preset: Preset | None = None,
-    increments: int = 4,
-    threads: int = 1,
+    settings: PressSettings | None = None,
+    *,
     folder: Path = Path(),
     progress: Progress | None = None,
-    budget_s: float | None = None,
 ) -> PressedFinger:
     """Press the design's indenter in along the pad's normal until it pushes with a force; without friction.
 
@@ -280,16 +278,12 @@ def press_to_force(
         Finger, materials and indenter; ``indenter.depth_mm`` plays no part.
     force_n
         Along the pad's normal, towards the finger.
-    preset, threads
-        See :func:`sim.mechanics.press_finger`.
-    increments
-        Equal parts of the force.
+    settings
+        How it is computed; ``increments`` are equal parts of the force, and ``contact`` plays no part.
     folder
         Where the design stands.
     progress
         Called before each iteration and after each increment.
-    budget_s
-        See :func:`sim.mechanics.press_finger`.
 
     Returns
     -------
@@ -303,27 +297,27 @@ def press_to_force(
         even the first part of the force finds an equilibrium.
     """
     check_force(design, force_n)
-    watch = Watch(progress, increments, budget_s)
+    settings = settings or PressSettings()
+    watch = Watch(progress, settings.increments, settings.budget_s)
     options = NewtonOptions(tell=watch.tell)
-    touch = _DrivenIndenter(design, preset, folder)
-    ties = finger_ties(design, touch.mesh, STEPS[preset or design.mesh.preset].skeleton_mm)
-    assembly = Assembly(Elasticity(touch.mesh, finger_materials(design), threads), [*touch.terms, *ties])
-    solver = linear_solver(threads=threads)
+    touch = _DrivenIndenter(design, settings.preset, folder)
+    ties = finger_ties(design, touch.mesh, STEPS[settings.preset or design.mesh.preset].skeleton_mm)
+    assembly = Assembly(Elasticity(touch.mesh, finger_materials(design), settings.threads), [*touch.terms, *ties])
+    solver = linear_solver(threads=settings.threads)
     touched = touch.first_touch(assembly, solver, options)
     begin = float(touch.force_n(touched.u_mm)[1]) / force_n
     predict = Extrapolation()
     predict(assembly.at_rest(), 0.0, 0.0)
-    stops = [(k + 1) / increments for k in range(increments)]
     history = PressHistory(assembly, ties, touch)
     reached_n = 0.0
     try:
+        load = Load(lambda share: touch.push_with(share * force_n))
         for step in load_increments(
-            assembly, solver, lambda share: touch.push_with(share * force_n), stops, touched, begin, options=options,
-            predict=predict,
-        ):  # fmt: skip
+            assembly, solver, load, settings.stops, (begin, touched), options=options, predict=predict
+        ):
             depth_mm, reached_n = touch.depth_mm(step.equilibrium.state), step.fraction * force_n
             history.add(depth_mm, step.equilibrium)
-            reached = sum(step.fraction >= stop for stop in stops)
+            reached = sum(step.fraction >= stop for stop in settings.stops)
             watch.reached(reached, f"pressed with {reached_n:.2f} N to {depth_mm:.2f} mm")
     except NoEquilibriumError as stuck:
         if history.depth_mm is None:

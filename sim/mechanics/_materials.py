@@ -84,17 +84,6 @@ class Ogden:
         pairs = [value for pair in zip(self.mu_mpa, self.alpha, strict=True) for value in pair]
         return np.array([self.bulk_modulus_mpa, *pairs])
 
-    def uniaxial_stress_mpa(self, stretch: FloatArray) -> FloatArray:
-        """Return the nominal stress of the incompressible material under uniaxial load.
-
-        P = sum 2 mu_p/alpha_p (lambda^(alpha_p - 1) - lambda^(-alpha_p/2 - 1)).
-        """
-        terms = zip(self.mu_mpa, self.alpha, strict=True)
-        return sum(
-            (2.0 * m / a * (stretch ** (a - 1.0) - stretch ** (-a / 2.0 - 1.0)) for m, a in terms),
-            np.zeros_like(stretch),
-        )
-
 
 def neo_hooke(c10_mpa: float, bulk_over_shear: BulkOverShear = 20.0) -> Ogden:
     """Return the neo-Hookean material C10 (I1 - 3): one Ogden term with mu = 2 C10 and alpha = 2."""

@@ -1,6 +1,8 @@
 """Finite-element meshes: blocks of hexahedra, sets of nodes, surfaces and ties (mm); structured grids to make them of.
 
-Edges shrink towards sharp inner corners, where stress and the error of a mesh gather.
+Edges shrink towards sharp inner corners, where stress and the error of a mesh gather. Ribs fold onto ribs and fins, and
+the pad's film onto the skeleton, without a word from a contact that knows the indenter alone: :class:`OwnSurfaces`
+tests edges against triangles, so that surfaces that pass through each other are found however thin they are.
 """
 
 from collections.abc import Mapping
@@ -12,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import SimulateError
-from sim.surface_meshes import corner_jacobians_mm3
+from sim.surface_meshes import boundary_quads, corner_jacobians_mm3, crossing_pair, split_quads
 
 Element = Literal["mean_dilatation", "incompatible_modes"]
 
@@ -211,3 +213,42 @@ def fitted_between(pattern_mm: NDArray[np.float64], depth_mm: NDArray[np.float64
     from_end = np.minimum(stretched, from_end) / depth_mm
     half = (len(pattern_mm) + 1) // 2
     return np.concatenate([from_end[:half], 1.0 - from_end[: len(pattern_mm) - half][::-1]])
+
+
+def outer_triangles(mesh: FingerMesh) -> NDArray[np.int64]:
+    """Return the triangles (k, 3) of everything that can be touched: the boundary of all blocks that share nodes."""
+    return split_quads(boundary_quads(np.concatenate(list(mesh.hexahedra.values()))).quads, mesh.nodes_mm)
+
+
+class OwnSurfaces:
+    """The outer surfaces of a finger, but for faces at a tie, which lie in each other.
+
+    Parameters
+    ----------
+    mesh
+        Finger at rest.
+    """
+
+    def __init__(self, mesh: FingerMesh) -> None:
+        self._mesh = mesh
+        triangles = outer_triangles(mesh)
+        tied = [nodes.ravel() for tie in mesh.ties for nodes in (tie.slave_nodes, tie.master_quads)]
+        at_tie = np.isin(triangles, np.concatenate([np.empty(0, np.int64), *tied])).any(axis=1)
+        self._triangles = np.ascontiguousarray(triangles[~at_tie])
+
+    def crossing(self, displacement_mm: NDArray[np.float64]) -> str:
+        """Return in words where surfaces pass through each other at a displacement (n, 3) of the nodes, or nothing."""
+        rest = self._mesh.nodes_mm
+        found = crossing_pair(np.ascontiguousarray(rest + displacement_mm), self._triangles)
+        if found is None:
+            return ""
+        edge, triangle = found
+        x, y, z = rest[triangle].mean(axis=0)
+        return (
+            f"the finger passes through itself: its {self._part(edge[0])} through its {self._part(triangle[0])}, near "
+            f"({x:.1f}, {y:.1f}, {z:.1f}) mm of the undeformed finger"
+        )
+
+    def _part(self, node: int) -> str:
+        """Return the name of a part that a node is of."""
+        return next(b.name.replace("_", " ") for b in self._mesh.blocks if (b.hexahedra == node).any())

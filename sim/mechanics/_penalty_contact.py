@@ -16,6 +16,7 @@ from sim.mechanics._rigid_bodies import Body, Pose
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+_POINTS_PER_EDGE = 2  # Gauss points along each side of a face
 QUAD_CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
@@ -45,8 +46,6 @@ class PenaltyContact:
     reference_node
         Node whose displacement moves the body besides its pose; it must belong to no element. With it the body can
         be driven by supports or by a load.
-    points_per_edge
-        Gauss points along each side of a face.
     curvature
         False leaves eps g H out of the second derivative: at a jump of the body g is the whole step, and the term's
         negative stiffness sends points sideways; at equilibrium g is a micrometre and the term worth nothing.
@@ -60,7 +59,6 @@ class PenaltyContact:
         pose: Pose,
         stiffness_mpa_per_mm: float,
         reference_node: int | None = None,
-        points_per_edge: int = 2,
         curvature: bool = True,
     ) -> None:
         if not 0.0 < stiffness_mpa_per_mm < math.inf:
@@ -71,7 +69,7 @@ class PenaltyContact:
         self._eps = stiffness_mpa_per_mm
         self._curvature = curvature
         self._reference = reference_node
-        at, weights = np.polynomial.legendre.leggauss(points_per_edge)
+        at, weights = np.polynomial.legendre.leggauss(_POINTS_PER_EDGE)
         self._shapes, slopes = quad_shapes(np.stack(np.meshgrid(at, at), -1).reshape(-1, 2))
         tangents = np.einsum("kai,qaj->kqij", nodes_mm[quads], slopes)
         normal = np.cross(tangents[..., 0], tangents[..., 1])

@@ -1,21 +1,272 @@
-"""Press an indenter into a finger: increments of the push, from first touch or from a stored press."""
+"""Press an indenter into a finger: increments of the push, from first touch or from a stored press.
 
-from collections.abc import Callable
-from dataclasses import replace
+What a press found, increment by increment, and the torque that its contact can hold.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
 
-from data_schemas import FingerDesign, NoEquilibriumError, Preset, SimulateError
-from sim.mechanics._assembly import Assembly, Elasticity, State
+from data_schemas import ContactKind, FingerDesign, NoEquilibriumError, Preset, SimulateError
+from sim.mechanics._assembly import Assembly, Elasticity, Modes, State
 from sim.mechanics._contact_library import contact_library_failure
-from sim.mechanics._finger_mesh import STEPS, finger_materials, finger_mesh, finger_ties
-from sim.mechanics._increments import CoarserPath, Watch, load_increments
+from sim.mechanics._finger_mesh import STEPS, TiedNodes, finger_materials, finger_mesh, finger_ties
+from sim.mechanics._increments import CoarserPath, Increment, Load, Watch, load_increments
 from sim.mechanics._linear_solver import linear_solver
-from sim.mechanics._mesh import FingerMesh
-from sim.mechanics._newton import NewtonOptions, Supports
-from sim.mechanics._press_contact import ContactChoice, PressContact, chosen_contact, press_contact
-from sim.mechanics._pressed_finger import PressedFinger, PressHistory
+from sim.mechanics._mesh import FingerMesh, OwnSurfaces
+from sim.mechanics._newton import Equilibrium, NewtonOptions
+from sim.mechanics._press_contact import ContactChoice, PressContact, Touch, chosen_contact, press_contact
+
+FloatArray = NDArray[np.float64]
+
+# a patch that reaches over this share of the pad is a strip across it
+_WHOLE_WIDTH = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class PressedFinger:
+    """Equilibria of a finger under a rigid indenter; k increments, the last one is the whole push.
+
+    Attributes
+    ----------
+    mesh
+        The mesh.
+    depth_mm
+        Push of the indenter from first touch, (k,).
+    force_n
+        Force on the indenter, (k, 3).
+    energy_n_mm
+        Energy that is stored, (k,): strain of the elements, ties and contact.
+    displacement_mm
+        Of the nodes, (k, n, 3); of the last increments only, (l, n, 3), where a stored press was gone on with.
+    iterations
+        Newton iterations of each increment, (k,).
+    modes_mm
+        Incompatible modes of each block at the last increment, (m, 3, 3) or (m, 0, 3).
+    pressure_mpa, touch_mm
+        Of the last increment: contact pressure at the q sampling points of the coat's f faces (f, q), and where these
+        lie in the undeformed pad (f, q, 3).
+    unreached
+        Why the push ended early; empty when it did not.
+    contact
+        In words: how the indenter and the parts touch.
+    contact_energy_n_mm
+        Of the energy, what the contact stores, (k,); none where another program's results do not tell it.
+    friction_work_n_mm
+        Work lost to friction from first touch on, (k,): each increment's force at its end, along its slip.
+    kind
+        How the contact was computed.
+    crossing
+        From which push on surfaces of the finger pass through each other, and where; empty where none do.
+    """
+
+    mesh: FingerMesh
+    depth_mm: FloatArray
+    force_n: FloatArray
+    energy_n_mm: FloatArray
+    displacement_mm: FloatArray
+    iterations: NDArray[np.int64]
+    modes_mm: Modes
+    pressure_mpa: FloatArray
+    touch_mm: FloatArray
+    unreached: str
+    contact: str
+    contact_energy_n_mm: FloatArray | None = None
+    friction_work_n_mm: FloatArray | None = None
+    kind: ContactKind | Literal["unknown"] = "unknown"
+    crossing: str = ""
+
+
+class PressHistory:
+    """The increments of a press so far, after those of a press that is gone on with.
+
+    Parameters
+    ----------
+    assembly, ties, touch
+        What is in equilibrium, and its parts whose energies are told apart.
+    before
+        The press that is gone on with.
+
+    Attributes
+    ----------
+    crossing
+        See :class:`PressedFinger`; of these increments.
+    """
+
+    def __init__(
+        self, assembly: Assembly, ties: Sequence[TiedNodes], touch: Touch, before: PressedFinger | None = None
+    ) -> None:
+        self._assembly, self._ties, self._touch, self._before = assembly, ties, touch, before
+        self._surfaces = OwnSurfaces(touch.mesh)
+        self.crossing = ""
+        self._states: list[State] = []
+        self._iterations: list[int] = []
+        self._rows: list[tuple[float, ...]] = []
+
+    @property
+    def depth_mm(self) -> float | None:
+        """Push at the last increment; none before the first."""
+        return self._rows[-1][0] if self._rows else None
+
+    def add(self, depth_mm: float, equilibrium: Equilibrium) -> None:
+        """Add an increment, before its contact is moved on."""
+        state = equilibrium.state
+        contact = self._touch.energy_n_mm(state.u_mm)
+        stored = self._assembly.elasticity.energy(state.u_mm, state.modes) + contact
+        stored += sum(tie.energy(state.u_mm) for tie in self._ties)
+        lost = self._touch.friction_work_n_mm(state.u_mm)
+        if not self.crossing and (found := self._surfaces.crossing(state.u_mm)):
+            self.crossing = f"from a push of {depth_mm:.4g} mm on {found}"
+        self._states.append(state)
+        self._iterations.append(equilibrium.iterations)
+        self._rows.append((depth_mm, stored, contact, lost, *self._touch.force_n(state.u_mm)))
+
+    def pressed(self, unreached: str = "") -> PressedFinger:
+        """Return what was reached."""
+        rows, last = np.array(self._rows), self._states[-1]
+        return PressedFinger(
+            mesh=self._touch.mesh,
+            depth_mm=self._after("depth_mm", rows[:, 0]),
+            force_n=self._after("force_n", rows[:, 4:]),
+            energy_n_mm=self._after("energy_n_mm", rows[:, 1]),
+            displacement_mm=np.array([state.u_mm for state in self._states]),
+            iterations=self._after("iterations", np.array(self._iterations, dtype=np.int64)),
+            modes_mm=last.modes,
+            pressure_mpa=self._touch.pressures_mpa(last.u_mm),
+            touch_mm=self._touch.touch_mm(),
+            unreached=unreached,
+            contact=self._touch.note,
+            contact_energy_n_mm=self._after("contact_energy_n_mm", rows[:, 2]),
+            friction_work_n_mm=self._after("friction_work_n_mm", np.cumsum(rows[:, 3]), goes_on=True),
+            kind=self._touch.kind,
+            crossing=self.crossing,
+        )
+
+    def _after(self, name: str, now: NDArray[Any], goes_on: bool = False) -> NDArray[Any]:
+        """Return values after those before, NaN where an older file does not tell them; sums go on from the last."""
+        if self._before is None:
+            return now
+        before = getattr(self._before, name)
+        if before is None:
+            before = np.full(len(self._before.depth_mm), np.nan)
+        return np.concatenate([before, now + before[-1] if goes_on else now])
+
+
+def coat_areas_mm2(mesh: FingerMesh) -> FloatArray:
+    """Return the areas at rest of the coat's f faces, (f,)."""
+    corners = mesh.nodes_mm[mesh.surfaces["coat"]]
+    return np.asarray(
+        np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]), axis=1) / 2.0
+    )
+
+
+def contact_pressure_mpa(pressed: PressedFinger) -> FloatArray:
+    """Return the contact pressure of the last increment at the mesh's n nodes, (n,); 0 away from the coat.
+
+    p_a = sum_f A_f p_f / sum_f A_f over the faces f at node a, with p_f the mean of a face's points and A_f its area
+    at rest: pressure times the coat's area is the same at the nodes as on the faces.
+    """
+    faces, areas = pressed.mesh.surfaces["coat"], coat_areas_mm2(pressed.mesh)
+    count = len(pressed.mesh.nodes_mm)
+    held = np.bincount(faces.ravel(), np.repeat(areas * pressed.pressure_mpa.mean(axis=1), 4), count)
+    area = np.bincount(faces.ravel(), np.repeat(areas, 4), count)
+    return np.asarray(np.divide(held, area, out=np.zeros(count), where=area > 0.0))
+
+
+def contact_distance(pressed: PressedFinger, nodes: NDArray[np.int64]) -> FloatArray:
+    """Return the distance of coat nodes from the middle of the contact in units of its half-width; <= 1 in contact.
+
+    The patch is taken as an ellipse in the undeformed pad, or as a strip where it reaches across the pad. It ends half
+    the distance between sampling points beyond the outermost one that touches, and is known to about that. NaN without
+    contact.
+    """
+    touching = pressed.touch_mm[pressed.pressure_mpa > 0.0]
+    # two Gauss points lie 1/sqrt(3) of a face apart, on average half a face
+    margin = np.median(np.ptp(pressed.touch_mm, axis=1), axis=0) * np.sqrt(3.0) / 4.0
+    if not len(touching):
+        return np.full(len(nodes), np.nan)
+    places = pressed.mesh.nodes_mm[nodes]
+    squares = np.zeros(len(nodes))
+    for axis in (0, 2):
+        low, high = touching[:, axis].min() - margin[axis], touching[:, axis].max() + margin[axis]
+        pad_low, pad_high = places[:, axis].min(), places[:, axis].max()
+        if high - low < _WHOLE_WIDTH * (pad_high - pad_low):
+            squares += ((places[:, axis] - (low + high) / 2.0) / ((high - low) / 2.0)) ** 2
+    return np.asarray(np.sqrt(squares))
+
+
+def contact_forces_n(pressed: PressedFinger) -> tuple[FloatArray, FloatArray]:
+    """Return where a pressed contact pushes, places on the coat at rest (k, 3), and how hard, (k,) in N.
+
+    The pressures times their areas, made to add up to the size of the force on the indenter; places at rest: the
+    patch's own stretch, a few per cent, is left out.
+    """
+    pushes = pressed.pressure_mpa * coat_areas_mm2(pressed.mesh)[:, None]
+    touching = pushes > 0.0
+    whole = float(pushes.sum())
+    if whole <= 0.0:
+        raise SimulateError("nothing touches: a contact without pressure holds no torque; press deeper")
+    return pressed.touch_mm[touching], pushes[touching] * float(np.linalg.norm(pressed.force_n[-1])) / whole
+
+
+def slip_torque_n_mm(places_mm: FloatArray, forces_n: FloatArray, friction: float) -> float:
+    r"""Return the torque about the pad's normal at which a pressed object begins to turn on the pad.
+
+    T = mu min_c sum_i N_i |r_i - c|, in the plane across the normal (x, z).
+
+    Coulomb's law with the frictionless normal forces N_i, taken to stay as they are while the object slides, on all
+    of the patch at once, as a rigid body about the centre c that holds least (limit analysis: with c the friction
+    forces add up to nothing, a pure torque). The pad's own shear before that, and the change of the pressures by
+    friction, are left out.
+
+    Parameters
+    ----------
+    places_mm, forces_n
+        Of the normal forces, (k, 3) and (k,): see :func:`contact_forces_n`.
+    friction
+        Coulomb's coefficient mu between object and coat.
+
+    Raises
+    ------
+    SimulateError
+        When the coefficient is negative.
+    """
+    if not 0.0 <= friction < np.inf:
+        raise SimulateError(f"friction = {friction:g}: Coulomb's coefficient must be finite and not negative")
+    flat = places_mm[:, [0, 2]]
+
+    def torque(centre: FloatArray) -> float:
+        return float(forces_n @ np.linalg.norm(flat - centre, axis=1))
+
+    start = forces_n @ flat / forces_n.sum()
+    return friction * float(minimize(torque, start, method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-9}).fun)
+
+
+def frictionless_torque_n_mm(places_mm: FloatArray, forces_n: FloatArray, width_mm: float) -> float:
+    """Return the torque about the finger's long axis that normal forces alone can hold: T = N (w / 2 - |x|).
+
+    x is where their resultant N acts across the finger. An object that turns about that axis shifts the resultant
+    towards the pad's edge and tips over it there; the finger's own twist (see
+    :meth:`sim.mechanics.LoadedFinger.twist`) is left out.
+
+    Parameters
+    ----------
+    places_mm, forces_n
+        Of the normal forces, (k, 3) and (k,).
+    width_mm
+        Of the pad.
+    """
+    whole = float(forces_n.sum())
+    return whole * (width_mm / 2.0 - abs(float(forces_n @ places_mm[:, 0]) / whole))
+
+
+IntArray = NDArray[np.int64]
+
 
 Progress = Callable[[int, int, str], None]
 
@@ -23,18 +274,46 @@ Progress = Callable[[int, int, str], None]
 _SAME_SHARE = 1e-9
 
 
+@dataclass(frozen=True, slots=True)
+class PressSettings:
+    """How a press is computed.
+
+    Attributes
+    ----------
+    preset
+        Fineness of the mesh; the design's own by default.
+    increments
+        Equal steps of the push that are wanted; smaller ones are put between where needed.
+    threads
+        Of elements and factorisation.
+    contact
+        "auto": the penalty where it can, the barrier for friction and meshes of the user, and for a press whose parts
+        pass through each other by the penalty: it begins again.
+    budget_s
+        Processor time that it may take, see :class:`~sim.mechanics._increments.Watch`; then it ends early.
+    """
+
+    preset: Preset | None = None
+    increments: int = 4
+    threads: int = 1
+    contact: ContactChoice = "auto"
+    budget_s: float | None = None
+
+    @property
+    def stops(self) -> list[float]:
+        """Shares of the push that are wanted."""
+        return [(k + 1) / self.increments for k in range(self.increments)]
+
+
 def press_finger(
     design: FingerDesign,
-    preset: Preset | None = None,
-    increments: int = 4,
-    threads: int = 1,
-    progress: Progress | None = None,
+    settings: PressSettings | None = None,
+    *,
+    folder: Path = Path(),
     start: PressedFinger | None = None,
     resume: PressedFinger | None = None,
     store: Callable[[PressedFinger], None] | None = None,
-    contact: ContactChoice = "auto",
-    folder: Path = Path(),
-    budget_s: float | None = None,
+    progress: Progress | None = None,
 ) -> PressedFinger:
     """Press the design's indenter in by its depth along the pad's normal, from first touch.
 
@@ -46,14 +325,10 @@ def press_finger(
     ----------
     design
         Finger, materials and indenter; ``indenter.depth_mm`` is the whole push.
-    preset
-        Fineness of the mesh; the design's own by default.
-    increments
-        Equal steps of the push that are wanted; smaller ones are put between where needed.
-    threads
-        Of elements and factorisation.
-    progress
-        Called before each iteration and after each increment.
+    settings
+        How it is computed.
+    folder
+        Where the design stands: the STL of an indenter is relative to it.
     start
         The same press on a coarser mesh, whose displacements, interpolated, are where each increment's search starts.
         By default a finer mesh than coarse starts from the first increment on the coarse one (not with the barrier).
@@ -61,13 +336,8 @@ def press_finger(
         The same press on the same mesh to a lower depth, to go on from.
     store
         Called after each increment with the press so far, for example to keep it for `resume`.
-    contact
-        "auto": the penalty where it can, the barrier for friction and meshes of the user, and for a press whose parts
-        pass through each other by the penalty: it begins again.
-    folder
-        Where the design stands: the STL of an indenter is relative to it.
-    budget_s
-        Processor time that it may take, see :class:`~sim.mechanics._increments.Watch`; then it ends early.
+    progress
+        Called before each iteration and after each increment.
 
     Raises
     ------
@@ -75,54 +345,26 @@ def press_finger(
         When there is no push, not even the first increment finds an equilibrium or has the time to, or `start` or
         `resume` is a press of another finger or mesh.
     """
-    if design.indenter.depth_mm <= 0.0:
-        raise SimulateError(f"indenter.depth_mm = {design.indenter.depth_mm:g} mm: a press needs a depth above 0 mm")
-    if resume is not None and resume.kind == "barrier" and contact == "auto":
-        contact = "barrier"
-    watch = Watch(progress, increments, budget_s)
-    steps, depth = STEPS[preset or design.mesh.preset], design.indenter.depth_mm
-    touch = press_contact(design, finger_mesh(design, preset), steps.pad_mm, contact, threads, folder)
-    mesh = touch.mesh
-    ties = finger_ties(design, mesh, steps.skeleton_mm)
-    assembly = Assembly(Elasticity(mesh, finger_materials(design), threads), [*touch.terms, *ties])
-
-    def loading(fraction: float) -> Supports:
-        return touch.push(fraction * depth)
-
-    begin, rest = (0.0, None) if resume is None else resumed(resume, mesh, depth)
-    if rest is not None:
-        touch.accept(rest)
-    stops = [(k + 1) / increments for k in range(increments) if (k + 1) / increments > begin + _SAME_SHARE]
-    if start is None and resume is None:
-        predict = _path_from_coarse(_first_on_coarse(design, preset, increments, threads, contact, watch), mesh, depth)
-    else:
-        predict = None if start is None else _path_of(start, mesh, depth)
-    history = PressHistory(assembly, ties, touch, resume)
+    depth = design.indenter.depth_mm
+    if depth <= 0.0:
+        raise SimulateError(f"indenter.depth_mm = {depth:g} mm: a press needs a depth above 0 mm")
+    settings = settings or PressSettings()
+    if resume is not None and resume.kind == "barrier" and settings.contact == "auto":
+        settings = replace(settings, contact="barrier")
+    watch = Watch(progress, settings.increments, settings.budget_s)
+    touch, history, path = _prepared(design, settings, folder, start, resume, watch)
     try:
-        for step in load_increments(
-            assembly,
-            linear_solver(threads=threads),
-            loading,
-            stops,
-            rest,
-            begin,
-            options=NewtonOptions(tell=watch.tell),
-            predict=predict,
-            settle=touch.settle,
-            refuse=lambda state, fraction: _passed_through(touch, state, fraction * depth, steps.pad_mm),
-        ):
+        for step in path:
             history.add(step.fraction * depth, step.equilibrium)
-            if history.crossing and contact == "auto" and touch.kind == "penalty" and contact_library_failure() is None:
+            if history.crossing and settings.contact == "auto" and _barrier_may_help(touch):
                 watch.reached(0, f"{history.crossing}; pressing again with contact of all parts")
-                found = press_finger(
-                    design, preset, increments, threads, progress, store=store, contact="barrier", folder=folder,
-                    budget_s=watch.left_s,
-                )  # fmt: skip
+                again = replace(settings, contact="barrier", budget_s=watch.left_s)
+                found = press_finger(design, again, folder=folder, store=store, progress=progress)
                 why = f"{found.contact}; by the penalty, which was tried first, {history.crossing}"
                 return replace(found, contact=why)
             if store is not None:
                 store(history.pressed())
-            done = increments - sum(step.fraction < s for s in stops)
+            done = settings.increments - sum(step.fraction < stop for stop in settings.stops)
             watch.reached(done, f"pressed to {step.fraction * depth:.2f} mm")
     except NoEquilibriumError as stuck:
         if history.depth_mm is None:
@@ -130,6 +372,48 @@ def press_finger(
         touch.push(history.depth_mm)
         return history.pressed(str(stuck))
     return history.pressed()
+
+
+def _prepared(
+    design: FingerDesign,
+    settings: PressSettings,
+    folder: Path,
+    start: PressedFinger | None,
+    resume: PressedFinger | None,
+    watch: Watch,
+) -> tuple[PressContact, PressHistory, Iterator[Increment]]:
+    """Return the contact, the history that an earlier press began, and the increments still to be found."""
+    depth, steps = design.indenter.depth_mm, STEPS[settings.preset or design.mesh.preset]
+    bare = finger_mesh(design, settings.preset)
+    touch = press_contact(design, bare, steps.pad_mm, settings.contact, settings.threads, folder)
+    ties = finger_ties(design, touch.mesh, steps.skeleton_mm)
+    assembly = Assembly(Elasticity(touch.mesh, finger_materials(design), settings.threads), [*touch.terms, *ties])
+    begin = None if resume is None else resumed(resume, touch.mesh, depth)
+    if begin is not None:
+        touch.accept(begin[1])
+    if start is None and resume is None:
+        predict = _path_from_coarse(_first_on_coarse(design, settings, watch), touch.mesh, depth)
+    else:
+        predict = None if start is None else _path_of(start, touch.mesh, depth)
+    path = load_increments(
+        assembly,
+        linear_solver(threads=settings.threads),
+        Load(
+            at=lambda share: touch.push(share * depth),
+            settle=touch.settle,
+            refuse=lambda state, share: _passed_through(touch, state, share * depth, steps.pad_mm),
+        ),
+        [stop for stop in settings.stops if begin is None or stop > begin[0] + _SAME_SHARE],
+        begin,
+        options=NewtonOptions(tell=watch.tell),
+        predict=predict,
+    )
+    return touch, PressHistory(assembly, ties, touch, resume), path
+
+
+def _barrier_may_help(touch: PressContact) -> bool:
+    """Whether parts that pass through each other can be pressed again with a contact that sees them all."""
+    return touch.kind == "penalty" and contact_library_failure() is None
 
 
 def _passed_through(touch: PressContact, state: State, pushed_mm: float, pad_mm: float) -> str:
@@ -140,19 +424,18 @@ def _passed_through(touch: PressContact, state: State, pushed_mm: float, pad_mm:
     return "" if force_n > 0.0 or between else "the indenter has passed through the coat"
 
 
-def _first_on_coarse(
-    design: FingerDesign, preset: Preset | None, increments: int, threads: int, contact: ContactChoice, watch: Watch
-) -> PressedFinger | None:
+def _first_on_coarse(design: FingerDesign, settings: PressSettings, watch: Watch) -> PressedFinger | None:
     """Press by the first increment on the coarse mesh, which halves the finer one's iterations there.
 
     Further increments are extrapolated: from 3 to 4 mm the coarse path led to a slow start on the medium mesh.
     """
-    if (preset or design.mesh.preset) == "coarse" or chosen_contact(design, contact) == "barrier":
+    preset, contact = settings.preset or design.mesh.preset, settings.contact
+    if preset == "coarse" or chosen_contact(design, contact) == "barrier":
         return None
-    first = design.indenter.model_copy(update={"depth_mm": design.indenter.depth_mm / increments})
+    first = design.indenter.model_copy(update={"depth_mm": design.indenter.depth_mm / settings.increments})
+    coarse = PressSettings("coarse", 1, settings.threads, "penalty", watch.left_s)
     try:
-        shallow = design.model_copy(update={"indenter": first})
-        return press_finger(shallow, "coarse", 1, threads, watch.coarse, contact="penalty", budget_s=watch.left_s)
+        return press_finger(design.model_copy(update={"indenter": first}), coarse, progress=watch.coarse)
     except SimulateError:
         return None
 

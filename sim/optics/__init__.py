@@ -48,12 +48,13 @@ if TYPE_CHECKING:
     )
     from sim.optics._pixel_maps import CameraView, PixelMaps, camera_view, pixel_maps
     from sim.optics._plain_sensor import PlainRender, plain_sensor_integrator, plain_sensor_scene, render_plain_sensor
-    from sim.optics._probes import SeenPoints, seen_points, tilt_shares, tilted_facets
+    from sim.optics._probes import ProbePaths, SeenPoints, seen_points, tilt_shares, tilted_facets
     from sim.optics._refraction import inner_face, refract_through
     from sim.optics._render import (
         PressRender,
         Progress,
         RenderLevel,
+        RenderSettings,
         check_paints,
         open_guide,
         open_scene,
@@ -68,6 +69,7 @@ if TYPE_CHECKING:
         exr_image,
         open_renderer,
     )
+    from sim.optics._scene import LoadedScene
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -81,6 +83,7 @@ __all__ = [
     "AngleSweep",
     "CameraView",
     "Level",
+    "LoadedScene",
     "PaintBands",
     "PaintOptics",
     "PixelMaps",
@@ -88,8 +91,10 @@ __all__ = [
     "Preference",
     "PressRender",
     "ProbeGradient",
+    "ProbePaths",
     "Progress",
     "RenderLevel",
+    "RenderSettings",
     "RendererChoice",
     "SeenPoints",
     "SpectralBand",

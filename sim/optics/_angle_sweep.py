@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from data_schemas import FingerDesign, SimulateError
 from sim.optics._paint_bands import PaintBands, PaintOptics, chain_matrix
 from sim.optics._painted_walls import BAKE_SAMPLES, WallExchange, bake_walls, direct_lights
-from sim.optics._probes import Facets, Probes, default_probe_points_mm, probes_on, radiance_meter
+from sim.optics._probes import Facets, ProbePaths, Probes, default_probe_points_mm, probes_on, radiance_meter
 from sim.optics._render import Progress, check_paints, lit_integrator, open_scene, stream_seed
 from sim.optics._renderer import SCALAR_VARIANT
-from sim.optics._scene import check_outside_the_gel
+from sim.optics._scene import LoadedScene, check_outside_the_gel
 from sim.surface_meshes import FingerShape, pressed_shape
 
 Floats = NDArray[np.float64]
@@ -50,9 +50,7 @@ def sweep_light_angle(
     paints: Mapping[str, PaintOptics],
     renderer: ModuleType,
     angles_deg: Sequence[float] | NDArray[np.float64],
-    repeats: int = 6,
-    seed: int = 0,
-    samples: int = 4000,
+    paths: ProbePaths | None = None,
     probe_points_mm: NDArray[np.float64] | None = None,
     progress: Progress | None = None,
     shape: FingerShape | None = None,
@@ -75,11 +73,7 @@ def sweep_light_angle(
         From :func:`sim.optics.open_renderer`. A scalar variant works too, with much more noise.
     angles_deg
         Light angles: the panel's normal from the pad plane.
-    repeats
-        Independent repeats, which give the noise.
-    seed
-        Random seed, >= 0.
-    samples
+    paths
         Paths per probe and repeat, shared by all angles (in a scalar variant, per angle).
     probe_points_mm
         Points (x, z) on the undeformed pad, shape (probe, 2); by default
@@ -94,32 +88,32 @@ def sweep_light_angle(
     SimulateError
         When there is nothing to sweep, a probe lies outside the pad, or a paint is missing or gains energy.
     """
-    start = time.monotonic()
+    start, paths = time.monotonic(), paths or ProbePaths()
     angles = np.asarray(angles_deg, dtype=np.float64)
-    if angles.ndim != 1 or angles.size == 0 or repeats < 1 or samples < 1:
+    if angles.ndim != 1 or angles.size == 0 or paths.repeats < 1 or paths.samples < 1:
         raise SimulateError(
             f"a sweep needs a list of angles in deg, at least one repeat and at least one sample; got angles "
-            f"of shape {angles.shape}, {repeats} repeats and {samples} samples"
+            f"of shape {angles.shape}, {paths.repeats} repeats and {paths.samples} samples"
         )
     shape = shape or pressed_shape(design)
     probes = probes_on(
         design, shape, default_probe_points_mm(design, shape) if probe_points_mm is None else probe_points_mm
     )
     bands = check_paints(design, paints)
-    radiance = np.empty((angles.size, repeats, len(probes.points_mm), 3))
+    radiance = np.empty((angles.size, paths.repeats, len(probes.points_mm), 3))
     designs = [with_light_angle(design, float(angle)) for angle in angles]
     variant = renderer.variant()
     if variant == SCALAR_VARIANT:
         for i, finger in enumerate(designs):
-            radiance[i] = _measure_by_meters(finger, shape, bands, renderer, probes, samples, repeats, seed)
+            radiance[i] = _measure_by_meters(finger, shape, bands, renderer, probes, paths)
             if progress is not None:
                 progress(i + 1, angles.size, f"light angle {angles[i]:g} deg")
     else:
-        of_facets = measure_together(designs, shape, bands, renderer, probes, None, samples, repeats, seed, progress)
+        of_facets = measure_together(designs, shape, bands, renderer, probes, None, paths, progress)
         radiance = of_facets[:, :, 0]
     duration_s = time.monotonic() - start
     label = f"rendered probes, level b, {variant}"
-    return AngleSweep(angles, radiance, probes.points_mm, bands, samples, seed, duration_s, variant, label)
+    return AngleSweep(angles, radiance, probes.points_mm, bands, paths.samples, paths.seed, duration_s, variant, label)
 
 
 def _measure_by_meters(
@@ -128,17 +122,16 @@ def _measure_by_meters(
     bands: PaintBands,
     renderer: ModuleType,
     probes: Probes,
-    samples: int,
-    repeats: int,
-    seed: int,
+    paths: ProbePaths,
 ) -> Floats:
     """Return the band radiance (repeat, probe, 3) for one light angle in a scalar variant."""
     scene = open_scene(design, shape, bands, renderer, sensor=radiance_meter(renderer, probes, 0))
     bake_samples = max(1, round(BAKE_SAMPLES[True] * BAKE_SHARE))
     values = []
-    for repeat, light in enumerate(bake_walls(scene, design, shape, bands, renderer, "b", seed, bake_samples, repeats)):
+    finger = LoadedScene(scene, design, shape, bands, renderer)
+    for repeat, light in enumerate(bake_walls(finger, "b", paths.seed, bake_samples, paths.repeats)):
         integrator, chains = lit_integrator(scene, design, shape, renderer, light)
-        of_chains = _read_meters(scene, integrator, renderer, probes, samples, stream_seed(seed, repeat))
+        of_chains = _read_meters(scene, integrator, renderer, probes, paths.samples, stream_seed(paths.seed, repeat))
         values.append(of_chains @ chain_matrix(chains).T)
     return np.stack(values)
 
@@ -178,9 +171,7 @@ def measure_together(
     renderer: ModuleType,
     probes: Probes,
     facets: Facets | None,
-    samples: int,
-    repeats: int,
-    seed: int,
+    paths: ProbePaths,
     progress: Progress | None,
 ) -> Floats:
     """Return the band radiance (angle, repeat, facet, probe, 3) of all angles, whose paths are the same.
@@ -193,8 +184,8 @@ def measure_together(
         Its surfaces, what is measured where, and a compiled renderer.
     facets
         Tilts of the coat at the probes, which share their paths; None leaves the coat as it is (one facet).
-    samples, repeats, seed
-        Paths per probe and repeat, independent repeats, and random seed.
+    paths
+        How many there are.
     progress
         Called after each repeat.
 
@@ -206,10 +197,8 @@ def measure_together(
     for design in designs:
         check_outside_the_gel(design.light, shape)
     batches = [
-        _measure_batch(
-            designs[k : k + _POSES_AT_ONCE], shape, bands, renderer, probes, facets, samples, repeats, seed, told
-        )
-        for k, told in _batches(len(designs), repeats, progress)
+        _measure_batch(designs[k : k + _POSES_AT_ONCE], shape, bands, renderer, probes, facets, paths, told)
+        for k, told in _batches(len(designs), paths.repeats, progress)
     ]
     return np.concatenate(batches)
 
@@ -233,27 +222,26 @@ def _measure_batch(
     renderer: ModuleType,
     probes: Probes,
     facets: Facets | None,
-    samples: int,
-    repeats: int,
-    seed: int,
+    paths: ProbePaths,
     told: Callable[[int], None],
 ) -> Floats:
     """Return the band radiance (angle, repeat, facet, probe, 3) of some angles; paths do not depend on the batch."""
     from sim.optics._angle_paths import AnglePaths, facet_radiance
 
-    design = designs[0]
+    design, samples = designs[0], paths.samples
     scene = open_scene(design, shape, bands, renderer, sensor=radiance_meter(renderer, probes, 0))
     tracer = AnglePaths(scene, design, shape, [d.light for d in designs])
     direct = direct_lights(design, shape, [d.light for d in designs])
     # a path from a probe and one from a wall are about as noisy, and there are more probes than walls
     bake_samples = max(round(BAKE_SAMPLES[False] * BAKE_SHARE), min(8 * samples, 2 * BAKE_SAMPLES[False]), samples)
     origins, directions = (np.repeat(v, samples, axis=0) for v in (probes.origins_mm, probes.directions))
-    radiance = np.empty((len(designs), repeats, 1 if facets is None else len(facets.normals), len(probes.points_mm), 3))
-    for repeat in range(repeats):
-        rng = np.random.default_rng(stream_seed(seed, 2 * repeat))
+    kinds = 1 if facets is None else len(facets.normals)
+    radiance = np.empty((len(designs), paths.repeats, kinds, len(probes.points_mm), 3))
+    for repeat in range(paths.repeats):
+        rng = np.random.default_rng(stream_seed(paths.seed, 2 * repeat))
         walls = WallExchange.traced(tracer, shape, bake_samples, rng)
         emitted = np.array([walls.emitted(k, direct[k], bands) for k in range(len(designs))])
-        path_seed = stream_seed(seed, 2 * repeat + 1)
+        path_seed = stream_seed(paths.seed, 2 * repeat + 1)
         if facets is not None:
             radiance[:, repeat] = facet_radiance(tracer, probes, facets, emitted, samples, path_seed)
         else:

@@ -28,6 +28,7 @@ from sim.optics._path_rules import (
     NEWTON_STEPS,
     ROULETTE_DEPTH,
     SMALLEST_COS_AIR,
+    LedSearch,
     LookupTable,
     Tally,
     cell_at,
@@ -337,10 +338,8 @@ def band_paths(
     design: FingerDesign,
     shape: FingerShape,
     emission: Mapping[str, NDArray[np.float64]] | None = None,
-    refractive: bool = True,
+    led: LedSearch | None = None,
     max_depth: int = MAX_DEPTH,
-    from_wall: bool = False,
-    with_led: bool = True,
     guide: MirrorGuide | None = None,
 ) -> BandPaths:
     """Return the path tracer of a scene, whose channels are its ``chains``.
@@ -353,22 +352,18 @@ def band_paths(
         Panels, pad and the shape of the inner face.
     emission
         What the walls emit per chain, see :data:`sim.optics.WallLight`; dark by default.
-    refractive
-        False leaves the panel to chance: the same mean, much more noise; it serves as a check.
+    led
+        How the panels' light is found; by default from the camera or a probe, through the inner face.
     max_depth
         Longest path in surfaces; below 30 the painted bands lose light.
-    from_wall
-        Rays start on a wall in the gel: the panel's direct light through the inner face is left out.
-    with_led
-        False leaves the panels dark.
     guide
         From :func:`mirror_guide` for this scene: the same mean, less noise of the LED's light.
     """
-    face = inner_face(design, shape)
-    paths = BandPaths(scene, panels_of(design, face), face, max_depth, from_wall)
-    paths.refractive, paths.with_led = refractive, with_led
+    face, led = inner_face(design, shape), led or LedSearch()
+    paths = BandPaths(scene, panels_of(design, face), face, max_depth, led.from_wall)
+    paths.refractive, paths.with_led = led.refractive, led.counted
     paths.emit(emission or {})
-    paths.guide = guide if with_led else None
+    paths.guide = guide if led.counted else None
     return paths
 
 

@@ -163,8 +163,7 @@ def _trace(  # type: ignore[no-untyped-def]
 
         left = carrier.largest(carried)
         active &= left > 0
-        survival = dr.minimum(left * eta * eta, LARGEST_SURVIVAL)
-        survival = dr.select(depth >= roulette_depth, survival, 1.0)
+        survival = dr.select(depth >= roulette_depth, dr.minimum(left * eta * eta, LARGEST_SURVIVAL), 1.0)
         active &= sampler.next_1d(active) < survival
         carried = carrier.scattered(carried, dr.rcp(survival))
     return radiance, valid, []

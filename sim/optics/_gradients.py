@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from data_schemas import FingerDesign, MissingExtraError, SimulateError
 from sim.optics._paint_bands import BAND_NAMES, PaintBands, PaintOptics
 from sim.optics._painted_walls import WALLS
-from sim.optics._probes import default_probe_points_mm, probes_on
+from sim.optics._probes import ProbePaths, default_probe_points_mm, probes_on
 from sim.optics._render import check_paints, open_scene, stream_seed
 from sim.optics._renderer import SCALAR_VARIANT
 from sim.surface_meshes import FingerShape, pressed_shape
@@ -215,10 +215,8 @@ def probe_gradient(
     paints: Mapping[str, PaintOptics],
     renderer: ModuleType,
     with_respect_to: Sequence[Parameter] = ("angle_deg",),
+    paths: ProbePaths | None = None,
     probe_points_mm: Floats | None = None,
-    repeats: int = 4,
-    seed: int = 0,
-    samples: int = 10_000,
     shape: FingerShape | None = None,
     automatic: bool = True,
 ) -> ProbeGradient:
@@ -239,14 +237,11 @@ def probe_gradient(
         From :func:`sim.optics.open_renderer`, a compiled variant.
     with_respect_to
         Parameters; each costs about as much as three values.
+    paths
+        Paths per probe, parameter and repeat; the repeats, at least 2, give the standard errors. By default 10 000
+        paths in each of 4 repeats.
     probe_points_mm
         Points (x, z) on the pad, shape (probe, 2); by default those of a sweep of the light angle.
-    repeats
-        Independent repeats, at least 2, which give the standard errors.
-    seed
-        Random seed, >= 0.
-    samples
-        Paths per probe, parameter and repeat.
     shape
         The finger, deformed in any way; by default with the analytic press of its design.
     automatic
@@ -259,17 +254,18 @@ def probe_gradient(
     SimulateError
         When a parameter is not known, there is too little to measure, or a paint is missing or gains energy.
     """
-    _check(renderer, with_respect_to, repeats, samples)
+    paths = paths or ProbePaths(samples=10_000, repeats=4)
+    _check(renderer, with_respect_to, paths)
     finger = pressed_shape(design) if shape is None else shape
     points = default_probe_points_mm(design, finger) if probe_points_mm is None else np.asarray(probe_points_mm, float)
-    probes = DifferentiatedProbes(design, finger, check_paints(design, paints), renderer, points, samples)
-    seeds = [stream_seed(seed, repeat) for repeat in range(repeats)]
+    probes = DifferentiatedProbes(design, finger, check_paints(design, paints), renderer, points, paths.samples)
+    seeds = [stream_seed(paths.seed, repeat) for repeat in range(paths.repeats)]
     rest = np.stack([probes.trace(s, "rest")[0] for s in seeds])
     values = rest + np.stack([probes.trace(s, "smooth")[0] for s in seeds])
     parts = [_parts(probes, name, seeds, automatic) for name in with_respect_to]
     differences, smooth = (np.array([p[k] for p in parts]).reshape(-1, *values.shape) for k in (0, 1))
     (value, value_error), (gradient, gradient_error) = (
-        (of.mean(axis=-3), of.std(axis=-3, ddof=1) / np.sqrt(repeats)) for of in (values, differences + smooth)
+        (of.mean(axis=-3), of.std(axis=-3, ddof=1) / np.sqrt(paths.repeats)) for of in (values, differences + smooth)
     )
     return ProbeGradient(
         with_respect_to=tuple(with_respect_to),
@@ -280,19 +276,19 @@ def probe_gradient(
         gradient_error=gradient_error,
         by_differences=differences.mean(axis=1),
         rest_rel=rest.mean(axis=0),
-        samples=samples,
-        seed=seed,
+        samples=paths.samples,
+        seed=paths.seed,
     )
 
 
-def _check(renderer: ModuleType, with_respect_to: Sequence[Parameter], repeats: int, samples: int) -> None:
+def _check(renderer: ModuleType, with_respect_to: Sequence[Parameter], paths: ProbePaths) -> None:
     """Refuse what cannot be differentiated."""
     unknown = [name for name in with_respect_to if name not in PARAMETERS]
     if unknown:
         raise SimulateError(f"with_respect_to: '{unknown[0]}' is none of {', '.join(PARAMETERS)}")
-    if repeats < 2 or samples < 1:
+    if paths.repeats < 2 or paths.samples < 1:
         raise SimulateError(
-            f"a gradient needs at least 2 repeats and 1 sample, got {repeats} repeats and {samples} samples"
+            f"a gradient needs at least 2 repeats and 1 sample, got {paths.repeats} repeats and {paths.samples} samples"
         )
     if renderer.variant() == SCALAR_VARIANT:
         raise MissingExtraError(

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from data_schemas import FingerDesign, LightPanel
 from sim.optics._paint_bands import BAND_NAMES, PaintBands
-from sim.optics._path_rules import LIFT_MM, even_points
+from sim.optics._path_rules import LIFT_MM, LedSearch, even_points
 from sim.optics._position_map import PositionMap
 from sim.optics._refraction import curved_irradiance, inner_face
 from sim.optics._renderer import SCALAR_VARIANT
-from sim.optics._scene import wall_texels
+from sim.optics._scene import LoadedScene, wall_texels
 from sim.optics._wall_spline import BATCHES, SmoothedWall, WallSmoother, choose_smoother, smooth_batches
 from sim.surface_meshes import FingerShape
 
@@ -160,11 +160,7 @@ _SHARE_OF_FURTHER_ORDERS = 0.125
 
 
 def bake_walls(
-    scene: Any,
-    design: FingerDesign,
-    shape: FingerShape,
-    bands: PaintBands,
-    renderer: ModuleType,
+    finger: LoadedScene,
     level: Level = "b",
     seed: int = 0,
     samples: int = BAKE_SAMPLES[False],
@@ -177,16 +173,12 @@ def bake_walls(
     """
     rng = np.random.default_rng(seed)
     seeds = rng.integers(2**32, size=repeats).tolist()
-    bakes = (bake_batches(scene, design, shape, bands, renderer, level, s, samples, guide) for s in seeds)
+    bakes = (bake_batches(finger, level, s, samples, guide) for s in seeds)
     return [{chain: batches.mean(axis=0) for chain, batches in light.items()} for light in bakes]
 
 
 def bake_batches(
-    scene: Any,
-    design: FingerDesign,
-    shape: FingerShape,
-    bands: PaintBands,
-    renderer: ModuleType,
+    finger: LoadedScene,
     level: Level = "b",
     seed: int = 0,
     samples: int = BAKE_SAMPLES[False],
@@ -200,10 +192,8 @@ def bake_batches(
 
     Parameters
     ----------
-    scene
-        From :func:`sim.optics._scene.finger_scene`; in a scalar variant its walls must carry emitters.
-    design, shape, bands, renderer
-        As in the scene.
+    finger
+        The scene.
     level
         How the walls emit.
     seed
@@ -219,15 +209,16 @@ def bake_batches(
         Per chain an array (BATCHES, TEXELS_ALONG, TEXELS_UP). What batches have in common is the strength of their
         smoothing; see :func:`sim.optics._wall_spline.smooth_batches`.
     """
-    rng = np.random.default_rng(seed)
-    detours = indirect_irradiance(scene, design, shape, renderer, int(rng.integers(2**32)), samples, guide)
+    rng, design, shape = np.random.default_rng(seed), finger.design, finger.shape
+    first_seed = int(rng.integers(2**32))
+    detours = indirect_irradiance(finger.scene, design, shape, finger.renderer, first_seed, samples, guide)
     received = {
         wall: direct_irradiance(design, shape, wall, texel_uv()) + detour.batches for wall, detour in detours.items()
     }
-    light = excited("led", received, bands)
+    light = excited("led", received, finger.bands)
     if level != "b":
         return paper_emission(design, shape, light, level)
-    return light | _further_orders(scene, design, shape, bands, renderer, light, rng, samples)
+    return light | _further_orders(finger, light, rng, samples)
 
 
 def light_walls(scene: Any, light: WallLight, renderer: ModuleType) -> None:
@@ -275,7 +266,9 @@ def indirect_irradiance(
         Per wall, in units of the panel's radiance.
     """
     scalar = renderer.variant() == SCALAR_VARIANT
-    integrator = scene.integrator() if scalar else _tracer(scene, design, shape, from_wall=True, guide=guide)
+    integrator = (
+        scene.integrator() if scalar else _tracer(scene, design, shape, led=LedSearch(from_wall=True), guide=guide)
+    )
     led = BAND_NAMES.index("led")
     means = np.pi * radiance_at_walls(scene, shape, integrator, renderer, seed, samples, guide)[..., led]
     if scalar:  # the stock tracer meets the panel directly too
@@ -284,21 +277,15 @@ def indirect_irradiance(
 
 
 def _further_orders(
-    scene: Any,
-    design: FingerDesign,
-    shape: FingerShape,
-    bands: PaintBands,
-    renderer: ModuleType,
-    first: WallLight,
-    rng: np.random.Generator,
-    samples: int,
+    finger: LoadedScene, first: WallLight, rng: np.random.Generator, samples: int
 ) -> dict[str, NDArray[np.float64]]:
     """Return the chains beyond the first order that matter."""
     found: dict[str, NDArray[np.float64]] = {}
+    bands = finger.bands
     latest = {chain: light for chain, light in first.items() if bands.excites(last_band(chain))}
     per_trace = max(1, round(samples * _SHARE_OF_FURTHER_ORDERS))
     for _ in range(2, HIGHEST_ORDER + 1):
-        irradiance = _exchanged(scene, design, shape, renderer, latest, int(rng.integers(2**32)), per_trace)
+        irradiance = _exchanged(finger, latest, int(rng.integers(2**32)), per_trace)
         made = {name: light for chain, e in irradiance.items() for name, light in excited(chain, e, bands).items()}
         totals = {
             wall: sum(light.mean() for chain, light in {**first, **found, **made}.items() if last_band(chain) == wall)
@@ -312,18 +299,13 @@ def _further_orders(
 
 
 def _exchanged(
-    scene: Any,
-    design: FingerDesign,
-    shape: FingerShape,
-    renderer: ModuleType,
-    emitted: WallLight,
-    seed: int,
-    samples: int,
+    finger: LoadedScene, emitted: WallLight, seed: int, samples: int
 ) -> dict[str, dict[str, NDArray[np.float64]]]:
     """Return, for each emitted chain, the irradiance of the walls by its light, batch by batch."""
+    scene, shape, renderer = finger.scene, finger.shape, finger.renderer
     if renderer.variant() == SCALAR_VARIANT:
         return _exchanged_by_stock_paths(scene, shape, renderer, emitted, seed, samples)
-    tracer = _tracer(scene, design, shape, from_wall=True, with_led=False, emission=emitted)
+    tracer = _tracer(scene, finger.design, shape, emission=emitted, led=LedSearch(counted=False, from_wall=True))
     radiance = np.pi * radiance_at_walls(scene, shape, tracer, renderer, seed, samples)
     channels = {chain: radiance[..., tracer.chains.index(chain)] for chain in emitted}
     return {

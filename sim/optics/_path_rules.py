@@ -6,6 +6,7 @@ lets NaN pass and a cast to an integer of NaN, infinity or 1e30 is undefined: 42
 without. Every gather, scatter and cast of :mod:`sim.optics` therefore comes through this module.
 """
 
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -28,6 +29,25 @@ NEWTON_STEPS: Final = 3
 
 SMALLEST_COS_AIR: Final = 0.02
 """Nearer to grazing, rays that leave the inner face keep no further away from it."""
+
+
+@dataclass(frozen=True, slots=True)
+class LedSearch:
+    """How paths find the LED's light.
+
+    Attributes
+    ----------
+    counted
+        False leaves the panels dark.
+    from_wall
+        Rays start on a wall in the gel: the panel's direct light through the inner face is left out.
+    refractive
+        False leaves the panel to chance: the same mean, much more noise; it serves as a check.
+    """
+
+    counted: bool = True
+    from_wall: bool = False
+    refractive: bool = True
 
 
 def even_points(count: int, dimensions: int, rng: np.random.Generator) -> NDArray[np.float64]:

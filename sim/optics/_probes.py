@@ -24,6 +24,25 @@ _AT_ONCE: Final = 64  # points that are looked for together, among the triangles
 
 
 @dataclass(frozen=True, slots=True)
+class ProbePaths:
+    """How many paths measure each probe.
+
+    Attributes
+    ----------
+    samples
+        Paths per probe and repeat.
+    repeats
+        Independent repeats, which give the noise.
+    seed
+        Random seed, >= 0.
+    """
+
+    samples: int = 4000
+    repeats: int = 6
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Probes:
     """Points of the coat and the rays in the gel that look at them; each array is (probe, 3).
 

@@ -6,7 +6,7 @@ contact or without, is rendered in up to 16 independent passes: what they differ
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count as counting
 from types import ModuleType
@@ -33,7 +33,7 @@ from sim.optics._painted_walls import (
 from sim.optics._passes import PassedPicture, joined_passes, known_variance, passes_of, traced_picture
 from sim.optics._pixel_maps import PixelMaps, pixel_maps
 from sim.optics._renderer import SCALAR_VARIANT
-from sim.optics._scene import camera_sensor, finger_scene
+from sim.optics._scene import LoadedScene, camera_sensor, finger_scene
 from sim.surface_meshes import FingerShape, check_no_intersections, pressed_shape, rest_shape
 
 SURROUNDINGS_SHARE = 8
@@ -64,41 +64,80 @@ class CameraWindows:
         contact = Window.around(np.where(near, 0.0, np.nan)[..., None]) if near.any() else None
         return cls(design, calibration, Window.around(*(m.coat_mm(design) for m in maps)), contact)
 
-    def regions(self, samples: "PathsPerPixel") -> list[tuple[NDArray[np.int64], int]]:
+    def regions(self, settings: "RenderSettings") -> list[tuple[NDArray[np.int64], int]]:
         """Return (column, row) of the surroundings' pixels, the pad's and the contact's, with the paths of each."""
         pose = camera_pose(self.design)
         region = np.zeros((pose.rows_px, pose.columns_px), dtype=np.int64)
         region[self.window.rows, self.window.columns] = 1
         if self.contact is not None:
             region[self.contact.rows, self.contact.columns] = 2
-        counts = (samples.surroundings, samples.pad, samples.contact)
+        counts = (settings.surroundings, settings.samples_per_pixel, settings.around_contact)
         return [(np.argwhere(region == k)[:, ::-1], count) for k, count in enumerate(counts)]
 
 
-@dataclass(frozen=True, slots=True)
-class PathsPerPixel:
-    """Paths per pixel of all passes together: over the pad, and around the contact."""
+CONTACT_SHARE = 2
+"""Pixels near the contact get this many times more paths by default: comparisons look there, and they are few."""
 
-    pad: int
-    contact: int
+
+@dataclass(frozen=True, slots=True)
+class RenderSettings:
+    """How a press is rendered.
+
+    Attributes
+    ----------
+    level
+        How the walls emit. Level c needs a compiled variant.
+    seed
+        Random seed, >= 0.
+    samples_per_pixel
+        Paths per pixel that sees the pad, an even number >= 2, in as many passes as it and the next number divide
+        into: 16, 8, 4 or 2. The surroundings get about an eighth, at least one path of each pass.
+    contact_samples_per_pixel
+        Paths per pixel of the rectangle around the contact and its halo, an even number; by default twice those
+        of the pad.
+    common_random_numbers
+        Whether both images use the same random numbers, so that their difference away from the contact is small.
+        What stands for a capture needs noise of its own in each image, as cameras have it.
+
+    Raises
+    ------
+    SimulateError
+        When a number of paths cannot be halved.
+    """
+
+    level: RenderLevel = "b"
+    seed: int = 0
+    samples_per_pixel: int = 64
+    contact_samples_per_pixel: int | None = None
+    common_random_numbers: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that cannot be halved."""
+        for name in ("samples_per_pixel", "contact_samples_per_pixel"):
+            count = getattr(self, name)
+            if count is not None and (count < 2 or count % 2):
+                raise SimulateError(
+                    f"{name} must be an even number of at least 2 (two independent halves), got {count}"
+                )
+
+    @property
+    def around_contact(self) -> int:
+        """Paths per pixel around the contact."""
+        return self.contact_samples_per_pixel or CONTACT_SHARE * self.samples_per_pixel
 
     @property
     def passes(self) -> int:
-        """Independent passes that they divide into."""
-        return passes_of(self.pad, self.contact)
+        """Independent passes that the paths divide into."""
+        return passes_of(self.samples_per_pixel, self.around_contact)
 
     @property
     def surroundings(self) -> int:
         """Paths per pixel that sees neither coat nor walls: nothing is measured there."""
-        return self.passes * max(1, round(self.pad / (SURROUNDINGS_SHARE * self.passes)))
+        return self.passes * max(1, round(self.samples_per_pixel / (SURROUNDINGS_SHARE * self.passes)))
 
-    def __post_init__(self) -> None:
-        """Refuse numbers that cannot be halved."""
-        for name, count in (("samples_per_pixel", self.pad), ("contact_samples_per_pixel", self.contact)):
-            if count < 2 or count % 2:
-                raise SimulateError(
-                    f"{name} must be an even number of at least 2 (two independent halves), got {count}"
-                )
+    def of_contact(self) -> "RenderSettings":
+        """Return the same for the image with contact, whose random numbers may be its own."""
+        return self if self.common_random_numbers else replace(self, seed=stream_seed(self.seed, _CONTACT_STREAM))
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,34 +151,27 @@ class StateRender:
 
 
 def render_state(
-    camera: CameraWindows,
-    shape: FingerShape,
-    bands: PaintBands,
-    renderer: ModuleType,
-    level: RenderLevel,
-    seed: int,
-    samples: PathsPerPixel,
+    camera: CameraWindows, shape: FingerShape, bands: PaintBands, renderer: ModuleType, settings: RenderSettings
 ) -> StateRender:
     """Render independent passes, each with its own batch of the walls' light; what they differ by tells the noise."""
     begun, design = time.monotonic(), camera.design
     scene = open_scene(design, shape, bands, renderer, camera_sensor(design, renderer, camera.calibration))
     scalar, light = renderer.variant() == SCALAR_VARIANT, {}
     chains: tuple[str, ...]
-    if level == "c":
+    if settings.level == "c":
         integrator, chains = pathwise_integrator(scene, design, shape, bands, renderer), FIRST_CHAINS
     else:
-        guide = open_guide(scene, design, shape, renderer)
-        batches = bake_batches(
-            scene, design, shape, bands, renderer, level, stream_seed(seed, 0), BAKE_SAMPLES[scalar], guide
-        )
-        light = {chain: _in_passes(of_chain, samples.passes) for chain, of_chain in batches.items()}
+        guide, seed = open_guide(scene, design, shape, renderer), stream_seed(settings.seed, 0)
+        finger = LoadedScene(scene, design, shape, bands, renderer)
+        batches = bake_batches(finger, settings.level, seed, BAKE_SAMPLES[scalar], guide)
+        light = {chain: _in_passes(of_chain, settings.passes) for chain, of_chain in batches.items()}
         integrator, chains = lit_integrator(scene, design, shape, renderer, {} if scalar else light, guide)
     bake_s = time.monotonic() - begun
-    seed_of = partial(stream_seed, seed)
     if scalar:
-        picture = _scalar_picture(scene, camera, renderer, light, samples, seed_of)
+        picture = _scalar_picture(scene, camera, renderer, light, settings)
     else:
-        picture = traced_picture(scene, integrator, renderer, chains, camera.regions(samples), seed_of)
+        seed_of = partial(stream_seed, settings.seed)
+        picture = traced_picture(scene, integrator, renderer, chains, camera.regions(settings), seed_of)
     return StateRender(chains, picture, bake_s, time.monotonic() - begun - bake_s)
 
 
@@ -149,34 +181,25 @@ def _in_passes(batches: NDArray[np.float64], passes: int) -> NDArray[np.float64]
 
 
 def _scalar_picture(
-    scene: Any,
-    camera: CameraWindows,
-    renderer: ModuleType,
-    light: WallLight,
-    samples: PathsPerPixel,
-    seed_of: Callable[[int], int],
+    scene: Any, camera: CameraWindows, renderer: ModuleType, light: WallLight, settings: RenderSettings
 ) -> PassedPicture:
     """Render each pass by the scene's own integrator, the windows finely."""
-    streams, images = counting(1), []
-    for number in range(samples.passes):
+    seeds, images = (stream_seed(settings.seed, stream) for stream in counting(1)), []
+    windows = ((camera.window, settings.samples_per_pixel), (camera.contact, settings.around_contact))
+    for number in range(settings.passes):
         light_walls(scene, {chain: batches[number] for chain, batches in light.items()}, renderer)
-        image = np.array(
-            renderer.render(scene, spp=samples.surroundings // samples.passes, seed=seed_of(next(streams)))
-        )
-        for window, count in ((camera.window, samples.pad), (camera.contact, samples.contact)):
+        image = np.array(renderer.render(scene, spp=settings.surroundings // settings.passes, seed=next(seeds)))
+        for window, count in windows:
             if window is not None:
                 sensor = renderer.load_dict(camera_sensor(camera.design, renderer, camera.calibration, window))
-                fine = renderer.render(scene, sensor=sensor, spp=count // samples.passes, seed=seed_of(next(streams)))
+                fine = renderer.render(scene, sensor=sensor, spp=count // settings.passes, seed=next(seeds))
                 image[window.rows, window.columns] = np.array(fine)
         images.append(image)
     mean, half_difference, variance = joined_passes(np.array(images), FIRST_CHAINS)
     return PassedPicture(mean, half_difference, known_variance(variance))
 
 
-CONTACT_SHARE = 2
-"""Pixels near the contact get this many times more paths by default: comparisons look there, and they are few."""
-
-# beside the streams of halves and windows, which count from zero
+# beside the streams of bake and pixels, which count from zero
 _CONTACT_STREAM = 100
 
 # a bent finger at rest would be shorter; meshes keep their size to rounding
@@ -229,14 +252,11 @@ def render_press(
     design: FingerDesign,
     paints: Mapping[str, PaintOptics],
     renderer: ModuleType,
-    level: RenderLevel = "b",
-    seed: int = 0,
-    samples_per_pixel: int = 64,
-    progress: Progress | None = None,
+    settings: RenderSettings | None = None,
+    *,
     shapes: tuple[FingerShape, FingerShape] | None = None,
     calibration: CameraCalibration | None = None,
-    contact_samples_per_pixel: int | None = None,
-    common_random_numbers: bool = True,
+    progress: Progress | None = None,
 ) -> PressRender:
     """Render a finger without and with its press.
 
@@ -250,33 +270,22 @@ def render_press(
         Optics of the paints "red" (x = -width/2) and "green" (x = +width/2).
     renderer
         From :func:`sim.optics.open_renderer`.
-    level
-        How the walls emit. Level c needs a compiled variant.
-    seed
-        Random seed, >= 0.
-    samples_per_pixel
-        Paths per pixel that sees the pad, an even number >= 2, in as many passes as it and the next number divide
-        into: 16, 8, 4 or 2. The surroundings get about an eighth, at least one path of each pass.
-    progress
-        Called after each step.
+    settings
+        Level, seed and numbers of paths.
     shapes
         The finger without and with contact, equal meshes.
     calibration
         Of the camera; without it the ideal pinhole of the design.
-    contact_samples_per_pixel
-        Paths per pixel of the rectangle around the contact and its halo, an even number; by default twice those
-        of the pad.
-    common_random_numbers
-        Whether both images use the same random numbers, so that their difference away from the contact is small.
-        What stands for a capture needs noise of its own in each image, as cameras have it.
+    progress
+        Called after each step.
 
     Raises
     ------
     SimulateError
-        When a paint is missing, a paint gains energy, samples_per_pixel is odd, the gel intersects itself, the camera
-        does not see the coat, or level c meets a scalar variant.
+        When a paint is missing, a paint gains energy, the gel intersects itself, the camera does not see the coat, or
+        level c meets a scalar variant.
     """
-    samples = PathsPerPixel(samples_per_pixel, contact_samples_per_pixel or CONTACT_SHARE * samples_per_pixel)
+    settings = settings or RenderSettings()
     _check_scalar(design, renderer)
     start = time.monotonic()
     bands = check_paints(design, paints)
@@ -287,10 +296,9 @@ def render_press(
     maps = [pixel_maps(design, shape, rest, renderer, calibration) for shape in (rest, pressed)]
     timings = {"pixel maps": time.monotonic() - start}
     camera = CameraWindows.of(design, calibration, maps)
-    states = []
-    for step, (name, shape) in enumerate((("no contact", rest), ("contact", pressed)), start=1):
-        own = seed if common_random_numbers or step == 1 else stream_seed(seed, _CONTACT_STREAM)
-        states.append(render_state(camera, shape, bands, renderer, level, own, samples))
+    states, both = [], (("no contact", rest, settings), ("contact", pressed, settings.of_contact()))
+    for step, (name, shape, own) in enumerate(both, start=1):
+        states.append(render_state(camera, shape, bands, renderer, own))
         timings |= {f"bake {name}": states[-1].bake_s, f"render {name}": states[-1].render_s}
         if progress is not None:
             progress(step, 2, f"rendered {name}")
@@ -303,13 +311,17 @@ def render_press(
         chains=chains,
         contact_label=pressed.label,
         bands=bands,
-        samples_per_pixel=samples_per_pixel,
-        seed=seed,
+        samples_per_pixel=settings.samples_per_pixel,
+        seed=settings.seed,
         timings_s=timings,
         variant=variant,
-        level=level,
-        label=f"rendered, {'level c' if level == 'c' else LEVEL_NAMES[level]}, {variant}{_left_out(design, variant)}",
+        level=settings.level,
+        label=f"rendered, {_level_name(settings.level)}, {variant}{_left_out(design, variant)}",
     )
+
+
+def _level_name(level: RenderLevel) -> str:
+    return "level c" if level == "c" else LEVEL_NAMES[level]
 
 
 def _left_out(design: FingerDesign, variant: str) -> str:

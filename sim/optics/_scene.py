@@ -5,6 +5,7 @@ light panel. The surfaces' materials, such as the coating and the mirror, are ma
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
@@ -22,6 +23,25 @@ PANEL_RADIANCE_REL = 1.0
 PANEL_REFLECTANCE = 0.05
 
 _BOX_CLEARANCE_MM = 8.0
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedScene:
+    """A finger's scene as the renderer has loaded it, with what it was made of.
+
+    Attributes
+    ----------
+    scene
+        From :func:`finger_scene`; in a scalar variant its walls must carry emitters to be lit.
+    design, shape, bands, renderer
+        As in the scene.
+    """
+
+    scene: Any
+    design: FingerDesign
+    shape: FingerShape
+    bands: PaintBands
+    renderer: ModuleType
 
 
 def finger_scene(

@@ -20,14 +20,19 @@ if TYPE_CHECKING:
         Surface,
         bent,
         check_closed,
+        contact_distance,
+        contact_half_width_mm,
         gel_faces,
         layout_scale,
         mirror_shape,
+        pressed_height_mm,
         pressed_shape,
+        rest_height_mm,
         rest_shape,
         restore_shapes,
         store_shapes,
         vertex_normals,
+        without_press,
     )
     from sim.surface_meshes._hexahedra import (
         HEXAHEDRON_FACES,
@@ -38,13 +43,6 @@ if TYPE_CHECKING:
         split_quads,
     )
     from sim.surface_meshes._intersections import check_no_intersections, crossing_pair
-    from sim.surface_meshes._pressed_pad import (
-        contact_distance,
-        contact_half_width_mm,
-        pressed_height_mm,
-        rest_height_mm,
-        without_press,
-    )
     from sim.surface_meshes._solid import (
         Coordinates,
         Edge,

@@ -77,7 +77,7 @@ EXCEPTIONS = {
     "z": "standard score of a curve's shape",
     "turn": "-1 or +1: which way a surface is oriented",
     "step": "in the unit of the parameter that is moved",
-    **dict.fromkeys(("begin", "start"), "a share of a whole, 0 to 1"),
+    "start": "a share of a whole, 0 to 1",
     "abbe_number": "ratio of refractivity to dispersion",
     "bulk_over_shear": "ratio of two moduli",
     "scale": "of image values of any unit",

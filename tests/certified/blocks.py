@@ -4,8 +4,17 @@ import numpy as np
 
 from sim.mechanics import Block, FingerMesh
 from sim.mechanics._assembly import Assembly, Elasticity
-from sim.mechanics._increments import load_increments
+from sim.mechanics._increments import Load, load_increments
 from sim.mechanics._linear_solver import linear_solver
+
+
+def uniaxial_stress_mpa(material, stretch):
+    """Return the nominal stress of an incompressible Ogden material under uniaxial load, in closed form.
+
+    P = sum 2 mu_p/alpha_p (lambda^(alpha_p - 1) - lambda^(-alpha_p/2 - 1)).
+    """
+    terms = zip(material.mu_mpa, material.alpha, strict=True)
+    return sum(2.0 * m / a * (stretch ** (a - 1.0) - stretch ** (-a / 2.0 - 1.0)) for m, a in terms)
 
 
 class GridBlock:
@@ -45,4 +54,6 @@ def assemble(mesh, material, terms=()):
 
 def press(assembly, loading, stops=(1.0,), options=None, solver="auto"):
     """All equilibria of a load path."""
-    return [i.equilibrium for i in load_increments(assembly, linear_solver(solver), loading, stops, options=options)]
+    return [
+        i.equilibrium for i in load_increments(assembly, linear_solver(solver), Load(loading), stops, options=options)
+    ]

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.mechanics._assembly import Assembly, State
-from sim.mechanics._increments import load_increments
+from sim.mechanics._increments import Load, load_increments
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._newton import Supports
@@ -55,5 +55,5 @@ def drag(ratio, stops, met_mm=1e-4):
         move[-1, 0] = max(share - 1.0, 0.0)
         return Supports(fixed, move)
 
-    for step in load_increments(assembly, linear_solver(), loading, stops, settle=driven.settle):
+    for step in load_increments(assembly, linear_solver(), Load(loading, driven.settle), stops):
         yield Dragged(step.fraction, step.equilibrium.state, contact, assembly)

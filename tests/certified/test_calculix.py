@@ -13,7 +13,7 @@ from data_schemas.storage import read_record
 from sim import design_toml, preset_design
 from sim.mechanics import Block, Cylinder, FingerMesh, PenaltyContact, Pose
 from sim.mechanics._assembly import Assembly, Elasticity
-from sim.mechanics._increments import load_increments
+from sim.mechanics._increments import Load, load_increments
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._newton import Supports
@@ -50,7 +50,7 @@ def pressed_in_process(mesh):
         return supports
 
     forces, states = [], []
-    for step in load_increments(assembly, linear_solver(), loading, (0.5, 1.0)):
+    for step in load_increments(assembly, linear_solver(), Load(loading), (0.5, 1.0)):
         states.append(step.equilibrium.state.u_mm)
         forces.append(contact.force_n(states[-1]))
     return np.array(forces), np.array(states)

@@ -7,7 +7,7 @@ from sim import preset_design
 from sim.mechanics import finger_materials, finger_mesh
 from sim.mechanics._assembly import Assembly, Elasticity
 from sim.mechanics._finger_mesh import MeshSteps, finger_ties
-from sim.mechanics._increments import load_increments
+from sim.mechanics._increments import Load, load_increments
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._press_contact import press_contact
 
@@ -23,7 +23,7 @@ def pressed(steps, stops=(1.0,)):
         Elasticity(touch.mesh, finger_materials(SMALL)),
         [*touch.terms, *finger_ties(SMALL, touch.mesh, steps.skeleton_mm)],
     )
-    path = load_increments(assembly, linear_solver(), lambda share: touch.push(share * DEPTH_MM), stops)
+    path = load_increments(assembly, linear_solver(), Load(lambda share: touch.push(share * DEPTH_MM)), stops)
     forces, equilibria = [], []
     for step in path:
         forces.append(touch.force_n(step.equilibrium.state.u_mm))

@@ -12,12 +12,12 @@ from data_schemas import MissingExtraError, NoEquilibriumError, SimulateError
 from sim.mechanics import Block, Cylinder, FingerMesh, LinearElastic, Ogden, PenaltyContact, Pose
 from sim.mechanics import _increments as increments
 from sim.mechanics._assembly import UpperBlocks
-from sim.mechanics._increments import load_increments
+from sim.mechanics._finger_mesh import TiedNodes
+from sim.mechanics._increments import Load, load_increments
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._mesh import Tie
 from sim.mechanics._newton import NewtonOptions, Supports, find_equilibrium
-from sim.mechanics._ties import TiedNodes
 from tests.certified.blocks import GridBlock, assemble, press, unit_cells
 
 GEL = neo_hooke(0.1333)
@@ -109,7 +109,7 @@ def test_a_column_buckles():
 def test_an_increment_too_large_is_cut_back():
     _, assembly, loading = sheared_beam()
     options = NewtonOptions(iterations=3)
-    path = list(load_increments(assembly, linear_solver(), loading, (1.0,), options=options))
+    path = list(load_increments(assembly, linear_solver(), Load(loading), (1.0,), options=options))
     fractions = [i.fraction for i in path]
     assert len(fractions) > 1
     assert fractions[-1] == 1.0
@@ -122,7 +122,7 @@ def test_a_search_in_short_steps_is_given_up_and_each_iteration_and_cutback_is_t
     told = []
     # steps of at most 5 um of 2 mm: eight of them are no whole one
     options = NewtonOptions(longest_step_mm=0.005, tell=told.append)
-    path = load_increments(assembly, linear_solver(), loading, (1.0,), options=options, shortest_share=0.5)
+    path = load_increments(assembly, linear_solver(), Load(loading), (1.0,), shortest_share=0.5, options=options)
     with pytest.raises(NoEquilibriumError, match="no equilibrium after 40 iterations"):
         list(path)
     first = [line for line in told if line.startswith("iteration ")][:9]
@@ -169,7 +169,9 @@ def test_increments_before_a_failure_are_kept():
 
     kept = []
     with pytest.raises(SimulateError, match=r"no equilibrium beyond 0\.\d+ of the load: .+smaller load"):
-        kept.extend(load_increments(assembly, linear_solver(), crush, (0.2, 1.0), options=NewtonOptions(iterations=12)))
+        kept.extend(
+            load_increments(assembly, linear_solver(), Load(crush), (0.2, 1.0), options=NewtonOptions(iterations=12))
+        )
     assert 0.2 <= kept[-1].fraction < 0.75
     assert not kept[-1].equilibrium.failure
 

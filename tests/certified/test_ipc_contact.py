@@ -5,7 +5,7 @@ import pytest
 
 from data_schemas import FingerDesign, Indenter, SimulateError
 from sim import preset_design
-from sim.mechanics import Cylinder, PenaltyContact, Pose, body_mesh, chosen_contact, press_finger
+from sim.mechanics import Cylinder, PenaltyContact, Pose, PressSettings, body_mesh, chosen_contact, press_finger
 from sim.mechanics._barrier_contact import Drive
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._newton import Supports
@@ -163,7 +163,9 @@ def test_the_contact_is_chosen_by_what_the_design_needs():
 def test_a_finger_pressed_with_either_contact():
     design = preset_design("baby-48x18")
     design = design.model_copy(update={"indenter": design.indenter.model_copy(update={"depth_mm": 0.5})})
-    penalty, barrier = (press_finger(design, "coarse", 1, contact=kind) for kind in ("penalty", "barrier"))
+    penalty, barrier = (
+        press_finger(design, PressSettings("coarse", 1, contact=kind)) for kind in ("penalty", "barrier")
+    )
     assert not barrier.unreached
     # both touch along chords of elements of 2 mm, h^2 / 8R = 50 um of the 500 um, at other points of them
     assert barrier.force_n[-1, 1] == pytest.approx(penalty.force_n[-1, 1], rel=0.06)

@@ -10,6 +10,7 @@ from sim.experiments._design_sensitivities import _held_torques, _row
 from sim.mechanics import (
     LinearElastic,
     LoadedFinger,
+    PressSettings,
     contact_forces_n,
     frictionless_torque_n_mm,
     press_finger,
@@ -86,10 +87,10 @@ def test_wrong_loads_are_refused(finger):
 
 
 def test_a_press_to_a_force_is_the_press_to_its_depth():
-    driven = press_to_force(SMALL, 0.8, "coarse", 1)
+    driven = press_to_force(SMALL, 0.8, PressSettings("coarse", 1))
     depth = {"depth_mm": float(driven.depth_mm[-1])}
     design = SMALL.model_copy(update={"indenter": SMALL.indenter.model_copy(update=depth)})
-    pushed = press_finger(design, "coarse", 1)
+    pushed = press_finger(design, PressSettings("coarse", 1))
     assert driven.force_n[-1, 1] == pytest.approx(0.8, rel=1e-5)
     # both are equilibria to 1e-6 of their forces
     assert pushed.force_n[-1] == pytest.approx(driven.force_n[-1], abs=1e-5)

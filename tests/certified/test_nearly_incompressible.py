@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data_schemas import FingerDesign
-from sim.mechanics import press_finger
+from sim.mechanics import PressSettings, press_finger
 from sim.mechanics._assembly import State
 from sim.mechanics._contact_library import contact_library_failure
 from sim.mechanics._element_kernels import GAUSS_POINTS, shape_gradients
@@ -93,7 +93,7 @@ MOST_ITERATIONS = {"penalty": 12, "barrier": 16, "friction": 40}
 
 @pytest.mark.parametrize("bulk_over_shear", [2000.0, 10_000.0])
 def test_the_default_finger_is_pressed_by_1_mm_in_one_increment(bulk_over_shear):
-    pressed = press_finger(gel_design(bulk_over_shear), "coarse", 1)
+    pressed = press_finger(gel_design(bulk_over_shear), PressSettings("coarse", 1))
     assert pressed.unreached == ""
     assert pressed.depth_mm.tolist() == [1.0]
     assert pressed.iterations.sum() <= MOST_ITERATIONS["penalty"]
@@ -104,7 +104,7 @@ def test_the_default_finger_is_pressed_by_1_mm_in_one_increment(bulk_over_shear)
 @pytest.mark.skipif(contact_library_failure() is not None, reason=f"NO BARRIER CONTACT: {contact_library_failure()}")
 @pytest.mark.parametrize(("contact", "friction"), [("barrier", 0.0), ("friction", 0.5)])
 def test_the_barrier_with_and_without_friction_presses_it_too(contact, friction):
-    pressed = press_finger(gel_design(10_000.0, friction=friction), "coarse", 1, contact="barrier")
+    pressed = press_finger(gel_design(10_000.0, friction=friction), PressSettings("coarse", 1, contact="barrier"))
     assert pressed.unreached == ""
     assert pressed.iterations.sum() <= MOST_ITERATIONS[contact]
     # the gap of at most 0.02 mm and chords: a little more than the penalty's force; friction adds to it

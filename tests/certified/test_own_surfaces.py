@@ -5,11 +5,10 @@ import pytest
 
 from sim import preset_design
 from sim.experiments import press_records
-from sim.mechanics import STEPS, Block, FingerMesh, finger_mesh, press_finger
+from sim.mechanics import STEPS, Block, FingerMesh, PressSettings, finger_mesh, press_finger
 from sim.mechanics._contact_library import contact_library_failure
 from sim.mechanics._finger_mesh import MeshSteps
-from sim.mechanics._mesh import Tie
-from sim.mechanics._own_surfaces import OwnSurfaces
+from sim.mechanics._mesh import OwnSurfaces, Tie
 from tests.certified.blocks import unit_cells
 
 needs_the_toolkit = pytest.mark.skipif(
@@ -92,7 +91,9 @@ def crossing_by_penalty(monkeypatch):
 @pytest.mark.usefixtures("crossing_by_penalty")
 def test_a_press_whose_ribs_meet_goes_on_by_the_barrier():
     stored, told = [], []
-    pressed = press_finger(SMALL, increments=2, store=stored.append, progress=lambda *at: told.append(at[2]))
+    pressed = press_finger(
+        SMALL, PressSettings(increments=2), progress=lambda *at: told.append(at[2]), store=stored.append
+    )
     assert pressed.kind == "barrier"
     assert pressed.crossing == ""
     assert pressed.depth_mm == pytest.approx([0.3, 0.6])
@@ -104,7 +105,7 @@ def test_a_press_whose_ribs_meet_goes_on_by_the_barrier():
 
 @pytest.mark.usefixtures("crossing_by_penalty")
 def test_a_press_that_is_asked_for_by_the_penalty_tells_where_parts_meet():
-    pressed = press_finger(SMALL, increments=2, contact="penalty")
+    pressed = press_finger(SMALL, PressSettings(increments=2, contact="penalty"))
     assert pressed.kind == "penalty"
     assert pressed.crossing.startswith("from a push of 0.6 mm on the finger passes through itself")
     mechanics, _ = press_records(SMALL, pressed)

@@ -14,10 +14,10 @@ from data_schemas import PressIncrement, PressMechanics, SimulateError
 from data_schemas.storage import read_record
 from sim import preset_design
 from sim.experiments import increment_record, stored_press
-from sim.mechanics import STEPS, finger_materials, finger_mesh, press_finger
+from sim.mechanics import STEPS, PressSettings, finger_materials, finger_mesh, press_finger
 from sim.mechanics._assembly import Assembly, Elasticity
 from sim.mechanics._finger_mesh import MeshSteps, finger_ties
-from sim.mechanics._increments import CoarserPath, Interpolation, Watch, load_increments
+from sim.mechanics._increments import CoarserPath, Interpolation, Load, Watch, load_increments
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._mesh import CornerGrading
@@ -41,7 +41,7 @@ def to_depth(depth_mm):
 
 @pytest.fixture(scope="module")
 def halfway():
-    return press_finger(to_depth(1.0), "coarse", 2)
+    return press_finger(to_depth(1.0), PressSettings("coarse", 2))
 
 
 class Faulty:
@@ -78,19 +78,19 @@ def sheared_block():
 def test_a_failed_factorisation_is_cut_back():
     # the first fails with the exact tangent, the second with the projected one: the increment is halved
     assembly, loading = sheared_block()
-    path = list(load_increments(assembly, Faulty(2), loading, (1.0,)))
+    path = list(load_increments(assembly, Faulty(2), Load(loading), (1.0,)))
     assert [step.fraction for step in path] == [0.5, 1.0]
     assembly, loading = sheared_block()
     # one failure: the projected tangent leads on, with no cutback
-    assert [step.fraction for step in load_increments(assembly, Faulty(1), loading, (1.0,))] == [1.0]
+    assert [step.fraction for step in load_increments(assembly, Faulty(1), Load(loading), (1.0,))] == [1.0]
     with pytest.raises(SimulateError, match=r"no equilibrium beyond 0 of the load: the stiffness matrix is singular"):
-        list(load_increments(assembly, Faulty(10**6), loading, (1.0,)))
+        list(load_increments(assembly, Faulty(10**6), Load(loading), (1.0,)))
 
 
 def test_iterations_are_solved_systems_that_end_with_old_factors():
     assembly, loading = sheared_block()
     solver = Faulty(0)
-    path = list(load_increments(assembly, solver, loading, (0.5, 1.0)))
+    path = list(load_increments(assembly, solver, Load(loading), (0.5, 1.0)))
     # the last steps of a search, where the tangent stands still, factorise nothing
     assert len(path) <= solver.asked < sum(step.equilibrium.iterations for step in path)
     for step in path:
@@ -116,33 +116,33 @@ def test_a_guess_from_another_mesh_takes_few_iterations():
     """Elements find their incompatible modes first; without that this search takes 14 steps."""
     design = preset_design("flat-70x35")
     design = design.model_copy(update={"indenter": design.indenter.model_copy(update={"depth_mm": 2.0})})
-    coarse = press_finger(design, "coarse", 1)
+    coarse = press_finger(design, PressSettings("coarse", 1))
     steps = replace(STEPS["medium"], pad_mm=2.0, pad_layer_mm=2.0)
     mesh = finger_mesh(design, steps=steps)
     touch = press_contact(design, mesh, steps.pad_mm, "penalty")
     parts = [*touch.terms, *finger_ties(design, mesh, steps.skeleton_mm)]
     assembly = Assembly(Elasticity(mesh, finger_materials(design), 1), parts)
     path = CoarserPath(coarse.mesh, mesh, np.ones(1), coarse.displacement_mm)
-    found = list(load_increments(assembly, linear_solver(), lambda s: touch.push(2.0 * s), (1.0,), predict=path))
+    found = list(load_increments(assembly, linear_solver(), Load(lambda s: touch.push(2.0 * s)), (1.0,), predict=path))
     assert found[-1].equilibrium.iterations <= 8
     assert np.abs(touch.force_n(found[-1].equilibrium.state.u_mm)[1] / coarse.force_n[-1, 1] - 1.0) < 0.05
 
 
 def test_a_start_saves_iterations(halfway):
-    started = press_finger(to_depth(1.0), "coarse", 2, start=halfway)
+    started = press_finger(to_depth(1.0), PressSettings("coarse", 2), start=halfway)
     # its own path, but for the incompatible modes: the first increment has little left to do
     assert started.iterations[0] <= halfway.iterations[0] - 3
     assert started.force_n == pytest.approx(halfway.force_n, abs=1e-5 * halfway.force_n[-1, 1])
 
 
 def test_a_finer_press_starts_from_the_first_increment_on_the_coarse_mesh(halfway):
-    start = _first_on_coarse(to_depth(1.0), "medium", 2, 1, "auto", Watch(None, 2))
+    start = _first_on_coarse(to_depth(1.0), PressSettings("medium", 2), Watch(None, 2))
     assert start.depth_mm == pytest.approx([0.5])
     assert start.force_n[0] == pytest.approx(halfway.force_n[0], abs=1e-5)
-    assert _first_on_coarse(to_depth(1.0), "coarse", 2, 1, "auto", Watch(None, 2)) is None
-    assert _first_on_coarse(to_depth(1.0), "medium", 2, 1, "barrier", Watch(None, 2)) is None
+    assert _first_on_coarse(to_depth(1.0), PressSettings("coarse", 2), Watch(None, 2)) is None
+    assert _first_on_coarse(to_depth(1.0), PressSettings("medium", 2, contact="barrier"), Watch(None, 2)) is None
     # a coarse press that fails costs the finer one its start, no more
-    assert _first_on_coarse(to_depth(0.0), "medium", 2, 1, "auto", Watch(None, 2)) is None
+    assert _first_on_coarse(to_depth(0.0), PressSettings("medium", 2), Watch(None, 2)) is None
 
 
 def test_a_stored_increment_must_fit(halfway):
@@ -160,9 +160,9 @@ def test_a_stored_increment_must_fit(halfway):
     of_older_version = record.model_copy(update={"contact": None})
     assert stored_press(of_older_version, to_depth(3.0), "penalty").kind == "unknown"
     with pytest.raises(SimulateError, match=r"at 1 mm already and indenter\.depth_mm is 0\.7 mm"):
-        press_finger(to_depth(0.7), "coarse", 2, resume=halfway)
+        press_finger(to_depth(0.7), PressSettings("coarse", 2), resume=halfway)
     with pytest.raises(SimulateError, match="resume with the same design, mesh and --contact"):
-        press_finger(preset_design("original-60x22"), "coarse", 2, resume=halfway)
+        press_finger(preset_design("original-60x22"), PressSettings("coarse", 2), resume=halfway)
 
 
 def test_a_killed_press_goes_on(tmp_path, monkeypatch):

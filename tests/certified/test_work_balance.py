@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim import preset_design
-from sim.mechanics import press_finger
+from sim.mechanics import PressSettings, press_finger
 from tests.certified.sliding_block import drag
 
 
@@ -46,7 +46,7 @@ def test_the_work_of_sliding_is_what_friction_takes(ratio):
 def test_a_press_tells_what_is_stored_and_what_is_lost():
     small = preset_design("baby-48x18")
     indenter = small.indenter.model_copy(update={"depth_mm": 0.2, "friction": 0.5})
-    pressed = press_finger(small.model_copy(update={"indenter": indenter}), "coarse", 2)
+    pressed = press_finger(small.model_copy(update={"indenter": indenter}), PressSettings("coarse", 2))
     assert pressed.kind == "barrier"
     depth, force = np.r_[0.0, pressed.depth_mm], np.r_[0.0, pressed.force_n[:, 1]]
     assert (pressed.contact_energy_n_mm > 0.0).all()

@@ -12,7 +12,7 @@ from data_schemas import FingerSurfaces, NoEquilibriumError, PressIncrement, Pre
 from data_schemas.storage import read_record, sha256_of
 from finray_calib.cli._simulate_press import last_increment, mechanics_paths
 from sim import read_design
-from sim.mechanics import FORCE_EXCESS_REL, STEPS, press_finger
+from sim.mechanics import FORCE_EXCESS_REL, STEPS, PressSettings, press_finger
 from sim.mechanics._finger_mesh import MeshSteps
 from sim.mechanics._increments import Increment, load_increments
 from sim.mechanics._newton import NewtonOptions
@@ -40,21 +40,19 @@ def rough_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def impatient(
-    assembly: Any, solver: Any, loading: Any, stops: list[float], *place: Any, **more: Any
+    assembly: Any, solver: Any, load: Any, stops: list[float], *place: Any, **more: Any
 ) -> Iterator[Increment]:
     """Find the first equilibrium, and allow the second one iteration."""
-    first = next(load_increments(assembly, solver, loading, stops[:1], *place, **more))
+    first = next(load_increments(assembly, solver, load, stops[:1], *place, **more))
     yield first
     yield from load_increments(
         assembly,
         solver,
-        loading,
+        load,
         stops[1:],
-        first.equilibrium.state,
-        first.fraction,
+        (first.fraction, first.equilibrium.state),
         shortest_share=1.0,
         options=NewtonOptions(iterations=1),
-        **{name: more[name] for name in more if name == "settle"},
     )
 
 
@@ -395,7 +393,9 @@ def test_a_press_that_hardly_goes_on_tells_each_iteration_and_ends_with_its_budg
     told: list[str] = []
     with pytest.raises(NoEquilibriumError, match="the budget of 60 s of processor time is spent"):
         press_finger(
-            read_design(tmp_path / "finger.toml"), increments=2, progress=lambda *at: told.append(at[2]), budget_s=60.0
+            read_design(tmp_path / "finger.toml"),
+            PressSettings(increments=2, budget_s=60.0),
+            progress=lambda *at: told.append(at[2]),
         )
     # the clock is read twice an iteration, and the last one is foreseen
     assert 28 <= sum("out of balance by " in line for line in told) <= 30

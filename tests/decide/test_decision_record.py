@@ -6,8 +6,7 @@ import pytest
 from data_schemas import AngleObjective, DecideError, finger_identity
 from data_schemas.storage._records import MIGRATIONS
 from finray_calib.decide import decide
-from finray_calib.decide._decision_record import TOLERANCE_REL
-from finray_calib.decide._swept_contacts import swept_contacts
+from finray_calib.decide._decision_record import TOLERANCE_REL, swept_contacts
 from tests.command_line.records import BEST_DEG
 from tests.command_line.records import sweep as sweep_record
 from tests.decide.test_capture_errors import objective_error, report

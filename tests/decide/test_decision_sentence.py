@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data_schemas import DecidedContact, Indenter
-from finray_calib.decide._decision_words import decision_sentence, headline, outside
+from finray_calib.decide._decision_record import decision_sentence, headline, outside
 from finray_calib.decide._light_angle import AngleRisk
 from finray_calib.decide._next_observation import Proposal
 from finray_calib.decide._other_objectives import OtherOptimum

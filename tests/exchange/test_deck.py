@@ -15,8 +15,8 @@ from sim.mechanics._finger_mesh import MeshSteps
 from sim.mechanics.other_engines import finger_deck
 from sim.mechanics.other_engines._deck import Push, deck_lines, finger_push, indenter_surface
 from sim.surface_meshes import HEXAHEDRON_FACES
-from sim.surface_meshes._hexahedra import hexahedra_volume_mm3
 from tests.command_line.running import finray, succeed
+from tests.simulate.surface_quality import hexahedra_volume_mm3
 
 DESIGN = FingerDesign()
 

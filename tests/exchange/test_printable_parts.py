@@ -15,10 +15,10 @@ from finray_calib.exchange._printable_parts import step_bytes
 from sim import PRESETS, preset_design
 from sim.mechanics import mould_sizes, mould_solid, part_solid, part_stl, skeleton_mesh
 from sim.surface_meshes import Edge, Face, Plane, Solid, boundary_quads, planar_solid
-from sim.surface_meshes._hexahedra import hexahedra_volume_mm3
 from tests.capture.drivers.programs import others_python
 from tests.command_line.running import finray, succeed
 from tests.exchange.step_reader import StepFile
+from tests.simulate.surface_quality import hexahedra_volume_mm3
 
 CURVED = ["cylindrical-r40", "ellipsoidal-30-8-90", "ellipsoidal-45-20-70"]
 # volumes summed over some hundred faces in double precision

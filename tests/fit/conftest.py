@@ -7,7 +7,7 @@ import pytest
 
 from data_schemas import Optics
 from data_schemas.storage import assumed_camera_response, halogen_lamp
-from finray_calib.spectra import emission_weights
+from finray_calib.spectra import FilterSet, emission_weights
 from rigs import simulated_rig
 
 CENTER_NM = (405, 450, 500, 532, 560, 600, 630, 660)
@@ -49,14 +49,14 @@ class ClosedFormRig:
         """Arguments of emission_weights on a grid."""
         return {
             "wavelength_nm": wavelength,
-            "transmission": np.array([self.transmission(b, wavelength) for b in range(len(CENTER_NM))]),
+            "filters": FilterSet(
+                np.array([self.transmission(b, wavelength) for b in range(len(CENTER_NM))]), EXCITATION, BLOCKING
+            ),
             "response": np.array([self.response(c, wavelength) for c in range(len(CHANNEL_NM))]),
             "lamp": self.lamp(wavelength),
             "white_reflectance": self.white(wavelength),
             "laser": self.laser(wavelength),
-            "excitation_band": EXCITATION,
             "channel_weights": CHANNEL_WEIGHTS,
-            "leak": BLOCKING,
         }
 
 

@@ -1,5 +1,6 @@
 """Band values of known paints on the closed-form rig, by the full sum over wavelengths."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -70,3 +71,10 @@ def simulate(theta, weights, rng, *, family=LOG_NORMAL, discrepancy=NO_DISCREPAN
     shape = (weights.bands, mu.size // weights.bands)
     usable = np.ones(shape, bool) if usable is None else usable
     return BandData(y.reshape(shape), np.diag(sd**2), usable, weights, CALIBRATION_REL), curve
+
+
+def without_band(data, band):
+    """Return the data with one band left out."""
+    usable = data.usable.copy()
+    usable[band] = False
+    return replace(data, usable=usable)

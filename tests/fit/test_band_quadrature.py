@@ -88,8 +88,8 @@ def test_straight_lines_are_integrated_exactly(measured):
 
 
 def test_rule_of_a_rig_without_leak(rig):
-    curves = rig.sampled(np.arange(380.0, 781.0)) | {"leak": 0.0}
-    weights = emission_weights(**curves)
+    curves = rig.sampled(np.arange(380.0, 781.0))
+    weights = emission_weights(**(curves | {"filters": curves["filters"]._replace(leak=0.0)}))
     rule = band_quadrature(weights)
     assert (rule.leaked == 0).all()
     assert rule.nodes_nm.shape == (8, 6)

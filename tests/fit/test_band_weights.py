@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from data_schemas import CurveError, FitError
-from finray_calib.spectra import SkewCauchy, emission_weights
+from finray_calib.spectra import FilterSet, SkewCauchy, emission_weights
 from tests.fit.synthetic_bands import ZHENG, full_sum, orange
 
 GRID = np.arange(380.0, 781.0)
@@ -92,7 +92,7 @@ def test_rows_are_band_major_and_the_laser_is_found(weights):
         ({"laser": np.full(401, np.nan)}, CurveError, "negative or not finite"),
         ({"laser": np.zeros(401)}, CurveError, "laser: area is zero"),
         ({"lamp": np.zeros(401)}, FitError, "white signal of band 0, channel 0 is zero"),
-        ({"excitation_band": 8}, FitError, "there are bands 0 to 7"),
+        ({"filters": FilterSet(np.ones((8, 401)), 8)}, FitError, "there are bands 0 to 7"),
         ({"channel_weights": (1.0, 1.0, 1.0)}, FitError, "sum is 3, must be 1"),
         ({"channel_weights": (0.5, 0.5)}, CurveError, "channel_weights: shape"),
     ],
@@ -104,8 +104,8 @@ def test_unusable_curves_are_refused(rig, change, error, message):
 
 def test_excitation_filter_that_blocks_the_laser_is_refused(rig):
     curves = rig.sampled(GRID)
-    curves["transmission"][rig.excitation, GRID < 500] = 0.0
-    curves["transmission"][rig.excitation, GRID >= 500] = 0.5
+    curves["filters"].transmission[rig.excitation, GRID < 500] = 0.0
+    curves["filters"].transmission[rig.excitation, GRID >= 500] = 0.5
     curves["laser"][GRID >= 500] = 0.0
     with pytest.raises(FitError, match="passes no laser light"):
         emission_weights(**curves)

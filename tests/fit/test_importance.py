@@ -12,8 +12,8 @@ from finray_calib.fit import (
     find_maxima,
     importance_sample,
 )
+from finray_calib.fit._importance import MixtureProposal
 from finray_calib.fit._map_search import Maxima
-from finray_calib.fit._mixture_proposal import MixtureProposal
 from finray_calib.spectra import FAMILIES
 from tests.fit.synthetic_bands import LOG_NORMAL, orange, simulate
 

@@ -8,7 +8,7 @@ from data_schemas import FitError
 from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, BandData, Discrepancy, EmissionPrior, LogPosterior
 from finray_calib.fit.posterior_kernel import factorise, invert
 from finray_calib.spectra import FAMILIES, band_quadrature, emission_weights
-from tests.fit.synthetic_bands import LOG_NORMAL, full_sum, orange, simulate
+from tests.fit.synthetic_bands import LOG_NORMAL, full_sum, orange, simulate, without_band
 
 # hardly any two bands then share discrepancy, so that nothing is cut off
 SHORT = Discrepancy(0.12, 2.0, 0.1, 0.1, "for this test")
@@ -245,7 +245,9 @@ def test_absurd_parameters_give_minus_infinity_or_a_number_but_never_nan(weights
 
 def test_rig_without_leak_has_no_blocking_parameter(rig):
     curves = rig.sampled(np.arange(380.0, 781.0))
-    weights = emission_weights(**(curves | {"leak": 0.0, "transmission": curves["transmission"] - rig.leak}))
+    filters = curves["filters"]
+    without_leak = filters._replace(transmission=filters.transmission - rig.leak, leak=0.0)
+    weights = emission_weights(**(curves | {"filters": without_leak}))
     data, _ = simulate(np.append(orange()[:5], 0.0), weights, np.random.default_rng(1))
     posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior())
     assert posterior.prior.names[-1] == "ln_reflected_laser"
@@ -311,8 +313,8 @@ def test_nan_in_a_lost_entry_is_allowed(weights):
 
 
 def test_leaving_out_a_band_keeps_the_rest_and_stops_at_four(weights):
-    data = changed(weights).without_band(5).without_band(2)
+    data = without_band(without_band(changed(weights), 5), 2)
     assert sorted(set(weights.band_index[data.kept])) == [0, 1, 3, 4, 6, 7]
-    data = data.without_band(0).without_band(7)
+    data = without_band(without_band(data, 0), 7)
     with pytest.raises(FitError, match="only 3 bands have a usable channel"):
-        data.without_band(1)
+        without_band(data, 1)

@@ -3,7 +3,7 @@ import pytest
 from scipy.stats import multivariate_t
 
 from finray_calib.fit import EmissionPrior, LogPosterior, find_maxima
-from finray_calib.fit._mixture_proposal import MixtureProposal, effective_number, normalised, tempered_weights
+from finray_calib.fit._importance import MixtureProposal, effective_number, normalised, tempered_weights
 from tests.fit.synthetic_bands import LOG_NORMAL, ZHENG, orange, simulate
 
 PRIOR = EmissionPrior().of(LOG_NORMAL, with_blocking=True)

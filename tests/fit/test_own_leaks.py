@@ -19,8 +19,7 @@ from finray_calib.fit import (
 )
 from finray_calib.fit._band_data import band_values, decisive_leaks
 from finray_calib.fit._emission import curve_draws
-from finray_calib.fit._importance import WeightedSample
-from finray_calib.fit._mixture_proposal import MixtureProposal
+from finray_calib.fit._importance import MixtureProposal, WeightedSample
 from finray_calib.spectra import tolerances_of, weights_of
 from tests.fit.synthetic_bands import LOG_NORMAL, orange
 

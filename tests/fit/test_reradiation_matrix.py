@@ -6,7 +6,6 @@ import pytest
 from data_schemas import CurveError, Estimate, Reradiation, SpectralCurve
 from data_schemas.storage import read_donaldson_matrix
 from finray_calib.spectra import photon_yield, reradiation_matrix
-from finray_calib.spectra._reradiation_matrix import emitted_energy, emitted_photons, rank_one_share
 
 LASER_NM = 450.0
 # Rank-one share of the Stokes block (excitation 380-470 nm, emission from 490 nm) as read off with a bare SVD.
@@ -16,6 +15,23 @@ RANK_ONE_SHARE = {
     "postit_yellow_3m": 0.993,
     "postit_pink_3m": 0.946,
 }
+
+
+def emitted_energy(matrix):
+    """Return emitted over incident energy at each excitation: the integral of its column, dimensionless (E,)."""
+    return np.asarray(np.trapezoid(matrix.radiance_factor_per_nm, matrix.emission_nm, axis=0))
+
+
+def emitted_photons(matrix):
+    """Return emitted over incident photons at each excitation: the integral of D out/in, dimensionless (E,)."""
+    photons = matrix.radiance_factor_per_nm * matrix.emission_nm[:, None] / matrix.excitation_nm
+    return np.asarray(np.trapezoid(photons, matrix.emission_nm, axis=0))
+
+
+def rank_one_share(block):
+    """Return the share of the squared entries of a block that its best rank-one matrix holds, s_1^2 / sum s_i^2."""
+    singular = np.linalg.svd(block, compute_uv=False)
+    return float(singular[0] ** 2 / (singular**2).sum())
 
 
 def absorption(excitation_nm, draws):

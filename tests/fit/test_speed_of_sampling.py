@@ -8,7 +8,7 @@ from benchmarks.paint_problems import default_posterior, five_parameter_posterio
 from benchmarks.plain_densities import DefaultDensity, FiveParameterDensity
 from benchmarks.sampling_paths import run_emcee, run_fit
 from finray_calib.fit import find_maxima
-from finray_calib.fit._mixture_proposal import MixtureProposal
+from finray_calib.fit._importance import MixtureProposal
 
 LEAST_RATIO = 15.0  # measured 37 to 53 on a busy machine; a tenfold loss leaves 5
 LEAST_EVALUATION_RATIO = 1.0  # measured 3.6 to 4.0: there is no reason to be slower than batched numpy

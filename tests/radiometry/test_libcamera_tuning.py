@@ -6,7 +6,7 @@ import pytest
 from data_schemas import ImportFormatError
 from finray_calib.exchange import read_tuning
 from finray_calib.radiometry import parse_tuning, shading_gains
-from finray_calib.radiometry._libcamera_tuning import LensShading
+from finray_calib.radiometry._raspberry_pi import LensShading
 from tests.radiometry.libcamera_documents import GAMMA, algorithms, version_2
 
 INSTALLED = Path("/usr/share/libcamera/ipa")

@@ -12,7 +12,6 @@ from typing import Any
 from data_schemas import Provenance, Record
 from data_schemas.json_schemas import STORED, WRITTEN_BY_PEOPLE
 from data_schemas.storage import read_record, write_record
-from data_schemas.storage._records import normalised_schema
 
 FROZEN = Path(__file__).resolve().parent / "frozen"
 ORIGIN = Provenance(
@@ -28,6 +27,40 @@ ORIGIN = Provenance(
     processor="an example, x86_64, avx2",
     renderer="scalar_rgb",
 )
+
+
+def normalised_schema(schema: dict[str, Any], *, by_people: bool) -> dict[str, Any]:
+    """Return a JSON Schema without words, so that two are equal where they allow the same files.
+
+    Parameters
+    ----------
+    schema
+        As pydantic makes it.
+    by_people
+        Whether people write such files: what they leave out takes its default, which counts therefore, and they write
+        no provenance. In a stored record every field stands written, and no default counts.
+    """
+    words = {"title", "description", "examples", "$schema"} | (set() if by_people else {"default"})
+    kept: dict[str, Any] = _without_words(schema, frozenset(words))
+    if by_people:
+        definitions = kept.get("$defs", {})
+        definitions.pop("Provenance", None)
+        for model in (kept, *definitions.values()):
+            model.get("properties", {}).pop("provenance", None)
+    return kept
+
+
+def _without_words(value: Any, words: frozenset[str], *, names: bool = False) -> Any:
+    """Return part of a schema without its words; where keys are `names` of fields, all of them stay."""
+    if isinstance(value, dict):
+        return {
+            key: _without_words(inner, words, names=not names and key in {"properties", "$defs"})
+            for key, inner in value.items()
+            if names or key not in words
+        }
+    if isinstance(value, list):
+        return [_without_words(inner, words) for inner in value]
+    return value
 
 
 def folder_of(record_type: type[Record], version: int) -> Path:

@@ -26,9 +26,8 @@ from data_schemas.storage._records import (
     NOT_MIGRATED,
     content_sha256,
     is_sealed,
-    normalised_schema,
 )
-from tests.schemas.freeze import FROZEN, ORIGIN, example_of, folder_of, schema_of
+from tests.schemas.freeze import FROZEN, ORIGIN, example_of, folder_of, normalised_schema, schema_of
 
 ALL = (*WRITTEN_BY_PEOPLE, *STORED)
 VERSIONS = [(t, v) for t in ALL for v in range(1, t.schema_version + 1)]

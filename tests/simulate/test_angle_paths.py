@@ -5,7 +5,16 @@ import pytest
 
 from data_schemas import FingerDesign, LightPanel, SimulateError
 from data_schemas._design_parts import TactileCamera
-from sim.optics import TEXELS_ALONG, bake_walls, last_band, open_scene, paint_bands, sweep_light_angle
+from sim.optics import (
+    TEXELS_ALONG,
+    LoadedScene,
+    ProbePaths,
+    bake_walls,
+    last_band,
+    open_scene,
+    paint_bands,
+    sweep_light_angle,
+)
 from sim.optics._painted_walls import TEXELS_UP
 from sim.optics._path_rules import even_points
 from sim.optics._probes import probes_on
@@ -24,7 +33,9 @@ def one_by_one(design, paints, renderer, points_mm):
     """Return (repeat, probe, band) with the panel as a surface of the scene, as pictures are rendered."""
     shape, bands = pressed_shape(design), paint_bands(paints["red"], paints["green"], design.light)
     scene, values = open_scene(design, shape, bands, renderer), []
-    for repeat, light in enumerate(bake_walls(scene, design, shape, bands, renderer, "b", 7, 10_000, REPEATS)):
+    for repeat, light in enumerate(
+        bake_walls(LoadedScene(scene, design, shape, bands, renderer), "b", 7, 10_000, REPEATS)
+    ):
         integrator, chains = lit_integrator(scene, design, shape, renderer, light)
         origins = np.repeat(points_mm * [1.0, 0.5, 1.0], SAMPLES, axis=0).T.astype(np.float32)
         sampler = renderer.load_dict({"type": "independent"})
@@ -49,7 +60,7 @@ def one_by_one(design, paints, renderer, points_mm):
 )
 def test_all_angles_at_once_see_what_each_angle_sees(llvm, paints, change):
     design = FingerDesign(camera=CAMERA, **change)
-    sweep = sweep_light_angle(design, paints, llvm, [0.0, ANGLE_DEG], REPEATS, 3, 2 * SAMPLES, XZ_MM)
+    sweep = sweep_light_angle(design, paints, llvm, [0.0, ANGLE_DEG], ProbePaths(2 * SAMPLES, REPEATS, 3), XZ_MM)
     turned = design.light.model_copy(update={"angle_deg": ANGLE_DEG})
     there = one_by_one(design.model_copy(update={"light": turned}), paints, llvm, sweep.probe_points_mm)
     # the mean over the probes, band by band: the bake's noise is common to them
@@ -109,8 +120,8 @@ def test_even_points_are_uniform_and_even():
 @pytest.mark.renderer
 def test_a_sweep_follows_a_bent_finger(llvm, paints):
     shape = bent(pressed_shape(FingerDesign()), 150.0)
-    sweep = sweep_light_angle(FingerDesign(), paints, llvm, [0.0, 60.0], 4, 5, 4000, XZ_MM, shape=shape)
-    flat = sweep_light_angle(FingerDesign(), paints, llvm, [0.0, 60.0], 4, 5, 4000, XZ_MM)
+    sweep = sweep_light_angle(FingerDesign(), paints, llvm, [0.0, 60.0], ProbePaths(4000, 4, 5), XZ_MM, shape=shape)
+    flat = sweep_light_angle(FingerDesign(), paints, llvm, [0.0, 60.0], ProbePaths(4000, 4, 5), XZ_MM)
     np.testing.assert_allclose(sweep.probe_points_mm, probes_on(FingerDesign(), shape, XZ_MM).points_mm)
     # the same random numbers: bent to 150 mm, the painted bands gain 4 to 8 %, within their noise of some per cent
     ratio = (sweep.radiance_rel.mean((1, 2)) / flat.radiance_rel.mean((1, 2)))[:, :2]
@@ -123,4 +134,4 @@ def test_a_panel_that_reaches_into_the_gel_at_a_later_angle_is_refused(llvm, pai
     # 4 mm high at y = -1.9: half its height times cos(angle) is 1.0 mm at 60 deg and 2 mm at 0 deg
     design = FingerDesign(camera=CAMERA, light=LightPanel(position_mm=(0.0, -1.9, -6.0), height_mm=4.0))
     with pytest.raises(SimulateError, match="gel"):
-        sweep_light_angle(design, paints, llvm, [60.0, 0.0], 1, 1, 10, XZ_MM)
+        sweep_light_angle(design, paints, llvm, [60.0, 0.0], ProbePaths(10, 1, 1), XZ_MM)

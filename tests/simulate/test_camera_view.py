@@ -6,9 +6,10 @@ import pytest
 
 from data_schemas import FingerDesign, ImportFormatError
 from data_schemas._design_parts import TactileCamera
-from finray_calib.reports._finger_pictures import camera_view_png
+from finray_calib.reports._finger_pictures import draw_camera_view
+from finray_calib.reports._style import new_figure, png_bytes, styled
 from sim.optics import camera_view
-from sim.optics._optical_layout import coat_positions
+from tests.simulate.closed_form_view import coat_positions
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=160, height_px=120))
 
@@ -38,7 +39,10 @@ def test_a_narrow_camera_sees_less(scalar, tmp_path):
 
 
 def test_picture_is_drawn(scalar, tmp_path):
-    png = camera_view_png(camera_view(DESIGN, tmp_path, scalar))
+    with styled():
+        figure = new_figure(11.0, 4.6)
+        draw_camera_view(figure, camera_view(DESIGN, tmp_path, scalar))
+        png = png_bytes(figure)
     picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
     assert picture.shape[:2] == (552, 1320)
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 50

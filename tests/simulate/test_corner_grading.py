@@ -5,9 +5,9 @@ import pytest
 
 from data_schemas import FingerDesign
 from sim.mechanics import skeleton_layout
+from sim.mechanics._finger_mesh import TiedNodes
 from sim.mechanics._mesh import CornerGrading, Tie, fitted_between, graded
 from sim.mechanics._skeleton import skeleton_side_view
-from sim.mechanics._ties import TiedNodes
 
 DESIGN = FingerDesign()
 

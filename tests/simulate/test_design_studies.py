@@ -12,8 +12,7 @@ from data_schemas import RecordError, SimulateError, StudyPoint, provenance
 from data_schemas.storage import write_record
 from sim.studies import SHIPPED_PLANS, StudyPaints, StudyTask, point_file, read_plan, run_study, study_points
 from sim.studies._engine import _client, _each, _Steps
-from sim.studies._metrics import _metrics, _root_of_products, _Seen, vividness
-from sim.studies._point import point_key, press_file
+from sim.studies._point import _metrics, _root_of_products, _Seen, point_key, press_file, vividness
 
 HEAD = 'name = "a study"\n'
 

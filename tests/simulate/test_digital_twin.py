@@ -14,7 +14,7 @@ from sim.experiments import _light_angle as light_angle
 from sim.experiments import _rendered_press as press
 from sim.experiments import _tactile_camera as digital_twin
 from sim.experiments import _tactile_camera as tactile_camera
-from sim.optics import FIRST_CHAINS, paint_bands
+from sim.optics import FIRST_CHAINS, ProbePaths, paint_bands
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=128, height_px=96))
 SIGMAS = 5.0
@@ -95,10 +95,15 @@ def captured(monkeypatch, paints, variance, image=FLAT):
         contact_bands=image,
         no_contact_variance=np.float32(variance) * FLAT,
     )
-    given = {}
-    monkeypatch.setattr(digital_twin, "render_press", lambda *arguments, **options: given.update(options) or render)
+    given = []
+
+    def rendered(design, paints, renderer, settings, **_):
+        given.append(settings)
+        return render
+
+    monkeypatch.setattr(digital_twin, "render_press", rendered)
     twin = digital_twin.capture_twin(finger(paints), 30.0, seed=3, samples_per_pixel=2)
-    assert given["common_random_numbers"] is False
+    assert [settings.common_random_numbers for settings in given] == [False]
     return [bayer_planes(image[..., 0]) - 16.0 for image in (twin.no_contact, twin.repeat_no_contact)]
 
 
@@ -142,7 +147,7 @@ def test_curves_that_begin_late_are_noted_in_both_records(monkeypatch, paints):
     monkeypatch.setattr(light_angle, "sweep_light_angle", lambda *_, **__: swept)
     for record in (
         press.simulate_press(FingerScene(late), press.Rendering(samples_per_pixel=2), {}),
-        light_angle.light_angle_sweep(late, {}, [0.0, 1.0, 2.0, 3.0], 2, 2, 1, {}),
+        light_angle.light_angle_sweep(late, {}, [0.0, 1.0, 2.0, 3.0], ProbePaths(2, 2, 1), {}),
     ):
         held = [note for note in record.notes if "its end value is held" in note]
         assert len(held) == 3

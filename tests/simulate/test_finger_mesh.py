@@ -37,7 +37,7 @@ from sim.mechanics._finger_mesh import MeshSteps
 from sim.mechanics._mesh import Tie
 from sim.mechanics._skeleton import BOND_MM
 from sim.surface_meshes import boundary_quads, corner_jacobians_mm3, layout_scale, mirror_shape, split_quads, stl_bytes
-from sim.surface_meshes._hexahedra import hexahedra_volume_mm3, surface_quality
+from tests.simulate.surface_quality import hexahedra_volume_mm3, surface_quality
 
 DESIGN = FingerDesign()
 CYLINDER = GelPad(shape="cylindrical", radius_mm=60.0, film=Film())

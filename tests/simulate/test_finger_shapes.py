@@ -22,7 +22,7 @@ from sim.surface_meshes import (
     store_shapes,
     without_press,
 )
-from sim.surface_meshes._pressed_pad import BLEND_MM
+from sim.surface_meshes._finger_shape import BLEND_MM
 
 DESIGN = FingerDesign()
 ORIGIN = provenance("pytest", {}, seed=None)

@@ -55,7 +55,7 @@ def wall_bands(renderer, scene, shape, integrator, bands_of, seeds):
 @pytest.mark.renderer
 def test_walls_emit_what_path_wise_fluorescence_emits_and_a_wrong_bake_is_found(llvm):
     """Where only direct light reaches the walls, 3 % less of it in the bake is many standard errors."""
-    from sim.optics import bake_walls, chain_matrix, open_scene
+    from sim.optics import LoadedScene, bake_walls, chain_matrix, open_scene
     from sim.optics._band_paths import band_paths
     from sim.optics._fluorescent_paint import fluorescent_bands
     from sim.optics._render import lit_integrator
@@ -63,7 +63,7 @@ def test_walls_emit_what_path_wise_fluorescence_emits_and_a_wrong_bake_is_found(
     shape = bent(pressed_shape(BLACK), BENDING_RADIUS_MM)
     bands = paint_bands(*paints().values(), BLACK.light)
     scene = open_scene(BLACK, shape, bands, llvm)
-    bakes = bake_walls(scene, BLACK, shape, bands, llvm, "b", 1, BAKE_PATHS, BAKES)
+    bakes = bake_walls(LoadedScene(scene, BLACK, shape, bands, llvm), "b", 1, BAKE_PATHS, BAKES)
     matrices = {wall: bands.matrix(wall) for wall in ("red", "green")}
     traced = fluorescent_bands(scene, matrices, panels=band_paths(scene, BLACK, shape))
     paths = wall_bands(llvm, scene, shape, traced, np.eye(3), range(100, 100 + WALL_SEEDS))

@@ -5,15 +5,15 @@ import pytest
 
 from data_schemas import FingerDesign, LightPanel, MissingExtraError, SimulateError
 from data_schemas._design_parts import Enclosure, Mirror
+from sim.optics import ProbePaths, paint_bands, probe_gradient
 from sim.optics import _refraction as gel_face
-from sim.optics import paint_bands, probe_gradient
 from sim.optics._gradients import moved
 from sim.surface_meshes import bent, pressed_shape
 
 # nothing outside the gel returns light, so that almost all of it is connected
 DARK = {"mirror": Mirror(reflectance=0.0), "enclosure": Enclosure(cloth_reflectance=0.0, base_reflectance=0.0)}
 PROBES_MM = np.array([[2.0, 29.0], [-5.0, 45.0]])
-FEW = {"probe_points_mm": PROBES_MM, "repeats": 2, "seed": 5, "samples": 4000}
+FEW = {"probe_points_mm": PROBES_MM, "paths": ProbePaths(4000, 2, 5)}
 HALF_STEPS = {"angle_deg": 1.0, "position_x_mm": 0.2, "position_y_mm": 0.2, "position_z_mm": 0.2}
 # red, green, LED: the same random numbers, so that single paths at the pad's outline decide, which only differences
 # see; 0.4 % was seen in the LED band, and 3 % in a painted one, whose walls reach the outline
@@ -61,7 +61,7 @@ def test_the_outline_of_the_pad_is_differentiated(llvm, paints, monkeypatch):
     left to differences both ways agree; without a rim (the negative control) the red band does not.
     """
     design = lit(z_mm=-6.0)
-    few = {**FEW, "probe_points_mm": np.array([[2.0, 3.0], [5.0, 29.0]]), "samples": 3000}
+    few = {"probe_points_mm": np.array([[2.0, 3.0], [5.0, 29.0]]), "paths": ProbePaths(3000, 2, 5)}
 
     def red_and_led(automatic):
         found = probe_gradient(design, paints, llvm, ("position_z_mm",), automatic=automatic, **few)
@@ -104,7 +104,7 @@ def test_refusals(scalar, paints):
     with pytest.raises(SimulateError, match="'angle' is none of angle_deg"):
         probe_gradient(design, paints, scalar, ("angle",))
     with pytest.raises(SimulateError, match="at least 2 repeats"):
-        probe_gradient(design, paints, scalar, repeats=1)
+        probe_gradient(design, paints, scalar, paths=ProbePaths(repeats=1))
     with pytest.raises(MissingExtraError, match="gradients need a compiled variant"):
         probe_gradient(design, paints, scalar)
 

@@ -10,7 +10,7 @@ from data_schemas.storage import assumed_camera_response
 from finray_calib.spectra import SkewCauchy
 from sim.experiments import PaintedFinger
 from sim.experiments import _light_angle as light_angle
-from sim.optics import AngleSweep, PaintOptics, paint_bands
+from sim.optics import AngleSweep, PaintOptics, ProbePaths, paint_bands
 
 GRID_NM = np.arange(380.0, 781.0)
 DRAWS = {"red": (600.0, np.log(50.0), 1.0, np.log(0.003)), "green": (520.0, np.log(40.0), 0.5, np.log(0.004))}
@@ -41,7 +41,7 @@ def test_a_paint_draw_scales_its_own_band(finger, brighter):
     calibrations = {
         colour: SimpleNamespace(emission_draws_per_nm=curve[None]) for colour, curve in (("red", red), ("green", green))
     }
-    record = light_angle.light_angle_sweep(finger, calibrations, ANGLES_DEG, REPEATS, 1, 1, {})
+    record = light_angle.light_angle_sweep(finger, calibrations, ANGLES_DEG, ProbePaths(1, REPEATS, 1), {})
     bands = paint_bands(finger.paints["red"], finger.paints["green"], finger.design.light)
     scaled = record.basis.mean(axis=2) * [brighter, 1.0, 1.0]
     rgb = np.array([[finger.camera_matrix(bands) @ one for one in row] for row in scaled])

@@ -12,6 +12,7 @@ from sim.experiments import _light_angle as tables
 from sim.experiments._light_angle import exposed_table, facet_shares, facet_slopes, frames_e, in_the_way
 from sim.experiments._tactile_camera import EXPOSURE_S, tactile_sensor
 from sim.optics import (
+    ProbePaths,
     measure_together,
     paint_bands,
     seen_points,
@@ -48,12 +49,14 @@ def test_a_facet_is_as_bright_as_a_coat_that_has_its_tilt(llvm, paints):
     free = np.concatenate([np.linspace(-12.0, -6.0, 6), np.linspace(6.0, 12.0, 6)])
     places = np.concatenate([np.column_stack([0.0 * free, 35.0 + free]), np.column_stack([free, 35.0 + 0.0 * free])])
     on_strip = [slice(0, 12), slice(12, 24)]
-    ramps = sweep_light_angle(DESIGN, paints, llvm, ANGLES_DEG, REPEATS, 3, 1000, places, shape=with_ramps())
+    ramps = sweep_light_angle(
+        DESIGN, paints, llvm, ANGLES_DEG, ProbePaths(1000, REPEATS, 3), places, shape=with_ramps()
+    )
     rest, bands = rest_shape(DESIGN), paint_bands(paints["red"], paints["green"], DESIGN.light)
     facets = tilted_facets(np.tile([[0.0, 1.0, 0.0]], (24, 1)), SLOPE * np.concatenate([np.eye(2), -np.eye(2)]))
     designs = [with_light_angle(DESIGN, angle) for angle in ANGLES_DEG]
     traced = measure_together(
-        designs, rest, bands, llvm, probes_on(DESIGN, rest, places), facets, 1000, REPEATS, 5, None
+        designs, rest, bands, llvm, probes_on(DESIGN, rest, places), facets, ProbePaths(1000, REPEATS, 5), None
     )
     for axis, bands_seen in ((0, [0, 1]), (1, [2])):
         there = ramps.radiance_rel[:, :, on_strip[axis]].mean(axis=2)
@@ -77,7 +80,9 @@ def test_facets_share_their_noise_and_the_derivative_does_not_depend_on_the_step
     slopes = np.array([[s * x, s * z] for s in steps for x, z in ((1, 0), (-1, 0), (0, 1), (0, -1))])
     facets = tilted_facets(points.normals, np.concatenate([[[0.0, 0.0]], slopes]))
     bands = paint_bands(paints["red"], paints["green"], DESIGN.light)
-    traced = measure_together([DESIGN], rest_shape(DESIGN), bands, llvm, points.probes, facets, 2000, 4, 1, None)[0]
+    traced = measure_together(
+        [DESIGN], rest_shape(DESIGN), bands, llvm, points.probes, facets, ProbePaths(2000, 4, 1), None
+    )[0]
     # mean over the pad, (repeat, facet, band)
     level = traced.mean(axis=2)
     small, large = (
@@ -221,7 +226,7 @@ def painted(paints, renderer):
 def test_all_objectives_of_a_finger(llvm, paints, monkeypatch):
     monkeypatch.setattr(objectives.angle_objectives, "__defaults__", (512, None, None))
     sweep = light_angle_sweep(
-        painted(paints, llvm), {}, [0.0, 30.0, 60.0, 120.0], 2, 100, 1, {}, further_objectives=True
+        painted(paints, llvm), {}, [0.0, 30.0, 60.0, 120.0], ProbePaths(100, 2, 1), {}, further_objectives=True
     )
     found, constraints = sweep.other_objectives, sweep.constraints
     assert constraints is not None
@@ -243,7 +248,7 @@ def test_a_scalar_renderer_is_refused(scalar, paints):
     with pytest.raises(SimulateError, match="needs a compiled variant"):
         objectives.angle_objectives(painted(paints, scalar), np.eye(3)[None], [0.0, 30.0], 1)
     with pytest.raises(SimulateError, match="needs a compiled variant"):
-        light_angle_sweep(painted(paints, scalar), {}, [0.0, 30.0], 2, 10, 1, {}, further_objectives=True)
+        light_angle_sweep(painted(paints, scalar), {}, [0.0, 30.0], ProbePaths(10, 2, 1), {}, further_objectives=True)
 
 
 def test_a_pad_that_is_hardly_seen_is_refused(scalar):

@@ -5,7 +5,7 @@ import pytest
 
 from data_schemas import FingerDesign, Indenter, SimulateError
 from sim.experiments import press_records
-from sim.mechanics import contact_distance, contact_pressure_mpa, press_finger
+from sim.mechanics import PressSettings, contact_distance, contact_pressure_mpa, press_finger
 from sim.surface_meshes import check_closed, check_no_intersections, restore_shapes
 
 DESIGN = FingerDesign(indenter=Indenter(depth_mm=1.0))
@@ -14,7 +14,7 @@ DESIGN = FingerDesign(indenter=Indenter(depth_mm=1.0))
 @pytest.fixture(scope="module")
 def pressed():
     steps = []
-    result = press_finger(DESIGN, increments=2, progress=lambda *step: steps.append(step))
+    result = press_finger(DESIGN, PressSettings(increments=2), progress=lambda *step: steps.append(step))
     ends = [(1, 2, "pressed to 0.50 mm"), (2, 2, "pressed to 1.00 mm")]
     assert [step for step in steps if step in ends] == ends
     # and before each iteration, how far the search is
@@ -27,7 +27,7 @@ def pressed():
 
 @pytest.fixture(scope="module")
 def records():
-    return press_records(DESIGN, press_finger(DESIGN, increments=1))
+    return press_records(DESIGN, press_finger(DESIGN, PressSettings(increments=1)))
 
 
 def test_the_force_pushes_back_along_the_normal_and_grows(pressed):

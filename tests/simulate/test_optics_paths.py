@@ -9,6 +9,7 @@ from data_schemas import FingerDesign, LightPanel
 from data_schemas._design_parts import TactileCamera
 from sim.optics import TEXELS_ALONG, choose_variant, inner_face, open_renderer, paint_bands
 from sim.optics._painted_walls import TEXELS_UP, direct_irradiance, texel_uv
+from sim.optics._path_rules import LedSearch
 from sim.optics._scene import finger_scene
 from sim.surface_meshes import bent, pressed_shape, rest_shape
 
@@ -60,7 +61,9 @@ def test_connection_on_and_off_have_equal_means_on_a_bent_finger_with_film_and_t
 
     scene, shape = build(llvm, paints)
     on, on_error = led_means(llvm, scene, shape, band_integrator(scene, DESIGN, shape), first_seed=100)
-    off, off_error = led_means(llvm, scene, shape, band_integrator(scene, DESIGN, shape, refractive=False))
+    off, off_error = led_means(
+        llvm, scene, shape, band_integrator(scene, DESIGN, shape, led=LedSearch(refractive=False))
+    )
     assert on_error < 0.02 * on
     assert off_error < 0.02 * off
     assert abs(on - off) < STANDARD_ERRORS * np.hypot(on_error, off_error)

@@ -8,7 +8,16 @@ from pydantic import ValidationError
 
 from data_schemas import FingerDesign, GelPad, Indenter, LightPanel, SimulateError
 from data_schemas._design_parts import Mirror, TactileCamera
-from sim.optics import BAKE_SAMPLES, choose_variant, open_renderer, paint_bands, render_press, sweep_light_angle
+from sim.optics import (
+    BAKE_SAMPLES,
+    ProbePaths,
+    RenderSettings,
+    choose_variant,
+    open_renderer,
+    paint_bands,
+    render_press,
+    sweep_light_angle,
+)
 from sim.optics._passes import joined_passes, known_variance, passes_of
 from sim.optics._scene import finger_scene
 from sim.surface_meshes import pressed_shape, rest_shape, without_press
@@ -42,7 +51,9 @@ def pad_pixels(render):
 
 def test_scalar_fallback_renders_a_press(scalar, paints):
     steps = []
-    render = render_press(DESIGN, paints, scalar, samples_per_pixel=8, progress=lambda *step: steps.append(step))
+    render = render_press(
+        DESIGN, paints, scalar, RenderSettings(samples_per_pixel=8), progress=lambda *step: steps.append(step)
+    )
     assert render.variant == "scalar_rgb"
     assert render.label == "rendered, level b, scalar_rgb, without the film"
     assert steps == [(1, 2, "rendered no contact"), (2, 2, "rendered contact")]
@@ -54,35 +65,41 @@ def test_scalar_fallback_renders_a_press(scalar, paints):
 
 
 def test_scalar_sweep_and_level_a_work(scalar, paints):
-    sweep = sweep_light_angle(DESIGN, paints, scalar, [0.0, 90.0], repeats=2, samples=200)
+    sweep = sweep_light_angle(DESIGN, paints, scalar, [0.0, 90.0], ProbePaths(samples=200, repeats=2))
     assert sweep.radiance_rel.shape == (2, 2, 4, 3)
     assert (sweep.radiance_rel[..., :2].mean(axis=(0, 1, 2)) > 0.0).all()
-    render = render_press(DESIGN, paints, scalar, level="a", samples_per_pixel=2)
+    render = render_press(DESIGN, paints, scalar, RenderSettings("a", samples_per_pixel=2))
     assert render.label == "rendered, level a (paper's emitter), scalar_rgb, without the film"
 
 
 def test_what_a_scalar_renderer_leaves_out_is_refused_or_said(scalar, paints):
     beamed = DESIGN.model_copy(update={"light": LightPanel(beam_exponent=4.0)})
     with pytest.raises(SimulateError, match=r"light\.beam_exponent: a scalar variant renders Lambertian panels"):
-        render_press(beamed, paints, scalar, samples_per_pixel=2)
+        render_press(beamed, paints, scalar, RenderSettings(samples_per_pixel=2))
     with pytest.raises(SimulateError, match="level c runs in compiled variants only"):
-        render_press(DESIGN, paints, scalar, level="c", samples_per_pixel=2)
+        render_press(DESIGN, paints, scalar, RenderSettings("c", samples_per_pixel=2))
 
 
 def test_surfaces_of_another_finger_are_refused(scalar, paints):
     other = FingerDesign(pad=GelPad(length_mm=48.0, width_mm=18.0), indenter=Indenter(position_mm=24.0))
     with pytest.raises(SimulateError, match=r"belong to another finger: their pad has a width of 18 mm"):
-        render_press(DESIGN, paints, scalar, samples_per_pixel=2, shapes=(rest_shape(other), pressed_shape(other)))
+        render_press(
+            DESIGN,
+            paints,
+            scalar,
+            RenderSettings(samples_per_pixel=2),
+            shapes=(rest_shape(other), pressed_shape(other)),
+        )
 
 
 def test_a_panel_turned_away_leaves_finite_light(scalar, paints):
     away = DESIGN.model_copy(update={"light": LightPanel(angle_deg=-90.0)})
-    render = render_press(away, paints, scalar, samples_per_pixel=2)
+    render = render_press(away, paints, scalar, RenderSettings(samples_per_pixel=2))
     assert np.isfinite(render.contact_bands).all()
 
 
 def test_distances_are_measured_in_half_widths(scalar, paints):
-    render = render_press(DESIGN, paints, scalar, samples_per_pixel=2)
+    render = render_press(DESIGN, paints, scalar, RenderSettings(samples_per_pixel=2))
     z = render.contact_maps.coat_mm(DESIGN)[..., 0]
     np.testing.assert_array_equal(np.isnan(z), np.isnan(render.contact_maps.contact_distance))
     np.testing.assert_allclose(
@@ -91,7 +108,7 @@ def test_distances_are_measured_in_half_widths(scalar, paints):
         # interpolated over facets of 0.1 mm, half-width 5.3 mm: the kink at the centre is rounded by up to half a facet
         atol=0.01,
     )
-    flat = render_press(without_press(DESIGN), paints, scalar, samples_per_pixel=2)
+    flat = render_press(without_press(DESIGN), paints, scalar, RenderSettings(samples_per_pixel=2))
     assert np.isnan(flat.contact_maps.contact_distance).all()
 
 
@@ -100,18 +117,18 @@ def test_what_cannot_be_rendered_is_refused(scalar, paints):
         render_press(DESIGN, {"red": paints["red"]}, scalar)
     for samples in (0, 7):
         with pytest.raises(SimulateError, match=f"even number of at least 2 .*, got {samples}"):
-            render_press(DESIGN, paints, scalar, samples_per_pixel=samples)
+            render_press(DESIGN, paints, scalar, RenderSettings(samples_per_pixel=samples))
     with pytest.raises(
         SimulateError, match=r"contact_samples_per_pixel must be an even number of at least 2 .*, got 5"
     ):
-        render_press(DESIGN, paints, scalar, samples_per_pixel=2, contact_samples_per_pixel=5)
+        render_press(DESIGN, paints, scalar, RenderSettings(samples_per_pixel=2, contact_samples_per_pixel=5))
 
 
 def test_what_cannot_be_swept_is_refused(scalar, paints):
     with pytest.raises(SimulateError, match="needs a list of angles in deg"):
         sweep_light_angle(DESIGN, paints, scalar, [])
     with pytest.raises(SimulateError, match="at least one repeat"):
-        sweep_light_angle(DESIGN, paints, scalar, [30.0], repeats=0)
+        sweep_light_angle(DESIGN, paints, scalar, [30.0], ProbePaths(repeats=0))
     with pytest.raises(SimulateError, match="x = 20 mm, z = 35 mm lies outside the pad"):
         sweep_light_angle(DESIGN, paints, scalar, [30.0], probe_points_mm=np.array([[20.0, 35.0]]))
     with pytest.raises(SimulateError, match=r"shape \(probe, 2\)"):
@@ -122,7 +139,9 @@ def test_what_cannot_be_swept_is_refused(scalar, paints):
 
 @pytest.mark.renderer
 def test_the_same_seed_gives_the_same_image_and_another_seed_another(llvm, paints):
-    first, again, other = (render_press(DESIGN, paints, llvm, seed=s, samples_per_pixel=4) for s in (3, 3, 4))
+    first, again, other = (
+        render_press(DESIGN, paints, llvm, RenderSettings(seed=s, samples_per_pixel=4)) for s in (3, 3, 4)
+    )
     assert_of_the_same_paths(first.contact_bands, again.contact_bands)
     seen = pad_pixels(first)
     one, two = first.contact_bands[seen], other.contact_bands[seen]
@@ -132,7 +151,10 @@ def test_the_same_seed_gives_the_same_image_and_another_seed_another(llvm, paint
 @pytest.mark.renderer
 def test_doubling_the_red_paint_doubles_the_red_band_alone(llvm, paints):
     brighter = {**paints, "red": replace(paints["red"], emission_per_nm=2.0 * paints["red"].emission_per_nm)}
-    one, two = (render_press(DESIGN, p, llvm, seed=1, samples_per_pixel=4).contact_bands for p in (paints, brighter))
+    one, two = (
+        render_press(DESIGN, p, llvm, RenderSettings(seed=1, samples_per_pixel=4)).contact_bands
+        for p in (paints, brighter)
+    )
     assert_of_the_same_paths(two[..., 0], 2.0 * one[..., 0])
     assert_of_the_same_paths(two[..., 1:], one[..., 1:])
 
@@ -143,7 +165,7 @@ def test_compiled_and_scalar_renderers_agree(llvm_choice, paints):
     for choice in (llvm_choice, choose_variant("scalar")):
         renderer, values = open_renderer(choice), []
         for seed in range(100, 112):
-            render = render_press(DESIGN, paints, renderer, seed=seed, samples_per_pixel=8)
+            render = render_press(DESIGN, paints, renderer, RenderSettings(seed=seed, samples_per_pixel=8))
             values.append(render.contact_bands[pad_pixels(render)].mean(axis=0))
         # over seeds, because the noise of a bake is common to all pixels of a render
         means[choice.variant] = (np.mean(values, axis=0), np.std(values, axis=0, ddof=1) / np.sqrt(len(values)))
@@ -155,7 +177,7 @@ def test_compiled_and_scalar_renderers_agree(llvm_choice, paints):
 
 @pytest.mark.renderer
 def test_a_press_changes_the_light_near_the_contact_and_hardly_elsewhere(llvm, paints):
-    render = render_press(DESIGN, paints, llvm, samples_per_pixel=512)
+    render = render_press(DESIGN, paints, llvm, RenderSettings(samples_per_pixel=512))
     pixels = pad_pixels(render)
     change = render.contact_bands - render.no_contact_bands
     variance = render.contact_variance + render.no_contact_variance
@@ -197,7 +219,9 @@ def test_direct_light_without_mirror_follows_the_cosine_of_the_refracted_elevati
 
 @pytest.mark.renderer
 def test_sweeps_share_random_numbers_within_a_repeat_and_not_between(llvm, paints):
-    one, two = (sweep_light_angle(DESIGN, paints, llvm, a, repeats=2, samples=300) for a in ([30.0], [10.0, 30.0]))
+    one, two = (
+        sweep_light_angle(DESIGN, paints, llvm, a, ProbePaths(samples=300, repeats=2)) for a in ([30.0], [10.0, 30.0])
+    )
     np.testing.assert_allclose(one.radiance_rel[0], two.radiance_rel[1], rtol=FLOAT32)
     assert (one.radiance_rel[0, 0] != one.radiance_rel[0, 1]).all()
 
@@ -207,7 +231,7 @@ def test_sweeps_share_random_numbers_within_a_repeat_and_not_between(llvm, paint
 def test_contact_and_no_contact_share_their_noise_only_where_it_is_wanted(llvm, paints, common):
     shapes = rest_shape(DESIGN), rest_shape(DESIGN)
     render = render_press(
-        DESIGN, paints, llvm, seed=3, samples_per_pixel=4, shapes=shapes, common_random_numbers=common
+        DESIGN, paints, llvm, RenderSettings(seed=3, samples_per_pixel=4, common_random_numbers=common), shapes=shapes
     )
     on_coat = render.contact_maps.sees("coat")
     one, other = (image[on_coat] for image in (render.no_contact_half_difference, render.contact_half_difference))
@@ -223,7 +247,8 @@ def test_contact_and_no_contact_share_their_noise_only_where_it_is_wanted(llvm, 
 def test_more_paths_around_the_contact_make_it_quieter_and_change_nothing_else(llvm, paints):
     """Windows of different sizes and path counts in one scene: 16 times the paths, a quarter of the noise."""
     few, many = (
-        render_press(DESIGN, paints, llvm, seed=5, samples_per_pixel=8, contact_samples_per_pixel=n) for n in (8, 128)
+        render_press(DESIGN, paints, llvm, RenderSettings(seed=5, samples_per_pixel=8, contact_samples_per_pixel=n))
+        for n in (8, 128)
     )
     led = [render.chains.index("led") for render in (few, many)]
     near, far = (many.contact_maps.contact_distance < 2.0), (many.contact_maps.contact_distance > 5.0)
@@ -240,7 +265,9 @@ def test_more_paths_around_the_contact_make_it_quieter_and_change_nothing_else(l
 @pytest.mark.renderer
 def test_two_seeds_differ_as_much_as_their_variances_say(llvm, paints):
     """Shares of pixels beyond their 95 % points (normal), dark ones too; 3.5 to 5.5 % were seen on large pictures."""
-    one, other = (render_press(DESIGN, paints, llvm, seed=seed, samples_per_pixel=64) for seed in (8, 9))
+    one, other = (
+        render_press(DESIGN, paints, llvm, RenderSettings(seed=seed, samples_per_pixel=64)) for seed in (8, 9)
+    )
     coat = pad_pixels(one)
     difference = (one.contact_bands - other.contact_bands)[coat]
     sd = np.sqrt(one.contact_variance + other.contact_variance)[coat]

@@ -7,10 +7,12 @@ from data_schemas import Coating, FingerDesign, GelPad, LightPanel
 from data_schemas._design_parts import Enclosure, Mirror, TactileCamera
 from sim.optics import TEXELS_ALONG, camera_pose, paint_bands
 from sim.optics import _scene as scene_module
-from sim.optics._optical_layout import coat_positions, pixel_directions
+from sim.optics._optical_layout import pixel_directions
 from sim.optics._painted_walls import TEXELS_UP, texel_uv, wall_map
+from sim.optics._path_rules import LedSearch
 from sim.optics._scene import band_film, camera_sensor, finger_scene, panel_shape
 from sim.surface_meshes import pressed_shape
+from tests.simulate.closed_form_view import coat_positions
 from tests.simulate.flat_refraction import refracted_irradiance
 
 SMALL_CAMERA = TactileCamera(width_px=64, height_px=48)
@@ -155,7 +157,10 @@ def test_refractive_connection_has_the_mean_of_plain_paths_and_less_noise(llvm, 
     count, repeats = 50_000, 8
     results = {}
     for refractive in (True, False):
-        integrator, means = band_integrator(scene, design, pressed_shape(design), refractive=refractive), []
+        integrator, means = (
+            band_integrator(scene, design, pressed_shape(design), led=LedSearch(refractive=refractive)),
+            [],
+        )
         for seed in range(repeats):
             sampler.seed(100 + seed, count)
             rays = llvm.Ray3f(llvm.Point3f(2.0, 3.0, 20.0), llvm.Vector3f(0.0, 1.0, 0.0))

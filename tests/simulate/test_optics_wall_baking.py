@@ -10,6 +10,7 @@ from data_schemas._design_parts import Enclosure, Mirror, TactileCamera
 from sim.optics import (
     TEXELS_ALONG,
     WALLS,
+    LoadedScene,
     PaintOptics,
     bake_walls,
     choose_variant,
@@ -117,12 +118,12 @@ def test_lighting_the_walls_sets_the_sum_of_the_chains_of_each_band(scalar, pain
 def test_one_chain_per_order_and_the_scalar_bake_agrees(llvm_choice, mutual_paints):
     design = FingerDesign(camera=CAMERA, pad=BARE)
     renderer = open_renderer(llvm_choice)
-    compiled = bake_walls(*finger(design, mutual_paints, renderer), renderer, samples=10_000, repeats=6)
+    compiled = bake_walls(LoadedScene(*finger(design, mutual_paints, renderer), renderer), samples=10_000, repeats=6)
     assert {"led>red", "led>green", "led>green>red"} <= compiled[0].keys()
     # red emission excites no green paint
     assert not any(">red>green" in chain for chain in compiled[0])
     renderer = open_renderer(choose_variant("scalar"))
-    stock = bake_walls(*finger(design, mutual_paints, renderer), renderer, samples=3000, repeats=6)
+    stock = bake_walls(LoadedScene(*finger(design, mutual_paints, renderer), renderer), samples=3000, repeats=6)
     for chain in ("led>red", "led>green>red"):
         (fast, fast_error), (slow, slow_error) = (mean_and_error(r, chain) for r in (compiled, stock))
         assert slow_error < 0.2 * slow
@@ -132,11 +133,11 @@ def test_one_chain_per_order_and_the_scalar_bake_agrees(llvm_choice, mutual_pain
 @pytest.mark.renderer
 def test_chains_below_half_a_percent_are_left_out_and_level_a_has_the_first_order_only(llvm, mutual_paints):
     case = finger(FingerDesign(camera=CAMERA), mutual_paints, llvm)
-    light = bake_walls(*case, llvm, samples=10_000)[0]
+    light = bake_walls(LoadedScene(*case, llvm), samples=10_000)[0]
     for wall in WALLS:
         of_wall = [v.mean() for chain, v in light.items() if last_band(chain) == wall]
         assert min(of_wall) >= 0.005 * sum(of_wall)
-    paper = bake_walls(*case, llvm, "a", samples=10_000)[0]
+    paper = bake_walls(LoadedScene(*case, llvm), "a", samples=10_000)[0]
     assert set(paper) == {"led>red", "led>green"}
     assert paper["led>red"].mean() == pytest.approx(light["led>red"].mean(), rel=1e-6)
 

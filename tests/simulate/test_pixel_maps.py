@@ -10,10 +10,11 @@ import pytest
 from data_schemas import CameraCalibration, FingerDesign, LightPanel, SimulateError
 from data_schemas._design_parts import TactileCamera
 from sim.optics import camera_pose, paint_bands, pixel_maps
-from sim.optics._optical_layout import coat_positions, pixel_directions
+from sim.optics._optical_layout import pixel_directions
 from sim.optics._pixel_maps import NOTHING, _meet, camera_rays
 from sim.optics._scene import finger_scene
 from sim.surface_meshes import FingerShape, bent, pressed_shape, rest_shape, vertex_normals
+from tests.simulate.closed_form_view import coat_positions
 
 SMALL = FingerDesign(camera=TactileCamera(width_px=160, height_px=120))
 # the mirror's 241 facets and the coat's 0.1 mm grid against their smooth forms

@@ -13,7 +13,7 @@ from finray_calib.compare._region_sums import render_layers
 from sim.experiments import FingerScene, PaintedFinger, Rendering, pose_response, simulate_press
 from sim.experiments import _rendered_press as module
 from sim.experiments._rendered_press import POSE_STEPS_MM
-from sim.optics import BAKE_SAMPLES
+from sim.optics import BAKE_SAMPLES, RenderSettings
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=64, height_px=48))
 CHAINS = ("led>red", "led>green", "led")
@@ -40,8 +40,8 @@ def calls(monkeypatch):
     """Replace the renderer by the closed form; each call is noted."""
     noted = []
 
-    def render(design, paints, renderer, level, seed, samples, progress, shapes, calibration, contact_samples):
-        noted.append((level, seed, samples, contact_samples))
+    def render(design, paints, renderer, settings, *, shapes, **_):
+        noted.append(settings)
         less, more = (closed_form(s.depth_mm, s.position_mm) for s in shapes)
         return SimpleNamespace(
             chains=("led", "led>red"),
@@ -58,8 +58,8 @@ def shape_of(design):
 
 
 def test_derivatives_are_central_differences(finger, calls):
-    found = pose_response(finger, "b", 7, 16, 64, CHAINS, shape_of)
-    assert calls == [("b", 7, 16, 64)] * 2
+    found = pose_response(finger, RenderSettings("b", 7, 16, 64), CHAINS, shape_of)
+    assert calls == [RenderSettings("b", 7, 16, 64)] * 2
     assert found.names == ("depth_mm", "position_mm")
     assert found.steps_mm == tuple(POSE_STEPS_MM.values())
     depth = DESIGN.indenter.depth_mm

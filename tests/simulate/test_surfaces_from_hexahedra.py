@@ -28,7 +28,8 @@ from sim.surface_meshes import (
     shape_from_mesh,
     split_quads,
 )
-from sim.surface_meshes._hexahedra import DARK_BODIES, hexahedra_volume_mm3, smooth_normals, surface_quality
+from sim.surface_meshes._hexahedra import DARK_BODIES
+from tests.simulate.surface_quality import hexahedra_volume_mm3, smooth_normals, surface_quality
 
 DESIGN = FingerDesign()
 ROUNDING_MM = 1e-10

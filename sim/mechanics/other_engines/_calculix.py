@@ -21,8 +21,7 @@ from data_schemas import FingerDesign, MissingExtraError, Preset, SimulateError
 from data_schemas.storage import read_bytes
 from sim.mechanics import QUAD_CORNERS, FingerMesh, PressedFinger, finger_materials, finger_mesh, quad_shapes
 from sim.mechanics.other_engines._calculix_results import read_convergence, read_frd, read_totals
-from sim.mechanics.other_engines._deck import finger_deck
-from sim.mechanics.other_engines._deck_materials import deck_materials
+from sim.mechanics.other_engines._deck import deck_materials, finger_deck
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
