@@ -269,7 +269,7 @@ def _require_same_indenter(name: str, rendered: Indenter, capture: TactileCaptur
             f"{name} presses a {_described(rendered)}, {capture.name} a {_described(captured)}: simulate with the "
             "capture's indenter.shape and size, or correct the indenter of the capture's record"
         )
-    if captured.shape not in _ROUND_SHAPES:
+    if captured.shape not in _ROUND_SHAPES or captured.radius_mm is None:
         return
     if abs(rendered.radius_mm / captured.radius_mm - 1.0) > _SAME_RADIUS_REL * (1.0 + 1e-9):
         raise CompareError(
@@ -280,7 +280,8 @@ def _require_same_indenter(name: str, rendered: Indenter, capture: TactileCaptur
 
 def _described(indenter: Indenter | IndenterPose) -> str:
     """Return shape, and radius where the shape has one."""
-    radius = f" of radius {indenter.radius_mm:g} mm" if indenter.shape in _ROUND_SHAPES else ""
+    is_known = indenter.shape in _ROUND_SHAPES and indenter.radius_mm is not None
+    radius = f" of radius {indenter.radius_mm:g} mm" if is_known else ""
     return f"{indenter.shape}{radius}"
 
 
