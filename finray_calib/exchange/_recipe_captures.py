@@ -239,8 +239,8 @@ class _Folder:
         if picture.corners_px is not None and picture.size_px is not None:
             width, height = picture.size_px
             corners = [[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]]
-            ends = (np.array(places, dtype=np.float32) for places in (picture.corners_px, corners))
-            turned = cv2.getPerspectiveTransform(*ends)
+            seen, wanted = (np.array(places, dtype=np.float32) for places in (picture.corners_px, corners))
+            turned = cv2.getPerspectiveTransform(seen, wanted)
             image = cv2.warpPerspective(np.ascontiguousarray(image), turned, picture.size_px, flags=cv2.INTER_AREA)
         return np.ascontiguousarray(image).astype(np.uint16)
 

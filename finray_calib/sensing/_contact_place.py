@@ -219,8 +219,8 @@ def _coarse(signal: Image, smallest_px: float, largest_px: float, is_even: bool)
         energy = np.sum(answers, axis=0).sum(axis=-1)
         row, column = np.unravel_index(int(energy.argmax()), energy.shape)
         if energy[row, column] > best.strength:
-            places = ((at + 0.5) * _COARSE_PX - 0.5 for at in (column, row))
-            best = _Place(float(energy[row, column]), *places, float(radius))
+            column_px, row_px = ((float(at) + 0.5) * _COARSE_PX - 0.5 for at in (column, row))
+            best = _Place(float(energy[row, column]), column_px, row_px, float(radius))
     return best
 
 
@@ -276,7 +276,8 @@ def _odd_circle(signal: Image, coarse: _Place, smallest_px: float, largest_px: f
             for k in (-1, 0, 1)
         ]
         x, y, r = max(near, key=rim.score)
-    of_channels = [max(radii, key=lambda q, c=c: _Rim(energies[..., c]).score((x, y, float(q)))) for c in range(3)]
+    rims = [_Rim(energies[..., c]) for c in range(energies.shape[2])]
+    of_channels = [radii[int(np.argmax([of_channel.score((x, y, float(q))) for q in radii]))] for of_channel in rims]
     circle = ContactCircle(row_px=y, column_px=x, radius_px=r)
     return FoundCircle(circle, False, float(np.std(of_channels)))
 
