@@ -174,7 +174,7 @@ class IndenterPose(Model):
     """What was pressed, where and how deep; the circle or strip it touches. Uncertainties are standard ones."""
 
     shape: Literal["cylinder", "ball", "cuboid", "mesh"]
-    radius_mm: LengthMm
+    radius_mm: LengthMm | None = Field(description="half the width where it is not round; none: not known")
     depth_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})] | None
     position_mm: PositionMm | None = Field(description="along the pad, from the base")
     tilt_deg: AngleDeg | None = Field(default=None, description="between the indenter's axis and the pad's normal")
@@ -191,6 +191,20 @@ class ContactCircle(Model):
     radius_px: Annotated[float, Field(gt=0.0)]
 
 
+class PlaceInImage(Model):
+    """A place in the image; the centre of the first pixel is 0, 0."""
+
+    row_px: float
+    column_px: float
+
+
+class MissingPart(Model):
+    """What a capture lacks, and what is lost by it."""
+
+    what: str
+    lost: str
+
+
 class TactileCapture(Record):
     """Images of one press: contact, no contact and a repeat of no contact, with everything needed to compare.
 
@@ -198,7 +212,7 @@ class TactileCapture(Record):
     "unknown" the values went through an unknown camera curve and are not proportional to light.
     """
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray capture'"
 
     name: str
@@ -226,10 +240,26 @@ class TactileCapture(Record):
     exposure_bracket_s: tuple[ExposureS, ...] = Field(
         default=(), description="all exposures of the press, this one among them; the session holds the others' frames"
     )
+    contact_outline: tuple[PlaceInImage, ...] | None = Field(
+        default=None, description="corners of the contact region where it is no circle, in order"
+    )
+    contact_told_by: Literal["label", "search"] | None = Field(
+        default=None, description="search: found in the picture by the program; none: not known"
+    )
+    no_contact_from: Literal["image", "median of presses", "pixels far from the contact"] = Field(
+        default="image", description="what the no-contact image is; all but an image are substitutes"
+    )
+    force_n: Annotated[float, Field(ge=-1000.0, le=1000.0, json_schema_extra={"unit": "N"})] | None = Field(
+        default=None, description="of the press at the contact image"
+    )
+    licence: str | None = Field(default=None, description="under which the images were published; none: not known")
+    missing: tuple[MissingPart, ...] = Field(default=(), description="what the source of the capture does not hold")
 
     @model_validator(mode="after")
     def _images_agree(self) -> "TactileCapture":
         check_dimensions(self)
+        if self.contact_outline is not None and (self.contact_circle is not None or len(self.contact_outline) < 3):
+            raise ValueError("contact_outline: needs 3 corners or more, and stands in the place of contact_circle")
         samples = {"RGB": 3, "Bayer RGGB": 1}[self.layout]
         if self.contact.shape[2] != samples:
             raise ValueError(f"layout {self.layout} needs {samples} sample(s) per pixel, got {self.contact.shape[2]}")

@@ -356,6 +356,8 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("PaintWithoutEmission", 3): _as_it_is,
     # simultaneous band, share of the prior, what the spectrum rests on; older files rest on their family
     ("PaintCalibration", 6): _as_it_is,
+    # an outline in place of a circle, force, licence and what is missing; none: not known
+    ("TactileCapture", 2): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

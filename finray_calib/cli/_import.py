@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli._import_captures import add_captures_format
 from finray_calib.cli._run import add_out, command_line, file_name, input_digests, naming, require_new, say
 
 if TYPE_CHECKING:
-    from data_schemas import ContactCircle, SimulatedPress, TactileCapture
+    from data_schemas import SimulatedPress, TactileCapture
 
 
 IMPORT_HELP = (
@@ -34,6 +35,7 @@ def add_import(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     """Register the verb and its formats."""
     parser = verbs.add_parser("import", help=IMPORT_HELP, description=IMPORT_HELP)
     formats = parser.add_subparsers(dest="format", metavar="FORMAT", title="formats", required=True)
+    add_captures_format(formats)
     dtact = _add_format(formats, "9dtact", "sensor folder of 9DTact", NINE_DTACT)
     dtact.add_argument(
         "--predict-from", type=Path, metavar="FOLDER", help="other sensor whose table makes a prediction"
@@ -262,7 +264,7 @@ def add_render_format(formats: "argparse._SubParsersAction[argparse.ArgumentPars
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="of one press, or of a folder for each press")
     parser.add_argument(
         "--capture", type=Path, metavar="FILE",
-        help="capture of the press, or a folder of NAME.capture.json: their circles say where the contact is",
+        help="capture of the press, or a folder of NAME.capture.json: their circles or outlines tell the contact",
     )  # fmt: skip
     add_out(parser, "FOLDER.press.json; of several presses FOLDER.presses, a folder with NAME.press.json")
     parser.set_defaults(run=run_render)
@@ -275,12 +277,12 @@ def run_render(arguments: argparse.Namespace) -> None:
     from finray_calib.exchange import read_renders
 
     folder, name = arguments.folder, arguments.folder.resolve().name
-    circles, captures = _circles(arguments.capture, name)
-    presses = read_renders(folder, circles)
+    captures, read = _captures(arguments.capture, name)
+    presses = read_renders(folder, captures)
     one = name in presses and not (folder / name).is_dir()
     out = require_new(arguments.out or Path(f"{name}.press.json" if one else f"{name}.presses"))
     files = sorted(p for p in folder.rglob("*") if digest_as_read(p) is not None)
-    origin = provenance(command_line(), input_digests([*files, *captures]))
+    origin = provenance(command_line(), input_digests([*files, *read]))
     with ProductSet(out) as products:
         for press in presses.values():
             write_record(press, out if one else out / f"{file_name(press.name)}.press.json", origin, products)
@@ -291,25 +293,23 @@ def run_render(arguments: argparse.Namespace) -> None:
     say(f"  {first.notes[0]}")
 
 
-def _circles(captures: Path | None, name: str) -> "tuple[dict[str, ContactCircle], list[Path]]":
-    """Return press name -> circle of its capture, and the files that were read."""
+def _captures(place: Path | None, name: str) -> "tuple[dict[str, TactileCapture], list[Path]]":
+    """Return press name -> its capture where that tells where the contact is, and the files that were read."""
     from data_schemas import ImportFormatError, TactileCapture
     from data_schemas.storage import read_record
 
-    if captures is None:
+    if place is None:
         return {}, []
     ending = ".capture.json"
-    files = sorted(captures.glob(f"*{ending}")) if captures.is_dir() else [captures]
-    found = {
-        (f.name.removesuffix(ending) if captures.is_dir() else name): read_record(f, TactileCapture) for f in files
-    }
-    circles = {press: capture.contact_circle for press, capture in found.items() if capture.contact_circle is not None}
-    if not circles:
+    files = sorted(place.glob(f"*{ending}")) if place.is_dir() else [place]
+    read = {(f.name.removesuffix(ending) if place.is_dir() else name): read_record(f, TactileCapture) for f in files}
+    found = {press: c for press, c in read.items() if c.contact_circle is not None or c.contact_outline is not None}
+    if not found:
         raise ImportFormatError(
-            f"{captures}: holds no capture with a contact circle; leave --capture out and say in the render's folder "
-            "where the contact is"
+            f"{place}: holds no capture with a contact circle or outline; leave --capture out and say in the render's "
+            "folder where the contact is"
         )
-    return circles, files
+    return found, files
 
 
 ABAQUS_HELP = "import the results file of a deck that Abaqus has run"

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from finray_calib.compare._comparison_record import NO_DRIFT, CheckOptions, compare_checked, compare_press
     from finray_calib.compare._displayed_images import ciede2000, srgb_to_lab
     from finray_calib.compare._mismatch import find_mismatches
+    from finray_calib.compare._press_table import PressTable, predict_press, spread_over, teach_table
     from finray_calib.compare._regions import DILATED, Region, contact_regions, disc, strip_from_distance
     from finray_calib.compare._registration import register_press
     from finray_calib.compare._structural_similarity import multi_scale_similarity, structural_similarity
@@ -28,6 +29,7 @@ __all__ = [
     "DILATED",
     "NO_DRIFT",
     "CheckOptions",
+    "PressTable",
     "Region",
     "ciede2000",
     "compare_checked",
@@ -39,9 +41,12 @@ __all__ = [
     "multi_scale_similarity",
     "pair_by_name",
     "pairs_of_rows",
+    "predict_press",
     "register_press",
+    "spread_over",
     "srgb_to_lab",
     "strip_from_distance",
     "structural_similarity",
+    "teach_table",
     "worst_pairs",
 ]

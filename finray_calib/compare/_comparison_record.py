@@ -235,10 +235,16 @@ def compare_press(
         white_balance=None if nuisances.gain is None else drift_record(nuisances.gain, nuisances.is_corrected),
         error_map=_error_map(candidates["simulation"].image, comparison),
         withheld=withheld(press, capture, draws.propagated is not None, statements.objective is not None),
+        findings=(OWN_NOISE,) if prepared.holds_noise_of_render else (),
         notes=notes_of(press, capture, images.block_px, nuisances),
     )
 
 
+OWN_NOISE: Final = (
+    "render: the capture holds the very noise of this render, so it was made from it; the noise is not taken out, for "
+    "the score would exceed 1, and a score of 1 shows that the comparison works, not that the simulation is right: "
+    "compare with a capture, or with one made from a render of another seed"
+)
 ENCODED: Final = "encoded values, encoding unknown"
 THROUGH_A_CURVE: Final = "encoded values, through a fitted tone curve"
 

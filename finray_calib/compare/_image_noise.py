@@ -75,6 +75,14 @@ def capture_noise(first: Floats, second: Floats) -> CaptureNoise:
     return CaptureNoise(offset, slope)
 
 
+def high_passed(image: Floats) -> Floats:
+    """Return an image (H, W, C) through the high-pass of unit noise gain; its edge and all beside NaN are NaN."""
+    high = cv2.filter2D(image, cv2.CV_64F, _HIGH_PASS).reshape(image.shape)
+    high[[0, -1]] = np.nan
+    high[:, [0, -1]] = np.nan
+    return np.asarray(high)
+
+
 def _squares(
     first: Floats, second: Floats, finite: NDArray[np.bool_], whole: NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import CompareError, Indenter, IndenterPose, SimulatedPress, TactileCapture
-from finray_calib.compare._image_noise import NO_NOISE, block_mean, capture_noise
+from finray_calib.compare._image_noise import NO_NOISE, block_mean, capture_noise, high_passed
 from finray_calib.compare._region_sums import Captured, RenderLayers, render_layers
 from finray_calib.compare._tone_curve import (
     NUISANCE_DRAWS,
@@ -141,6 +141,8 @@ class PreparedImages:
         Tone curve and gains, which are taken out of `layers` and `captured`.
     block_px
         Side of the blocks of pixels that the images are means of.
+    holds_noise_of_render
+        Whether the capture was made from this very render, see :func:`holds_noise_of`.
     """
 
     layers: RenderLayers
@@ -149,6 +151,7 @@ class PreparedImages:
     distance: Floats
     nuisances: Nuisances
     block_px: int = 1
+    holds_noise_of_render: bool = False
 
     def blocked(self, side_px: int) -> "PreparedImages":
         """Return the means over blocks of pixels."""
@@ -165,6 +168,7 @@ class PreparedImages:
             clipped=block_mean(self.clipped.astype(np.float64), side_px) > 0.0,
             distance=block_mean(self.distance, side_px),
             block_px=side_px,
+            holds_noise_of_render=self.holds_noise_of_render,
         )
 
 
@@ -190,8 +194,51 @@ def prepare_images(press: SimulatedPress, capture: TactileCapture) -> PreparedIm
     nuisances = nuisances_of(press, capture)
     nuisances = replace(nuisances, contact=contact, no_contact=no_contact)
     layers, compared = nuisances.best()
+    captured = Captured(compared, no_contact, repeat, noise)
+    is_own = capture.encoding == "linear" and holds_noise_of(layers, captured)
+    if is_own:
+        layers = layers.without_noise
+        nuisances = replace(nuisances, render=nuisances.render.without_noise)
     distance = press.distance.astype(np.float64)
-    return PreparedImages(layers, Captured(compared, no_contact, repeat, noise), clipped, distance, nuisances)
+    return PreparedImages(layers, captured, clipped, distance, nuisances, holds_noise_of_render=is_own)
+
+
+#: Noise of an independent capture differs from the render's by at least the sum of both; of a capture made from the
+#: render the render's part is missing. Half-way lies far from either: thousands of pixels tell.
+_OWN_NOISE_SHARE = 0.5
+_LEAST_NOISE_PIXELS = 500
+# noise of the render below this share of the camera's moves no score, and is not told from it
+_LEAST_RENDER_NOISE = 0.2
+
+
+def holds_noise_of(layers: RenderLayers, captured: Captured) -> bool:
+    r"""Return whether a capture holds the very noise of the render that it is compared with.
+
+    Through a high-pass of unit noise gain, k S - D of independent images has at least the variance
+    :math:`k^2 v_S + v_D`; of a capture that was made from the render :math:`v_D`. The product of the render's halves,
+    :math:`(S_1 - D)(S_2 - D)`, would then be negative, and the skill would exceed 1 by the render's noise over the
+    contact signal. :math:`v_S` is what the half difference shows through the same high-pass.
+
+    Parameters
+    ----------
+    layers, captured
+        In linear light.
+    """
+    image, half = layers.rgb(layers.contact), layers.rgb(layers.contact_half)
+    contact = captured.contact
+    seen = np.isfinite(contact)
+    if not half.any() or not (np.nan_to_num(contact) > 0.0).any():
+        return False
+    k = [contact[..., c][seen[..., c]].sum() / max(image[..., c][seen[..., c]].sum(), 1e-300) for c in range(3)]
+    left, of_render = high_passed(image * k - contact), high_passed(half * k)
+    of_camera = captured.variance(np.nan_to_num(contact))
+    used = np.isfinite(left).all(axis=2) & (np.nan_to_num(of_render) != 0.0).any(axis=2)
+    if used.sum() < _LEAST_NOISE_PIXELS:
+        return False
+    render, camera = (of_render[used] ** 2).mean(axis=0), of_camera[used].mean(axis=0)
+    told = render > _LEAST_RENDER_NOISE * camera
+    share = ((left[used] ** 2).mean(axis=0) - camera)[told] / render[told]
+    return bool(told.any() and float(np.median(share)) < _OWN_NOISE_SHARE)
 
 
 def _require_comparable(press: SimulatedPress, capture: TactileCapture, shape: tuple[int, ...]) -> None:
@@ -269,7 +316,7 @@ def _require_same_indenter(name: str, rendered: Indenter, capture: TactileCaptur
             f"{name} presses a {_described(rendered)}, {capture.name} a {_described(captured)}: simulate with the "
             "capture's indenter.shape and size, or correct the indenter of the capture's record"
         )
-    if captured.shape not in _ROUND_SHAPES:
+    if captured.shape not in _ROUND_SHAPES or captured.radius_mm is None:
         return
     if abs(rendered.radius_mm / captured.radius_mm - 1.0) > _SAME_RADIUS_REL * (1.0 + 1e-9):
         raise CompareError(
@@ -280,7 +327,8 @@ def _require_same_indenter(name: str, rendered: Indenter, capture: TactileCaptur
 
 def _described(indenter: Indenter | IndenterPose) -> str:
     """Return shape, and radius where the shape has one."""
-    radius = f" of radius {indenter.radius_mm:g} mm" if indenter.shape in _ROUND_SHAPES else ""
+    is_known = indenter.shape in _ROUND_SHAPES and indenter.radius_mm is not None
+    radius = f" of radius {indenter.radius_mm:g} mm" if is_known else ""
     return f"{indenter.shape}{radius}"
 
 

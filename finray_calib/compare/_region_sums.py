@@ -66,6 +66,12 @@ class RenderLayers:
         """Return matrix @ layers as (H, W, 3)."""
         return np.asarray(layers.astype(np.float64) @ self.matrix.T)
 
+    @property
+    def without_noise(self) -> "RenderLayers":
+        """The same layers as if both halves were their mean: nothing is taken out of squared errors."""
+        dark, still = np.zeros_like(self.contact_half), np.zeros_like(self.pose_half)
+        return replace(self, contact_half=dark, no_contact_half=dark, pose_half=still)
+
     def blocked(self, side_px: int) -> "RenderLayers":
         """Return the means over blocks of pixels."""
         contact = block_mean(self.contact, side_px)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from finray_calib.exchange._band_folder import BandFolder, import_band_folder
     from finray_calib.exchange._bispectral_exr import read_bispectral_exr
     from finray_calib.exchange._board_pictures import calibration_yaml, read_board_picture
+    from finray_calib.exchange._capture_recipe import Recipe, read_recipe, recipe_names, with_sizes
     from finray_calib.exchange._capture_request import PlannedView, capture_request
     from finray_calib.exchange._force_csv import read_force_csv
     from finray_calib.exchange._inference_data import inference_data
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from finray_calib.exchange._paint_spectra import PaintSpectra, paint_spectra
     from finray_calib.exchange._printable_parts import PrintFormat, printable_parts
     from finray_calib.exchange._raspberry_pi import RaspberryPiOptions, raspberry_pi_capture, read_tuning
+    from finray_calib.exchange._recipe_captures import RecipeCaptures, read_by_recipe
     from finray_calib.exchange._record_arrays import record_dataset
     from finray_calib.exchange._render_files import write_optics_folder
     from finray_calib.exchange._render_folder import read_renders
@@ -47,6 +49,8 @@ __all__ = [
     "PlannedView",
     "PrintFormat",
     "RaspberryPiOptions",
+    "Recipe",
+    "RecipeCaptures",
     "as_spectral_distribution",
     "assumed_led",
     "calibration_yaml",
@@ -63,13 +67,17 @@ __all__ = [
     "read_ball_presses",
     "read_bispectral_exr",
     "read_board_picture",
+    "read_by_recipe",
     "read_circles",
     "read_force_csv",
+    "read_recipe",
     "read_renders",
     "read_taxim",
     "read_tuning",
+    "recipe_names",
     "record_dataset",
     "taxim_files",
     "vtu_bytes",
+    "with_sizes",
     "write_optics_folder",
 ]

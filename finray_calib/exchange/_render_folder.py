@@ -6,17 +6,18 @@ which says what the values are. A folder of such folders holds several presses. 
 asked for: PNG is encoded and OpenEXR linear light unless render.json says otherwise, npy says nothing by itself.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
-from scipy.ndimage import distance_transform_edt
 
-from data_schemas import ContactCircle, ImportFormatError, Model, SimulatedPress, explain
+from data_schemas import ContactCircle, ImportFormatError, Model, SimulatedPress, TactileCapture, explain
 from data_schemas.storage import read_json, read_npy
 from finray_calib.exchange._bispectral_exr import exr_image
+from finray_calib.sensing import contact_distance, outline_distance
 from rigs.cameras import read_picture
 
 Floats = NDArray[np.float64]
@@ -46,15 +47,15 @@ class RenderDescription(Model):
     contact_circle: ContactCircle | None = None
 
 
-def read_renders(folder: Path, circles: dict[str, ContactCircle] | None = None) -> dict[str, SimulatedPress]:
+def read_renders(folder: Path, captures: Mapping[str, TactileCapture] | None = None) -> dict[str, SimulatedPress]:
     """Read a folder of one press, or of a folder for each press.
 
     Parameters
     ----------
     folder
         Holds contact and no_contact images, or folders that do.
-    circles
-        Press name -> contact circle of its capture, which stands for what the folder says of the contact.
+    captures
+        Press name -> its capture, whose circle or outline stands for what the folder says of the contact.
 
     Returns
     -------
@@ -78,7 +79,7 @@ def read_renders(folder: Path, circles: dict[str, ContactCircle] | None = None) 
             f"{folder}: neither it nor a folder in it holds a file {CONTACT} ({endings}); put the image with contact "
             f"there, and {NO_CONTACT} beside it"
         )
-    known = circles or {}
+    known = captures or {}
     return {inner.resolve().name: _press(inner, known.get(inner.resolve().name)) for inner in folders}
 
 
@@ -87,7 +88,7 @@ def _image_file(folder: Path, stem: str) -> Path | None:
     return next((folder / f"{stem}{e}" for e in IMAGE_ENDINGS if (folder / f"{stem}{e}").is_file()), None)
 
 
-def _press(folder: Path, circle: ContactCircle | None) -> SimulatedPress:
+def _press(folder: Path, capture: TactileCapture | None) -> SimulatedPress:
     """Return one press."""
     said = _description(folder / DESCRIPTION)
     files = {stem: _image_file(folder, stem) for stem in (CONTACT, NO_CONTACT)}
@@ -113,7 +114,7 @@ def _press(folder: Path, circle: ContactCircle | None) -> SimulatedPress:
             f"{folder}: {contact_file.name} is {contact.shape[1]} x {contact.shape[0]} px, {rest_file.name} "
             f"{no_contact.shape[1]} x {no_contact.shape[0]} px; render both with one camera"
         )
-    distance, how = _distance(folder, contact.shape[:2], circle, said.contact_circle)
+    distance, how = _distance(folder, contact.shape[:2], capture, said.contact_circle)
     notes = [f"imported from a folder of images, by {said.simulator}; its contact: {how}"]
     notes += [f"rendered by: {said.command}"] if said.command else []
     notes += (
@@ -156,7 +157,7 @@ def _image(path: Path, channels: str | None) -> Floats:
             )
         return np.asarray(picture[..., 2::-1], dtype=np.float64)
     if path.suffix == ".exr":
-        return _exr(path)
+        return exr_rgb(path)
     array = read_npy(path, "an image (npy)", ImportFormatError).astype(np.float64)
     if array.ndim != 3 or array.shape[2] != 3 or not np.isfinite(array).all() or array.min(initial=0.0) < 0.0:
         raise ImportFormatError(
@@ -167,8 +168,8 @@ def _image(path: Path, channels: str | None) -> Floats:
     return np.asarray(array[..., ::-1] if channels == "BGR" else array)
 
 
-def _exr(path: Path) -> Floats:
-    """Return the channels R, G, B of an OpenEXR image."""
+def exr_rgb(path: Path) -> Floats:
+    """Return the channels R, G, B of an OpenEXR image, (H, W, 3), none below zero."""
     found: dict[str, NDArray[Any]] = exr_image(path)
     names = {name.rsplit(".", 1)[-1].upper(): name for name in found}
     if not {"R", "G", "B"} <= names.keys():
@@ -180,14 +181,16 @@ def _exr(path: Path) -> Floats:
 
 
 def _distance(
-    folder: Path, shape: tuple[int, ...], of_capture: ContactCircle | None, of_render: ContactCircle | None
+    folder: Path, shape: tuple[int, ...], capture: TactileCapture | None, of_render: ContactCircle | None
 ) -> tuple[Floats, str]:
     """Return the distance from the contact in half-widths, and what tells where the contact is."""
-    for circle, whose in ((of_capture, "the circle of the capture"), (of_render, f"the circle of {DESCRIPTION}")):
-        if circle is not None:
-            rows, columns = np.indices(shape[:2])
-            away = np.hypot(rows - circle.row_px, columns - circle.column_px)
-            return np.asarray(away / circle.radius_px), whose
+    of_capture = None if capture is None else contact_distance(capture)
+    if capture is not None and of_capture is not None:
+        return of_capture, f"the {'outline' if capture.contact_circle is None else 'circle'} of the capture"
+    if of_render is not None:
+        rows, columns = np.indices(shape[:2])
+        away = np.hypot(rows - of_render.row_px, columns - of_render.column_px)
+        return np.asarray(away / of_render.radius_px), f"the circle of {DESCRIPTION}"
     if (folder / DEPTH).is_file():
         depth = read_npy(folder / DEPTH, "a map of depths (npy)", ImportFormatError).astype(np.float64)
         if depth.shape != shape[:2] or not np.isfinite(depth).all() or not depth.max(initial=0.0) > 0.0:
@@ -207,24 +210,3 @@ def _distance(
         f"{folder}: nothing says where the contact is, and a score needs its region; write {DEPTH} (mm, positive into "
         f"the gel), {MASK}, or contact_circle into {DESCRIPTION}, or give the capture with --capture"
     )
-
-
-def outline_distance(inside: NDArray[np.bool_]) -> Floats:
-    """Return the distance from the contact in half-widths for a contact of any shape.
-
-    With d the distance from the outline in pixels, positive outside, and w the largest distance inside, 1 + d / w: 1 on
-    the outline, 0 at the middle. Of a disc it is the distance from its centre over its radius.
-
-    Parameters
-    ----------
-    inside : ndarray of bool, shape (H, W)
-        At least one pixel.
-    """
-    if inside.all():
-        return np.zeros(inside.shape)
-    within = np.asarray(distance_transform_edt(inside), dtype=np.float64)
-    outside = np.asarray(distance_transform_edt(~inside), dtype=np.float64)
-    # the outline runs between pixels: half a pixel from the last one on either side
-    signed = np.where(inside, 0.5 - within, outside - 0.5)
-    width = max(float(within.max()) - 0.5, 0.5)
-    return np.asarray(np.maximum(1.0 + signed / width, 0.0))

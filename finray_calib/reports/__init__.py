@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         row_of,
         simulation_sentence,
     )
+    from finray_calib.reports._contact_sheet import circles_csv, contacts_png
     from finray_calib.reports._decision_figures import angle_figure
     from finray_calib.reports._decision_page import (
         decision_meaning,
@@ -98,9 +99,11 @@ __all__ = [
     "Section",
     "angle_figure",
     "check_report",
+    "circles_csv",
     "clipped_remark",
     "comparison_lines",
     "comparison_page",
+    "contacts_png",
     "decimals_for",
     "decision_meaning",
     "decision_page",

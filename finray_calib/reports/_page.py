@@ -216,7 +216,7 @@ def _with_u(value: float | None, u: float | None, unit: str) -> str:
 
 def _indenter(pose: IndenterPose, press: SimulatedPress) -> tuple[str, str]:
     """Return what was pressed, in the capture and in the simulation."""
-    parts = [f"{pose.shape}, radius {pose.radius_mm:g} mm"]
+    parts = [pose.shape if pose.radius_mm is None else f"{pose.shape}, radius {pose.radius_mm:g} mm"]
     if pose.depth_mm is not None:
         parts.append(f"depth {_with_u(pose.depth_mm, pose.depth_uncertainty_mm, 'mm')}")
     if pose.position_mm is not None:

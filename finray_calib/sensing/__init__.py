@@ -12,6 +12,13 @@ from data_schemas import lazy_exports
 if TYPE_CHECKING:
     from finray_calib.sensing._angle_objectives import held_out_normal_error_deg, normal_sigma_deg, uniformity
     from finray_calib.sensing._board_corners import BoardView, find_board, require_plausible
+    from finray_calib.sensing._contact_place import (
+        FoundCircle,
+        contact_distance,
+        find_contact_circle,
+        find_contact_outline,
+        outline_distance,
+    )
     from finray_calib.sensing._lens_calibration import LensCalibration, calibrate_lens
     from finray_calib.sensing._normal_map import (
         NormalMap,
@@ -42,12 +49,16 @@ __all__ = [
     "BoardView",
     "CalibrationPress",
     "Declared",
+    "FoundCircle",
     "LensCalibration",
     "NormalMap",
     "SensingError",
     "calibrate_lens",
     "check_senses",
+    "contact_distance",
     "find_board",
+    "find_contact_circle",
+    "find_contact_outline",
     "fit_normal_map",
     "full_scale_dn",
     "held_out_normal_error_deg",
@@ -55,6 +66,7 @@ __all__ = [
     "normal_map_of",
     "normal_map_record",
     "normal_sigma_deg",
+    "outline_distance",
     "patch_scale",
     "pixel_scale",
     "poisson_depth_mm",

@@ -305,7 +305,7 @@ def calibration_press(capture: TactileCapture) -> CalibrationPress:
     CompareError
         When the capture is not of a ball, or its circle or scale is missing.
     """
-    circle = require_ball_press(capture)
+    circle, radius_mm = require_ball_press(capture)
     cell = _cell_px(capture)
     return CalibrationPress(
         contact=rgb_image(capture.contact, capture),
@@ -313,17 +313,17 @@ def calibration_press(capture: TactileCapture) -> CalibrationPress:
         row_px=(circle.row_px + 0.5) / cell - 0.5,
         column_px=(circle.column_px + 0.5) / cell - 0.5,
         radius_px=circle.radius_px / cell,
-        ball_radius_px=capture.indenter.radius_mm / _scale_mm(capture) / cell,
+        ball_radius_px=radius_mm / _scale_mm(capture) / cell,
     )
 
 
-def require_ball_press(capture: TactileCapture) -> ContactCircle:
-    """Return the contact circle of a capture that can teach a normal map.
+def require_ball_press(capture: TactileCapture) -> tuple[ContactCircle, float]:
+    """Return the contact circle of a capture that can teach a normal map, and the ball's radius in mm.
 
     Raises
     ------
     CompareError
-        When the capture is not of a ball, or its circle or scale is missing.
+        When the capture is not of a ball, or its circle, the ball's radius or its scale is missing.
     """
     circle = capture.contact_circle
     if capture.indenter.shape != "ball" or circle is None:
@@ -331,8 +331,13 @@ def require_ball_press(capture: TactileCapture) -> ContactCircle:
             f"{capture.name}: a normal map is taught by presses of a ball with a known contact circle; this is a "
             f"{capture.indenter.shape} {'without' if circle is None else 'with'} one"
         )
+    if capture.indenter.radius_mm is None:
+        raise CompareError(
+            f"{capture.name}: the ball's radius is missing, so its slopes are not known; import the press again with "
+            "the ball's diameter"
+        )
     _scale_mm(capture)
-    return circle
+    return circle, capture.indenter.radius_mm
 
 
 def _scale_mm(capture: TactileCapture) -> float:

@@ -9,10 +9,11 @@ from finray_calib.compare import _input_draws as stopping_rule
 from finray_calib.compare._candidate_errors import chromaticity_error, skill_interval
 from finray_calib.compare._comparison_record import ALWAYS_UNKNOWN, COVERS_INPUTS, COVERS_PARTS
 from finray_calib.compare._input_draws import DRIFT, PIXELS, POSE, WALLS
+from finray_calib.compare._prepared_images import prepare_images
 from finray_calib.compare._regions import PATCH
 from tests.command_line.records import capture_of
 from tests.command_line.records import press as made_up_press
-from tests.compare.twins import NAMES, SHAPE, distance_map, twin
+from tests.compare.twins import BLACK_DN, DN_PER_UNIT, FULL_SCALE_DN, NAMES, SHAPE, distance_map, twin
 
 
 @pytest.fixture(autouse=True)
@@ -205,6 +206,32 @@ def test_every_skill_of_a_report_lies_in_its_interval(pair):
     report = compare_press(*pair, seed=1)
     skills = [row.skill for region in report.regions for row in region.rows]
     assert all(skill.low95 <= skill.estimate <= skill.high95 for skill in (*skills, report.headline_skill))
+
+
+@pytest.mark.parametrize("render_noise", [0.1, 0.6])
+@pytest.mark.parametrize("has_repeat", [True, False])
+def test_a_capture_made_from_the_very_render_scores_1_and_says_so(render_noise, has_repeat):
+    """The render's noise is in both images: taking it out once more would give 1.05 and 1.23."""
+    made = twin(np.random.default_rng(3), render_noise)
+    rng = np.random.default_rng(4)
+
+    def exposed(image):
+        counts = DN_PER_UNIT * image + BLACK_DN + 3.0 * rng.standard_normal(image.shape)
+        return np.clip(np.rint(counts), 0, FULL_SCALE_DN).astype(np.uint16)
+
+    repeat = exposed(made.press.no_contact) if has_repeat else None
+    images = {"contact": exposed(made.press.contact), "no_contact": exposed(made.press.no_contact)}
+    own = made.capture.model_copy(update={**images, "repeat_no_contact": repeat})
+    report = compare_press(made.press, own, 1)
+    assert report.headline_skill.estimate == pytest.approx(1.0, abs=0.002)
+    assert report.headline_skill.low95 <= report.headline_skill.estimate <= report.headline_skill.high95
+    assert "holds the very noise of this render, so it was made from it" in report.findings[0]
+
+
+def test_captures_of_their_own_are_not_taken_for_the_render():
+    for seed in range(10):
+        made = twin(np.random.default_rng(seed), [0.02, 0.1, 0.6][seed % 3])
+        assert not prepare_images(made.press, made.capture).holds_noise_of_render
 
 
 def test_images_of_another_size_are_refused(pair):

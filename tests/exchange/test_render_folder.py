@@ -9,7 +9,7 @@ import pytest
 from data_schemas import ContactCircle, ImportFormatError, PhotometricErrorReport, SimulatedPress, provenance
 from data_schemas.storage import read_record, write_record
 from finray_calib.exchange import read_renders
-from finray_calib.exchange._render_folder import outline_distance
+from finray_calib.sensing import outline_distance
 from tests.command_line.running import finray, succeed
 from tests.compare.test_tone_curve import RADIUS_PX, SHAPE, distance, pair
 

@@ -1,0 +1,220 @@
+"""Recipes: how another lab's folder of presses is read, as a short TOML file.
+
+A recipe says which files are the presses, where the image without contact is, which columns or arrays hold the contact,
+the scale with its unit, and what was pressed. Those of public sets come with the program; a file of your own is read by
+the same rules.
+"""
+
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+from pydantic import Field, ValidationError, model_validator
+
+from data_schemas import ImportFormatError, MissingPart, Model, explain
+from data_schemas.storage import read_toml_tables
+from finray_calib.exchange._ball_presses import LARGEST_PIXEL_MM, require_length
+
+RECIPES: Final = Path(__file__).parent / "recipes"
+PRESS: Final = "{press}"
+
+Pattern = Annotated[str, Field(min_length=1, max_length=300)]
+Positive = Annotated[float, Field(gt=0.0, le=1e6)]
+Quantity = Annotated[str, Field(min_length=1, max_length=100)] | Positive
+"""A number, or the column of a table or the array of an npz file that holds it; ``center[0]`` is an entry of one."""
+Corner = tuple[float, float]
+
+
+class RecipePresses(Model):
+    """Which files are the presses."""
+
+    files: Pattern = Field(
+        description="path within the folder; {press} stands for the name of the press, * for any part of a file's name"
+    )
+    only: Pattern = Field(default="*", description="which of these presses are read: their names, * for any part")
+    leave_out: tuple[str, ...] = Field(default=(), description="names of presses that are not to be read")
+
+
+class RecipePicture(Model):
+    """How the values of a picture are read."""
+
+    channels: Literal["RGB", "BGR"] = Field(default="RGB", description="BGR: red and blue are exchanged in the files")
+    encoding: Literal["linear", "unknown"] = "unknown"
+    full_scale: Positive | None = Field(
+        default=None, description="value of an OpenEXR image that becomes the largest of 65535 steps"
+    )
+    corners_px: tuple[Corner, Corner, Corner, Corner] | None = Field(
+        default=None, description="of the gel: top left, top right, bottom left, bottom right (column, row)"
+    )
+    size_px: tuple[Annotated[int, Field(ge=16, le=8192)], Annotated[int, Field(ge=16, le=8192)]] | None = Field(
+        default=None, description="width and height that the corners are stretched to"
+    )
+
+    @model_validator(mode="after")
+    def _corners_have_a_size(self) -> "RecipePicture":
+        if (self.corners_px is None) != (self.size_px is None):
+            raise ValueError("corners_px and size_px go together: give both or leave both out")
+        return self
+
+
+class RecipeNoContact(Model):
+    """Where the image without contact comes from: exactly one of these."""
+
+    file: Pattern | None = Field(default=None, description="path within the folder; with {press} one for each press")
+    repeat_file: Pattern | None = Field(default=None, description="a second image without contact")
+    frames_before: Annotated[int, Field(ge=2, le=1000)] | None = Field(
+        default=None, description="so many frames at the beginning of each video are without contact"
+    )
+    median_of_presses: bool = Field(
+        default=False, description="a substitute: the median of all presses, pixel by pixel"
+    )
+    far_pixels: bool = Field(
+        default=False, description="a substitute: a smooth surface through the pixels far from the contact"
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "RecipeNoContact":
+        given = (self.file is not None, self.frames_before is not None, self.median_of_presses, self.far_pixels)
+        if sum(given) != 1:
+            raise ValueError("give exactly one of file, frames_before, median_of_presses and far_pixels")
+        if self.repeat_file is not None and self.file is None:
+            raise ValueError("repeat_file goes with file")
+        return self
+
+
+class RecipeCircle(Model):
+    """Columns of the contact circle."""
+
+    column_px: Quantity
+    row_px: Quantity
+    radius_px: Quantity
+
+
+class RecipeContact(Model):
+    """Where the contact is: exactly one of circle, outline, outline_px and search."""
+
+    file: Pattern | None = Field(
+        default=None, description="CSV table with one line for each press, or an npz file whose path has {press}"
+    )
+    press: str | None = Field(
+        default=None, description="column of the table that names the press: its file, or its folder"
+    )
+    circle: RecipeCircle | None = None
+    outline: tuple[str, ...] = Field(
+        default=(), description="arrays of the npz file that hold corners (column, row); the contact is their hull"
+    )
+    outline_px: dict[str, tuple[Corner, ...]] = Field(
+        default={}, description="name of the press -> corners (column, row)"
+    )
+    search: Literal["circle", "outline"] | None = Field(
+        default=None, description="look for it in the picture: the circle of a ball, or what changes most"
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "RecipeContact":
+        given = (self.circle is not None, bool(self.outline), bool(self.outline_px), self.search is not None)
+        if sum(given) != 1:
+            raise ValueError("give exactly one of circle, outline, outline_px and search")
+        if (self.circle is not None or self.outline) and self.file is None:
+            raise ValueError("file: missing; the circle or outline is read from it")
+        return self
+
+
+class RecipeScale(Model):
+    """How large a pixel is on the gel: exactly one of the two, and, if there is one, a length that proves it."""
+
+    mm_per_px: Positive | None = None
+    px_per_mm: Positive | None = None
+    check_length_mm: Positive | None = None
+    check_length_px: Quantity | None = Field(default=None, description="what labels or pictures show that length as")
+
+    @model_validator(mode="after")
+    def _one_scale(self) -> "RecipeScale":
+        if (self.mm_per_px is None) == (self.px_per_mm is None):
+            raise ValueError("give mm_per_px or px_per_mm, one of the two")
+        if (self.check_length_mm is None) != (self.check_length_px is None):
+            raise ValueError("check_length_mm and check_length_px go together")
+        return self
+
+    @property
+    def side_mm(self) -> float:
+        """Side of a pixel, mm."""
+        return self.mm_per_px if self.mm_per_px is not None else 1.0 / (self.px_per_mm or 1.0)
+
+
+class RecipeIndenter(Model):
+    """What was pressed in; sizes are numbers, or columns of the table (of this or, without one, of the contact's)."""
+
+    file: Pattern | None = None
+    press: str | None = None
+    shape: Literal["ball", "cylinder", "cuboid", "mesh"]
+    diameter_mm: Quantity | None = Field(default=None, description="of a ball or cylinder; width of other shapes")
+    depth_mm: Quantity | None = None
+
+
+class RecipeForce(Model):
+    """Where the force of each press is: a CSV or npy file."""
+
+    file: Pattern = Field(description="path within the folder with {press}; for videos one number for each frame")
+    column: str | None = Field(default=None, description="of a CSV file")
+    factor: float = Field(default=1.0, description="newtons per unit of the file")
+
+
+class Recipe(Model):
+    """How a folder of presses is read."""
+
+    name: Annotated[str, Field(min_length=1, max_length=60)]
+    what: str = Field(description="which set this is, where from, and what it holds")
+    licence: str | None = None
+    presses: RecipePresses
+    picture: RecipePicture = RecipePicture()
+    no_contact: RecipeNoContact
+    contact: RecipeContact | None = None
+    scale: RecipeScale | None = None
+    indenter: RecipeIndenter
+    force: RecipeForce | None = None
+    lacks: tuple[MissingPart, ...] = Field(default=(), description="what else the set does not hold")
+
+
+def recipe_names() -> tuple[str, ...]:
+    """Return the names of the recipes that come with the program."""
+    return tuple(sorted(path.stem for path in RECIPES.glob("*.toml")))
+
+
+def read_recipe(name_or_file: str) -> tuple[Recipe, Path]:
+    """Return a recipe and its file, by the name of one that comes with the program, or from a TOML file.
+
+    Raises
+    ------
+    ImportFormatError
+        There is none of that name, or the file says something that a recipe has not, with what is allowed.
+    """
+    path = RECIPES / f"{name_or_file}.toml" if name_or_file in recipe_names() else Path(name_or_file)
+    if not path.is_file():
+        raise ImportFormatError(
+            f"{name_or_file}: no recipe of this name and no such file; there are {', '.join(recipe_names())}, or write "
+            "a TOML file (docs/how-to/import-captures.md shows one)"
+        )
+    tables = read_toml_tables(path, "a recipe (TOML)", ImportFormatError)
+    try:
+        return Recipe.model_validate(tables), path
+    except ValidationError as error:
+        raise ImportFormatError(f"{path}: {explain(error, Recipe)}") from None
+
+
+def with_sizes(recipe: Recipe, ball_diameter_mm: float | None, mm_per_px: float | None) -> Recipe:
+    """Return the recipe with the ball's diameter and the scale that the user gives.
+
+    Raises
+    ------
+    ImportFormatError
+        One of them is not above zero or too large to be meant.
+    """
+    if ball_diameter_mm is not None:
+        require_length(ball_diameter_mm, "the ball's diameter", "--ball-diameter-mm")
+        recipe = recipe.model_copy(
+            update={"indenter": recipe.indenter.model_copy(update={"diameter_mm": float(ball_diameter_mm)})}
+        )
+    if mm_per_px is not None:
+        require_length(mm_per_px, "millimetres per pixel", "--mm-per-px", LARGEST_PIXEL_MM)
+        recipe = recipe.model_copy(update={"scale": RecipeScale(mm_per_px=mm_per_px)})
+    return recipe

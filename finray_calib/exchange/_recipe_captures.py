@@ -1,0 +1,588 @@
+"""Folders of presses read by a recipe: every press becomes a tactile capture that says what its source lacks.
+
+Nothing pickled is ever opened. A press whose label or image is missing or cannot be is left out, and told; a folder in
+which that is so of all presses is refused.
+"""
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import (
+    ContactCircle,
+    ImportFormatError,
+    IndenterPose,
+    MissingPart,
+    PlaceInImage,
+    TactileCapture,
+)
+from data_schemas.storage import finite_number, read_csv, read_npy
+from finray_calib.exchange._ball_presses import MOST_PRESSES, read_npz
+from finray_calib.exchange._capture_recipe import PRESS, Quantity, Recipe
+from finray_calib.exchange._motion_jpeg import motion_jpeg_frames
+from finray_calib.exchange._render_folder import exr_rgb
+from finray_calib.sensing import contact_distance, find_contact_circle, find_contact_outline
+from rigs.cameras import decoded_picture, read_picture
+
+Counts = NDArray[np.uint16]
+Floats = NDArray[np.float64]
+Progress = Callable[[int, int, str], None]
+
+VIDEO: Final = ".avi"
+MOST_FILES = 200_000
+#: A scale that its own check length contradicts by more than this is not the scale.
+SCALE_TOLERANCE_REL = 0.1
+#: Frames whose change is at least this share of the largest are the hold of a press.
+HOLD_SHARE = 0.9
+#: Pixels this far from the contact, in half-widths, give the smooth surface that stands for no contact.
+FAR_HALF_WIDTHS = 1.6
+_SURFACE_DEGREE = 3
+_BITS = {np.dtype(np.uint8): 8, np.dtype(np.uint16): 16}
+_MEDIAN_LOSES = "the median of the presses stands for it; they shine through by some DN: small errors are not seen"
+_SURFACE_LOSES = "a smooth surface through far pixels stands for it; texture of the gel counts as contact"
+_MEMBER = re.compile(r"^(?P<name>.+?)(?:\[(?P<index>\d+)\])?$")
+_PICKLED = (".pkl", ".pickle")
+
+
+@dataclass(frozen=True, slots=True)
+class RecipeCaptures:
+    """What a folder gave.
+
+    Attributes
+    ----------
+    captures
+        Name of the press -> its capture.
+    left_out
+        Why presses were left out -> their names.
+    """
+
+    captures: dict[str, TactileCapture]
+    left_out: dict[str, list[str]]
+
+
+class _LeftOutError(Exception):
+    """Why a press cannot be read; the others can."""
+
+
+def read_by_recipe(
+    folder: Path,
+    recipe: Recipe,
+    circles: Mapping[str, ContactCircle] | None = None,
+    progress: Progress | None = None,
+) -> RecipeCaptures:
+    """Read all presses of a folder.
+
+    Parameters
+    ----------
+    folder
+        Of the set.
+    recipe
+        How it is read.
+    circles
+        Name of a press -> circle that stands in the place of what the recipe says.
+    progress
+        Called with number, count and name before each press.
+
+    Raises
+    ------
+    ImportFormatError
+        There is no such folder or no press in it, a file, column or array is not what the recipe says, or the check
+        length contradicts the scale.
+    """
+    if not folder.is_dir():
+        raise ImportFormatError(f"{folder}: no such folder; give the folder that the recipe '{recipe.name}' describes")
+    reader = _Folder(folder, recipe, dict(circles or {}))
+    captures: dict[str, TactileCapture] = {}
+    excluded = [name for name in recipe.presses.leave_out if name in reader.files]
+    left_out = {"the recipe leaves it out": excluded} if excluded else {}
+    names = [name for name in reader.files if name not in recipe.presses.leave_out]
+    for number, name in enumerate(names):
+        if progress is not None:
+            progress(number, len(names), name)
+        try:
+            captures[name] = reader.capture(name)
+        except _LeftOutError as why:
+            left_out.setdefault(str(why), []).append(name)
+    if not captures:
+        raise ImportFormatError(
+            f"{folder}: none of its {len(reader.files)} presses can be read by the recipe '{recipe.name}': "
+            f"{'; '.join(left_out)}"
+        )
+    reader.check_scale(captures)
+    return RecipeCaptures(captures, left_out)
+
+
+@dataclass
+class _Folder:
+    """Read presses of one folder; pictures that several need are read once."""
+
+    folder: Path
+    recipe: Recipe
+    circles: dict[str, ContactCircle]
+    files: dict[str, Path] = field(init=False)
+    _median: Counts | None = field(init=False, default=None)
+    _tables: dict[tuple[Path, str], "_Table"] = field(init=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.files = dict(_press_files(self.folder, self.recipe))
+        if not self.files:
+            raise ImportFormatError(
+                f"{self.folder}: no file in it is as the recipe '{self.recipe.name}' says "
+                f"({self.recipe.presses.files}); give the folder above, or correct presses.files"
+            )
+        for name in self.circles:
+            if name not in self.files:
+                raise ImportFormatError(f"--circles: {name} is no press of {self.folder}; correct the line")
+
+    def capture(self, name: str) -> TactileCapture:
+        """Return the capture of a press."""
+        force_n = None
+        if self.files[name].suffix.lower() == VIDEO:
+            images, force_n = self._video(name)
+        else:
+            images = [self._picture(self.files[name]), *self._without_contact(name)]
+        if any(image.shape != images[0].shape for image in images):
+            sizes = ", ".join(f"{image.shape[1]} x {image.shape[0]}" for image in images)
+            raise ImportFormatError(
+                f"{self.files[name]}: its image and those without contact are of several sizes ({sizes} px); all must "
+                "come from one camera at one size"
+            )
+        capture = self._placed(name, self._unplaced(name, images, force_n))
+        if self.recipe.no_contact.far_pixels:
+            capture = _with_far_surface(capture)
+        return capture.model_copy(update={"missing": self._missing(capture)})
+
+    def _unplaced(self, name: str, images: list[Counts], force_n: float | None) -> TactileCapture:
+        """Return the capture of contact, no contact and repeat; where the contact is, is not known yet."""
+        recipe = self.recipe
+        diameter_mm, depth_mm = (self._of_indenter(name, of) for of in ("diameter_mm", "depth_mm"))
+        return TactileCapture(
+            name=name,
+            contact=images[0],
+            no_contact=images[1] if len(images) > 1 else images[0],
+            repeat_no_contact=images[2] if len(images) > 2 else None,
+            layout="RGB",
+            encoding=recipe.picture.encoding,
+            bit_depth=16 if self._is_deep(name) else 8,
+            black_level_dn=0.0,
+            exposure_s=None,
+            light_angle_deg=None,
+            indenter=IndenterPose(
+                shape=recipe.indenter.shape,
+                radius_mm=None if diameter_mm is None else diameter_mm / 2.0,
+                depth_mm=depth_mm,
+                position_mm=None,
+            ),
+            contact_circle=None,
+            mm_per_px=None if recipe.scale is None else recipe.scale.side_mm,
+            source=recipe.what,
+            no_contact_from="median of presses" if recipe.no_contact.median_of_presses else "image",
+            force_n=force_n,
+            licence=recipe.licence,
+        )
+
+    def check_scale(self, captures: Mapping[str, TactileCapture]) -> None:
+        """Refuse a scale that the check length contradicts."""
+        scale, contact = self.recipe.scale, self.recipe.contact
+        if scale is None or scale.check_length_px is None or scale.check_length_mm is None or contact is None:
+            return
+        lengths_px = []
+        for name in captures:
+            try:
+                lengths_px.append(self._quantity(name, contact.file, contact.press, scale.check_length_px))
+            except _LeftOutError:
+                continue
+        if not lengths_px:
+            return
+        shown_px = float(np.median(lengths_px))
+        ratio = shown_px * scale.side_mm / scale.check_length_mm
+        if abs(ratio - 1.0) > SCALE_TOLERANCE_REL:
+            right = scale.check_length_mm / shown_px
+            raise ImportFormatError(
+                f"recipe '{self.recipe.name}', scale: {scale.check_length_mm:g} mm are {shown_px:.4g} px in the "
+                f"labels, so a pixel is {right:.4g} mm, not {scale.side_mm:.4g} mm; are mm per px and px per mm "
+                "exchanged?"
+            )
+
+    def _is_deep(self, name: str) -> bool:
+        """Return whether the values of a press go beyond 8 bits."""
+        path = self.files[name]
+        if path.suffix.lower() == VIDEO:
+            return False
+        return path.suffix.lower() == ".exr" or _pixels(path).dtype == np.uint16
+
+    def _picture(self, path: Path) -> Counts:
+        """Return a picture as counts (H, W, 3) in RGB order, stretched where the recipe says so."""
+        if path.suffix.lower() == ".exr":
+            full = self.recipe.picture.full_scale
+            if full is None:
+                raise ImportFormatError(
+                    f"recipe '{self.recipe.name}': picture.full_scale is missing; say which value of {path.name} "
+                    "becomes the largest of 65535 steps"
+                )
+            steps = np.rint(exr_rgb(path) / full * 65535.0)
+            return self._arranged(np.clip(steps, 0.0, 65535.0))
+        return self._arranged(_pixels(path))
+
+    def _arranged(self, image: NDArray[Any]) -> Counts:
+        """Return an image (H, W, 3) in the order and at the corners that the recipe gives."""
+        picture = self.recipe.picture
+        if picture.channels == "BGR":
+            image = image[..., ::-1]
+        if picture.corners_px is not None and picture.size_px is not None:
+            width, height = picture.size_px
+            corners = [[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]]
+            seen, wanted = (np.array(places, dtype=np.float32) for places in (picture.corners_px, corners))
+            turned = cv2.getPerspectiveTransform(seen, wanted)
+            image = cv2.warpPerspective(np.ascontiguousarray(image), turned, picture.size_px, flags=cv2.INTER_AREA)
+        return np.ascontiguousarray(image).astype(np.uint16)
+
+    def _without_contact(self, name: str) -> list[Counts]:
+        """Return the images without contact, two where there is a repeat; none where it comes from far pixels."""
+        source = self.recipe.no_contact
+        if source.median_of_presses:
+            if self._median is None:
+                pictures = [self._picture(path) for path in self.files.values()]
+                if len({picture.shape for picture in pictures}) > 1 or len(pictures) < 3:
+                    raise ImportFormatError(
+                        f"{self.folder}: a median needs at least 3 presses of one size, got {len(pictures)}; take "
+                        "images without contact"
+                    )
+                self._median = np.median(pictures, axis=0).astype(np.uint16)
+            return [self._median]
+        found = []
+        for pattern, needed in ((source.file, True), (source.repeat_file, False)):
+            if pattern is None:
+                continue
+            path = self.folder / _named(pattern, name)
+            if path.is_file():
+                found.append(self._picture(path))
+            elif needed:
+                raise _LeftOutError(f"there is no {pattern}, the image without contact")
+        return found
+
+    def _video(self, name: str) -> tuple[list[Counts], float | None]:
+        """Return contact, no contact and its repeat of a video, and the force at the contact image."""
+        before = self.recipe.no_contact.frames_before
+        if before is None:
+            raise ImportFormatError(
+                f"recipe '{self.recipe.name}': no_contact.frames_before is missing; say how many frames of a video are "
+                "without contact"
+            )
+        path = self.files[name]
+        frames = motion_jpeg_frames(path)
+        if len(frames) <= before:
+            raise _LeftOutError(f"the video has {len(frames)} frames, and the first {before} are without contact")
+        small = [_small(decoded_picture(frame, path, ImportFormatError)) for frame in frames]
+        change = np.array([np.abs(image - small[0]).mean() for image in small])
+        force = self._force(name, len(frames))
+        held = _longest_run(*((force, force.max()) if force is not None else (change, change.max())))
+        chosen = [held, 0, before - 1]
+        images = [decoded_picture(frames[i], path, ImportFormatError)[..., 2::-1] for i in chosen]
+        return [self._arranged(image) for image in images], None if force is None else float(force[held])
+
+    def _force(self, name: str, frames: int) -> Floats | None:
+        """Return the force of each frame, N; None where there is no file."""
+        source = self.recipe.force
+        if source is None:
+            return None
+        path = self.folder / _named(source.file, name)
+        if path.suffix.lower() in _PICKLED:
+            raise ImportFormatError(f"{path}: {pickle_words(path)}")
+        if not path.is_file():
+            return None
+        values = (
+            np.array([finite_number(cell) for cell in _column(path, source.column)])
+            if path.suffix.lower() == ".csv"
+            else read_npy(path, "forces (npy)", ImportFormatError).astype(np.float64).ravel()
+        )
+        if len(values) != frames or not np.isfinite(values).all():
+            raise ImportFormatError(
+                f"{path}: holds {len(values)} forces, the video {frames} frames; one finite number for each is needed"
+            )
+        return np.asarray(values * source.factor)
+
+    def _of_indenter(self, name: str, what: str) -> float | None:
+        """Return diameter or depth of the indenter."""
+        indenter, contact = self.recipe.indenter, self.recipe.contact
+        value: Quantity | None = getattr(indenter, what)
+        if value is None or isinstance(value, float):
+            return value
+        file, press = indenter.file, indenter.press
+        if file is None and contact is not None:
+            file, press = contact.file, contact.press
+        return self._quantity(name, file, press, value)
+
+    def _placed(self, name: str, capture: TactileCapture) -> TactileCapture:
+        """Return the capture with its contact."""
+        contact = self.recipe.contact
+        circle = self.circles.get(name)
+        if circle is not None:
+            return self._with_circle(capture, circle, "label")
+        if contact is None:
+            return capture
+        if contact.circle is not None:
+            column, row, radius = (
+                self._quantity(name, contact.file, contact.press, value)
+                for value in (contact.circle.column_px, contact.circle.row_px, contact.circle.radius_px)
+            )
+            if radius <= 0.0:
+                raise _LeftOutError(f"its circle has a radius of {radius:g} px; it must be above 0")
+            return self._with_circle(capture, ContactCircle(row_px=row, column_px=column, radius_px=radius), "label")
+        if contact.search == "circle":
+            found = find_contact_circle(capture, _ball_px(capture)).circle
+            return self._with_circle(capture, found, "search")
+        if contact.search == "outline":
+            corners = find_contact_outline(capture)
+            return capture.model_copy(update={"contact_outline": corners, "contact_told_by": "search"})
+        places = contact.outline_px.get(name) if contact.outline_px else self._hull(name)
+        if places is None:
+            raise _LeftOutError("the recipe has no outline of it")
+        corners = tuple(PlaceInImage(column_px=float(c), row_px=float(r)) for c, r in places)
+        return capture.model_copy(update={"contact_outline": corners, "contact_told_by": "label"})
+
+    def _with_circle(self, capture: TactileCapture, circle: ContactCircle, by: str) -> TactileCapture:
+        """Return the capture with a circle that can be."""
+        rows, columns = capture.contact.shape[:2]
+        if not (0.0 <= circle.row_px < rows and 0.0 <= circle.column_px < columns):
+            raise _LeftOutError(
+                f"its circle's centre, row {circle.row_px:g}, column {circle.column_px:g}, lies outside the picture of "
+                f"{columns} x {rows} px; are row and column exchanged?"
+            )
+        ball_px = _ball_px(capture)
+        if ball_px is not None and circle.radius_px > ball_px:
+            raise _LeftOutError(
+                f"a contact circle of {circle.radius_px:g} px radius is larger than the ball's {ball_px:.4g} px; is "
+                "the scale mm per px and not px per mm, and the ball's size its diameter?"
+            )
+        return capture.model_copy(update={"contact_circle": circle, "contact_told_by": by})
+
+    def _hull(self, name: str) -> NDArray[np.float32]:
+        """Return the hull of all corners that the label holds, (corners, 2): column, row."""
+        contact = self.recipe.contact
+        path = self.folder / _named((contact.file if contact is not None else None) or "", name)
+        if not path.is_file():
+            raise _LeftOutError(f"there is no {contact.file if contact is not None else ''}, which holds its contact")
+        arrays, pickled = read_npz(path)
+        corners = [_array(arrays, pickled, part, path) for part in (contact.outline if contact is not None else ())]
+        if any(part.ndim != 2 or part.shape[1] != 2 for part in corners):
+            raise ImportFormatError(f"{path}: corners must be of shape (n, 2), column and row; correct contact.outline")
+        return np.asarray(cv2.convexHull(np.concatenate(corners).astype(np.float32))[:, 0], dtype=np.float32)
+
+    def _quantity(self, name: str, file: str | None, press: str | None, value: Quantity) -> float:
+        """Return a number of a press: as it stands in the recipe, or in a table or npz file."""
+        if isinstance(value, float):
+            return value
+        if file is None:
+            raise ImportFormatError(
+                f"recipe '{self.recipe.name}': '{value}' is a column, and no file is named that holds it"
+            )
+        path = self.folder / _named(file, name)
+        if path.suffix.lower() in _PICKLED:
+            raise ImportFormatError(f"{path}: {pickle_words(path)}")
+        if path.suffix.lower() == ".npz":
+            if not path.is_file():
+                raise _LeftOutError(f"there is no {file}, which holds its contact")
+            return _entry(path, value)
+        if press is None:
+            raise ImportFormatError(
+                f"recipe '{self.recipe.name}': 'press' is missing beside file = \"{file}\"; name the column that says "
+                "which press a line is of"
+            )
+        table = self._tables.get((path, press)) or _read_table(path, press)
+        self._tables[path, press] = table
+        row = table.row(name, self.files[name])
+        if row is None:
+            raise _LeftOutError(f"no line of {path.name} is of it")
+        if value not in row:
+            raise ImportFormatError(
+                f"{path}: has no column '{value}'; it has {', '.join(row)}: correct the recipe '{self.recipe.name}'"
+            )
+        try:
+            return finite_number(row[value])
+        except ValueError:
+            raise ImportFormatError(f"{path}: {value} of {name} must be a number, got {row[value]!r}") from None
+
+    def _missing(self, capture: TactileCapture) -> tuple[MissingPart, ...]:
+        """Return what the capture lacks, and what is lost by it."""
+        source = self.recipe.no_contact
+        common = source.file is not None and PRESS not in source.file
+        lacks = (
+            (capture.repeat_no_contact is None, "a second image without contact", "no floor: what noise explains"),
+            (common, "an image without contact of each press", "drift and wear of the gel are not told apart"),
+            (source.median_of_presses, "an image without contact", _MEDIAN_LOSES),
+            (source.far_pixels, "an image without contact", _SURFACE_LOSES),
+            (capture.contact_told_by == "search", "a drawn contact", "searched for: its size is known to 10 %"),
+            (capture.contact_told_by is None, "where the contact is", "the simulated side must tell the region"),
+            (capture.indenter.radius_mm is None, "the indenter's size", "slopes and depth have no scale"),
+            (capture.mm_per_px is None, "the scale, mm per px", "depth has no scale"),
+            (capture.indenter.depth_mm is None, "the depth of the press", "simulate to the contact's size instead"),
+            (capture.force_n is None, "the force", "stiffness of the gel cannot be checked"),
+            (capture.encoding == "unknown", "exposure and tone curve", "values are not proportional to light"),
+        )
+        told = [MissingPart(what=what, lost=lost) for is_missing, what, lost in lacks if is_missing]
+        return (*told, *self.recipe.lacks)
+
+
+def pickle_words(path: Path) -> str:
+    """Return why a pickled file is not opened, and the lines that convert it outside of the program."""
+    return (
+        "is pickled, and opening it could run a stranger's code, so it is never opened; if you trust its owner, "
+        "convert it in a Python of your own: import numpy, pathlib, pickle; "
+        f"values = pickle.loads(pathlib.Path('{path.name}').read_bytes()); "
+        f"numpy.save('{path.stem}.npy', numpy.array(values, dtype=float)), and name the .npy file in the recipe"
+    )
+
+
+def _press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
+    """Return name and file of every press, in the order of their names, numbers by value."""
+    pattern = recipe.presses.files
+    if pattern.count(PRESS) != 1:
+        raise ImportFormatError(
+            f"recipe '{recipe.name}': presses.files = \"{pattern}\" must have {PRESS} once: it names the press"
+        )
+    _require_inside(pattern)
+    parts = re.split(r"(\{press\}|\*)", pattern)
+    words = {PRESS: "(.+)", "*": "[^/]*"}
+    wanted = re.compile("".join(words.get(part, re.escape(part)) for part in parts))
+    found = {}
+    for number, path in enumerate(folder.rglob("*")):
+        if number > MOST_FILES:
+            raise ImportFormatError(f"{folder}: holds more than {MOST_FILES} files; give a folder further down")
+        match = wanted.fullmatch(path.relative_to(folder).as_posix())
+        if match is not None and fnmatchcase(match[1], recipe.presses.only) and path.is_file():
+            found[match[1]] = path
+    ordered = sorted(found, key=lambda name: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", name)])
+    if len(ordered) > MOST_PRESSES:
+        raise ImportFormatError(f"{folder}: holds {len(ordered)} presses; at most {MOST_PRESSES} are read: give a part")
+    for name in ordered:
+        yield name, found[name]
+
+
+def _require_inside(pattern: str) -> None:
+    """Refuse a path that leaves the folder."""
+    inner = PurePosixPath(pattern)
+    if inner.is_absolute() or ".." in inner.parts or "\\" in pattern:
+        raise ImportFormatError(f"recipe: {pattern!r} must be a path within the folder, with / between its parts")
+
+
+def _named(pattern: str, press: str) -> str:
+    """Return the path of a press."""
+    _require_inside(pattern)
+    return pattern.replace(PRESS, press)
+
+
+def _pixels(path: Path) -> NDArray[Any]:
+    """Return a picture as stored, (H, W, 3) in RGB order."""
+    if not path.is_file():
+        raise ImportFormatError(f"{path}: no such file; the folder must hold it")
+    picture = read_picture(path, "a picture (PNG, JPEG) or OpenEXR image", ImportFormatError)
+    if picture.dtype not in _BITS:
+        raise ImportFormatError(f"{path}: holds {picture.dtype}; pictures of 8 or 16 bits are read: convert it")
+    if picture.ndim == 2:
+        return np.repeat(picture[..., None], 3, axis=2)
+    return picture[..., 2::-1]
+
+
+def _small(picture: NDArray[Any]) -> Floats:
+    """Return a frame in few pixels, for choosing frames."""
+    return np.asarray(cv2.resize(picture, (160, 120), interpolation=cv2.INTER_AREA), dtype=np.float64)
+
+
+def _longest_run(values: Floats, largest: float) -> int:
+    """Return the middle of the longest run of frames near the largest value."""
+    held = np.concatenate([[False], values >= HOLD_SHARE * largest, [False]])
+    starts, stops = np.flatnonzero(~held[:-1] & held[1:]), np.flatnonzero(held[:-1] & ~held[1:])
+    longest = int(np.argmax(stops - starts))
+    return int((starts[longest] + stops[longest] - 1) // 2)
+
+
+def _ball_px(capture: TactileCapture) -> float | None:
+    """Return the radius of the ball in pixels where both are known."""
+    pose = capture.indenter
+    if pose.shape != "ball" or pose.radius_mm is None or capture.mm_per_px is None:
+        return None
+    return pose.radius_mm / capture.mm_per_px
+
+
+def _with_far_surface(capture: TactileCapture) -> TactileCapture:
+    """Return the capture with a smooth surface through its far pixels in the place of a no-contact image."""
+    distance = contact_distance(capture)
+    if distance is None:
+        raise _LeftOutError("where its contact is, is not known, so no pixels can be told to be far from it")
+    rows, columns = distance.shape
+    y, x = np.mgrid[:rows, :columns] / max(rows, columns) - 0.5
+    powers = [(i, j) for i in range(_SURFACE_DEGREE + 1) for j in range(_SURFACE_DEGREE + 1 - i)]
+    terms = np.stack([x**i * y**j for i, j in powers], axis=-1)
+    values = np.log(np.maximum(capture.contact.astype(np.float64), 0.5))
+    far = (distance > FAR_HALF_WIDTHS) & (capture.contact < 2**capture.bit_depth - 1).all(axis=-1)
+    if far.mean() < 0.1:
+        raise _LeftOutError(
+            "less than a tenth of the picture is far from its contact; an image without contact is needed"
+        )
+    surface = np.exp(terms @ np.linalg.lstsq(terms[far], values[far], rcond=None)[0])
+    limited = np.clip(np.rint(surface), 0.0, 2**capture.bit_depth - 1).astype(np.uint16)
+    return capture.model_copy(update={"no_contact": limited, "no_contact_from": "pixels far from the contact"})
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """Hold the lines of a CSV table by the name of a press or of its file."""
+
+    columns: list[str]
+    rows: dict[str, dict[str, str]]
+
+    def row(self, name: str, path: Path) -> dict[str, str] | None:
+        """Return the line that names a press or its file; folders before it may be those of another machine."""
+        row = next((self.rows[key] for key in (name, path.name, PurePosixPath(name).name) if key in self.rows), None)
+        return None if row is None else dict.fromkeys(self.columns, "") | row
+
+
+def _read_table(path: Path, press: str) -> _Table:
+    """Read a table whose column `press` names the press, its file or its folder."""
+    columns, rows = read_csv(path, "a CSV file", ImportFormatError, skip_space=True)
+    if press not in columns:
+        raise ImportFormatError(f"{path}: has no column '{press}' that names the press; it has {', '.join(columns)}")
+    found: dict[str, dict[str, str]] = {}
+    for _, cells in rows:
+        row = dict(zip(columns, cells, strict=False))
+        named = PurePosixPath(row.get(press, "").strip().replace("\\", "/"))
+        for key in (named.as_posix(), named.name, named.stem):
+            found.setdefault(key, row)
+    return _Table(columns, found)
+
+
+def _column(path: Path, column: str | None) -> list[str]:
+    """Return the cells of a column."""
+    columns, rows = read_csv(path, "a CSV file of forces", ImportFormatError, skip_space=True)
+    if column not in columns:
+        raise ImportFormatError(f"{path}: has no column '{column}'; it has {', '.join(columns)}: correct force.column")
+    at = columns.index(column)
+    return [cells[at] if at < len(cells) else "" for _, cells in rows]
+
+
+def _array(arrays: Mapping[str, NDArray[Any]], pickled: tuple[str, ...], name: str, path: Path) -> NDArray[Any]:
+    """Return an array of numbers."""
+    if name in pickled:
+        raise ImportFormatError(f"{path}: '{name}' {pickle_words(Path(name))}")
+    if name not in arrays:
+        raise ImportFormatError(f"{path}: array '{name}' is missing; it holds {', '.join(sorted(arrays)) or 'nothing'}")
+    return arrays[name]
+
+
+def _entry(path: Path, value: str) -> float:
+    """Return an array of one number, or one entry of it."""
+    member = _MEMBER.match(value)
+    name, index = (member["name"], member["index"]) if member is not None else (value, None)
+    array = _array(*read_npz(path), name, path).ravel()
+    at = 0 if index is None else int(index)
+    if at >= array.size or (index is None and array.size != 1) or not np.isfinite(array[at]):
+        raise ImportFormatError(f"{path}: '{value}' must be one finite number; '{name}' holds {array.size} numbers")
+    return float(array[at])

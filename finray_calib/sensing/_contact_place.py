@@ -1,0 +1,312 @@
+"""Where the contact is in an image: distances from a circle or an outline, and the search for what nobody drew.
+
+A ball tilts the gel, which turns one side of the contact bright and the other dark: an odd signal, of coloured lights.
+Sensors that darken with depth show an even one. The search takes whichever is the stronger.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from data_schemas import CompareError, ContactCircle, PlaceInImage, TactileCapture
+from finray_calib.sensing._normal_map import per_cell, rgb_image
+
+Floats = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+SMALLEST_RADIUS_PX: Final = 10.0
+_LARGEST_SHARE = 0.35
+_SCALES = 12
+_COARSE_PX = 4
+_SURROUND = 1.3
+# rays around the circle, and where along them the rim is looked for, in radii
+_RAYS = 72
+_INSIDE, _OUTSIDE = np.linspace(0.86, 1.0, 4), np.linspace(1.1, 1.3, 4)
+# how far the rim may lie from the centre of the coarse search, in radii of the smallest circle
+_REACH_REL = 0.6
+_STEPS_PX = (1.5, 0.75)
+# of an outline: what counts as a change of the picture
+_LEAST_CHANGE, _CHANGED_SHARE = 0.01, 1.0 / 3.0
+
+
+def outline_distance(inside: NDArray[np.bool_]) -> Floats:
+    """Return the distance from the contact in half-widths for a contact of any shape.
+
+    With d the distance from the outline in pixels, positive outside, and w the largest distance inside, 1 + d / w: 1 on
+    the outline, 0 at the middle. Of a disc it is the distance from its centre over its radius.
+
+    Parameters
+    ----------
+    inside : ndarray of bool, shape (H, W)
+        At least one pixel.
+    """
+    if inside.all():
+        return np.zeros(inside.shape)
+    within = np.asarray(distance_transform_edt(inside), dtype=np.float64)
+    outside = np.asarray(distance_transform_edt(~inside), dtype=np.float64)
+    # the outline runs between pixels: half a pixel from the last one on either side
+    signed = np.where(inside, 0.5 - within, outside - 0.5)
+    width = max(float(within.max()) - 0.5, 0.5)
+    return np.asarray(np.maximum(1.0 + signed / width, 0.0))
+
+
+def contact_distance(capture: TactileCapture) -> Floats | None:
+    """Return the distance from the contact in half-widths for each pixel of the capture's colour image.
+
+    Returns
+    -------
+    ndarray, shape (H, W), or None
+        A Bayer cell is one pixel. None where the capture does not tell where the contact is.
+
+    Raises
+    ------
+    CompareError
+        The outline encloses no pixel of the image.
+    """
+    raw_rows, raw_columns = capture.contact.shape[:2]
+    circle, outline = capture.contact_circle, capture.contact_outline
+    if circle is not None:
+        cell = 1 if capture.layout == "RGB" else 2
+        rows, columns = np.indices((raw_rows // cell, raw_columns // cell))
+        row_px, column_px = ((value + 0.5) / cell - 0.5 for value in (circle.row_px, circle.column_px))
+        return np.asarray(np.hypot(rows - row_px, columns - column_px) / (circle.radius_px / cell))
+    if outline is None:
+        return None
+    corners = np.array([[place.column_px, place.row_px] for place in outline])
+    filled = np.zeros((raw_rows, raw_columns, 1), np.uint8)
+    cv2.fillPoly(filled, [np.rint(corners).astype(np.int32)], 1)
+    inside = per_cell(filled.astype(np.float64), capture)[..., 0] > 0.5
+    if not inside.any():
+        raise CompareError(
+            f"{capture.name}: the outline of its contact encloses no pixel of the image of {raw_columns} x {raw_rows} "
+            "px; are rows and columns exchanged?"
+        )
+    return outline_distance(inside)
+
+
+@dataclass(frozen=True, slots=True)
+class FoundCircle:
+    """A contact circle that the search found.
+
+    Attributes
+    ----------
+    circle
+        Centre and radius in pixels of the colour image.
+    is_even
+        Whether the contact was seen as a disc that is darker or brighter, not as two opposite sides.
+    scatter_px
+        Standard deviation of the rim's radius over the three channels; it tells of a doubtful circle, not its error.
+    """
+
+    circle: ContactCircle
+    is_even: bool
+    scatter_px: float
+
+
+def find_contact_circle(capture: TactileCapture, largest_radius_px: float | None = None) -> FoundCircle:
+    """Find the circle of a ball's contact in a picture.
+
+    The logarithm of contact over no contact, less a plane that follows most pixels (drift), is filtered with discs of
+    opposite sides and with discs, each against its surround: the centre. The radius is that of the ring within which
+    the gel is curved (odd signal), or where the mean signal over rings changes its sign (even).
+
+    Parameters
+    ----------
+    capture
+        Of one press.
+    largest_radius_px
+        Of the ball in pixels, where it is known: a contact circle is smaller.
+
+    Raises
+    ------
+    CompareError
+        The image is smaller than three of the smallest circles.
+    """
+    contact, no_contact = (rgb_image(counts, capture) for counts in (capture.contact, capture.no_contact))
+    full = 2.0**capture.bit_depth - 1.0
+    contact, no_contact = (np.nan_to_num(image, nan=full) for image in (contact, no_contact))
+    largest = min(largest_radius_px or np.inf, _LARGEST_SHARE * min(contact.shape[:2]))
+    if largest < SMALLEST_RADIUS_PX:
+        raise CompareError(
+            f"{capture.name}: no contact circle of {SMALLEST_RADIUS_PX:g} px or more fits; give it by --circles"
+        )
+    smallest = max(SMALLEST_RADIUS_PX, 0.3 * largest_radius_px if largest_radius_px else 0.0)
+    signal = _log_change(contact, no_contact, 1.5)
+    odd, even = _coarse(signal, smallest, largest, is_even=False), _coarse(signal, smallest, largest, is_even=True)
+    if even.strength > odd.strength:
+        return _even_circle(signal, even)
+    return _odd_circle(_log_change(contact, no_contact, 1.0), odd, smallest, largest)
+
+
+def find_contact_outline(capture: TactileCapture) -> tuple[PlaceInImage, ...]:
+    """Find the outline of a contact of any shape: the hull of the largest part of the picture that changes.
+
+    A pixel changes where the logarithm of contact over no contact, smoothed and less its plane, exceeds a third of the
+    99 % quantile in size. The gel's halo belongs to it in part: the outline is rather too large.
+
+    Returns
+    -------
+    tuple of PlaceInImage
+        Corners in order, in pixels of the colour image.
+
+    Raises
+    ------
+    CompareError
+        Nothing changes.
+    """
+    contact, no_contact = (rgb_image(counts, capture) for counts in (capture.contact, capture.no_contact))
+    full = 2.0**capture.bit_depth - 1.0
+    signal = _log_change(np.nan_to_num(contact, nan=full), np.nan_to_num(no_contact, nan=full), 3.0)
+    size = cv2.GaussianBlur(np.sqrt((signal**2).sum(axis=-1)), (0, 0), 3.0)
+    level = float(np.percentile(size, 99.0))
+    if not level > _LEAST_CHANGE:
+        raise CompareError(f"{capture.name}: the picture hardly changes with contact; is it the right frame or file?")
+    changed = (size > _CHANGED_SHARE * level).astype(np.uint8)
+    parts, _ = cv2.findContours(changed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    hull = cv2.approxPolyDP(cv2.convexHull(max(parts, key=cv2.contourArea)), 1.0, True)[:, 0]
+    return tuple(PlaceInImage(column_px=float(column), row_px=float(row)) for column, row in hull)
+
+
+def _log_change(contact: Floats, no_contact: Floats, sigma_px: float) -> Image:
+    """Return ln(contact / no contact), smoothed, less the plane of most pixels per channel."""
+    smooth = [cv2.GaussianBlur(image, (0, 0), sigma_px) for image in (contact, no_contact)]
+    floor = 1.0 / 255.0 * max(float(no_contact.max()), 1e-12)
+    change = np.log((smooth[0] + floor) / (smooth[1] + floor))
+    rows, columns = change.shape[:2]
+    down, along = np.mgrid[:rows, :columns] / max(rows, columns)
+    plane = np.stack([np.ones((rows, columns)), along, down], axis=-1)
+    terms = plane.reshape(-1, 3)[::7]
+    found = np.empty(change.shape, np.float32)
+    for c in range(change.shape[2]):
+        values = change[..., c].ravel()[::7]
+        kept = np.ones(len(values), bool)
+        for _ in range(8):
+            solution = np.linalg.lstsq(terms[kept], values[kept], rcond=None)[0]
+            left = np.abs(values - terms @ solution)
+            kept = left < 2.0 * 1.4826 * np.median(left) + 1e-3
+        found[..., c] = change[..., c] - plane @ solution
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where a filter answered most."""
+
+    strength: float
+    column_px: float
+    row_px: float
+    radius_px: float
+
+
+def _coarse(signal: Image, smallest_px: float, largest_px: float, is_even: bool) -> _Place:
+    """Return the strongest answer of discs of all sizes in a coarse picture."""
+    rows, columns = signal.shape[:2]
+    small = cv2.resize(signal, (columns // _COARSE_PX, rows // _COARSE_PX), interpolation=cv2.INTER_AREA)
+    if is_even:  # what all channels share: coloured lights answer a bulge with one channel against the other
+        small = np.repeat(small.mean(axis=-1, keepdims=True), small.shape[-1], axis=-1)
+    best = _Place(-1.0, 0.0, 0.0, 0.0)
+    # the odd signal reaches beyond the contact, to about 1.7 radii
+    reach = 1.0 if is_even else 1.7
+    for radius in np.geomspace(reach * smallest_px, reach * largest_px, _SCALES):
+        answers = [
+            cv2.filter2D(small, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE) ** 2
+            for kernel in _kernels(radius / _COARSE_PX, is_even)
+        ]
+        energy = np.sum(answers, axis=0).sum(axis=-1)
+        row, column = np.unravel_index(int(energy.argmax()), energy.shape)
+        if energy[row, column] > best.strength:
+            column_px, row_px = ((float(at) + 0.5) * _COARSE_PX - 0.5 for at in (column, row))
+            best = _Place(float(energy[row, column]), column_px, row_px, float(radius))
+    return best
+
+
+def _kernels(radius: float, is_even: bool) -> list[Image]:
+    """Return filters of unit norm: a disc (times x, times y) against its surround."""
+    half = int(np.ceil(_SURROUND * radius)) + 1
+    y, x = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float64)
+    away = np.hypot(x, y)
+    disc, ring = away <= radius, (away > radius) & (away <= _SURROUND * radius)
+    found = []
+    for weight in (np.ones_like(x),) if is_even else (x, y):
+        parts = [np.where(where, weight, 0.0) for where in (disc, ring)]
+        norms = [float(np.abs(p).sum()) if is_even else float(np.sqrt((p**2).sum())) for p in parts]
+        kernel = parts[0] / max(norms[0], 1e-12) - parts[1] / max(norms[1], 1e-12)
+        found.append((kernel / np.sqrt((kernel**2).sum())).astype(np.float32))
+    return found
+
+
+def _even_circle(signal: Image, coarse: _Place) -> FoundCircle:
+    """Return the circle where the mean signal over rings, of one sign inside, changes its sign."""
+    rows, columns = np.indices(signal.shape[:2])
+    away = np.hypot(columns - coarse.column_px, rows - coarse.row_px)
+    ring = (away / 2.0).astype(np.intp)
+    count = np.maximum(np.bincount(ring.ravel()), 1)
+    radii = []
+    for channel in (signal.mean(axis=-1), *np.moveaxis(signal, -1, 0)):
+        profile = np.bincount(ring.ravel(), weights=channel.ravel()) / count
+        sign = np.sign(profile[: max(int(coarse.radius_px / 4.0), 1)].mean())
+        crossed = np.flatnonzero(sign * profile <= 0.0)
+        beyond = crossed[crossed * 2.0 > 0.5 * coarse.radius_px]
+        radii.append(2.0 * float(beyond[0]) if beyond.size else coarse.radius_px)
+    circle = ContactCircle(row_px=coarse.row_px, column_px=coarse.column_px, radius_px=radii[0])
+    return FoundCircle(circle, True, float(np.std(radii[1:])))
+
+
+def _odd_circle(signal: Image, coarse: _Place, smallest_px: float, largest_px: float) -> FoundCircle:
+    """Return the circle within which the gel is curved, for the coarse centre alone is that of its halo."""
+    energies = _curvature(signal)
+    total = np.sqrt((energies**2).sum(axis=-1))
+    rim = _Rim(total)
+    rows, columns = signal.shape[:2]
+    reach = max(3, int(_REACH_REL * max(smallest_px, coarse.radius_px / 3.4)) // 3 * 3)
+    shifts = range(-reach, reach + 1, 3)
+    radii = np.arange(smallest_px, largest_px + 0.1, 2.0)
+    starts = [(coarse.column_px + i, coarse.row_px + j, float(r)) for i in shifts for j in shifts for r in radii]
+    inside = [start for start in starts if 0.0 <= start[0] < columns and 0.0 <= start[1] < rows]
+    x, y, r = max(inside or starts, key=rim.score)
+    for step in _STEPS_PX:
+        near = [
+            (x + i * step, y + j * step, min(r + k * step, largest_px))
+            for i in (-1, 0, 1)
+            for j in (-1, 0, 1)
+            for k in (-1, 0, 1)
+        ]
+        x, y, r = max(near, key=rim.score)
+    rims = [_Rim(energies[..., c]) for c in range(energies.shape[2])]
+    of_channels = [radii[int(np.argmax([of_channel.score((x, y, float(q))) for q in radii]))] for of_channel in rims]
+    circle = ContactCircle(row_px=y, column_px=x, radius_px=r)
+    return FoundCircle(circle, False, float(np.std(of_channels)))
+
+
+def _curvature(signal: Image) -> Image:
+    """Return how strongly each channel changes over few pixels; dirt that both images share is not in the signal."""
+    high = np.abs(signal - cv2.GaussianBlur(signal, (0, 0), 4.0))
+    high = np.minimum(high, np.percentile(high, 98.0, axis=(0, 1)))
+    return np.asarray(cv2.GaussianBlur(high, (0, 0), 1.0), dtype=np.float32)
+
+
+class _Rim:
+    """Judge circles by how much more the gel is curved just inside than just outside."""
+
+    def __init__(self, energy: NDArray[np.floating]) -> None:
+        self._energy = np.ascontiguousarray(energy, dtype=np.float32)
+        self._half_typical = 0.5 * float(np.median(energy)) + 1e-9
+        turn = np.linspace(0.0, 2.0 * np.pi, _RAYS, endpoint=False)
+        self._x, self._y = (np.outer(np.concatenate([_INSIDE, _OUTSIDE]), f(turn)) for f in (np.cos, np.sin))
+
+    def score(self, circle: tuple[float, float, float]) -> float:
+        """Return the mean over rays of the bounded step at the rim, -1 to 1."""
+        column, row, radius = circle
+        values = cv2.remap(
+            self._energy,
+            (column + radius * self._x).astype(np.float32),
+            (row + radius * self._y).astype(np.float32),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        half = len(_INSIDE)
+        return float(np.tanh((values[:half].mean(axis=0) - values[half:].mean(axis=0)) / self._half_typical).mean())

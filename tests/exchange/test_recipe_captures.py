@@ -1,0 +1,341 @@
+"""Recipes turn the folders of other labs into captures; what cannot be is refused with what to do."""
+
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_schemas import ImportFormatError, PlaceInImage, SimulatedPress, TactileCapture
+from data_schemas.storage import read_record
+from finray_calib.exchange import Recipe, read_by_recipe, read_circles, read_recipe, recipe_names, with_sizes
+from finray_calib.exchange._recipe_captures import pickle_words
+from finray_calib.sensing import contact_distance
+from tests.command_line.running import finray, succeed
+from tests.exchange.ball_press_folders import Trap
+from tests.exchange.recipe_folders import (
+    BALL_PX,
+    CONTACT_PX,
+    PLACES,
+    SHAPE_PX,
+    flat,
+    grasp,
+    save,
+    write_balls,
+    write_digit,
+    write_edges,
+    write_fots,
+    write_video,
+)
+
+PICTURES = """\
+name = "mine"
+what = "presses of a ball"
+
+[presses]
+files = "{press}.png"
+leave_out = ["rest"]
+
+[no_contact]
+file = "rest.png"
+
+[indenter]
+shape = "ball"
+diameter_mm = 4.0
+"""
+
+
+def recipe(text):
+    """A recipe of a few lines."""
+    import tomllib
+
+    return Recipe.model_validate(tomllib.loads(text))
+
+
+def shipped(name, **sizes):
+    """A recipe that comes with the program."""
+    return with_sizes(read_recipe(name)[0], sizes.get("ball"), sizes.get("scale"))
+
+
+@pytest.mark.parametrize("name", recipe_names())
+def test_recipes_that_come_with_the_program_are_whole(name):
+    assert read_recipe(name)[0].name == name
+
+
+def test_circles_of_a_table_are_found_by_the_name_of_the_file(tmp_path):
+    found = read_by_recipe(write_fots(tmp_path / "f"), shipped("fots-gelsight"))
+    assert list(found.captures) == ["0001", "0002", "0003", "0004", "0005"]
+    for (row, column), capture in zip(PLACES, found.captures.values(), strict=True):
+        circle = capture.contact_circle
+        assert (circle.row_px, circle.column_px, circle.radius_px) == (row, column, CONTACT_PX)
+        assert (capture.contact_told_by, capture.no_contact_from) == ("label", "image")
+        assert capture.mm_per_px == pytest.approx(1.0 / 19.58)
+        assert 2.0 * capture.indenter.radius_mm == pytest.approx(4.70)
+        assert {part.what for part in capture.missing} >= {"a second image without contact", "the force"}
+
+
+def test_a_circle_larger_than_its_ball_leaves_the_press_out(tmp_path):
+    folder = write_fots(tmp_path / "f")
+    table = folder / "mlp_calib" / "csv" / "annotate.csv"
+    table.write_text(table.read_text().replace(f"{int(CONTACT_PX)}\n", "47\n", 1))
+    found = read_by_recipe(folder, shipped("fots-gelsight"))
+    assert list(found.left_out.values()) == [["0001"]]
+    assert "larger than the ball's 46.01 px" in next(iter(found.left_out))
+    # a scale the wrong way round contradicts every circle
+    with pytest.raises(
+        ImportFormatError, match=r"none of its 5 presses can be read.*is the scale mm per px and not px"
+    ):
+        read_by_recipe(folder, shipped("fots-gelsight", scale=0.9))
+
+
+def test_contacts_that_nobody_drew_are_searched_for(tmp_path):
+    found = read_by_recipe(write_digit(tmp_path / "f"), shipped("fots-digit", ball=2 * BALL_PX / 21.09))
+    assert found.left_out == {"the recipe leaves it out": ["0001"]}
+    assert len(found.captures) == 8
+    for name, capture in list(found.captures.items())[:3]:
+        assert (capture.contact_told_by, capture.no_contact_from) == ("search", "median of presses")
+        row, column = PLACES[int(name)]
+        circle = capture.contact_circle
+        assert np.hypot(circle.row_px - row, circle.column_px - column) < 0.2 * CONTACT_PX
+        assert circle.radius_px == pytest.approx(CONTACT_PX, rel=0.2)
+
+
+def test_edges_become_outlines_and_their_length_proves_the_scale(tmp_path):
+    folder = write_edges(tmp_path / "f")
+    with pytest.raises(
+        ImportFormatError, match=r"10 mm are 100 px in the labels, so a pixel is 0\.1 mm, not 0\.0634 mm"
+    ):
+        read_by_recipe(folder, shipped("gs-sdk-edge"))
+    right = shipped("gs-sdk-edge").scale.model_copy(update={"mm_per_px": 0.1})
+    found = read_by_recipe(folder, shipped("gs-sdk-edge").model_copy(update={"scale": right}))
+    assert list(found.captures) == ["10.000x10.000mm/0", "10.000x10.000mm/1"]
+    assert list(found.left_out.values()) == [["10.000x10.000mm/2"]]
+    capture = found.captures["10.000x10.000mm/0"]
+    assert {(p.column_px, p.row_px) for p in capture.contact_outline} == {(30, 50), (130, 50), (130, 68), (30, 68)}
+    distance = contact_distance(capture)
+    assert distance[59, 80] < 0.15
+    assert distance[48, 80] > 1.0 > distance[52, 80]
+    assert capture.indenter.radius_mm == 5.0
+
+
+def test_balls_of_gs_sdk_have_the_diameter_of_the_catalog(tmp_path):
+    found = read_by_recipe(write_balls(tmp_path / "f"), shipped("gs-sdk-balls"))
+    assert list(found.captures) == ["6.000mm/0", "6.000mm/1"]
+    capture = found.captures["6.000mm/1"]
+    assert capture.indenter.radius_mm == 3.0
+    assert (capture.contact_circle.row_px, capture.contact_circle.column_px) == PLACES[1]
+
+
+def test_a_video_gives_contact_no_contact_and_its_repeat(tmp_path):
+    write_video(tmp_path / "example_data" / "2023-12-16" / "golf_ball__t=0.avi", grasp())
+    write_video(tmp_path / "example_data" / "2023-12-16" / "bolt__t=0.avi", grasp())
+    plain = shipped("estimate-modulus")
+    plain = plain.model_copy(update={"picture": plain.picture.model_copy(update={"corners_px": None, "size_px": None})})
+    found = read_by_recipe(tmp_path, plain)
+    assert list(found.captures) == ["golf_ball__t=0"]
+    capture = found.captures["golf_ball__t=0"]
+    np.testing.assert_allclose(capture.no_contact, flat(), atol=6)
+    assert capture.repeat_no_contact is not None
+    # the whole dent, not one of the frames on the way to it
+    dent = (slice(45, 75), slice(65, 95))
+    assert np.abs(capture.contact.astype(float) - grasp()[20])[dent].mean() < 2.0
+    assert np.abs(grasp()[13] - grasp()[20])[dent].mean() > 4.0
+    assert capture.force_n is None
+    force_n = np.zeros(30)
+    force_n[17:23] = 8.0
+    np.save(tmp_path / "example_data" / "2023-12-16" / "golf_ball__t=0_forces.npy", force_n)
+    assert read_by_recipe(tmp_path, plain).captures["golf_ball__t=0"].force_n == 8.0
+    np.save(tmp_path / "example_data" / "2023-12-16" / "golf_ball__t=0_forces.npy", force_n[:5])
+    with pytest.raises(ImportFormatError, match="holds 5 forces, the video 30 frames; one finite number for each"):
+        read_by_recipe(tmp_path, plain)
+
+
+def test_the_gel_is_cut_out_at_its_corners(tmp_path):
+    frames = [np.zeros((*SHAPE_PX, 3)) + 20.0 for _ in range(14)]
+    for k, frame in enumerate(frames):
+        frame[30:90, 40:120] = [100.0 + (60.0 if k > 11 else 0.0), 80.0, 60.0]
+    write_video(tmp_path / "example_data" / "2023-12-16" / "golf_ball_1.avi", frames)
+    cut = {"corners_px": ((40, 30), (119, 30), (40, 89), (119, 89)), "size_px": (80, 60)}
+    plain = shipped("estimate-modulus")
+    found = read_by_recipe(
+        tmp_path, plain.model_copy(update={"picture": plain.picture.model_copy(update=cut), "contact": None})
+    )
+    contact = found.captures["golf_ball_1"].contact
+    assert contact.shape == (60, 80, 3)
+    np.testing.assert_allclose(contact[10:50, 10:70].mean(axis=(0, 1)), [160, 80, 60], atol=4)
+
+
+def test_photographs_in_linear_light_get_a_surface_for_their_rest(tmp_path):
+    OpenEXR = pytest.importorskip("OpenEXR")  # noqa: N806
+    rows, columns = np.mgrid[:600, :600] / 600.0
+    light = np.stack([0.1 + 0.1 * columns, 0.2 - 0.05 * rows, 0.3 + 0.0 * rows], axis=-1)
+    touched = light.copy()
+    touched[250:350, 250:350] *= 0.5
+    folder = tmp_path / "target_settings" / "flatgel" / "imgs"
+    folder.mkdir(parents=True)
+    channels = {name: np.ascontiguousarray(touched[..., c], dtype=np.float16) for c, name in enumerate("RGB")}
+    OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels).write(
+        str(folder / "tri0u.exr")
+    )
+    found = read_by_recipe(tmp_path, shipped("tactile-optical-simulation"))
+    capture = found.captures["tri0u"]
+    assert (capture.encoding, capture.bit_depth, capture.no_contact_from) == (
+        "linear",
+        16,
+        "pixels far from the contact",
+    )
+    np.testing.assert_allclose(capture.no_contact / 65535.0 * 0.75, light, rtol=0.01)
+
+
+def test_nothing_pickled_is_opened_and_the_lines_that_convert_it_are_told(tmp_path):
+    sprung = tmp_path / "sprung"
+    folder = write_edges(tmp_path / "f", labelled=1)
+    np.savez(
+        folder / "sensor_images" / "10.000x10.000mm" / "0" / "label.npz",
+        allow_pickle=True,
+        rect1=np.array([Trap(sprung)], dtype=object),
+        rect2=np.zeros((4, 2)),
+    )
+    with pytest.raises(ImportFormatError, match=r"'rect1' is pickled, .* never opened; .*numpy\.save\('rect1\.npy'"):
+        read_by_recipe(folder, shipped("gs-sdk-edge"))
+    write_video(tmp_path / "v" / "example_data" / "2023-12-16" / "golf_ball_1.avi", grasp())
+    (tmp_path / "v" / "example_data" / "2023-12-16" / "golf_ball_1_forces.pkl").write_bytes(pickle.dumps(Trap(sprung)))
+    plain = shipped("estimate-modulus")
+    pickled = plain.model_copy(
+        update={"force": plain.force.model_copy(update={"file": "example_data/2023-12-16/{press}_forces.pkl"})}
+    )
+    with pytest.raises(ImportFormatError, match="is pickled, and opening it could run a stranger's code"):
+        read_by_recipe(tmp_path / "v", pickled)
+    assert not sprung.exists()
+
+
+def test_the_lines_that_convert_a_pickle_do_so(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("forces.pkl").write_bytes(pickle.dumps([0.0, 1.5]))
+    code = pickle_words(Path("forces.pkl")).split("of your own: ")[1].split(", and name")[0]
+    exec(code, {})
+    assert np.load("forces.npy").tolist() == [0.0, 1.5]
+
+
+CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row_px = 9, radius_px = 9}\n[indenter]\n'
+
+
+@pytest.mark.parametrize(
+    ("change", "of_contact", "message"),
+    [
+        (('file = "rest.png"', 'file = "other.png"'), None, "there is no other.png, the image without contact"),
+        (('"{press}.png"', '"{press}.tiff"'), None, r"no file in it is as the recipe 'mine' says \(\{press\}.tiff\)"),
+        (('"{press}.png"', '"../{press}.png"'), None, "must be a path within the folder"),
+        (('"{press}.png"', '"a.png"'), None, r"must have \{press\} once"),
+        (("[indenter]\n", CIRCLE), ('press = "n"\n', ""), "'press' is missing beside file"),
+        (("[indenter]\n", CIRCLE), ('= "x"', '= "y"'), "t.csv: has no column 'y'; it has n, x, r: correct the recipe"),
+        (("[indenter]\n", CIRCLE), ('"n"', '"m"'), "has no column 'm' that names the press"),
+        (("[indenter]\n", CIRCLE), ('= "x"', '= "r"'), "r of a must be a number, got 'wide'"),
+        (("[indenter]\n", CIRCLE), ("row_px = 9", "row_px = 999"), "outside the picture of 160 x 120 px; are row and"),
+        (("[indenter]\n", CIRCLE), ("t.csv", "t.pkl"), "t.pkl: is pickled"),
+        (("[indenter]\n", CIRCLE), ("t.csv", "{press}.npz"), r"there is no \{press\}.npz, which holds its contact"),
+    ],
+)
+def test_what_a_recipe_and_a_folder_contradict_is_told(tmp_path, change, of_contact, message):
+    save(tmp_path / "a.png", grasp()[20])
+    save(tmp_path / "rest.png", flat())
+    (tmp_path / "t.csv").write_text("n,x,r\na.png,80,wide\n")
+    text = PICTURES.replace(*change).replace(*(of_contact or ("", "")))
+    with pytest.raises(ImportFormatError, match=message):
+        read_by_recipe(tmp_path, recipe(text))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (PICTURES.replace('file = "rest.png"', "median_of_presses = true\nfar_pixels = true"), "exactly one of file"),
+        (PICTURES + "[scale]\nmm_per_px = 0.1\npx_per_mm = 10\n", "mm_per_px or px_per_mm, one of the two"),
+        (PICTURES + "[scale]\nmm_per_px = 0.1\ncheck_length_mm = 10\n", "check_length_px go together"),
+        (PICTURES + "[contact]\nsearch = 'circle'\noutline = ['a']\n", "exactly one of circle, outline"),
+        (PICTURES + "[contact]\noutline = ['a']\n", "file: missing"),
+        (PICTURES + "[picture]\nsize_px = [100, 100]\n", "corners_px and size_px go together"),
+        (PICTURES.replace("shape =", "form ="), "form"),
+        (PICTURES.replace("file = \"rest.png\"", "far_pixels = true\nrepeat_file = 'x'"), "repeat_file goes with file"),
+    ],
+)  # fmt: skip
+def test_recipes_that_contradict_themselves_are_refused(tmp_path, text, message):
+    (tmp_path / "r.toml").write_text(text)
+    with pytest.raises(ImportFormatError, match=message):
+        read_recipe(str(tmp_path / "r.toml"))
+
+
+def test_names_and_sizes_that_cannot_be_are_refused(tmp_path):
+    with pytest.raises(ImportFormatError, match="no recipe of this name and no such file; there are estimate-modulus"):
+        read_recipe("gelslim")
+    with pytest.raises(ImportFormatError, match="no such folder; give the folder that the recipe"):
+        read_by_recipe(tmp_path / "nowhere", recipe(PICTURES))
+    with pytest.raises(ImportFormatError, match=r"the ball's diameter: -1 mm must be above 0"):
+        with_sizes(recipe(PICTURES), -1.0, None)
+    (tmp_path / "rest.png").write_bytes(b"no picture")
+    save(tmp_path / "a.png", flat())
+    with pytest.raises(ImportFormatError, match=r"rest\.png: is neither PNG nor JPEG"):
+        read_by_recipe(tmp_path, recipe(PICTURES))
+    save(tmp_path / "rest.png", flat((60, 80)))
+    with pytest.raises(ImportFormatError, match=r"several sizes \(160 x 120, 80 x 60 px\)"):
+        read_by_recipe(tmp_path, recipe(PICTURES))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"RIFF\0\0\0\0WAVE", "is no AVI video; convert the video: ffmpeg"),
+        (b"RIFF\x04\0\0\0AVI ", "holds 0 frames"),
+        (b"RIFF\x10\0\0\0AVI 00dc\x04\0\0\0abcd", "its frames are no JPEG pictures"),
+    ],
+)
+def test_files_that_are_no_motion_jpeg_are_refused(tmp_path, content, message):
+    (tmp_path / "example_data" / "2023-12-16").mkdir(parents=True)
+    (tmp_path / "example_data" / "2023-12-16" / "golf_ball_1.avi").write_bytes(content)
+    with pytest.raises(ImportFormatError, match=message):
+        read_by_recipe(tmp_path, shipped("estimate-modulus"))
+
+
+def test_two_commands_lead_from_a_folder_to_scores(tmp_path, monkeypatch):
+    write_fots(tmp_path / "fots")
+    monkeypatch.chdir(tmp_path)
+    said = succeed("import captures fots --recipe fots-gelsight --predict-from 3 --out set")
+    assert "lacks a second image without contact" in said
+    assert "finray compare set set" in said
+    circles = read_circles(tmp_path / "set" / "circles.csv")
+    assert (circles["0002"].row_px, circles["0002"].column_px) == PLACES[1]
+    assert (tmp_path / "set" / "contacts.png").read_bytes().startswith(b"\x89PNG")
+    press = read_record(tmp_path / "set" / "0002.press.json", SimulatedPress)
+    assert "taught by 3 other presses: 0001, 0003, 0005" in press.notes
+    assert finray("compare set set --out scores").status == 0
+    summary = json.loads((tmp_path / "scores" / "summary.json").read_text())["record"]
+    skills = {pair["name"]: pair["skill"]["estimate"] for pair in summary["pairs"]}
+    assert skills.keys() == {"0002", "0004"}
+    assert min(skills.values()) > 0.9
+    # what was corrected by hand stands in the place of the table
+    lines = (tmp_path / "set" / "circles.csv").read_text().replace("0002,60,45,20", "0002,61,45,21")
+    (tmp_path / "mine.csv").write_text(lines)
+    succeed("import captures fots --recipe fots-gelsight --circles mine.csv --out again")
+    capture = read_record(tmp_path / "again" / "0002.capture.json", TactileCapture)
+    assert (capture.contact_circle.column_px, capture.contact_circle.radius_px) == (61.0, 21.0)
+    (tmp_path / "mine.csv").write_text("image,column_px,row_px,radius_px\n77,1,1,1\n")
+    for words, message in (
+        ("fots --recipe fots-gelsight --circles mine.csv", "77 is no press of fots"),
+        ("fots", "give FOLDER and --recipe NAME|FILE; recipes that come with finray: estimate-modulus"),
+        ("fots --recipe fots-gelsight --predict-from 5", "must be 1 to 4, for 5 presses"),
+    ):
+        failed = finray(f"import captures {words} --out no")
+        assert failed.status == 2
+        assert message in failed.err
+    assert "fots-gelsight" in succeed("import captures --list")
+
+
+def test_an_outline_outside_the_image_has_no_distance(tmp_path):
+    capture = read_by_recipe(write_fots(tmp_path / "f"), shipped("fots-gelsight")).captures["0001"]
+    far = tuple(PlaceInImage(row_px=900.0 + k, column_px=900.0 - k * k) for k in range(3))
+    moved = capture.model_copy(update={"contact_circle": None, "contact_outline": far})
+    with pytest.raises(
+        Exception, match="encloses no pixel of the image of 160 x 120 px; are rows and columns exchanged"
+    ):
+        contact_distance(moved)
+    assert contact_distance(capture.model_copy(update={"contact_circle": None})) is None
