@@ -5,6 +5,7 @@ longer than its deadline.
 """
 
 import sys
+import termios
 import threading
 import time
 from collections.abc import Callable
@@ -72,6 +73,15 @@ class TerminalOperator:
             raise CaptureError(
                 f"operator: '{instruction}' needs a person, and standard input is closed; run the capture in a terminal"
             )
+
+    def allows(self, question: str) -> bool:
+        """Ask a question that only the word "yes" answers with yes; keys pressed before it was asked do not count."""
+        if not (sys.stdin.isatty() and sys.stderr.isatty()):
+            return False
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+        sys.stderr.write(f"\n{question}\nType yes and press Enter; anything else ends the capture here. ")
+        sys.stderr.flush()
+        return sys.stdin.readline().strip().lower() == "yes"
 
 
 T = TypeVar("T")

@@ -218,3 +218,7 @@ class Operator(Protocol):
     def do(self, instruction: str) -> None:
         """Have something done that no device can do, such as turning a filter wheel by hand (no deadline)."""
         ...
+
+    def allows(self, question: str) -> bool:
+        """Return whether a person who was asked, and looked, says yes; False where nobody can be asked (no deadline)."""
+        ...

@@ -215,7 +215,7 @@ class _Recorder:
         return deque(partial(take, done, shot) for done, shot in enumerate(missing, 1))
 
     def _tell_fault(self, text: str) -> None:
-        """Note a light that is lit anew."""
+        """Note a light that was lost."""
         self._journal.append("light lost", text=text)
 
 

@@ -89,6 +89,7 @@ def under_light(
     tasks: deque[Callable[[], None]],
     on_fault: Callable[[str], None],
     around: Callable[[], AbstractContextManager[None]] = nullcontext,
+    must_ask: bool = False,
 ) -> None:
     """Do tasks with the planned light on; after a light that was lost it is lit anew, and the task is done again.
 
@@ -102,11 +103,14 @@ def under_light(
         Called with a text when the light was lost.
     around
         Entered before the light is switched on, and left after it is off.
+    must_ask
+        Whether the light harms eyes, so that it is lit anew only when the operator says that the box is closed: it may
+        have been lost because somebody opened it.
 
     Raises
     ------
     LightLostError
-        The light was lost again and again.
+        The light was lost again and again, or the operator did not allow it, or could not be asked; it is off.
     """
     lost = 0
     while tasks:
@@ -120,8 +124,17 @@ def under_light(
             lost += 1
             if lost > RELIGHTS:
                 raise
-            on_fault(f"light '{light}' was lost and is lit anew: {error}")
-            time.sleep(RELIGHT_PAUSE_S)
+            on_fault(f"light '{light}' was lost: {error}")
+            if not must_ask:
+                time.sleep(RELIGHT_PAUSE_S)
+            elif not opened.operator.allows(
+                f"The {light} was lost, is off and stays off ({error}). Look into it first: was the box opened? Is it "
+                f"closed now, does everybody wear goggles, and may the {light} be lit again?"
+            ):
+                raise LightLostError(
+                    f"{light}: was lost, is off, and is not lit anew unless a person at the terminal says that the box "
+                    f"is closed ({error}); look why, close the box, then take the capture up again with --resume"
+                ) from error
 
 
 class CheckedCamera:

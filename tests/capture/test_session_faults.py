@@ -26,7 +26,7 @@ from data_schemas import (
     TimedOutError,
 )
 from data_schemas.storage import sha256_of
-from rigs import Camera, Clock, FilterWheel, Light, OpenRig, RawFrame, open_rig
+from rigs import Camera, Clock, FilterWheel, Light, OpenRig, Operator, RawFrame, open_rig
 from rigs.capture import Interrupted, paint_steps, read_interrupted, read_session
 from rigs.capture import _exposure as exchange
 from rigs.capture import _frame_store as frame_store
@@ -396,7 +396,67 @@ def test_light_that_is_lost_is_lit_anew_and_the_frame_redone(
     assert doses == sorted(doses)
     lost = [line for line in read_journal(tmp_path) if line["event"] == "light lost"]
     assert len(lost) == 3
-    assert any("a light was lit anew 3 times" in note for note in session.notes)
+    assert any("a light was lost and lit anew 3 times" in note for note in session.notes)
+
+
+@dataclass
+class Asked:
+    """The bench's operator, who answers when a lost light may be lit again."""
+
+    hands: Operator
+    answer: bool
+    questions: list[str] = field(default_factory=list)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.hands, name)
+
+    def allows(self, question: str) -> bool:
+        self.questions.append(question)
+        return self.answer
+
+
+@pytest.mark.parametrize("hazard", ["3R", "3B", "4"])
+def test_a_hazardous_laser_that_was_lost_stays_dark_until_a_person_allows_it(
+    rig: RigFile, small: PaintPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hazard: str
+) -> None:
+    monkeypatch.setattr(exchange, "RELIGHT_PAUSE_S", 0.0)
+    hazardous = rig.model_copy(update={"laser": rig.laser.model_copy(update={"laser_class": hazard})})
+
+    def session(answer: bool, interrupted: Interrupted | None) -> tuple[CaptureSession | None, list[str], FailingLight]:
+        with open_rig(hazardous, Path()) as opened:
+            operator, laser = Asked(opened.operator, answer), FailingLight(opened.laser, (8,))
+            failing = replace(opened, laser=laser, operator=operator)
+            try:
+                return capture(failing, hazardous, small, tmp_path, interrupted), operator.questions, laser
+            except LightLostError as error:
+                assert "laser: was lost, is off, and is not lit anew unless a person" in str(error)
+                assert "close the box, then take the capture up again with --resume" in str(error)
+                return None, operator.questions, laser
+            finally:
+                assert dark(opened)
+
+    done, questions, laser = session(False, None)
+    assert done is None
+    assert len(questions) == 1
+    assert laser.asked == 8  # never lit after the loss
+    done, questions, laser = session(True, read_interrupted(tmp_path))
+    assert done is not None
+    assert len(questions) == 1
+    assert "was the box opened?" in questions[0]
+    assert laser.asked > 8
+
+
+@pytest.mark.parametrize("hazard", ["1", "2", "2M"])
+def test_a_harmless_laser_is_lit_anew_without_a_person(
+    rig: RigFile, small: PaintPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hazard: str
+) -> None:
+    monkeypatch.setattr(exchange, "RELIGHT_PAUSE_S", 0.0)
+    harmless = rig.model_copy(update={"laser": rig.laser.model_copy(update={"laser_class": hazard})})
+    with open_rig(harmless, Path()) as opened:
+        operator = Asked(opened.operator, False)
+        lamp, laser = FailingLight(opened.lamp, (7,)), FailingLight(opened.laser, (8,))
+        capture(replace(opened, lamp=lamp, laser=laser, operator=operator), harmless, small, tmp_path)
+    assert operator.questions == []
 
 
 def test_light_that_is_lost_again_and_again_ends_the_session(
