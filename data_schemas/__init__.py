@@ -251,6 +251,8 @@ if TYPE_CHECKING:
         UnsafeError,
         WrongPositionError,
         naming,
+        naming_file,
+        system_words,
     )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -482,6 +484,7 @@ __all__ = [
     "lazy_exports",
     "look_like_radians",
     "naming",
+    "naming_file",
     "narrow_sweep_text",
     "note_renderer",
     "package_version",
@@ -489,4 +492,5 @@ __all__ = [
     "register_record_methods",
     "require_coverage",
     "significant",
+    "system_words",
 ]

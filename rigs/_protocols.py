@@ -220,5 +220,5 @@ class Operator(Protocol):
         ...
 
     def allows(self, question: str) -> bool:
-        """Return whether a person who was asked, and looked, says yes; False where nobody can be asked (no deadline)."""
+        """Return whether a person who was asked says yes; False where nobody can be asked (no deadline)."""
         ...

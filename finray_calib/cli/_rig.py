@@ -140,16 +140,22 @@ def chosen_devices() -> "dict[Role, FoundDevice]":
 
 
 def choose(devices: "tuple[FoundDevice, ...]") -> "dict[Role, FoundDevice]":
-    """Offer each device for each role that it can have, until one is taken."""
+    """Offer each device for each role that it can have, until one is taken; a camera's own wheel before others."""
     roles: dict[Role, str] = {"camera": "camera", "filter wheel": "filter wheel", "laser": "light", "lamp": "light"}
     chosen: dict[Role, FoundDevice] = {}
     for role, kind in roles.items():
-        for device in devices:
+        camera = chosen.get("camera")
+        for device in sorted(devices, key=lambda device: not _is_within(device, camera)):
             if device.kind != kind or device in chosen.values() or not _offered(role, device):
                 continue
             chosen[role] = device
             break
     return chosen
+
+
+def _is_within(device: "FoundDevice", camera: "FoundDevice | None") -> bool:
+    """Whether a device is part of the camera: one driver shows both at one address."""
+    return camera is not None and (device.driver, device.address) == (camera.driver, camera.address)
 
 
 def _offered(role: str, device: "FoundDevice") -> bool:

@@ -191,6 +191,7 @@ class _Recorder:
             self._camera.black_level_dn,
             METERED_FRACTION,
             self._flat.label,
+            tell=lambda text: None if self._progress is None else self._progress(0, 1, text),
         )
         raw = self._store.camera.expose(self._flat, metered_s).raw
         saturation_s = saturation_exposures_s(raw.counts[self._store.region], raw.exposure_s, self._camera)

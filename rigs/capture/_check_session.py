@@ -134,7 +134,13 @@ class _Recorder:
         """Try everything that the open rig can show."""
         if isinstance(opened.laser, GuardedLight):
             self._has_dead_man = opened.laser.has_dead_man
-        frames = self._frames = CheckFrames(opened, self._rig, self._plan, self._filters)
+        frames = self._frames = CheckFrames(
+            opened,
+            self._rig,
+            self._plan,
+            self._filters,
+            lambda text: self._progress(self._done - 1, STEPS, text),
+        )
         self._keep(handshakes=self._attempt("handshake", lambda: handshakes(opened, self._rig)) or ())
         moves: list[WheelMove] = []
         self._attempt("wheel", lambda: moves.extend(wheel_moves(opened, self._plan, self._filters)))

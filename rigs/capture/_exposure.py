@@ -422,6 +422,8 @@ BRIGHTEST_PERCENTILE = 99.9
 SATURATED_STEPS_DOWN = 3
 # A signal below this share of full scale is mostly noise: it guides the next guess but decides nothing.
 TRUSTED_SIGNAL_FRACTION = 0.05
+LONG_EXPOSURE_S = 2.0
+"""From here on metering says that it exposes: a person would think that it hangs."""
 
 
 def exposure_ladder(shortest_s: float, longest_s: float) -> tuple[float, ...]:
@@ -458,6 +460,7 @@ def meter_exposure(
     target_fraction: float,
     what: str,
     first_guess_s: float | None = None,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> float:
     """Find the longest exposure of the ladder with which nothing in the metered region is too bright.
 
@@ -479,6 +482,8 @@ def meter_exposure(
         Filter and light in words, for the message.
     first_guess_s
         Where to start (s), such as the exposure of a similar step; the middle of the ladder if left out.
+    tell
+        Called with a text before every long exposure, for whoever waits.
 
     Returns
     -------
@@ -494,6 +499,11 @@ def meter_exposure(
     guess = len(ladder) // 2 if first_guess_s is None else ladder.index(rung_at_or_below(ladder, first_guess_s))
     while fails - fits > 1:
         rung = min(max(guess, fits + 1), fails - 1)
+        if ladder[rung] >= LONG_EXPOSURE_S:
+            tell(
+                f"metering {what}: exposes for {ladder[rung]:.3g} s, for it is dim; the longest that the rig file "
+                f"allows is {ladder[-1]:.3g} s"
+            )
         counts = take(ladder[rung])
         peak_dn = brightest_dn(counts)
         signal_dn = max(peak_dn - black_level_dn, 1.0)

@@ -172,6 +172,10 @@ class PaintRecorder:
     def _tell_fault(self, text: str) -> None:
         """Note a light that was lost, and warn whoever is at the rig."""
         self._journal.append("light lost", text=text)
+        self._tell(text)
+
+    def _tell(self, text: str) -> None:
+        """Tell whoever is at the rig."""
         if self._progress is not None:
             self._progress(0, 1, text)
 
@@ -211,6 +215,7 @@ class PaintRecorder:
             self._plan.target_fraction,
             step.label,
             self._metered_s.get(step.light),
+            self._tell,
         )
         self._metered_s[step.light] = metered_s
         rungs_s = {rung_at_or_below(self._ladder, metered_s * factor) for factor in self._plan.bracket}

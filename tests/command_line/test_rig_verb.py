@@ -114,6 +114,18 @@ def test_devices_that_the_user_takes_stand_in_the_file(
     assert rig.filter_wheel.address == "/dev/ttyUSB0"
 
 
+def test_a_cameras_own_wheel_is_offered_before_others(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    camera = FoundDevice("camera", "indi", "localhost:7624/ZWO CCD ASI1600MM", "INDI camera")
+    within = FoundDevice("filter wheel", camera.driver, camera.address, "INDI filter wheel")
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n"))
+    assert choose((WHEEL, camera, within)) == {"camera": camera, "filter wheel": within}
+    assert WHEEL.address not in capsys.readouterr().err
+    monkeypatch.setattr(sys, "stdin", io.StringIO("no\n\n"))
+    assert choose((WHEEL, camera, within)) == {"filter wheel": WHEEL}  # another camera has no say
+
+
 def test_end_of_input_takes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
     assert choose((CAMERA, WHEEL)) == {}
