@@ -144,8 +144,8 @@ def system_words(error: BaseException) -> str:
     told = error.args[1] if type(error).__name__ == "error" and len(error.args) == 2 else error  # termios.error
     text = re.sub(r"\[Errno -?\d+\] ?", "", str(told)).strip()
     if not text:
-        silent = {TimeoutError: "it took too long", ConnectionResetError: "the other end closed the connection"}
-        return silent.get(type(error), type(error).__name__)
+        silent = {"TimeoutError": "it took too long", "ConnectionResetError": "the other end closed the connection"}
+        return silent.get(type(error).__name__, type(error).__name__)
     return text if text[1:2].isupper() else text[0].lower() + text[1:]
 
 

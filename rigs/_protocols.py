@@ -125,7 +125,7 @@ class LightSwitch(Protocol):
 
     @property
     def has_dead_man(self) -> bool:
-        """Whether the controller itself switches the light off when it hears nothing for about a second."""
+        """Whether the controller itself switches the light off when it hears nothing for half a second."""
         ...
 
     def identity(self) -> DeviceIdentity:

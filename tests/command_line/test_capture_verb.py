@@ -148,7 +148,7 @@ def test_real_laser_needs_its_label_and_is_announced(lab: Path, tmp_path: Path) 
     assert "switched on only when the rig file states its laser_class, power_mw; read them from its label" in said
     said = mistake(f"{capture} {named}")
     assert "LASER 450 nm, 4.5 mW, class 3R: it will be switched on. Wear goggles for 450 nm, close the box" in said
-    off = "all processes are killed: yes, by the dead-man in its controller, within 1 s"
+    off = "all processes are killed: yes, by the dead-man in its controller, within 0.5 s"
     assert (
         said.index("LASER 450 nm") < said.index(off) < said.index("cannot be opened")
     )  # told before anything is tried

@@ -277,7 +277,7 @@ def test_show_of_real_drivers_on_emulated_devices(tmp_path: Path) -> None:
     assert "off when a process of finray is killed or stopped: yes, by the others, within 1 s" in said
     assert "its cable is pulled or all processes are killed: yes, by the dead-man in its controller" in said
     assert "cannot be lit" not in said
-    assert "light with dead-man, firmware 1.1" in said
+    assert "light with dead-man, firmware 1.2" in said
     assert "Aravis Fake, serial FINRAY01" in said
     assert "512 x 512 px; 0.01 s asked for, 0.01 s read back" in said
     assert "pixel_format BayerRG8" in said
