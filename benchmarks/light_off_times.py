@@ -79,18 +79,18 @@ def words(mishap: tuple[tuple[str, str], ...]) -> str:
     return ", then ".join(f"{who} {blow}" for who, blow in mishap)
 
 
-def hold(driver: str, address: str) -> None:
+def hold(driver: str, address: str, ask_every_s: float) -> None:
     """For every line of standard input light it in a child, which a mishap may befall."""
     for _ in sys.stdin:
         child = os.fork()
         if child == 0:
-            keep_on(driver, address)
+            keep_on(driver, address, ask_every_s)
             os._exit(0)
         with suppress(InterruptedError):
             os.waitpid(child, 0)
 
 
-def keep_on(driver: str, address: str) -> None:
+def keep_on(driver: str, address: str, ask_every_s: float) -> None:
     """Keep it on and ask for its state now and then, as a session does."""
     light = GuardedLight("laser", driver, address)
     try:
@@ -98,7 +98,7 @@ def keep_on(driver: str, address: str) -> None:
         with light.lit():
             print(json.dumps([os.getpid(), light.guard_pid, light.watch_pid]), flush=True)
             while True:
-                time.sleep(0.1)
+                time.sleep(ask_every_s)
                 light.state()
     except Exception as error:
         print(json.dumps(repr(error)), file=sys.stderr, flush=True)
@@ -107,8 +107,8 @@ def keep_on(driver: str, address: str) -> None:
 
 
 @contextmanager
-def holder(lamp: Lamp) -> Iterator["subprocess.Popen[str]"]:
-    command = [sys.executable, __file__, "--hold", lamp.driver, lamp.address]
+def holder(lamp: Lamp, ask_every_s: float = 0.1) -> Iterator["subprocess.Popen[str]"]:
+    command = [sys.executable, __file__, "--hold", lamp.driver, lamp.address, str(ask_every_s)]
     pipe = subprocess.PIPE
     with (
         Path(tempfile.gettempdir(), "light-off-times.log").open("a") as log,
@@ -290,7 +290,9 @@ def stay_lit(busy: int, guards: int, minutes: float) -> int:
     """Keep lights lit side by side; print the silences that their boards heard, and return how many would trip one."""
     with ExitStack() as stack:
         boards = TimedBoards(guards)
-        holders = [stack.enter_context(holder(Lamp("arduino", address, no_witness))) for address in boards.addresses]
+        holders = [
+            stack.enter_context(holder(Lamp("arduino", address, no_witness), 5.0)) for address in boards.addresses
+        ]
         for _ in range(busy):
             loop = subprocess.Popen([sys.executable, "-c", "while True: pass"], start_new_session=True)
             stack.callback(loop.kill)
@@ -311,9 +313,9 @@ def stay_lit(busy: int, guards: int, minutes: float) -> int:
     trips = sum(silence_s >= DEAD_MAN_S for silence_s in silences_s)
     shares = [f"{silences_s[int(share * (len(silences_s) - 1))]:.3f}" for share in (0.5, 0.99, 0.9999, 1.0)]
     print(
-        f"{guards} guards, {busy} busy, {guards * (end_s - began_s) / 60:.1f} guard-minutes, load {os.getloadavg()[0]:.1f}: "
-        f"{trips} silences of {DEAD_MAN_S} s or more, {lost} lights lost otherwise; silence between two words of "
-        f"{len(silences_s)}, 50 / 99 / 99.99 / 100 %: {' / '.join(shares)} s",
+        f"{guards} guards, {busy} busy, {guards * (end_s - began_s) / 60:.1f} guard-minutes, load "
+        f"{os.getloadavg()[0]:.1f}: {trips} silences of {DEAD_MAN_S} s or more, {lost} lights lost otherwise; "
+        f"{len(silences_s)} silences between two words, 50 / 99 / 99.99 / 100 %: {' / '.join(shares)} s",
         flush=True,
     )
     return trips + lost
@@ -393,10 +395,11 @@ def main() -> int:
     parser.add_argument("--table", action="store_true")
     parser.add_argument("--stay-lit", type=float, metavar="MINUTES", help="look for silences that trip a dead-man")
     parser.add_argument("--guards", type=int, default=4, help="lights that stay lit side by side")
-    parser.add_argument("--hold", nargs=2, metavar=("DRIVER", "ADDRESS"), help=argparse.SUPPRESS)
+    parser.add_argument("--hold", nargs=3, metavar=("DRIVER", "ADDRESS", "SECONDS"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.hold:
-        hold(*arguments.hold)
+        driver, address, ask_every_s = arguments.hold
+        hold(driver, address, float(ask_every_s))
         return 0
     if arguments.stay_lit is not None:
         return int(stay_lit(arguments.busy, arguments.guards, arguments.stay_lit) > 0)

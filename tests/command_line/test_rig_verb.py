@@ -126,6 +126,21 @@ def test_a_cameras_own_wheel_is_offered_before_others(
     assert choose((WHEEL, camera, within)) == {"filter wheel": WHEEL}  # another camera has no say
 
 
+@pytest.mark.parametrize(("preset", "mode_nm"), [("simulated", 597.0), ("simulated-green", 516.0)])
+def test_a_rig_to_practise_on_asks_for_no_device(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, preset: str, mode_nm: float
+) -> None:
+    monkeypatch.setattr("finray_calib.cli._rig.chosen_devices", raising(AssertionError("looks for devices")))
+    said = succeed(f"rig init --preset {preset} --out {tmp_path}/rig.toml")
+    assert f"then: finray rig show {tmp_path}/rig.toml\n" in said
+    assert "fill in" not in said
+    rig = read_toml(tmp_path / "rig.toml", RigFile)
+    assert rig.is_simulated
+    assert rig.simulated is not None
+    assert rig.simulated.paint is not None
+    assert rig.simulated.paint.mode_nm == mode_nm
+
+
 def test_end_of_input_takes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
     assert choose((CAMERA, WHEEL)) == {}
