@@ -56,6 +56,7 @@ def session(switch: ArduinoSwitch) -> None:
     switch.switch(True, DEADLINE_S)
     for _ in range(3):
         switch.keep_alive()
+        time.sleep(0.2)  # as a guard does: the answer is there before the next word
     assert switch.state(DEADLINE_S)
     switch.switch(False, DEADLINE_S)
     assert not switch.state(DEADLINE_S)
