@@ -3,7 +3,8 @@
 A lock goes by what an address leads to. Serial ports count by the device's number, so that every link to one is the
 same; servers by every network address that their name resolves to, where all addresses of this computer are one. A
 lock is a name in the kernel's table of abstract sockets: it holds for all users and vanishes with its process. What two
-names share behind another computer (a tunnel, a forwarded port) cannot be seen from here.
+names share behind another computer (a tunnel, a forwarded port) cannot be seen from here. A camera with several names
+(its serial number, its network address) refuses a second program by itself.
 """
 
 import errno
@@ -55,6 +56,8 @@ def device_keys(driver: str, address: str) -> frozenset[str]:
 
 def _port_key(path: str) -> str | None:
     """Return the number of a port on this computer, or its real path where there is none; None where it is no path."""
+    if "/" not in path:
+        return None
     try:
         found = os.stat(path)
     except (OSError, ValueError):
