@@ -253,6 +253,8 @@ if TYPE_CHECKING:
         UnsafeError,
         WrongPositionError,
         naming,
+        naming_file,
+        system_words,
     )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -486,6 +488,7 @@ __all__ = [
     "lazy_exports",
     "look_like_radians",
     "naming",
+    "naming_file",
     "narrow_sweep_text",
     "note_renderer",
     "package_version",
@@ -493,4 +496,5 @@ __all__ = [
     "register_record_methods",
     "require_coverage",
     "significant",
+    "system_words",
 ]

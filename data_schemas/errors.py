@@ -30,6 +30,7 @@ Messages name the thing (file and field, or device), what was asked, what is all
 to do next.
 """
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -136,3 +137,24 @@ def naming(kind: type[FinrayError], *paths: Path) -> Iterator[None]:
         if not paths:
             raise
         raise type(error)(f"{' and '.join(map(str, paths))}: {error}") from None
+
+
+def system_words(error: BaseException) -> str:
+    """Return what the operating system, or a library over it, says of an error: words without ``[Errno 28]``."""
+    told = error.args[1] if type(error).__name__ == "error" and len(error.args) == 2 else error  # termios.error
+    text = re.sub(r"\[Errno -?\d+\] ?", "", str(told)).strip()
+    if not text:
+        silent = {"TimeoutError": "it took too long", "ConnectionResetError": "the other end closed the connection"}
+        return silent.get(type(error).__name__, type(error).__name__)
+    return text if text[1:2].isupper() else text[0].lower() + text[1:]
+
+
+@contextmanager
+def naming_file(path: Path) -> Iterator[None]:
+    """Give an error of the operating system the name of the file that was written, where it has none."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(path)
+        raise

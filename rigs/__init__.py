@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
+    from rigs._device_lock import device_locked, rig_locked
     from rigs._drivers import (
         Detection,
         Driver,
@@ -32,16 +33,14 @@ if TYPE_CHECKING:
         open_wheel,
         rig_drivers,
     )
-    from rigs._host import CallThread, NoAnswerError, SystemClock, TerminalOperator
+    from rigs._host import AbsentOperator, CallThread, NoAnswerError, SystemClock, TerminalOperator
     from rigs._open_rig import (
         OpenRig,
-        device_locked,
         lone_camera,
         lone_lamp,
         lone_laser,
         lone_wheel,
         open_rig,
-        rig_locked,
     )
     from rigs._overview import device_title, look_at, look_at_tactile
     from rigs._protocols import (
@@ -74,6 +73,7 @@ else:
 
 __all__ = [
     "DEFAULT_PAINTS",
+    "AbsentOperator",
     "CallThread",
     "Camera",
     "Clock",

@@ -5,6 +5,7 @@ longer than its deadline.
 """
 
 import sys
+import termios
 import threading
 import time
 from collections.abc import Callable
@@ -72,6 +73,48 @@ class TerminalOperator:
             raise CaptureError(
                 f"operator: '{instruction}' needs a person, and standard input is closed; run the capture in a terminal"
             )
+
+    def allows(self, question: str) -> bool:
+        """Ask a question that only the word "yes" answers with yes; keys pressed before it was asked do not count."""
+        if not (sys.stdin.isatty() and sys.stderr.isatty()):
+            return False
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+        sys.stderr.write(f"\n{question}\nType yes and press Enter; anything else ends the capture here. ")
+        sys.stderr.flush()
+        return sys.stdin.readline().strip().lower() == "yes"
+
+
+class AbsentOperator:
+    """Nobody, for looking at a rig: nothing is asked, and what a person would have been asked is remembered.
+
+    Attributes
+    ----------
+    instructions
+        What a person would have been asked to do, in order.
+    """
+
+    def __init__(self) -> None:
+        self.instructions: list[str] = []
+
+    def place(self, target: Target) -> None:
+        """Remember that `target` would be put in view."""
+        self.do(_TARGETS[target])
+
+    def swing_wheel_out(self) -> None:
+        """Remember that the wheel would be swung out."""
+        self.do("Swing the filter wheel out of the beam.")
+
+    def tilt(self, angle_deg: float) -> None:
+        """Remember that the sample would be tilted."""
+        self.do(f"Turn the sample until its normal and the laser beam enclose {angle_deg:g} deg.")
+
+    def do(self, instruction: str) -> None:
+        """Remember an instruction."""
+        self.instructions.append(instruction)
+
+    def allows(self, question: str) -> bool:
+        """Allow nothing."""
+        return False
 
 
 T = TypeVar("T")

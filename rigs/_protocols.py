@@ -125,7 +125,7 @@ class LightSwitch(Protocol):
 
     @property
     def has_dead_man(self) -> bool:
-        """Whether the controller itself switches the light off when it hears nothing for about a second."""
+        """Whether the controller itself switches the light off when it hears nothing for half a second."""
         ...
 
     def identity(self) -> DeviceIdentity:
@@ -217,4 +217,8 @@ class Operator(Protocol):
 
     def do(self, instruction: str) -> None:
         """Have something done that no device can do, such as turning a filter wheel by hand (no deadline)."""
+        ...
+
+    def allows(self, question: str) -> bool:
+        """Return whether a person who was asked says yes; False where nobody can be asked (no deadline)."""
         ...

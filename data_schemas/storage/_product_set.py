@@ -349,7 +349,7 @@ class ProductSet:
         handle = os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
         self._added.append(_Added(part, path, sha256))
         try:
-            write_all(handle, content)
+            write_all(handle, content, path)
         finally:
             os.close(handle)
         return path
@@ -435,7 +435,7 @@ class ProductSet:
                 "files": [{"file": a.path.relative_to(folder).as_posix(), "sha256": a.sha256} for a in files],
                 "others": [_path_from(folder, other) for at, (other, _) in self._set_files.items() if at != folder],
             }
-            write_all(handle, json.dumps(told).encode() + b"\n")
+            write_all(handle, json.dumps(told).encode() + b"\n", folder)
             sync_folder(folder)
 
     def _folder_of(self, added: _Added) -> Path:

@@ -14,7 +14,7 @@ import os
 import secrets
 from pathlib import Path
 
-from data_schemas import RecordError
+from data_schemas import RecordError, naming_file
 from data_schemas.storage._foreign_files import open_regular
 
 # What os.link says on file systems without hard links (FAT, some network and container mounts).
@@ -43,7 +43,7 @@ def write_bytes(path: Path, content: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     part, handle = _new_part(path)
     try:
-        write_all(handle, content)
+        write_all(handle, content, path)
         give_name(part, path)
         try:
             sync_folder(path.parent)
@@ -114,12 +114,13 @@ def is_ours(handle: int) -> bool:
     return lock(handle) is not False and os.fstat(handle).st_nlink > 0
 
 
-def write_all(handle: int, content: bytes) -> None:
-    """Have all bytes in an open file, and the file on the disk."""
+def write_all(handle: int, content: bytes, path: Path) -> None:
+    """Have all bytes in an open file, and the file on the disk; an error names the path it is for."""
     rest = memoryview(content)
-    while rest:
-        rest = rest[os.write(handle, rest) :]
-    os.fsync(handle)
+    with naming_file(path):
+        while rest:
+            rest = rest[os.write(handle, rest) :]
+        os.fsync(handle)
 
 
 def give_name(part: Path, path: Path) -> None:
@@ -147,7 +148,8 @@ def sync_folder(folder: Path) -> None:
     """Have the names in a folder on the disk."""
     handle = os.open(folder, os.O_RDONLY)
     try:
-        os.fsync(handle)
+        with naming_file(folder):
+            os.fsync(handle)
     except OSError as error:
         if error.errno not in NO_FOLDER_SYNC:
             raise

@@ -157,7 +157,7 @@ def capture_paint(arguments: argparse.Namespace) -> None:
     """Capture a paint session, or say what it would take."""
     from data_schemas import CaptureError, PaintPlan, RigFile
     from data_schemas.storage import read_toml
-    from rigs import open_rig, rig_locked
+    from rigs import AbsentOperator, open_rig, rig_locked
     from rigs.capture import capture_paint_session, forecast, paint_steps, read_session, require_ready
     from rigs.light_guard import require_outside_layer
 
@@ -167,12 +167,15 @@ def capture_paint(arguments: argparse.Namespace) -> None:
     with naming(CaptureError, arguments.rig):
         require_outside_layer(rig.laser)
     if arguments.dry_run:
-        with rig_locked(rig), open_rig(rig, arguments.rig.parent) as opened:
+        nobody = AbsentOperator()
+        with rig_locked(rig), open_rig(rig, arguments.rig.parent, nobody) as opened:
             require_ready(opened, steps)
         expected = forecast(plan, rig, steps)
         say(f"{expected.steps} steps, at most {expected.most_frames} frames, {1e-6 * expected.disk_bytes:.0f} MB")
         say(f"{expected.targets} times another target, {expected.moves} moves of the wheel")
         say(f"about {expected.typical_s / 60:.0f} min; {expected.longest_s / 60:.0f} min if every exposure is longest")
+        for instruction in dict.fromkeys(nobody.instructions):
+            say(f"not asked of anybody now: {instruction}")
         say("the rig is ready; nothing was moved, lit or stored")
         return
     last_good = None if arguments.like is None else read_session(arguments.like)

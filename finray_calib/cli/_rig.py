@@ -29,8 +29,11 @@ if TYPE_CHECKING:
 RIG_HELP = "write a rig file, find devices, and show what the devices of a rig report"
 INIT_HELP = "write a commented rig file to start from"
 INIT_DESCRIPTION = """\
-Write a rig file with a comment on every value, made after a preset. On a terminal the devices that are found are
-offered; otherwise the preset's own are written, and what to fill in is said."""
+Write a rig file with a comment on every value, made after a preset.
+"paper": the paper's set-up. On a terminal the devices that are found are offered; otherwise the preset's own are
+written, and what to fill in is said.
+"simulated", "simulated-green": a rig to practise on without any device, with a red or a green paint under its lens:
+the commands of the how-to pages run on it, and its file says what the paint truly is."""
 DETECT_HELP = "list the cameras, filter wheels and lights that can be found"
 DETECT_DESCRIPTION = """\
 Ask every driver what it can find, and print driver and address as a rig file names them. Serial ports behind USB are
@@ -42,12 +45,17 @@ switches them off when a process or the computer fails, one dark exposure of the
 and the lights stay off. A device that cannot be reached hides no other; the exit status is 2 then."""
 
 
+PRACTICE_PAINTS = {"simulated": "red", "simulated-green": "green"}
+
+
 def add_rig(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb and what it can do."""
     parser = verbs.add_parser("rig", help=RIG_HELP, description=RIG_HELP)
     actions = parser.add_subparsers(dest="action", metavar="ACTION", title="actions", required=True)
-    init = actions.add_parser("init", help=INIT_HELP, description=INIT_DESCRIPTION)
-    init.add_argument("--preset", choices=("paper",), default="paper", help="whose set-up (default: paper)")
+    init = actions.add_parser(
+        "init", help=INIT_HELP, description=INIT_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    init.add_argument("--preset", choices=("paper", *PRACTICE_PAINTS), default="paper", help="default: paper")
     add_out(init, "rig.toml")
     init.set_defaults(run=run_init)
     detect = actions.add_parser("detect", help=DETECT_HELP, description=DETECT_DESCRIPTION)
@@ -59,9 +67,15 @@ def add_rig(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
 
 def run_init(arguments: argparse.Namespace) -> None:
     """Write a rig file."""
-    from rigs import paper_rig, to_fill_in, write_rig
+    from rigs import paper_rig, simulated_rig, to_fill_in, write_rig
 
     out = require_new(arguments.out or Path("rig.toml"))
+    if (paint := PRACTICE_PAINTS.get(arguments.preset)) is not None:
+        say(f"rig file: {write_rig(simulated_rig(paint), out)}")
+        say(f"  a rig to practise on: camera, wheel, lights and a {paint} paint are simulated; what the paint truly is")
+        say("  stands in [simulated.paint]")
+        say(f"then: finray rig show {out}")
+        return
     chosen = chosen_devices()
     say(f"rig file: {write_rig(paper_rig(chosen), out)}")
     for text in to_fill_in(chosen):
@@ -140,16 +154,22 @@ def chosen_devices() -> "dict[Role, FoundDevice]":
 
 
 def choose(devices: "tuple[FoundDevice, ...]") -> "dict[Role, FoundDevice]":
-    """Offer each device for each role that it can have, until one is taken."""
+    """Offer each device for each role that it can have, until one is taken; a camera's own wheel before others."""
     roles: dict[Role, str] = {"camera": "camera", "filter wheel": "filter wheel", "laser": "light", "lamp": "light"}
     chosen: dict[Role, FoundDevice] = {}
     for role, kind in roles.items():
-        for device in devices:
+        camera = chosen.get("camera")
+        for device in sorted(devices, key=lambda device: not _is_within(device, camera)):
             if device.kind != kind or device in chosen.values() or not _offered(role, device):
                 continue
             chosen[role] = device
             break
     return chosen
+
+
+def _is_within(device: "FoundDevice", camera: "FoundDevice | None") -> bool:
+    """Whether a device is part of the camera: one driver shows both at one address."""
+    return camera is not None and (device.driver, device.address) == (camera.driver, camera.address)
 
 
 def _offered(role: str, device: "FoundDevice") -> bool:

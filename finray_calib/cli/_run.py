@@ -24,7 +24,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from data_schemas import DiedError, FinrayError, RecordError, SimulateError
+from data_schemas import DiedError, FinrayError, RecordError, SimulateError, system_words
 from data_schemas import naming as naming
 from data_schemas.storage import Child, is_child, progress_teller, tell
 
@@ -142,13 +142,37 @@ def command_line() -> str:
 
 
 def say(text: str) -> None:
-    """Tell the user a result."""
-    sys.stdout.write(text + "\n")
+    """Tell the user a result.
+
+    Raises
+    ------
+    FinrayError
+        Standard output takes nothing more; the rest of the output is dropped.
+    """
+    try:
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
+    except OSError as error:
+        drop_output()
+        if isinstance(error, BrokenPipeError):
+            told = "the program that read it has ended (such as 'head' behind a pipe); send the output to a file"
+        else:
+            told = f"{system_words(error)}; send the output to another file, or to the terminal"
+        raise FinrayError(f"standard output cannot be written: {told}. What was stored is whole") from None
+
+
+def drop_output() -> None:
+    """Let what standard output still holds go nowhere: Python would write it once more at its end, and fail again."""
+    with contextlib.suppress(OSError, ValueError):  # it may be closed, or none of the system's
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
 
 
 def warn(text: str) -> None:
-    """Tell the user something that is not a result."""
-    sys.stderr.write(text + "\n")
+    """Tell the user something that is not a result; a full disk behind standard error ends no capture."""
+    with contextlib.suppress(OSError):
+        sys.stderr.write(text + "\n")
 
 
 def file_name(name: str) -> str:

@@ -2,11 +2,13 @@
 
 import argparse
 import atexit
+import errno
 import gc
+import os
 import sys
 from collections.abc import Sequence
 
-from data_schemas import DiedError, FinrayError
+from data_schemas import DiedError, FinrayError, system_words
 from data_schemas.storage import OBJECTS_PER_COLLECTION
 from finray_calib.cli import (
     add_capture,
@@ -28,10 +30,24 @@ from finray_calib.cli import (
     add_verify,
     spelled_now,
 )
+from finray_calib.cli._run import say, warn
 
 USER_MISTAKE = 2
 DIED = 3
 INTERRUPTED = 130
+TO_DO = {
+    errno.ENOSPC: "free space on the disk, then run the command again",
+    errno.EDQUOT: "your share of the disk is used up: free space, then run the command again",
+    errno.EFBIG: "the file system, or 'ulimit -f', allows no larger file: write to another --out",
+    errno.EIO: "the disk or the network folder has a fault ('dmesg' tells): write to another --out",
+    errno.EROFS: "this disk can only be read: write to another --out",
+    errno.ENOMEM: "close other programs, then run the command again",
+    errno.EMFILE: "allow more open files with 'ulimit -n 4096', then run the command again",
+    errno.ENFILE: "close other programs, then run the command again",
+    errno.EPIPE: "a process that finray talked to has ended: run the command again",
+    errno.ECONNRESET: "a process that finray talked to has ended: run the command again",
+}
+"""What to do about an error of the operating system that names no file."""
 VERBS = {
     "capture": add_capture,
     "radiometry": add_radiometry,
@@ -84,17 +100,17 @@ def main(arguments: Sequence[str] | None = None, in_own_process: bool = False) -
     if unknown:
         verb = " ".join(filter(None, ("finray", parsed.verb, getattr(parsed, "job", None))))
         told = f"'{verb}' knows no {' '.join(unknown)}; '{verb} --help' lists what can be given"
-        sys.stderr.write(f"finray {parsed.verb}: error: {told}\n")
+        warn(f"finray {parsed.verb}: error: {told}")
         return USER_MISTAKE
-    if parsed.version:
-        from data_schemas import package_version
-
-        sys.stdout.write(f"finray {package_version()}\n")
-        return 0
-    if parsed.verb is None:
+    if parsed.verb is None and not parsed.version:
         parser.print_help()
         return USER_MISTAKE
     try:
+        if parsed.version:
+            from data_schemas import package_version
+
+            say(f"finray {package_version()}")
+            return 0
         describe = getattr(parsed, "long_work", None)
         if in_own_process and describe is not None:
             from finray_calib.cli._run import run_in_own_process
@@ -102,10 +118,10 @@ def main(arguments: Sequence[str] | None = None, in_own_process: bool = False) -
             return run_in_own_process(describe(parsed), words)
         status = parsed.run(parsed)
     except (FinrayError, OSError) as error:
-        sys.stderr.write(f"finray {parsed.verb}: error: {_one_line(error)}\n")
+        warn(f"finray {parsed.verb or '--version'}: error: {_one_line(error)}")
         return DIED if isinstance(error, DiedError) else USER_MISTAKE
     except KeyboardInterrupt:
-        sys.stderr.write(f"finray {parsed.verb}: interrupted; what was stored is whole\n")
+        warn(f"finray {parsed.verb}: interrupted; what was stored is whole")
         return INTERRUPTED
     return int(status or 0)
 
@@ -115,12 +131,18 @@ def _one_line(error: Exception) -> str:
     text = str(error)
     if isinstance(error, OSError) and error.filename is not None:
         text = f"{error.filename}: {error.strerror}; check the path, its permissions and the space on the disk"
+    elif isinstance(error, OSError):
+        todo = TO_DO.get(error.errno or 0, "'finray doctor' says what this computer lacks")
+        text = f"this computer: {system_words(error)}; {todo}"
     return " ".join(text.split())
 
 
 def program() -> int:
     """Run :func:`main` as a process of its own, which ends without a last search for cycles: a tenth of a fit."""
     atexit.register(gc.freeze)
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by who started us, as service managers may
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r" if name == "stdin" else "w"))
     return main(in_own_process=True)
 
 

@@ -191,6 +191,7 @@ class _Recorder:
             self._camera.black_level_dn,
             METERED_FRACTION,
             self._flat.label,
+            tell=lambda text: None if self._progress is None else self._progress(0, 1, text),
         )
         raw = self._store.camera.expose(self._flat, metered_s).raw
         saturation_s = saturation_exposures_s(raw.counts[self._store.region], raw.exposure_s, self._camera)
@@ -215,7 +216,7 @@ class _Recorder:
         return deque(partial(take, done, shot) for done, shot in enumerate(missing, 1))
 
     def _tell_fault(self, text: str) -> None:
-        """Note a light that is lit anew."""
+        """Note a light that was lost."""
         self._journal.append("light lost", text=text)
 
 

@@ -1,6 +1,6 @@
 """Frames of an acceptance check, reduced at once to what is judged: dark level, white rates, revisits, ratios."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,9 +36,19 @@ class CheckFrames:
         The open devices, the rig file and the plan.
     filters
         Filters to be checked, in order.
+    tell
+        Called with a text before every long exposure.
     """
 
-    def __init__(self, opened: OpenRig, rig: RigFile, plan: CheckPlan, filters: Sequence[BandPassFilter]) -> None:
+    def __init__(
+        self,
+        opened: OpenRig,
+        rig: RigFile,
+        plan: CheckPlan,
+        filters: Sequence[BandPassFilter],
+        tell: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self._tell = tell
         self._opened, self._settings, self._plan, self._filters = opened, rig.camera, plan, filters
         self._camera = CheckedCamera(opened, rig.camera)
         # whole Bayer cells, so that every frame shows red, green and blue alike
@@ -169,6 +179,7 @@ class CheckFrames:
             self._plan.target_fraction,
             step.label,
             next(reversed(self._metered_s.values()), None),
+            self._tell,
         )
 
     def _metered(self, step: Step) -> tuple[Counts, float]:

@@ -38,7 +38,7 @@ from rigs.capture.light_off_time import (
     can_be_asked_anew,
     find_sight,
 )
-from rigs.light_guard import GuardedLight
+from rigs.light_guard import GuardedLight, LightLostError, is_hazardous
 
 Progress = Callable[[int, int, str], None]
 T = TypeVar("T")
@@ -75,7 +75,7 @@ def record_facts(
     """Try the devices of a rig and return what they did, with the notes of the rig.
 
     A device error ends its own section only; all lights are confirmed off before the next begins. A light that is
-    not confirmed off ends everything.
+    not confirmed off ends everything, and so does a laser of class 3R or above that went out by itself.
 
     Parameters
     ----------
@@ -134,7 +134,13 @@ class _Recorder:
         """Try everything that the open rig can show."""
         if isinstance(opened.laser, GuardedLight):
             self._has_dead_man = opened.laser.has_dead_man
-        frames = self._frames = CheckFrames(opened, self._rig, self._plan, self._filters)
+        frames = self._frames = CheckFrames(
+            opened,
+            self._rig,
+            self._plan,
+            self._filters,
+            lambda text: self._progress(self._done - 1, STEPS, text),
+        )
         self._keep(handshakes=self._attempt("handshake", lambda: handshakes(opened, self._rig)) or ())
         moves: list[WheelMove] = []
         self._attempt("wheel", lambda: moves.extend(wheel_moves(opened, self._plan, self._filters)))
@@ -164,6 +170,8 @@ class _Recorder:
             self._errors.setdefault(section, str(error))
             if isinstance(error, UnsafeError):
                 self._ended = "a light is not confirmed off"
+            elif isinstance(error, LightLostError) and section == "light off" and is_hazardous(self._rig.laser):
+                self._ended = "the laser went out, and is not lit again before a person has looked why"
             return None
 
     def _lights_are_off(self, opened: OpenRig, section: Section) -> None:

@@ -89,6 +89,7 @@ def under_light(
     tasks: deque[Callable[[], None]],
     on_fault: Callable[[str], None],
     around: Callable[[], AbstractContextManager[None]] = nullcontext,
+    must_ask: bool = False,
 ) -> None:
     """Do tasks with the planned light on; after a light that was lost it is lit anew, and the task is done again.
 
@@ -102,11 +103,14 @@ def under_light(
         Called with a text when the light was lost.
     around
         Entered before the light is switched on, and left after it is off.
+    must_ask
+        Whether the light harms eyes, so that it is lit anew only when the operator says that the box is closed: it may
+        have been lost because somebody opened it.
 
     Raises
     ------
     LightLostError
-        The light was lost again and again.
+        The light was lost again and again, or the operator did not allow it, or could not be asked; it is off.
     """
     lost = 0
     while tasks:
@@ -120,8 +124,17 @@ def under_light(
             lost += 1
             if lost > RELIGHTS:
                 raise
-            on_fault(f"light '{light}' was lost and is lit anew: {error}")
-            time.sleep(RELIGHT_PAUSE_S)
+            on_fault(f"light '{light}' was lost: {error}")
+            if not must_ask:
+                time.sleep(RELIGHT_PAUSE_S)
+            elif not opened.operator.allows(
+                f"The {light} was lost, is off and stays off ({error}). Look into it first: was the box opened? Is it "
+                f"closed now, does everybody wear goggles, and may the {light} be lit again?"
+            ):
+                raise LightLostError(
+                    f"{light}: was lost, is off, and is not lit anew unless a person at the terminal says that the box "
+                    f"is closed ({error}); look why, close the box, then take the capture up again with --resume"
+                ) from error
 
 
 class CheckedCamera:
@@ -409,6 +422,8 @@ BRIGHTEST_PERCENTILE = 99.9
 SATURATED_STEPS_DOWN = 3
 # A signal below this share of full scale is mostly noise: it guides the next guess but decides nothing.
 TRUSTED_SIGNAL_FRACTION = 0.05
+LONG_EXPOSURE_S = 2.0
+"""From here on metering says that it exposes: a person would think that it hangs."""
 
 
 def exposure_ladder(shortest_s: float, longest_s: float) -> tuple[float, ...]:
@@ -445,6 +460,7 @@ def meter_exposure(
     target_fraction: float,
     what: str,
     first_guess_s: float | None = None,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> float:
     """Find the longest exposure of the ladder with which nothing in the metered region is too bright.
 
@@ -466,6 +482,8 @@ def meter_exposure(
         Filter and light in words, for the message.
     first_guess_s
         Where to start (s), such as the exposure of a similar step; the middle of the ladder if left out.
+    tell
+        Called with a text before every long exposure, for whoever waits.
 
     Returns
     -------
@@ -481,6 +499,11 @@ def meter_exposure(
     guess = len(ladder) // 2 if first_guess_s is None else ladder.index(rung_at_or_below(ladder, first_guess_s))
     while fails - fits > 1:
         rung = min(max(guess, fits + 1), fails - 1)
+        if ladder[rung] >= LONG_EXPOSURE_S:
+            tell(
+                f"metering {what}: exposes for {ladder[rung]:.3g} s, for it is dim; the longest that the rig file "
+                f"allows is {ladder[-1]:.3g} s"
+            )
         counts = take(ladder[rung])
         peak_dn = brightest_dn(counts)
         signal_dn = max(peak_dn - black_level_dn, 1.0)

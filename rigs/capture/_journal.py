@@ -100,9 +100,10 @@ class Journal:
             except NoAnswerError:
                 raise disk_hangs(self._path, self._path.parent) from None
             except OSError as error:
+                resume = f"finray capture --resume {self._path.parent}"
                 raise CaptureError(
                     f"{self._path}: cannot be written ({error.strerror}); free space or mend the disk, then "
-                    f"finray capture --resume {self._path.parent}"
+                    f"{resume if self._nameless is None else 'begin the capture again: nothing was captured yet'}"
                 ) from None
 
     def _write(self, line: str) -> None:
@@ -155,10 +156,10 @@ def fault_notes(folder: Path) -> tuple[str, ...]:
     faults = [line for line in lines if line["event"] == "fault"]
     counted = [f"{name} {number}" for name, number in Counter(str(line["device"]) for line in faults).items()]
     retaken = sum(line["event"] == "refused" for line in lines)
-    relit = sum(line["event"] == "light lost" for line in lines)
+    lost = sum(line["event"] == "light lost" for line in lines)
     said = [f"{len(faults)} exchanges were repeated ({', '.join(counted)})"] if faults else []
     said += [f"{retaken} frames were taken again"] if retaken else []
-    said += [f"a light was lit anew {relit} times"] if relit else []
+    said += [f"a light was lost and lit anew {lost} times"] if lost else []
     if not said:
         return ()
     spent_s = sum(float(line["spent_s"]) for line in faults)

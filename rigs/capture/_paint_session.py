@@ -51,7 +51,7 @@ from rigs.capture._journal import Journal, fault_notes, faults_noted
 from rigs.capture._plan import Step, paint_steps, with_repeat
 from rigs.capture._resume import Interrupted, require_same_camera, require_same_inputs, resume_notes, take_over
 from rigs.capture._session_folder import curve_digests, curve_files, require_empty, write_session, write_start
-from rigs.light_guard import require_outside_layer
+from rigs.light_guard import is_hazardous, require_outside_layer
 
 Progress = Callable[[int, int, str], None]
 T = TypeVar("T")
@@ -156,7 +156,8 @@ class PaintRecorder:
                 self._opened.wheel.go_to(by_hand, WHEEL_DEADLINE_S)
             lit = partial(self._laser_noted, target) if light == "laser" else nullcontext
             tasks: deque[Callable[[], None]] = deque(partial(once, step, what) for step, what in group)
-            under_light(self._opened, light, tasks, self._tell_fault, lit)
+            must_ask = light == "laser" and is_hazardous(self._rig.laser)
+            under_light(self._opened, light, tasks, self._tell_fault, lit, must_ask)
 
     @contextmanager
     def _laser_noted(self, target: Target) -> Iterator[None]:
@@ -169,8 +170,12 @@ class PaintRecorder:
         self._journal.append("laser off", target=target, sample_dose_j=dose.energy_j())
 
     def _tell_fault(self, text: str) -> None:
-        """Note a light that is lit anew, and warn whoever is at the rig."""
+        """Note a light that was lost, and warn whoever is at the rig."""
         self._journal.append("light lost", text=text)
+        self._tell(text)
+
+    def _tell(self, text: str) -> None:
+        """Tell whoever is at the rig."""
         if self._progress is not None:
             self._progress(0, 1, text)
 
@@ -210,6 +215,7 @@ class PaintRecorder:
             self._plan.target_fraction,
             step.label,
             self._metered_s.get(step.light),
+            self._tell,
         )
         self._metered_s[step.light] = metered_s
         rungs_s = {rung_at_or_below(self._ladder, metered_s * factor) for factor in self._plan.bracket}

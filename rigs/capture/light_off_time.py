@@ -34,7 +34,7 @@ from rigs import LightSwitch, OpenRig, driver_module, find_driver, open_camera
 from rigs.capture._check_frames import CheckFrames
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, WHEEL_DEADLINE_S, shine
 from rigs.capture._plan import Step
-from rigs.light_guard import GuardedLight, require_outside_layer
+from rigs.light_guard import GuardedLight, LightLostError, require_outside_layer
 
 LONGEST_SIGHT_S: Final = 0.05
 """Exposure of the frames that watch the laser: they resolve the time in which it goes off."""
@@ -97,7 +97,7 @@ def find_sight(opened: OpenRig, rig: RigFile, frames: CheckFrames) -> Sight | No
             exposure_s = min(frames.meter(lit), max(LONGEST_SIGHT_S, rig.camera.shortest_exposure_s))
             on_dn = frames.expose(lit, exposure_s)
         off_dn = frames.expose(dark, exposure_s)
-    except UnsafeError:
+    except (UnsafeError, LightLostError):
         raise
     except CaptureError:
         return None
@@ -233,8 +233,8 @@ def after_exception(opened: OpenRig, repeats: int) -> LightOff:
 
     Raises
     ------
-    CaptureError
-        The laser does not go on.
+    LightLostError
+        The laser does not go on, or went off by itself.
     UnsafeError
         It is not confirmed off.
     """
@@ -244,7 +244,7 @@ def after_exception(opened: OpenRig, repeats: int) -> LightOff:
         try:
             with opened.laser.lit():
                 if not opened.laser.state():
-                    raise CaptureError("laser: reads back off in the block that lights it; check interlock and key")
+                    raise LightLostError("laser: reads back off in the block that lights it; check interlock and key")
                 start_s = opened.clock.monotonic_s()
                 raise MishapError
         except MishapError:

@@ -306,7 +306,7 @@ class GuardClient:
     def unconfirmed(self, why: str) -> str:
         """Return what must be done about a light that is not confirmed off."""
         dead_man = (
-            " Its dead-man switches it off within 1 s of the last word it heard, but that cannot be read."
+            " Its dead-man switches it off within 0.5 s of the last word it heard, but that cannot be read."
             if self.has_dead_man
             else ""
         )
@@ -377,7 +377,7 @@ class GuardedLight:
 
     @property
     def has_dead_man(self) -> bool:
-        """Whether the controller itself switches off when it hears nothing for about a second."""
+        """Whether the controller itself switches off when it hears nothing for half a second."""
         return self._guard.has_dead_man
 
     @property
@@ -610,7 +610,7 @@ def off_lines(has_dead_man: bool, layer: OutsideLayer | None = None) -> tuple[st
     first = "off when a process of finray is killed or stopped: yes, by the others, within 1 s"
     all_of_them = "off when the computer hangs, its cable is pulled or all processes are killed"
     if has_dead_man:
-        return first, f"{all_of_them}: yes, by the dead-man in its controller, within 1 s"
+        return first, f"{all_of_them}: yes, by the dead-man in its controller, within 0.5 s"
     if layer is not None:
         return first, f"{all_of_them}: only by the {layer.kind} (tested on {layer.tested_on}: {layer.test})"
     return first, f"{all_of_them}: NO, it stays on; it has no dead-man and no other layer outside the computer"

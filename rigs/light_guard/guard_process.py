@@ -42,8 +42,8 @@ from rigs.transports import Fault, faults_told
 if TYPE_CHECKING:
     from rigs import GuardedSwitch, OffWords
 
-KEEP_ALIVE_S: Final = 0.15
-"""Four fit into the 0.7 s of the firmware's dead-man: three may be lost or late."""
+KEEP_ALIVE_S: Final = 0.08
+"""Five fit into the 0.4 s of the firmware's dead-man: four may be lost or late."""
 BEAT_S: Final = 0.5
 """How often the watch hears of a guard whose light is lit."""
 LOOK_EVERY_S: Final = 0.5

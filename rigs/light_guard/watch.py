@@ -250,7 +250,7 @@ class Watch:
                 self._line = OffLine(words, (fields[1], int(fields[2])))
                 self._line.try_to_connect()
         except OSError as error:
-            return f"no {error}"
+            return f"no {error.strerror or error}"
         for who, process in (("owner", self._owner), ("guard process", self._guard)):
             if missing := process.missing():
                 return f"no its {who} {missing}"
@@ -265,7 +265,7 @@ class Watch:
             try:
                 self._line.say_off()
             except OSError as error:
-                why_not = str(error)
+                why_not = error.strerror or str(error)
             self._tell(f"fired {why}")
             self._line.listen(REPEAT_S)
             if time.monotonic() - began_s >= self._line.repeat_for_s:
@@ -310,7 +310,7 @@ def main(arguments: "list[str]") -> None:
             os.kill(guard.pid, SIGKILL)  # it holds the light's line; a stopped owner is left for its user
         os.execv(successor[0], successor)
     except OSError as error:
-        shout(f"{name}: OFF WAS SENT AND IS NOT CONFIRMED ({error}). LOOK BEFORE ANYONE OPENS THE BOX.")
+        shout(f"{name}: OFF WAS SENT AND IS NOT CONFIRMED ({error.strerror}). LOOK BEFORE ANYONE OPENS THE BOX.")
 
 
 if __name__ == "__main__":

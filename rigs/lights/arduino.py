@@ -1,7 +1,7 @@
 """A laser or lamp on an Arduino with the firmware of ``rigs/lights/firmware``, whose dead-man switches it off.
 
 Lines of ASCII at 9600 baud, each one word. Every line from the host has one answer; ``TRIP`` comes unasked when the
-dead-man acts, and ``LASER 1.1`` also at every reset, which opening the port of most boards causes.
+dead-man acts, and ``LASER 1.2`` also at every reset, which opening the port of most boards causes.
 """
 
 import contextlib
@@ -58,16 +58,18 @@ def parse(line: bytes, name: str) -> Said:
 
 
 HAS_DEAD_MAN: Final = True
-FIRMWARE_MAJOR: Final = 1
-ASK_WITHIN_S: Final = 0.5
-"""An answer takes 5 ms on the wire and 45 ms through an emulated port."""
+FIRMWARE: Final = (1, 2)
+"""Major version that is spoken here, and the first minor one with a dead-man of 0.4 s."""
+ASK_WITHIN_S: Final = 0.25
+"""An answer takes 5 ms on the wire and 45 ms through an emulated port; the dead-man waits longer than this."""
+GREET_AGAIN_S: Final = 0.5
 IDENTITY_WITHIN_S: Final = 1.5
 RESET_WITHIN_S: Final = 2.5
 """Start of a board's boot loader until the firmware speaks."""
 QUIET_S: Final = 0.1
 PROOF_WITHIN_S: Final = 1.5
-"""Until the word of the dead-man, which acts after 0.7 s, is here: the rest is for a busy computer."""
-MISSED_ANSWERS: Final = 5
+"""Until the word of the dead-man, which acts after 0.4 s, is here: the rest is for a busy computer."""
+MISSED_ANSWERS: Final = 10
 """Keep-alives in a row without an answer before the controller counts as mute."""
 BOARD_VENDORS: Final = ("2341", "2a03", "1a86")
 """USB vendors of Arduino's own boards and of the serial chip on most copies."""
@@ -201,7 +203,7 @@ class ArduinoSwitch:
         heard: list[bytes] = []
         # Two lines: "?" ends what a former program may have left half said, and no boot loader takes either for an
         # order. An open port that did not reset the board answers at once; otherwise the banner comes after a while.
-        for wait_s in (RESET_WITHIN_S, ASK_WITHIN_S):
+        for wait_s in (RESET_WITHIN_S, GREET_AGAIN_S):
             end_s = time.monotonic() + wait_s
             self._link.write(b"?\nI\n", end_s)
             with contextlib.suppress(TimedOutError):
@@ -217,15 +219,16 @@ class ArduinoSwitch:
                 "the board, or correct the address"
             )
         raise TimedOutError(
-            f"{self._name}: nothing came within {RESET_WITHIN_S + ASK_WITHIN_S:g} s; check the cable, the address "
+            f"{self._name}: nothing came within {RESET_WITHIN_S + GREET_AGAIN_S:g} s; check the cable, the address "
             "('finray rig detect') and that the board runs rigs/lights/firmware"
         )
 
     def _require_version(self, said: Said) -> None:
-        if int(said.version.split(".")[0]) != FIRMWARE_MAJOR:
+        major, minor = (int(number) for number in said.version.split("."))
+        if major != FIRMWARE[0] or minor < FIRMWARE[1]:
             raise RefusedError(
-                f"{self._name}: runs firmware {said.version}; this version of finray needs {FIRMWARE_MAJOR}.x: flash "
-                "rigs/lights/firmware to the board"
+                f"{self._name}: runs firmware {said.version}; this version of finray needs {FIRMWARE[0]}.{FIRMWARE[1]} "
+                f"or a later {FIRMWARE[0]}.x, whose dead-man acts within 0.4 s: flash rigs/lights/firmware to the board"
             )
 
     def _asked(self, question: str, deadline_s: float, wanted: Word | None = None) -> Said:
@@ -274,7 +277,7 @@ class ArduinoSwitch:
             if said.word == "TRIP":
                 if tell_trip:
                     raise WentOffError(
-                        f"{self._name}: the dead-man switched it off, the board had heard nothing for 0.7 s; relieve "
+                        f"{self._name}: the dead-man switched it off, the board had heard nothing for 0.4 s; relieve "
                         "the computer, check the cable, and repeat what was going on"
                     )
                 continue
@@ -287,7 +290,7 @@ class ArduinoSwitch:
 
     def _unconfirmed(self, why: str) -> str:
         return (
-            f"{self._name}: NOT CONFIRMED OFF: {why}. Its dead-man acts within 1 s of the last word that the board "
+            f"{self._name}: NOT CONFIRMED OFF: {why}. Its dead-man acts within 0.5 s of the last word that the board "
             "hears, but that cannot be read: pull the plug of the light before anyone opens the box"
         )
 

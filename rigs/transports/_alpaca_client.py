@@ -17,7 +17,7 @@ from http.client import HTTPException
 from typing import Any, Final, Literal, NamedTuple, TypeVar
 from urllib.parse import urlencode, urlsplit
 
-from data_schemas import DeviceIdentity, LostError, RefusedError, TimedOutError
+from data_schemas import DeviceIdentity, LostError, RefusedError, TimedOutError, system_words
 from rigs.transports._repeated_exchange import repeated
 from rigs.transports._timed_http import TimedConnection
 
@@ -280,8 +280,8 @@ class AlpacaClient:
             ) from error
         except (OSError, HTTPException, ValueError) as error:
             raise LostError(
-                f"{self.name}: no answer from {self._host}:{self._port} ({error!r:.200}); start the Alpaca server, or "
-                "correct the address"
+                f"{self.name}: no answer from {self._host}:{self._port} ({system_words(error):.200}); start the Alpaca "
+                "server, or correct the address"
             ) from error
         if len(body) > LARGEST_ANSWER_BYTES:
             raise self._not_alpaca(path, f"more than {LARGEST_ANSWER_BYTES} bytes")

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Final, Literal, NamedTuple, Self, TypeVar
 
-from data_schemas import DeviceIdentity, LostError, RefusedError, TimedOutError
+from data_schemas import DeviceIdentity, LostError, RefusedError, TimedOutError, system_words
 from rigs.transports._indi_messages import (
     IndiElement,
     IndiMessage,
@@ -102,7 +102,8 @@ def open_socket(where: IndiAddress, name: str, end_s: float) -> socket.socket:
         ) from error
     except (OSError, UnicodeError) as error:  # a host name that cannot be one fails to be encoded
         raise LostError(
-            f"{name}: nothing listens at {where.host}:{where.port} ({error}); start indiserver, or correct the address"
+            f"{name}: nothing listens at {where.host}:{where.port} ({system_words(error)}); start indiserver, or "
+            "correct the address"
         ) from error
     opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return opened
@@ -467,7 +468,7 @@ class IndiClient(IndiDevice):
             self.close()
             raise TimedOutError(f"{self.name}: the server takes no more messages; restart indiserver") from error
         except OSError as error:
-            raise self._lost(str(error)) from error
+            raise self._lost(system_words(error)) from error
 
     def _receive(self, end_s: float) -> bool:
         """Take in what comes until `end_s` at the longest; return whether anything came."""
@@ -479,7 +480,7 @@ class IndiClient(IndiDevice):
         except (TimeoutError, BlockingIOError):
             return False
         except OSError as error:
-            raise self._lost(str(error)) from error
+            raise self._lost(system_words(error)) from error
         if not data:
             raise self._lost("the server closed it")
         try:

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple, Self, TextIO
 import serial
 from serial.tools import list_ports
 
-from data_schemas import LostError, RefusedError, TimedOutError
+from data_schemas import LostError, RefusedError, TimedOutError, system_words
 
 POLL_S: Final = 0.02
 LONGEST_ANSWER_BYTES: Final = 4096
@@ -253,7 +253,9 @@ class SerialLink:
 
     def _lost(self, error: Exception) -> LostError:
         self.is_broken = True
-        return LostError(f"{self._name}: the connection broke ({error}); plug the cable in again and check its power")
+        return LostError(
+            f"{self._name}: the connection broke ({system_words(error)}); plug the cable in again and check its power"
+        )
 
     def _not_opened(self, error: Exception) -> RefusedError | LostError:
         """Say why the port did not open."""
@@ -266,5 +268,6 @@ class SerialLink:
         if number in (errno.EAGAIN, errno.EBUSY):
             return RefusedError(f"{self._name}: another program has the port open; close that program")
         return LostError(
-            f"{self._name}: cannot be opened ({error}); check cable and power, and the address with 'finray rig detect'"
+            f"{self._name}: cannot be opened ({system_words(error)}); check cable and power, and the address with "
+            "'finray rig detect'"
         )

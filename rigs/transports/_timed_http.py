@@ -21,7 +21,7 @@ from types import TracebackType
 from typing import Any, Final, Self
 from urllib.parse import urlsplit
 
-from data_schemas import BadFrameError, CaptureError, LostError, RefusedError, TimedOutError
+from data_schemas import BadFrameError, CaptureError, LostError, RefusedError, TimedOutError, system_words
 
 PIECE_BYTES: Final = 65536
 
@@ -194,7 +194,7 @@ class MultipartStream:
         except (OSError, UnicodeError, http.client.HTTPException) as error:  # UnicodeError: no host can have that name
             self.close()
             raise LostError(
-                f"{self._name}: cannot be reached ({error or type(error).__name__}); start the camera server there, "
+                f"{self._name}: cannot be reached ({system_words(error)}); start the camera server there, "
                 "or correct the address"
             ) from None
         if self._answer.status != http.client.OK:
@@ -232,7 +232,7 @@ class MultipartStream:
             if headers is not None:
                 raise BadFrameError(f"{self._name}: the stream ended within a picture, which is torn") from None
             raise LostError(
-                f"{self._name}: the stream ended ({error or type(error).__name__}); start the camera server again"
+                f"{self._name}: the stream ended ({system_words(error)}); start the camera server again"
             ) from None
 
     def close(self) -> None:

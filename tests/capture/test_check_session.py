@@ -39,6 +39,7 @@ from rigs.capture.light_off_time import (
     find_sight,
     make_off,
 )
+from rigs.light_guard import LightLostError
 from tests.capture.drivers.firmware_in_qemu import build, firmware_board
 from tests.capture.drivers.indi_server import PANEL, IndiServer
 
@@ -436,3 +437,17 @@ class TestKilled:
             assert found.still_on == 0
             assert max(found.latest_s) < 1.0
             assert ConnectionWatch(laser).look().on is False
+
+
+@pytest.mark.parametrize(("hazard", "goes_on"), [("3R", False), ("4", False), ("2M", True)])
+def test_a_hazardous_laser_that_went_out_is_not_lit_by_the_next_layer(
+    rig: RigFile, plan: CheckPlan, monkeypatch: pytest.MonkeyPatch, hazard: str, goes_on: bool
+) -> None:
+    """Somebody may have opened the box: the layers after it would light the laser again."""
+    labelled = rig.model_copy(update={"laser": rig.laser.model_copy(update={"laser_class": hazard})})
+    lit = raising(LightLostError("laser: did not come on; it is confirmed off"))
+    facts = facts_of(
+        labelled, plan, monkeypatch, lambda opened: replace(opened, laser=Device(opened.laser, {"lit": lit}))
+    )
+    assert facts.errors["light off"].startswith("laser: did not come on")
+    assert bool(facts.light_off) == goes_on  # what the layers without the rig recorded

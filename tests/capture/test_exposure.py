@@ -29,6 +29,18 @@ def meter(region: Region, target_fraction: float = 0.7, first_guess_s: float | N
     )
 
 
+def test_a_long_exposure_is_told_before_it_is_made() -> None:
+    region, told = Region(10.0), []
+
+    def tell(text: str) -> None:
+        told.append((len(region.exposures_s), text))
+
+    meter_exposure(region.take, LADDER, FULL_SCALE_DN, BLACK_DN, 0.7, "white behind 405", tell=tell)
+    assert region.exposures_s == pytest.approx([0.0512, 26.2144])
+    longest = "the longest that the rig file allows is 26.2 s"
+    assert told == [(1, f"metering white behind 405: exposes for 26.2 s, for it is dim; {longest}")]
+
+
 def test_ladder_doubles_between_the_cameras_limits() -> None:
     assert LADDER[0] == 1e-4
     assert len(LADDER) == 19

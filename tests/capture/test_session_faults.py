@@ -1,11 +1,13 @@
 """Faults in the middle of a session: lights go off, nothing that was captured is lost, the session can be resumed."""
 
 import errno
+import os
+import signal
 import threading
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timedelta
+from datetime import date, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from data_schemas import (
     DeviceIdentity,
     FilterWheelSettings,
     LostError,
+    OutsideLayer,
     PaintPlan,
     RefusedError,
     RigFile,
@@ -26,15 +29,16 @@ from data_schemas import (
     TimedOutError,
 )
 from data_schemas.storage import sha256_of
-from rigs import Camera, Clock, FilterWheel, Light, OpenRig, RawFrame, open_rig
+from rigs import Camera, Clock, FilterWheel, Light, OpenRig, Operator, RawFrame, open_laser, open_rig
 from rigs.capture import Interrupted, paint_steps, read_interrupted, read_session
 from rigs.capture import _exposure as exchange
 from rigs.capture import _frame_store as frame_store
 from rigs.capture._journal import read_journal
 from rigs.capture._paint_session import capture_with
 from rigs.filter_wheels.thorlabs import open_wheel
-from rigs.light_guard import LightLostError
+from rigs.light_guard import GuardedLight, LightLostError
 from rigs.transports import Fault, tell_fault
+from tests.capture.drivers import file_switch
 from tests.capture.drivers.thorlabs_wheel import EmulatedWheel, emulated_wheel
 
 FRAMES_BEFORE = 12
@@ -396,7 +400,120 @@ def test_light_that_is_lost_is_lit_anew_and_the_frame_redone(
     assert doses == sorted(doses)
     lost = [line for line in read_journal(tmp_path) if line["event"] == "light lost"]
     assert len(lost) == 3
-    assert any("a light was lit anew 3 times" in note for note in session.notes)
+    assert any("a light was lost and lit anew 3 times" in note for note in session.notes)
+
+
+@dataclass
+class Asked:
+    """The bench's operator, who answers when a lost light may be lit again."""
+
+    hands: Operator
+    answer: bool
+    questions: list[str] = field(default_factory=list)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.hands, name)
+
+    def allows(self, question: str) -> bool:
+        self.questions.append(question)
+        return self.answer
+
+
+@pytest.mark.parametrize("hazard", ["3R", "3B", "4"])
+def test_a_hazardous_laser_that_was_lost_stays_dark_until_a_person_allows_it(
+    rig: RigFile, small: PaintPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hazard: str
+) -> None:
+    monkeypatch.setattr(exchange, "RELIGHT_PAUSE_S", 0.0)
+    hazardous = rig.model_copy(update={"laser": rig.laser.model_copy(update={"laser_class": hazard})})
+
+    message = "laser: was lost, is off, and is not lit anew unless a person.*close the box, then take .* --resume"
+    with open_rig(hazardous, Path()) as opened:
+        operator, laser = Asked(opened.operator, False), FailingLight(opened.laser, (8,))
+        with pytest.raises(LightLostError, match=message):
+            capture(replace(opened, laser=laser, operator=operator), hazardous, small, tmp_path)
+        assert dark(opened)
+    assert len(operator.questions) == 1
+    assert laser.asked == 8  # never lit after the loss
+    with open_rig(hazardous, Path()) as opened:
+        operator, laser = Asked(opened.operator, True), FailingLight(opened.laser, (8,))
+        failing = replace(opened, laser=laser, operator=operator)
+        capture(failing, hazardous, small, tmp_path, read_interrupted(tmp_path))
+        assert dark(opened)
+    assert len(operator.questions) == 1
+    assert "was the box opened?" in operator.questions[0]
+    assert laser.asked > 8
+
+
+@dataclass
+class GuardedBenchLaser:
+    """A real light behind a real guard, and the bench's laser with it."""
+
+    guarded: GuardedLight
+    bench: Light
+
+    def identity(self) -> DeviceIdentity:
+        return self.guarded.identity()
+
+    def state(self) -> bool:
+        return self.guarded.state()
+
+    @contextmanager
+    def lit(self) -> Iterator[None]:
+        with self.guarded.lit(), self.bench.lit():
+            yield
+
+
+def test_a_guard_that_is_killed_leaves_a_hazardous_laser_dark_until_a_person_allows_it(
+    rig: RigFile, small: PaintPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The guard process is killed while the laser is on; the light itself, a file, tells what is true."""
+    file_switch.install(monkeypatch)
+    (light := tmp_path / "light").mkdir()
+    day = date.today().isoformat()
+    layer = OutsideLayer(kind="interlock", tested_on=day, test="a file, which harms nobody")
+    update = {"driver": "indi", "address": str(light), "laser_class": "3B", "outside_layer": layer}
+    settings = rig.laser.model_copy(update=update)
+    hazardous = rig.model_copy(update={"laser": rig.laser.model_copy(update={"laser_class": "3B"})})
+    was_on: list[bool] = []
+
+    class Person(Asked):
+        def allows(self, question: str) -> bool:
+            was_on.append((light / "on").exists())
+            return super().allows(question)
+
+    with open_rig(rig, Path()) as opened, open_laser(settings) as guarded:
+        first_guard = guarded.guard_pid
+
+        def kill(number: int, raw: RawFrame) -> RawFrame:
+            if (light / "on").exists() and guarded.guard_pid == first_guard:
+                os.kill(first_guard, signal.SIGKILL)
+            return raw
+
+        person = Person(opened.operator, True)
+        struck = replace(
+            opened,
+            laser=GuardedBenchLaser(guarded, opened.laser),
+            camera=ChangedCamera(opened.camera, kill),
+            operator=person,
+        )
+        session = capture(struck, hazardous, small, tmp_path / "session")
+        assert not (light / "on").exists()
+    assert was_on == [False]
+    assert "the guard process has ended" in person.questions[0]
+    assert any("a light was lost and lit anew 1 times" in note for note in session.notes)
+
+
+@pytest.mark.parametrize("hazard", ["1", "2", "2M"])
+def test_a_harmless_laser_is_lit_anew_without_a_person(
+    rig: RigFile, small: PaintPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hazard: str
+) -> None:
+    monkeypatch.setattr(exchange, "RELIGHT_PAUSE_S", 0.0)
+    harmless = rig.model_copy(update={"laser": rig.laser.model_copy(update={"laser_class": hazard})})
+    with open_rig(harmless, Path()) as opened:
+        operator = Asked(opened.operator, False)
+        lamp, laser = FailingLight(opened.lamp, (7,)), FailingLight(opened.laser, (8,))
+        capture(replace(opened, lamp=lamp, laser=laser, operator=operator), harmless, small, tmp_path)
+    assert operator.questions == []
 
 
 def test_light_that_is_lost_again_and_again_ends_the_session(

@@ -1,5 +1,6 @@
 """``finray capture``: dry run, interruption by signals, resuming, a session like an earlier one."""
 
+import io
 import os
 import shutil
 import signal
@@ -33,6 +34,26 @@ def test_dry_run_tells_time_and_disk_and_stores_nothing(lab: Path, tmp_path: Pat
     assert "min" in said
     assert "nothing was moved, lit or stored" in said
     assert list(tmp_path.iterdir()) == []
+
+
+def test_dry_run_needs_nobody(lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wheel and lamp in a person's hand, and nobody there: what would be asked is said."""
+    file_switch.install(monkeypatch)
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    (tmp_path / "laser").mkdir()
+    rig = real_rig(lab)
+    laser = rig.laser.model_copy(update={"driver": "indi", "address": str(tmp_path / "laser"), "laser_class": "2"})
+    update = {
+        "camera": rig.camera.model_copy(update={"address": str(lab / "session")}),
+        "filter_wheel": rig.filter_wheel.model_copy(update={"driver": "manual", "address": ""}),
+        "laser": laser,
+        "lamp": LampSettings(driver="manual"),
+    }
+    write_rig(rig.model_copy(update=update), tmp_path / "rig.toml")
+    outcome = finray(f"capture {lab}/plan.toml --rig {tmp_path}/rig.toml --dry-run")
+    assert (outcome.status, outcome.err) == (0, "")
+    assert "not asked of anybody now: Switch the lamp off.\n" in outcome.out
+    assert "nothing was moved, lit or stored" in outcome.out
 
 
 @pytest.mark.rigs
@@ -127,7 +148,7 @@ def test_real_laser_needs_its_label_and_is_announced(lab: Path, tmp_path: Path) 
     assert "switched on only when the rig file states its laser_class, power_mw; read them from its label" in said
     said = mistake(f"{capture} {named}")
     assert "LASER 450 nm, 4.5 mW, class 3R: it will be switched on. Wear goggles for 450 nm, close the box" in said
-    off = "all processes are killed: yes, by the dead-man in its controller, within 1 s"
+    off = "all processes are killed: yes, by the dead-man in its controller, within 0.5 s"
     assert (
         said.index("LASER 450 nm") < said.index(off) < said.index("cannot be opened")
     )  # told before anything is tried

@@ -114,6 +114,33 @@ def test_devices_that_the_user_takes_stand_in_the_file(
     assert rig.filter_wheel.address == "/dev/ttyUSB0"
 
 
+def test_a_cameras_own_wheel_is_offered_before_others(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    camera = FoundDevice("camera", "indi", "localhost:7624/ZWO CCD ASI1600MM", "INDI camera")
+    within = FoundDevice("filter wheel", camera.driver, camera.address, "INDI filter wheel")
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n"))
+    assert choose((WHEEL, camera, within)) == {"camera": camera, "filter wheel": within}
+    assert WHEEL.address not in capsys.readouterr().err
+    monkeypatch.setattr(sys, "stdin", io.StringIO("no\n\n"))
+    assert choose((WHEEL, camera, within)) == {"filter wheel": WHEEL}  # another camera has no say
+
+
+@pytest.mark.parametrize(("preset", "mode_nm"), [("simulated", 597.0), ("simulated-green", 516.0)])
+def test_a_rig_to_practise_on_asks_for_no_device(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, preset: str, mode_nm: float
+) -> None:
+    monkeypatch.setattr("finray_calib.cli._rig.chosen_devices", raising(AssertionError("looks for devices")))
+    said = succeed(f"rig init --preset {preset} --out {tmp_path}/rig.toml")
+    assert f"then: finray rig show {tmp_path}/rig.toml\n" in said
+    assert "fill in" not in said
+    rig = read_toml(tmp_path / "rig.toml", RigFile)
+    assert rig.is_simulated
+    assert rig.simulated is not None
+    assert rig.simulated.paint is not None
+    assert rig.simulated.paint.mode_nm == mode_nm
+
+
 def test_end_of_input_takes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
     assert choose((CAMERA, WHEEL)) == {}
@@ -265,7 +292,7 @@ def test_show_of_real_drivers_on_emulated_devices(tmp_path: Path) -> None:
     assert "off when a process of finray is killed or stopped: yes, by the others, within 1 s" in said
     assert "its cable is pulled or all processes are killed: yes, by the dead-man in its controller" in said
     assert "cannot be lit" not in said
-    assert "light with dead-man, firmware 1.1" in said
+    assert "light with dead-man, firmware 1.2" in said
     assert "Aravis Fake, serial FINRAY01" in said
     assert "512 x 512 px; 0.01 s asked for, 0.01 s read back" in said
     assert "pixel_format BayerRG8" in said

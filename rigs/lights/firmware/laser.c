@@ -2,9 +2,9 @@
 
    9600 baud, 8N1; lines end with LF (a CR before it is ignored):
      L1 on, L0 off, K "the host lives", ? state   -> "ON" or "OFF"
-     I  who is there                              -> "LASER 1.1", also said at every reset
+     I  who is there                              -> "LASER 1.2", also said at every reset
      anything else                                -> "ERR"; it changes nothing and is no sign of life
-   No valid line for 0.7 s while the light is on: the timer's interrupt switches off, whatever the main loop does, and
+   No valid line for 0.4 s while the light is on: the timer's interrupt switches off, whatever the main loop does, and
    the line "TRIP" is sent unasked.
 
    Build and flash: README.md */
@@ -13,7 +13,7 @@
 
 #define LINE_UP() (PORTB |= 1)    /* one instruction each, so an interrupt cannot come in between */
 #define LINE_DOWN() (PORTB &= ~1)
-#define SILENCE_LIMIT 70          /* hundredths of a second: 0.69 to 0.70 s, as the phase falls */
+#define SILENCE_LIMIT 40          /* hundredths of a second: 0.39 to 0.40 s, as the phase falls */
 #define UNREADABLE 0xFF           /* stands for a byte that the line damaged: no command holds it */
 #define QUEUE 32                  /* a power of two; longer than any two commands */
 
@@ -52,7 +52,7 @@ static void say(const char *text) {
 static void obey(const unsigned char *line, unsigned char length) {
     if (length == 2 && line[0] == 'L' && line[1] == '1') set(1);
     else if (length == 2 && line[0] == 'L' && line[1] == '0') set(0);
-    else if (length == 1 && line[0] == 'I') { silence = 0; say("LASER 1.1\n"); return; }
+    else if (length == 1 && line[0] == 'I') { silence = 0; say("LASER 1.2\n"); return; }
     else if (length == 1 && (line[0] == 'K' || line[0] == '?')) silence = 0;
     else { say("ERR\n"); return; }
     say(on ? "ON\n" : "OFF\n");
@@ -69,7 +69,7 @@ int main(void) {
     OCR1A = 624;                         /* 100 Hz */
     TIMSK1 = 1 << OCIE1A;
     sei();
-    say("LASER 1.1\n");
+    say("LASER 1.2\n");
     for (;;) {
         if (tripped) {
             tripped = 0;

@@ -3,6 +3,7 @@
 import ast
 import contextlib
 import io
+import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,17 +14,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data_schemas import CaptureError, LostError, RefusedError, TimedOutError, UnsafeError
+from rigs.light_guard.guard_process import KEEP_ALIVE_S
 from rigs.lights import arduino
-from rigs.lights.arduino import BAUD, ArduinoSwitch, Said, found, open_switch, parse
+from rigs.lights.arduino import (
+    ASK_WITHIN_S,
+    BAUD,
+    FIRMWARE,
+    MISSED_ANSWERS,
+    ArduinoSwitch,
+    Said,
+    found,
+    open_switch,
+    parse,
+)
 from rigs.transports import SerialLink
 from rigs.transports._serial_link import UsbSerialPort
-from tests.capture.drivers.firmware_in_qemu import Tap, build, firmware_board
+from tests.capture.drivers.firmware_in_qemu import SOURCE, Tap, build, firmware_board
 from tests.capture.drivers.serial_replay import TRANSCRIPTS, read_transcript, replayed
 
 DEADLINE_S = 2.0
 # Waits end within one poll of the port (0.02 s) of their deadline; the rest is for a busy machine.
 LATE_S = 0.5
-GREETING = [("host", b"?\nI\n"), ("device", b"OFF\nLASER 1.1\n")]
+GREETING = [("host", b"?\nI\n"), ("device", b"OFF\nLASER 1.2\n")]
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +51,12 @@ def board(elf: Path) -> Iterator[Tap]:
 
 def session(switch: ArduinoSwitch) -> None:
     """Use everything once."""
-    assert switch.identity().firmware == "1.1"
+    assert switch.identity().firmware == "1.2"
     assert not switch.state(DEADLINE_S)
     switch.switch(True, DEADLINE_S)
     for _ in range(3):
         switch.keep_alive()
+        time.sleep(0.2)  # as a guard does: the answer is there before the next word
     assert switch.state(DEADLINE_S)
     switch.switch(False, DEADLINE_S)
     assert not switch.state(DEADLINE_S)
@@ -53,9 +66,26 @@ def silence(switch: ArduinoSwitch) -> None:
     """Say nothing until the dead-man acts, and learn of it."""
     switch.switch(True, DEADLINE_S)
     time.sleep(1.2)
-    with pytest.raises(LostError, match=r"the dead-man switched it off.*nothing for 0\.7 s"):
+    with pytest.raises(LostError, match=r"the dead-man switched it off.*nothing for 0\.4 s"):
         switch.state(DEADLINE_S)
     assert not switch.state(DEADLINE_S)
+
+
+def test_the_dead_man_acts_within_0_4_s_on_the_boards_own_clock_and_the_guard_speaks_five_times_meanwhile():
+    source = SOURCE.read_text(encoding="utf-8")
+
+    def number(pattern: str) -> int:
+        found = re.search(pattern, source)
+        assert found is not None, pattern
+        return int(found[1])
+
+    assert "clock / 256" in source  # (1 << CS12)
+    tick_s = 256 * (number(r"OCR1A = (\d+);") + 1) / 16e6
+    silence_s = number(r"#define SILENCE_LIMIT (\d+) ") * tick_s
+    assert silence_s == pytest.approx(0.4)
+    assert silence_s >= 5 * KEEP_ALIVE_S
+    assert silence_s > ASK_WITHIN_S + KEEP_ALIVE_S  # an answer that is lost is not waited for so long
+    assert f'"LASER {FIRMWARE[0]}.{FIRMWARE[1]}\\n"' in source
 
 
 @pytest.mark.rigs
@@ -84,7 +114,7 @@ class TestFirmware:
                 time.sleep(0.1)
         assert board.times("device", b"ERR")
         # The board obeyed up to 0.05 s before its answer came through QEMU's port.
-        assert 0.69 - 0.05 <= board.times("device", b"TRIP")[0] - on_s <= 1.0
+        assert 0.39 - 0.05 <= board.times("device", b"TRIP")[0] - on_s <= 1.0
         assert not board.state()
 
     @pytest.mark.parametrize("line", [b"L", b"L2", b"L11", b"l1", b"L1 ", b"1", b"K1", b"??", b"L1\x00", b"\xffL1"])
@@ -124,7 +154,7 @@ def with_board(*spoken: tuple[str, bytes]) -> "list[tuple[str, bytes]]":
 class TestOpening:
     def test_board_that_resets_says_its_banner_late(self):
         with (
-            replayed([("host", b"?\nI\n"), ("device", b"\x00\xfeLASER 1.1\n"), ("device", b"LASER 1.1\n")]) as address,
+            replayed([("host", b"?\nI\n"), ("device", b"\x00\xfeLASER 1.2\n"), ("device", b"LASER 1.2\n")]) as address,
             open_switch(address, "lamp", None) as switch,
         ):
             assert switch.has_dead_man
@@ -140,7 +170,8 @@ class TestOpening:
     @pytest.mark.parametrize(
         ("answer", "error", "match"),
         [
-            (b"LASER 2.0\n", RefusedError, r"runs firmware 2\.0; .* needs 1\.x: flash"),
+            (b"LASER 2.0\n", RefusedError, r"runs firmware 2\.0; .* needs 1\.2 or a later 1\.x.*: flash"),
+            (b"LASER 1.1\n", RefusedError, r"runs firmware 1\.1; .* whose dead-man acts within 0\.4 s: flash"),
             (b"ERR\n", RefusedError, r"says b'ERR\\n' and not which firmware it runs; flash"),
             (b"Command error CMD_NOT_DEFINED\n", RefusedError, "or correct the address"),
             (b"", TimedOutError, "nothing came within .* s; check the cable"),
@@ -157,14 +188,14 @@ class TestOpening:
             pytest.fail("opened")
 
     def test_boards_are_found(self, monkeypatch):
-        with replayed(with_board(("host", b"I\n"), ("device", b"LASER 1.1\n"))) as address:
+        with replayed(with_board(("host", b"I\n"), ("device", b"LASER 1.2\n"))) as address:
             ports = [
                 UsbSerialPort("/dev/none", "a filter wheel", "0403:6001"),
                 UsbSerialPort("/dev/none", "a board that is away", "2341:0043"),
                 UsbSerialPort(address, "Arduino Uno", "2341:0043"),
             ]
             monkeypatch.setattr(arduino, "usb_serial_ports", lambda: ports)
-            assert found() == [(address, "light with dead-man, firmware 1.1")]
+            assert found() == [(address, "light with dead-man, firmware 1.2")]
 
 
 class TestFaults:
@@ -177,14 +208,14 @@ class TestFaults:
         ):
             switch.switch(True, DEADLINE_S)
 
-    @pytest.mark.parametrize("answer", [b"ON\n", b"ERR\n", b"", b"O\xff\n", b"LASER 1.1\n"])
+    @pytest.mark.parametrize("answer", [b"ON\n", b"ERR\n", b"", b"O\xff\n", b"LASER 1.2\n"])
     def test_off_is_not_confirmed(self, answer):
         with (
             replayed(with_board(("host", b"L0\n"), ("device", answer))) as address,
             open_switch(address, "laser", None) as switch,
         ):
             began_s = time.monotonic()
-            with pytest.raises(UnsafeError, match=r"NOT CONFIRMED OFF.*dead-man acts within 1 s.*cannot be read"):
+            with pytest.raises(UnsafeError, match=r"NOT CONFIRMED OFF.*dead-man acts within 0\.5 s.*cannot be read"):
                 switch.switch(False, 0.3)
             assert time.monotonic() - began_s < 0.3 + LATE_S
 
@@ -218,7 +249,7 @@ class TestFaults:
         [
             (b"TRIP\nOFF\n", "the dead-man switched it off"),
             (b"OFF\n", "answers OFF although it was switched on"),
-            (b"LASER 1.1\n", "the board restarted, which switches the light off"),
+            (b"LASER 1.2\n", "the board restarted, which switches the light off"),
         ],
     )
     def test_keep_alive_finds_the_light_off(self, answer, match):
@@ -239,22 +270,22 @@ class TestFaults:
             for _ in range(5):
                 switch.keep_alive()
                 time.sleep(0.1)
-        garbled = [("host", b"K\n"), ("device", b"\x80\x81\n")] * 5
+        garbled = [("host", b"K\n"), ("device", b"\x80\x81\n")] * MISSED_ANSWERS
         with replayed(with_board(*garbled)) as address, open_switch(address, "laser", None) as switch:
-            for _ in range(5):
+            for _ in range(MISSED_ANSWERS):
                 switch.keep_alive()
-                time.sleep(0.1)
-            with pytest.raises(TimedOutError, match="answered none of the last 5 keep-alives"):
+                time.sleep(0.05)
+            with pytest.raises(TimedOutError, match="answered none of the last 10 keep-alives"):
                 switch.keep_alive()
 
     def test_mute_board_is_noticed(self):
         with (
-            replayed(with_board(("host", b"K\nK\nK\nK\nK\n"))) as address,
+            replayed(with_board(("host", b"K\n" * MISSED_ANSWERS))) as address,
             open_switch(address, "laser", None) as switch,
         ):
-            for _ in range(5):
+            for _ in range(MISSED_ANSWERS):
                 switch.keep_alive()
-            with pytest.raises(TimedOutError, match="answered none of the last 5 keep-alives"):
+            with pytest.raises(TimedOutError, match="answered none of the last 10 keep-alives"):
                 switch.keep_alive()
 
     def test_identity_is_asked_afresh(self):
@@ -284,7 +315,7 @@ class LineOf:
         return line + terminator
 
 
-WORDS = st.sampled_from([b"ON\n", b"OFF\n", b"ERR\n", b"TRIP\n", b"LASER 1.1\n", b"\n"])
+WORDS = st.sampled_from([b"ON\n", b"OFF\n", b"ERR\n", b"TRIP\n", b"LASER 1.2\n", b"\n"])
 
 
 @given(line=st.one_of(st.binary(max_size=20), WORDS))
@@ -300,7 +331,7 @@ def test_any_line_is_a_word_or_lost(line):
 @given(data=st.lists(st.one_of(st.binary(max_size=6), WORDS), max_size=12).map(b"".join))
 def test_whatever_comes_only_declared_errors_leave_the_driver(data):
     with contextlib.suppress(CaptureError), mock.patch.object(arduino, "IDENTITY_WITHIN_S", 0.0):
-        switch = ArduinoSwitch(LineOf(b"LASER 1.1\n"), "laser", "a port")
+        switch = ArduinoSwitch(LineOf(b"LASER 1.2\n"), "laser", "a port")
         switch._link = LineOf(data)  # noqa: SLF001 - after a good start
         switch.keep_alive()
         switch.state(0.0)

@@ -47,6 +47,9 @@ class Person:
         if not self.is_there:
             raise CaptureError("operator: nobody is there")
 
+    def allows(self, question: str) -> bool:
+        raise AssertionError("a wheel or a lamp asks nothing")
+
 
 def test_the_operator_turns_the_wheel() -> None:
     person = Person()

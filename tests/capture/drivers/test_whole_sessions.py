@@ -56,6 +56,10 @@ class Hands:
     def do(self, instruction: str) -> None:
         self.asked.append(instruction)
 
+    def allows(self, question: str) -> bool:
+        self.asked.append(question)
+        return False
+
 
 def captured(rig: RigFile, folder: Path) -> tuple[CaptureSession, Hands]:
     """Capture with the rig as its file describes it; these cameras are no light meters, so one exposure each."""
