@@ -135,6 +135,7 @@ COMPILE  = .venv-lock/bin/uv pip compile --quiet --universal --python-version 3.
 lock: .venv-lock/installed
 	$(COMPILE) pyproject.toml --group build --extra dev --extra bench --output-file requirements/bench.lock
 	$(COMPILE) pyproject.toml --group build --extra dev -c requirements/bench.lock --output-file requirements/dev.lock
+	$(COMPILE) pyproject.toml --group build --extra docs -c requirements/bench.lock --output-file requirements/docs.lock
 	$(COMPILE) pyproject.toml --group build --extra sim -c requirements/bench.lock --output-file requirements/sim.lock
 	$(COMPILE) pyproject.toml --group build -c requirements/bench.lock --output-file requirements/plain.lock
 	$(COMPILE) requirements/others.in --output-file requirements/others.lock

@@ -29,8 +29,13 @@ if TYPE_CHECKING:
 RIG_HELP = "write a rig file, find devices, and show what the devices of a rig report"
 INIT_HELP = "write a commented rig file to start from"
 INIT_DESCRIPTION = """\
-Write a rig file with a comment on every value, made after a preset. On a terminal the devices that are found are
-offered; otherwise the preset's own are written, and what to fill in is said."""
+Write a rig file with a comment on every value, made after a preset.
+
+paper: the set-up of the paper. On a terminal the devices that are found are offered; otherwise the paper's own are
+written, and the command lists what to fill in.
+simulated, simulated-green: a practice bench without hardware, with a red or a green paint on it. Every command takes
+its rig file like that of a real rig."""
+SIMULATED = {"simulated": "red", "simulated-green": "green"}
 DETECT_HELP = "list the cameras, filter wheels and lights that can be found"
 DETECT_DESCRIPTION = """\
 Ask every driver what it can find, and print driver and address as a rig file names them. Serial ports behind USB are
@@ -46,8 +51,10 @@ def add_rig(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
     """Register the verb and what it can do."""
     parser = verbs.add_parser("rig", help=RIG_HELP, description=RIG_HELP)
     actions = parser.add_subparsers(dest="action", metavar="ACTION", title="actions", required=True)
-    init = actions.add_parser("init", help=INIT_HELP, description=INIT_DESCRIPTION)
-    init.add_argument("--preset", choices=("paper",), default="paper", help="whose set-up (default: paper)")
+    init = actions.add_parser(
+        "init", help=INIT_HELP, description=INIT_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    init.add_argument("--preset", choices=("paper", *SIMULATED), default="paper", help="which set-up (default: paper)")
     add_out(init, "rig.toml")
     init.set_defaults(run=run_init)
     detect = actions.add_parser("detect", help=DETECT_HELP, description=DETECT_DESCRIPTION)
@@ -59,13 +66,17 @@ def add_rig(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
 
 def run_init(arguments: argparse.Namespace) -> None:
     """Write a rig file."""
-    from rigs import paper_rig, to_fill_in, write_rig
+    from rigs import paper_rig, simulated_rig, to_fill_in, write_rig
 
     out = require_new(arguments.out or Path("rig.toml"))
-    chosen = chosen_devices()
-    say(f"rig file: {write_rig(paper_rig(chosen), out)}")
-    for text in to_fill_in(chosen):
-        say(f"  fill in or compare: {text}")
+    if arguments.preset in SIMULATED:
+        practice = simulated_rig(SIMULATED[arguments.preset], width_px=640, height_px=512)
+        say(f"rig file of a practice bench: {write_rig(practice, out)}")
+    else:
+        chosen = chosen_devices()
+        say(f"rig file: {write_rig(paper_rig(chosen), out)}")
+        for text in to_fill_in(chosen):
+            say(f"  fill in or compare: {text}")
     say(f"then: finray rig show {out}")
 
 
@@ -84,7 +95,7 @@ def run_detect(arguments: argparse.Namespace) -> None:
     for note in detection.notes:
         warn(f"note: {note}")
     if detection.not_searched:
-        warn(f"note: not searched for: {', '.join(detection.not_searched)}; their addresses are yours to give")
+        warn(f"note: not searched for: {', '.join(detection.not_searched)}; enter their addresses in the rig file by hand")
 
 
 def run_show(arguments: argparse.Namespace) -> None:
