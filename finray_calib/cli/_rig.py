@@ -95,7 +95,9 @@ def run_detect(arguments: argparse.Namespace) -> None:
     for note in detection.notes:
         warn(f"note: {note}")
     if detection.not_searched:
-        warn(f"note: not searched for: {', '.join(detection.not_searched)}; enter their addresses in the rig file by hand")
+        warn(
+            f"note: not searched for: {', '.join(detection.not_searched)}; enter their addresses in the rig file by hand"
+        )
 
 
 def run_show(arguments: argparse.Namespace) -> None:

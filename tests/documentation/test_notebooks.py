@@ -40,9 +40,16 @@ def test_a_notebook_is_stored_without_outputs_and_begins_with_what_it_shows(name
 @pytest.mark.parametrize("name", EXPECTED)
 def test_a_notebook_runs(name, tmp_path):
     notebook = nbformat.read(EXAMPLES / f"{name}.ipynb", as_version=4)
-    NotebookClient(notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}).execute()
+    NotebookClient(
+        notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
+    ).execute()
     text = shown(notebook)
     for pattern in EXPECTED[name]:
         assert re.search(pattern, text), text
-    pictures = [o for c in notebook.cells for o in c.get("outputs", []) if {"image/png", "image/svg+xml"} & set(o.get("data", {}))]
+    pictures = [
+        o
+        for c in notebook.cells
+        for o in c.get("outputs", [])
+        if {"image/png", "image/svg+xml"} & set(o.get("data", {}))
+    ]
     assert pictures

@@ -14,7 +14,7 @@ from tests.command_line.running import edit, finray
 
 ROOT = Path(__file__).resolve().parents[2]
 TUTORIALS = ROOT / "docs" / "tutorials"
-BLOCK = re.compile(r"^```(console|toml)\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"^```(sh|toml)\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
 CHEAPER = {
     "--samples 32": "--samples 2",
     "--angles 0:120:10": "--angles 0:120:30 --samples 200",
@@ -51,7 +51,7 @@ def run(line: str, folder: Path) -> None:
     outcome = finray(line.removeprefix("finray "))
     assert outcome.status == 0, f"{line}\n{outcome.err}"
     if line.startswith("finray design init"):
-        edit(folder / "finger.toml", "width_px = 640\nheight_px = 480", "width_px = 128\nheight_px = 96")
+        edit(folder / "finger.toml", "width_px = 640\nheight_px = 480", "width_px = 320\nheight_px = 240")
 
 
 @pytest.fixture(scope="module")
