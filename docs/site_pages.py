@@ -1,7 +1,8 @@
 """Pages and links of the site that ``make docs`` builds; a hook of MkDocs.
 
-The pages of the folder also serve readers of the plain files, so that their links lead to code, schemas and pages of the
-project outside of it. Here those pages join the site, and linked files and folders are copied beside it as text.
+The pages of the folder also serve readers of the plain files: their links lead to code, schemas and pages of the
+project outside of it, and lists are indented as in CommonMark. Here those pages join the site, linked files and folders
+are copied beside it as text, and lists are indented by four, as Python-Markdown wants it.
 """
 
 import argparse
@@ -9,7 +10,6 @@ import os
 import posixpath
 import re
 from collections.abc import Iterator
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -44,18 +44,20 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     return config
 
 
-def _pages(folder: str, first: str) -> list[str]:
+def _pages(folder: str, first: str) -> list[Any]:
     """Return the pages of a folder: its README, those that the first page lists, then the others."""
     names = sorted(path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs" / folder).glob("*.md"))
     listed = [name for name in re.findall(r"\]\(([\w./-]+\.md)", first) if name in names]
-    extra = ["verification.md", "decisions/README.md", COMMANDS] if folder == "reference" else []
-    decisions = sorted((ROOT / "docs" / "decisions").glob("0*.md")) if folder == "reference" else []
-    extra += [f"decisions/{path.name}" for path in decisions]
-    return list(dict.fromkeys([*(n for n in names if n.endswith("README.md")), *listed, *extra, *names]))
+    pages = list(dict.fromkeys([*(n for n in names if n.endswith("README.md")), *listed, *names]))
+    if folder != "reference":
+        return list(pages)
+    decisions = [path.relative_to(ROOT / "docs").as_posix() for path in sorted((ROOT / "docs/decisions").glob("0*.md"))]
+    decided = {"Decision records": ["decisions/README.md", *decisions]}
+    return [pages[0], COMMANDS, "verification.md", {"Folders of the code": pages[1:]}, decided]
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages of the project, the page of the commands, and everything that pages link to outside of the folder."""
+    """Add the pages of the project, that of the commands, and all that pages link to outside of the folder."""
     for source, place in OF_PROJECT.items():
         files.append(File.generated(config, place, content=(ROOT / source).read_text(encoding="utf-8")))
     files.append(File.generated(config, COMMANDS, content=command_page()))
@@ -80,9 +82,40 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
         place = _place(target) or target.removeprefix("docs/")
         return f"{match[1]}{posixpath.relpath(place, here or '.')}{mark}{anchor}{match[3]}"
 
-    text = MERMAID.sub(lambda block: arrows_table(block[1]), markdown)
+    text = indented_by_four(MERMAID.sub(lambda block: arrows_table(block[1]), markdown))
     parts = FENCE.split(text)
     return "".join(part if index % 2 else LINK.sub(moved, part) for index, part in enumerate(parts))
+
+
+def indented_by_four(markdown: str) -> str:
+    """Indent what belongs to an item of a list by four spaces, as far as it is indented to the text of the item."""
+    lines: list[str] = []
+    indent, fenced = 0, False
+    for line in markdown.splitlines():
+        item = None if fenced else re.match(r"(\d+\.|[-*]) +", line)
+        if item:
+            one_paragraph = indent and lines and not _blank_since_item(lines)
+            lines += [] if one_paragraph or not lines or not lines[-1] else [""]
+            indent = len(item[0])
+        elif line and not line.startswith(" ") and not fenced:
+            indent = 0
+        inside = indent and line.startswith(" " * indent)
+        lines.append(" " * (4 - indent) + line if inside else line)
+        if line.lstrip().startswith("```"):
+            fenced = not fenced
+            if not line.startswith(" "):
+                indent = 0
+    return "\n".join(lines) + "\n"
+
+
+def _blank_since_item(lines: list[str]) -> bool:
+    """Whether a line without text stands between the last item of a list and the end."""
+    for line in reversed(lines):
+        if not line.strip():
+            return True
+        if re.match(r"(\d+\.|[-*]) +", line):
+            return False
+    return True
 
 
 def _origin(src_uri: str) -> str:
@@ -129,7 +162,7 @@ def _copy(config: MkDocsConfig, target: str, place: str) -> File:
 
 
 def arrows_table(drawing: str) -> str:
-    """Return a drawing in Mermaid as a table of what each box points to, as Mermaid's program would be loaded from outside."""
+    """Return a drawing in Mermaid as a table of its arrows: the program that draws it would be loaded from outside."""
     named = dict(re.findall(r"(\w+)\[\"([^\"]+)\"\]", drawing))
     arrows: dict[str, list[str]] = {}
     for start, end in re.findall(r"(\w+) --> (\w+)", drawing):
@@ -141,20 +174,20 @@ def arrows_table(drawing: str) -> str:
 
 
 def command_page() -> str:
-    """Return the help of every command, as the terminal prints it at 100 columns."""
+    """Return the help of every command, as a terminal of 88 columns prints it."""
     from finray_calib.cli.main import build_parser
 
-    os.environ["COLUMNS"] = "100"
+    os.environ["COLUMNS"] = "88"
     parts = ["# Commands", "The help of every command, as `--help` prints it."]
     for name, parser in _parsers(build_parser()):
-        parts += [f"## {name}", f"<pre>{escape(parser.format_help())}</pre>"]
+        parts += [f"## {name}", f"```text\n{parser.format_help()}```"]
     return "\n\n".join(parts) + "\n"
 
 
 def _parsers(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.ArgumentParser]]:
     """Yield a parser and those of its verbs and actions, with their names."""
     yield parser.prog, parser
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
+    for action in parser._actions:  # noqa: SLF001 - argparse offers no other way to its verbs
+        if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001
             for child in dict.fromkeys(action.choices.values()):
                 yield from _parsers(child)

@@ -1,7 +1,7 @@
 """Make docs/images/touch.png, what the camera of a finger sees of a touch: ``make pictures``, some minutes.
 
-Two paints are calibrated on the practice bench, a ball is pressed into the flat finger, and the denoised views of the render
-are drawn side by side. The denoised views are for the eye only; nothing is measured in them.
+Two paints are calibrated on the practice bench, a ball is pressed into the flat finger, and the denoised views of the
+render are drawn side by side. The denoised views are for the eye only; nothing is measured in them.
 """
 
 import subprocess

@@ -95,9 +95,8 @@ def run_detect(arguments: argparse.Namespace) -> None:
     for note in detection.notes:
         warn(f"note: {note}")
     if detection.not_searched:
-        warn(
-            f"note: not searched for: {', '.join(detection.not_searched)}; enter their addresses in the rig file by hand"
-        )
+        unsearched = ", ".join(detection.not_searched)
+        warn(f"note: not searched for: {unsearched}; enter their addresses in the rig file by hand")
 
 
 def run_show(arguments: argparse.Namespace) -> None:

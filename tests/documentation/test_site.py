@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from lxml import html
+from markdown_it import MarkdownIt
 from mkdocs.commands.build import build
 from mkdocs.config import load_config
 
@@ -69,6 +70,22 @@ def test_links_between_pages_lead_to_files_and_headings(site):
             if not target.exists() or (anchor and target in ids and anchor not in ids[target]):
                 wrong.append(f"{page.relative_to(site)}: {link}")
     assert wrong == []
+
+
+def counted(root: html.HtmlElement) -> dict[str, int]:
+    """Return how many list items, numbered lists, tables, code blocks and quotations a text has."""
+    return {name: len(root.xpath(f"//{name}")) for name in ("li", "ol", "table", "pre", "blockquote")}
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("[teh]*/*.md")), ids=lambda page: page.stem)
+def test_lists_tables_and_code_stand_as_another_parser_has_them(site, page):
+    if page.name == "architecture.md":
+        pytest.skip("its drawing is a table on the site")
+    name = "index.html" if page.name == "README.md" else f"{page.stem}.html"
+    (article,) = html.parse(site / page.parent.name / name).xpath("//article")
+    text = page.read_text(encoding="utf-8")
+    other = html.fromstring(MarkdownIt("commonmark").enable("table").render(text))
+    assert counted(html.fromstring(html.tostring(article))) == counted(other)
 
 
 def test_the_search_knows_the_pages_and_the_commands(site):
