@@ -51,7 +51,7 @@ def add_design(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         nargs="?",
         default="flat-70x35",
         metavar="PRESET",
-        help="default: flat-70x35; 'finray design list' tells all",
+        help="default: flat-70x35; 'finray design list' lists them",
     )
     init.add_argument("--out", type=Path, metavar="TOML", help="default: PRESET.toml; must be new")
     init.set_defaults(run=run_init)

@@ -30,12 +30,10 @@ RIG_HELP = "write a rig file, find devices, and show what the devices of a rig r
 INIT_HELP = "write a commented rig file to start from"
 INIT_DESCRIPTION = """\
 Write a rig file with a comment on every value, made after a preset.
-
-paper: the set-up of the paper. On a terminal the devices that are found are offered; otherwise the paper's own are
-written, and the command lists what to fill in.
-simulated, simulated-green: a practice bench without hardware, with a red or a green paint on it. Every command takes
-its rig file like that of a real rig."""
-SIMULATED = {"simulated": "red", "simulated-green": "green"}
+"paper": the paper's set-up. On a terminal the devices that are found are offered; otherwise the preset's own are
+written, and what to fill in is said.
+"simulated", "simulated-green": a rig to practise on without any device, with a red or a green paint under its lens:
+the commands of the how-to pages run on it, and its file says what the paint truly is."""
 DETECT_HELP = "list the cameras, filter wheels and lights that can be found"
 DETECT_DESCRIPTION = """\
 Ask every driver what it can find, and print driver and address as a rig file names them. Serial ports behind USB are
@@ -47,6 +45,9 @@ switches them off when a process or the computer fails, one dark exposure of the
 and the lights stay off. A device that cannot be reached hides no other; the exit status is 2 then."""
 
 
+PRACTICE_PAINTS = {"simulated": "red", "simulated-green": "green"}
+
+
 def add_rig(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb and what it can do."""
     parser = verbs.add_parser("rig", help=RIG_HELP, description=RIG_HELP)
@@ -54,7 +55,7 @@ def add_rig(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
     init = actions.add_parser(
         "init", help=INIT_HELP, description=INIT_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    init.add_argument("--preset", choices=("paper", *SIMULATED), default="paper", help="which set-up (default: paper)")
+    init.add_argument("--preset", choices=("paper", *PRACTICE_PAINTS), default="paper", help="default: paper")
     add_out(init, "rig.toml")
     init.set_defaults(run=run_init)
     detect = actions.add_parser("detect", help=DETECT_HELP, description=DETECT_DESCRIPTION)
@@ -69,14 +70,16 @@ def run_init(arguments: argparse.Namespace) -> None:
     from rigs import paper_rig, simulated_rig, to_fill_in, write_rig
 
     out = require_new(arguments.out or Path("rig.toml"))
-    if arguments.preset in SIMULATED:
-        practice = simulated_rig(SIMULATED[arguments.preset], width_px=640, height_px=512)
-        say(f"rig file of a practice bench: {write_rig(practice, out)}")
-    else:
-        chosen = chosen_devices()
-        say(f"rig file: {write_rig(paper_rig(chosen), out)}")
-        for text in to_fill_in(chosen):
-            say(f"  fill in or compare: {text}")
+    if (paint := PRACTICE_PAINTS.get(arguments.preset)) is not None:
+        say(f"rig file: {write_rig(simulated_rig(paint), out)}")
+        say(f"  a rig to practise on: camera, wheel, lights and a {paint} paint are simulated; what the paint truly is")
+        say("  stands in [simulated.paint]")
+        say(f"then: finray rig show {out}")
+        return
+    chosen = chosen_devices()
+    say(f"rig file: {write_rig(paper_rig(chosen), out)}")
+    for text in to_fill_in(chosen):
+        say(f"  fill in or compare: {text}")
     say(f"then: finray rig show {out}")
 
 

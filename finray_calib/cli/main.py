@@ -105,7 +105,7 @@ def main(arguments: Sequence[str] | None = None, in_own_process: bool = False) -
         sys.stderr.write(f"finray {parsed.verb}: error: {_one_line(error)}\n")
         return DIED if isinstance(error, DiedError) else USER_MISTAKE
     except KeyboardInterrupt:
-        sys.stderr.write(f"finray {parsed.verb}: interrupted; what was stored is whole\n")
+        sys.stderr.write(f"finray {parsed.verb}: interrupted; files already written are complete\n")
         return INTERRUPTED
     return int(status or 0)
 
