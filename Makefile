@@ -7,7 +7,8 @@ BIN    := $(VENV)/bin
 OTHERS := .venv-others
 PYTHONS := 3.11 3.12 3.13
 
-.PHONY: plain demo test quick test-rigs test-pythons lint check-types contracts pytest schemas drawing reference lock check-arm llvm \
+.PHONY: plain demo test quick test-rigs test-pythons lint check-types contracts pytest schemas drawing reference docs \
+        pictures lock check-arm llvm \
         rig-programs clean bench bench-fit bench-compare bench-optics bench-mechanics bench-fuzz verification
 
 # For a camera computer: everything but the simulation, on ARM too.
@@ -142,6 +143,15 @@ drawing: $(VENV)/installed-dev
 reference: $(VENV)/bin/python
 	$(BIN)/python -m docs.api_pages
 
+# The documentation as a site in site/, with search; a broken link or a warning is an error.
+docs: $(VENV)/installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --clean --quiet
+	@echo "site/index.html is made; to search in it, serve it: $(BIN)/python -m http.server --bind 127.0.0.1 --directory site"
+
+# The picture of a touch in README.md, rendered anew; some minutes.
+pictures: $(VENV)/installed-dev llvm
+	$(BIN)/python -m docs.touch_picture
+
 # Renew the pinned versions and their hashes. Versions stay where they can; newest ones: make lock UPGRADE=--upgrade
 UPGRADE ?=
 COMPILE  = .venv-lock/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header \
@@ -149,6 +159,7 @@ COMPILE  = .venv-lock/bin/uv pip compile --quiet --universal --python-version 3.
 lock: .venv-lock/installed
 	$(COMPILE) pyproject.toml --group build --extra dev --extra bench --output-file requirements/bench.lock
 	$(COMPILE) pyproject.toml --group build --extra dev -c requirements/bench.lock --output-file requirements/dev.lock
+	$(COMPILE) pyproject.toml --group build --extra docs -c requirements/bench.lock --output-file requirements/docs.lock
 	$(COMPILE) pyproject.toml --group build --extra sim -c requirements/bench.lock --output-file requirements/sim.lock
 	$(COMPILE) pyproject.toml --group build -c requirements/bench.lock --output-file requirements/plain.lock
 	$(COMPILE) requirements/others.in --output-file requirements/others.lock
@@ -189,9 +200,12 @@ $(VENV)/installed-plain: $(VENV)/bin/python pyproject.toml requirements/plain.lo
 $(VENV)/installed: $(VENV)/bin/python pyproject.toml requirements/sim.lock
 	$(call install,sim)
 
+$(VENV)/installed-docs: $(VENV)/bin/python pyproject.toml requirements/docs.lock
+	$(call install,docs)
+
 $(VENV)/installed-dev: $(VENV)/bin/python pyproject.toml requirements/dev.lock
 	$(call install,dev)
-	@touch $(VENV)/installed
+	@touch $(VENV)/installed $(VENV)/installed-docs
 
 $(VENV)/installed-bench: $(VENV)/installed-dev requirements/bench.lock
 	$(call install,bench)
@@ -229,4 +243,4 @@ llvm:
 	 echo
 
 clean:
-	rm -rf .venv .venv-* .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache bench-out
+	rm -rf site .venv .venv-* .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache bench-out

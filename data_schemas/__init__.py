@@ -145,7 +145,7 @@ if TYPE_CHECKING:
     from data_schemas._provenance import Provenance, digest_of_input, note_renderer, package_version, provenance
     from data_schemas._radiometry import BandSignals, Bleaching, Flag, Optics, PixelSignals, TiltRatio
     from data_schemas._record_methods import register_record_methods
-    from data_schemas._record_text import decimals_for, fixed, interval_text, significant
+    from data_schemas._record_text import decimals_for, fixed, interval_text, kind_in_words, needed_kind, significant
     from data_schemas._rig import (
         NO_ADDRESS,
         BandPassFilter,
@@ -485,11 +485,13 @@ __all__ = [
     "fixed",
     "half_maximum_nm",
     "interval_text",
+    "kind_in_words",
     "lazy_exports",
     "look_like_radians",
     "naming",
     "naming_file",
     "narrow_sweep_text",
+    "needed_kind",
     "note_renderer",
     "package_version",
     "provenance",

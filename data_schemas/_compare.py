@@ -237,7 +237,7 @@ class PhotometricErrorReport(Record):
 
     The headline is the skill score over the contact patch dilated to twice its half-width: 0 is doing nothing,
     the floor row is what a repeat of the no-contact image costs. Where the camera's noise is taken out (linear light
-    with a repeat) a score may lie above it; elsewhere no score above it says anything.
+    with a repeat) a score may lie above it; elsewhere a score above it is not meaningful.
     """
 
     schema_version: ClassVar[int] = 3

@@ -1,6 +1,7 @@
 """What a record and its numbers say of themselves on a screen: a few lines, without arrays."""
 
 import math
+import re
 from collections.abc import Iterator
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
@@ -28,6 +29,20 @@ def record_html(record: "Record") -> str:
     """Return the same as an HTML table, every text escaped."""
     cells = (f"<tr><th>{escape(label)}</th><td>{escape(_cut(text))}</td></tr>" for label, text in _rows(record))
     return f"<table><caption>{escape(_cut(_title(record)))}</caption>{''.join(cells)}</table>"
+
+
+def kind_in_words(kind: str) -> str:
+    """Return what a kind of record is called in a sentence, such as "a paint calibration" or "band signals"."""
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", kind).lower()
+    if words.endswith("s") and not words.endswith("ss"):
+        return words
+    return f"an {words}" if words[0] in "aeiou" else f"a {words}"
+
+
+def needed_kind(kind: str) -> str:
+    """Return that a kind of record is needed, such as "a paint calibration is needed"."""
+    words = kind_in_words(kind)
+    return f"{words} {'is' if words.startswith(('a ', 'an ')) else 'are'} needed"
 
 
 def array_text(array: np.ndarray[Any, Any]) -> str:

@@ -61,7 +61,7 @@ class RenderOptions(TypedDict, total=False):
     pose_response
         Of a press: whether to render also how the image changes with the indenter's pose (three times the time).
     all_objectives
-        Of a sweep: whether to measure also how well normals are told, evenness, clipping and room for the panel.
+        Of a sweep: whether to measure also how well normals can be measured, evenness, clipping and room for the panel.
     position_mm
         Of a sweep: where the indenter touches along the pad, in mm from the base, in place of the design's.
     narrow_sweep

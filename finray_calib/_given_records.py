@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TypeVar
 
-from data_schemas import Record, RecordError, provenance
+from data_schemas import Record, RecordError, needed_kind, provenance
 from data_schemas.storage import digest_as_read
 from data_schemas.storage import read_record as read_stored
 
@@ -28,8 +28,8 @@ def given(what: R | PathLike, kind: type[R]) -> tuple[R, list[Path]]:
         path = Path(what)
         return read_stored(path, kind), [path]
     raise RecordError(
-        f"a {kind.__name__}, or the path of a stored one, is needed here, got a {type(what).__name__}; its kind says "
-        "which function of the library takes it"
+        f"{needed_kind(kind.__name__)}, as a {kind.__name__} or the path of a stored one; a {type(what).__name__} was "
+        "given"
     )
 
 

@@ -139,7 +139,7 @@ def preset_design(name: str) -> FingerDesign:
 _HEAD = """\
 # A finger: gel pad, coating, light, mirror, camera, indenter. mm and deg; pads are length x width.
 # Axes: x across the pad, y from its inner face into the gel, z along it from the base.
-# Every table of a finger must be there. A file that begins with preset = "flat-70x35" (finray design list tells all)
+# Every table of a finger must be there. A file that begins with preset = "flat-70x35" ('finray design list' lists them)
 # takes what it leaves out from that ready-made finger.
 # A number is assumed unless the table [origin] at the end says otherwise: measured, data sheet or paper.
 """
@@ -263,7 +263,7 @@ def _require_tables(path: Path, written: Mapping[str, Any], model: type[BaseMode
         raise RecordError(
             f"{path}: a finger without {', '.join(f'[{name}]' for name in missing)}; write what is missing (finray "
             'design init writes a whole finger), or let it come from a ready-made one: preset = "flat-70x35" above the '
-            "first table (finray design list tells all)"
+            "first table ('finray design list' lists them)"
         )
 
 

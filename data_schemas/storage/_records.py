@@ -24,7 +24,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from data_schemas import ChecksumError, NewerSchemaError, Provenance, Record, RecordError, explain
+from data_schemas import (
+    ChecksumError,
+    NewerSchemaError,
+    Provenance,
+    Record,
+    RecordError,
+    explain,
+    kind_in_words,
+    needed_kind,
+)
 from data_schemas.storage._array_files import DeclaredArray, read_declared_arrays
 from data_schemas.storage._foreign_files import (
     LARGEST_ARRAY_FILE_BYTES,
@@ -138,9 +147,8 @@ def read_record(path: Path, record_type: type[R]) -> R:
     kind = envelope.get("kind")
     if kind != record_type.__name__:
         why = f": {record_type.other_kinds[str(kind)]}" if str(kind) in record_type.other_kinds else ""
-        raise RecordError(
-            f"{path}: is a {kind or 'file of unknown kind'}, a {record_type.__name__} is needed here{why}"
-        )
+        found = kind_in_words(str(kind)) if kind else "no record of a known kind"
+        raise RecordError(f"{path}: holds {found}, where {needed_kind(record_type.__name__)}{why}")
     version = _required_version(path, envelope.get("schema_version"))
     refuse_newer(path, version, record_type)
     _check_seal(path, envelope, record_type)

@@ -35,8 +35,8 @@ Run a capture plan; its 'kind' says which. "paint": dark frames before and after
 under lamp and laser through every filter, and a room-light frame, at exposures at which nothing saturates.
 "camera": flat frames of the white tile from dark to beyond saturation and dark frames of the same exposures.
 "tactile": presses on a finger, each between images of no contact; its rig file describes a camera alone.
-Writes a folder with raw 16-bit TIFF frames, a journal, checksums and session.json. An interrupted session goes on
-where it stopped with --resume."""
+Writes a folder with raw 16-bit TIFF frames, a journal, checksums and session.json. An interrupted session
+continues where it stopped with --resume."""
 
 
 def add_capture(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -50,7 +50,7 @@ def add_capture(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     parser.add_argument("plan", type=Path, nargs="?", metavar="PLAN", help="plan file (TOML): kind, name, region")
     parser.add_argument("--rig", type=Path, metavar="RIG", help="rig file (TOML): camera, wheel, lights")
     parser.add_argument(
-        "--resume", type=Path, metavar="SESSION", help="go on with an interrupted session; takes no PLAN and no --rig"
+        "--resume", type=Path, metavar="SESSION", help="continue an interrupted session; takes no PLAN and no --rig"
     )
     parser.add_argument(
         "--dry-run", action="store_true", help="open the rig, check the plan, print time and disk; nothing moves"

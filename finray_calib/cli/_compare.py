@@ -43,14 +43,14 @@ Compare a simulated press with a tactile capture over the contact patch and over
 its half-width. Every number stands beside doing nothing (the no-contact image as the simulation) and the floor
 (what a repeat of the no-contact image costs). The headline is the skill score: 0 is doing nothing, 1 is perfect.
 The noise of linear captures with a repeat is taken out of the simulation's score but not of the floor, so that the
-score may lie above it; with encoded values both hold the noise, and nothing above the floor row says anything.
+score may lie above it; with encoded values both hold the noise, and scores above the floor row are not meaningful.
 
 With two folders, one.press.json is compared with one.capture.json and so on (or the pairs of --pairs): a report
 for each, and a summary over the presses.
 
 Another light angle, indenter, depth or position than the capture states is refused, and so are images that do not
-belong together (channel order, exposure, encoding, bit depth, black level). Whether
-the camera stands where the render has it is told; --register moves the render accordingly.
+belong together (channel order, exposure, encoding, bit depth, black level). A camera that
+does not stand where the render has it is reported; --register moves the render accordingly.
 
 With --force, the force of a press by finite elements is compared with a measured one instead."""
 

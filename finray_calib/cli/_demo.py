@@ -19,7 +19,7 @@ write report.html, summary.json and every stage's records. The rig's paints are 
 capture that the render is compared with comes from a digital twin that the simulation does not know.
 
 Give measured re-radiation matrices and a camera response to run it on real materials. A demo that was interrupted, or
-of which a stage died, goes on with the same command; what is stored and whole is not computed again."""
+of which a stage failed, continues with the same command; finished stages are not computed again."""
 
 
 def add_demo(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

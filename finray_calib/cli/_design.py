@@ -57,7 +57,7 @@ def _add_init(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
         nargs="?",
         default="flat-70x35",
         metavar="PRESET",
-        help="default: flat-70x35; 'finray design list' tells all",
+        help="default: flat-70x35; 'finray design list' lists them",
     )
     init.add_argument("--out", type=Path, metavar="TOML", help="default: PRESET.toml; must be new")
     init.set_defaults(run=run_init)

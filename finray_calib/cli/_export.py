@@ -291,7 +291,8 @@ Decks (mm, N, MPa) hold mesh, materials, contact and push, and say in their head
 of one, 'finray simulate press DESIGN --engine calculix' reads back.
 
 Taxim: ball presses all over a classic sensor (TOML), or with --paint a finger, are rendered, and the folder written
-from which Taxim's programs render. It holds slope and place only: what it explains of unseen presses is told.
+from which Taxim's programs render. It holds slope and place only: the command reports how well it explains
+unseen presses.
 A capture request tells a lab which captures of a finger to take: a page, and plans for 'finray capture'."""
 # Named here as well because the parser is built before anything heavy is imported; a test compares the two lists.
 SUFFIXES = {

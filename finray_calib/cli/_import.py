@@ -165,7 +165,7 @@ def import_bands(folder: Path, out: Path | None) -> None:
 TAXIM = """\
 Import the ball presses of a Taxim calibration folder (dataPack.npz, params.json) as tactile captures: 8-bit
 values of unknown encoding, with the labelled contact circle. Pickled parts (shadowTable.npz) are never
-loaded; what is left out is told."""
+loaded; what is left out is listed."""
 BALL_PRESSES = """\
 Import a folder of ball presses as tactile captures. It holds background.png (no contact) and either the
 catalog.csv of gs_sdk (a folder per press with gelsight.png and label.npz) or plain images with circles.csv

@@ -98,7 +98,8 @@ def run_detect(arguments: argparse.Namespace) -> None:
     for note in detection.notes:
         warn(f"note: {note}")
     if detection.not_searched:
-        warn(f"note: not searched for: {', '.join(detection.not_searched)}; their addresses are yours to give")
+        unsearched = ", ".join(detection.not_searched)
+        warn(f"note: not searched for: {unsearched}; enter their addresses in the rig file by hand")
 
 
 def run_show(arguments: argparse.Namespace) -> None:

@@ -133,7 +133,7 @@ def add_sweep(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     parser.add_argument(
         "--objectives", choices=["intensity", "all"], default="intensity",
-        help="only the brightness beside the indenter (default), or also how well surface normals are told (Fisher "
+        help="only the brightness beside the indenter (default), or also how well normals can be measured (Fisher "
         "information, held-out error), evenness, clipping and room for the panel (about a minute more)",
     )  # fmt: skip
     parser.add_argument(

@@ -121,7 +121,7 @@ def main(arguments: Sequence[str] | None = None, in_own_process: bool = False) -
         warn(f"finray {parsed.verb or '--version'}: error: {_one_line(error)}")
         return DIED if isinstance(error, DiedError) else USER_MISTAKE
     except KeyboardInterrupt:
-        warn(f"finray {parsed.verb}: interrupted; what was stored is whole")
+        warn(f"finray {parsed.verb}: interrupted; files already written are complete")
         return INTERRUPTED
     return int(status or 0)
 

@@ -27,6 +27,7 @@ from data_schemas import (
     TactileRig,
     TactileSession,
     digest_of_input,
+    kind_in_words,
     provenance,
 )
 from data_schemas.storage import (
@@ -168,7 +169,8 @@ def session_kind(folder: Path) -> SessionKind:
     stored = read_json(path, "a capture session (.json)")
     kind = stored.get("kind") if isinstance(stored, dict) else None
     if kind not in KINDS:
-        raise RecordError(f"{path}: is a {kind or 'file of unknown kind'}, a {' or '.join(KINDS)} is needed here")
+        found = kind_in_words(str(kind)) if kind else "no record of a known kind"
+        raise RecordError(f"{path}: holds {found}, where a capture session or a camera session is needed")
     return KINDS[kind]
 
 
@@ -292,7 +294,8 @@ def _read(path: Path) -> tuple[Session, bool]:
     envelope = read_json(path, "the record of a session")
     kind = envelope.get("kind") if isinstance(envelope, dict) else None
     if kind not in SESSION_KINDS:
-        raise RecordError(f"{path}: is a {kind or 'file of unknown kind'}, not the record of a session")
+        found = kind_in_words(str(kind)) if kind else "no record of a known kind"
+        raise RecordError(f"{path}: holds {found}, where the record of a session is needed")
     session: Any = read_record(path, SESSION_KINDS[kind])
     return session, "content_sha256" in envelope
 

@@ -137,7 +137,8 @@ def camera_capture(
 
     def expose(rgb: Floats) -> NDArray[np.uint16]:
         drift = 1.0 + led_drift_rel * rng.standard_normal()
-        return sensor.expose(mosaic(drift * rgb * scale), EXPOSURE_S, rng)[..., None]
+        # where a wall is dark, its smoothed light may lie below zero by less than its noise; a sensor gets none there
+        return sensor.expose(np.maximum(mosaic(drift * rgb * scale), 0.0), EXPOSURE_S, rng)[..., None]
 
     indenter = design.indenter
     return TactileCapture(

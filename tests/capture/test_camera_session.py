@@ -145,12 +145,12 @@ def test_session_reads_back_with_its_checksums(captured: Captured) -> None:
 def test_kind_of_a_folder_is_told(captured: Captured, rig: RigFile, tmp_path: Path) -> None:
     out, _, _ = captured
     assert session_kind(out) == "camera"
-    with pytest.raises(RecordError, match="is a CameraSession, a CaptureSession is needed here"):
+    with pytest.raises(RecordError, match="holds a camera session, where a capture session is needed"):
         read_session(out)
     paint = paint_plan("red", rig.camera).model_copy(update={"filters": ("450",), "bracket": (1.0,)})
     capture_paint_session(rig, paint, Path(), tmp_path / "paint", "finray capture")
     assert session_kind(tmp_path / "paint") == "paint"
-    with pytest.raises(RecordError, match="is a CaptureSession, a CameraSession is needed here"):
+    with pytest.raises(RecordError, match="holds a capture session, where a camera session is needed"):
         read_camera_session(tmp_path / "paint")
 
 
@@ -159,8 +159,8 @@ def test_kind_of_a_folder_is_told(captured: Captured, rig: RigFile, tmp_path: Pa
     [
         (None, "no such folder; give the folder that 'finray capture' wrote"),
         ("", "cannot be read as JSON"),
-        ("[]", "is a file of unknown kind, a CaptureSession or CameraSession is needed here"),
-        ('{"kind": "BandSignals"}', "is a BandSignals, a CaptureSession or CameraSession is needed"),
+        ("[]", "holds no record of a known kind, where a capture session or a camera session is needed"),
+        ('{"kind": "BandSignals"}', "holds band signals, where a capture session or a camera session is needed"),
     ],
 )
 def test_folder_of_no_kind_is_refused(tmp_path: Path, content: str | None, message: str) -> None:

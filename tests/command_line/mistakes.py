@@ -276,7 +276,7 @@ CASES = (
     Case(
         "wrong kind",
         "fit {paints}/red/paint.json",
-        r"paint\.json: is a PaintCalibration, a BandSignals is needed here",
+        r"paint\.json: holds a paint calibration, where band signals are needed",
     ),
     Case("no JSON", "fit {lab}/plan.toml", r"plan\.toml: cannot be read as JSON \(.*\); was it edited or cut off\?"),
     Case(

@@ -260,7 +260,7 @@ def test_the_demo_itself_goes_on_after_a_fit_that_crashed(tmp_path):
     again.process.send_signal(signal.SIGINT)
     status, said = again.end()
     assert status == 130
-    assert said.endswith("interrupted; what was stored is whole\n")
+    assert said.endswith("interrupted; files already written are complete\n")
     assert gone_within(children, 5.0)
     after = tree(out / "red")
     assert all(after[path] == digest for path, digest in kept.items())

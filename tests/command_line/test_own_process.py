@@ -110,7 +110,7 @@ def test_ctrl_c_ends_it_and_its_process(tmp_path):
     running.process.send_signal(signal.SIGINT)
     status, _, err = running.end()
     assert status == 130
-    assert without_progress(err) == ["finray simulate: interrupted; what was stored is whole"]
+    assert without_progress(err) == ["finray simulate: interrupted; files already written are complete"]
     assert len(children) == 1
     assert gone_within(children, 5.0)
     assert not (tmp_path / "a.log").exists()

@@ -34,7 +34,7 @@ def test_every_relative_link_leads_to_a_file(page):
 
 
 def test_links_are_found_at_all():
-    assert {"docs/images/demo.png", "docs/verification.md", "LICENSE"} <= set(links(README))
+    assert {"docs/images/touch.png", "docs/verification.md", "LICENSE"} <= set(links(README))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))

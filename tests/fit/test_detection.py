@@ -191,7 +191,7 @@ class TestVerb:
 
     def test_reading_it_as_a_paint_says_why_not(self, stored):
         with pytest.raises(
-            RecordError, match=r"is a PaintWithoutEmission, a PaintCalibration is needed here: .*no emission"
+            RecordError, match=r"holds a paint without emission, where a paint calibration is needed: .*no emission"
         ):
             read_record(stored, PaintCalibration)
 

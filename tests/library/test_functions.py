@@ -155,9 +155,12 @@ def test_presses_are_compared_and_captures_decide(lab):
     assert set(report.provenance.input_sha256) == {f"{lab}/press.json", f"{lab}/capture.json"}
     decision = finray.decide_light_angle(lab / "sweep.json", [report])
     assert decision.validated
-    with pytest.raises(RecordError, match="is a TactileCapture, a SimulatedPress is needed here"):
+    with pytest.raises(RecordError, match="holds a tactile capture, where a simulated press is needed"):
         finray.compare_press(lab / "capture.json", lab / "press.json")
-    with pytest.raises(RecordError, match="a SimulatedPress, or the path of a stored one, is needed here, got a int"):
+    with pytest.raises(
+        RecordError,
+        match="a simulated press is needed, as a SimulatedPress or the path of a stored one; a int was given",
+    ):
         finray.compare_press(7, lab / "capture.json")
 
 

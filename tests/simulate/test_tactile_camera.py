@@ -76,6 +76,14 @@ def test_a_simulated_capture_knows_no_uncertainty_of_its_pose():
     assert simulated_capture(press(), seed=1).indenter.depth_uncertainty_mm is None
 
 
+def test_light_below_zero_by_less_than_its_noise_is_no_light():
+    """The walls' smoothed light may dip below zero where it is dark: such a pixel is captured as a black one is."""
+    below, black = press().contact_bands.copy(), press().contact_bands.copy()
+    below[:20], black[:20] = -1e-3, 0.0
+    dark, none = (simulated_capture(press(contact_bands=bands), seed=6) for bands in (below, black))
+    np.testing.assert_array_equal(dark.contact, none.contact)
+
+
 def test_what_is_no_render_has_no_capture():
     with pytest.raises(SimulateError, match="press has no finger design"):
         simulated_capture(press(design=None), seed=1)
