@@ -158,7 +158,7 @@ def say(text: str) -> None:
             told = "the program that read it has ended (such as 'head' behind a pipe); send the output to a file"
         else:
             told = f"{system_words(error)}; send the output to another file, or to the terminal"
-        raise FinrayError(f"standard output cannot be written: {told}. What was stored is whole") from None
+        raise FinrayError(f"standard output cannot be written: {told}. Files already written are complete") from None
 
 
 def drop_output() -> None:

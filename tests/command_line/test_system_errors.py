@@ -75,7 +75,7 @@ def test_output_that_finds_no_space(tmp_path: Path, arguments: str) -> None:
     assert ran.returncode == command.USER_MISTAKE
     assert ran.stderr.decode().splitlines() == [
         f"finray {arguments.split()[0]}: error: standard output cannot be written: no space left on device; send the "
-        "output to another file, or to the terminal. What was stored is whole"
+        "output to another file, or to the terminal. Files already written are complete"
     ]
 
 
