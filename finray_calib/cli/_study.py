@@ -25,7 +25,6 @@ from finray_calib.cli._run import (
     say,
 )
 from finray_calib.cli._study_run import add_design_studies
-from finray_calib.cli._study_sensing import add_normal_map_study, add_pixel_scale_study
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,9 +44,7 @@ if TYPE_CHECKING:
     from sim.optics import PaintOptics
 
 
-STUDY_HELP = (
-    "run a ready-made study of the paper: paints, fluorescent rendering, two lights, light angle, stiffness, normals"
-)
+STUDY_HELP = "run a ready-made study of the paper: paints, fluorescent rendering, two lights, light angle, stiffness"
 WIDTH = 110
 PAPER_PAINTS_HELP = "the paper's statements on its red and green paint beside measured stand-ins"
 PAPER_PAINTS_DESCRIPTION = """\
@@ -90,8 +87,6 @@ def add_study(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     add_design_studies(studies)
     add_illumination_studies(studies)
     add_stiffness_study(studies)
-    add_normal_map_study(studies)
-    add_pixel_scale_study(studies)
 
 
 def _long_work(arguments: argparse.Namespace) -> "LongWork":
