@@ -89,8 +89,8 @@ def sense_press(record: NormalMapRecord, capture: TactileCapture, contact_depth_
         deepest_u_mm=None if u_rel is None else u_rel * deepest,
         contact_area_mm2=float(touched.sum()) * record.mm_per_px**2,
         contact_area_u_mm2=None if u_mm is None else _area_u_mm2(depth, chosen, u_mm, record.mm_per_px),
-        outside_share=found.outside,
-        clipped_share=found.clipped,
+        outside_share=found.outside_share,
+        clipped_share=found.clipped_share,
         is_of_teaching=taught,
         notes=_notes(record, capture, found, taught),
     )
@@ -100,8 +100,8 @@ def sense_press(record: NormalMapRecord, capture: TactileCapture, contact_depth_
 class _Shares:
     """Shares of the contact's pixels that the map does not know, and that are clipped."""
 
-    outside: float
-    clipped: float
+    outside_share: float
+    clipped_share: float
 
 
 def _share(which: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
@@ -142,14 +142,14 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
         notes.append("whether this press taught the map is not known: the map is of an earlier version; teach it again")
     if record.held_out_depth_rms_mm is None:
         notes.append("the uncertainty of the depth is not known: the map is of an earlier version; teach it again")
-    if shares.outside > _OUTSIDE_TOLD:
+    if shares.outside_share > _OUTSIDE_TOLD:
         notes.append(
-            f"{shares.outside:.0%} of the contact's pixels change colour as no teaching press did; the map is held at "
+            f"{shares.outside_share:.0%} of the contact's pixels change colour as no teaching press did; the map is held at "
             "its last value there: teach with deeper presses, or at more places"
         )
-    if shares.clipped > _CLIPPED_TOLD:
+    if shares.clipped_share > _CLIPPED_TOLD:
         notes.append(
-            f"{shares.clipped:.0%} of the contact's pixels are clipped and take their slope from their neighbours: "
+            f"{shares.clipped_share:.0%} of the contact's pixels are clipped and take their slope from their neighbours: "
             "expose shorter"
         )
     notes.append(

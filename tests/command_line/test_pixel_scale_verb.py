@@ -226,8 +226,6 @@ def test_the_picture_on_the_pad_may_be_among_the_others(pictures: Path, tmp_path
     out = tmp_path / "s.json"
     succeed(f"sense scale {every} {BOARD} --square-u-mm 0.003 --lens-model fisheye --out {out}")
     assert len(read_record(out, PixelScale).lens_pictures) == 6
-    twice = finray(
-        f"sense scale {pictures}/board-1.png {every} {BOARD} --square-u-mm 0.003 --out {tmp_path}/t.json"
-    )
+    twice = finray(f"sense scale {pictures}/board-1.png {every} {BOARD} --square-u-mm 0.003 --out {tmp_path}/t.json")
     assert twice.status == 2
     assert "board-1.png: is given twice; a picture counts once" in twice.err
