@@ -168,8 +168,8 @@ COMMANDS = {
         "stiffness",
         ("sim.experiments._design_sensitivities:study_finger_stiffness",),
     ),
-    "study pixel-scale": Command(
-        "study pixel-scale {boards} --pad {i}/board-0.png --squares 7x5 --square-mm 3 --marker-mm 2.2 "
+    "sense scale": Command(
+        "sense scale {boards} --pad {i}/board-0.png --squares 7x5 --square-mm 3 --marker-mm 2.2 "
         "--square-u-mm 0.003 --out {o}/scale.json",
         "scale.json",
         (

@@ -171,6 +171,7 @@ if TYPE_CHECKING:
         PixelScale,
         ScaleContribution,
         ScaleRange,
+        SensedPress,
     )
     from data_schemas._simulate import (
         AngleConstraints,
@@ -437,6 +438,7 @@ __all__ = [
     "ScaleContribution",
     "ScaleRange",
     "Section",
+    "SensedPress",
     "SensingError",
     "SensingRow",
     "SignalDn",

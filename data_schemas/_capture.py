@@ -368,7 +368,7 @@ class TactilePlan(Record):
     light_angle_deg: AngleDeg = Field(description="measured: the panel's normal from the pad plane")
     light_angle_uncertainty_deg: UncertaintyDeg
     mm_per_px: LengthMm | None = Field(
-        default=None, description="side of a raw pixel on the pad, as 'finray study pixel-scale' measures it"
+        default=None, description="side of a raw pixel on the pad, as 'finray sense scale' measures it"
     )
     mm_per_px_u_rel: RelativeUncertainty | None = Field(
         default=None, description="relative standard uncertainty; none: not known"

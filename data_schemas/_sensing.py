@@ -109,7 +109,7 @@ class PixelScale(Record):
     """
 
     schema_version: ClassVar[int] = 2
-    written_by: ClassVar[str] = "'finray study pixel-scale'"
+    written_by: ClassVar[str] = "'finray sense scale'"
 
     board: CharucoBoard
     square_u_rel: RelativeUncertainty = Field(description="standard uncertainty of the side of a square, as declared")
@@ -163,8 +163,8 @@ class NormalMapRecord(Record):
     on the half that did not teach it, and the mean angle of its normals.
     """
 
-    schema_version: ClassVar[int] = 2
-    written_by: ClassVar[str] = "'finray study normal-map'"
+    schema_version: ClassVar[int] = 3
+    written_by: ClassVar[str] = "'finray sense teach'"
 
     name: str
     degree: Annotated[int, Field(ge=1, le=6)]
@@ -181,9 +181,60 @@ class NormalMapRecord(Record):
     presses: Annotated[int, Field(ge=1)]
     held_out_explained_rel: Annotated[Floats, ArraySpec("<f8", ("split",))]
     held_out_angle_deg: Annotated[Floats, ArraySpec("<f8", ("split",), "deg")]
+    held_out_depth_rms_mm: Annotated[Floats, ArraySpec("<f8", ("press",), "mm")] | None = Field(
+        default=None,
+        description="of each press, error of the depth inside its circle, its mean taken out, by a map that five "
+        "sixths of the presses taught and it did not; none: not measured",
+    )
+    held_out_height_error_rel: Annotated[Floats, ArraySpec("<f8", ("press",))] | None = Field(
+        default=None, description="of each press by that map, height from the rim to the middle: sensed / true - 1"
+    )
+    taught_by_sha256: tuple[str, ...] = Field(
+        default=(), description="SHA-256 of the contact images that taught it; none: not known"
+    )
     notes: tuple[str, ...] = ()
 
     @model_validator(mode="after")
     def _lengths_agree(self) -> "NormalMapRecord":
+        check_dimensions(self)
+        return self
+
+
+class SensedPress(Record):
+    """What a normal map senses in one capture: depth, normals and contact, one value per pixel of the colour image.
+
+    Depth is positive into the gel and counts from the median over the frame of the picture. The contact is where it
+    exceeds ``contact_depth_mm``. Normals have components along columns, along rows and out of the gel.
+    """
+
+    written_by: ClassVar[str] = "'finray sense run'"
+
+    name: str
+    normal_map: str
+    mm_per_px: LengthMm
+    depth_mm: Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column"), "mm")]
+    normal: Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "3"), "1")]
+    contact: Annotated[NDArray[np.uint8], ArraySpec("<u1", ("row", "column"))]
+    depth_u_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})] | None = Field(
+        description="standard uncertainty of the depth at one pixel beside another; none: the map does not hold it"
+    )
+    contact_depth_mm: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "mm"})]
+    deepest_mm: float = Field(description="largest depth")
+    deepest_u_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})] | None = Field(
+        description="standard uncertainty of a depth, from the rim of a contact to its middle"
+    )
+    contact_area_mm2: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm2"})]
+    contact_area_u_mm2: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm2"})] | None = Field(
+        description="standard uncertainty, from that of the depth alone"
+    )
+    outside_share: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        description="share of the contact's pixels whose change of colour no teaching press showed"
+    )
+    clipped_share: Annotated[float, Field(ge=0.0, le=1.0)] = Field(description="of the contact's pixels")
+    is_of_teaching: bool | None = Field(description="whether the press taught the map; none: the map does not tell")
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "SensedPress":
         check_dimensions(self)
         return self

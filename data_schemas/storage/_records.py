@@ -366,6 +366,8 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("PaintCalibration", 6): _as_it_is,
     # an outline in place of a circle, force, licence and what is missing; none: not known
     ("TactileCapture", 2): _as_it_is,
+    # errors of the depth on unseen presses, and which presses taught; none: not known
+    ("NormalMapRecord", 2): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from finray_calib.cli._import import add_import
     from finray_calib.cli._radiometry import add_radiometry
     from finray_calib.cli._rig import add_check, add_rig
+    from finray_calib.cli._sense import add_sense
     from finray_calib.cli._simulate import add_recolour, add_simulate, spelled_now
     from finray_calib.cli._study import add_study
     from finray_calib.cli._trace import add_trace, add_verify
@@ -40,6 +41,7 @@ __all__ = [
     "add_radiometry",
     "add_recolour",
     "add_rig",
+    "add_sense",
     "add_simulate",
     "add_study",
     "add_trace",

@@ -78,11 +78,11 @@ def add_compare(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     )
     parser.add_argument(
         "--normal-map", type=Path, metavar="FILE",
-        help="also compare normals and depth, by the map that 'finray study normal-map' wrote",
+        help="also compare normals and depth, by the map that 'finray sense teach' wrote",
     )  # fmt: skip
     parser.add_argument(
         "--scale", type=Path, metavar="FILE",
-        help="also give the scale and the sizes of patch and halo in mm, by what 'finray study pixel-scale' wrote",
+        help="also give the scale and the sizes of patch and halo in mm, by what 'finray sense scale' wrote",
     )  # fmt: skip
     add_force(parser)
     add_out(parser, "photometric-error.json, with --force force-comparison.json; with folders photometric-errors")

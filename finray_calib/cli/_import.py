@@ -170,7 +170,7 @@ BALL_PRESSES = """\
 Import a folder of ball presses as tactile captures. It holds background.png (no contact) and either the
 catalog.csv of gs_sdk (a folder per press with gelsight.png and label.npz) or plain images with circles.csv
 (image,column_px,row_px,radius_px). Presses without a labelled circle are left out, and told."""
-NEXT = "finray study normal-map"
+NEXT = "finray sense teach"
 
 
 def add_ball_press_formats(formats: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

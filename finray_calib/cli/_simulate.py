@@ -207,12 +207,18 @@ def _positions(text: str) -> list[float]:
     return places
 
 
+RENAMED = {("study", "normal-map"): ("sense", "teach"), ("study", "pixel-scale"): ("sense", "scale")}
+"""Verb and job of an earlier version -> those of today."""
+
+
 def spelled_now(words: Sequence[str]) -> list[str]:
     """Return the words of a command as they are spelled now, and tell them where they are spelled as before.
 
     Before, ``finray simulate DESIGN`` did the three jobs by its options ``--only mechanics``, ``--only optics`` and
-    ``--angles``.
+    ``--angles``, and teaching and the pixels' scale were studies.
     """
+    if tuple(words[:2]) in RENAMED:
+        return _told([*RENAMED[words[0], words[1]], *words[2:]])
     if len(words) < 2 or words[0] != "simulate" or words[1].isalpha() or words[1] in ("-h", "--help"):
         return list(words)
     options, only = [], ""
@@ -230,7 +236,11 @@ def spelled_now(words: Sequence[str]) -> list[str]:
         job = ["sweep"]
     else:
         job = ["render", *(["--images"] if only == "optics" else [])]
-    now = ["simulate", job[0], *options, *job[1:]]
+    return _told(["simulate", job[0], *options, *job[1:]])
+
+
+def _told(now: list[str]) -> list[str]:
+    """Return the words of a command after telling that they are spelled so now."""
     warn(f"this spelling is of an earlier version and ends with the next one; type now: {shlex.join(['finray', *now])}")
     return now
 

@@ -24,8 +24,12 @@ from finray_calib.cli._run import (
     require_new,
     say,
 )
+<<<<<<< HEAD
 from finray_calib.cli._study_run import add_design_studies, calibrated_paints, stand_in_paints
 from finray_calib.cli._study_sensing import add_normal_map_study, add_pixel_scale_study
+=======
+from finray_calib.cli._study_run import add_design_studies
+>>>>>>> captures
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -44,9 +48,7 @@ if TYPE_CHECKING:
     from sim.experiments import PaintedFinger
 
 
-STUDY_HELP = (
-    "run a ready-made study of the paper: paints, fluorescent rendering, two lights, light angle, stiffness, normals"
-)
+STUDY_HELP = "run a ready-made study of the paper: paints, fluorescent rendering, two lights, light angle, stiffness"
 WIDTH = 110
 PAPER_PAINTS_HELP = "the paper's statements on its red and green paint beside measured stand-ins"
 PAPER_PAINTS_DESCRIPTION = """\
@@ -89,8 +91,6 @@ def add_study(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     add_design_studies(studies)
     add_illumination_studies(studies)
     add_stiffness_study(studies)
-    add_normal_map_study(studies)
-    add_pixel_scale_study(studies)
 
 
 def _long_work(arguments: argparse.Namespace) -> "LongWork":

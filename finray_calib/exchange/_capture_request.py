@@ -212,7 +212,7 @@ repeats = {REPEATS}                      # of each press, the indenter taken awa
 led_current_ma = {_LED_CURRENT_MA:.1f}            # MEASURE
 light_angle_deg = {_float(angle_deg)}           # MEASURE: the panel's normal from the pad plane
 light_angle_uncertainty_deg = {_ANGLE_U_DEG}  # MEASURE: standard uncertainty
-mm_per_px = {_float(view.mm_per_px)}  # MEASURE: 'finray study pixel-scale' says it and the next line
+mm_per_px = {_float(view.mm_per_px)}  # MEASURE: 'finray sense scale' says it and the next line
 mm_per_px_u_rel = {_float(view.mm_per_px_u_rel)}  # MEASURE: relative standard uncertainty
 
 [indenter]
@@ -269,10 +269,10 @@ Around each press: {NO_CONTACT_IMAGES} images of no contact before it and {NO_CO
    scale by 2 %. The ball plan asks for these images first. Its session then gives millimetres per raw pixel along x and
    y, with uncertainty, and refuses in plain words what cannot be measured:
 
-       finray study pixel-scale SESSION --square-u-mm 0.01 --out pixel-scale.json
+       finray sense scale SESSION --square-u-mm 0.01 --out pixel-scale.json
 
    Put the two lines it prints into the plans that are still to be run. The ball plan itself may be run with the planned
-   value: 'finray study normal-map --scale pixel-scale.json' puts the measured one in its place, and 'finray compare
+   value: 'finray sense teach --scale pixel-scale.json' puts the measured one in its place, and 'finray compare
    --scale pixel-scale.json' states the sizes of patch and halo in mm. A capture without contact needs nothing more; one
    taken without these images cannot be given a scale afterwards.
 """

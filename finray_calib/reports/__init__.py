@@ -22,7 +22,7 @@ if TYPE_CHECKING:
         row_of,
         simulation_sentence,
     )
-    from finray_calib.reports._contact_sheet import circles_csv, contacts_png
+    from finray_calib.reports._contact_sheet import circles_csv, contacts_png, sensed_png
     from finray_calib.reports._decision_figures import angle_figure
     from finray_calib.reports._decision_page import (
         decision_meaning,
@@ -154,6 +154,7 @@ __all__ = [
     "require_denoiser",
     "row_of",
     "score_figure",
+    "sensed_png",
     "signals_table",
     "significant",
     "simulation_sentence",

@@ -1,4 +1,4 @@
-"""Where the contacts of imported presses are: a picture of all of them to check, and a list of circles to correct."""
+"""Pictures of presses: where the contacts of a set are, with a list of circles to correct, and what a press senses."""
 
 import csv
 import io
@@ -8,7 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import TactileCapture
+from data_schemas import SensedPress, TactileCapture
+from finray_calib.reports._images import with_outline
+from finray_calib.reports._style import new_figure, png_bytes, styled
 
 Bytes = NDArray[np.uint8]
 THUMBNAIL_PX = 240
@@ -49,11 +51,7 @@ def circles_csv(captures: Mapping[str, TactileCapture]) -> str:
 
 def _thumbnail(name: str, capture: TactileCapture) -> Bytes:
     """Return a small picture of a press with its contact and its name."""
-    counts = capture.contact.astype(np.float64)
-    top = np.maximum(np.percentile(counts, 99.5), 1.0)
-    # values of light are shown as an eye sees them
-    shown = np.clip(counts / top, 0.0, 1.0) ** (0.45 if capture.encoding == "linear" else 1.0)
-    picture = np.repeat(shown, 3, axis=2) if shown.shape[2] == 1 else shown
+    picture = _shown(capture.contact.astype(np.float64), capture)
     scale = THUMBNAIL_PX / picture.shape[1]
     size = (THUMBNAIL_PX, max(1, round(scale * picture.shape[0])))
     tile = np.ascontiguousarray(
@@ -71,3 +69,41 @@ def _thumbnail(name: str, capture: TactileCapture) -> Bytes:
     for colour, width in ((_DARK, 3), (_WHITE, 1)):
         cv2.putText(tile, name[-34:], (4, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.38, colour, width, cv2.LINE_AA)
     return tile
+
+
+def _shown(values: NDArray[np.float64], capture: TactileCapture) -> NDArray[np.float64]:
+    """Return values (H, W, 1 or 3) as an eye sees them, (H, W, 3), 0 to 1."""
+    top = max(float(np.nanpercentile(values, 99.5)), 1e-9)
+    shown = np.clip(np.nan_to_num(values, nan=top) / top, 0.0, 1.0) ** (0.45 if capture.encoding == "linear" else 1.0)
+    return np.repeat(shown, 3, axis=2) if shown.shape[2] == 1 else shown
+
+
+def sensed_png(sensed: SensedPress, capture: TactileCapture) -> bytes:
+    """Return capture, normals and depth of a sensed press, each with the outline of its contact, as a PNG picture."""
+    touched = sensed.contact.astype(np.bool_)
+    rows, columns = touched.shape
+    counts = capture.contact.astype(np.float64)
+    seen = cv2.resize(_shown(counts, capture), (columns, rows), interpolation=cv2.INTER_AREA)
+    normal = np.asarray(np.rint(255.0 * (0.5 + 0.5 * sensed.normal)), dtype=np.uint8)
+    width_mm, height_mm = columns * sensed.mm_per_px, rows * sensed.mm_per_px
+    extent = (0.0, width_mm, height_mm, 0.0)
+    with styled():
+        figure = new_figure(11.0, 0.9 + 3.3 * height_mm / width_mm)
+        axes = figure.subplots(1, 3, sharex=True, sharey=True)
+        for at, image, title in zip(
+            axes[:2],
+            (np.asarray(np.rint(255.0 * seen), dtype=np.uint8), normal),
+            ("capture", "normal"),
+            strict=True,
+        ):
+            at.imshow(with_outline(image, touched), extent=extent)
+            at.set_title(title)
+        drawn = axes[2].imshow(sensed.depth_mm, extent=extent, cmap="viridis")
+        axes[2].contour(touched, levels=[0.5], colors="white", linewidths=1.2, extent=extent, origin="upper")
+        axes[2].set_title("depth" if sensed.depth_u_mm is None else f"depth, u = {sensed.depth_u_mm:.2g} mm at a pixel")
+        figure.colorbar(drawn, ax=axes[2], label="mm into the gel")
+        axes[0].set_ylabel("mm")
+        for at in axes:
+            at.set_xlabel("mm")
+            at.grid(visible=False)
+        return png_bytes(figure)

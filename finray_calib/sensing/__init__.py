@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     )
     from finray_calib.sensing._pixel_scale import Declared
     from finray_calib.sensing._scale_record import patch_scale, pixel_scale, scale_finding, with_measured_scale
+    from finray_calib.sensing._sensed_press import sense_press, surface_triangles
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -75,7 +76,9 @@ __all__ = [
     "require_plausible",
     "rgb_image",
     "scale_finding",
+    "sense_press",
     "sensing_error",
+    "surface_triangles",
     "uniformity",
     "with_measured_scale",
 ]

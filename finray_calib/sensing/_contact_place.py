@@ -137,7 +137,7 @@ def find_contact_circle(capture: TactileCapture, largest_radius_px: float | None
     smallest = max(SMALLEST_RADIUS_PX, 0.3 * largest_radius_px if largest_radius_px else 0.0)
     signal = _log_change(contact, no_contact, 1.5)
     odd, even = _coarse(signal, smallest, largest, is_even=False), _coarse(signal, smallest, largest, is_even=True)
-    if even.strength > odd.strength:
+    if even.response_rel > odd.response_rel:
         return _even_circle(signal, even)
     return _odd_circle(_log_change(contact, no_contact, 1.0), odd, smallest, largest)
 
@@ -196,7 +196,7 @@ def _log_change(contact: Floats, no_contact: Floats, sigma_px: float) -> Image:
 class _Place:
     """Where a filter answered most."""
 
-    strength: float
+    response_rel: float
     column_px: float
     row_px: float
     radius_px: float
@@ -218,7 +218,7 @@ def _coarse(signal: Image, smallest_px: float, largest_px: float, is_even: bool)
         ]
         energy = np.sum(answers, axis=0).sum(axis=-1)
         row, column = np.unravel_index(int(energy.argmax()), energy.shape)
-        if energy[row, column] > best.strength:
+        if energy[row, column] > best.response_rel:
             column_px, row_px = ((float(at) + 0.5) * _COARSE_PX - 0.5 for at in (column, row))
             best = _Place(float(energy[row, column]), column_px, row_px, float(radius))
     return best

@@ -12,6 +12,7 @@ from functools import cache
 from itertools import combinations_with_replacement
 from typing import Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
@@ -187,6 +188,29 @@ def angles_deg(one: Floats, other: Floats) -> Floats:
 def size_in_words(image: Floats) -> str:
     """Return the size of an image in words."""
     return f"{image.shape[1]} x {image.shape[0]} px" if image.ndim == 3 else f"shape {image.shape}"
+
+
+def filled_slopes(slopes: Floats) -> Floats:
+    """Return slopes (H, W, 2) whose missing ones, of clipped pixels, are the mean of what lies around them.
+
+    Weighted by a Gaussian of 4 px, farther where that finds nothing; flat where nothing is known. Taken as flat, the
+    bright side of a dent would be missing from its depth.
+    """
+    usable: Mask = np.asarray(np.isfinite(slopes).all(axis=-1), dtype=np.bool_)
+    known = np.where(usable[..., None], slopes, 0.0)
+    found, missing = known.copy(), ~usable
+    for sigma_px in (4.0, 8.0, 16.0, 32.0):
+        if not missing.any():
+            break
+        weight = cv2.GaussianBlur(usable.astype(np.float64), (0, 0), sigma_px)
+        mean = cv2.GaussianBlur(known, (0, 0), sigma_px)
+        told = missing & (weight > _LEAST_WEIGHT)
+        found[told] = mean[told] / weight[told][:, None]
+        missing &= ~told
+    return found
+
+
+_LEAST_WEIGHT = 0.02
 
 
 def poisson_depth_mm(slopes: Floats, mm_per_px: float) -> Floats:

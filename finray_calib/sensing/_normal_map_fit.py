@@ -1,5 +1,6 @@
 """Teach a normal map with presses of a ball: fit, score on presses it has not seen, store, and read back."""
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -15,6 +16,8 @@ from finray_calib.sensing._normal_map import (
     NormalMap,
     angles_deg,
     coordinates,
+    filled_slopes,
+    poisson_depth_mm,
     polynomial_terms,
     relative_change,
     rgb_image,
@@ -138,6 +141,69 @@ def ball_slopes(rows_px: Floats, columns_px: Floats, press: CalibrationPress) ->
 
 
 @dataclass(frozen=True, slots=True)
+class DepthErrors:
+    """Errors of the depth of each press by maps that it did not teach, (presses,)."""
+
+    rms_mm: Floats
+    height_rel: Floats
+
+
+FOLDS: Final = 6
+"""A map of five sixths of the presses is nearly that of all; one of half of them is off several times as far."""
+#: Side of the window that is integrated around a contact, in its radii.
+_WINDOW_REL = 3.0
+# the rim of a circle, in radii: sensed heights count from the mean over it
+_RIM_REL = (0.9, 1.0)
+
+
+def depth_errors(presses: Sequence[CalibrationPress], mm_per_px: float, seed: int) -> DepthErrors:
+    """Sense each press by a map of five sixths of the others, and compare its depth to that of the ball.
+
+    The depth is integrated over a window of three radii. Inside the circle it is that of the ball's cap but for a
+    constant, which is taken out: the rms of what is left; and the height from the rim to the middle, relative.
+
+    Parameters
+    ----------
+    presses, seed
+        As in :func:`held_out_score`.
+    mm_per_px
+        Side of a pixel of the presses' images.
+    """
+    lessons = _lessons(presses, seed, DEGREE)
+    order = np.random.default_rng([seed, FOLDS]).permutation(len(lessons))
+    change = np.concatenate([lesson.change for lesson in lessons])
+    rows, columns = presses[0].contact.shape[:2]
+    rms, heights = np.empty(len(lessons)), np.empty(len(lessons))
+    for unseen in np.array_split(order, FOLDS):
+        others = [lesson for k, lesson in enumerate(lessons) if k not in set(unseen.tolist())]
+        taught = NormalMap(_solve(others), DEGREE, change.min(axis=0), change.max(axis=0), (rows, columns))
+        for k in unseen:
+            left_mm, heights[k] = _depth_error(taught, presses[k], mm_per_px)
+            rms[k] = np.sqrt(np.mean(left_mm**2))
+    return DepthErrors(rms, heights)
+
+
+def _depth_error(taught: NormalMap, press: CalibrationPress, mm_per_px: float) -> tuple[Floats, float]:
+    """Return the errors (pixels,) of the depth in a circle, mm, and the relative error of its height."""
+    slopes = taught.slopes(press.contact, press.no_contact)
+    rows, columns = np.indices(slopes.shape[:2], dtype=np.float64)
+    window = (np.abs(rows - press.row_px) <= _WINDOW_REL * press.radius_px) & (
+        np.abs(columns - press.column_px) <= _WINDOW_REL * press.radius_px
+    )
+    inside = np.ix_(window.any(axis=1), window.any(axis=0))
+    usable: Mask = np.asarray(np.isfinite(slopes).all(axis=-1), dtype=np.bool_)
+    depth = poisson_depth_mm(filled_slopes(slopes)[inside], mm_per_px)
+    away = np.hypot(rows - press.row_px, columns - press.column_px)[inside]
+    cap = np.sqrt(np.maximum(press.ball_radius_px**2 - np.minimum(away, press.radius_px) ** 2, 0.0)) * mm_per_px
+    touched = (away <= press.radius_px) & usable[inside]
+    left = (depth - cap)[touched]
+    rim = (away >= _RIM_REL[0] * press.radius_px) & (away <= _RIM_REL[1] * press.radius_px)
+    middle = away <= max(0.2 * press.radius_px, 1.0)
+    sensed, true = (float(image[middle].mean() - image[rim].mean()) for image in (depth, cap))
+    return left - left.mean(), sensed / true - 1.0
+
+
+@dataclass(frozen=True, slots=True)
 class _Lesson:
     """What one press teaches: colour changes, normal equations, and terms and slopes of the pixels in the circle."""
 
@@ -245,6 +311,7 @@ def normal_map_record(captures: Sequence[TactileCapture], name: str, seed: int) 
     fitted = fit_normal_map(presses, seed)
     score = held_out_score(presses, seed)
     first = captures[0]
+    errors = depth_errors(presses, _scale_mm(first) * _cell_px(first), seed)
     return NormalMapRecord(
         name=name,
         degree=fitted.degree,
@@ -259,8 +326,16 @@ def normal_map_record(captures: Sequence[TactileCapture], name: str, seed: int) 
         presses=len(presses),
         held_out_explained_rel=score.explained,
         held_out_angle_deg=score.angle_deg,
+        held_out_depth_rms_mm=errors.rms_mm,
+        held_out_height_error_rel=errors.height_rel,
+        taught_by_sha256=tuple(contact_sha256(capture) for capture in captures),
         notes=tuple(sorted({capture.source for capture in captures})),
     )
+
+
+def contact_sha256(capture: TactileCapture) -> str:
+    """Return the SHA-256 of the contact image: the same press under another name is known by it."""
+    return hashlib.sha256(np.ascontiguousarray(capture.contact, dtype="<u2").tobytes()).hexdigest()
 
 
 def normal_map_of(record: NormalMapRecord) -> NormalMap:

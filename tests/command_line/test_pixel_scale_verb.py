@@ -1,4 +1,4 @@
-"""``finray study pixel-scale``: from picture files to the record and the lens, and what it refuses."""
+"""``finray sense scale``: from picture files to the record and the lens, and what it refuses."""
 
 import re
 from pathlib import Path
@@ -44,7 +44,7 @@ def lens(folder: Path, last: int = 6) -> str:
 def test_pictures_become_a_record_and_a_lens(pictures: Path, tmp_path: Path) -> None:
     out = tmp_path / "scale.json"
     command = (
-        f"study pixel-scale {lens(pictures)} {pictures}/blank.png --pad {pictures}/board-0.png {BOARD} "
+        f"sense scale {lens(pictures)} {pictures}/blank.png --pad {pictures}/board-0.png {BOARD} "
         f"--square-u-mm 0.003 --out {out}"
     )
     outcome = finray(command)
@@ -78,13 +78,13 @@ def test_a_plan_may_say_what_was_printed(pictures: Path, tmp_path: Path) -> None
     )
     plan.write_text(head)
     rest = f"{lens(pictures)} --pad {pictures}/board-0.png --plan {plan} --square-u-mm 0.003"
-    refused = finray(f"study pixel-scale {rest} --out {tmp_path}/a.json")
+    refused = finray(f"sense scale {rest} --out {tmp_path}/a.json")
     assert refused.status == 2
     assert "has no [board] table" in refused.err
     plan.write_text(f'{head}[board]\nsquares = [7, 5]\nsquare_mm = 3.0\nmarker_mm = 2.2\ndictionary = "DICT_4X4_50"\n')
-    said = succeed(f"study pixel-scale {rest} --lens-model fisheye --out {tmp_path}/b.json")
+    said = succeed(f"sense scale {rest} --lens-model fisheye --out {tmp_path}/b.json")
     assert "fisheye lens from 6 pictures" in said
-    both = finray(f"study pixel-scale {rest} {BOARD} --out {tmp_path}/c.json")
+    both = finray(f"sense scale {rest} {BOARD} --out {tmp_path}/c.json")
     assert both.status == 2
     assert "--plan says what the board is" in both.err
 
@@ -121,7 +121,7 @@ def test_a_plan_may_say_what_was_printed(pictures: Path, tmp_path: Path) -> None
     ],
 )
 def test_what_is_wrong_is_named(pictures: Path, tmp_path: Path, options: str, message: str) -> None:
-    outcome = finray(f"study pixel-scale {lens(pictures, 4)} {options.format(pictures)} --out {tmp_path}/s.json")
+    outcome = finray(f"sense scale {lens(pictures, 4)} {options.format(pictures)} --out {tmp_path}/s.json")
     assert outcome.status == 2
     assert outcome.out == ""
     assert re.search(message, outcome.err), outcome.err
@@ -130,7 +130,7 @@ def test_what_is_wrong_is_named(pictures: Path, tmp_path: Path, options: str, me
 
 def test_few_pictures_are_refused(pictures: Path, tmp_path: Path) -> None:
     outcome = finray(
-        f"study pixel-scale {lens(pictures, 3)} --pad {pictures}/board-0.png {BOARD} --square-u-mm 0.003 "
+        f"sense scale {lens(pictures, 3)} --pad {pictures}/board-0.png {BOARD} --square-u-mm 0.003 "
         f"--out {tmp_path}/s.json"
     )
     assert outcome.status == 2
@@ -148,7 +148,7 @@ def test_raw_grey_and_colour_pictures_show_the_same(pictures: Path, tmp_path: Pa
     demosaiced = read_board_picture(tmp_path / "raw.tiff")
     assert np.median(np.abs(demosaiced.astype(int) - grey)) <= 5
     tifffile.imwrite(tmp_path / "two.tiff", np.zeros((8, 8, 2), np.uint16) + np.arange(8, dtype=np.uint16)[:, None])
-    refused = finray(f"study pixel-scale {tmp_path}/two.tiff --pad {tmp_path}/two.tiff {BOARD} --square-u-mm 0.003")
+    refused = finray(f"sense scale {tmp_path}/two.tiff --pad {tmp_path}/two.tiff {BOARD} --square-u-mm 0.003")
     assert refused.status == 2
 
 
@@ -184,28 +184,28 @@ def session_of(folder: Path, pictures: Path, on_pad: bool) -> Path:
 
 def test_a_session_knows_its_pictures(pictures: Path, tmp_path: Path) -> None:
     folder = session_of(tmp_path / "session", pictures, on_pad=True)
-    said = succeed(f"study pixel-scale {folder} --square-u-mm 0.003 --monochrome --out {tmp_path}/s.json")
+    said = succeed(f"sense scale {folder} --square-u-mm 0.003 --monochrome --out {tmp_path}/s.json")
     assert "from 6 pictures" in said
     record = read_record(tmp_path / "s.json", PixelScale)
     assert Path(record.pad_picture.file).name == "00000_board_1.tiff"
     places = poses("fisheye", FISHEYE, np.random.default_rng(SEED), 6)
     truth = true_scale("fisheye", FISHEYE, places[0], np.array([record.middle.column_px, record.middle.row_px]))
     assert record.middle.along_x_mm_per_px == pytest.approx(truth[0], rel=1e-3)
-    both = finray(f"study pixel-scale {folder} {BOARD} --square-u-mm 0.003 --out {tmp_path}/t.json")
+    both = finray(f"sense scale {folder} {BOARD} --square-u-mm 0.003 --out {tmp_path}/t.json")
     assert both.status == 2
     assert "a session knows its pictures and its board" in both.err
     (folder / "frames/00000_board_1.tiff").write_bytes(b"changed")
-    changed = finray(f"study pixel-scale {folder} --square-u-mm 0.003 --out {tmp_path}/t.json")
+    changed = finray(f"sense scale {folder} --square-u-mm 0.003 --out {tmp_path}/t.json")
     assert changed.status == 2
     assert "SHA-256 differs" in changed.err
 
 
 def test_a_session_whose_first_picture_lies_anywhere_is_refused(pictures: Path, tmp_path: Path) -> None:
     folder = session_of(tmp_path / "session", pictures, on_pad=False)
-    outcome = finray(f"study pixel-scale {folder} --square-u-mm 0.003 --out {tmp_path}/s.json")
+    outcome = finray(f"sense scale {folder} --square-u-mm 0.003 --out {tmp_path}/s.json")
     assert outcome.status == 2
     assert "does not say that the first picture shows the board on the pad" in outcome.err
-    missing = finray(f"study pixel-scale {lens(pictures)} {BOARD} --square-u-mm 0.003 --out {tmp_path}/s.json")
+    missing = finray(f"sense scale {lens(pictures)} {BOARD} --square-u-mm 0.003 --out {tmp_path}/s.json")
     assert missing.status == 2
     assert "--pad: missing; give the picture of the board" in missing.err
 
@@ -216,7 +216,7 @@ def test_a_session_without_the_board_on_the_pad_is_refused(pictures: Path, tmp_p
     frames = tuple(frame for frame in session.frames if frame.place != 1)
     (folder / "session.json").unlink()
     write_record(session.model_copy(update={"frames": frames}), folder / "session.json", provenance("pytest"))
-    outcome = finray(f"study pixel-scale {folder} --square-u-mm 0.003 --monochrome --out {tmp_path}/s.json")
+    outcome = finray(f"sense scale {folder} --square-u-mm 0.003 --monochrome --out {tmp_path}/s.json")
     assert outcome.status == 2
     assert "holds no picture of the board's first place, on the pad (was the session interrupted?)" in outcome.err
 
@@ -224,10 +224,8 @@ def test_a_session_without_the_board_on_the_pad_is_refused(pictures: Path, tmp_p
 def test_the_picture_on_the_pad_may_be_among_the_others(pictures: Path, tmp_path: Path) -> None:
     every = f"{lens(pictures)} {pictures}/../{pictures.name}/board-0.png --pad {pictures}/board-0.png"
     out = tmp_path / "s.json"
-    succeed(f"study pixel-scale {every} {BOARD} --square-u-mm 0.003 --lens-model fisheye --out {out}")
+    succeed(f"sense scale {every} {BOARD} --square-u-mm 0.003 --lens-model fisheye --out {out}")
     assert len(read_record(out, PixelScale).lens_pictures) == 6
-    twice = finray(
-        f"study pixel-scale {pictures}/board-1.png {every} {BOARD} --square-u-mm 0.003 --out {tmp_path}/t.json"
-    )
+    twice = finray(f"sense scale {pictures}/board-1.png {every} {BOARD} --square-u-mm 0.003 --out {tmp_path}/t.json")
     assert twice.status == 2
     assert "board-1.png: is given twice; a picture counts once" in twice.err

@@ -47,7 +47,7 @@ def write_fots(folder):
     rows = [["img_names", "center_x", "center_y", "radius"]]
     for k, (row, column) in enumerate(PLACES, start=1):
         save(folder / "mlp_calib" / "gelsight" / f"{k:04d}.png", dome(row, column))
-        rows.append([f"/elsewhere/gelsight/{k:04d}.png", int(column), int(row), int(CONTACT_PX)])
+        rows.append([f"C:/else/where/gelsight/{k:04d}.png", int(column), int(row), int(CONTACT_PX)])
     table = folder / "mlp_calib" / "csv" / "annotate.csv"
     table.parent.mkdir()
     with table.open("w", newline="") as file:

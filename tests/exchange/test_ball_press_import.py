@@ -281,7 +281,7 @@ def test_from_a_taxim_folder_to_a_normal_map(tmp_path, monkeypatch):
     assert "left out: shadowTable.npz" in said
     assert "assumed: ball of 4 mm diameter" in said
     files = " ".join(str(p) for p in sorted((tmp_path / "t.captures").glob("*.json")))
-    said = succeed(f"study normal-map {files} --out map.json")
+    said = succeed(f"sense teach {files} --out map.json")
     assert "map.json: normal map of 12 presses, 80 x 60 px" in said
     record = read_record(tmp_path / "map.json", NormalMapRecord)
     assert np.median(record.held_out_explained_rel) > 0.9  # six presses teach each half
@@ -289,7 +289,7 @@ def test_from_a_taxim_folder_to_a_normal_map(tmp_path, monkeypatch):
     again = finray("import taxim t")
     assert again.status == 2
     assert "exists already" in again.err
-    few = finray(f"study normal-map {files.split()[0]} --out few.json")
+    few = finray(f"sense teach {files.split()[0]} --out few.json")
     assert few.status == 2
     assert f"{files.split()[0]}: a normal map needs" in few.err
     assert "needs at least 12 ball presses, got 1" in few.err
@@ -317,16 +317,16 @@ def test_circles_for_captures_that_have_none(tmp_path):
         write_sealed(file, body)
         lines.append(f"{file.name},{press.column_px},{press.row_px},{press.radius_px}")
     named = " ".join(map(str, files))
-    outcome = finray(f"study normal-map {named} --out {tmp_path}/m.json")
+    outcome = finray(f"sense teach {named} --out {tmp_path}/m.json")
     assert outcome.status == 2
     assert f"{files[0]}: " in outcome.err
     assert "press 1: a normal map is taught by presses of a ball with a known contact circle" in outcome.err
     (tmp_path / "circles.csv").write_text("\n".join(lines[:-1]) + "\n")
-    outcome = finray(f"study normal-map {named} --circles {tmp_path}/circles.csv --out {tmp_path}/m.json")
+    outcome = finray(f"sense teach {named} --circles {tmp_path}/circles.csv --out {tmp_path}/m.json")
     assert outcome.status == 2
     assert "circles.csv: no circle for press-012.capture.json" in outcome.err
     (tmp_path / "circles.csv").write_text("\n".join(lines) + "\n")
-    assert "12 presses" in succeed(f"study normal-map {named} --circles {tmp_path}/circles.csv --out {tmp_path}/m.json")
+    assert "12 presses" in succeed(f"sense teach {named} --circles {tmp_path}/circles.csv --out {tmp_path}/m.json")
 
 
 def test_the_measured_scale_takes_the_place_of_the_stated_one(tmp_path):
@@ -345,7 +345,7 @@ def test_the_measured_scale_takes_the_place_of_the_stated_one(tmp_path):
     write_record(scale, tmp_path / "scale.json", provenance("pytest"))
     succeed(f"import taxim {write_taxim(tmp_path / 't')} --out {tmp_path}/o")
     files = " ".join(map(str, sorted((tmp_path / "o").glob("*.json"))))
-    succeed(f"study normal-map {files} --scale {tmp_path}/scale.json --out {tmp_path}/m.json")
+    succeed(f"sense teach {files} --scale {tmp_path}/scale.json --out {tmp_path}/m.json")
     taught = read_record(tmp_path / "m.json", NormalMapRecord)
     assert taught.mm_per_px == pytest.approx(1.1 * MM_PER_PX, rel=5 * scale.middle.mean_u_rel)
     assert taught.mm_per_px_u_rel == pytest.approx(scale.middle.mean_u_rel)
@@ -353,7 +353,7 @@ def test_the_measured_scale_takes_the_place_of_the_stated_one(tmp_path):
     assert f"{tmp_path}/scale.json" in taught.provenance.input_sha256
     other = scale.model_copy(update={"calibration": scale.calibration.model_copy(update={"width_px": 640})})
     write_record(other, tmp_path / "other.json", provenance("pytest"))
-    outcome = finray(f"study normal-map {files} --scale {tmp_path}/other.json --out {tmp_path}/n.json")
+    outcome = finray(f"sense teach {files} --scale {tmp_path}/other.json --out {tmp_path}/n.json")
     assert outcome.status == 2
     assert "is of pictures of 640 x 60 px" in outcome.err
 

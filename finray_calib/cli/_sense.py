@@ -1,20 +1,42 @@
-"""``finray study pixel-scale`` and ``finray study normal-map``: from pictures to millimetres, from colours to normals.
+"""``finray sense``: sense with a tactile camera, from its scale over teaching presses to depth, normals and contact.
 
-A printed ChArUco board gives the lens and the millimetres per pixel on the pad; ball presses give the map that senses a
-surface normal from a colour.
+A printed ChArUco board gives the lens and the millimetres per pixel on the pad; ball presses teach the map that senses
+a surface normal from a colour; the map senses other presses.
 """
 
 import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._run import add_out, add_seed, command_line, input_digests, naming, require_new, say, warn
+from finray_calib.cli._run import (
+    add_out,
+    add_seed,
+    command_line,
+    file_name,
+    input_digests,
+    naming,
+    require_new,
+    say,
+    warn,
+)
 
 if TYPE_CHECKING:
     from numpy import float64
     from numpy.typing import NDArray
 
-    from data_schemas import CharucoBoard, PixelScale, TactileCapture
+    from data_schemas import CharucoBoard, PixelScale, SensedPress, TactileCapture
+
+
+SENSE_HELP = "sense with a tactile camera: its scale, a map taught by ball presses, and depth of other presses"
+
+
+def add_sense(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb and its jobs."""
+    parser = verbs.add_parser("sense", help=SENSE_HELP, description=SENSE_HELP)
+    jobs = parser.add_subparsers(dest="job", metavar="JOB", title="jobs", required=True)
+    _add_teach(jobs)
+    _add_run(jobs)
+    _add_scale(jobs)
 
 
 PIXEL_SCALE_HELP = "calibrate the camera and measure millimetres per pixel on the pad, with a ChArUco board"
@@ -26,10 +48,10 @@ finger. Pictures through the mirror are recognised. Writes the record, and besid
 for 'camera.calibration' of a design."""
 
 
-def add_pixel_scale_study(studies: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the study."""
-    parser = studies.add_parser(
-        "pixel-scale",
+def _add_scale(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the job."""
+    parser = jobs.add_parser(
+        "scale",
         help=PIXEL_SCALE_HELP,
         description=PIXEL_SCALE_DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -242,22 +264,25 @@ has not seen. 'finray import taxim' and 'finray import ball-presses' make such c
 'finray capture' get their circles from --circles."""
 
 
-def add_normal_map_study(studies: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the study."""
-    parser = studies.add_parser(
-        "normal-map",
+def _add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the job."""
+    parser = jobs.add_parser(
+        "teach",
         help=NORMAL_MAP_HELP,
         description=NORMAL_MAP_DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("captures", type=Path, nargs="+", metavar="CAPTURE", help="tactile captures of ball presses")
+    parser.add_argument(
+        "captures", type=Path, nargs="+", metavar="PRESSES",
+        help="tactile captures of ball presses, or folders of NAME.capture.json",
+    )  # fmt: skip
     parser.add_argument(
         "--circles", type=Path, metavar="CSV",
         help="contact circles: image,column_px,row_px,radius_px, image being the capture's file name",
     )  # fmt: skip
     parser.add_argument(
         "--scale", type=Path, metavar="FILE",
-        help="mm per pixel as 'finray study pixel-scale' measured it, in place of what the captures state",
+        help="mm per pixel as 'finray sense scale' measured it, in place of what the captures state",
     )  # fmt: skip
     add_out(parser, "normal-map.json")
     add_seed(parser)
@@ -271,7 +296,7 @@ def run_normal_map(arguments: argparse.Namespace) -> None:
     from finray_calib.sensing import normal_map_record, require_ball_press
 
     out = require_new(arguments.out or Path("normal-map.json"))
-    files: list[Path] = arguments.captures
+    files = _files(arguments.captures)
     captures = _circled([read_record(path, TactileCapture) for path in files], files, arguments.circles)
     captures = _scaled(captures, arguments.scale)
     for path, capture in zip(files, captures, strict=True):
@@ -287,6 +312,10 @@ def run_normal_map(arguments: argparse.Namespace) -> None:
     say(f"  on presses it has not seen ({splits} random halves: median [least, most])")
     say(f"  explains {_spread(record.held_out_explained_rel, 3)} of the squared slopes; 0 is knowing nothing")
     say(f"  mean angle of its normals {_spread(record.held_out_angle_deg, 1)} deg")
+    if record.held_out_depth_rms_mm is not None and record.held_out_height_error_rel is not None:
+        off = float((record.held_out_height_error_rel**2).mean() ** 0.5)
+        say(f"  depth inside the contact {_spread(record.held_out_depth_rms_mm, 3)} mm rms; height from rim to middle")
+        say(f"  off by {off:.1%} rms, {record.held_out_height_error_rel.mean():+.1%} on average")
 
 
 def _circled(captures: "list[TactileCapture]", files: list[Path], circles: Path | None) -> "list[TactileCapture]":
@@ -324,3 +353,74 @@ def _spread(values: "NDArray[float64]", digits: int) -> str:
     import numpy as np
 
     return f"{np.median(values):.{digits}f} [{values.min():.{digits}f}, {values.max():.{digits}f}]"
+
+
+def _files(places: list[Path]) -> list[Path]:
+    """Return the files of captures: those that are given, and those of folders."""
+    from data_schemas import CompareError
+
+    found: list[Path] = []
+    for place in places:
+        inner = sorted(place.glob("*.capture.json")) if place.is_dir() else [place]
+        if not inner:
+            raise CompareError(f"{place}: holds no NAME.capture.json; import presses, or give their files")
+        found += inner
+    return found
+
+
+RUN_HELP = "sense a press: depth, normals and contact, with uncertainty, a picture and a mesh"
+RUN_DESCRIPTION = """\
+Sense depth, normals and contact of a capture by a map that 'finray sense teach' wrote. Writes the record, and
+beside it a picture (FILE.png) and the surface of the gel as a mesh (FILE.stl, mm). The uncertainty is that of
+presses that did not teach the map; a press that did is told, as what is sensed of it proves nothing."""
+
+
+def _add_run(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the job."""
+    parser = jobs.add_parser(
+        "run", help=RUN_HELP, description=RUN_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("map", type=Path, metavar="MAP", help="record of 'finray sense teach'")
+    parser.add_argument("capture", type=Path, metavar="CAPTURE", help="tactile capture of another press")
+    parser.add_argument(
+        "--contact-depth-mm", type=float, metavar="MM",
+        help="from which depth on a pixel counts as touched (default: a tenth of the largest, at least 3 u)",
+    )  # fmt: skip
+    add_out(parser, "CAPTURE.sensed.json")
+    parser.set_defaults(run=run_sense)
+
+
+def run_sense(arguments: argparse.Namespace) -> None:
+    """Sense, store and report."""
+    from data_schemas import CompareError, NormalMapRecord, TactileCapture, provenance
+    from data_schemas.storage import ProductSet, read_record, write_record
+    from finray_calib.reports import sensed_png
+    from finray_calib.sensing import sense_press, surface_triangles
+    from sim.surface_meshes import stl_bytes
+
+    place: Path = arguments.capture
+    name = place.name.removesuffix(".json").removesuffix(".capture")
+    out = require_new(arguments.out or Path(f"{file_name(name)}.sensed.json"))
+    picture, mesh = require_new(out.with_suffix(".png")), require_new(out.with_suffix(".stl"))
+    normal_map, capture = read_record(arguments.map, NormalMapRecord), read_record(place, TactileCapture)
+    with naming(CompareError, arguments.map, place):
+        sensed = sense_press(normal_map, capture, arguments.contact_depth_mm)
+    origin = provenance(command_line(), input_digests([arguments.map, place]))
+    with ProductSet(out) as products:
+        products.add(picture, sensed_png(sensed, capture))
+        products.add(mesh, stl_bytes(*surface_triangles(sensed), "gel surface, mm, from finray sense"))
+        write_record(sensed, out, origin, products)
+    _tell_sensed(sensed)
+    say(f"{out}: written\n{picture}: depth, normals and contact\n{mesh}: the surface of the gel, mm")
+
+
+def _tell_sensed(sensed: "SensedPress") -> None:
+    """Say what was sensed; warn where it proves nothing."""
+    u = "u not known" if sensed.deepest_u_mm is None else f"u = {sensed.deepest_u_mm:.2g} mm"
+    area_u = "u not known" if sensed.contact_area_u_mm2 is None else f"u = {sensed.contact_area_u_mm2:.2g} mm2"
+    say(f"{sensed.name}: deepest {sensed.deepest_mm:.3g} mm ({u})")
+    say(f"  contact, deeper than {sensed.contact_depth_mm:.2g} mm: {sensed.contact_area_mm2:.3g} mm2 ({area_u})")
+    for note in sensed.notes:
+        say(f"  note: {note}")
+    if sensed.is_of_teaching:
+        warn(f"{sensed.name} taught the map '{sensed.normal_map}': what is sensed of it proves nothing")
