@@ -314,7 +314,7 @@ CASES = (
         BOTH + " --paint red={lab}/no.json",
         r"--paint: a colour is given twice; give one file for red",
     ),
-    Case("bands as paint", SIMULATE + " --paint green={lab}/bands.json", r"bands\.json: is a BandSignals, a PaintCal"),
+    Case("bands as paint", SIMULATE + " --paint green={lab}/bands.json", r"bands\.json: holds band signals, where a paint cal"),
     Case(
         "mechanics with paints",
         "simulate press {lab}/finger.toml --level c",
@@ -528,7 +528,7 @@ CASES = (
     Case(
         "compare exchanged",
         "compare {lab}/capture.json {lab}/press.json",
-        r"capture\.json: is a TactileCapture, a Simu",
+        r"capture\.json: holds a tactile capture, where a simu",
     ),
     Case(
         "three angles",
