@@ -24,12 +24,7 @@ from finray_calib.cli._run import (
     require_new,
     say,
 )
-<<<<<<< HEAD
 from finray_calib.cli._study_run import add_design_studies, calibrated_paints, stand_in_paints
-from finray_calib.cli._study_sensing import add_normal_map_study, add_pixel_scale_study
-=======
-from finray_calib.cli._study_run import add_design_studies
->>>>>>> captures
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

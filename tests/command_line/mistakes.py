@@ -314,7 +314,11 @@ CASES = (
         BOTH + " --paint red={lab}/no.json",
         r"--paint: a colour is given twice; give one file for red",
     ),
-    Case("bands as paint", SIMULATE + " --paint green={lab}/bands.json", r"bands\.json: holds band signals, where a paint cal"),
+    Case(
+        "bands as paint",
+        SIMULATE + " --paint green={lab}/bands.json",
+        r"bands\.json: holds band signals, where a paint cal",
+    ),
     Case(
         "mechanics with paints",
         "simulate press {lab}/finger.toml --level c",
