@@ -64,7 +64,7 @@ EXCEPTIONS = {
     "p_within_tolerance": "probability",
     "nu": "smoothness of a Matern covariance, a number",
     **dict.fromkeys(("probability", "posterior_predictive_p", "p_conform"), "probability"),
-    **dict.fromkeys(("guard", "process_sd"), "of a quantity under test, in its unit"),
+    "guard": "of a quantity under test, in its unit",
     "reflected_laser": "share of the laser's light that the sample reflects",
     **dict.fromkeys(("effective", "effective_samples"), "a number of samples"),
     "left_out_bands": "a sum of log densities, nats",
