@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from finray_calib.force._force_comparison import ForceCurve, MeasuredForce, compare_force
+    from finray_calib.force._force_comparison import compare_force
+    from finray_calib.force._force_curves import ForceCurve, MeasuredForce
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 

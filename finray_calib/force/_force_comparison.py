@@ -5,7 +5,7 @@ given without intervals and verdicts.
 
 What the simulated force may be off by comes from uncertain inputs of the design and from the mesh. Constants and
 dimensions are uncertain as stated or by named defaults; the mesh's share is known from the 70 x 35 finger's
-convergence, or from another mesh. A force curve is simulated between the increments of a press, or measured.
+convergence, or from another mesh.
 """
 
 import math
@@ -16,7 +16,6 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 from scipy.optimize import minimize_scalar
 
 from data_schemas import (
@@ -31,166 +30,10 @@ from data_schemas import (
     ForceThird,
     Interval,
     PressMechanics,
-    PressSensitivities,
-    VariedPress,
 )
+from finray_calib.force._force_curves import ForceCurve, MeasuredForce, log_sensitivity
 
 Floats = NDArray[np.float64]
-
-# of a depth: small against its increments, large against rounding
-_SLOPE_STEP = 1e-5
-_BEYOND = 1.05
-_SAME_DEPTH = 1.0 + 1e-9
-
-
-@dataclass(frozen=True, slots=True)
-class ForceCurve:
-    """Force over push through the increments of a press; exact for every power F = a d^p.
-
-    A monotone cubic (PCHIP) of ln F over ln d; outside the increments the power law of the two nearest ones; 0 above
-    the pad (d <= 0). Valid to a twentieth beyond the last increment, so that a first touch can be fitted to points that
-    reach as deep as the press.
-
-    Parameters
-    ----------
-    name
-        Of the press, for messages.
-    depth_mm, force_n
-        Of its increments (k,), from first touch.
-
-    Raises
-    ------
-    CompareError
-        When there are fewer than two increments, or a force is not above 0.
-    """
-
-    name: str
-    depth_mm: Floats
-    force_n: Floats
-
-    def __post_init__(self) -> None:
-        if len(self.depth_mm) < 2:
-            raise CompareError(
-                f"{self.name}: has {len(self.depth_mm)} increment(s), which tell no curve; simulate with --increments 4"
-            )
-        if (self.force_n <= 0.0).any() or (self.depth_mm <= 0.0).any() or (np.diff(self.depth_mm) <= 0.0).any():
-            raise CompareError(f"{self.name}: its pushes must rise from above 0 mm and its forces be above 0 N")
-
-    @property
-    def reach_mm(self) -> float:
-        """The deepest push at which the curve may be read."""
-        return float(_BEYOND * self.depth_mm[-1])
-
-    def at(self, depth_mm: Floats) -> Floats:
-        """Return the force in N at pushes of any shape."""
-        x, y = np.log(self.depth_mm), np.log(self.force_n)
-        inside = depth_mm > 0.0
-        at = np.log(np.where(inside, depth_mm, 1.0))
-        outside = [y[k] + (y[k] - y[k + step]) / (x[k] - x[k + step]) * (at - x[k]) for k, step in ((0, 1), (-1, -1))]
-        between = PchipInterpolator(x, y)(np.clip(at, x[0], x[-1]))
-        return np.where(inside, np.exp(np.select([at < x[0], at > x[-1]], outside, between)), 0.0)
-
-    def slope_at(self, depth_mm: Floats) -> Floats:
-        """Return dF/dd in N/mm at pushes of any shape."""
-        step = _SLOPE_STEP * self.reach_mm
-        high = np.minimum(depth_mm + step, self.reach_mm)
-        return (self.at(high) - self.at(high - 2.0 * step)) / (2.0 * step)
-
-    def interpolation_error(self, depth_mm: Floats) -> Floats:
-        """Return the difference in N to another curve through the increments: how free the curve is between them.
-
-        The other one is a monotone cubic of F over d from the origin, continued on a straight line.
-        """
-        depth, force = np.r_[0.0, self.depth_mm], np.r_[0.0, self.force_n]
-        slope = (force[-1] - force[-2]) / (depth[-1] - depth[-2])
-        beyond = slope * np.maximum(depth_mm - depth[-1], 0.0)
-        other = PchipInterpolator(depth, force)(np.clip(depth_mm, 0.0, depth[-1])) + beyond
-        return np.asarray(np.abs(self.at(depth_mm) - other))
-
-
-def log_sensitivity(press: PressSensitivities, varied: VariedPress, depth_mm: Floats) -> Floats:
-    """Return d ln F / d ln x at pushes (n,), by the secant of the varied press at the increments that both reach.
-
-    Straight lines over ln d between the increments, constant beyond them.
-
-    Raises
-    ------
-    CompareError
-        When the varied press has no two increments.
-    """
-    one = ForceCurve("unchanged press", press.depth_mm, press.force_n)
-    other = ForceCurve(f"press with {varied.field} changed", varied.depth_mm, varied.force_n)
-    shared = one.depth_mm[one.depth_mm <= other.depth_mm[-1] * _SAME_DEPTH]
-    if not len(shared):
-        shared = other.depth_mm[-1:]
-    secant = np.log(other.at(shared) / one.at(shared)) / np.log1p(varied.change_rel)
-    return np.asarray(np.interp(np.log(np.maximum(depth_mm, shared[0])), np.log(shared), secant))
-
-
-FEWEST_POINTS = 5
-_UNITS_APART = 300.0  # mN for N is 1000, g for N is 102; no finger of the right unit is this far off
-
-
-@dataclass(frozen=True, slots=True)
-class MeasuredForce:
-    """Points of a loading curve, in any order.
-
-    Attributes
-    ----------
-    name
-        For example of the file.
-    displacement_mm
-        Of the indenter along the pad's normal, (n,); the compliance of the testing machine taken off.
-    force_n
-        Along the pad's normal, (n,); pushing counts positive.
-    u_force_n, u_displacement_mm
-        Standard uncertainties (n,), independent from point to point; None where they are not stated.
-    """
-
-    name: str
-    displacement_mm: Floats
-    force_n: Floats
-    u_force_n: Floats | None = None
-    u_displacement_mm: Floats | None = None
-
-    def __post_init__(self) -> None:
-        count = len(self.displacement_mm)
-        if count < FEWEST_POINTS:
-            raise CompareError(f"{self.name}: has {count} points; a comparison needs {FEWEST_POINTS} or more")
-        for what, values in (("force", self.u_force_n), ("displacement", self.u_displacement_mm)):
-            if values is not None and (values < 0.0).any():
-                raise CompareError(f"{self.name}: an uncertainty of the {what} is negative; give 0 or more")
-        if self.force_n.mean() <= 0.0:
-            raise CompareError(
-                f"{self.name}: the force is {self.force_n.mean():.3g} N on average; pushing counts positive, turn the "
-                "sign"
-            )
-
-    def variance_n2(self, slope_n_per_mm: Floats) -> Floats:
-        """Return the variance of each force, with that of its displacement through the slope of the curve (n,)."""
-        of_force, of_displacement = (
-            np.zeros_like(self.force_n) if u is None else u**2 for u in (self.u_force_n, self.u_displacement_mm)
-        )
-        return of_force + slope_n_per_mm**2 * of_displacement
-
-    def check_units(self, depth_mm: float, force_n: float) -> None:
-        """Refuse numbers of another magnitude than a press of this depth and largest force, both above 0.
-
-        Raises
-        ------
-        CompareError
-            When displacement or force seem to be in another unit.
-        """
-        for what, unit, own, other in (
-            ("displacement", "mm", float(np.abs(self.displacement_mm).max()), depth_mm),
-            ("force", "N", float(self.force_n.max()), force_n),
-        ):
-            if not 1.0 / _UNITS_APART < own / other < _UNITS_APART:
-                raise CompareError(
-                    f"{self.name}: the largest {what} is {own:.3g} {unit}, that of the simulated press {other:.3g} "
-                    f"{unit}; is it in another unit? Give {unit}"
-                )
-
 
 # an elastomer's or plastic's modulus from the literature, for another batch, cure and rate
 ASSUMED_MODULUS_REL: Final = 0.2

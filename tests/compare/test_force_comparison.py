@@ -5,7 +5,8 @@ import pytest
 
 from data_schemas import CompareError, PressMechanics, VariedPress
 from finray_calib.force import ForceCurve, MeasuredForce, compare_force
-from finray_calib.force._force_comparison import error_size, log_sensitivity
+from finray_calib.force._force_comparison import error_size
+from finray_calib.force._force_curves import log_sensitivity
 from finray_calib.reports import force_figure_png, force_lines
 from tests.compare.force_curves import (
     INCREMENTS_MM,
