@@ -144,13 +144,13 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
         notes.append("the uncertainty of the depth is not known: the map is of an earlier version; teach it again")
     if shares.outside_share > _OUTSIDE_TOLD:
         notes.append(
-            f"{shares.outside_share:.0%} of the contact's pixels change colour as no teaching press did; the map is held at "
-            "its last value there: teach with deeper presses, or at more places"
+            f"{shares.outside_share:.0%} of the contact's pixels change colour as no teaching press did; the map is "
+            "held at its last value there: teach with deeper presses, or at more places"
         )
     if shares.clipped_share > _CLIPPED_TOLD:
         notes.append(
-            f"{shares.clipped_share:.0%} of the contact's pixels are clipped and take their slope from their neighbours: "
-            "expose shorter"
+            f"{shares.clipped_share:.0%} of the contact's pixels are clipped and take their slope from their "
+            "neighbours: expose shorter"
         )
     notes.append(
         "depth counts from the median over the frame of the picture, where the gel is taken to be untouched; how far "
