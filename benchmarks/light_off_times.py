@@ -405,6 +405,8 @@ def main() -> int:
         driver, address, ask_every_s = arguments.hold
         hold(driver, address, float(ask_every_s))
         return 0
+    # As Ctrl-C does: a board that is emulated before all other work must not outlive us.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     if arguments.stay_lit is not None:
         return int(stay_lit(arguments.busy, arguments.guards, arguments.stay_lit) > 0)
     if not arguments.table:
