@@ -372,7 +372,7 @@ RUN_HELP = "sense a press: depth, normals and contact, with uncertainty, a pictu
 RUN_DESCRIPTION = """\
 Sense depth, normals and contact of a capture by a map that 'finray sense teach' wrote. Writes the record, and
 beside it a picture (FILE.png) and the surface of the gel as a mesh (FILE.stl, mm). The uncertainty is that of
-presses that did not teach the map; a press that did is told, as what is sensed of it proves nothing."""
+presses that did not teach the map. The command warns when a press did, because its result then proves nothing."""
 
 
 def _add_run(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
