@@ -10,6 +10,7 @@ import pytest
 
 from data_schemas import provenance
 from data_schemas.storage import write_record
+from data_schemas.storage._array_files import end_child
 from rigs import paint_plan, simulated_rig, write_plan, write_rig
 from tests.command_line.records import capture_of, press, sweep, with_known_camera
 from tests.command_line.running import succeed
@@ -25,7 +26,7 @@ PACKAGES_OF_EXTRAS = {
     "netcdf": ("h5netcdf", "xarray"),
 }
 FOR_A_MAKE = ("gentl", "micro-manager")
-NOT_FOR_USERS = ("dev",)
+NOT_FOR_USERS = ("dev", "docs")
 
 FINGER = 'preset = "flat-70x35"\nname = "small finger"\n[camera]\nwidth_px = 512\nheight_px = 384\n'
 
@@ -43,7 +44,9 @@ def no_extras(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv("PYTHONPATH", str(folder), prepend=os.pathsep)
         for name in hidden:
             patch.setitem(sys.modules, name, None)
+        end_child()  # a parser that was started before would see them still
         yield
+    end_child()
 
 
 @pytest.fixture(scope="package")

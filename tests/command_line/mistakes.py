@@ -652,5 +652,5 @@ USAGE = (
     Case("no samples", BOTH + " --samples 0", r"'0' must be an even whole number from 2, for example 128"),
     Case("negative seed", "fit {lab}/bands.json --seed -1", r"argument --seed: -1 is out of range; give 0 or more"),
     Case("seed in words", "decide {lab}/sweep.json --seed one", r"argument --seed: 'one' is not a whole number"),
-    Case("unknown format", "import taxidermy {lab}", r"invalid choice: 'taxidermy' \(choose from '?9dtact"),
+    Case("unknown format", "import taxidermy {lab}", r"invalid choice: 'taxidermy' \(choose from '?captures"),
 )

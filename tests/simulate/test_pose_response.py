@@ -93,7 +93,7 @@ def test_given_shapes_have_no_response(finger):
 
 def test_a_rendered_press_holds_its_response(scalar, paints, monkeypatch):
     """Of chains, halves and pose in one order; the finger moves only where the indenter is near."""
-    monkeypatch.setitem(BAKE_SAMPLES, True, 300)
+    monkeypatch.setitem(BAKE_SAMPLES, True, 3000)
     scene = FingerScene(PaintedFinger(DESIGN, paints, assumed_camera_response(), scalar))
     press = simulate_press(scene, replace(WITH_POSE, seed=3, contact_samples_per_pixel=4), {})
     response = press.pose_response
@@ -103,9 +103,10 @@ def test_a_rendered_press_holds_its_response(scalar, paints, monkeypatch):
     assert layers.pose_names == response.names
     assert layers.halves("contact", press.distance < 1.0, response.names)[0].shape[1] == 3 * press.layer_matrix.shape[1]
     assert np.isfinite(response.derivative).all()
-    # with the random numbers of the press itself the far end of the pad hardly changes, beside what the contact does
+    # with the random numbers of the press itself the far end of the pad hardly changes, beside what the contact does;
+    # of 2 paths per pixel, single bright ones would decide a mean
     near, far = (
-        np.abs(response.derivative[:, where]).mean(axis=(1, 2))
+        np.median(np.abs(response.derivative[:, where]), axis=1).mean(axis=1)
         for where in (press.distance < 1.5, press.distance > 4.0)
     )
     assert (near > 2.0 * far).all()
