@@ -278,13 +278,22 @@ def after_kill(laser: LaserSettings, layer: LightLayer, watch: LaserWatch, repea
     earliest_s: list[float] = []
     latest_s: list[float] = []
     for _ in range(repeats):
-        try:
-            with _holding(laser) as holder:
-                killed_s = time.monotonic()
-                _kill(holder, layer)
-                earliest, latest = _watch(watch, killed_s)
-        finally:
-            make_off(laser)
+        for _ in range(_MOST_TRIES):
+            try:
+                with _holding(laser) as holder:
+                    killed_s = time.monotonic()
+                    at_once = _kill(holder, layer)
+                    earliest, latest = _watch(watch, killed_s)
+            finally:
+                make_off(laser)
+            if at_once:
+                break
+        else:
+            raise CaptureError(
+                f"laser at {laser.address}: its three processes could not be stopped within {1e3 * _AT_ONCE_S:g} ms of "
+                f"each other in {_MOST_TRIES} tries, so that one may switch off in place of the dead-man; close other "
+                "programs and run the check again"
+            )
         if latest is not None:
             earliest_s.append(earliest)
             latest_s.append(latest)
@@ -298,15 +307,27 @@ def after_kill(laser: LaserSettings, layer: LightLayer, watch: LaserWatch, repea
     )
 
 
-def _kill(holder: Holder, layer: LightLayer) -> None:
-    """Kill the holder; for the dead-man all three, stopped first so that none can switch off in another's place."""
+_AT_ONCE_S = 1e-3
+"""They look after each other every 20 ms."""
+_MOST_TRIES = 20
+
+
+def _kill(holder: Holder, layer: LightLayer) -> bool:
+    """Kill the holder; for the dead-man all three, stopped first so that none can switch off in another's place.
+
+    Return whether they were stopped so close to each other that none could.
+    """
     pids = (holder.watch_pid, holder.guard_pid, holder.process.pid)
     if layer == "guard":
         holder.process.kill()
-        return
-    for number in (signal.SIGSTOP, signal.SIGKILL):
-        for pid in pids:
-            os.kill(pid, number)
+        return True
+    began_s = time.monotonic()
+    for pid in pids:
+        os.kill(pid, signal.SIGSTOP)
+    stopped_s = time.monotonic()
+    for pid in pids:
+        os.kill(pid, signal.SIGKILL)
+    return stopped_s - began_s < _AT_ONCE_S
 
 
 def _watch(watch: LaserWatch, killed_s: float) -> tuple[float, float | None]:

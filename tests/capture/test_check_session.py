@@ -414,6 +414,15 @@ class TestKilled:
             assert 0.95 <= min(dead_man.latest_s) < 1.1
             assert not board.state()
 
+    def test_processes_that_cannot_be_stopped_at_once_prove_no_dead_man(self, tmp_path, monkeypatch):
+        monkeypatch.setattr("rigs.capture.light_off_time._AT_ONCE_S", 0.0)
+        monkeypatch.setattr("rigs.capture.light_off_time._MOST_TRIES", 2)
+        with firmware_board(build(tmp_path)) as board:
+            laser = nobody(board.address)
+            with pytest.raises(CaptureError, match=r"could not be stopped within 0 ms of each other in 2 tries"):
+                after_kill(laser, "dead-man", ConnectionWatch(laser, quiet_s=0.95), 1)
+            assert not board.state()
+
     def test_a_layer_that_does_nothing_is_still_on_and_made_off(self, tmp_path, monkeypatch):
         class Blind:
             witness = "the camera"
