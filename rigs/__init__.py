@@ -33,7 +33,7 @@ if TYPE_CHECKING:
         open_wheel,
         rig_drivers,
     )
-    from rigs._host import AbsentOperator, CallThread, NoAnswerError, SystemClock, TerminalOperator
+    from rigs._host import AbsentOperator, CallThread, NoAnswerError, SystemClock, TerminalOperator, forget_typed_ahead
     from rigs._open_rig import (
         OpenRig,
         lone_camera,
@@ -101,6 +101,7 @@ __all__ = [
     "driver_notes",
     "drivers_of_other_packages",
     "find_driver",
+    "forget_typed_ahead",
     "lone_camera",
     "lone_lamp",
     "lone_laser",

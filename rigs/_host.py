@@ -4,6 +4,7 @@ Blocking calls of a camera library, or of a disk that hangs, are made in order b
 longer than its deadline.
 """
 
+import contextlib
 import sys
 import termios
 import threading
@@ -67,6 +68,7 @@ class TerminalOperator:
         CaptureError
             Nobody can answer: standard input is closed.
         """
+        forget_typed_ahead()
         sys.stderr.write(f"\n{instruction}\nPress Enter when done. ")
         sys.stderr.flush()
         if not sys.stdin.readline():
@@ -78,10 +80,18 @@ class TerminalOperator:
         """Ask a question that only the word "yes" answers with yes; keys pressed before it was asked do not count."""
         if not (sys.stdin.isatty() and sys.stderr.isatty()):
             return False
-        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+        forget_typed_ahead()
         sys.stderr.write(f"\n{question}\nType yes and press Enter; anything else ends the capture here. ")
         sys.stderr.flush()
         return sys.stdin.readline().strip().lower() == "yes"
+
+
+def forget_typed_ahead() -> None:
+    """Drop what was typed at the terminal before a question is asked: it is no answer."""
+    # a program in the background whose terminal is gone has nobody who could have typed
+    with contextlib.suppress(termios.error, OSError):
+        if sys.stdin.isatty():
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
 
 class AbsentOperator:

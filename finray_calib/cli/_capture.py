@@ -198,8 +198,11 @@ def capture_paint(arguments: argparse.Namespace) -> None:
 
 def _ask_to_mend(what: str) -> bool:
     """Ask whoever is at the terminal to mend something; return whether it is done, at once where there is nobody."""
+    from rigs import forget_typed_ahead
+
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return False
+    forget_typed_ahead()
     sys.stderr.write(f"\n{what}\nThe lights are off. Mend it, close the box and press Enter; 'q' and Enter ends here. ")
     sys.stderr.flush()
     answer = sys.stdin.readline()

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import (
+    CompareError,
     ContactCircle,
     ImportFormatError,
     IndenterPose,
@@ -108,7 +109,7 @@ def read_by_recipe(
             progress(number, len(names), name)
         try:
             captures[name] = reader.capture(name)
-        except _LeftOutError as why:
+        except (_LeftOutError, CompareError) as why:
             left_out.setdefault(str(why), []).append(name)
     if not captures:
         raise ImportFormatError(
@@ -147,6 +148,11 @@ class _Folder:
         if self.files[name].suffix.lower() == VIDEO:
             images, force_n = self._video(name)
         else:
+            if self.recipe.no_contact.frames_before is not None:
+                raise ImportFormatError(
+                    f"recipe '{self.recipe.name}': no_contact.frames_before is for videos, and {self.files[name].name} "
+                    "is a picture; name its image without contact as no_contact.file"
+                )
             images = [self._picture(self.files[name]), *self._without_contact(name)]
         if any(image.shape != images[0].shape for image in images):
             sizes = ", ".join(f"{image.shape[1]} x {image.shape[0]}" for image in images)
@@ -202,6 +208,11 @@ class _Folder:
         if not lengths_px:
             return
         shown_px = float(np.median(lengths_px))
+        if not shown_px > 0.0:
+            raise ImportFormatError(
+                f"recipe '{self.recipe.name}', scale: check_length_px is {shown_px:g} px in the labels, and must be "
+                "above 0"
+            )
         ratio = shown_px * scale.side_mm / scale.check_length_mm
         if abs(ratio - 1.0) > SCALE_TOLERANCE_REL:
             right = scale.check_length_mm / shown_px
@@ -261,7 +272,7 @@ class _Folder:
         for pattern, needed in ((source.file, True), (source.repeat_file, False)):
             if pattern is None:
                 continue
-            path = self.folder / _named(pattern, name)
+            path = _named(self.folder, pattern, name)
             if path.is_file():
                 found.append(self._picture(path))
             elif needed:
@@ -280,12 +291,18 @@ class _Folder:
         frames = motion_jpeg_frames(path)
         if len(frames) <= before:
             raise _LeftOutError(f"the video has {len(frames)} frames, and the first {before} are without contact")
-        small = [_small(decoded_picture(frame, path, ImportFormatError)) for frame in frames]
-        change = np.array([np.abs(image - small[0]).mean() for image in small])
+        first = _small(_frame(frames[0], path))
         force = self._force(name, len(frames))
-        held = _longest_run(*((force, force.max()) if force is not None else (change, change.max())))
-        chosen = [held, 0, before - 1]
-        images = [decoded_picture(frames[i], path, ImportFormatError)[..., 2::-1] for i in chosen]
+        if force is None:
+            strength = np.array([np.abs(_small(_frame(frame, path)) - first).mean() for frame in frames])
+        else:  # many load cells count compression as negative, or rest beside zero
+            strength = np.abs(force - np.median(force[:before]))
+        if not strength.max() > 0.0:
+            raise _LeftOutError("nothing changes in its video")
+        held = _longest_run(strength, float(strength.max()))
+        if held < before:
+            raise _LeftOutError(f"its video is held within the first {before} frames, which are to be without contact")
+        images = [_frame(frames[i], path) for i in (held, 0, before - 1)]
         return [self._arranged(image) for image in images], None if force is None else float(force[held])
 
     def _force(self, name: str, frames: int) -> Floats | None:
@@ -293,16 +310,19 @@ class _Folder:
         source = self.recipe.force
         if source is None:
             return None
-        path = self.folder / _named(source.file, name)
+        path = _named(self.folder, source.file, name)
         if path.suffix.lower() in _PICKLED:
             raise ImportFormatError(f"{path}: {pickle_words(path)}")
         if not path.is_file():
             return None
-        values = (
-            np.array([finite_number(cell) for cell in _column(path, source.column)])
-            if path.suffix.lower() == ".csv"
-            else read_npy(path, "forces (npy)", ImportFormatError).astype(np.float64).ravel()
-        )
+        try:
+            values = (
+                np.array([finite_number(cell) for cell in _column(path, source.column)])
+                if path.suffix.lower() == ".csv"
+                else read_npy(path, "forces (npy)", ImportFormatError).astype(np.float64).ravel()
+            )
+        except ValueError as error:
+            raise ImportFormatError(f"{path}: every force must be a finite number: {error}") from None
         if len(values) != frames or not np.isfinite(values).all():
             raise ImportFormatError(
                 f"{path}: holds {len(values)} forces, the video {frames} frames; one finite number for each is needed"
@@ -367,14 +387,17 @@ class _Folder:
     def _hull(self, name: str) -> NDArray[np.float32]:
         """Return the hull of all corners that the label holds, (corners, 2): column, row."""
         contact = self.recipe.contact
-        path = self.folder / _named((contact.file if contact is not None else None) or "", name)
+        path = _named(self.folder, (contact.file if contact is not None else None) or "", name)
         if not path.is_file():
             raise _LeftOutError(f"there is no {contact.file if contact is not None else ''}, which holds its contact")
         arrays, pickled = read_npz(path)
         corners = [_array(arrays, pickled, part, path) for part in (contact.outline if contact is not None else ())]
         if any(part.ndim != 2 or part.shape[1] != 2 for part in corners):
             raise ImportFormatError(f"{path}: corners must be of shape (n, 2), column and row; correct contact.outline")
-        return np.asarray(cv2.convexHull(np.concatenate(corners).astype(np.float32))[:, 0], dtype=np.float32)
+        points = np.concatenate(corners).astype(np.float32) if corners else np.zeros((0, 2), dtype=np.float32)
+        if len(np.unique(points, axis=0)) < 3 or not np.isfinite(points).all():
+            raise _LeftOutError("its outline has fewer than 3 corners, or some that are no numbers")
+        return np.asarray(cv2.convexHull(points)[:, 0], dtype=np.float32)
 
     def _quantity(self, name: str, file: str | None, press: str | None, value: Quantity) -> float:
         """Return a number of a press: as it stands in the recipe, or in a table or npz file."""
@@ -384,7 +407,7 @@ class _Folder:
             raise ImportFormatError(
                 f"recipe '{self.recipe.name}': '{value}' is a column, and no file is named that holds it"
             )
-        path = self.folder / _named(file, name)
+        path = _named(self.folder, file, name)
         if path.suffix.lower() in _PICKLED:
             raise ImportFormatError(f"{path}: {pickle_words(path)}")
         if path.suffix.lower() == ".npz":
@@ -419,7 +442,7 @@ class _Folder:
             (common, "an image without contact of each press", "drift and wear of the gel are not told apart"),
             (source.median_of_presses, "an image without contact", _MEDIAN_LOSES),
             (source.far_pixels, "an image without contact", _SURFACE_LOSES),
-            (capture.contact_told_by == "search", "a drawn contact", "searched for: its size is known to 10 %"),
+            (capture.contact_told_by == "search", "a drawn contact", "searched for: its size is known to 20 %"),
             (capture.contact_told_by is None, "where the contact is", "the simulated side must tell the region"),
             (capture.indenter.radius_mm is None, "the indenter's size", "slopes and depth have no scale"),
             (capture.mm_per_px is None, "the scale, mm per px", "depth has no scale"),
@@ -458,6 +481,8 @@ def _press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
             raise ImportFormatError(f"{folder}: holds more than {MOST_FILES} files; give a folder further down")
         match = wanted.fullmatch(path.relative_to(folder).as_posix())
         if match is not None and fnmatchcase(match[1], recipe.presses.only) and path.is_file():
+            if not path.resolve().is_relative_to(folder.resolve()):
+                raise ImportFormatError(f"{path}: leads out of the folder; copy the file into it")
             found[match[1]] = path
     ordered = sorted(found, key=lambda name: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", name)])
     if len(ordered) > MOST_PRESSES:
@@ -473,10 +498,13 @@ def _require_inside(pattern: str) -> None:
         raise ImportFormatError(f"recipe: {pattern!r} must be a path within the folder, with / between its parts")
 
 
-def _named(pattern: str, press: str) -> str:
-    """Return the path of a press."""
+def _named(folder: Path, pattern: str, press: str) -> Path:
+    """Return the path of a press; a link that leads out of the folder is refused."""
     _require_inside(pattern)
-    return pattern.replace(PRESS, press)
+    path = folder / pattern.replace(PRESS, press)
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise ImportFormatError(f"{path}: leads out of the folder; copy the file into it")
+    return path
 
 
 def _pixels(path: Path) -> NDArray[Any]:
@@ -489,6 +517,12 @@ def _pixels(path: Path) -> NDArray[Any]:
     if picture.ndim == 2:
         return np.repeat(picture[..., None], 3, axis=2)
     return picture[..., 2::-1]
+
+
+def _frame(content: bytes, path: Path) -> NDArray[Any]:
+    """Return a frame of a video, (H, W, 3) in RGB order."""
+    frame = decoded_picture(content, path, ImportFormatError)
+    return np.repeat(frame[..., None], 3, axis=2) if frame.ndim == 2 else frame[..., 2::-1]
 
 
 def _small(picture: NDArray[Any]) -> Floats:
@@ -534,15 +568,33 @@ def _with_far_surface(capture: TactileCapture) -> TactileCapture:
 
 @dataclass(frozen=True, slots=True)
 class _Table:
-    """Hold the lines of a CSV table by the name of a press or of its file."""
+    """Hold the lines of a CSV table by the path that names a press, and by its last part.
+
+    Folders before it may be those of another machine, so that the last part is enough, where one line only has it.
+    """
 
     columns: list[str]
-    rows: dict[str, dict[str, str]]
+    by_path: dict[str, list[dict[str, str]]]
+    by_last: dict[str, list[dict[str, str]]]
 
     def row(self, name: str, path: Path) -> dict[str, str] | None:
-        """Return the line that names a press or its file; folders before it may be those of another machine."""
-        row = next((self.rows[key] for key in (name, path.name, PurePosixPath(name).name) if key in self.rows), None)
-        return None if row is None else dict.fromkeys(self.columns, "") | row
+        """Return the line that names a press or its file.
+
+        Raises
+        ------
+        _LeftOutError
+            Several lines that differ do.
+        """
+        for table, keys in (
+            (self.by_path, (name, name + path.suffix)),
+            (self.by_last, (path.name, PurePosixPath(name).name)),
+        ):
+            rows = next((table[key] for key in keys if key in table), [])
+            if len(rows) > 1:
+                raise _LeftOutError("several lines of the table are of it, or of others of its name, and they differ")
+            if rows:
+                return dict.fromkeys(self.columns, "") | rows[0]
+        return None
 
 
 def _read_table(path: Path, press: str) -> _Table:
@@ -550,13 +602,18 @@ def _read_table(path: Path, press: str) -> _Table:
     columns, rows = read_csv(path, "a CSV file", ImportFormatError, skip_space=True)
     if press not in columns:
         raise ImportFormatError(f"{path}: has no column '{press}' that names the press; it has {', '.join(columns)}")
-    found: dict[str, dict[str, str]] = {}
+    table = _Table(columns, {}, {})
     for _, cells in rows:
         row = dict(zip(columns, cells, strict=False))
         named = PurePosixPath(row.get(press, "").strip().replace("\\", "/"))
-        for key in (named.as_posix(), named.name, named.stem):
-            found.setdefault(key, row)
-    return _Table(columns, found)
+        # what follows the last dot of "press_1.5" is no kind of file
+        last = {named.name, named.stem} if not named.suffix[1:].isdigit() else {named.name}
+        keyed = [(table.by_path, named.as_posix()), *((table.by_last, key) for key in last)]
+        for found, key in keyed:
+            lines = found.setdefault(key, [])
+            if row not in lines:
+                lines.append(row)
+    return table
 
 
 def _column(path: Path, column: str | None) -> list[str]:

@@ -204,7 +204,11 @@ class _Recorder:
         if self._has_dead_man is None:
             reason = "no guard on the simulated rig" if self._rig.is_simulated else "this laser has no guard process"
             return LightOff(layer="guard", missing=reason), LightOff(layer="dead-man", missing=reason)
+        if (why := self._errors.get("light off")) is not None and is_hazardous(self._rig.laser):
+            return LightOff(layer="guard", error=_not_lit(why)), LightOff(layer="dead-man", error=_not_lit(why))
         guard = self._layer("guard")
+        if guard.error is not None and is_hazardous(self._rig.laser):
+            return guard, LightOff(layer="dead-man", error=_not_lit(guard.error))
         if not self._has_dead_man:
             reason = "the laser's controller has no dead-man: when the computer hangs, the laser stays on"
             return guard, LightOff(layer="dead-man", missing=reason)
@@ -230,6 +234,11 @@ class _Recorder:
             missing="nobody can watch: the camera does not see the laser, and opening the laser's serial port a second "
             "time resets most boards, which switches it off",
         )
+
+
+def _not_lit(why: str) -> str:
+    """Say that a laser that harms eyes is not lit after an error: it may be that somebody opened the box."""
+    return f"not tried: the laser is not lit again before a person has looked why: {why}"
 
 
 HANDSHAKES: Final = 3

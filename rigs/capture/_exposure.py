@@ -122,9 +122,11 @@ def under_light(
                     lost = 0
         except LightLostError as error:
             lost += 1
+            on_fault(f"light '{light}' was lost: {error}")
+            if not tasks:  # it went as the block was left, and nothing is left to do in its light
+                return
             if lost > RELIGHTS:
                 raise
-            on_fault(f"light '{light}' was lost: {error}")
             if not must_ask:
                 time.sleep(RELIGHT_PAUSE_S)
             elif not opened.operator.allows(

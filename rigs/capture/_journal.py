@@ -159,7 +159,7 @@ def fault_notes(folder: Path) -> tuple[str, ...]:
     lost = sum(line["event"] == "light lost" for line in lines)
     said = [f"{len(faults)} exchanges were repeated ({', '.join(counted)})"] if faults else []
     said += [f"{retaken} frames were taken again"] if retaken else []
-    said += [f"a light was lost and lit anew {lost} times"] if lost else []
+    said += [f"a light was lost {lost} times"] if lost else []
     if not said:
         return ()
     spent_s = sum(float(line["spent_s"]) for line in faults)

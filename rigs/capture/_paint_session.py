@@ -51,7 +51,7 @@ from rigs.capture._journal import Journal, fault_notes, faults_noted
 from rigs.capture._plan import Step, paint_steps, with_repeat
 from rigs.capture._resume import Interrupted, require_same_camera, require_same_inputs, resume_notes, take_over
 from rigs.capture._session_folder import curve_digests, curve_files, require_empty, write_session, write_start
-from rigs.light_guard import is_hazardous, require_outside_layer
+from rigs.light_guard import LightLostError, is_hazardous, require_outside_layer
 
 Progress = Callable[[int, int, str], None]
 T = TypeVar("T")
@@ -164,9 +164,13 @@ class PaintRecorder:
         """Note in the journal that the laser goes on and off, and count its dose on the sample."""
         dose = self._store.dose
         # The dose begins with the command, and holds the test of a dead-man too.
-        with dose.shining() if target == "sample" else nullcontext():
-            self._journal.append("laser on", target=target, sample_dose_j=dose.energy_j())
-            yield
+        try:
+            with dose.shining() if target == "sample" else nullcontext():
+                self._journal.append("laser on", target=target, sample_dose_j=dose.energy_j())
+                yield
+        except LightLostError:  # its light fell on the sample until then
+            self._journal.append("laser off", target=target, sample_dose_j=dose.energy_j())
+            raise
         self._journal.append("laser off", target=target, sample_dose_j=dose.energy_j())
 
     def _tell_fault(self, text: str) -> None:
@@ -413,6 +417,7 @@ def capture_with(
     camera = opened.camera.identity()
     if interrupted is not None:
         require_same_camera(interrupted, camera)
+        _require_permission(interrupted, rig, opened)
         opened = replace(opened, clock=interrupted.clock_after(opened.clock))
     with Journal(out, opened.clock, resumed=interrupted is not None) as journal:
         if interrupted is None:
@@ -441,6 +446,19 @@ def capture_with(
         write_session(session, out, {**noted, **inputs}, command, journal)
     write_manifest(out)
     return session
+
+
+def _require_permission(interrupted: Interrupted, rig: RigFile, opened: OpenRig) -> None:
+    """Ask before a laser that harms eyes is lit again in a session in which it was lost."""
+    question = (
+        "The laser was lost when this session ended. Is the box closed, does everybody wear goggles, and may the laser "
+        "be lit again?"
+    )
+    if interrupted.laser_was_lost and is_hazardous(rig.laser) and not opened.operator.allows(question):
+        raise LightLostError(
+            "laser: was lost in this session, and is not lit again unless a person at the terminal says that the box "
+            "is closed; look why, close the box, then run the same command in a terminal"
+        )
 
 
 def colour_notes(frames: Iterable[Frame]) -> tuple[str, ...]:

@@ -57,6 +57,8 @@ class Interrupted:
         Time of the last line.
     lines
         Number of lines of the journal.
+    laser_was_lost
+        Whether the laser went out by itself and was not lit since.
     """
 
     start: dict[str, Any]
@@ -67,6 +69,7 @@ class Interrupted:
     ended_s: float = 0.0
     ended_utc: str = ""
     lines: int = 0
+    laser_was_lost: bool = False
 
     @property
     def kind(self) -> str:
@@ -169,7 +172,18 @@ def _replayed(folder: Path, start: dict[str, Any], lines: list[dict[str, Any]]) 
         ended_s=float(lines[-1]["monotonic_s"]),
         ended_utc=datetime.fromisoformat(lines[-1]["utc"]).astimezone(UTC).isoformat(),
         lines=len(lines),
+        laser_was_lost=_laser_was_lost(lines),
     )
+
+
+def _laser_was_lost(lines: list[dict[str, Any]]) -> bool:
+    """Return whether the last that a journal tells of the laser's light is that it was lost."""
+    for line in reversed(lines):
+        if line["event"] == "light lost" and str(line["text"]).startswith("light 'laser'"):
+            return True
+        if line["event"] == "laser on":
+            return False
+    return False
 
 
 def _rates(values: Iterable[float]) -> tuple[float, float, float]:

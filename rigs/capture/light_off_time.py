@@ -309,24 +309,32 @@ def after_kill(laser: LaserSettings, layer: LightLayer, watch: LaserWatch, repea
 
 _AT_ONCE_S = 1e-3
 """They look after each other every 20 ms."""
-_MOST_TRIES = 20
+_MOST_TRIES = 5
 
 
 def _kill(holder: Holder, layer: LightLayer) -> bool:
     """Kill the holder; for the dead-man all three, stopped first so that none can switch off in another's place.
 
     Return whether they were stopped so close to each other that none could.
+
+    Raises
+    ------
+    CaptureError
+        One of them had ended by itself.
     """
     pids = (holder.watch_pid, holder.guard_pid, holder.process.pid)
     if layer == "guard":
         holder.process.kill()
         return True
     began_s = time.monotonic()
-    for pid in pids:
-        os.kill(pid, signal.SIGSTOP)
-    stopped_s = time.monotonic()
-    for pid in pids:
-        os.kill(pid, signal.SIGKILL)
+    try:
+        for pid in pids:
+            os.kill(pid, signal.SIGSTOP)
+        stopped_s = time.monotonic()
+        for pid in pids:
+            os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        raise CaptureError("laser: its guard or watch ended by itself before it was killed; look why") from None
     return stopped_s - began_s < _AT_ONCE_S
 
 

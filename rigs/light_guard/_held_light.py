@@ -228,9 +228,9 @@ def receive(end: socket.socket, end_s: float) -> dict[str, Any]:
 
 
 def error_words(error: Exception) -> dict[str, str]:
-    """Return an error as part of a message."""
-    name = type(error).__name__
-    return {"error": name, "why": str(error)} if name in _ERRORS else {"error": "CaptureError", "why": repr(error)}
+    """Return an error as part of a message: as the nearest class that the other side knows."""
+    known = next((kind.__name__ for kind in type(error).__mro__ if kind.__name__ in _ERRORS), None)
+    return {"error": known or "CaptureError", "why": str(error) if known else repr(error)}
 
 
 def error_from(message: dict[str, Any]) -> FinrayError:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -28,6 +28,7 @@ from rigs.capture import _check_session as check_session
 from rigs.capture import check_filters, record_facts
 from rigs.capture import light_off_time as laser_watch
 from rigs.capture._check_frames import CheckFrames
+from rigs.capture._check_session import _Recorder
 from rigs.capture._exposure import shine
 from rigs.capture.light_off_time import (
     CameraWatch,
@@ -460,3 +461,25 @@ def test_a_hazardous_laser_that_went_out_is_not_lit_by_the_next_layer(
     )
     assert facts.errors["light off"].startswith("laser: did not come on")
     assert bool(facts.light_off) == goes_on  # what the layers without the rig recorded
+
+
+@pytest.mark.parametrize(("hazard", "tried"), [("3R", ["guard"]), ("2M", ["guard", "dead-man"])])
+def test_a_hazardous_laser_that_failed_in_a_layer_is_not_lit_by_the_next_one(
+    rig: RigFile, plan: CheckPlan, monkeypatch: pytest.MonkeyPatch, hazard: str, tried: list[str]
+) -> None:
+    """Its holder says that it was lost, in words only: another process lit it."""
+    begun: list[str] = []
+
+    def after_kill(laser: LaserSettings, layer: str, *_: object) -> NoReturn:
+        begun.append(layer)
+        raise CaptureError("laser: the program that was to hold it on says: the guard process has ended")
+
+    monkeypatch.setattr("rigs.capture._check_session.after_kill", after_kill)
+    monkeypatch.setattr("rigs.capture._check_session.can_be_asked_anew", lambda laser: True)
+    labelled = rig.model_copy(update={"laser": rig.laser.model_copy(update={"laser_class": hazard})})
+    recorder = _Recorder(labelled, plan, Path(), check_filters(plan, labelled), lambda *_: None)
+    monkeypatch.setattr(recorder, "_has_dead_man", True)
+    guard, dead_man = recorder._without_rig()  # noqa: SLF001 - the bench has no guard that could be lost
+    assert begun == tried
+    assert "the guard process has ended" in str(guard.error)
+    assert ("not lit again before a person has looked why" in str(dead_man.error)) == (hazard == "3R")

@@ -17,6 +17,15 @@ sys.stderr.flush()
 time.sleep(float(sys.argv[1]))
 print("allowed" if TerminalOperator().allows("May the laser be lit?") else "not allowed", flush=True)
 """
+DO = """
+import sys, time
+from rigs import TerminalOperator
+sys.stderr.write("begun")
+sys.stderr.flush()
+time.sleep(0.5)
+TerminalOperator().do("Close the box.")
+print("went on", flush=True)
+"""
 QUESTION = b"anything else ends the capture here. "
 
 
@@ -62,6 +71,23 @@ def test_anything_else_does_not(keys: bytes) -> None:
 
 def test_keys_pressed_before_the_question_do_not_count() -> None:
     assert b"not allowed" in answered(b"\n", typed_ahead=b"yes\n")
+
+
+def test_enter_pressed_before_an_instruction_does_not_acknowledge_it() -> None:
+    """Or the laser would go on while hands are in the box."""
+    ours, theirs = pty.openpty()
+    try:
+        with subprocess.Popen([sys.executable, "-c", DO], stdin=theirs, stdout=theirs, stderr=theirs) as child:
+            os.close(theirs)
+            read_until(ours, b"begun")
+            os.write(ours, b"\n\n")
+            assert b"Press Enter when done. " in read_until(ours, b"Press Enter when done. ")
+            with pytest.raises(subprocess.TimeoutExpired):
+                child.wait(1.0)
+            os.write(ours, b"\n")
+            assert b"went on" in read_until(ours, b"went on")
+    finally:
+        os.close(ours)
 
 
 def test_nobody_is_asked_without_a_terminal() -> None:

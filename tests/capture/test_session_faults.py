@@ -400,7 +400,7 @@ def test_light_that_is_lost_is_lit_anew_and_the_frame_redone(
     assert doses == sorted(doses)
     lost = [line for line in read_journal(tmp_path) if line["event"] == "light lost"]
     assert len(lost) == 3
-    assert any("a light was lost and lit anew 3 times" in note for note in session.notes)
+    assert any("a light was lost 3 times" in note for note in session.notes)
 
 
 @dataclass
@@ -435,12 +435,20 @@ def test_a_hazardous_laser_that_was_lost_stays_dark_until_a_person_allows_it(
     assert len(operator.questions) == 1
     assert laser.asked == 8  # never lit after the loss
     with open_rig(hazardous, Path()) as opened:
+        operator, laser = Asked(opened.operator, False), FailingLight(opened.laser, ())
+        with pytest.raises(LightLostError, match=r"was lost in this session.*run the same command in a terminal"):
+            capture(
+                replace(opened, laser=laser, operator=operator), hazardous, small, tmp_path, read_interrupted(tmp_path)
+            )
+    assert (len(operator.questions), laser.asked) == (1, 0)  # taking it up again needs a person, too
+    with open_rig(hazardous, Path()) as opened:
         operator, laser = Asked(opened.operator, True), FailingLight(opened.laser, (8,))
         failing = replace(opened, laser=laser, operator=operator)
         capture(failing, hazardous, small, tmp_path, read_interrupted(tmp_path))
         assert dark(opened)
-    assert len(operator.questions) == 1
-    assert "was the box opened?" in operator.questions[0]
+    assert len(operator.questions) == 2
+    assert "was lost when this session ended" in operator.questions[0]
+    assert "was the box opened?" in operator.questions[1]
     assert laser.asked > 8
 
 
@@ -500,7 +508,7 @@ def test_a_guard_that_is_killed_leaves_a_hazardous_laser_dark_until_a_person_all
         assert not (light / "on").exists()
     assert was_on == [False]
     assert "the guard process has ended" in person.questions[0]
-    assert any("a light was lost and lit anew 1 times" in note for note in session.notes)
+    assert any("a light was lost 1 times" in note for note in session.notes)
 
 
 @pytest.mark.parametrize("hazard", ["1", "2", "2M"])

@@ -151,6 +151,54 @@ def test_a_video_gives_contact_no_contact_and_its_repeat(tmp_path):
         read_by_recipe(tmp_path, plain)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_hold_of_a_load_cell_of_any_sign_and_rest_is_found(tmp_path, sign):
+    """Many cells count compression as negative, and rest beside zero."""
+    film = tmp_path / "example_data" / "2023-12-16" / "golf_ball__t=0.avi"
+    write_video(film, grasp())
+    force_n = np.full(30, -1.5 * sign)
+    force_n[17:23] -= 8.0 * sign
+    force = film.with_name("golf_ball__t=0_forces.npy")
+    np.save(force, force_n)
+    plain = shipped("estimate-modulus")
+    plain = plain.model_copy(update={"picture": plain.picture.model_copy(update={"corners_px": None, "size_px": None})})
+    capture = read_by_recipe(tmp_path, plain).captures["golf_ball__t=0"]
+    assert capture.force_n == pytest.approx(-9.5 * sign)
+    assert np.abs(capture.contact.astype(float) - capture.no_contact).max() > 20.0
+    for values, message in ((np.full(30, 2.0), "nothing changes"), (np.eye(30)[3], "held within the first")):
+        np.save(force, values)
+        with pytest.raises(ImportFormatError, match=message):
+            read_by_recipe(tmp_path, plain)
+
+
+def test_a_label_is_of_one_press_only(tmp_path):
+    """Where names repeat in folders, or end in a number behind a dot, none gets the label of another."""
+    for name in ("A/001", "B/001", "press_1", "press_1.5"):
+        save(tmp_path / f"{name}.png", grasp()[20])
+    save(tmp_path / "rest.png", flat())
+    text = PICTURES.replace("[indenter]\n", CIRCLE).replace('"r"', "8.0")
+    lines = {"A/001.png": 40, "B/001.png": 100, "press_1.5": 50, "press_1": 60}
+    (tmp_path / "t.csv").write_text("n,x,r\n" + "".join(f"{name},{x},8\n" for name, x in lines.items()))
+    found = read_by_recipe(tmp_path, recipe(text)).captures
+    columns = {name: capture.contact_circle.column_px for name, capture in found.items()}
+    assert columns == {"A/001": 40.0, "B/001": 100.0, "press_1": 60.0, "press_1.5": 50.0}
+    (tmp_path / "t.csv").write_text("n,x,r\n/there/001.png,40,8\n/here/001.png,100,8\npress_1,60,8\n")
+    read = read_by_recipe(tmp_path, recipe(text))
+    assert list(read.captures) == ["press_1"]
+    assert any(
+        "several lines of the table" in why and names == ["A/001", "B/001"] for why, names in read.left_out.items()
+    )
+
+
+def test_links_that_lead_out_of_the_folder_are_refused(tmp_path):
+    folder = tmp_path / "set"
+    save(tmp_path / "secret.png", flat())
+    save(folder / "a.png", grasp()[20])
+    (folder / "rest.png").symlink_to(tmp_path / "secret.png")
+    with pytest.raises(ImportFormatError, match=r"rest\.png: leads out of the folder; copy the file into it"):
+        read_by_recipe(folder, recipe(PICTURES))
+
+
 def test_the_gel_is_cut_out_at_its_corners(tmp_path):
     frames = [np.zeros((*SHAPE_PX, 3)) + 20.0 for _ in range(14)]
     for k, frame in enumerate(frames):
@@ -234,6 +282,7 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
         (("[indenter]\n", CIRCLE), ('= "x"', '= "r"'), "r of a must be a number, got 'wide'"),
         (("[indenter]\n", CIRCLE), ("row_px = 9", "row_px = 999"), "outside the picture of 160 x 120 px; are row and"),
         (("[indenter]\n", CIRCLE), ("t.csv", "t.pkl"), "t.pkl: is pickled"),
+        (('file = "rest.png"', "frames_before = 3"), None, "frames_before is for videos, and a.png is a picture"),
         (("[indenter]\n", CIRCLE), ("t.csv", "{press}.npz"), r"there is no \{press\}.npz, which holds its contact"),
     ],
 )

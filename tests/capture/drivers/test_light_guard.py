@@ -18,6 +18,7 @@ from rigs import TerminalOperator, open_lamp, open_laser
 from rigs.light_guard import GuardedLight, guarded_light
 from rigs.light_guard._held_light import HungUpError, channel, error_from, error_words, receive, send
 from rigs.light_guard.watch import GUARD_SILENT_S, LOOK_S, OtherProcess
+from rigs.lights.arduino import WentOffError
 from rigs.lights.indi import open_switch
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.firmware_in_qemu import SOURCE, Tap, build, firmware_board
@@ -659,6 +660,10 @@ class TestMessages:
     def test_errors_arrive_as_what_they_were(self, error):
         arrived = error_from(error_words(error))
         assert (type(arrived), str(arrived)) == (type(error), str(error))
+
+    def test_a_loss_that_only_a_driver_knows_arrives_as_a_loss(self):
+        arrived = error_from(error_words(WentOffError("went off by itself")))
+        assert (type(arrived), str(arrived)) == (LostError, "went off by itself")
 
     def test_a_mistake_of_a_driver_arrives_as_a_capture_error(self):
         assert str(error_from(error_words(KeyError("x")))) == "KeyError('x')"
