@@ -171,12 +171,12 @@ def depth_errors(presses: Sequence[CalibrationPress], mm_per_px: float, seed: in
     """
     lessons = _lessons(presses, seed, DEGREE)
     order = np.random.default_rng([seed, FOLDS]).permutation(len(lessons))
-    change = np.concatenate([lesson.change for lesson in lessons])
     rows, columns = presses[0].contact.shape[:2]
     rms, heights = np.empty(len(lessons)), np.empty(len(lessons))
     for unseen in np.array_split(order, FOLDS):
         others = [lesson for k, lesson in enumerate(lessons) if k not in set(unseen.tolist())]
-        taught = NormalMap(_solve(others), DEGREE, change.min(axis=0), change.max(axis=0), (rows, columns))
+        seen = np.concatenate([lesson.change for lesson in others])
+        taught = NormalMap(_solve(others), DEGREE, seen.min(axis=0), seen.max(axis=0), (rows, columns))
         for k in unseen:
             left_mm, heights[k] = _depth_error(taught, presses[k], mm_per_px)
             rms[k] = np.sqrt(np.mean(left_mm**2))
@@ -428,8 +428,17 @@ def _cell_px(capture: TactileCapture) -> int:
 
 
 def _check_together(captures: Sequence[TactileCapture]) -> None:
-    """Refuse captures of different cameras or settings."""
+    """Refuse captures of different cameras or settings, and a press that is given twice."""
     first = captures[0]
+    name_of: dict[str, str] = {}
+    for capture in captures:
+        digest = contact_sha256(capture)
+        if digest in name_of:
+            raise CompareError(
+                f"{name_of[digest]} and {capture.name} are one and the same image: a press that is given twice would "
+                "judge what it has taught; give each once"
+            )
+        name_of[digest] = capture.name
     for capture in captures[1:]:
         for field in ("encoding", "layout", "bit_depth"):
             one, other = getattr(first, field), getattr(capture, field)

@@ -218,8 +218,9 @@ class PressRender:
     independent halves, and ``*_half_difference`` half their difference, so that mean + and - it are the halves.
     ``*_variance`` is the variance of the mean of the bands, from up to 16 passes: with K of them it has K - 1 degrees
     of freedom. Each pass sees its own batch of the baked walls, so both hold the bake's noise too; that part is common
-    to all pixels and does not average out over an area. ``*_maps`` is what each pixel sees, ``contact_label`` where
-    the pressed shape comes from.
+    to all pixels and does not average out over an area. (In a scalar variant the batches of light that one paint
+    excites in another share their noise, which is then not in the variance.) ``*_maps`` is what each pixel sees,
+    ``contact_label`` where the pressed shape comes from.
     """
 
     no_contact_bands: NDArray[np.float32]

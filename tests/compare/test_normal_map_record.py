@@ -108,6 +108,12 @@ def test_captures_that_do_not_belong_together_are_refused(captures, change, mess
         normal_map_record(changed, "m", seed=1)
 
 
+def test_a_press_that_is_given_twice_is_refused(captures):
+    twice = [*captures, captures[3].model_copy(update={"name": "again"})]
+    with pytest.raises(CompareError, match=r"press 4 and again are one and the same image: .* give each once"):
+        normal_map_record(twice, "m", seed=1)
+
+
 def test_a_map_senses_its_own_encoding_only(captures):
     record = normal_map_record(captures, "map", seed=1)
     check_senses(record, captures[0])
