@@ -109,8 +109,8 @@ def keep_on(driver: str, address: str, ask_every_s: float) -> None:
 
 
 @contextmanager
-def holder(lamp: Lamp, ask_every_s: float = 0.1) -> Iterator["subprocess.Popen[str]"]:
-    command = [sys.executable, __file__, "--hold", lamp.driver, lamp.address, str(ask_every_s)]
+def holder(driver: str, address: str, ask_every_s: float = 0.1) -> Iterator["subprocess.Popen[str]"]:
+    command = [sys.executable, __file__, "--hold", driver, address, str(ask_every_s)]
     pipe = subprocess.PIPE
     with (
         Path(tempfile.gettempdir(), "light-off-times.log").open("a") as log,
@@ -294,7 +294,7 @@ def stay_lit(busy: int, guards: int, minutes: float) -> int:
     with ExitStack() as stack:
         boards = TimedBoards(guards)
         holders = [
-            stack.enter_context(holder(Lamp("arduino", address, no_witness), 5.0)) for address in boards.addresses
+            stack.enter_context(holder("arduino", address, 5.0)) for address in boards.addresses
         ]
         for _ in range(busy):
             loop = subprocess.Popen([sys.executable, "-c", "while True: pass"], start_new_session=True)
@@ -324,10 +324,6 @@ def stay_lit(busy: int, guards: int, minutes: float) -> int:
     return trips + lost
 
 
-def no_witness() -> Witness:
-    raise NotImplementedError
-
-
 LIGHTS = {"indi": indi, "alpaca": alpaca, "arduino": arduino}
 
 
@@ -348,7 +344,7 @@ def measure(name: str, busy: int, tries: int, out: Path, most_blows: bool = Fals
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         lamp = stack.enter_context(LIGHTS[name](folder))
-        process = stack.enter_context(holder(lamp))
+        process = stack.enter_context(holder(lamp.driver, lamp.address))
         for _ in range(busy):
             loop = subprocess.Popen([sys.executable, "-c", "while True: pass"], start_new_session=True)
             stack.callback(loop.kill)

@@ -156,7 +156,7 @@ def _locked(key: str, role: str, driver: str, address: str) -> Iterator[None]:
                 f"{role}: {driver} at {address} is in use by another capture (process {_holder(name)}); wait until it "
                 "ends"
             ) from None
-        lock.listen(1)
+        lock.listen(socket.SOMAXCONN)  # each who asks for the holder takes a place for good
         yield
 
 
