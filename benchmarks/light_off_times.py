@@ -293,9 +293,7 @@ def stay_lit(busy: int, guards: int, minutes: float) -> int:
     """Keep lights lit side by side; print the silences that their boards heard, and return how many would trip one."""
     with ExitStack() as stack:
         boards = TimedBoards(guards)
-        holders = [
-            stack.enter_context(holder("arduino", address, 5.0)) for address in boards.addresses
-        ]
+        holders = [stack.enter_context(holder("arduino", address, 5.0)) for address in boards.addresses]
         for _ in range(busy):
             loop = subprocess.Popen([sys.executable, "-c", "while True: pass"], start_new_session=True)
             stack.callback(loop.kill)

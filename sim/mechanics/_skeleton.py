@@ -6,7 +6,8 @@ structured grid bent into shape, all parts conforming. Its lines: i across (x), 
 the finger to its front. Lines k run from the back fin to the front fin, parallel to the ribs where ribs are.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -224,6 +225,8 @@ def _along_at(
 # an end of window, mirror or backing this near to a grid line is taken to lie on it: no slivers
 _SNAP_MM = 0.1
 _FEWEST_ALONG_A_RIB = 6
+MOST_RIB_WEDGE = 0.12
+"""Most of :func:`rib_wedge`; elements along the ribs are shorter where it would be more."""
 # the base plate is stiff and fixed from below
 _COARSER_BASE = 2.0
 
@@ -355,13 +358,49 @@ def _hollow(
     y_front = layout.front_inner_mm + edges.over(skeleton.front_fin_thickness_mm, (True, False))
     front = np.stack(np.broadcast_arrays(y_front[:, None], rows.front_z_mm[None, :]), axis=-1)
     deepest = layout.front_inner_mm - float(back_curve_mm(layout.mirror, layout.base_line[1], 0.0)[0])
-    along_rib = edges.over(deepest)
-    if len(along_rib) <= _FEWEST_ALONG_A_RIB:
-        along_rib = np.linspace(0.0, deepest, _FEWEST_ALONG_A_RIB + 1)
-    share = fitted_between(along_rib, np.linalg.norm(front[0] - back[-1], axis=1))[1:-1, :, None]
+    depth = np.linalg.norm(front[0] - back[-1], axis=1)
+    while True:
+        along_rib = edges.over(deepest)
+        if len(along_rib) <= _FEWEST_ALONG_A_RIB:
+            along_rib = np.linspace(0.0, deepest, _FEWEST_ALONG_A_RIB + 1)
+        share = fitted_between(along_rib, depth)[:, :, None]
+        between = (1.0 - share) * back[-1] + share * front[0]
+        wedge = rib_wedge(between, rows.kinds)
+        if wedge <= MOST_RIB_WEDGE:
+            break
+        # half the edge leaves a quarter of the wedge
+        longest = min(edges.longest_mm, float(np.diff(along_rib).max()))
+        edges = replace(edges, longest_mm=longest * min(0.95, np.sqrt(MOST_RIB_WEDGE / wedge)))
     backing = int(skeleton.backing is not None)
     levels = [0, backing, len(through_back) - 1 - backing, len(along_rib) - 1, len(y_front) - 1]
-    return np.concatenate([back, (1.0 - share) * back[-1] + share * front[0], front]), np.cumsum(levels)
+    return np.concatenate([back, between[1:-1], front]), np.cumsum(levels)
+
+
+def rib_wedge(points_mm: Floats, kinds: Sequence[str]) -> float:
+    """Return by how much the elements of ribs are wedges: the most of L/t tan(slant), over elements and ribs.
+
+    L is an element's length along the rib, t the thickness of the whole rib there, and slant half the angle between
+    the two edges through the rib. A bent rib of such elements is too stiff by about as much, 2 % at 0.09 and 10 % at
+    0.22 (linear beams of one layer); a rib of several layers by less.
+
+    Parameters
+    ----------
+    points_mm
+        (y, z) of the grid between the fins, shape (levels, rows + 1, 2).
+    kinds
+        Of each row.
+    """
+    is_rib = np.array([kind == "rib" for kind in kinds])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_rib, [False]]).astype(int)))
+    low, high = points_mm[:, edges[0::2]], points_mm[:, edges[1::2]]
+    through = high - low
+    a, b = through[:-1], through[1:]
+    slant = np.abs(np.arctan2(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0], (a * b).sum(axis=-1))) / 2.0
+    along = np.diff((low + high) / 2.0, axis=0)
+    length = np.linalg.norm(along, axis=-1)
+    middle = (a + b) / 2.0
+    thickness = np.abs(along[..., 0] * middle[..., 1] - along[..., 1] * middle[..., 0]) / length
+    return float((length / thickness * np.tan(slant)).max(initial=0.0))
 
 
 def _with_base_and_tip(design: FingerDesign, hollow: Floats, rows: _Rows, edges: _Edges) -> tuple[Floats, int, int]:

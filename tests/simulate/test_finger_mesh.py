@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from benchmarks.random_presses import random_design
 from data_schemas import (
     Backing,
     ElasticSolid,
@@ -35,7 +36,7 @@ from sim.mechanics import (
 )
 from sim.mechanics._finger_mesh import MeshSteps
 from sim.mechanics._mesh import Tie
-from sim.mechanics._skeleton import BOND_MM
+from sim.mechanics._skeleton import BOND_MM, MOST_RIB_WEDGE, rib_wedge, skeleton_side_view
 from sim.surface_meshes import boundary_quads, corner_jacobians_mm3, layout_scale, mirror_shape, split_quads, stl_bytes
 from tests.simulate.surface_quality import hexahedra_volume_mm3, surface_quality
 
@@ -201,6 +202,50 @@ def test_ribs_have_their_thickness_angle_and_spacing(angle_deg):
         on_back = np.abs(mesh.nodes_mm[:, 1:] - back_curve_mm(layout.mirror, along, 0.15)).max(axis=1) < ROUNDING_MM
         assert on_front.any()
         assert on_back.any()
+
+
+def wedge(design, preset="coarse"):
+    """The worst element of the ribs, from the corners of each quadrilateral of the side view."""
+    layout, steps = skeleton_layout(design), STEPS[preset]
+    view = skeleton_side_view(design, layout, steps.skeleton_mm, steps.corners)
+    _, _, between, front, _ = view.ends
+    return rib_wedge(view.points_mm[between : front + 1], view.kinds)
+
+
+def test_a_wedge_is_its_length_over_its_thickness_times_the_slope_of_its_ends():
+    # two layers through a rib of 0.5 mm, elements 1.25 and 0.5 mm long, whose ends slope by 10 and 20 deg
+    low = np.array([[0.0, 0.0], [1.25, 0.0], [1.75, 0.0]])
+    high = low + 0.5 * np.column_stack([np.tan(np.radians([-10.0, 10.0, -30.0])), np.ones(3)])
+    points = np.stack([low, (low + high) / 2.0, high], axis=1)
+    turn = np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
+    first_mm, second_mm = np.linalg.norm(np.diff((low + high) / 2.0, axis=0), axis=1)
+    first, second = first_mm / 0.5 * np.tan(np.radians(10.0)), second_mm / 0.5 * np.tan(np.radians(20.0))
+    assert rib_wedge(points[:2] @ turn.T, ("rib", "rib")) == pytest.approx(first)
+    assert rib_wedge(points @ turn.T, ("rib", "rib")) == pytest.approx(max(first, second))
+    assert rib_wedge(points, ("gap", "gap")) == 0.0
+
+
+@pytest.mark.parametrize("preset", STEPS)
+@pytest.mark.parametrize("name", PRESETS)
+def test_no_rib_of_a_ready_made_finger_is_made_of_wedges(name, preset):
+    assert wedge(preset_design(name), preset) <= MOST_RIB_WEDGE
+
+
+def test_no_rib_of_a_random_finger_is_made_of_wedges():
+    fingers = 0
+    for seed in range(100):
+        try:
+            found = wedge(random_design(seed))
+        except SimulateError:  # parts that do not fit together
+            continue
+        assert found <= MOST_RIB_WEDGE, seed
+        fingers += 1
+    assert fingers > 90
+
+
+def test_steep_ribs_take_more_elements():
+    steep = with_skeleton(rib_count=5, rib_thickness_mm=0.65, rib_angle_deg=-24.5, backing=None)
+    assert wedge(steep) <= MOST_RIB_WEDGE
 
 
 def test_ribs_stand_beside_the_mirror_and_the_window_is_the_pad():
