@@ -263,7 +263,8 @@ def press(finger: SteelFinger, at_mm: tuple[float, ...], step_mm: float = 3.0, a
     depths = np.array(at_mm) - finger.late_mm
     stops = np.unique(np.concatenate([np.arange(PUSH_STEP_MM, depths[-1], PUSH_STEP_MM), depths]))
     forces, stretch = {}, 0.0
-    for step in load_increments(assembly, linear_solver(), Load(touch.push, touch.settle), list(stops)):
+    load = Load(touch.push, touch.settle, accept=touch.accept)
+    for step in load_increments(assembly, linear_solver(), load, list(stops)):
         u = step.equilibrium.state.u_mm
         forces[step.fraction] = 2.0 * touch.contact.force_n(u)
         stretch = max(stretch, float(np.abs(ribs.stretch_mm(u)).max(initial=0.0)))

@@ -73,7 +73,8 @@ class BarrierContact:
     barrier
         How contact acts.
     project
-        Whether curvature is always without its negative part, even where Newton's method does not ask for it.
+        Whether curvature is without its negative part, even where Newton's method does not ask for it, until lagged
+        forces have settled: far from an equilibrium that takes fewer steps, near to it more.
     threads
         Of the IPC Toolkit.
 
@@ -97,7 +98,7 @@ class BarrierContact:
         self.barrier = barrier or Barrier()
         self.obstacle = obstacle
         self._count = len(nodes_mm)
-        self._project = project
+        self._project = self._projects = project
         self._surfaces = CollidingSurfaces(nodes_mm, triangles, obstacle, self.barrier.reach_mm)
         self._mesh = self._surfaces.mesh
         self._potential = ipctk.BarrierPotential(self.barrier.reach_mm, self.barrier.stiffness_mpa, True)
@@ -186,7 +187,7 @@ class BarrierContact:
 
     def hessian(self, u: FloatArray, project: bool) -> sp.coo_array | sp.csr_array:
         """Return the second derivative; zeros reserve the places of all pairs that have been near."""
-        method = ipctk.PSDProjectionMethod.CLAMP if project or self._project else ipctk.PSDProjectionMethod.NONE
+        method = ipctk.PSDProjectionMethod.CLAMP if project or self._projects else ipctk.PSDProjectionMethod.NONE
         vertices = self._surfaces.vertices_mm(u)
         found = self._potential.hessian(self._surfaces.collisions(vertices), self._mesh, vertices, method)
         if self._lag is not None:
@@ -219,6 +220,11 @@ class BarrierContact:
         """Begin an increment, or begin it again, where the last one ended."""
         self._begin = self._end
         self._lag = self._lagged(self._begin)
+        self._projects = self._project
+
+    def approach(self) -> None:
+        """Take the exact curvature until the next increment: lagged forces have settled, the equilibrium is near."""
+        self._projects = False
 
     def settle(self, u: FloatArray) -> bool:
         """Renew the lagged normal forces at an equilibrium; return whether friction is settled."""
@@ -326,10 +332,10 @@ class DrivenContact:
         return self._supports
 
     def settle(self, state: State) -> bool:
-        """Renew lagged forces at an equilibrium; return whether it still is one, and then accept it."""
+        """Renew lagged forces at an equilibrium; return whether it still is one."""
         met, settled = self._drive.settle(state.u_mm), self.contact.settle(state.u_mm)
         if met and settled:
-            self.accept(state)
+            self.contact.approach()
         return met and settled
 
     def accept(self, state: State) -> None:

@@ -21,6 +21,7 @@ from sim.mechanics._newton import Equilibrium, NewtonOptions, Supports, find_equ
 _MODE_STEPS = 4  # element by element; the second one usually changes nothing any more
 _MODES_SETTLED_REL = 1e-3  # of the energy; Newton's method does the rest
 _MOST_ROUNDS = 12  # renewals of lagged forces; each takes the change down to about the coefficient of friction
+_LAGGED_REL = 1e-3  # of the forces, out of balance: nearer than this is of no use while lagged forces still change
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,11 +160,14 @@ class Load:
     refuse
         Tells why an equilibrium at a share of the load is none of this load's path (an indenter that has passed through
         the coat), or nothing; a smaller increment is tried then.
+    accept
+        Told each equilibrium that is kept, before the next increment begins.
     """
 
     at: Callable[[float], Supports]
     settle: Callable[[State], bool] | None = None
     refuse: Callable[[State, float], str] | None = None
+    accept: Callable[[State], None] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,12 +183,15 @@ class _Search:
         self, state: State, guess: State | None, share: float, supports: Supports, last: bool
     ) -> Equilibrium:
         """Search from a guess, where there is one, and then from a state; with patience when it is the last try."""
-        reached = self._from(state if guess is None else guess, supports, self.options)
+        options = self.options
+        if self.load.settle is not None:
+            options = replace(options, residual_rel=max(_LAGGED_REL, options.residual_rel))
+        reached = self._from(state if guess is None else guess, supports, options)
         if reached.failure and guess is not None:
-            reached = self._from(state, supports, self.options)
+            reached = self._from(state, supports, options)
         if reached.failure and last:
-            reached = self._from(state, supports, replace(self.options, stalled_after=0))
-        reached = self._settled(reached, supports)
+            reached = self._from(state, supports, replace(options, stalled_after=0))
+        reached = self._settled(reached, supports, options)
         if self.load.refuse is not None and not reached.failure:
             return replace(reached, failure=self.load.refuse(reached.state, share))
         return reached
@@ -192,14 +199,18 @@ class _Search:
     def _from(self, state: State, supports: Supports, options: NewtonOptions) -> Equilibrium:
         return find_equilibrium(self.assembly, state, supports, self.solver, options)
 
-    def _settled(self, reached: Equilibrium, supports: Supports) -> Equilibrium:
+    def _settled(self, reached: Equilibrium, supports: Supports, options: NewtonOptions) -> Equilibrium:
         """Return the equilibrium at which nothing that terms have lagged changes any more."""
         if self.load.settle is None:
             return reached
         for _ in range(_MOST_ROUNDS):
-            if reached.failure or self.load.settle(reached.state):
+            if reached.failure:
                 return reached
-            further = self._from(reached.state, supports, self.options)
+            if self.load.settle(reached.state):
+                if options is self.options:
+                    return reached
+                options = self.options
+            further = self._from(reached.state, supports, options)
             reached = replace(further, iterations=reached.iterations + further.iterations)
         return replace(reached, failure=f"friction and push have not settled in {_MOST_ROUNDS} rounds")
 
@@ -263,6 +274,8 @@ def load_increments(
                     options.tell(f"an increment of {part:.3g} in place of {2.0 * part:.3g}: {reached.failure}")
                 continue
             state, at, done = reached.state, aim, done + part
+            if load.accept is not None:
+                load.accept(state)
             part *= 2.0
             yield Increment(at, reached)
 

@@ -229,6 +229,8 @@ class PenaltyPress(PenaltyTouch):
         When the indenter is a mesh of the user.
     """
 
+    settle = None  # nothing is lagged
+
     def __init__(
         self, mesh: FingerMesh, indenter: RigidIndenter, stiffness_mpa_per_mm: float, left_out: str = ""
     ) -> None:
@@ -251,10 +253,6 @@ class PenaltyPress(PenaltyTouch):
         """Place the indenter at a depth and return the supports."""
         self._contact.place(self._indenter.pose(depth_mm))
         return self._supports
-
-    def settle(self, state: State) -> bool:
-        """Return True: nothing is lagged."""
-        return True
 
     def accept(self, state: State) -> None:
         """Do nothing: an increment leaves nothing behind."""

@@ -402,6 +402,7 @@ def _prepared(
             at=lambda share: touch.push(share * depth),
             settle=touch.settle,
             refuse=lambda state, share: _passed_through(touch, state, share * depth, steps.pad_mm),
+            accept=touch.accept,
         ),
         [stop for stop in settings.stops if begin is None or stop > begin[0] + _SAME_SHARE],
         begin,

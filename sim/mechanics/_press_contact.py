@@ -1,5 +1,6 @@
 """Contact of a press: the fast penalty on exact distances, or the barrier with friction and contact of the ribs."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
@@ -63,8 +64,9 @@ class PressContact(Touch, Protocol):
         """Move the indenter to a depth and return the supports; lagged forces are those of the last increment."""
         ...
 
-    def settle(self, state: State) -> bool:
-        """Renew lagged forces at an equilibrium; return whether it still is one."""
+    @property
+    def settle(self) -> Callable[[State], bool] | None:
+        """What renews lagged forces at an equilibrium and tells whether it still is one; None: nothing is lagged."""
         ...
 
     def accept(self, state: State) -> None:

@@ -55,5 +55,5 @@ def drag(ratio, stops, met_mm=1e-4):
         move[-1, 0] = max(share - 1.0, 0.0)
         return Supports(fixed, move)
 
-    for step in load_increments(assembly, linear_solver(), Load(loading, driven.settle), stops):
+    for step in load_increments(assembly, linear_solver(), Load(loading, driven.settle, accept=driven.accept), stops):
         yield Dragged(step.fraction, step.equilibrium.state, contact, assembly)
