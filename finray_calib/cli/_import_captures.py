@@ -4,7 +4,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._run import add_out, command_line, file_name, input_digests, progress_bar, require_new, say, warn
+from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._run import (
+    add_out,
+    command_line,
+    file_name,
+    input_digests,
+    require_new,
+)
 
 if TYPE_CHECKING:
     from data_schemas import ContactCircle, SimulatedPress, TactileCapture
@@ -27,10 +34,7 @@ CONTACTS, CIRCLES = "contacts.png", "circles.csv"
 def add_captures_format(formats: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the format."""
     parser = formats.add_parser(
-        "captures",
-        help="a folder of presses of any lab, read by a recipe",
-        description=DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "captures", help="a folder of presses of any lab, read by a recipe", description=DESCRIPTION
     )
     parser.add_argument("folder", type=Path, nargs="?", metavar="FOLDER", help="of the set")
     parser.add_argument("--recipe", metavar="NAME|FILE", help="how the folder is read; needed")
@@ -57,6 +61,7 @@ def run_captures(arguments: argparse.Namespace) -> None:
     from finray_calib.reports import circles_csv, contacts_png
 
     if arguments.list:
+        give(recipes=list(recipe_names()))
         say(_recipes(recipe_names()))
         return
     folder: Path | None = arguments.folder
@@ -122,7 +127,10 @@ def _tell(
     """Say what was imported and what it lacks."""
     first = next(iter(captures.values()))
     rows, columns = first.contact.shape[:2]
-    say(f"{out}: {len(captures)} captures, {columns} x {rows} px, encoding {first.encoding}")
+    wrote(out, f"{len(captures)} captures, {columns} x {rows} px, encoding {first.encoding}")
+    give(captures=len(captures), width_px=columns, height_px=rows, encoding=first.encoding, source=first.source,
+         licence=first.licence, left_out=left_out, predicted=len(presses))  # fmt: skip
+    look_at(out / CONTACTS)
     say(f"  {first.source}")
     say(f"  licence: {first.licence or 'not stated by the recipe'}")
     for part in first.missing:
@@ -131,8 +139,8 @@ def _tell(
         say(f"  left out: {', '.join(names)}: {why}")
     if presses:
         taught = len(captures) - len(presses)
-        say(f"  {len(presses)} presses are predicted by a table that {taught} others taught; score them:")
-        say(f"  finray compare {out} {out}")
+        say(f"  {len(presses)} presses are predicted by a table that {taught} others taught")
+        go_on_with(f"finray compare {out} {out}")
     if first.contact_told_by == "search":
         correct = "" if first.contact_circle is None else f", correct {out / CIRCLES}, and import with --circles"
         warn(f"the contacts were searched for: look at {out / CONTACTS}{correct}")
