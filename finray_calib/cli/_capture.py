@@ -180,7 +180,7 @@ def capture_paint(arguments: argparse.Namespace) -> None:
         for instruction in dict.fromkeys(nobody.instructions):
             say(f"not asked of anybody now: {instruction}")
         say("the rig is ready; nothing was moved, lit or stored")
-        go_on_with(f"finray capture {arguments.plan} --rig {arguments.rig}")
+        go_on_with("finray capture", arguments.plan, "--rig", arguments.rig)
         return
     last_good = None if arguments.like is None else read_session(arguments.like)
     out = require_new_session(arguments.out or Path(f"{file_name(plan.paint_name)}-session"))
@@ -328,7 +328,7 @@ def _report(out: Path, session: "CaptureSession | CameraSession", name: str) -> 
 
     wrote(out, f"{len(session.frames)} frames of '{name}'")
     give(name=name, frames=len(session.frames), notes=session.notes)
-    go_on_with(f"finray radiometry {out}")
+    go_on_with("finray radiometry", out)
     if isinstance(session, CaptureSession) and session.filter_proof is not None:
         give(filters_verdict=session.filter_proof.verdict)
         say(f"  filters: {session.filter_proof.verdict}: {session.filter_proof.text}")

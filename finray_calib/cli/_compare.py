@@ -138,7 +138,7 @@ def _compare_one(arguments: argparse.Namespace) -> None:
     wrote(out, "the comparison")
     wrote(page, "its page, to be read in a browser or printed")
     give(headline_skill=report.headline_skill, headline_region=report.headline_region, findings=report.findings)
-    go_on_with(f"finray decide SWEEP --photometric-error {out}")
+    go_on_with("finray decide SWEEP --photometric-error", out)
     look_at(page)
 
 

@@ -119,7 +119,7 @@ def run_init(arguments: argparse.Namespace) -> None:
     write_bytes(out, design_toml(design).encode())
     wrote(out, "design of the finger, to be edited")
     give(name=design.name)
-    go_on_with(f"finray design show {out}")
+    go_on_with("finray design show", out)
 
 
 def run_show(arguments: argparse.Namespace) -> None:
@@ -140,7 +140,7 @@ def run_show(arguments: argparse.Namespace) -> None:
     scale_mm, scale_u_rel = view.mm_per_px
     give(name=design.name, mm_per_px=scale_mm, mm_per_px_u_rel=scale_u_rel, seen_mm=list(view.seen_mm))
     if out is None:
-        go_on_with(f"finray design show {arguments.design} --out {design.name}.html")
+        go_on_with("finray design show", arguments.design, "--out", Path(f"{design.name}.html"))
         return
     write_bytes(out, _drawing(view, arguments.design.parent, out.suffix.lower()))
     wrote(out, "drawing of the finger")

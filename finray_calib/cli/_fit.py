@@ -165,7 +165,7 @@ def _say_result(paint: "PaintCalibration", out: Path) -> None:
 
     wrote(out, f"emission of '{paint.paint_name}' ({paint.spectrum_from or paint.family_title})")
     _give_result(paint)
-    go_on_with(f"finray export {out} --format csv, or finray simulate render DESIGN --paint COLOUR={out} ...")
+    go_on_with("finray export", out, "--format csv")
     for name, label, unit in (
         ("mode_nm", "mode", " nm"),
         ("fwhm_nm", "FWHM", " nm"),

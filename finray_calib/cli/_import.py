@@ -101,7 +101,7 @@ def run_import(arguments: argparse.Namespace) -> None:
     give(captures=1, width_px=columns, height_px=rows, encoding=capture.encoding, source=capture.source)
     if press is not None:
         wrote(press_out, f"{press.name} ({press.label})")
-    go_on_with(f"finray compare {'PRESS' if press is None else press_out} {out}")
+    go_on_with("finray compare", "PRESS" if press is None else press_out, out)
 
 
 def _nine_dtact(arguments: argparse.Namespace) -> "tuple[TactileCapture, SimulatedPress | None]":
@@ -166,7 +166,7 @@ def import_bands(folder: Path, out: Path | None) -> None:
     wrote(out, f"{len(bands.flags)} filters, {usable} usable values over {bands.region_pixels} px")
     give(paint_name=bands.paint_name, filters=len(bands.flags), usable_values=usable, region_px=bands.region_pixels,
          notes=bands.notes)  # fmt: skip
-    go_on_with(f"finray fit {out}")
+    go_on_with("finray fit", out)
     for note in bands.notes:
         say(f"  note: {note}")
 
@@ -246,7 +246,7 @@ def _store(captures: "Sequence[TactileCapture]", files: list[Path], out: Path) -
     wrote(out, f"{len(captures)} captures, {columns} x {rows} px, encoding {encoding}")
     say(f"  {source}")
     give(captures=len(captures), width_px=columns, height_px=rows, encoding=encoding, source=source)
-    go_on_with(f"finray sense teach {out}")
+    go_on_with("finray sense teach", out)
 
 
 def _tell_left_out(lines: Sequence[str]) -> None:
@@ -298,7 +298,7 @@ def run_render(arguments: argparse.Namespace) -> None:
     light = "linear light" if first.encoding == "linear" else "encoded values"
     wrote(out, f"{len(presses)} press{'es' if len(presses) > 1 else ''}, {columns} x {rows} px, {light}; {first.label}")
     give(presses=len(presses), width_px=columns, height_px=rows, encoding=first.encoding, label=first.label)
-    go_on_with(f"finray compare {out} CAPTURE")
+    go_on_with("finray compare", out, "CAPTURE")
     say(f"  {first.notes[0]}")
 
 
@@ -367,4 +367,4 @@ def run_abaqus(arguments: argparse.Namespace) -> None:
     if mechanics.unreached:
         say(f"  the push ended early: {mechanics.unreached}")
     wrote(out, "the pressed finger, to be rendered")
-    go_on_with(f"finray simulate render {out} --paint red=FILE --paint green=FILE")
+    go_on_with("finray simulate render", out, "--paint red=FILE --paint green=FILE")

@@ -140,7 +140,7 @@ def _tell(
     if presses:
         taught = len(captures) - len(presses)
         say(f"  {len(presses)} presses are predicted by a table that {taught} others taught")
-        go_on_with(f"finray compare {out} {out}")
+        go_on_with("finray compare", out, out)
     if first.contact_told_by == "search":
         correct = "" if first.contact_circle is None else f", correct {out / CIRCLES}, and import with --circles"
         warn(f"the contacts were searched for: look at {out / CONTACTS}{correct}")

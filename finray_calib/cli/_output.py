@@ -9,6 +9,7 @@ import contextlib
 import json
 import math
 import os
+import shlex
 import sys
 import textwrap
 import time
@@ -18,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from data_schemas import FinrayError, package_version, system_words
+from data_schemas import FinrayError, system_words
 from data_schemas.storage import is_child, progress_teller, tell
 
 Progress = Callable[[int, int, str], None]
@@ -94,9 +95,9 @@ def look_at(path: Path) -> None:
     _spoken.look_at = os.fspath(path)
 
 
-def go_on_with(command: str) -> None:
-    """Name the command that usually follows, at the end."""
-    _spoken.next = command
+def go_on_with(*words: str | Path) -> None:
+    """Name the command that usually follows, at the end; paths are quoted where a shell needs it."""
+    _spoken.next = " ".join(word if isinstance(word, str) else shlex.quote(os.fspath(word)) for word in words)
 
 
 def warn(text: str) -> None:
@@ -144,6 +145,8 @@ def finish(command: str, status: int) -> None:
 
 def spoken(status: int) -> dict[str, Any]:
     """Return what ``--json`` prints of the command that ended last."""
+    from data_schemas import package_version
+
     return {
         "finray_version": package_version(),
         "command": _spoken.command,

@@ -72,14 +72,14 @@ def run_init(arguments: argparse.Namespace) -> None:
         say(f"  a rig to practise on: camera, wheel, lights and a {paint} paint are simulated; what the paint truly is")
         say("  stands in [simulated.paint]")
         give(rig=str(out), to_fill_in=[])
-        go_on_with(f"finray rig show {out}")
+        go_on_with("finray rig show", out)
         return
     chosen = chosen_devices()
     wrote(write_rig(paper_rig(chosen), out), "rig file")
     give(rig=str(out), to_fill_in=list(to_fill_in(chosen)))
     for text in to_fill_in(chosen):
         say(f"  fill in or compare: {text}")
-    go_on_with(f"finray rig show {out}")
+    go_on_with("finray rig show", out)
 
 
 def run_detect(arguments: argparse.Namespace) -> None:
@@ -118,10 +118,11 @@ def run_show(arguments: argparse.Namespace) -> None:
         tactile = read_toml(arguments.rig, TactileRig)
         name, parts = tactile.name, look_at_tactile(tactile, arguments.rig.parent)
     say(name)
+    given = []
     failed = []
-    given = ("title", "lines", "warnings", "error")
-    give(rig_name=name, parts=[{key: getattr(part, key) for key in given} for part in parts])
     for part in parts:
+        error = None if part.error is None else str(part.error)
+        given.append({"title": part.title, "lines": part.lines, "warnings": part.warnings, "error": error})
         say(f"\n{part.title}")
         for line in part.lines:
             say(f"  {line}")
@@ -130,6 +131,7 @@ def run_show(arguments: argparse.Namespace) -> None:
         if part.error is not None:
             say(f"  ERROR: {part.error}")
             failed.append(part.title)
+    give(rig_name=name, parts=given)
     if failed:
         raise CaptureError(f"{arguments.rig}: errors above at {'; '.join(failed)}; correct them and show the rig again")
 

@@ -114,7 +114,7 @@ def run_pixel_scale(arguments: argparse.Namespace) -> None:
     middle = record.middle
     give(mm_per_px=middle.mean_mm_per_px, mm_per_px_u_rel=middle.mean_u_rel, corner_sd_px=record.corner_sd_px,
          notes=record.notes)  # fmt: skip
-    go_on_with(f"finray sense teach PRESSES --scale {out}")
+    go_on_with("finray sense teach PRESSES --scale", out)
 
 
 def _in_words(record: "PixelScale") -> str:
@@ -308,7 +308,7 @@ def run_normal_map(arguments: argparse.Namespace) -> None:
         held_out_explained_rel=record.held_out_explained_rel, held_out_angle_deg=record.held_out_angle_deg,
         held_out_depth_rms_mm=record.held_out_depth_rms_mm,
     )  # fmt: skip
-    go_on_with(f"finray sense run {out} CAPTURE")
+    go_on_with("finray sense run", out, "CAPTURE")
     say(f"  on presses it has not seen ({splits} random halves: median [least, most])")
     say(f"  explains {_spread(record.held_out_explained_rel, 3)} of the squared slopes; 0 is knowing nothing")
     say(f"  mean angle of its normals {_spread(record.held_out_angle_deg, 1)} deg")

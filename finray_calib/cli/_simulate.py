@@ -270,7 +270,7 @@ def _give_press(press: "SimulatedPress", out: Path) -> None:
     """Give what a program wants to know of a rendered press, and what usually follows."""
     rows, columns = press.contact.shape[:2]
     give(name=press.name, label=press.label, width_px=columns, height_px=rows, light_angle_deg=press.light_angle_deg)
-    go_on_with(f"finray compare {out} CAPTURE")
+    go_on_with("finray compare", out, "CAPTURE")
 
 
 def run_sweep(arguments: argparse.Namespace) -> None:
@@ -313,7 +313,7 @@ def _sweep(arguments: argparse.Namespace, out: Path, position_mm: float | None, 
     write_record(sweep, out, _origin(sweep, arguments.seed))
     wrote(out, f"{len(sweep.angles_deg)} angles, {sweep.label}")
     give(angles_deg=sweep.angles_deg, brightness_mean=sweep.values.mean(axis=1), label=sweep.label)
-    go_on_with(f"finray decide {out}")
+    go_on_with("finray decide", out)
 
 
 def _sweep_places(arguments: argparse.Namespace, out: Path) -> None:
@@ -334,7 +334,7 @@ def _sweep_places(arguments: argparse.Namespace, out: Path) -> None:
         _sweep(arguments, path, place, f"simulate, place {number} of {len(todo)}")
     for path in kept:
         say(f"{path}: is there already, from the same inputs")
-    go_on_with(f"finray decide {out.with_name(stem)}.*mm.sweep.json")
+    go_on_with("finray decide", *outs.values())
 
 
 def _is_swept(path: Path, design: "FingerDesign", position_mm: float, arguments: argparse.Namespace) -> bool:

@@ -297,6 +297,21 @@ def _store(
         products.add(files["picture"], pressed_finger_png(mechanics, surfaces, folder))
         write_record(surfaces, files["surfaces"], origin, products)
         write_record(mechanics, files["mechanics"], origin, products)
+    _tell(mechanics, files)
+    if pressed.crossing:
+        warn(f"warning: {pressed.crossing}; what it gives there is no finger's: press with --contact barrier, or less")
+    tell_few_nodes(pressed, mechanics)
+    if mechanics.unreached:
+        reached = f"{mechanics.depth_mm[-1]:.4g} of {design.indenter.depth_mm:g} mm"
+        if mechanics.wanted_force_n is not None:
+            reached = f"{mechanics.force_n[-1, 1]:.4g} of {mechanics.wanted_force_n:g} N"
+        raise SimulateError(
+            f"the push ended early, at {reached}: {mechanics.unreached}. What was reached is stored and can be rendered"
+        )
+
+
+def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
+    """Tell the curve and what is stored."""
     wrote(files["mechanics"], mechanics.label)
     give(
         label=mechanics.label, depth_mm=mechanics.depth_mm, force_n=mechanics.force_n[:, 1],
@@ -314,18 +329,8 @@ def _store(
     wrote(files["surfaces"], "the pressed finger, to be rendered")
     wrote(files["mesh"], "the pressed mesh, for ParaView")
     wrote(files["picture"], "the finger before and after, and its force")
-    go_on_with(f"finray simulate render {files['surfaces']} --paint red=FILE --paint green=FILE")
+    go_on_with("finray simulate render", files["surfaces"], "--paint red=FILE --paint green=FILE")
     look_at(files["picture"])
-    if pressed.crossing:
-        warn(f"warning: {pressed.crossing}; what it gives there is no finger's: press with --contact barrier, or less")
-    tell_few_nodes(pressed, mechanics)
-    if mechanics.unreached:
-        reached = f"{mechanics.depth_mm[-1]:.4g} of {design.indenter.depth_mm:g} mm"
-        if mechanics.wanted_force_n is not None:
-            reached = f"{mechanics.force_n[-1, 1]:.4g} of {mechanics.wanted_force_n:g} N"
-        raise SimulateError(
-            f"the push ended early, at {reached}: {mechanics.unreached}. What was reached is stored and can be rendered"
-        )
 
 
 LARGEST_FORCE_N = 1000.0

@@ -90,7 +90,7 @@ def _long_work(arguments: argparse.Namespace) -> "LongWork":
     kept = "Nothing is stored before its end: the same command begins again"
     if arguments.study == "run":
         return LongWork("the design study", "Finished points are kept: the same command goes on with the others")
-    return LongWork(f"the study {arguments.study}", kept, arguments.out)
+    return LongWork(f"the study {arguments.study}", kept, getattr(arguments, "out", None))
 
 
 def run_paper_paints(arguments: argparse.Namespace) -> None:

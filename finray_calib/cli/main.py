@@ -14,7 +14,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from data_schemas import DiedError, FinrayError, package_version, system_words
+from data_schemas import DiedError, FinrayError, system_words
 from data_schemas.storage import OBJECTS_PER_COLLECTION
 from finray_calib.cli import (
     add_capture,
@@ -97,7 +97,7 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print the usage and what is wrong with it, and end with exit status 2."""
         self.print_usage(sys.stderr)
-        fail(f"{self.prog}: error: {_with_a_guess(message)}")
+        fail(f"{self.prog}: error: {_with_a_guess(message)} '{self.prog} --help' says more")
         raise SystemExit(USER_MISTAKE)
 
 
@@ -127,8 +127,20 @@ def _filled(line: str, width: int) -> str:
 def _with_a_guess(message: str) -> str:
     """Return the message of a wrong choice with the choice that was probably meant."""
     wrong = re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)", message)
-    near = difflib.get_close_matches(wrong.group(1), re.findall(r"[^', ]+", wrong.group(2)), 1) if wrong else []
-    return f"{message}; did you mean '{near[0]}'?" if near else message
+    near = difflib.get_close_matches(wrong.group(1).lower(), re.findall(r"[^', ]+", wrong.group(2)), 1) if wrong else []
+    return f"{message}; did you mean '{near[0]}'?" if near else f"{message};"
+
+
+def _meant(unknown: list[str], parser: argparse.ArgumentParser, command: str) -> str:
+    """Return what was probably meant by words that nothing takes."""
+    leaf = commands(parser).get(command, parser)
+    flags = [flag for action in leaf._actions for flag in action.option_strings]  # noqa: SLF001
+    near = difflib.get_close_matches(unknown[0].partition("=")[0], flags, 1, cutoff=0.75)
+    if near:
+        return f"did you mean '{near[0]}'? "
+    if re.match(r"(red|green)=", unknown[0]):
+        return "write --paint before each COLOUR=FILE; "
+    return "" if unknown[0].startswith("-") else "a path with blanks stands in quotes; "
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -184,8 +196,9 @@ def _run(words: list[str], in_own_process: bool) -> tuple[str, int]:
         return max((" ".join(words[:k]) for k in (1, 2) if " ".join(words[:k]) in known), default=""), USER_MISTAKE
     command: str = parsed.command
     if unknown:
-        told = f"'finray {command}' knows no {' '.join(unknown)}; 'finray {command} --help' lists what can be given"
-        fail(f"finray {parsed.verb}: error: {told}")
+        named = f"finray {command}".strip()
+        told = f"'{named}' knows no {' '.join(unknown)}; {_meant(unknown, parser, command)}"
+        fail(f"{' '.join(named.split()[:2])}: error: {told}'{named} --help' lists what can be given")
         return command, USER_MISTAKE
     if parsed.verb is None and not parsed.version:
         parser.print_help()
@@ -203,6 +216,8 @@ def _run(words: list[str], in_own_process: bool) -> tuple[str, int]:
 def _work(parsed: argparse.Namespace, words: list[str], in_own_process: bool) -> int:
     """Do what was asked for."""
     if parsed.version:
+        from data_schemas import package_version
+
         say(f"finray {package_version()}")
         return 0
     describe = getattr(parsed, "long_work", None)
