@@ -191,6 +191,7 @@ def updated(text: str, bench: Path | None, results: Mapping[str, tuple[int, int]
     return f"{head}{BEGIN}\n\n{table}\n\n{END}{rest.partition(END)[2]}"
 
 
+NOT_BY_THIS_TABLE = "not measured by this table"
 TRUST = """\
 # Which number can I trust
 
@@ -207,7 +208,7 @@ def trust_page(text: str) -> str:
     lines = text.split("\n")
     subjects: dict[str, list[Row]] = {}
     for row in rows(text):
-        if len(row.cells) > MET:
+        if len(row.cells) > MET and NOT_BY_THIS_TABLE not in row.cells[-3]:
             heading = next(line for line in reversed(lines[: row.line]) if line.startswith("## "))
             subjects.setdefault(heading.removeprefix("## "), []).append(row)
     table = ["| subject | met | no bar set | not met, in part, or not shown |", "|---|---|---|---|"]

@@ -247,7 +247,9 @@ def resume(folder: Path, like: Path | None) -> None:
 
     if lacks_manifest(folder):
         complete_session(folder)
-        say(f"{folder}: was finished but for its checksums, which are written now; nothing else is left to resume")
+        done = "was finished but for its checksums, which are written now; nothing else is left to resume"
+        wrote(folder, done)
+        give(notes=[done])
         return
     tactile = is_tactile(folder)
     interrupted = None if tactile else read_interrupted(folder)

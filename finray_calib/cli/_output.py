@@ -9,6 +9,7 @@ import contextlib
 import json
 import math
 import os
+import re
 import shlex
 import sys
 import textwrap
@@ -201,7 +202,7 @@ def _drop_output() -> None:
 
 
 def _folded(text: str, on_terminal: bool) -> str:
-    """Return lines that fit a terminal; those that go on stand two blanks further in. Paths are not cut."""
+    """Return lines that fit a terminal: what goes on is indented or stands below its column, and paths are not cut."""
     if not on_terminal:
         return text
     return "\n".join(_fold(line) for line in text.split("\n"))
@@ -211,7 +212,8 @@ def _fold(line: str) -> str:
     """Return one line in as many as it takes."""
     if len(line) <= WIDTH:
         return line
-    hanging = " " * (len(line) - len(line.lstrip()) + 2)
+    column = re.match(r"\s*\S+ {2,}(?=\S)", line)
+    hanging = " " * (column.end() if column else len(line) - len(line.lstrip()) + 2)
     return textwrap.fill(
         line, WIDTH, subsequent_indent=hanging, break_long_words=False, break_on_hyphens=False,
         replace_whitespace=False, drop_whitespace=True,

@@ -26,7 +26,11 @@ from typing import TYPE_CHECKING, Any
 from data_schemas import DiedError, FinrayError, RecordError, SimulateError
 from data_schemas import naming as naming
 from data_schemas.storage import Child, tell
-from finray_calib.cli._output import AS_JSON, QUIET, Progress, how_to_speak, leave_to_other_process, progress_bar, warn
+from finray_calib.cli._output import AS_JSON, QUIET, how_to_speak, leave_to_other_process
+from finray_calib.cli._output import Progress as Progress
+from finray_calib.cli._output import progress_bar as progress_bar
+from finray_calib.cli._output import say as say
+from finray_calib.cli._output import warn as warn
 
 if TYPE_CHECKING:
     from types import ModuleType

@@ -108,7 +108,8 @@ def run_pixel_scale(arguments: argparse.Namespace) -> None:
     with ProductSet(out) as products:
         products.add(lens_file, calibration_yaml(record.calibration))
         write_record(record, out, provenance(command_line(), inputs, arguments.seed), products)
-    wrote(out, f"scale of the pixels by {len(record.lens_pictures)} pictures")
+    lens = f"{record.calibration.model} lens from {len(record.lens_pictures)} pictures"
+    wrote(out, f"{lens}, corners to {record.corner_sd_px:.2f} px")
     wrote(lens_file, "the lens, for 'camera.calibration' of a design")
     say(_in_words(record))
     middle = record.middle
@@ -120,10 +121,8 @@ def run_pixel_scale(arguments: argparse.Namespace) -> None:
 def _in_words(record: "PixelScale") -> str:
     """Return what the user wants to know at once."""
     middle, over = record.middle, record.over_board
-    lens = record.calibration
     u_middle = sorted(((line.u_rel, line.input) for line in record.budget), reverse=True)
     lines = [
-        f"  {lens.model} lens, corners to {record.corner_sd_px:.2f} px",
         f"  at column {middle.column_px:.0f}, row {middle.row_px:.0f} (middle of the board on the pad), standard "
         "uncertainty u:",
         f"    along x  {middle.along_x_mm_per_px:.5g} mm/px, u = {middle.along_x_u_rel:.2%}",

@@ -195,13 +195,15 @@ def _run(words: list[str], in_own_process: bool) -> tuple[str, int]:
         known = {" ".join(name.split()[:k]) for name in commands(parser) for k in (1, 2)}
         return max((" ".join(words[:k]) for k in (1, 2) if " ".join(words[:k]) in known), default=""), USER_MISTAKE
     command: str = parsed.command
+    if getattr(parsed, "json", False) or getattr(parsed, "quiet", False):  # abbreviated, so that begin() did not see it
+        begin([AS_JSON] * parsed.json + [QUIET] * parsed.quiet)
     if unknown:
         named = f"finray {command}".strip()
         told = f"'{named}' knows no {' '.join(unknown)}; {_meant(unknown, parser, command)}"
         fail(f"{' '.join(named.split()[:2])}: error: {told}'{named} --help' lists what can be given")
         return command, USER_MISTAKE
     if parsed.verb is None and not parsed.version:
-        parser.print_help()
+        say(parser.format_help().rstrip("\n"))
         return command, USER_MISTAKE
     try:
         return command, _work(parsed, words, in_own_process)

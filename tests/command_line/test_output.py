@@ -109,6 +109,13 @@ def test_the_options_stand_anywhere_but_behind_two_dashes(tmp_path):
     assert "no such file" in finray(f"fit -- {tmp_path}/--json").err
 
 
+def test_an_abbreviated_option_and_a_bare_call_print_one_object_too():
+    assert json.loads(finray("design list --js").out)["command"] == "design list"
+    bare = json.loads(finray("--json").out)
+    assert (bare["command"], bare["exit_status"]) == ("", 2)
+    assert any("Start with: finray demo" in line for line in bare["text"])
+
+
 def test_the_command_in_the_record_lacks_both(lab, tmp_path):
     succeed(f"decide {lab}/sweep.json --out {tmp_path}/d.json --quiet")
     stored = json.loads((tmp_path / "d.json").read_text())

@@ -85,7 +85,7 @@ def test_without_any_uncertainty_intervals_and_verdicts_are_withheld(rng):
     ends = [*(row.rms_rel for row in found.rows), found.first_touch.offset_mm, *(p.simulated_n for p in found.points)]
     assert all(value.low95 is None and value.high95 is None for value in ends)
     told = force_lines(found)
-    assert "off by more than" not in told
+    assert "off by" not in told
     assert "[" not in told
     assert "withheld: intervals and verdicts" in told
     assert force_figure_png(found).startswith(b"\x89PNG")
