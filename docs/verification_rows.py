@@ -229,7 +229,8 @@ def _is_met(row: Row) -> bool:
 def _short_of(row: Row) -> str:
     """Return a row that did not meet its bar as an item of a list."""
     claim, measured, bar, met = (row.cells[k].replace("\\|", "|") for k in (0, -3, -2, -1))
-    return f"- **{claim}**: {measured}; bar: {bar}; met: {met}"
+    item = f"- **{claim}**: {measured}; bar: {bar}; met: {met}"
+    return re.sub(r"\]\((?!\w+:|#)", "](../", item)  # the page lies one folder deeper
 
 
 def main(words: list[str] | None = None) -> int:
