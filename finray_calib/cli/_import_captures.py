@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 DESCRIPTION = """\
 Import a folder of presses of another lab as tactile captures. A recipe, a short TOML file, says which files
 are the presses, where the image without contact is, which columns hold the contact, the scale and the ball:
-one that comes with finray, by its name (--list tells them), or a file of your own. Videos give contact, no
+one that comes with finray, by its name (--list shows them), or a file of your own. Videos give contact, no
 contact and its repeat; contact circles that nobody drew are searched for. OUT gets a capture of each press,
 a picture of all contacts to check (contacts.png), and circles.csv: correct it and give it with --circles.
 
@@ -38,7 +38,7 @@ def add_captures_format(formats: "argparse._SubParsersAction[argparse.ArgumentPa
     )
     parser.add_argument("folder", type=Path, nargs="?", metavar="FOLDER", help="of the set")
     parser.add_argument("--recipe", metavar="NAME|FILE", help="how the folder is read; needed")
-    parser.add_argument("--list", action="store_true", help="tell the recipes that come with finray, and stop")
+    parser.add_argument("--list", action="store_true", help="list the recipes that come with finray, and stop")
     parser.add_argument(
         "--circles", type=Path, metavar="CSV",
         help="contact circles in the place of what the recipe says: image (name of the press), column_px, row_px, "

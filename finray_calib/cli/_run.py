@@ -255,7 +255,7 @@ def run_in_own_process(work: LongWork, words: Sequence[str]) -> int:
             status = child.call("finray_calib.cli._run:run_verb", job, log=log, hear=screen.show)
         except DiedError as died:
             raise DiedError(
-                f"{work.words} {died}. Its log is {log}. {work.kept}; if that fails again, 'finray doctor' tells what "
+                f"{work.words} {died}. Its log is {log}. {work.kept}; if that fails again, 'finray doctor' lists what "
                 "this machine lacks"
             ) from None
         except KeyboardInterrupt:

@@ -418,7 +418,7 @@ def run_stiffness_study(arguments: argparse.Namespace) -> None:
 def _held(row: "StiffnessRow") -> str:
     """Say at which torques a gripped cylinder turns, or why that is not known."""
     if row.slip_torque_per_friction_n_mm is None or row.tipping_torque_n_mm is None:
-        return f"is not told of: {row.grip_failure}"
+        return f"has no result: {row.grip_failure}"
     return (
         f"slips about the pad's normal at {row.slip_torque_per_friction_n_mm:.1f} N mm times the coefficient of "
         f"friction, and tips about the finger's axis at {row.tipping_torque_n_mm:.1f} N mm"

@@ -47,7 +47,7 @@ TO_DO = {
     errno.ENOSPC: "free space on the disk, then run the command again",
     errno.EDQUOT: "your share of the disk is used up: free space, then run the command again",
     errno.EFBIG: "the file system, or 'ulimit -f', allows no larger file: write to another --out",
-    errno.EIO: "the disk or the network folder has a fault ('dmesg' tells): write to another --out",
+    errno.EIO: "the disk or the network folder has a fault ('dmesg' shows it): write to another --out",
     errno.EROFS: "this disk can only be read: write to another --out",
     errno.ENOMEM: "close other programs, then run the command again",
     errno.EMFILE: "allow more open files with 'ulimit -n 4096', then run the command again",
