@@ -271,7 +271,7 @@ def add_render_format(formats: "argparse._SubParsersAction[argparse.ArgumentPars
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="of one press, or of a folder for each press")
     parser.add_argument(
         "--capture", type=Path, metavar="FILE",
-        help="capture of the press, or a folder of NAME.capture.json: their circles or outlines say where the contact is",
+        help="capture of the press, or a folder of NAME.capture.json: its circle or outline shows the contact",
     )  # fmt: skip
     add_out(parser, "FOLDER.press.json; of several presses FOLDER.presses, a folder with NAME.press.json")
     parser.set_defaults(run=run_render)
