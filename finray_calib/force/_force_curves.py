@@ -135,8 +135,8 @@ class MeasuredForce:
                 raise CompareError(f"{self.name}: an uncertainty of the {what} is negative; give 0 or more")
         if self.force_n.mean() <= 0.0:
             raise CompareError(
-                f"{self.name}: the force is {self.force_n.mean():.3g} N on average; pushing counts positive, turn the "
-                "sign"
+                f"{self.name}: the force is {self.force_n.mean():.3g} N on average; pushing counts positive: change "
+                "its sign"
             )
 
     def variance_n2(self, slope_n_per_mm: Floats) -> Floats:
