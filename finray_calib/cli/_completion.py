@@ -46,7 +46,7 @@ def run_completion(arguments: argparse.Namespace) -> None:
 
     script = completion_script(build_parser(), arguments.shell)
     give(shell=arguments.shell, script=script)
-    say(script.rstrip("\n"))
+    say(script.rstrip("\n"), fold=False)
 
 
 def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:

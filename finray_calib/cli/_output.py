@@ -67,8 +67,8 @@ def is_for_a_terminal() -> bool:
     return not (_spoken.as_json or _spoken.quiet) and sys.stdout.isatty()
 
 
-def say(text: str) -> None:
-    """Tell the user a result.
+def say(text: str, fold: bool = True) -> None:
+    """Tell the user a result; a script for a shell is not folded.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def say(text: str) -> None:
     """
     _spoken.text += text.split("\n")
     if not (_spoken.as_json or _spoken.quiet):
-        _write(_folded(text, sys.stdout.isatty()))
+        _write(_folded(text, fold and sys.stdout.isatty()))
 
 
 def wrote(path: Path, text: str) -> None:

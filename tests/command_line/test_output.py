@@ -210,6 +210,10 @@ def test_bash_completes_commands_options_and_choices(tmp_path):
         assert {"--json", "--quiet"} <= complete(tmp_path, "finray", *command.split(), "--")
 
 
+def test_the_script_is_not_folded_on_a_terminal():
+    assert completion_script(build_parser(), "bash") in on_terminal("completion bash")
+
+
 def test_zsh_gets_the_same_script_behind_its_own_loader():
     shared = completion_script(build_parser(), "bash")
     assert completion_script(build_parser(), "zsh").endswith(shared)
