@@ -259,7 +259,7 @@ CASES = (
     Case(
         "plan without exposures",
         BAD_PLAN,
-        r"plan\.toml: 'bracket': must have more entries",
+        r"plan\.toml: 'bracket': must have more entries, at least 1",
         edited("plan.toml", "bracket = [1.0, 0.25]", "bracket = []"),
     ),
     # session
