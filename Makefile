@@ -8,7 +8,7 @@ OTHERS := .venv-others
 PYTHONS := 3.11 3.12 3.13
 
 .PHONY: plain demo test quick test-rigs test-pythons lint check-types contracts pytest schemas drawing reference docs \
-        pictures lock check-arm llvm \
+        pictures gallery lock check-arm llvm \
         rig-programs clean bench bench-fit bench-compare bench-optics bench-mechanics bench-fuzz verification
 
 # For a camera computer: everything but the simulation, on ARM too.
@@ -151,6 +151,10 @@ docs: $(VENV)/installed-docs
 # The picture of a touch in README.md, rendered anew; some minutes.
 pictures: $(VENV)/installed-dev llvm
 	$(BIN)/python -m docs.touch_picture
+
+# The pictures of docs/gallery.md, by running what stands there; some ten minutes.
+gallery: $(VENV)/installed-dev llvm
+	$(BIN)/python -m docs.gallery
 
 # Renew the pinned versions and their hashes. Versions stay where they can; newest ones: make lock UPGRADE=--upgrade
 UPGRADE ?=

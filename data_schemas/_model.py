@@ -173,6 +173,15 @@ class Quantity(Estimate):
 
 
 LARGEST_NUMBER_OF_FAULTS = 5
+PLAIN = {
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "must be a whole number"),
+    **dict.fromkeys(("tuple_type", "list_type"), "must be a list in brackets, such as [1.0, 2.0]"),
+    **dict.fromkeys(("dict_type", "model_type"), "must be a table with a value for each of its keys"),
+    "string_type": "must be text in quotes",
+    "bool_type": "must be true or false",
+    "too_short": "must have more entries, at least {min_length}",
+}
+"""Kind of fault -> what it is in words that need no programming language."""
 OUT_OF_BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 
 
@@ -206,6 +215,8 @@ def _fault(fault: Any, model: type[BaseModel]) -> str:
         return f"'{field}': unknown key; {hint}known keys are {', '.join(known)}"
     if fault["type"] == "missing":
         return f"'{field}': is missing and must be given"
+    if fault["type"] in PLAIN:
+        message = PLAIN[fault["type"]].format_map(fault.get("ctx", {}))
     unit = _unit_at(model, location)
     given = fault.get("input")
     shown = (

@@ -17,6 +17,8 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
+from docs.verification_rows import trust_page
+
 ROOT = Path(__file__).resolve().parents[1]
 OF_PROJECT = {
     "README.md": "project/readme.md",
@@ -26,6 +28,7 @@ OF_PROJECT = {
 }
 """Page of the project -> its place on the site."""
 COMMANDS = "reference/commands.md"
+TRUST = "reference/which-number-can-i-trust.md"
 LINK = re.compile(r"(\]\()([^)\s]+)(\))")
 FENCE = re.compile(r"(^ *```.*?^ *```)", flags=re.MULTILINE | re.DOTALL)
 MERMAID = re.compile(r"^```mermaid\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
@@ -38,7 +41,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
     config.copyright = f"finray-calib {version('finray-calib')}, BSD-3-Clause"
     first = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
-    config.nav = [{"Home": "README.md"}]
+    config.nav = [{"Home": "README.md"}, {"Gallery": "gallery.md"}]
     config.nav += [{kind: _pages(folder, first)} for kind, folder in KINDS.items()]
     config.nav += [{"Project": list(OF_PROJECT.values())}]
     return config
@@ -53,7 +56,7 @@ def _pages(folder: str, first: str) -> list[Any]:
         return list(pages)
     decisions = [path.relative_to(ROOT / "docs").as_posix() for path in sorted((ROOT / "docs/decisions").glob("0*.md"))]
     decided = {"Decision records": ["decisions/README.md", *decisions]}
-    return [pages[0], COMMANDS, "verification.md", {"Folders of the code": pages[1:]}, decided]
+    return [pages[0], COMMANDS, TRUST, "verification.md", {"Folders of the code": pages[1:]}, decided]
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -61,6 +64,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for source, place in OF_PROJECT.items():
         files.append(File.generated(config, place, content=(ROOT / source).read_text(encoding="utf-8")))
     files.append(File.generated(config, COMMANDS, content=command_page()))
+    rows = (ROOT / "docs" / "verification.md").read_text(encoding="utf-8")
+    files.append(File.generated(config, TRUST, content=trust_page(rows)))
     for page in [file for file in files if file.src_uri.endswith(".md")]:
         for _, target in _targets(page.content_string, _origin(page.src_uri)):
             place = _place(target)
@@ -174,10 +179,10 @@ def arrows_table(drawing: str) -> str:
 
 
 def command_page() -> str:
-    """Return the help of every command, as a terminal of 88 columns prints it."""
+    """Return the help of every command, as a terminal of 80 columns prints it."""
     from finray_calib.cli.main import build_parser
 
-    os.environ["COLUMNS"] = "88"
+    os.environ["COLUMNS"] = "80"
     parts = ["# Commands", "The help of every command, as `--help` prints it."]
     for name, parser in _parsers(build_parser()):
         parts += [f"## {name}", f"```text\n{parser.format_help()}```"]

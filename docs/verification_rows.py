@@ -191,6 +191,48 @@ def updated(text: str, bench: Path | None, results: Mapping[str, tuple[int, int]
     return f"{head}{BEGIN}\n\n{table}\n\n{END}{rest.partition(END)[2]}"
 
 
+NOT_BY_THIS_TABLE = "not measured by this table"
+TRUST = """\
+# Which number can I trust
+
+Made from the rows of [Verification](../verification.md) when the site is built: how many claims of each subject met the
+bar that was set before the measurement, which ones did not, and what was found in place of it. A number that stands in
+no row was not tested against anything outside of the program; its interval then rests on the model alone, see [what
+each number knows](../explanation/uncertainty.md). To trace one number of yours to its frames, see [trace and
+verify](../how-to/trust-a-number.md).
+"""
+
+
+def trust_page(text: str) -> str:
+    """Return a page that counts, for each subject of the page of rows, what met its bar, and lists what did not."""
+    lines = text.split("\n")
+    subjects: dict[str, list[Row]] = {}
+    for row in rows(text):
+        if len(row.cells) > MET and NOT_BY_THIS_TABLE not in row.cells[-3]:
+            heading = next(line for line in reversed(lines[: row.line]) if line.startswith("## "))
+            subjects.setdefault(heading.removeprefix("## "), []).append(row)
+    table = ["| subject | met | no bar set | not met, in part, or not shown |", "|---|---|---|---|"]
+    lists = []
+    for subject, found in subjects.items():
+        short = [row for row in found if not _is_met(row) and row.cells[-1] not in ("-", "")]
+        met = sum(map(_is_met, found))
+        table.append(f"| {subject} | {met} | {len(found) - met - len(short)} | {len(short)} |")
+        lists += [f"## {subject}", "", *(_short_of(row) for row in short), ""] if short else []
+    return "\n".join([TRUST, *table, "", *lists])
+
+
+def _is_met(row: Row) -> bool:
+    """Return whether a row says yes, and no more than yes with a reason."""
+    return row.cells[-1].lower().startswith("yes")
+
+
+def _short_of(row: Row) -> str:
+    """Return a row that did not meet its bar as an item of a list."""
+    claim, measured, bar, met = (row.cells[k].replace("\\|", "|") for k in (0, -3, -2, -1))
+    item = f"- **{claim}**: {measured}; bar: {bar}; met: {met}"
+    return re.sub(r"\]\((?!\w+:|#)", "](../", item)  # the page lies one folder deeper
+
+
 def main(words: list[str] | None = None) -> int:
     """Write the page and tell what its rows name in vain; return 1 when there is such a row."""
     parser = argparse.ArgumentParser(description="Check and fill docs/verification.md.")

@@ -224,7 +224,8 @@ def parse_json(
         if b"\\u" in content:
             _refuse_half_characters(parsed)
     except (ValueError, RecursionError) as fault:
-        raise error(f"{where}: cannot be read as JSON ({fault}); was it edited or cut off?") from None
+        other = "" if content.lstrip()[:1] in (b"{", b"[") else ", or is it no JSON file at all"
+        raise error(f"{where}: cannot be read as JSON ({fault}); was it edited or cut off{other}?") from None
     return parsed
 
 
@@ -247,19 +248,41 @@ def parse_toml(content: bytes, where: object, error: type[FinrayError] = RecordE
         Of the class `error`: it is no such TOML.
     """
     try:
-        text = content.decode("utf-8")
+        text = content.decode("utf-8-sig")
         _require_shallow_toml(text)
         parsed = tomllib.loads(text)
         _refuse_odd_numbers(parsed)
         _refuse_half_characters(parsed)
     except (ValueError, RecursionError) as fault:
-        raise error(f"{where}: cannot be read as TOML ({fault})") from None
+        raise error(f"{where}: cannot be read as TOML ({fault}); {_toml_remedy(content, str(fault))}") from None
     return parsed
 
 
 def read_toml_tables(path: Path, what: str = "a TOML file", error: type[FinrayError] = RecordError) -> dict[str, Any]:
     """Read a TOML file; see :func:`read_bytes` and :func:`parse_toml`."""
     return parse_toml(read_bytes(path, what, error, LARGEST_TOML_BYTES), path, error)
+
+
+_TOML_MISTAKES = (
+    (r"[\u201c\u201d\u2018\u2019\u201e]", "write straight quotes"),
+    (r"=\s*[+-]?\d+,\d+\s*(#|$)", "the decimal mark is a point"),
+    (r"=\s*[A-Za-z_][\w ./-]*(#|$)", "text stands in straight quotes"),
+)
+
+
+def _toml_remedy(content: bytes, fault: str) -> str:
+    """Return what to do about a file that is no TOML: where the parser stopped, and a common mistake there."""
+    try:
+        lines = content.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        return "save it as UTF-8 text, in Windows by 'Save as' and its encoding"
+    if content.lstrip()[:1] == b"{":
+        return "it looks like a JSON file: a TOML file is needed here"
+    number = re.search(r"line (\d+)", fault)
+    line = lines[int(number[1]) - 1] if number and int(number[1]) <= len(lines) else ""
+    hint = next((hint for mistake, hint in _TOML_MISTAKES if re.search(mistake, line)), "")
+    shown = f"correct the line {line.strip()[:60]!r}" if line.strip() else "correct that line"
+    return f"{shown}: {hint}" if hint else shown
 
 
 def read_csv(
@@ -313,6 +336,8 @@ def read_csv(
             f"{path}, line {reader.line_num}: cannot be read as CSV ({fault}); close or remove its quotes"
         ) from None
     header = [name.strip() for name in rows[0][1]] if rows else []
+    if len(header) == 1 and re.search(r"[;\t]", header[0]):
+        raise error(f"{path}: semicolons or tabs stand between its columns; export it with commas, and decimal points")
     long = next(((line, cells) for line, cells in rows[1:] if any(c.strip() for c in cells[len(header) :])), None)
     if long is not None:
         raise error(

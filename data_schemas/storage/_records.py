@@ -278,7 +278,9 @@ def read_toml(path: Path, record_type: type[R], complete: Complete = dict) -> R:
     """
     loaded = read_toml_tables(path)
     version = _required_version(path, loaded.pop("schema_version", record_type.schema_version))
-    if any(field.is_required() and name not in loaded for name, field in record_type.model_fields.items()):
+    unknown = loaded.keys() - record_type.model_fields.keys()
+    lacks = any(field.is_required() and name not in loaded for name, field in record_type.model_fields.items())
+    if lacks or 2 * len(unknown) > len(loaded):
         version = min(version, record_type.schema_version)  # a file of another kind: what it lacks tells more
     try:
         read = record_type.model_validate(complete(migrate(path, record_type, version, loaded)))

@@ -12,6 +12,7 @@ from data_schemas import lazy_exports
 if TYPE_CHECKING:
     from finray_calib.cli._capture import add_capture
     from finray_calib.cli._compare import add_compare
+    from finray_calib.cli._completion import add_completion
     from finray_calib.cli._decide import add_decide
     from finray_calib.cli._demo import add_demo, add_doctor
     from finray_calib.cli._design import add_design
@@ -31,6 +32,7 @@ __all__ = [
     "add_capture",
     "add_check",
     "add_compare",
+    "add_completion",
     "add_decide",
     "add_demo",
     "add_design",

@@ -10,18 +10,15 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli._output import Progress, give, go_on_with, guide, progress_bar, say, wrote
 from finray_calib.cli._run import (
-    Progress,
     add_out,
     command_line,
     file_name,
     input_digests,
     interruptible,
     naming,
-    progress_bar,
     require_new_session,
-    say,
-    warn,
 )
 
 if TYPE_CHECKING:
@@ -31,22 +28,22 @@ if TYPE_CHECKING:
 
 CAPTURE_HELP = "capture a paint sample through filters, the frames that characterise a camera, or presses on a finger"
 CAPTURE_DESCRIPTION = """\
-Run a capture plan; its 'kind' says which. "paint": dark frames before and after, the white reference, the sample
+Run a capture plan; its 'kind' says which.
+
+"paint": dark frames before and after, the white reference, the sample
 under lamp and laser through every filter, and a room-light frame, at exposures at which nothing saturates.
+
 "camera": flat frames of the white tile from dark to beyond saturation and dark frames of the same exposures.
+
 "tactile": presses on a finger, each between images of no contact; its rig file describes a camera alone.
+
 Writes a folder with raw 16-bit TIFF frames, a journal, checksums and session.json. An interrupted session
 continues where it stopped with --resume."""
 
 
 def add_capture(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
-    parser = verbs.add_parser(
-        "capture",
-        help=CAPTURE_HELP,
-        description=CAPTURE_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = verbs.add_parser("capture", help=CAPTURE_HELP, description=CAPTURE_DESCRIPTION)
     parser.add_argument("plan", type=Path, nargs="?", metavar="PLAN", help="plan file (TOML): kind, name, region")
     parser.add_argument("--rig", type=Path, metavar="RIG", help="rig file (TOML): camera, wheel, lights")
     parser.add_argument(
@@ -106,6 +103,7 @@ def capture_tactile(arguments: argparse.Namespace) -> None:
     with naming(CaptureError, arguments.plan):
         shots = tactile_shots(plan, rig.camera, len(presses))
     if arguments.dry_run:
+        give(presses=len(presses), most_frames=len(shots))
         say(
             f"{len(presses)} presses, {plan.repeats} times each; {len(shots)} frames, "
             f"{1e-6 * session_bytes(rig, plan, len(presses), len(shots)):.0f} MB at most"
@@ -143,12 +141,13 @@ def resume_tactile(folder: Path) -> None:
 
 def _tell_operator(done: int, total: int, what: str) -> None:
     """Tell the progress in lines: a bar would hide what the operator is asked."""
-    warn(f"  {done}/{total} {what}")
+    guide(f"  {done}/{total} {what}")
 
 
 def _report_tactile(out: Path, session: "TactileSession") -> None:
     """Say what was stored."""
-    say(f"{out}: {len(session.frames)} frames of '{session.plan.name}', {len(session.captures)} tactile captures")
+    wrote(out, f"{len(session.frames)} frames of '{session.plan.name}', {len(session.captures)} tactile captures")
+    give(name=session.plan.name, frames=len(session.frames), captures=len(session.captures), notes=session.notes)
     for note in session.notes:
         say(f"  note: {note}")
 
@@ -171,12 +170,17 @@ def capture_paint(arguments: argparse.Namespace) -> None:
         with rig_locked(rig), open_rig(rig, arguments.rig.parent, nobody) as opened:
             require_ready(opened, steps)
         expected = forecast(plan, rig, steps)
+        give(
+            steps=expected.steps, most_frames=expected.most_frames, disk_bytes=expected.disk_bytes,
+            typical_s=expected.typical_s, longest_s=expected.longest_s,
+        )  # fmt: skip
         say(f"{expected.steps} steps, at most {expected.most_frames} frames, {1e-6 * expected.disk_bytes:.0f} MB")
         say(f"{expected.targets} times another target, {expected.moves} moves of the wheel")
         say(f"about {expected.typical_s / 60:.0f} min; {expected.longest_s / 60:.0f} min if every exposure is longest")
         for instruction in dict.fromkeys(nobody.instructions):
             say(f"not asked of anybody now: {instruction}")
         say("the rig is ready; nothing was moved, lit or stored")
+        go_on_with("finray capture", arguments.plan, "--rig", arguments.rig)
         return
     last_good = None if arguments.like is None else read_session(arguments.like)
     out = require_new_session(arguments.out or Path(f"{file_name(plan.paint_name)}-session"))
@@ -243,7 +247,9 @@ def resume(folder: Path, like: Path | None) -> None:
 
     if lacks_manifest(folder):
         complete_session(folder)
-        say(f"{folder}: was finished but for its checksums, which are written now; nothing else is left to resume")
+        done = "was finished but for its checksums, which are written now; nothing else is left to resume"
+        wrote(folder, done)
+        give(notes=[done])
         return
     tactile = is_tactile(folder)
     interrupted = None if tactile else read_interrupted(folder)
@@ -303,7 +309,7 @@ def _telling(rig: "RigFile") -> Iterator[Progress]:
             from rigs.light_guard import safety_lines
 
             for line in safety_lines(rig.laser):
-                warn(line)
+                guide(line)
         yield progress
 
 
@@ -315,15 +321,18 @@ def _bar_or_lines(rig: "RigFile") -> AbstractContextManager[Progress]:
 @contextmanager
 def _lines() -> Iterator[Progress]:
     """Tell the progress in lines."""
-    yield lambda done, total, what: warn(f"  {done}/{total} {what}")
+    yield lambda done, total, what: guide(f"  {done}/{total} {what}")
 
 
 def _report(out: Path, session: "CaptureSession | CameraSession", name: str) -> None:
     """Say what was stored."""
     from data_schemas import CaptureSession
 
-    say(f"{out}: {len(session.frames)} frames of '{name}'")
+    wrote(out, f"{len(session.frames)} frames of '{name}'")
+    give(name=name, frames=len(session.frames), notes=session.notes)
+    go_on_with("finray radiometry", out)
     if isinstance(session, CaptureSession) and session.filter_proof is not None:
+        give(filters_verdict=session.filter_proof.verdict)
         say(f"  filters: {session.filter_proof.verdict}: {session.filter_proof.text}")
     for note in session.notes:
         say(f"  note: {note}")

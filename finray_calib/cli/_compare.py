@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_schemas import CompareError, FinrayError, RecordError
+from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     add_seed,
@@ -18,11 +19,8 @@ from finray_calib.cli._run import (
     input_digests,
     naming,
     new_page_beside,
-    progress_bar,
     require_new,
     require_place,
-    say,
-    warn,
 )
 
 if TYPE_CHECKING:
@@ -57,9 +55,7 @@ With --force, the force of a press by finite elements is compared with a measure
 
 def add_compare(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
-    parser = verbs.add_parser(
-        "compare", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = verbs.add_parser("compare", help=HELP, description=DESCRIPTION)
     parser.add_argument(
         "simulated", type=Path, nargs="?", metavar="SIMULATED", help="record of a simulated press, or a folder of them"
     )
@@ -139,7 +135,11 @@ def _compare_one(arguments: argparse.Namespace) -> None:
     say(comparison_lines(report))
     for finding in report.findings:
         say(f"{finding}\n")
-    say(f"{out}: written\n{page}: written, to be read in a browser or printed")
+    wrote(out, "the comparison")
+    wrote(page, "its page, to be read in a browser or printed")
+    give(headline_skill=report.headline_skill, headline_region=report.headline_region, findings=report.findings)
+    go_on_with("finray decide SWEEP --photometric-error", out)
+    look_at(page)
 
 
 SUMMARY, TABLE = "summary.json", "summary.csv"
@@ -186,7 +186,9 @@ def compare_folders(arguments: argparse.Namespace) -> None:
         products.add(out / TABLE, _table(batch).encode())
         write_record(batch, out / SUMMARY, provenance(command_line(), inputs, arguments.seed), products)
     say(_told(batch))
-    say(f"{out}: {skills.size} of {len(pairs)} pairs compared; {SUMMARY}, {TABLE} and their reports written")
+    wrote(out, f"{skills.size} of {len(pairs)} pairs compared; holds {SUMMARY}, {TABLE} and their reports")
+    give(pairs=batch.pairs, compared=skills.size, mean_skill=batch.mean_skill, lowest=batch.worst)
+    look_at(out / TABLE)
     if not skills.size:
         raise CompareError(f"none of the {len(pairs)} pairs could be compared; {out / TABLE} says why")
 
@@ -403,7 +405,10 @@ def compare_force_verb(arguments: argparse.Namespace) -> None:
         products.add(picture, force_figure_png(comparison))
         write_record(comparison, out, provenance(command_line(), input_digests(read), arguments.seed), products)
     say(force_lines(comparison))
-    say(f"{out}: written\n{picture}: {'curve and points' if comparison.withheld else 'curve, band and points'}")
+    wrote(out, "the comparison")
+    wrote(picture, "curve and points" if comparison.withheld else "curve, band and points")
+    give(label=comparison.label, rows=comparison.rows, withheld=comparison.withheld)
+    look_at(picture)
 
 
 def refuse_force_options(arguments: argparse.Namespace) -> None:

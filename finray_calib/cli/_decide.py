@@ -4,6 +4,7 @@ import argparse
 import math
 from pathlib import Path
 
+from finray_calib.cli._output import give, look_at, say, wrote
 from finray_calib.cli._run import (
     add_out,
     add_seed,
@@ -12,7 +13,6 @@ from finray_calib.cli._run import (
     naming,
     new_page_beside,
     require_new,
-    say,
 )
 
 HELP = "decide on the light angle from sweeps at the places that are touched"
@@ -28,9 +28,7 @@ would help most."""
 
 def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
-    parser = verbs.add_parser(
-        "decide", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = verbs.add_parser("decide", help=HELP, description=DESCRIPTION)
     parser.add_argument(
         "sweeps", type=Path, nargs="+", metavar="SWEEP",
         help="record written by 'finray simulate sweep', one for each touch",
@@ -86,6 +84,11 @@ def run(arguments: argparse.Namespace) -> None:
     with ProductSet(out) as products:
         products.add(page, decision_page(decision, sweeps, command_line(), inputs).encode())
         write_record(decision, out, provenance(command_line(), inputs, arguments.seed), products)
-    say(f"{out}: {decision.verdict.upper()}")
+    wrote(out, decision.verdict.upper())
     say(f"  {decision.sentence}")
-    say(f"{page}: written, for whoever mounts the light")
+    wrote(page, "for whoever mounts the light")
+    give(
+        verdict=decision.verdict, angle_deg=decision.angle_deg, tolerance_deg=decision.tolerance_deg,
+        sentence=decision.sentence, validated=decision.validated, next_capture=decision.next_capture,
+    )  # fmt: skip
+    look_at(page)

@@ -6,7 +6,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from finray_calib.cli._run import add_out, add_seed, command_line, progress_bar, require_place, say
+from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
+from finray_calib.cli._run import (
+    add_out,
+    add_seed,
+    command_line,
+    require_place,
+)
 
 if TYPE_CHECKING:
     from finray_calib.demo import Finding
@@ -24,9 +30,7 @@ of which a stage failed, continues with the same command; finished stages are no
 
 def add_demo(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
-    parser = verbs.add_parser(
-        "demo", help=DEMO_HELP, description=DEMO_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = verbs.add_parser("demo", help=DEMO_HELP, description=DEMO_DESCRIPTION)
     parser.add_argument("--red", type=Path, metavar="FILE", help="re-radiation matrix (CSV) that lies on the red wall")
     parser.add_argument(
         "--green", type=Path, metavar="FILE", help="re-radiation matrix (CSV) that lies on the green wall"
@@ -54,7 +58,9 @@ def run_demo_verb(arguments: argparse.Namespace) -> None:
     say(f"{said['verdict'].upper()}: {said['sentence']}")
     say(f"renderer: {engine.note}")
     say(f"time: {said['seconds']:.0f} s")
-    say(f"report: {(out / 'report.html').resolve()}")
+    wrote(out.resolve(), "records of all six stages, summary.json and report.html")
+    give(verdict=said["verdict"], sentence=said["sentence"], time_s=said["seconds"], renderer=engine.note)
+    look_at((out / "report.html").resolve())
 
 
 def _require_usable_curves(materials: Iterable[Path], sensor: Path | None) -> None:
@@ -78,7 +84,7 @@ def _where_to_go_on(path: Path, settings: Mapping[str, Any]) -> Path:
     return last if can_go_on(last, settings) else free
 
 
-DOCTOR_HELP = "tell what this machine lacks, each with the command that mends it"
+DOCTOR_HELP = "list what this machine lacks, each with the command that mends it"
 DOCTOR_DESCRIPTION = """\
 Look at Python, processor, renderer, contact library, solver, compiler, memory, disk, caches and serial ports, each by
 using it in a process of its own, in at most 15 s. Every line is good; or a note: the demo runs without it, slower or
@@ -90,9 +96,7 @@ NAME_WIDTH, WIDTH = 14, 80
 
 def add_doctor(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
-    parser = verbs.add_parser(
-        "doctor", help=DOCTOR_HELP, description=DOCTOR_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = verbs.add_parser("doctor", help=DOCTOR_HELP, description=DOCTOR_DESCRIPTION)
     parser.set_defaults(run=run_doctor)
 
 
@@ -102,12 +106,15 @@ def run_doctor(arguments: argparse.Namespace) -> int:
     from finray_calib.demo import check_machine
 
     say(f"finray {package_version()} on this machine:\n")
-    bad = 0
+    findings = []
     for finding in check_machine():
+        findings.append({name: getattr(finding, name) for name in ("name", "state", "found", "mend")})
         say(line_of(finding))
-        bad += finding.state == "bad"
+    bad = any(finding["state"] == "bad" for finding in findings)
+    give(demo_can_run=not bad, findings=findings)
     if not bad:
-        say("\nThis machine can run the demo: finray demo")
+        say("\nThis machine can run the demo.")
+        go_on_with("finray demo")
         return 0
     say("\nThis machine cannot run the demo before what is marked 'bad' is mended.")
     return 1

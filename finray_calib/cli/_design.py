@@ -4,7 +4,13 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._run import file_name, naming, open_engine, require_new, say
+from finray_calib.cli._output import give, go_on_with, look_at, say, wrote
+from finray_calib.cli._run import (
+    file_name,
+    naming,
+    open_engine,
+    require_new,
+)
 
 if TYPE_CHECKING:
     from sim.optics import CameraView
@@ -64,12 +70,7 @@ def _add_init(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
 
 
 def _add_show(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    show = actions.add_parser(
-        "show",
-        help="drawing, the camera's view of the pad",
-        description=SHOW_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    show = actions.add_parser("show", help="drawing, the camera's view of the pad", description=SHOW_DESCRIPTION)
     show.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML), or the name of a preset")
     show.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
     show.add_argument(
@@ -83,7 +84,6 @@ def _add_export(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         "export",
         help="files to print skeleton, base plate, backing and the pad's mould (STL, STEP)",
         description=EXPORT_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     export.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML)")
     export.add_argument("--out", type=Path, metavar="FOLDER", help="default: NAME.print; must be new")
@@ -102,9 +102,11 @@ def run_list(arguments: argparse.Namespace) -> None:
     """Tell the ready-made fingers."""
     from sim import PRESETS
 
+    give(designs={name: what for name, (what, _) in PRESETS.items()})
     width = max(len(name) for name in PRESETS)
     for name, (what, _) in PRESETS.items():
         say(f"{name:{width}}  {what}")
+    go_on_with("finray design init NAME")
 
 
 def run_init(arguments: argparse.Namespace) -> None:
@@ -115,7 +117,9 @@ def run_init(arguments: argparse.Namespace) -> None:
     design = preset_design(arguments.preset)
     out = require_new(arguments.out or Path(f"{design.name}.toml"))
     write_bytes(out, design_toml(design).encode())
-    say(f"{out}: edit it, then 'finray design show {out}'")
+    wrote(out, "design of the finger, to be edited")
+    give(name=design.name)
+    go_on_with("finray design show", out)
 
 
 def run_show(arguments: argparse.Namespace) -> None:
@@ -133,9 +137,14 @@ def run_show(arguments: argparse.Namespace) -> None:
         finger_outline(design, arguments.design.parent)  # parts that do not fit are told before anything is shown
         view = camera_view(design, arguments.design.parent, open_engine(arguments.engine))
     say(str(view))
-    if out is not None:
-        write_bytes(out, _drawing(view, arguments.design.parent, out.suffix.lower()))
-        say(f"{out}: written")
+    scale_mm, scale_u_rel = view.mm_per_px
+    give(name=design.name, mm_per_px=scale_mm, mm_per_px_u_rel=scale_u_rel, seen_mm=list(view.seen_mm))
+    if out is None:
+        go_on_with("finray design show", arguments.design, "--out", Path(f"{design.name}.html"))
+        return
+    write_bytes(out, _drawing(view, arguments.design.parent, out.suffix.lower()))
+    wrote(out, "drawing of the finger")
+    look_at(out)
 
 
 def _drawing_path(path: Path) -> Path:
@@ -175,7 +184,10 @@ def run_export(arguments: argparse.Namespace) -> None:
         for part in parts:
             for suffix, content in part.files.items():
                 products.add(folder / f"{part.name}.{suffix}", content)
+    wrote(folder, f"{len(parts)} parts to print")
+    give(parts={part.name: list(part.size_mm) for part in parts})
+    look_at(folder)
     for part in parts:
         x, y, z = part.size_mm
         names = " and ".join(f"{part.name}.{suffix}" for suffix in part.files)
-        say(f"{folder}: {names}: {x:.1f} x {y:.1f} x {z:.1f} mm (x, y, z)" + (f"; {part.note}" if part.note else ""))
+        say(f"  {names}: {x:.1f} x {y:.1f} x {z:.1f} mm (x, y, z)" + (f"; {part.note}" if part.note else ""))

@@ -8,9 +8,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli._output import Progress, give, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
     DEFAULT_INCREMENTS,
-    Progress,
     add_out,
     add_paint,
     add_seed,
@@ -21,9 +21,7 @@ from finray_calib.cli._run import (
     naming,
     open_engine,
     paint_files,
-    progress_bar,
     require_new,
-    say,
 )
 
 if TYPE_CHECKING:
@@ -73,7 +71,8 @@ def run_deck(arguments: argparse.Namespace) -> None:
     with naming(SimulateError, path):
         lines = finger_deck(design, arguments.dialect, arguments.preset, increments, command_line())
     write_bytes(out, "".join(f"{line}\n" for line in lines).encode("ascii", "replace"))
-    say(f"{out}: {design.name}, {arguments.preset or design.mesh.preset} mesh, for {arguments.dialect}")
+    wrote(out, f"{design.name}, {arguments.preset or design.mesh.preset} mesh, for {arguments.dialect}")
+    give(kind="deck", format=arguments.dialect)
 
 
 def _one_design(arguments: argparse.Namespace) -> Path:
@@ -173,7 +172,8 @@ def run_taxim(arguments: argparse.Namespace) -> None:
         for name, content in files.items():
             products.add(out / name, content)
     median, least, most = table.explained_median_range()
-    say(f"{out}: Taxim calibration folder of {table.presses} presses, {presses.mm_per_px:.4g} mm per px")
+    wrote(out, f"Taxim calibration folder of {table.presses} presses, {presses.mm_per_px:.4g} mm per px")
+    give(kind="taxim", format="taxim", presses=table.presses, mm_per_px=presses.mm_per_px, explained_rel=median)
     say(f"  {presses.label}")
     say(f"  explains {median:.3f} [{least:.3f}, {most:.3f}] of the contact's change on presses it has not seen")
     say(f"  slopes up to {table.steepest_deg:.0f} deg; shadows beside a contact are not exported")
@@ -261,15 +261,19 @@ def run_capture_request(arguments: argparse.Namespace) -> None:
         for plan, text in plans.items():
             products.add(plan, text.encode())
         products.add(out, request.page.encode())
-    say(f"{out}: what to capture of {design.name}")
+    wrote(out, f"what to capture of {design.name}")
     for plan in plans:
-        say(f"{plan}: plan for 'finray capture'")
+        wrote(plan, "plan for 'finray capture'")
+    give(kind="capture-request", format="markdown")
+    look_at(out)
 
 
 HELP = "write a paint, a press or a sensor for other programs (CSV, netCDF, Mitsuba, CalculiX, Taxim), or a request"
 USAGE = """finray export [-h] PAINT --format FORMAT [options]
-       finray export [-h] deck DESIGN --dialect {abaqus,calculix} [--preset NAME] [--increments N] [--out FILE.inp]
-       finray export [-h] taxim SENSOR [--paint COLOUR=FILE] [--presses N] [--ball-diameter-mm D] [--samples N]
+       finray export [-h] deck DESIGN --dialect {abaqus,calculix}
+                     [--preset NAME] [--increments N] [--out FILE.inp]
+       finray export [-h] taxim SENSOR [--paint COLOUR=FILE] [--presses N]
+                     [--ball-diameter-mm D] [--samples N]
        finray export [-h] capture-request DESIGN [--out FILE.md]"""
 DESCRIPTION = """\
 Write a paint fitted by 'finray fit' in the format of another program, or the press of a finger design (TOML) as an
@@ -293,6 +297,7 @@ of one, 'finray simulate press DESIGN --engine calculix' reads back.
 Taxim: ball presses all over a classic sensor (TOML), or with --paint a finger, are rendered, and the folder written
 from which Taxim's programs render. It holds slope and place only: the command reports how well it explains
 unseen presses.
+
 A capture request tells a lab which captures of a finger to take: a page, and plans for 'finray capture'."""
 # Named here as well because the parser is built before anything heavy is imported; a test compares the two lists.
 SUFFIXES = {
@@ -311,9 +316,7 @@ OTHERS = {"deck": run_deck, "taxim": run_taxim, "capture-request": run_capture_r
 
 def add_export(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
-    parser = verbs.add_parser(
-        "export", help=HELP, usage=USAGE, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = verbs.add_parser("export", help=HELP, usage=USAGE, description=DESCRIPTION)
     parser.add_argument(
         "paint",
         type=Path,
@@ -370,7 +373,8 @@ def run_export(arguments: argparse.Namespace) -> None:
     )
     origin = provenance(command_line(), input_digests([file, *curves]), arguments.seed)
     write_bytes(out, PAINT_FORMATS[arguments.format](paint, origin, options))
-    say(f"{out}: paint '{paint.paint_name}' as {arguments.format}")
+    wrote(out, f"paint '{paint.paint_name}' as {arguments.format}")
+    give(kind="paint", format=arguments.format)
 
 
 def _one_paint(arguments: argparse.Namespace) -> Path:

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_out,
     add_seed,
@@ -11,9 +12,7 @@ from finray_calib.cli._run import (
     file_name,
     input_digests,
     naming,
-    progress_bar,
     require_new,
-    say,
 )
 
 if TYPE_CHECKING:
@@ -33,9 +32,7 @@ FAMILY_NAMES = ("auto", "log_normal_wavenumber", "zheng2014", "skew_t", "gaussia
 
 def add_fit(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
-    parser = verbs.add_parser(
-        "fit", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = verbs.add_parser("fit", help=HELP, description=DESCRIPTION)
     parser.add_argument(
         "bands",
         type=Path,
@@ -46,7 +43,9 @@ def add_fit(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
         "--family",
         choices=FAMILY_NAMES,
         default="auto",
-        help="report this family of curves (default: the prior learned from measured spectra)",
+        metavar="FAMILY",
+        help=f"report this family of curves: {', '.join(FAMILY_NAMES[1:])} (default: the prior learned from measured "
+        "spectra)",
     )
     parser.add_argument("--no-discrepancy", action="store_true", help="take the paint to be exactly of the family")
     parser.add_argument("--check", action="store_true", help="sample again with emcee, as an independent check")
@@ -105,13 +104,15 @@ def run(arguments: argparse.Namespace) -> None:
             products.add(arguments.report, _page(paint, bands, input_digests(files)).encode())
         write_record(paint, out, provenance(command_line(), input_digests(files), arguments.seed), products)
     if isinstance(paint, PaintWithoutEmission):
-        say(f"{out}: NO EMISSION of '{paint.paint_name}', no spectrum")
+        wrote(out, f"NO EMISSION of '{paint.paint_name}', no spectrum")
+        give(paint_name=paint.paint_name, emission_found=False, energy_yield_limit=paint.detection.yield_limit)
         say(f"  {paint.detection.statement}")
         say("  is this the fluorescent sample, and was the laser on? --report PAGE shows it beside a blank")
     else:
         _say_result(paint, out)
     if arguments.report is not None:
-        say(f"{arguments.report}: open it in a browser")
+        wrote(arguments.report, "the fit explained; open it in a browser")
+        look_at(arguments.report)
 
 
 def _page(paint: "PaintCalibration | PaintWithoutEmission", bands: "BandSignals", digests: "dict[str, str]") -> str:
@@ -162,7 +163,9 @@ def _say_result(paint: "PaintCalibration", out: Path) -> None:
     """Tell the numbers and how far they can be trusted."""
     from finray_calib.reports import pareto_text
 
-    say(f"{out}: emission of '{paint.paint_name}' ({paint.spectrum_from or paint.family_title})")
+    wrote(out, f"emission of '{paint.paint_name}' ({paint.spectrum_from or paint.family_title})")
+    _give_result(paint)
+    go_on_with("finray export", out, "--format csv")
     for name, label, unit in (
         ("mode_nm", "mode", " nm"),
         ("fwhm_nm", "FWHM", " nm"),
@@ -190,6 +193,21 @@ def _say_result(paint: "PaintCalibration", out: Path) -> None:
     say(f"  draws: {paint.diagnostics.method}, {trust} (Pareto k {pareto_text(paint.diagnostics.pareto_k)})")
     for warning in paint.warnings:
         say(f"  warning: {warning}")
+
+
+def _give_result(paint: "PaintCalibration") -> None:
+    """Give the numbers to a program."""
+    names = ("mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser")
+    give(
+        paint_name=paint.paint_name,
+        emission_found=True,
+        **{name: paint.parameters[name] for name in names},
+        stokes_shift_nm=paint.reradiation.stokes_shift_nm,
+        prior_shares={name: value.share for name, value in paint.prior_shares.items()},
+        family=paint.family,
+        draws_trusted=paint.diagnostics.trusted,
+        warnings=paint.warnings,
+    )
 
 
 def run_map(arguments: argparse.Namespace) -> None:
@@ -226,7 +244,13 @@ def run_map(arguments: argparse.Namespace) -> None:
     with ProductSet(out) as products:
         products.add(picture, drawn)
         write_record(fitted, out, provenance(command_line(), digests), products)
-    say(f"{out}: '{fitted.paint_name}' in {fitted.fitted_pixels} pixels ({fitted.family}); figure {picture}")
+    wrote(out, f"'{fitted.paint_name}' in {fitted.fitted_pixels} pixels ({fitted.family})")
+    wrote(picture, "figure of the map")
+    look_at(picture)
+    give(
+        paint_name=fitted.paint_name, fitted_pixels=fitted.fitted_pixels, unusable_pixels=fitted.unusable_pixels,
+        unconverged_pixels=fitted.unconverged_pixels, uniformity=fitted.uniformity,
+    )  # fmt: skip
     _report_map(fitted)
 
 

@@ -10,7 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from finray_calib.cli._import_captures import add_captures_format
-from finray_calib.cli._run import add_out, command_line, file_name, input_digests, naming, require_new, say
+from finray_calib.cli._output import give, go_on_with, say, wrote
+from finray_calib.cli._run import (
+    add_out,
+    command_line,
+    file_name,
+    input_digests,
+    naming,
+    require_new,
+)
 
 if TYPE_CHECKING:
     from data_schemas import SimulatedPress, TactileCapture
@@ -56,9 +64,7 @@ def _add_format(
     formats: "argparse._SubParsersAction[argparse.ArgumentParser]", name: str, help_line: str, description: str
 ) -> argparse.ArgumentParser:
     """Register a format of tactile captures."""
-    parser = formats.add_parser(
-        name, help=help_line, description=description, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = formats.add_parser(name, help=help_line, description=description)
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of one sensor or one press")
     add_out(parser, CAPTURE_OUT if name == "9dtact" else "FOLDER.capture.json")
     parser.set_defaults(run=run_import, predict_from=None, tuning=None)
@@ -90,10 +96,12 @@ def run_import(arguments: argparse.Namespace) -> None:
             write_record(press, press_out, origin, products)
         write_record(capture, out, origin, products)
     rows, columns = capture.contact.shape[:2]
-    say(f"{out}: {capture.name}, {columns} x {rows} px, encoding {capture.encoding}")
+    wrote(out, f"{capture.name}, {columns} x {rows} px, encoding {capture.encoding}")
     say(f"  {capture.source}")
+    give(captures=1, width_px=columns, height_px=rows, encoding=capture.encoding, source=capture.source)
     if press is not None:
-        say(f"{press_out}: {press.name} ({press.label})")
+        wrote(press_out, f"{press.name} ({press.label})")
+    go_on_with("finray compare", "PRESS" if press is None else press_out, out)
 
 
 def _nine_dtact(arguments: argparse.Namespace) -> "tuple[TactileCapture, SimulatedPress | None]":
@@ -130,9 +138,7 @@ docs/how-to/import-band-images.md."""
 
 def add_bands_format(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
-    parser = verbs.add_parser(
-        "bands", help=BANDS_HELP, description=BANDS_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = verbs.add_parser("bands", help=BANDS_HELP, description=BANDS_DESCRIPTION)
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="holds bands.toml and the images")
     add_out(parser, "PAINT.bands.json")
     parser.set_defaults(run=run_bands)
@@ -157,7 +163,10 @@ def import_bands(folder: Path, out: Path | None) -> None:
     inputs = {(folder / name).as_posix(): digest for name, digest in digests.items()}
     write_record(bands, out, provenance(command_line(), inputs))
     usable = int(bands.usable().sum())
-    say(f"{out}: {len(bands.flags)} filters, {usable} usable values over {bands.region_pixels} px")
+    wrote(out, f"{len(bands.flags)} filters, {usable} usable values over {bands.region_pixels} px")
+    give(paint_name=bands.paint_name, filters=len(bands.flags), usable_values=usable, region_px=bands.region_pixels,
+         notes=bands.notes)  # fmt: skip
+    go_on_with("finray fit", out)
     for note in bands.notes:
         say(f"  note: {note}")
 
@@ -170,7 +179,6 @@ BALL_PRESSES = """\
 Import a folder of ball presses as tactile captures. It holds background.png (no contact) and either the
 catalog.csv of gs_sdk (a folder per press with gelsight.png and label.npz) or plain images with circles.csv
 (image,column_px,row_px,radius_px). Presses without a labelled circle are left out, and told."""
-NEXT = "finray sense teach"
 
 
 def add_ball_press_formats(formats: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -179,9 +187,7 @@ def add_ball_press_formats(formats: "argparse._SubParsersAction[argparse.Argumen
         ("taxim", "ball presses of a Taxim calibration folder", TAXIM, run_taxim),
         ("ball-presses", "background, ball presses and labelled circles (gs_sdk)", BALL_PRESSES, run_ball_presses),
     ):
-        parser = formats.add_parser(
-            name, help=help_line, description=description, formatter_class=argparse.RawDescriptionHelpFormatter
-        )
+        parser = formats.add_parser(name, help=help_line, description=description)
         parser.add_argument("folder", type=Path, metavar="FOLDER", help="the calibration folder")
         taxim = name == "taxim"
         ball = "default: 4, as of Taxim's own folders" if taxim else "needed unless the catalog gives it"
@@ -236,12 +242,16 @@ def _store(captures: "Sequence[TactileCapture]", files: list[Path], out: Path) -
         for number, capture in enumerate(captures, start=1):
             write_record(capture, out / f"press-{number:03d}.capture.json", origin, products)
     rows, columns = captures[0].contact.shape[:2]
-    say(f"{out}: {len(captures)} captures, {columns} x {rows} px, encoding {captures[0].encoding}")
-    say(f"  {captures[0].source}; a normal map of them: {NEXT} {out}/*.capture.json")
+    encoding, source = captures[0].encoding, captures[0].source
+    wrote(out, f"{len(captures)} captures, {columns} x {rows} px, encoding {encoding}")
+    say(f"  {source}")
+    give(captures=len(captures), width_px=columns, height_px=rows, encoding=encoding, source=source)
+    go_on_with("finray sense teach", out)
 
 
 def _tell_left_out(lines: Sequence[str]) -> None:
     """Say what of the folder was left out."""
+    give(left_out=list(lines))
     for line in lines:
         say(f"  left out: {line}")
 
@@ -256,15 +266,12 @@ contact is where the circle of the capture is, so that both sides are scored ove
 def add_render_format(formats: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the format."""
     parser = formats.add_parser(
-        "render",
-        help="images that any simulator rendered, as the simulated side of a comparison",
-        description=RENDER,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "render", help="images that any simulator rendered, as the simulated side of a comparison", description=RENDER
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="of one press, or of a folder for each press")
     parser.add_argument(
         "--capture", type=Path, metavar="FILE",
-        help="capture of the press, or a folder of NAME.capture.json: their circles or outlines tell the contact",
+        help="capture of the press, or a folder of NAME.capture.json: its circle or outline shows the contact",
     )  # fmt: skip
     add_out(parser, "FOLDER.press.json; of several presses FOLDER.presses, a folder with NAME.press.json")
     parser.set_defaults(run=run_render)
@@ -289,7 +296,9 @@ def run_render(arguments: argparse.Namespace) -> None:
     first = next(iter(presses.values()))
     rows, columns = first.contact.shape[:2]
     light = "linear light" if first.encoding == "linear" else "encoded values"
-    say(f"{out}: {len(presses)} press{'es' if len(presses) > 1 else ''}, {columns} x {rows} px, {light}; {first.label}")
+    wrote(out, f"{len(presses)} press{'es' if len(presses) > 1 else ''}, {columns} x {rows} px, {light}; {first.label}")
+    give(presses=len(presses), width_px=columns, height_px=rows, encoding=first.encoding, label=first.label)
+    go_on_with("finray compare", out, "CAPTURE")
     say(f"  {first.notes[0]}")
 
 
@@ -322,9 +331,7 @@ PRESETS = ("coarse", "medium", "fine")
 
 def add_abaqus_format(formats: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the format."""
-    parser = formats.add_parser(
-        "abaqus", help=ABAQUS_HELP, description=ABAQUS_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = formats.add_parser("abaqus", help=ABAQUS_HELP, description=ABAQUS_DESCRIPTION)
     parser.add_argument("results", type=Path, metavar="FILE.fil", help="results file in ASCII")
     parser.add_argument("--design", type=Path, required=True, metavar="DESIGN", help="the deck's design (TOML)")
     parser.add_argument("--preset", choices=PRESETS, help="the deck's mesh (default: the design's)")
@@ -352,9 +359,12 @@ def run_abaqus(arguments: argparse.Namespace) -> None:
     with ProductSet(out) as products:
         write_record(mechanics, forces_out, origin, products)
         write_record(surfaces, out, origin, products)
-    say(f"{forces_out}: {mechanics.label}")
+    wrote(forces_out, mechanics.label)
+    give(label=mechanics.label, depth_mm=mechanics.depth_mm, force_n=mechanics.force_n[:, 1],
+         unreached=mechanics.unreached)  # fmt: skip
     for depth, force in zip(mechanics.depth_mm, mechanics.force_n, strict=True):
         say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
     if mechanics.unreached:
         say(f"  the push ended early: {mechanics.unreached}")
-    say(f"{out}: for 'finray simulate render {out}'")
+    wrote(out, "the pressed finger, to be rendered")
+    go_on_with("finray simulate render", out, "--paint red=FILE --paint green=FILE")

@@ -4,7 +4,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._run import add_out, command_line, file_name, input_digests, progress_bar, require_new, say, warn
+from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._run import (
+    add_out,
+    command_line,
+    file_name,
+    input_digests,
+    require_new,
+)
 
 if TYPE_CHECKING:
     from data_schemas import ContactCircle, SimulatedPress, TactileCapture
@@ -13,7 +20,7 @@ if TYPE_CHECKING:
 DESCRIPTION = """\
 Import a folder of presses of another lab as tactile captures. A recipe, a short TOML file, says which files
 are the presses, where the image without contact is, which columns hold the contact, the scale and the ball:
-one that comes with finray, by its name (--list tells them), or a file of your own. Videos give contact, no
+one that comes with finray, by its name (--list shows them), or a file of your own. Videos give contact, no
 contact and its repeat; contact circles that nobody drew are searched for. OUT gets a capture of each press,
 a picture of all contacts to check (contacts.png), and circles.csv: correct it and give it with --circles.
 
@@ -27,14 +34,11 @@ CONTACTS, CIRCLES = "contacts.png", "circles.csv"
 def add_captures_format(formats: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the format."""
     parser = formats.add_parser(
-        "captures",
-        help="a folder of presses of any lab, read by a recipe",
-        description=DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "captures", help="a folder of presses of any lab, read by a recipe", description=DESCRIPTION
     )
     parser.add_argument("folder", type=Path, nargs="?", metavar="FOLDER", help="of the set")
     parser.add_argument("--recipe", metavar="NAME|FILE", help="how the folder is read; needed")
-    parser.add_argument("--list", action="store_true", help="tell the recipes that come with finray, and stop")
+    parser.add_argument("--list", action="store_true", help="list the recipes that come with finray, and stop")
     parser.add_argument(
         "--circles", type=Path, metavar="CSV",
         help="contact circles in the place of what the recipe says: image (name of the press), column_px, row_px, "
@@ -57,6 +61,7 @@ def run_captures(arguments: argparse.Namespace) -> None:
     from finray_calib.reports import circles_csv, contacts_png
 
     if arguments.list:
+        give(recipes=list(recipe_names()))
         say(_recipes(recipe_names()))
         return
     folder: Path | None = arguments.folder
@@ -122,7 +127,10 @@ def _tell(
     """Say what was imported and what it lacks."""
     first = next(iter(captures.values()))
     rows, columns = first.contact.shape[:2]
-    say(f"{out}: {len(captures)} captures, {columns} x {rows} px, encoding {first.encoding}")
+    wrote(out, f"{len(captures)} captures, {columns} x {rows} px, encoding {first.encoding}")
+    give(captures=len(captures), width_px=columns, height_px=rows, encoding=first.encoding, source=first.source,
+         licence=first.licence, left_out=left_out, predicted=len(presses))  # fmt: skip
+    look_at(out / CONTACTS)
     say(f"  {first.source}")
     say(f"  licence: {first.licence or 'not stated by the recipe'}")
     for part in first.missing:
@@ -131,8 +139,8 @@ def _tell(
         say(f"  left out: {', '.join(names)}: {why}")
     if presses:
         taught = len(captures) - len(presses)
-        say(f"  {len(presses)} presses are predicted by a table that {taught} others taught; score them:")
-        say(f"  finray compare {out} {out}")
+        say(f"  {len(presses)} presses are predicted by a table that {taught} others taught")
+        go_on_with("finray compare", out, out)
     if first.contact_told_by == "search":
         correct = "" if first.contact_circle is None else f", correct {out / CIRCLES}, and import with --circles"
         warn(f"the contacts were searched for: look at {out / CONTACTS}{correct}")

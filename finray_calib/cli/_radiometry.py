@@ -4,15 +4,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli._output import give, go_on_with, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,
     file_name,
     input_digests,
     naming,
-    progress_bar,
     require_new,
-    say,
 )
 
 if TYPE_CHECKING:
@@ -28,9 +27,7 @@ lamp), each with its full covariance and quality flags. A camera session becomes
 
 def add_radiometry(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
-    parser = verbs.add_parser(
-        "radiometry", help=HELP, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = verbs.add_parser("radiometry", help=HELP, description=DESCRIPTION)
     parser.add_argument("session", type=Path, metavar="SESSION", help="folder written by 'finray capture'")
     add_out(parser, "PAINT.bands.json, CAMERA.camera.json")
     parser.add_argument(
@@ -110,12 +107,16 @@ def reduce_paint(
         write_record(bands, out, origin, products)
     _report(bands, out)
     if map_out is not None:
-        say(f"{map_out}: {int(mapped.usable.sum())} usable of {mapped.usable.size} pixels")
+        wrote(map_out, f"{int(mapped.usable.sum())} usable of {mapped.usable.size} pixels")
+        give(usable_pixels=int(mapped.usable.sum()), pixels=mapped.usable.size)
 
 
 def _report(bands: "BandSignals", out: Path) -> None:
     """Say what was written and what is wrong with it."""
-    say(f"{out}: {len(bands.flags)} filters x 3 channels over {bands.region_pixels} px")
+    wrote(out, f"{len(bands.flags)} filters x 3 channels over {bands.region_pixels} px")
+    flags = {band.name: list(row) for band, row in zip(bands.optics.filters, bands.flags, strict=True)}
+    give(paint_name=bands.paint_name, region_px=bands.region_pixels, flags=flags, notes=bands.notes)
+    go_on_with("finray fit", out)
     for band, row in zip(bands.optics.filters, bands.flags, strict=True):
         bad = [f"{name} {flag}" for name, flag in zip(("red", "green", "blue"), row, strict=True) if flag != "ok"]
         if bad:
@@ -149,7 +150,9 @@ def characterise(folder: Path, out: Path | None) -> None:
 
 def _report_camera(camera: "CameraCharacterisation", out: Path) -> None:
     """Say the main numbers of every channel."""
-    say(f"{out}: camera '{camera.camera_name}'")
+    wrote(out, f"camera '{camera.camera_name}'")
+    give(camera_name=camera.camera_name, channels=camera.channels, warnings=camera.warnings, notes=camera.notes)
+    go_on_with("finray radiometry SESSION --camera", out)
     for channel in camera.channels:
         gain, read, full = channel.gain_e_per_dn, channel.read_noise_e, channel.full_well_e
         noise = f"{read.estimate:.3g} +- {read.sd:.2g} e" if read.resolved else f"below {read.high95:.3g} e"

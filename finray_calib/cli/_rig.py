@@ -7,18 +7,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli._output import Progress, give, go_on_with, guide, look_at, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
-    Progress,
     add_out,
     command_line,
     file_name,
     input_digests,
     interruptible,
     naming,
-    progress_bar,
     require_new,
-    say,
-    warn,
 )
 
 if TYPE_CHECKING:
@@ -30,8 +27,10 @@ RIG_HELP = "write a rig file, find devices, and show what the devices of a rig r
 INIT_HELP = "write a commented rig file to start from"
 INIT_DESCRIPTION = """\
 Write a rig file with a comment on every value, made after a preset.
+
 "paper": the paper's set-up. On a terminal the devices that are found are offered; otherwise the preset's own are
 written, and what to fill in is said.
+
 "simulated", "simulated-green": a rig to practise on without any device, with a red or a green paint under its lens:
 the commands of the how-to pages run on it, and its file says what the paint truly is."""
 DETECT_HELP = "list the cameras, filter wheels and lights that can be found"
@@ -52,9 +51,7 @@ def add_rig(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
     """Register the verb and what it can do."""
     parser = verbs.add_parser("rig", help=RIG_HELP, description=RIG_HELP)
     actions = parser.add_subparsers(dest="action", metavar="ACTION", title="actions", required=True)
-    init = actions.add_parser(
-        "init", help=INIT_HELP, description=INIT_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    init = actions.add_parser("init", help=INIT_HELP, description=INIT_DESCRIPTION)
     init.add_argument("--preset", choices=("paper", *PRACTICE_PAINTS), default="paper", help="default: paper")
     add_out(init, "rig.toml")
     init.set_defaults(run=run_init)
@@ -71,16 +68,18 @@ def run_init(arguments: argparse.Namespace) -> None:
 
     out = require_new(arguments.out or Path("rig.toml"))
     if (paint := PRACTICE_PAINTS.get(arguments.preset)) is not None:
-        say(f"rig file: {write_rig(simulated_rig(paint), out)}")
+        wrote(write_rig(simulated_rig(paint), out), "rig file")
         say(f"  a rig to practise on: camera, wheel, lights and a {paint} paint are simulated; what the paint truly is")
         say("  stands in [simulated.paint]")
-        say(f"then: finray rig show {out}")
+        give(rig=str(out), to_fill_in=[])
+        go_on_with("finray rig show", out)
         return
     chosen = chosen_devices()
-    say(f"rig file: {write_rig(paper_rig(chosen), out)}")
+    wrote(write_rig(paper_rig(chosen), out), "rig file")
+    give(rig=str(out), to_fill_in=list(to_fill_in(chosen)))
     for text in to_fill_in(chosen):
         say(f"  fill in or compare: {text}")
-    say(f"then: finray rig show {out}")
+    go_on_with("finray rig show", out)
 
 
 def run_detect(arguments: argparse.Namespace) -> None:
@@ -90,6 +89,10 @@ def run_detect(arguments: argparse.Namespace) -> None:
     detection = detect()
     rows = [("device", "driver", "address", "what it is")]
     rows += [(d.kind, d.driver, d.address, d.what) for d in detection.devices]
+    give(
+        devices=[{"kind": d.kind, "driver": d.driver, "address": d.address, "what": d.what} for d in detection.devices],
+        not_searched=list(detection.not_searched),
+    )
     widths = [max(len(row[column]) for row in rows) for column in range(3)]
     for row in rows if detection.devices else ():
         say("  ".join([*(f"{row[column]:{widths[column]}}" for column in range(3)), row[3]]))
@@ -115,8 +118,11 @@ def run_show(arguments: argparse.Namespace) -> None:
         tactile = read_toml(arguments.rig, TactileRig)
         name, parts = tactile.name, look_at_tactile(tactile, arguments.rig.parent)
     say(name)
+    given = []
     failed = []
     for part in parts:
+        error = None if part.error is None else str(part.error)
+        given.append({"title": part.title, "lines": part.lines, "warnings": part.warnings, "error": error})
         say(f"\n{part.title}")
         for line in part.lines:
             say(f"  {line}")
@@ -125,6 +131,7 @@ def run_show(arguments: argparse.Namespace) -> None:
         if part.error is not None:
             say(f"  ERROR: {part.error}")
             failed.append(part.title)
+    give(rig_name=name, parts=given)
     if failed:
         raise CaptureError(f"{arguments.rig}: errors above at {'; '.join(failed)}; correct them and show the rig again")
 
@@ -147,7 +154,7 @@ def chosen_devices() -> "dict[Role, FoundDevice]":
         return {}
     from rigs import detect
 
-    warn("looking for devices ...")
+    guide("looking for devices ...")
     detection = detect()
     for note in detection.notes:
         warn(f"note: {note}")
@@ -187,7 +194,9 @@ CHECK_RUN_DESCRIPTION = """\
 Try every device of a rig: handshakes, moves of the wheel, filters in their slots, dark level, exposure ratios, and how
 long the laser stays on after a mishap. Every check has a value, its standard uncertainty, a limit and a verdict: PASS,
 FAIL, UNDECIDED, or ERROR when a device broke it off.
+
 Writes a folder with check.json, junit.xml and report.html. The white tile must be in view, the box closed.
+
 Exit status: 0 when nothing failed (also with undecided checks, which are named), 1 after FAIL or ERROR, 2 after a
 mistake in plan, rig file or arguments."""
 NOT_ACCEPTED = 1
@@ -198,12 +207,7 @@ def add_check(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     acts = verbs.add_parser("check", help=CHECK_HELP, description=CHECK_HELP).add_subparsers(
         dest="act", metavar="ACT", title="acts", required=True
     )
-    parser = acts.add_parser(
-        "run",
-        help=CHECK_RUN_HELP,
-        description=CHECK_RUN_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = acts.add_parser("run", help=CHECK_RUN_HELP, description=CHECK_RUN_DESCRIPTION)
     parser.add_argument(
         "plan", type=Path, metavar="PLAN", help='plan file (TOML): kind = "check", name, region, limits'
     )
@@ -237,7 +241,9 @@ def run_check(arguments: argparse.Namespace) -> int:
         say(result_line(result))
     for note in report.notes:
         say(f"note: {note}")
-    say(f"{out}: {report.verdict}; see report.html, junit.xml, check.json")
+    give(verdict=report.verdict, results=report.results, notes=report.notes)
+    wrote(out, f"{report.verdict}; holds report.html, junit.xml and check.json")
+    look_at(out / "report.html")
     return NOT_ACCEPTED if report.verdict in ("FAIL", "ERROR") else 0
 
 
@@ -251,5 +257,5 @@ def _telling(rig: "RigFile") -> Iterator[Progress]:
     from rigs.light_guard import safety_lines
 
     for line in safety_lines(rig.laser):
-        warn(line)
-    yield lambda done, total, what: warn(f"  {done + 1}/{total} {what}")
+        guide(line)
+    yield lambda done, total, what: guide(f"  {done + 1}/{total} {what}")

@@ -1,8 +1,8 @@
-"""What every verb needs to run: shared options, files it may write, progress, interruption and a process of its own.
+"""What every verb needs to run: shared options, files it may write, interruption and a process of its own.
 
-A verb names its inputs by their SHA-256, never overwrites a file, and shows its progress as a bar or in lines. Ctrl-C,
-SIGTERM and a closed terminal end a capture cleanly, with a word on how to go on. A long verb runs in a process of its
-own: whatever kills that process, the user gets a sentence and a log.
+A verb names its inputs by their SHA-256 and never overwrites a file. Ctrl-C, SIGTERM and a closed terminal end a
+capture cleanly, with a word on how to go on. A long verb runs in a process of its own: whatever kills that process, the
+user gets a sentence and a log.
 """
 
 import argparse
@@ -15,7 +15,6 @@ import shlex
 import signal
 import sys
 import tempfile
-import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -24,9 +23,14 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from data_schemas import DiedError, FinrayError, RecordError, SimulateError, system_words
+from data_schemas import DiedError, FinrayError, RecordError, SimulateError
 from data_schemas import naming as naming
-from data_schemas.storage import Child, is_child, progress_teller, tell
+from data_schemas.storage import Child, tell
+from finray_calib.cli._output import AS_JSON, QUIET, how_to_speak, leave_to_other_process
+from finray_calib.cli._output import Progress as Progress
+from finray_calib.cli._output import progress_bar as progress_bar
+from finray_calib.cli._output import say as say
+from finray_calib.cli._output import warn as warn
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -34,9 +38,7 @@ if TYPE_CHECKING:
     from sim.optics import Preference
 
 
-Progress = Callable[[int, int, str], None]
 LONGEST_NAME = 80
-LOG_INTERVAL_S = 8.0  # between the lines of a long command whose output goes to a file
 DEFAULT_INCREMENTS = 4
 DEFAULT_SEED = 1
 
@@ -138,41 +140,7 @@ def open_engine(preference: "Preference") -> "ModuleType":
 
 def command_line() -> str:
     """Return the command that is running, for the provenance of what it writes."""
-    return shlex.join(["finray", *sys.argv[1:]])
-
-
-def say(text: str) -> None:
-    """Tell the user a result.
-
-    Raises
-    ------
-    FinrayError
-        Standard output takes nothing more; the rest of the output is dropped.
-    """
-    try:
-        sys.stdout.write(text + "\n")
-        sys.stdout.flush()
-    except OSError as error:
-        drop_output()
-        if isinstance(error, BrokenPipeError):
-            told = "the program that read it has ended (such as 'head' behind a pipe); send the output to a file"
-        else:
-            told = f"{system_words(error)}; send the output to another file, or to the terminal"
-        raise FinrayError(f"standard output cannot be written: {told}. Files already written are complete") from None
-
-
-def drop_output() -> None:
-    """Let what standard output still holds go nowhere: Python would write it once more at its end, and fail again."""
-    with contextlib.suppress(OSError, ValueError):  # it may be closed, or none of the system's
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
-        os.close(nowhere)
-
-
-def warn(text: str) -> None:
-    """Tell the user something that is not a result; a full disk behind standard error ends no capture."""
-    with contextlib.suppress(OSError):
-        sys.stderr.write(text + "\n")
+    return shlex.join(["finray", *(word for word in sys.argv[1:] if word not in (AS_JSON, QUIET))])
 
 
 def file_name(name: str) -> str:
@@ -229,48 +197,6 @@ def input_digests(paths: Iterable[Path]) -> dict[str, str]:
 
 
 @contextmanager
-def progress_bar(title: str) -> Iterator[Progress]:
-    """Show a progress bar on standard error while the block runs; in a log file or a pipe, a line now and then."""
-    if is_child():  # its parent shows it
-        tell({"bar": title})
-        yield progress_teller()
-        tell({"bar": None})
-        return
-    if not sys.stderr.isatty():
-        yield _lines_now_and_then(title)
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(title, total=None)
-
-        def update(done: int, total: int, what: str) -> None:
-            bar.update(task, completed=done, total=total, description=f"{title}: {what}")
-
-        yield update
-
-
-def _lines_now_and_then(title: str) -> Progress:
-    """Return what writes how far a long block is, at most one line in :data:`LOG_INTERVAL_S`."""
-    last_s = time.monotonic()
-
-    def update(done: int, total: int, what: str) -> None:
-        nonlocal last_s
-        if time.monotonic() - last_s >= LOG_INTERVAL_S:
-            last_s = time.monotonic()
-            warn(f"{title}: {what} ({done} of {total})")
-
-    return update
-
-
-@contextmanager
 def interruptible(out: Path) -> Iterator[None]:
     """Let SIGTERM and a closed terminal end a capture as Ctrl-C does, and say how to go on."""
     from rigs.capture import JOURNAL_NAME, SESSION_NAME, lacks_manifest
@@ -324,16 +250,19 @@ def run_in_own_process(work: LongWork, words: Sequence[str]) -> int:
     was_there = log.exists()
     with Child(["finray_calib.cli._run"]) as child, _Screen() as screen:
         try:
-            status = child.call("finray_calib.cli._run:run_verb", {"words": list(words)}, log=log, hear=screen.show)
+            terminals = [sys.stdout.isatty(), sys.stderr.isatty()]
+            job = {"words": [*words, *how_to_speak()], "terminals": terminals}
+            status = child.call("finray_calib.cli._run:run_verb", job, log=log, hear=screen.show)
         except DiedError as died:
             raise DiedError(
-                f"{work.words} {died}. Its log is {log}. {work.kept}; if that fails again, 'finray doctor' tells what "
+                f"{work.words} {died}. Its log is {log}. {work.kept}; if that fails again, 'finray doctor' lists what "
                 "this machine lacks"
             ) from None
         except KeyboardInterrupt:
             _tidy(log, was_there)
             raise
     _tidy(log, was_there)
+    leave_to_other_process()
     return int(status)
 
 
@@ -381,8 +310,12 @@ class _Screen:
 class _Telling(io.TextIOBase):
     """A standard stream whose text the parent process shows."""
 
-    def __init__(self, to: str) -> None:
-        self._to = to
+    def __init__(self, to: str, is_terminal: bool) -> None:
+        self._to, self._is_terminal = to, is_terminal
+
+    def isatty(self) -> bool:
+        """Return whether the parent shows it on a terminal."""
+        return self._is_terminal
 
     def write(self, text: str) -> int:
         """Send the text."""
@@ -390,8 +323,16 @@ class _Telling(io.TextIOBase):
         return len(text)
 
 
-def run_verb(words: list[str]) -> int:
-    """Be the process of a verb: run it, and tell the parent what it says; warnings of packages go to the log."""
+def run_verb(words: list[str], terminals: list[bool]) -> int:
+    """Be the process of a verb: run it, and tell the parent what it says; warnings of packages go to the log.
+
+    Parameters
+    ----------
+    words
+        Words of the command after ``finray``.
+    terminals
+        Whether standard output and standard error of the parent are terminals.
+    """
     from finray_calib.cli.main import main
 
     log = sys.stderr
@@ -402,5 +343,6 @@ def run_verb(words: list[str]) -> int:
 
     warnings.showwarning = to_log
     sys.argv = ["finray", *words]
-    with contextlib.redirect_stdout(_Telling("out")), contextlib.redirect_stderr(_Telling("err")):
+    out, err = (_Telling(to, on_terminal) for to, on_terminal in zip(("out", "err"), terminals, strict=True))
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         return main(words)

@@ -8,6 +8,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli._output import give, go_on_with, look_at, say, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     add_seed,
@@ -16,8 +17,6 @@ from finray_calib.cli._run import (
     input_digests,
     naming,
     require_new,
-    say,
-    warn,
 )
 
 if TYPE_CHECKING:
@@ -50,12 +49,7 @@ for 'camera.calibration' of a design."""
 
 def _add_scale(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the job."""
-    parser = jobs.add_parser(
-        "scale",
-        help=PIXEL_SCALE_HELP,
-        description=PIXEL_SCALE_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = jobs.add_parser("scale", help=PIXEL_SCALE_HELP, description=PIXEL_SCALE_DESCRIPTION)
     parser.add_argument(
         "lens", type=Path, nargs="+", metavar="PICTURE",
         help="the board turned and tilted; or the folder of one tactile session, whose plan has the board on_pad",
@@ -114,17 +108,21 @@ def run_pixel_scale(arguments: argparse.Namespace) -> None:
     with ProductSet(out) as products:
         products.add(lens_file, calibration_yaml(record.calibration))
         write_record(record, out, provenance(command_line(), inputs, arguments.seed), products)
-    say(_in_words(record, out, lens_file))
+    lens = f"{record.calibration.model} lens from {len(record.lens_pictures)} pictures"
+    wrote(out, f"{lens}, corners to {record.corner_sd_px:.2f} px")
+    wrote(lens_file, "the lens, for 'camera.calibration' of a design")
+    say(_in_words(record))
+    middle = record.middle
+    give(mm_per_px=middle.mean_mm_per_px, mm_per_px_u_rel=middle.mean_u_rel, corner_sd_px=record.corner_sd_px,
+         notes=record.notes)  # fmt: skip
+    go_on_with("finray sense teach PRESSES --scale", out)
 
 
-def _in_words(record: "PixelScale", out: Path, lens_file: Path) -> str:
+def _in_words(record: "PixelScale") -> str:
     """Return what the user wants to know at once."""
     middle, over = record.middle, record.over_board
-    lens = record.calibration
     u_middle = sorted(((line.u_rel, line.input) for line in record.budget), reverse=True)
     lines = [
-        f"{out}, {lens_file}: {lens.model} lens from {len(record.lens_pictures)} pictures, corners to "
-        f"{record.corner_sd_px:.2f} px",
         f"  at column {middle.column_px:.0f}, row {middle.row_px:.0f} (middle of the board on the pad), standard "
         "uncertainty u:",
         f"    along x  {middle.along_x_mm_per_px:.5g} mm/px, u = {middle.along_x_u_rel:.2%}",
@@ -266,12 +264,7 @@ has not seen. 'finray import taxim' and 'finray import ball-presses' make such c
 
 def _add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the job."""
-    parser = jobs.add_parser(
-        "teach",
-        help=NORMAL_MAP_HELP,
-        description=NORMAL_MAP_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = jobs.add_parser("teach", help=NORMAL_MAP_HELP, description=NORMAL_MAP_DESCRIPTION)
     parser.add_argument(
         "captures", type=Path, nargs="+", metavar="PRESSES",
         help="tactile captures of ball presses, or folders of NAME.capture.json",
@@ -308,7 +301,13 @@ def run_normal_map(arguments: argparse.Namespace) -> None:
     inputs = [*files, *(path for path in (arguments.circles, arguments.scale) if path)]
     write_record(record, out, provenance(command_line(), input_digests(inputs), arguments.seed))
     splits = len(record.held_out_angle_deg)
-    say(f"{out}: normal map of {record.presses} presses, {record.width_px} x {record.height_px} px")
+    wrote(out, f"normal map of {record.presses} presses, {record.width_px} x {record.height_px} px")
+    give(
+        presses=record.presses, width_px=record.width_px, height_px=record.height_px,
+        held_out_explained_rel=record.held_out_explained_rel, held_out_angle_deg=record.held_out_angle_deg,
+        held_out_depth_rms_mm=record.held_out_depth_rms_mm,
+    )  # fmt: skip
+    go_on_with("finray sense run", out, "CAPTURE")
     say(f"  on presses it has not seen ({splits} random halves: median [least, most])")
     say(f"  explains {_spread(record.held_out_explained_rel, 3)} of the squared slopes; 0 is knowing nothing")
     say(f"  mean angle of its normals {_spread(record.held_out_angle_deg, 1)} deg")
@@ -377,9 +376,7 @@ presses that did not teach the map. The command warns when a press did, because 
 
 def _add_run(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the job."""
-    parser = jobs.add_parser(
-        "run", help=RUN_HELP, description=RUN_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = jobs.add_parser("run", help=RUN_HELP, description=RUN_DESCRIPTION)
     parser.add_argument("map", type=Path, metavar="MAP", help="record of 'finray sense teach'")
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help="tactile capture of another press")
     parser.add_argument(
@@ -411,7 +408,12 @@ def run_sense(arguments: argparse.Namespace) -> None:
         products.add(mesh, stl_bytes(*surface_triangles(sensed), "gel surface, mm, from finray sense"))
         write_record(sensed, out, origin, products)
     _tell_sensed(sensed)
-    say(f"{out}: written\n{picture}: depth, normals and contact\n{mesh}: the surface of the gel, mm")
+    wrote(out, "what was sensed")
+    wrote(picture, "depth, normals and contact")
+    wrote(mesh, "the surface of the gel, mm")
+    names = ("deepest_mm", "deepest_u_mm", "contact_area_mm2", "contact_area_u_mm2", "is_of_teaching", "notes")
+    give(name=sensed.name, **{name: getattr(sensed, name) for name in names})
+    look_at(picture)
 
 
 def _tell_sensed(sensed: "SensedPress") -> None:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
     LongWork,
     add_out,
@@ -22,10 +23,7 @@ from finray_calib.cli._run import (
     input_digests,
     naming,
     paint_files,
-    progress_bar,
     require_new,
-    say,
-    warn,
     working_engine,
 )
 from finray_calib.cli._simulate_press import add_press
@@ -74,12 +72,7 @@ def add_simulate(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -
 
 def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register ``finray simulate render``."""
-    parser = jobs.add_parser(
-        "render",
-        help=RENDER_HELP,
-        description=RENDER_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = jobs.add_parser("render", help=RENDER_HELP, description=RENDER_DESCRIPTION)
     parser.add_argument(
         "design", type=Path, metavar="DESIGN|SURFACES",
         help="finger design (TOML), or NAME.surfaces.json, whose design stands in NAME.mechanics.json beside it",
@@ -112,12 +105,7 @@ def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
 
 def add_sweep(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register ``finray simulate sweep``."""
-    parser = jobs.add_parser(
-        "sweep",
-        help=SWEEP_HELP,
-        description=SWEEP_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = jobs.add_parser("sweep", help=SWEEP_HELP, description=SWEEP_DESCRIPTION)
     parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML)")
     parser.add_argument(
         "--angles", type=_angles, required=True, metavar="FIRST:LAST:STEP", help="light angles in deg, e.g. 0:120:10"
@@ -274,7 +262,15 @@ def run_render(arguments: argparse.Namespace) -> None:
         _store_images(rendered, arguments, out, folder, capture)
         return
     write_record(rendered, out, _origin(rendered, arguments.seed))
-    say(f"{out}: {rendered.label}")
+    wrote(out, rendered.label)
+    _give_press(rendered, out)
+
+
+def _give_press(press: "SimulatedPress", out: Path) -> None:
+    """Give what a program wants to know of a rendered press, and what usually follows."""
+    rows, columns = press.contact.shape[:2]
+    give(name=press.name, label=press.label, width_px=columns, height_px=rows, light_angle_deg=press.light_angle_deg)
+    go_on_with("finray compare", out, "CAPTURE")
 
 
 def run_sweep(arguments: argparse.Namespace) -> None:
@@ -315,7 +311,9 @@ def _sweep(arguments: argparse.Namespace, out: Path, position_mm: float | None, 
             seed=arguments.seed, progress=progress, **options,
         )  # fmt: skip
     write_record(sweep, out, _origin(sweep, arguments.seed))
-    say(f"{out}: {len(sweep.angles_deg)} angles, {sweep.label}")
+    wrote(out, f"{len(sweep.angles_deg)} angles, {sweep.label}")
+    give(angles_deg=sweep.angles_deg, brightness_mean=sweep.values.mean(axis=1), label=sweep.label)
+    go_on_with("finray decide", out)
 
 
 def _sweep_places(arguments: argparse.Namespace, out: Path) -> None:
@@ -336,7 +334,7 @@ def _sweep_places(arguments: argparse.Namespace, out: Path) -> None:
         _sweep(arguments, path, place, f"simulate, place {number} of {len(todo)}")
     for path in kept:
         say(f"{path}: is there already, from the same inputs")
-    say(f"Decide on all of them: finray decide {out.with_name(stem)}.*mm.sweep.json")
+    go_on_with("finray decide", *outs.values())
 
 
 def _is_swept(path: Path, design: "FingerDesign", position_mm: float, arguments: argparse.Namespace) -> bool:
@@ -396,10 +394,12 @@ def _store_images(
         write_optics_folder(folder, products, _views(press, arguments.samples, arguments.denoise), origin, stored)
         write_record(products.capture, capture, origin, stored)
         write_record(press, out, origin, stored)
-    say(f"{out}: {press.label}")
-    say(f"{capture}: raw counts of {press.design.camera.bit_depth if press.design else 0} bit, for 'finray compare'")
-    say(f"{folder}/: images; README.txt there says what each one is")
+    wrote(out, press.label)
+    wrote(capture, f"raw counts of {press.design.camera.bit_depth if press.design else 0} bit, for 'finray compare'")
+    wrote(folder, "images; README.txt there says what each one is")
     say(str(products.colours))
+    _give_press(press, out)
+    look_at(folder / "README.txt")
 
 
 def _views(press: "SimulatedPress", samples: int, denoise: bool) -> "dict[str, NDArray[np.uint8]]":
@@ -432,12 +432,7 @@ than 0.01 in a band, of a band's place by more than 10 nm, or when paint excites
 
 def add_recolour(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
-    parser = verbs.add_parser(
-        "recolour",
-        help=RECOLOUR_HELP,
-        description=RECOLOUR_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = verbs.add_parser("recolour", help=RECOLOUR_HELP, description=RECOLOUR_DESCRIPTION)
     parser.add_argument("press", type=Path, metavar="PRESS", help="rendered press (JSON)")
     add_paint(parser, "paint calibrations of both walls (an unchanged one again)")
     parser.add_argument("--camera", type=Path, metavar="FILE", help="camera response (CSV)")
@@ -484,4 +479,5 @@ def run_recolour(arguments: argparse.Namespace) -> None:
     took_s = perf_counter() - begun
     inputs = [arguments.press, *files.values(), *([arguments.camera] if arguments.camera else [])]
     write_record(made, out, provenance(command_line(), input_digests(inputs)))
-    say(f"{out}: {made.label}, {1000.0 * took_s:.0f} ms of arithmetic")
+    wrote(out, f"{made.label}, {1000.0 * took_s:.0f} ms of arithmetic")
+    _give_press(made, out)

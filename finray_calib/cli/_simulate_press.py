@@ -9,20 +9,17 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
+from finray_calib.cli._output import Progress, give, go_on_with, look_at, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
     DEFAULT_INCREMENTS,
     LongWork,
-    Progress,
     add_out,
     command_line,
     file_name,
     increment_count,
     input_digests,
     naming,
-    progress_bar,
     require_new,
-    say,
-    warn,
 )
 
 if TYPE_CHECKING:
@@ -300,19 +297,7 @@ def _store(
         products.add(files["picture"], pressed_finger_png(mechanics, surfaces, folder))
         write_record(surfaces, files["surfaces"], origin, products)
         write_record(mechanics, files["mechanics"], origin, products)
-    say(f"{files['mechanics']}: {mechanics.label}")
-    for depth, force in zip(mechanics.depth_mm, mechanics.force_n, strict=True):
-        say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
-    if mechanics.slip_torque_per_friction_n_mm is not None:
-        say(
-            f"  torque at slip {mechanics.slip_torque_per_friction_n_mm:.3g} N mm times the coefficient of friction, "
-            f"about the pad's normal; {mechanics.tipping_torque_n_mm:.3g} N mm about the finger's axis without friction"
-        )
-    if mechanics.sensitivities is not None:
-        say(f"  {len(mechanics.sensitivities.varied)} presses with one number changed, for 'finray compare --force'")
-    say(f"{files['surfaces']}: for 'finray simulate render {files['surfaces']}'")
-    say(f"{files['mesh']}: the pressed mesh, for ParaView")
-    say(f"{files['picture']}: the finger before and after, and its force")
+    _tell(mechanics, files)
     if pressed.crossing:
         warn(f"warning: {pressed.crossing}; what it gives there is no finger's: press with --contact barrier, or less")
     tell_few_nodes(pressed, mechanics)
@@ -323,6 +308,29 @@ def _store(
         raise SimulateError(
             f"the push ended early, at {reached}: {mechanics.unreached}. What was reached is stored and can be rendered"
         )
+
+
+def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
+    """Tell the curve and what is stored."""
+    wrote(files["mechanics"], mechanics.label)
+    give(
+        label=mechanics.label, depth_mm=mechanics.depth_mm, force_n=mechanics.force_n[:, 1],
+        largest_pressure_mpa=mechanics.largest_pressure_mpa, unreached=mechanics.unreached,
+    )  # fmt: skip
+    for depth, force in zip(mechanics.depth_mm, mechanics.force_n, strict=True):
+        say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
+    if mechanics.slip_torque_per_friction_n_mm is not None:
+        say(
+            f"  torque at slip {mechanics.slip_torque_per_friction_n_mm:.3g} N mm times the coefficient of friction, "
+            f"about the pad's normal; {mechanics.tipping_torque_n_mm:.3g} N mm about the finger's axis without friction"
+        )
+    if mechanics.sensitivities is not None:
+        say(f"  {len(mechanics.sensitivities.varied)} presses with one number changed, for 'finray compare --force'")
+    wrote(files["surfaces"], "the pressed finger, to be rendered")
+    wrote(files["mesh"], "the pressed mesh, for ParaView")
+    wrote(files["picture"], "the finger before and after, and its force")
+    go_on_with("finray simulate render", files["surfaces"], "--paint red=FILE --paint green=FILE")
+    look_at(files["picture"])
 
 
 LARGEST_FORCE_N = 1000.0
@@ -338,12 +346,7 @@ mesh (.vtu) and a picture, and each increment on the way, after which an interru
 
 def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register ``finray simulate press``."""
-    parser = jobs.add_parser(
-        "press",
-        help=PRESS_HELP,
-        description=PRESS_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = jobs.add_parser("press", help=PRESS_HELP, description=PRESS_DESCRIPTION)
     parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML)")
     parser.add_argument(
         "--increments", type=increment_count, metavar="N", help=f"steps of the push (default {DEFAULT_INCREMENTS})"

@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from finray_calib.cli._output import give, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_out,
     add_paint,
@@ -20,9 +21,7 @@ from finray_calib.cli._run import (
     input_digests,
     open_engine,
     paint_files,
-    progress_bar,
     require_new,
-    say,
 )
 from finray_calib.cli._study_run import add_design_studies, calibrated_paints, stand_in_paints
 
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
 
 
 STUDY_HELP = "run a ready-made study of the paper: paints, fluorescent rendering, two lights, light angle, stiffness"
-WIDTH = 110
+WIDTH = 80
 PAPER_PAINTS_HELP = "the paper's statements on its red and green paint beside measured stand-ins"
 PAPER_PAINTS_DESCRIPTION = """\
 Compare what the paper says about its two fluorescent paints (Stokes shifts of 100 and 50 nm, 2 to 5 %
@@ -60,7 +59,7 @@ ones (BSD-3-Clause): the Post-it notes of github.com/afichet/spectral-exr, the i
 github.com/afichet/fluorescence-rgb.
 
 example:
-  finray study paper-paints --red ink.csv --green textile.csv --green paper.csv --out study"""
+  finray study paper-paints --red ink.csv --green textile.csv --out study"""
 
 
 def add_study(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -69,11 +68,7 @@ def add_study(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     parser.set_defaults(long_work=_long_work)
     studies = parser.add_subparsers(dest="study", metavar="STUDY", title="studies", required=True)
     paints = studies.add_parser(
-        "paper-paints",
-        help=PAPER_PAINTS_HELP,
-        description=PAPER_PAINTS_DESCRIPTION,
-        epilog=PAPER_PAINTS_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "paper-paints", help=PAPER_PAINTS_HELP, description=PAPER_PAINTS_DESCRIPTION, epilog=PAPER_PAINTS_EPILOG
     )
     for colour in ("red", "green"):
         paints.add_argument(
@@ -95,7 +90,7 @@ def _long_work(arguments: argparse.Namespace) -> "LongWork":
     kept = "Nothing is stored before its end: the same command begins again"
     if arguments.study == "run":
         return LongWork("the design study", "Finished points are kept: the same command goes on with the others")
-    return LongWork(f"the study {arguments.study}", kept, arguments.out)
+    return LongWork(f"the study {arguments.study}", kept, getattr(arguments, "out", None))
 
 
 def run_paper_paints(arguments: argparse.Namespace) -> None:
@@ -115,7 +110,9 @@ def run_paper_paints(arguments: argparse.Namespace) -> None:
     with ProductSet(out) as products:
         products.add(out / "paper-paints.png", picture)
         write_record(study, out / "paper-paints.json", provenance(command_line(), inputs, arguments.seed), products)
-    say(f"{out}: paper-paints.json, paper-paints.png")
+    wrote(out, "paper-paints.json, paper-paints.png")
+    give(statements={s.subject: s.verdict for s in study.statements}, notes=[study.caveat])
+    look_at(out / "paper-paints.png")
     for statement in study.statements:
         say(_in_words(statement))
     say("\n" + textwrap.fill(study.caveat, WIDTH))
@@ -180,7 +177,6 @@ def add_illumination_studies(studies: "argparse._SubParsersAction[argparse.Argum
             help=study.help,
             description=study.description,
             epilog=ILLUMINATION_EPILOG.format(preset=study.preset),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         parser.add_argument(
             "--design", type=Path, metavar="TOML", help=f"finger design (default: preset {study.preset})"
@@ -212,7 +208,9 @@ def run_illumination_study(study: _Study, arguments: argparse.Namespace) -> None
     with ProductSet(out) as products:
         products.add(out / f"{study.name}.png", picture)
         write_record(record, out / f"{study.name}.json", origin, products)
-    say(f"{out}: {study.name}.json, {study.name}.png")
+    wrote(out, f"{study.name}.json, {study.name}.png")
+    give(paints=paints, notes=record.notes)
+    look_at(out / f"{study.name}.png")
     for colour, paint in paints.items():
         say(f"{colour} paint: {paint}")
     study.tell(record)
@@ -360,11 +358,7 @@ _RIB_FIELDS = ("skeleton.rib_count", "skeleton.rib_width_mm", "skeleton.rib_thic
 def add_stiffness_study(studies: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the study."""
     parser = studies.add_parser(
-        STIFFNESS_NAME,
-        help=STIFFNESS_HELP,
-        description=STIFFNESS_DESCRIPTION,
-        epilog=STIFFNESS_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        STIFFNESS_NAME, help=STIFFNESS_HELP, description=STIFFNESS_DESCRIPTION, epilog=STIFFNESS_EPILOG
     )
     parser.add_argument("designs", nargs="+", metavar="DESIGN", help="finger design (TOML), or the name of a preset")
     parser.add_argument(
@@ -402,7 +396,9 @@ def run_stiffness_study(arguments: argparse.Namespace) -> None:
     with ProductSet(out) as products:
         products.add(out / f"{STIFFNESS_NAME}.csv", _table(study).encode())
         write_record(study, out / f"{STIFFNESS_NAME}.json", origin, products)
-    say(f"{out}: {STIFFNESS_NAME}.json, {STIFFNESS_NAME}.csv")
+    wrote(out, f"{STIFFNESS_NAME}.json, {STIFFNESS_NAME}.csv")
+    give(rows=study.rows, orders=study.orders)
+    look_at(out / f"{STIFFNESS_NAME}.csv")
     for row in study.rows:
         if not row.changed:
             say(
@@ -422,7 +418,7 @@ def run_stiffness_study(arguments: argparse.Namespace) -> None:
 def _held(row: "StiffnessRow") -> str:
     """Say at which torques a gripped cylinder turns, or why that is not known."""
     if row.slip_torque_per_friction_n_mm is None or row.tipping_torque_n_mm is None:
-        return f"is not told of: {row.grip_failure}"
+        return f"has no result: {row.grip_failure}"
     return (
         f"slips about the pad's normal at {row.slip_torque_per_friction_n_mm:.1f} N mm times the coefficient of "
         f"friction, and tips about the finger's axis at {row.tipping_torque_n_mm:.1f} N mm"

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli._output import give, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_paint,
     add_paints_as_given,
@@ -17,9 +18,7 @@ from finray_calib.cli._run import (
     file_name,
     input_digests,
     paint_files,
-    progress_bar,
     require_place,
-    say,
 )
 
 if TYPE_CHECKING:
@@ -39,14 +38,16 @@ Writes into the folder of the study: points/ (a record each), table.csv (one row
 A plan names its finger, what is set, what varies and what is computed:
 
   name = "tilt"
-  design = "flat-70x35"             # a ready-made finger, or a design file beside the plan
-  combine = "grid"                  # or "together"; or "random" with count = 64 and low, high in place of values
+  design = "flat-70x35"       # a ready-made finger, or a file beside the plan
+  combine = "grid"            # or "together"; or "random" with count = 64 and
+                              # low, high in place of values
 
   [set]
   "indenter.depth_mm" = 1.5
 
   [measure]
-  press = "finite elements"         # or "analytic": the pad takes its shape at once, without force
+  press = "finite elements"   # or "analytic": the pad takes its shape at
+                              # once, without force
 
   [[vary]]
   field = "light.angle_deg"
@@ -54,9 +55,11 @@ A plan names its finger, what is set, what varies and what is computed:
 RUN_EPILOG = """\
 examples:
   finray study run pad-shapes
-  finray study run tilt.toml --paint red=red.paint.json --paint green=green.paint.json --out tilt
-  finray study run big.toml --scheduler tcp://10.0.0.5:8786     # a Dask scheduler whose workers see the same folders
-plans that come with finray: """
+  finray study run tilt.toml --paint red=r.json --paint green=g.json
+  finray study run big.toml --scheduler tcp://10.0.0.5:8786
+
+A Dask scheduler is one whose workers see the same folders.
+Plans that come with finray: """
 SHOW_HELP = "show the table of a design study"
 TABLE_NAME, RESULT_NAME, PAGE_NAME = "table.csv", "study.json", "study.html"
 
@@ -68,7 +71,6 @@ def add_design_studies(studies: "argparse._SubParsersAction[argparse.ArgumentPar
         help=RUN_HELP,
         description=RUN_DESCRIPTION,
         epilog=RUN_EPILOG + "pad-shapes, finger-family, ribs, light-over-pad",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     run.add_argument("plan", metavar="PLAN", help="plan (TOML), or the name of one that comes with finray")
     add_paint(run)
@@ -94,7 +96,6 @@ def run_design_study(arguments: argparse.Namespace) -> None:
     """Run a study; store its table, its result and its page."""
     from data_schemas import SimulateError, StudyResult, StudyRow, provenance
     from data_schemas.storage import clear_leftovers
-    from finray_calib.reports import study_text
     from sim.studies import StudyPaints, StudyTask, read_plan, run_study, study_points
 
     plan, path = read_plan(arguments.plan)
@@ -117,10 +118,19 @@ def run_design_study(arguments: argparse.Namespace) -> None:
         failures=tuple(failures),
     )
     _store(out, result, found, origin)
+    _tell(result)
+    wrote(out, f"{RESULT_NAME}, {TABLE_NAME} and {PAGE_NAME}")
+    look_at(out / PAGE_NAME)
+
+
+def _tell(result: "StudyResult") -> None:
+    """Tell the table of a study and which points failed."""
+    from finray_calib.reports import study_text
+
+    give(name=result.name, varied=result.varied, points=result.points, failures=result.failures)
     say(study_text(result))
-    for failure in failures:
+    for failure in result.failures:
         say(f"point {failure.number} failed: {failure.reason}")
-    say(f"{out / PAGE_NAME}")
 
 
 def _paints(arguments: argparse.Namespace) -> "tuple[StudyPaints, list[Path]]":
@@ -197,9 +207,7 @@ def show_study(arguments: argparse.Namespace) -> None:
     """Show the table of a study."""
     from data_schemas import StudyResult
     from data_schemas.storage import read_record
-    from finray_calib.reports import study_text
 
-    result = read_record(arguments.study / RESULT_NAME, StudyResult)
-    say(study_text(result))
-    for failure in result.failures:
-        say(f"point {failure.number} failed: {failure.reason}")
+    _tell(read_record(arguments.study / RESULT_NAME, StudyResult))
+    if (arguments.study / PAGE_NAME).exists():
+        look_at(arguments.study / PAGE_NAME)

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._run import say
+from finray_calib.cli._output import give, is_for_a_terminal, say
 
 if TYPE_CHECKING:
     from data_schemas.storage import FileFault
@@ -20,6 +20,7 @@ record's folder, the folders above it and the working directory, and by their SH
 With --replay the command that made the record is run again into a temporary folder, and its numbers are compared.
 
 The checksums detect accidents and edits, not forgery: whoever changes a file on purpose can compute them anew.
+
 Exit status: 0 where all is whole, 1 where something is not, 2 for mistakes."""
 NOT_WHOLE = 1
 COLUMNS = 80
@@ -27,9 +28,7 @@ COLUMNS = 80
 
 def add_trace(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
-    parser = verbs.add_parser(
-        "trace", help=TRACE_HELP, description=TRACE_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = verbs.add_parser("trace", help=TRACE_HELP, description=TRACE_DESCRIPTION)
     parser.add_argument("record", type=Path, metavar="RECORD", help="a stored record (.json)")
     parser.add_argument("--replay", action="store_true", help="compute it again and compare the numbers")
     parser.set_defaults(run=run_trace)
@@ -44,6 +43,7 @@ def run_trace(arguments: argparse.Namespace) -> int:
     print_tree(tree)
     faults = findings(tree)
     print_faults(faults)
+    give(whole=not faults, files=len(tracer.digests), faults=_faults(faults), replay=None)
     frames = sum(part.frames for part in tree.all() if not part.is_repeated)
     dirty = sum(part.is_dirty for part in tree.all())
     if dirty:
@@ -57,9 +57,7 @@ def run_trace(arguments: argparse.Namespace) -> int:
 
 def print_tree(tree: "Traced") -> None:
     """Print a tree: with lines and colours on a terminal, plain and indented in a pipe or file."""
-    import sys
-
-    if not sys.stdout.isatty():
+    if not is_for_a_terminal():
         for line in _plain(tree, 0):
             say(line)
         return
@@ -85,6 +83,11 @@ def print_faults(faults: "tuple[FileFault, ...]") -> None:
         say(f"{fault.state}: {fault.path}: {fault.text}")
 
 
+def _faults(faults: "tuple[FileFault, ...]") -> list[dict[str, str]]:
+    """Return what is not whole, for a program."""
+    return [{"state": fault.state, "path": str(fault.path), "text": fault.text} for fault in faults]
+
+
 def _plain(part: "Traced", depth: int) -> list[str]:
     """Return the lines of a tree, indented by two blanks a level."""
     own = ["  " * depth + line for line in _lines(part)]
@@ -107,6 +110,7 @@ def _replay(tree: "Traced") -> int:
 
     outcome = replay(tree)
     say(outcome.sentence)
+    give(replay={"agrees": outcome.agrees, "sentence": outcome.sentence, "differences": outcome.differences})
     for difference in outcome.differences:
         say(f"  {difference}")
     return 0 if outcome.agrees else NOT_WHOLE
@@ -119,15 +123,14 @@ or was made anew since something was made from it ("stale"). In a session, recor
 compared with each other as well; of records, also the inputs that lie elsewhere are looked for (see 'finray trace').
 
 The checksums detect accidents and edits, not forgery: whoever changes a file on purpose can compute them anew.
+
 Exit status: 0 where all is whole, 1 where something is not, 2 for mistakes."""
 MOST_NOTES = 10
 
 
 def add_verify(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
-    parser = verbs.add_parser(
-        "verify", help=VERIFY_HELP, description=VERIFY_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = verbs.add_parser("verify", help=VERIFY_HELP, description=VERIFY_DESCRIPTION)
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of a session, of a demo or of products")
     parser.set_defaults(run=run_verify)
 
@@ -137,6 +140,7 @@ def run_verify(arguments: argparse.Namespace) -> int:
     from finray_calib.lineage import verify_folder
 
     check = verify_folder(arguments.folder)
+    give(whole=not check.faults, files=check.hashed, records=len(check.records), faults=_faults(check.faults))
     for note in check.notes[:MOST_NOTES]:
         say(f"note: {note}")
     if len(check.notes) > MOST_NOTES:

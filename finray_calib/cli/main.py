@@ -2,11 +2,17 @@
 
 import argparse
 import atexit
+import difflib
 import errno
 import gc
+import itertools
 import os
+import re
+import shutil
 import sys
+import textwrap
 from collections.abc import Sequence
+from typing import Any, NoReturn
 
 from data_schemas import DiedError, FinrayError, system_words
 from data_schemas.storage import OBJECTS_PER_COLLECTION
@@ -14,6 +20,7 @@ from finray_calib.cli import (
     add_capture,
     add_check,
     add_compare,
+    add_completion,
     add_decide,
     add_demo,
     add_design,
@@ -31,7 +38,7 @@ from finray_calib.cli import (
     add_verify,
     spelled_now,
 )
-from finray_calib.cli._run import say, warn
+from finray_calib.cli._output import AS_JSON, QUIET, WIDTH, begin, fail, finish, say
 
 USER_MISTAKE = 2
 DIED = 3
@@ -40,7 +47,7 @@ TO_DO = {
     errno.ENOSPC: "free space on the disk, then run the command again",
     errno.EDQUOT: "your share of the disk is used up: free space, then run the command again",
     errno.EFBIG: "the file system, or 'ulimit -f', allows no larger file: write to another --out",
-    errno.EIO: "the disk or the network folder has a fault ('dmesg' tells): write to another --out",
+    errno.EIO: "the disk or the network folder has a fault ('dmesg' shows it): write to another --out",
     errno.EROFS: "this disk can only be read: write to another --out",
     errno.ENOMEM: "close other programs, then run the command again",
     errno.EMFILE: "allow more open files with 'ulimit -n 4096', then run the command again",
@@ -68,25 +75,96 @@ VERBS = {
     "trace": add_trace,
     "verify": add_verify,
     "demo": add_demo,
+    "completion": add_completion,
 }
 DESCRIPTION = """\
 Calibrate fluorescent-paint tactile fingers: from a painted sample to a decision on the light angle.
 
   capture -> radiometry -> fit -> simulate -> compare -> decide
 
-Each verb reads stored records and writes the next one. Start with: finray demo"""
+Each verb reads stored records and writes the next one.
+
+Start with: finray demo"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose help fits 80 columns and whose errors a program can read too."""
+
+    def __init__(self, *given: Any, **options: Any) -> None:
+        options["formatter_class"] = _Help
+        super().__init__(*given, **options)
+
+    def error(self, message: str) -> NoReturn:
+        """Print the usage and what is wrong with it, and end with exit status 2."""
+        self.print_usage(sys.stderr)
+        fail(f"{self.prog}: error: {_with_a_guess(message)} '{self.prog} --help' says more")
+        raise SystemExit(USER_MISTAKE)
+
+
+class _Help(argparse.HelpFormatter):
+    """Help in at most 80 columns: paragraphs are filled, and indented lines stay lines."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=26, width=min(shutil.get_terminal_size().columns, WIDTH) - 2)
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        lines = []
+        for is_prose, found in itertools.groupby(text.splitlines(), lambda line: line[:1] not in ("", " ")):
+            group = list(found)
+            lines += [_filled(line, width) for line in ([" ".join(group)] if is_prose else group)]
+        return "\n".join(lines)
+
+
+def _filled(line: str, width: int) -> str:
+    """Return a paragraph in lines that fit; what goes on stands below the text of its column."""
+    column = re.match(r" +\S+ {2,}(?=\S)", line)
+    return textwrap.fill(
+        line, width, subsequent_indent=" " * (column.end() if column else 0), replace_whitespace=False,
+        break_long_words=False, break_on_hyphens=False,
+    )  # fmt: skip
+
+
+def _with_a_guess(message: str) -> str:
+    """Return the message of a wrong choice with the choice that was probably meant."""
+    wrong = re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)", message)
+    near = difflib.get_close_matches(wrong.group(1).lower(), re.findall(r"[^', ]+", wrong.group(2)), 1) if wrong else []
+    return f"{message}; did you mean '{near[0]}'?" if near else f"{message};"
+
+
+def _meant(unknown: list[str], parser: argparse.ArgumentParser, command: str) -> str:
+    """Return what was probably meant by words that nothing takes."""
+    leaf = commands(parser).get(command, parser)
+    flags = [flag for action in leaf._actions for flag in action.option_strings]  # noqa: SLF001
+    near = difflib.get_close_matches(unknown[0].partition("=")[0], flags, 1, cutoff=0.75)
+    if near:
+        return f"did you mean '{near[0]}'? "
+    if re.match(r"(red|green)=", unknown[0]):
+        return "write --paint before each COLOUR=FILE; "
+    return "" if unknown[0].startswith("-") else "a path with blanks stands in quotes; "
 
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of the whole command line; heavy packages are not imported here."""
-    parser = argparse.ArgumentParser(
-        prog="finray", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser: argparse.ArgumentParser = _Parser(prog="finray", description=DESCRIPTION)
     parser.add_argument("--version", action="store_true", help="print the version and stop")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
     for add_verb in VERBS.values():
         add_verb(verbs)
+    parser.set_defaults(command="")
+    for name, leaf in commands(parser).items():
+        leaf.set_defaults(command=name)
+        group = leaf.add_argument_group("what is printed")
+        group.add_argument(AS_JSON, action="store_true", help="print one JSON object in place of sentences")
+        group.add_argument(QUIET, action="store_true", help="print warnings and errors only")
     return parser
+
+
+def commands(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """Return command -> its parser for everything that can be run: ``fit``, ``simulate press`` and so on."""
+    inner = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]  # noqa: SLF001
+    if not inner:
+        return {parser.prog.removeprefix("finray "): parser}
+    return {name: leaf for choice in inner[0].choices.values() for name, leaf in commands(choice).items()}
 
 
 def main(arguments: Sequence[str] | None = None, in_own_process: bool = False) -> int:
@@ -96,36 +174,60 @@ def main(arguments: Sequence[str] | None = None, in_own_process: bool = False) -
     user's mistake, 3 when the process of a long stage died, 130 when interrupted.
     """
     gc.set_threshold(OBJECTS_PER_COLLECTION)
-    parser = build_parser()
-    words = spelled_now(sys.argv[1:] if arguments is None else arguments)
-    parsed, unknown = parser.parse_known_args(words)
-    if unknown:
-        verb = " ".join(filter(None, ("finray", parsed.verb, getattr(parsed, "job", None))))
-        told = f"'{verb}' knows no {' '.join(unknown)}; '{verb} --help' lists what can be given"
-        warn(f"finray {parsed.verb}: error: {told}")
-        return USER_MISTAKE
-    if parsed.verb is None and not parsed.version:
-        parser.print_help()
-        return USER_MISTAKE
+    words = spelled_now(begin(sys.argv[1:] if arguments is None else arguments))
     try:
-        if parsed.version:
-            from data_schemas import package_version
+        command, status = _run(words, in_own_process)
+        finish(command, status)
+    except FinrayError as error:  # standard output takes nothing more
+        fail(f"finray: error: {_one_line(error)}")
+        return USER_MISTAKE
+    return status
 
-            say(f"finray {package_version()}")
-            return 0
-        describe = getattr(parsed, "long_work", None)
-        if in_own_process and describe is not None:
-            from finray_calib.cli._run import run_in_own_process
 
-            return run_in_own_process(describe(parsed), words)
-        status = parsed.run(parsed)
+def _run(words: list[str], in_own_process: bool) -> tuple[str, int]:
+    """Run a command; return its name without options, and its exit status."""
+    parser = build_parser()
+    try:
+        parsed, unknown = parser.parse_known_args(words)
+    except SystemExit as stop:  # how argparse ends, after a help text or an error
+        if not stop.code:
+            raise
+        known = {" ".join(name.split()[:k]) for name in commands(parser) for k in (1, 2)}
+        return max((" ".join(words[:k]) for k in (1, 2) if " ".join(words[:k]) in known), default=""), USER_MISTAKE
+    command: str = parsed.command
+    if getattr(parsed, "json", False) or getattr(parsed, "quiet", False):  # abbreviated, so that begin() did not see it
+        begin([AS_JSON] * parsed.json + [QUIET] * parsed.quiet)
+    if unknown:
+        named = f"finray {command}".strip()
+        told = f"'{named}' knows no {' '.join(unknown)}; {_meant(unknown, parser, command)}"
+        fail(f"{' '.join(named.split()[:2])}: error: {told}'{named} --help' lists what can be given")
+        return command, USER_MISTAKE
+    if parsed.verb is None and not parsed.version:
+        say(parser.format_help().rstrip("\n"))
+        return command, USER_MISTAKE
+    try:
+        return command, _work(parsed, words, in_own_process)
     except (FinrayError, OSError) as error:
-        warn(f"finray {parsed.verb or '--version'}: error: {_one_line(error)}")
-        return DIED if isinstance(error, DiedError) else USER_MISTAKE
+        fail(f"finray {parsed.verb or '--version'}: error: {_one_line(error)}")
+        return command, DIED if isinstance(error, DiedError) else USER_MISTAKE
     except KeyboardInterrupt:
-        warn(f"finray {parsed.verb}: interrupted; files already written are complete")
-        return INTERRUPTED
-    return int(status or 0)
+        fail(f"finray {parsed.verb}: interrupted; files already written are complete")
+        return command, INTERRUPTED
+
+
+def _work(parsed: argparse.Namespace, words: list[str], in_own_process: bool) -> int:
+    """Do what was asked for."""
+    if parsed.version:
+        from data_schemas import package_version
+
+        say(f"finray {package_version()}")
+        return 0
+    describe = getattr(parsed, "long_work", None)
+    if in_own_process and describe is not None:
+        from finray_calib.cli._run import run_in_own_process
+
+        return run_in_own_process(describe(parsed), words)
+    return int(parsed.run(parsed) or 0)
 
 
 def _one_line(error: Exception) -> str:

@@ -407,7 +407,7 @@ class _Processes:
         except DiedError as died:
             raise DiedError(
                 f"{stage.words} {died}. Its log is {log}. What is finished is kept: the same command goes on there; "
-                "if that fails again, 'finray doctor' tells what this machine lacks"
+                "if that fails again, 'finray doctor' lists what this machine lacks"
             ) from None
         if following is None or following.process != stage.process:
             child.end()

@@ -342,14 +342,19 @@ def import_band_folder(folder: Path) -> tuple[BandSignals, dict[str, str]]:
     Raises
     ------
     ImportFormatError
-        An image is missing or not what the description says.
+        ``bands.toml`` or an image is missing, or an image is not what the description says.
     RecordError
-        ``bands.toml`` is missing or a field of it is wrong.
+        A field of ``bands.toml`` is wrong.
     CurveError
         A curve file is unusable.
     RadiometryError
         The images cannot be reduced: saturated bands, missing darks, an empty region.
     """
+    if not (folder / DESCRIPTION_NAME).exists():
+        raise ImportFormatError(
+            f"{folder}: holds no {DESCRIPTION_NAME}, which says which image shows what; write it as "
+            "docs/how-to/import-band-images.md shows"
+        )
     description = read_toml(folder / DESCRIPTION_NAME, BandFolder)
     require_inside(folder, description)
     images = find_images(folder, description)

@@ -44,7 +44,7 @@ class ForceCurve:
     def __post_init__(self) -> None:
         if len(self.depth_mm) < 2:
             raise CompareError(
-                f"{self.name}: has {len(self.depth_mm)} increment(s), which tell no curve; simulate with --increments 4"
+                f"{self.name}: has {len(self.depth_mm)} increment(s), too few for a curve; simulate with --increments 4"
             )
         if (self.force_n <= 0.0).any() or (self.depth_mm <= 0.0).any() or (np.diff(self.depth_mm) <= 0.0).any():
             raise CompareError(f"{self.name}: its pushes must rise from above 0 mm and its forces be above 0 N")
@@ -135,8 +135,8 @@ class MeasuredForce:
                 raise CompareError(f"{self.name}: an uncertainty of the {what} is negative; give 0 or more")
         if self.force_n.mean() <= 0.0:
             raise CompareError(
-                f"{self.name}: the force is {self.force_n.mean():.3g} N on average; pushing counts positive, turn the "
-                "sign"
+                f"{self.name}: the force is {self.force_n.mean():.3g} N on average; pushing counts positive: change "
+                "its sign"
             )
 
     def variance_n2(self, slope_n_per_mm: Floats) -> Floats:

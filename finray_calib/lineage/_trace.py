@@ -110,7 +110,9 @@ class Tracer:
         RecordError
             There is no such file, or it is no record at all.
         """
-        if not path.exists() or path.is_dir():
+        if path.is_dir():
+            raise RecordError(f"{path}: is a folder; 'finray verify' checks folders. Here give the path of {A_RECORD}")
+        if not path.exists():
             raise RecordError(f"{path}: no such file; give the path of {A_RECORD}")
         traced = self._traced_file(str(path), path, None, None)
         if traced.kind == "file" and not traced.faults:
@@ -317,7 +319,8 @@ def verify_folder(folder: Path) -> FolderCheck:
         There is no such folder, or nothing in it that could be checked.
     """
     if not folder.is_dir():
-        raise RecordError(f"{folder}: no such folder; give the folder of a session or of products")
+        what = "is a file; 'finray trace' checks a record. Here" if folder.exists() else "no such folder;"
+        raise RecordError(f"{folder}: {what} give the folder of a session or of products")
     tracer, records = Tracer(), list[Traced]()
     faults: dict[FileFault, None] = {}
     notes: dict[str, None] = {}

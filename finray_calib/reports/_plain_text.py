@@ -102,20 +102,20 @@ def estimate_json(value: Estimate, truth: float | None = None) -> Json:
     return numbers if truth is None else {**numbers, "truth": truth}
 
 
-WIDTH_COLUMNS = 100
+WIDTH_COLUMNS = 80
 _COLUMNS = (
-    ("", 12),
-    ("skill [95 %]", 22),
-    ("skill R, G, B", 19),
-    ("rel. RMS R, G, B", 22),
-    ("PSNR dB", 9),
-    ("SSIM", 7),
+    ("", 10),
+    ("skill [95 %]", 20),
+    ("skill R, G, B", 16),
+    ("rel. RMS R, G, B", 17),
+    ("PSNR dB", 7),
+    ("SSIM", 5),
 )
 _LABEL_COLUMNS = 40
 
 
 def comparison_lines(report: PhotometricErrorReport) -> str:
-    """Return regions by rows (do nothing, simulation, floor), at most 100 columns wide.
+    """Return regions by rows (do nothing, simulation, floor), at most 80 columns wide.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def _cells(row: ErrorRow) -> list[str]:
 def _line(cells: list[str]) -> str:
     """Return cells in columns; the first is aligned left, the others right."""
     name, *rest = (f"{cell:>{width}}" for cell, (_, width) in zip(cells, _COLUMNS, strict=True))
-    return (f"{cells[0]:<{len(name)}}" + "  " + " ".join(rest)).rstrip()
+    return (f"{cells[0]:<{len(name)}}" + " " + " ".join(rest)).rstrip()
 
 
 def _cut(text: str, columns: int = _LABEL_COLUMNS) -> str:
@@ -185,11 +185,10 @@ def _cut(text: str, columns: int = _LABEL_COLUMNS) -> str:
 
 
 _LARGEST_INPUTS = 6
-_WIDTH_COLUMNS = 120
 
 
 def force_lines(comparison: ForceComparison) -> str:
-    """Return the rows, the validation statement by thirds, and the budget, at most 120 columns wide."""
+    """Return the rows, the validation statement by thirds, and the budget; 80 columns where no name is longer."""
     return "\n".join(_lines(comparison)) + "\n"
 
 
@@ -209,7 +208,7 @@ def _lines(comparison: ForceComparison) -> Iterator[str]:
         known = "" if comparison.withheld else f", u = {comparison.first_touch.u_mm:.3f} mm"
         yield f"first touch: fitted at {offset.estimate:.3f} mm{_interval(offset, '.3f', ' ')}{known}"
     yield ""
-    yield f"{'displacement mm':<18}{'force N':>9}{'error N':>9}{'u_num':>8}{'u_input':>8}{'u_D':>8}{'u_val':>8}"
+    yield f"{'displacement mm':<16}{'force N':>8}{'error N':>8}{'u_num':>8}{'u_input':>8}{'u_D':>7}{'u_val':>7}"
     yield from map(_third, comparison.thirds)
     yield ""
     yield "largest contributions to the simulated force at the deepest point:"
@@ -222,7 +221,7 @@ def _lines(comparison: ForceComparison) -> Iterator[str]:
         yield f"  {line.force_u_rel:6.1%}  {line.input} ({line.source}{effect})"
     yield ""
     if comparison.withheld:
-        yield from wrap(f"withheld: {comparison.withheld}", _WIDTH_COLUMNS, subsequent_indent="  ")
+        yield from wrap(f"withheld: {comparison.withheld}", WIDTH_COLUMNS, subsequent_indent="  ")
     for missing in comparison.not_included:
         yield f"not included: {missing}"
 
@@ -240,9 +239,9 @@ def _third(third: ForceThird) -> str:
     uncertainties = (third.u_numerical_n, third.u_input_n, third.u_data_n, third.u_validation_n)
     said = "verdict withheld"
     if third.within is not None:
-        said = "within 2 u_val" if third.within else "the model is off by more than 2 u_val"
+        said = "within 2 u_val" if third.within else "off by > 2 u_val"
     return (
-        f"{place:<18}{third.force_n:9.3f}{third.error_n:+9.3f}"
-        + "".join(f"{u:8.3f}" for u in uncertainties)
+        f"{place:<16}{third.force_n:8.3f}{third.error_n:+8.3f}"
+        + "".join(f"{u:{width}.3f}" for u, width in zip(uncertainties, (8, 8, 7, 7), strict=True))
         + f"  {said}"
     )

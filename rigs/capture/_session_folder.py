@@ -201,7 +201,8 @@ def _session_file(folder: Path) -> Path:
     if (folder / SESSION_NAME).is_file():
         return folder / SESSION_NAME
     if not folder.is_dir():
-        raise RecordError(f"{folder}: no such folder; give the folder that 'finray capture' wrote")
+        what = "is a file" if folder.exists() else "no such folder"
+        raise RecordError(f"{folder}: {what}; give the folder that 'finray capture' wrote")
     if (folder / JOURNAL_NAME).is_file():
         raise RecordError(
             f"{folder}: the capture was not finished ({SESSION_NAME} is missing); the last line of {JOURNAL_NAME} says "

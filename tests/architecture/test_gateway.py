@@ -65,7 +65,7 @@ ALLOWED = {
             ("finray_calib/demo/_machine_checks.py", "(folder / 'memory.max').read_text"),
             ("finray_calib/demo/_machine_checks.py", "(folder / 'memory.current').read_text"),
             ("rigs/light_guard/watch.py", "os.open"),
-            ("finray_calib/cli/_run.py", "os.open"),
+            ("finray_calib/cli/_output.py", "os.open"),
             ("finray_calib/cli/main.py", "os.open"),
             ("finray_calib/cli/main.py", "os.fdopen"),
         ),

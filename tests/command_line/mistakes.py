@@ -186,6 +186,49 @@ CASES = (
         r"plan\.toml: plan\.region: row_px = 250 with height_px = 56 ends at pixel 306, outside .* at most 256 px",
         edited("plan.toml", "row_px = 100", "row_px = 250"),
     ),
+    # what an editor or another country's keyboard makes of a file
+    Case(
+        "decimal comma",
+        BAD_PLAN,
+        r"plan\.toml: cannot be read as TOML \(.*\); correct the line 'target_fraction = 0,7': the decimal mark is",
+        edited("plan.toml", "target_fraction = 0.7", "target_fraction = 0,7"),
+    ),
+    Case(
+        "text without quotes",
+        BAD_PLAN,
+        r"plan\.toml: .*; correct the line 'paint_name = red': text stands in straight quotes",
+        edited("plan.toml", 'paint_name = "red"', "paint_name = red"),
+    ),
+    Case(
+        "typographic quotes",
+        BAD_PLAN,
+        r"plan\.toml: .*: write straight quotes",
+        edited("plan.toml", 'paint_name = "red"', "paint_name = \u201cred\u201d"),
+    ),
+    Case(
+        "UTF-16",
+        BAD_PLAN,
+        r"plan\.toml: .*; save it as UTF-8 text",
+        lambda lab, tmp: (tmp / "plan.toml").write_text((lab / "plan.toml").read_text(), encoding="utf-16"),
+    ),
+    Case(
+        "record for a plan",
+        "capture {lab}/bands.json --rig {lab}/rig.toml",
+        r"bands\.json: .*; it looks like a JSON file: a TOML file is needed here",
+    ),
+    Case(
+        "half a pixel",
+        BAD_PLAN,
+        r"plan\.toml: 'region\.row_px': must be a whole number, got 100\.5",
+        edited("plan.toml", "row_px = 100", "row_px = 100.5"),
+    ),
+    Case(
+        "semicolons between columns",
+        BAD_RIG,
+        r"camera\.csv: semicolons or tabs stand between its columns; export it with commas, and decimal points",
+        curve("400;1,5;2;3\n700;1;2;3\n", header="wavelength_nm;red_percent;green_percent;blue_percent\n"),
+    ),
+    Case("path with blanks", "capture a plan.toml", r"knows no plan\.toml; a path with blanks stands in quotes; "),
     # curves
     Case("no rig given", "capture {lab}/plan.toml", r"give a PLAN and its --rig, or --resume with the folder"),
     Case("no curve file", BAD_RIG, r"no\.csv: no such file", edited("rig.toml", '"assumed"\n', '"no.csv"\n')),
@@ -216,7 +259,7 @@ CASES = (
     Case(
         "plan without exposures",
         BAD_PLAN,
-        r"plan\.toml: 'bracket': tuple should have at least 1 item",
+        r"plan\.toml: 'bracket': must have more entries, at least 1",
         edited("plan.toml", "bracket = [1.0, 0.25]", "bracket = []"),
     ),
     # session
@@ -278,7 +321,40 @@ CASES = (
         "fit {paints}/red/paint.json",
         r"paint\.json: holds a paint calibration, where band signals are needed",
     ),
-    Case("no JSON", "fit {lab}/plan.toml", r"plan\.toml: cannot be read as JSON \(.*\); was it edited or cut off\?"),
+    Case(
+        "record for its session", "radiometry {lab}/session/session.json", r"session\.json: is a file; give the folder"
+    ),
+    Case(
+        "folder for a record",
+        "trace {lab}",
+        r"lab\S*: is a folder; 'finray verify' checks folders\. Here give the path",
+    ),
+    Case("record for a folder", "verify {lab}/bands.json", r"bands\.json: is a file; 'finray trace' checks a record"),
+    Case("study that is none", "study show {lab}", r"study\.json: no such file; give the path of a stored record"),
+    Case(
+        "rig for a record",
+        "fit {lab}/rig.toml",
+        r"rig\.toml: cannot be read as JSON .*, or is it no JSON file at all\?",
+    ),
+    Case(
+        "misspelt option",
+        "fit {lab}/bands.json --famly skew_t",
+        r"'finray fit' knows no --famly skew_t; did you mean '--family'\? 'finray fit --help' lists",
+    ),
+    Case(
+        "two paints behind one option",
+        "simulate render f.toml --paint red=a.json green=b.json",
+        r"knows no green=b\.json; write --paint before each COLOUR=FILE; ",
+    ),
+    Case(
+        "rig for a finger", "study finger-stiffness {lab}/rig.toml", r"rig\.toml: a finger without \[pad\], \[coating\]"
+    ),
+    Case(
+        "folder without its description",
+        "import bands {lab}",
+        r"lab\S*: holds no bands\.toml, which says which image shows what; write it as",
+    ),
+    Case("no JSON", "fit {lab}/plan.toml", r"plan\.toml: cannot be read as JSON \(.*\); was it edited or cut off, or"),
     Case(
         "newer record",
         "decide {tmp}/sweep.json",
@@ -628,6 +704,20 @@ CASES = (
 )
 
 USAGE = (
+    Case(
+        "misspelt verb",
+        "fits {lab}/bands.json",
+        r"invalid choice: 'fits' .*; did you mean 'fit'\? 'finray --help' says",
+    ),
+    Case("capital letter", "Fit {lab}/bands.json", r"invalid choice: 'Fit' .*; did you mean 'fit'\?"),
+    Case(
+        "misspelt job",
+        "simulate rneder f.toml",
+        r"invalid choice: 'rneder' .*; did you mean 'render'\? 'finray simulate",
+    ),
+    Case(
+        "misspelt choice", "fit {lab}/bands.json --family skewt", r"--family: invalid choice: .*; did you mean 'skew_t'"
+    ),
     Case("no such verb", "calibrate", r"invalid choice: 'calibrate' \(choose from .*'capture', 'radiometry', 'fit'"),
     Case(
         "paint of another colour",

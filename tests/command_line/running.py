@@ -14,10 +14,11 @@ from typing import Any
 from unittest.mock import patch
 
 from data_schemas.storage import sha256_of
-from finray_calib.cli import _run as options
+from finray_calib.cli import _output as options
 from finray_calib.cli.main import main
 from tests.schemas.stored_files import seal_again
 
+SCRIPTS = Path(__file__).parents[2] / "docs" / "how-to" / "use-finray-in-a-script.md"
 PROGRESS = re.compile(r"[a-z]+: .+ \(\d+ of \d+\)")
 
 
@@ -41,7 +42,29 @@ def finray(arguments: str) -> Outcome:
             status = main()
         except SystemExit as stop:  # how argparse ends
             status = int(stop.code or 0)
+    if status in (0, 1) and not {"-h", "--help", "--version"} & set(words):
+        require_documented(options.spoken(status))
     return Outcome(status, out.getvalue(), err.getvalue())
+
+
+def documented() -> dict[str, set[str]]:
+    """Return command -> keys that the page on scripts says its result may have; "import", "study": any other of it."""
+    table = SCRIPTS.read_text(encoding="utf-8").partition("| command | keys")[2]
+    found: dict[str, set[str]] = {}
+    for row in table.splitlines()[2:]:
+        _, names, keys, _ = row.split("|")
+        commands = re.findall("`([a-z -]+)`", names) or ["study"]
+        found |= {command: set(re.findall(r"`(\w+)`", keys)) for command in commands}
+    return found
+
+
+def require_documented(spoken: dict[str, Any]) -> None:
+    """Check that what ``--json`` would print of the last command is JSON, and that the page names its keys."""
+    json.dumps(spoken, allow_nan=False)
+    known, command = documented(), spoken["command"]
+    keys = known[command] if command in known else known[command.split()[0]]
+    assert spoken["result"], f"{command}: a program gets no result"
+    assert set(spoken["result"]) <= keys, f"{command}: {SCRIPTS.name} lacks {set(spoken['result']) - keys}"
 
 
 def succeed(arguments: str) -> str:

@@ -83,7 +83,10 @@ def test_a_killed_study_goes_on_with_what_is_missing(tmp_path, capsys):
 
     capsys.readouterr()
     assert main(["study", "show", str(tmp_path / "out")]) == 0
-    assert capsys.readouterr().out in said
+    table, _, last = capsys.readouterr().out.rpartition("look at: ")
+    assert table in said
+    assert last == f"{tmp_path}/out/study.html\n"
+    assert said.endswith("look at: out/study.html\n")
 
 
 def test_mistakes_in_a_plan_are_one_sentence(tmp_path, capsys):

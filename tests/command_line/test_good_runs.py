@@ -196,3 +196,13 @@ def test_every_verb_explains_itself(name: str) -> None:
     assert described
     assert " ".join(described.split()) in " ".join(said.split())
     assert re.search(rf"^    {name}\b", succeed("--help"), flags=re.MULTILINE)
+
+
+def test_what_windows_does_to_a_file_does_not_matter(lab: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "a folder of Zoë"
+    folder.mkdir()
+    for name in ("plan.toml", "rig.toml"):
+        text = (lab / name).read_text(encoding="utf-8").replace("\n", "\r\n")
+        (folder / name).write_bytes(b"\xef\xbb\xbf" + text.encode())
+    said = succeed(f"capture '{folder}/plan.toml' --rig '{folder}/rig.toml' --dry-run")
+    assert said.endswith(f"next: finray capture '{folder}/plan.toml' --rig '{folder}/rig.toml'\n")

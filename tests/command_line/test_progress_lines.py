@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from finray_calib.cli import _run as options
+from finray_calib.cli import _output as options
 
 
 @pytest.mark.parametrize(("seconds_each", "lines"), [(1.0, 0), (5.0, 2), (30.0, 9)])

@@ -132,7 +132,7 @@ def test_a_rig_to_practise_on_asks_for_no_device(
 ) -> None:
     monkeypatch.setattr("finray_calib.cli._rig.chosen_devices", raising(AssertionError("looks for devices")))
     said = succeed(f"rig init --preset {preset} --out {tmp_path}/rig.toml")
-    assert f"then: finray rig show {tmp_path}/rig.toml\n" in said
+    assert f"next: finray rig show {tmp_path}/rig.toml\n" in said
     assert "fill in" not in said
     rig = read_toml(tmp_path / "rig.toml", RigFile)
     assert rig.is_simulated

@@ -55,7 +55,7 @@ def test_a_finger_that_cannot_grip_is_told_of(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr("sim.experiments._design_sensitivities.LoadedFinger", Quick)
     monkeypatch.setattr("sim.experiments._design_sensitivities.press_to_force", never)
     said = succeed(f"study finger-stiffness baby-48x18 --vary 0 --out {tmp_path}/stiffness")
-    assert "a cylinder gripped with 2 N is not told of: no equilibrium at a push of 0.1 mm" in said
+    assert "a cylinder gripped with 2 N has no result: no equilibrium at a push of 0.1 mm" in said
     row = read_record(tmp_path / "stiffness" / "finger-stiffness.json", FingerStiffness).rows[0]
     assert (row.bending_n_per_mm, row.slip_torque_per_friction_n_mm, row.tipping_torque_n_mm) == (2.0, None, None)
     assert row.grip_failure == "no equilibrium at a push of 0.1 mm"

@@ -85,7 +85,7 @@ def test_without_any_uncertainty_intervals_and_verdicts_are_withheld(rng):
     ends = [*(row.rms_rel for row in found.rows), found.first_touch.offset_mm, *(p.simulated_n for p in found.points)]
     assert all(value.low95 is None and value.high95 is None for value in ends)
     told = force_lines(found)
-    assert "off by more than" not in told
+    assert "off by" not in told
     assert "[" not in told
     assert "withheld: intervals and verdicts" in told
     assert force_figure_png(found).startswith(b"\x89PNG")
@@ -259,7 +259,7 @@ def test_noise_is_taken_out_of_a_size():
     ("displacement_mm", "force_n", "fit", "message"),
     [
         ([0.5, 1.0, 1.5], [1.0, 2.0, 3.0], True, "has 3 points; a comparison needs 5 or more"),
-        ([1, 2, 3, 4, 5], [-1, -2, -3, -4, -5], True, "pushing counts positive, turn the sign"),
+        ([1, 2, 3, 4, 5], [-1, -2, -3, -4, -5], True, "pushing counts positive: change its sign"),
         ([100, 500, 1000, 1500, 1900], [0.1, 1, 2, 3, 4], True, "largest displacement is 1.9e.03 mm, .* another unit"),
         ([0.1, 0.5, 1.0, 1.5, 1.9], [100, 500, 1600, 2900, 4200], True, "largest force is 4.2e.03 N, .* another unit"),
         ([0.1, 0.5, 1.0, 1.5, 2.5], [0.1, 1, 2, 3, 4], False, r"reaches 2\.5 mm or more .* serves to 2\.1 mm"),
@@ -299,7 +299,7 @@ def test_a_force_in_its_noise_is_refused(rng):
 
 
 def test_curves_that_are_none():
-    with pytest.raises(CompareError, match=r"1 increment\(s\), which tell no curve; simulate with --increments 4"):
+    with pytest.raises(CompareError, match=r"1 increment\(s\), too few for a curve; simulate with --increments 4"):
         ForceCurve("press", np.array([1.0]), np.array([1.0]))
     with pytest.raises(CompareError, match="pushes must rise from above 0 mm and its forces be above 0 N"):
         ForceCurve("press", np.array([1.0, 2.0]), np.array([1.0, -1.0]))

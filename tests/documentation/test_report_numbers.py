@@ -266,7 +266,7 @@ def test_the_papers_emitter_stands_below_the_simulation() -> None:
     assert summary(replace(RESULTS, report_level_a=None))["photometric_error_level_a"] is None
 
 
-def test_terminal_table_fits_100_columns_and_holds_every_row() -> None:
+def test_terminal_table_fits_80_columns_and_holds_every_row() -> None:
     long_name = RESULTS.report.model_copy(update={"simulated": "s" * 300, "label": "l" * 300})
     lines = comparison_lines(long_name).splitlines()
     assert max(map(len, lines)) <= WIDTH_COLUMNS

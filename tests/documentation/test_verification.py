@@ -90,3 +90,15 @@ def test_tests_are_counted_where_a_row_counts_them(tmp_path, command, before, af
 def test_a_page_without_marks_is_left_alone():
     plain = re.sub(f"{page.BEGIN}.*", "", TEXT, flags=re.DOTALL)
     assert page.updated(plain, None, {}) == plain
+
+
+def test_the_page_of_trust_counts_every_row_and_hides_none_that_failed():
+    text = (
+        "## One\n\n| claim | command | measured | bar | met |\n|---|---|---|---|---|\n| a | `x` | 1 | 2 | yes |\n"
+        "| b | `x` | 3 | 2 | no |\n| c | `x` | 4 | none | - |\n| d | `x` | 5 | 2 | at 128 only |\n"
+    )
+    counted = page.trust_page(text)
+    assert "| One | 1 | 1 | 2 |" in counted
+    assert "- **b**: 3; bar: 2; met: no" in counted
+    assert "- **d**: 5; bar: 2; met: at 128 only" in counted
+    assert "**a**" not in counted

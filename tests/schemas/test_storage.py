@@ -312,7 +312,7 @@ class TestFilesPeopleWrite:
 
     def test_no_exposure(self, tmp_path):
         text = 'paint_name = "red"\nbracket = []\n[region]\nrow_px=1\ncolumn_px=1\nheight_px=9\nwidth_px=9\n'
-        with pytest.raises(RecordError, match=r"'bracket': tuple should have at least 1 item"):
+        with pytest.raises(RecordError, match=r"'bracket': must have more entries, at least 1"):
             read_toml(self.rig(tmp_path, text), PaintPlan)
 
     def test_light_inside_the_gel(self, tmp_path):

@@ -18,7 +18,7 @@ def require(program: str, package: str) -> str:
     """Return the path of a program; skip loudly where it is missing, fail in continuous integration."""
     path = shutil.which(program)
     if path is None:
-        _miss(f"{program} is missing: apt-get install --no-install-recommends {package} (make test-rigs does it)")
+        miss(f"{program} is missing: apt-get install --no-install-recommends {package} (make test-rigs does it)")
     return str(path)
 
 
@@ -29,7 +29,7 @@ def others_python(package: str) -> str:
     """
     python = others_environment() / "bin" / "python"
     if not python.exists():
-        _miss(f"{python} is missing, with {package} in it: make test-rigs makes it")
+        miss(f"{python} is missing, with {package} in it: make test-rigs makes it")
     return str(python)
 
 
@@ -41,10 +41,11 @@ def others_environment() -> Path:
 def require_module(module: str, package: str) -> None:
     """Skip loudly where a Python package is missing, fail in continuous integration."""
     if find_spec(module) is None:
-        _miss(f"the module {module} is missing: pip install {package}")
+        miss(f"the module {module} is missing: pip install {package}")
 
 
-def _miss(reason: str) -> None:
+def miss(reason: str) -> None:
+    """Skip loudly; fail in continuous integration."""
     if os.environ.get("CI"):
         pytest.fail(reason)
     pytest.skip(reason)
