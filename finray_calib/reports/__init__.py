@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
+    from finray_calib.reports._batch_page import PressPictures, batch_lines, batch_page, press_pictures, ranking_figure
     from finray_calib.reports._check_page import check_report
     from finray_calib.reports._comparison_figures import error_map_figure, force_figure_png, score_figure
     from finray_calib.reports._comparison_page import comparison_page
@@ -94,10 +95,13 @@ __all__ = [
     "Json",
     "PaintTruth",
     "Picture",
+    "PressPictures",
     "RecordPlot",
     "ReportTable",
     "Section",
     "angle_figure",
+    "batch_lines",
+    "batch_page",
     "check_report",
     "circles_csv",
     "clipped_remark",
@@ -145,9 +149,11 @@ __all__ = [
     "percent",
     "plain",
     "plot_record",
+    "press_pictures",
     "pressed_finger_png",
     "probability",
     "provenance_table",
+    "ranking_figure",
     "raspberry_pi_display",
     "raster",
     "render_page",

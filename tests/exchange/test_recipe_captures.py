@@ -10,7 +10,7 @@ import pytest
 from data_schemas import ImportFormatError, PlaceInImage, SimulatedPress, TactileCapture
 from data_schemas.storage import read_record
 from finray_calib.exchange import Recipe, read_by_recipe, read_circles, read_recipe, recipe_names, with_sizes
-from finray_calib.exchange._recipe_captures import pickle_words
+from finray_calib.exchange._capture_recipe import pickle_words
 from finray_calib.sensing import contact_distance
 from tests.command_line.running import finray, succeed
 from tests.exchange.ball_press_folders import Trap
