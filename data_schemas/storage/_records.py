@@ -381,6 +381,8 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("TactileCapture", 2): _as_it_is,
     # errors of the depth on unseen presses, and which presses taught; none: not known
     ("NormalMapRecord", 2): _as_it_is,
+    # errors of the level of the depth; none: not known
+    ("NormalMapRecord", 3): _as_it_is,
     # what the intervals are over, the contact's signal, causes of the error; none: not known
     ("PhotometricErrorReport", 3): _as_it_is,
     # the skill of all presses together, of several simulators, in place of the mean of skills

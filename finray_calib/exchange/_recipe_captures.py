@@ -6,11 +6,11 @@ which that is so of all presses is refused.
 
 import re
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import cv2
 import numpy as np
@@ -26,7 +26,7 @@ from data_schemas import (
     TactileCapture,
 )
 from data_schemas.storage import finite_number, read_bytes, read_npy
-from finray_calib.exchange._ball_presses import MOST_PRESSES, read_npz
+from finray_calib.exchange._ball_presses import MOST_PRESSES, ToldCircle, read_npz
 from finray_calib.exchange._capture_recipe import (
     PICKLED,
     PRESS,
@@ -50,6 +50,8 @@ Progress = Callable[[int, int, str], None]
 
 VIDEO: Final = ".avi"
 MOST_FILES = 200_000
+#: Presses that the median stands on, spread over the set: of more it hardly changes, and they fill the memory.
+MOST_IN_MEDIAN = 51
 #: A scale that its own check length contradicts by more than this is not the scale.
 SCALE_TOLERANCE_REL = 0.1
 #: Frames whose change is at least this share of the largest are the hold of a press.
@@ -69,22 +71,27 @@ class RecipeCaptures:
     Attributes
     ----------
     captures
-        Name of the press -> its capture.
+        Name of the press -> its capture, read from the folder again each time it is asked for: a large set does not
+        fit into memory.
     left_out
         Why presses were left out -> their names.
     """
 
-    captures: dict[str, TactileCapture]
+    captures: Mapping[str, TactileCapture]
     left_out: dict[str, list[str]]
+
+
+Take = Callable[[str, TactileCapture, tuple[Path, ...]], None]
 
 
 def read_by_recipe(
     folder: Path,
     recipe: Recipe,
-    circles: Mapping[str, ContactCircle] | None = None,
+    circles: Mapping[str, ToldCircle] | None = None,
     progress: Progress | None = None,
+    take: Take | None = None,
 ) -> RecipeCaptures:
-    """Read all presses of a folder.
+    """Read all presses of a folder, one after the other.
 
     Parameters
     ----------
@@ -96,6 +103,8 @@ def read_by_recipe(
         Name of a press -> circle that stands in the place of what the recipe says.
     progress
         Called with number, count and name before each press.
+    take
+        Called with name, capture and the files that it was made of, before the next one is read.
 
     Raises
     ------
@@ -106,7 +115,7 @@ def read_by_recipe(
     if not folder.is_dir():
         raise ImportFormatError(f"{folder}: no such folder; give the folder that the recipe '{recipe.name}' describes")
     reader = _Folder(folder, recipe, dict(circles or {}))
-    captures: dict[str, TactileCapture] = {}
+    read: list[str] = []
     excluded = [name for name in recipe.presses.leave_out if name in reader.files]
     left_out = {"the recipe leaves it out": excluded} if excluded else {}
     names = [name for name in reader.files if name not in recipe.presses.leave_out]
@@ -114,16 +123,38 @@ def read_by_recipe(
         if progress is not None:
             progress(number, len(names), name)
         try:
-            captures[name] = reader.capture(name)
+            capture = reader.capture(name)
         except (LeftOutError, CompareError) as why:
             left_out.setdefault(str(why), []).append(name)
-    if not captures:
+            continue
+        read.append(name)
+        if take is not None:
+            take(name, capture, reader.made_of)
+    if not read:
         raise ImportFormatError(
             f"{folder}: none of its {len(reader.files)} presses can be read by the recipe '{recipe.name}': "
             f"{'; '.join(left_out)}"
         )
-    reader.check_scale(captures)
-    return RecipeCaptures(captures, left_out)
+    reader.check_scale(read)
+    return RecipeCaptures(_ReadAgain(reader, read), left_out)
+
+
+class _ReadAgain(Mapping[str, TactileCapture]):
+    """Captures by name, each read when it is asked for."""
+
+    def __init__(self, reader: "_Folder", names: Sequence[str]) -> None:
+        self._reader, self._names = reader, dict.fromkeys(names)
+
+    def __getitem__(self, name: str) -> TactileCapture:
+        if name not in self._names:
+            raise KeyError(name)
+        return self._reader.capture(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
 
 
 @dataclass
@@ -132,9 +163,12 @@ class _Folder:
 
     folder: Path
     recipe: Recipe
-    circles: dict[str, ContactCircle]
+    circles: dict[str, ToldCircle]
     files: dict[str, Path] = field(init=False)
+    _found: dict[str, dict[str, Any]] = field(init=False, default_factory=dict)
+    _made_of: set[Path] = field(init=False, default_factory=set)
     _median: Counts | None = field(init=False, default=None)
+    _median_of: set[Path] = field(init=False, default_factory=set)
     _tables: dict[tuple[Path, str], "LabelTable"] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -148,8 +182,14 @@ class _Folder:
             if name not in self.files:
                 raise ImportFormatError(f"--circles: {name} is no press of {self.folder}; correct the line")
 
+    @property
+    def made_of(self) -> tuple[Path, ...]:
+        """Files that the last capture was made of."""
+        return tuple(sorted(self._made_of))
+
     def capture(self, name: str) -> TactileCapture:
         """Return the capture of a press."""
+        self._made_of.clear()
         force_n = None
         if self.files[name].suffix.lower() == VIDEO:
             images, force_n = self._video(name)
@@ -200,13 +240,13 @@ class _Folder:
             licence=recipe.licence,
         )
 
-    def check_scale(self, captures: Mapping[str, TactileCapture]) -> None:
+    def check_scale(self, names: Sequence[str]) -> None:
         """Refuse a scale that the check length contradicts."""
         scale, contact = self.recipe.scale, self.recipe.contact
         if scale is None or scale.check_length_px is None or scale.check_length_mm is None or contact is None:
             return
         lengths_px = []
-        for name in captures:
+        for name in names:
             try:
                 lengths_px.append(self._quantity(name, contact.file, contact.press, scale.check_length_px))
             except LeftOutError:
@@ -237,6 +277,7 @@ class _Folder:
 
     def _picture(self, path: Path) -> Counts:
         """Return a picture as counts (H, W, 3) in RGB order, stretched where the recipe says so."""
+        self._made_of.add(path)
         if path.suffix.lower() == ".exr":
             full = self.recipe.picture.full_scale
             if full is None:
@@ -266,13 +307,18 @@ class _Folder:
         source = self.recipe.no_contact
         if source.median_of_presses:
             if self._median is None:
-                pictures = [self._picture(path) for path in self.files.values()]
+                left_out = set(self.recipe.presses.leave_out)
+                files = [path for name, path in self.files.items() if name not in left_out]
+                step = -(-len(files) // MOST_IN_MEDIAN)
+                pictures = [self._picture(path) for path in files[::step]]
                 if len({picture.shape for picture in pictures}) > 1 or len(pictures) < 3:
                     raise ImportFormatError(
                         f"{self.folder}: a median needs at least 3 presses of one size, got {len(pictures)}; take "
                         "images without contact"
                     )
                 self._median = np.median(pictures, axis=0).astype(np.uint16)
+                self._median_of = set(files[::step])
+            self._made_of |= self._median_of
             return [self._median]
         found = []
         for pattern, needed in ((source.file, True), (source.repeat_file, False)):
@@ -294,6 +340,7 @@ class _Folder:
                 "without contact"
             )
         path = self.files[name]
+        self._made_of.add(path)
         frames = motion_jpeg_frames(path)
         if len(frames) <= before:
             raise LeftOutError(f"the video has {len(frames)} frames, and the first {before} are without contact")
@@ -321,6 +368,7 @@ class _Folder:
             raise ImportFormatError(f"{path}: {pickle_words(path)}")
         if not path.is_file():
             return None
+        self._made_of.add(path)
         try:
             values = (
                 np.array([finite_number(cell) for cell in label_column(path, source.column)])
@@ -351,7 +399,9 @@ class _Folder:
         contact = self.recipe.contact
         circle = self.circles.get(name)
         if circle is not None:
-            return self._with_circle(capture, circle, "label")
+            return self._with_circle(capture, circle.circle, circle.by)
+        if name in self._found:  # a search takes long, and finds the same again
+            return capture.model_copy(update=self._found[name])
         if contact is None:
             return capture
         if contact.circle is not None:
@@ -362,17 +412,23 @@ class _Folder:
             if radius <= 0.0:
                 raise LeftOutError(f"its circle has a radius of {radius:g} px; it must be above 0")
             return self._with_circle(capture, ContactCircle(row_px=row, column_px=column, radius_px=radius), "label")
-        if contact.search == "circle":
-            found = find_contact_circle(capture, _ball_px(capture)).circle
-            return self._with_circle(capture, found, "search")
-        if contact.search == "outline":
-            corners = find_contact_outline(capture)
-            return capture.model_copy(update={"contact_outline": corners, "contact_told_by": "search"})
+        if contact.search is not None:
+            placed = self._searched(capture, contact.search)
+            fields = ("contact_circle", "contact_outline", "contact_told_by")
+            self._found[name] = {name_of: getattr(placed, name_of) for name_of in fields}
+            return placed
         places = contact.outline_px.get(name) if contact.outline_px else self._hull(name)
         if places is None:
             raise LeftOutError("the recipe has no outline of it")
         corners = tuple(PlaceInImage(column_px=float(c), row_px=float(r)) for c, r in places)
         return capture.model_copy(update={"contact_outline": corners, "contact_told_by": "label"})
+
+    def _searched(self, capture: TactileCapture, what: Literal["circle", "outline"]) -> TactileCapture:
+        """Return the capture with the contact that a search finds."""
+        if what == "circle":
+            return self._with_circle(capture, find_contact_circle(capture, _ball_px(capture)).circle, "search")
+        corners = find_contact_outline(capture)
+        return capture.model_copy(update={"contact_outline": corners, "contact_told_by": "search"})
 
     def _with_circle(self, capture: TactileCapture, circle: ContactCircle, by: str) -> TactileCapture:
         """Return the capture with a circle that can be."""
@@ -396,6 +452,7 @@ class _Folder:
         path = _named(self.folder, (contact.file if contact is not None else None) or "", name)
         if not path.is_file():
             raise LeftOutError(f"there is no {contact.file if contact is not None else ''}, which holds its contact")
+        self._made_of.add(path)
         arrays, pickled = read_npz(path)
         corners = [
             label_array(arrays, pickled, part, path) for part in (contact.outline if contact is not None else ())
@@ -421,6 +478,7 @@ class _Folder:
         if path.suffix.lower() == ".npz":
             if not path.is_file():
                 raise LeftOutError(f"there is no {file}, which holds its contact")
+            self._made_of.add(path)
             return label_entry(path, value)
         if press is None:
             raise ImportFormatError(
@@ -429,6 +487,7 @@ class _Folder:
             )
         table = self._tables.get((path, press)) or read_label_table(path, press)
         self._tables[path, press] = table
+        self._made_of.add(path)
         row = table.row(name, self.files[name])
         if row is None:
             raise LeftOutError(f"no line of {path.name} is of it")

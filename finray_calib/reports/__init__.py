@@ -23,7 +23,7 @@ if TYPE_CHECKING:
         row_of,
         simulation_sentence,
     )
-    from finray_calib.reports._contact_sheet import circles_csv, contacts_png, sensed_png
+    from finray_calib.reports._contact_sheet import ContactSheet, sensed_png
     from finray_calib.reports._decision_figures import angle_figure
     from finray_calib.reports._decision_page import (
         decision_meaning,
@@ -90,6 +90,7 @@ else:
 
 __all__ = [
     "ByteImage",
+    "ContactSheet",
     "Content",
     "FittedPaint",
     "Json",
@@ -103,11 +104,9 @@ __all__ = [
     "batch_lines",
     "batch_page",
     "check_report",
-    "circles_csv",
     "clipped_remark",
     "comparison_lines",
     "comparison_page",
-    "contacts_png",
     "decimals_for",
     "decision_meaning",
     "decision_page",
