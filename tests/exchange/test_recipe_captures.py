@@ -17,6 +17,7 @@ from finray_calib.exchange import Recipe, read_by_recipe, read_circles, read_rec
 from finray_calib.exchange._capture_recipe import pickle_words
 from finray_calib.sensing import _contact_place as contact_place
 from finray_calib.sensing import contact_distance, find_contact_circle
+from finray_calib.sensing._contact_place import _coarse
 from tests.command_line.running import finray, succeed
 from tests.exchange.ball_press_folders import Trap
 from tests.exchange.recipe_folders import (
@@ -422,13 +423,13 @@ def test_who_told_a_circle_is_kept(tmp_path, monkeypatch):
     write_digit(tmp_path / "digit")
     monkeypatch.chdir(tmp_path)
     options = f"digit --recipe fots-digit --ball-diameter-mm {2 * BALL_PX / 21.09}"
-    succeed(f"import captures {options} --out set")
+    assert finray(f"import captures {options} --out set").status == 0
     lines = (tmp_path / "set" / "circles.csv").read_text().splitlines()
     assert lines[0] == "image,column_px,row_px,radius_px,told_by"
     assert all(line.endswith(",search") for line in lines[1:])
-    (tmp_path / "mine.csv").write_text("\n".join([*lines[:2], "0001,60,45,20,label", *lines[3:]]))
-    succeed(f"import captures {options} --circles mine.csv --out again")
-    told = [read_record(tmp_path / "again" / f"000{k}.capture.json", TactileCapture) for k in (0, 1)]
+    (tmp_path / "mine.csv").write_text("\n".join([*lines[:2], "0002,60,45,20,label", *lines[3:]]))
+    assert finray(f"import captures {options} --circles mine.csv --out again").status == 0
+    told = [read_record(tmp_path / "again" / f"000{k}.capture.json", TactileCapture) for k in (0, 2)]
     assert [capture.contact_told_by for capture in told] == ["search", "label"]
     assert [any(part.what == "a drawn contact" for part in capture.missing) for capture in told] == [True, False]
     (tmp_path / "mine.csv").write_text("image,column_px,row_px,radius_px,told_by\n0001,60,45,20,hearsay\n")
@@ -489,12 +490,12 @@ def test_a_circle_in_a_large_picture_is_found_in_small_ones(factor, monkeypatch)
         mm_per_px=None, source="closed form",
     )  # fmt: skip
     searched = []
-    whole = contact_place._coarse
-    monkeypatch.setattr(
-        contact_place,
-        "_coarse",
-        lambda signal, *rest, **more: searched.append(signal.shape) or whole(signal, *rest, **more),
-    )
+
+    def spied(signal, *rest, **more):
+        searched.append(signal.shape)
+        return _coarse(signal, *rest, **more)
+
+    monkeypatch.setattr(contact_place, "_coarse", spied)
     found = find_contact_circle(capture).circle
     assert max(max(shape[:2]) for shape in searched) <= 640
     radius = CONTACT_PX * factor
