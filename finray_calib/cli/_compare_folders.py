@@ -275,9 +275,8 @@ def _worst_pages(
     from finray_calib.compare import shown_press
     from finray_calib.reports import comparison_page, press_pictures
 
-    scored = [(pair.skill.estimate, k) for k, pair in enumerate(compared) if pair.skill is not None]
     found = []
-    for _, k in sorted(scored)[:MOST_PAGES]:
+    for k in _worst_of_each(compared):
         job, path = jobs[k], out / jobs[k].report
         report = read_record(path, PhotometricErrorReport)
         press, capture = _read_pair(job)
@@ -288,6 +287,23 @@ def _worst_pages(
         link = job.report.with_suffix(".html").as_posix()
         found.append(press_pictures(job.simulator, job.name, link, report, shown, capture))
     return found
+
+
+def _worst_of_each(compared: "Sequence[ComparedPair]") -> list[int]:
+    """Return which pairs have the lowest skills, as many of each simulator; an untouched image is none."""
+    names = list(dict.fromkeys(pair.simulator for pair in compared))
+    scored = [
+        (pair.skill.estimate, k)
+        for k, pair in enumerate(compared)
+        if pair.skill is not None and abs(pair.skill.estimate) > _NOTHING
+    ]
+    scored.sort()
+    share = max(1, MOST_PAGES // max(1, len({compared[k].simulator for _, k in scored})))
+    chosen = [k for name in names for _, k in [s for s in scored if compared[s[1]].simulator == name][:share]]
+    return sorted(chosen, key=[k for _, k in scored].index)[:MOST_PAGES]
+
+
+_NOTHING = 1e-6
 
 
 def _table(batch: "ComparisonBatch") -> str:

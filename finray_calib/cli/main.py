@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from data_schemas import DiedError, FinrayError, system_words
 from data_schemas.storage import OBJECTS_PER_COLLECTION
 from finray_calib.cli import (
+    add_bench,
     add_capture,
     add_check,
     add_compare,
@@ -56,6 +57,7 @@ VERBS = {
     "simulate": add_simulate,
     "recolour": add_recolour,
     "compare": add_compare,
+    "bench": add_bench,
     "sense": add_sense,
     "decide": add_decide,
     "import": add_import,
