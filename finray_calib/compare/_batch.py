@@ -320,7 +320,8 @@ def to_capture(pairs: Sequence[ComparedPair]) -> tuple[str, ...]:
 
     Of n presses with a half interval h, about n (h / 0.01)^2 bring it to 0.01.
     """
-    scored = [pair for pair in pairs if pair.skill is not None]
+    # each capture once, by the simulator of the first pair
+    scored = [pair for pair in pairs if pair.skill is not None and pair.simulator == pairs[0].simulator]
     if not scored:
         return ()
     names = {pair.press or pair.name for pair in scored}
@@ -330,7 +331,7 @@ def to_capture(pairs: Sequence[ComparedPair]) -> tuple[str, ...]:
             f"{LEAST_UNITS - len(names)} more presses, at other places and depths: {LEAST_UNITS} give an interval, of "
             f"the {len(names)} here none is possible"
         )
-    best = skill_over_presses([p for p in scored if p.simulator == scored[0].simulator])
+    best = skill_over_presses(scored)
     if best is not None and best.low95 is not None and best.high95 is not None:
         half = (best.high95 - best.low95) / 2.0
         wanted = int(np.ceil(best.units * (half / _NARROW) ** 2))
