@@ -328,7 +328,7 @@ def to_capture(pairs: Sequence[ComparedPair]) -> tuple[str, ...]:
     told = []
     if len(names) < LEAST_UNITS:
         told.append(
-            f"{LEAST_UNITS - len(names)} more presses, at other places and depths: {LEAST_UNITS} give an interval, of "
+            f"{_more(LEAST_UNITS - len(names))}, at other places and depths: {LEAST_UNITS} give an interval, of "
             f"the {len(names)} here none is possible"
         )
     best = skill_over_presses(scored)
@@ -347,6 +347,11 @@ def to_capture(pairs: Sequence[ComparedPair]) -> tuple[str, ...]:
             )
     told += [f"{what}: {why}" for is_missing, what, why in _lacking(scored) if is_missing]
     return tuple(told)
+
+
+def _more(presses: int) -> str:
+    """Return a number of further presses in words."""
+    return f"{presses} more press{'' if presses == 1 else 'es'}"
 
 
 def _lacking(scored: Sequence[ComparedPair]) -> tuple[tuple[bool, str, str], ...]:
