@@ -79,6 +79,7 @@ def run_captures(arguments: argparse.Namespace) -> None:
     circles = {} if arguments.circles is None else read_circles(arguments.circles)
     given = [recipe_file, *([] if arguments.circles is None else [arguments.circles])]
     sheet, files, told = ContactSheet(), _Names(), _Told()
+    made_of: dict[str, tuple[Path, ...]] = {}
     with ProductSet(out) as products:
 
         def store(record: "Record", place: str, read: Iterable[Path]) -> None:
@@ -87,13 +88,15 @@ def run_captures(arguments: argparse.Namespace) -> None:
         def take(name: str, capture: "TactileCapture", read: tuple[Path, ...]) -> None:
             sheet.add(name, capture)
             told.add(capture)
+            made_of[name] = read
             store(capture, f"{files.of(name)}{CAPTURE}", read)
 
         with progress_bar("import") as progress:
             found = read_by_recipe(folder, recipe, circles, progress, take)
         predicted = 0
-        for name, press in _predicted(found.captures, arguments.predict_from):
-            store(press, f"{files.of(name)}{PRESS}", [])
+        for name, press, taught in _predicted(found.captures, arguments.predict_from):
+            read = {path for source in (name, *taught) for path in made_of[source]}
+            store(press, f"{files.of(name)}{PRESS}", sorted(read))
             predicted += 1
         products.add(out / CONTACTS, sheet.png())
         products.add(out / CIRCLES, sheet.circles_csv().encode())
@@ -141,8 +144,10 @@ def _recipes(names: tuple[str, ...]) -> str:
     return "\n".join(f"{name:28} {read_recipe(name)[0].what}" for name in names)
 
 
-def _predicted(captures: "Mapping[str, TactileCapture]", count: int | None) -> "Iterator[tuple[str, SimulatedPress]]":
-    """Yield name and prediction of every press that does not teach, also under another name."""
+def _predicted(
+    captures: "Mapping[str, TactileCapture]", count: int | None
+) -> "Iterator[tuple[str, SimulatedPress, list[str]]]":
+    """Yield name and prediction of every press that does not teach, also under another name, and which presses do."""
     from data_schemas import ImportFormatError
     from finray_calib.compare import predict_press, spread_over, teach_table
     from finray_calib.sensing import contact_sha256
@@ -152,11 +157,12 @@ def _predicted(captures: "Mapping[str, TactileCapture]", count: int | None) -> "
     names = list(captures)
     if not 1 <= count < len(names):
         raise ImportFormatError(f"--predict-from {count}: must be 1 to {len(names) - 1}, for {len(names)} presses")
-    table = teach_table([captures[names[i]] for i in spread_over(len(names), count)])
+    taught = [names[i] for i in spread_over(len(names), count)]
+    table = teach_table([captures[name] for name in taught])
     for name in names:
         capture = captures[name]
         if contact_sha256(capture) not in table.taught_by_sha256:
-            yield name, predict_press(table, capture)
+            yield name, predict_press(table, capture), taught
         elif capture.name not in table.taught_by:
             warn(f"{name}: is the same image as a press that taught the table, and is not predicted")
 

@@ -37,6 +37,10 @@ _PARAMETERS: Final[Mapping[Cause, tuple[tuple[str, str], ...]]] = {
     "blur": (("sigma", "px"),),
     "halo": (("strength", "1"),),
 }
+#: Before the images are looked at: px, shares, and px^2 of blur. Far wider than what images tell.
+_PRIOR_SD: Final[Mapping[Cause, float]] = {
+    "pose": 10.0, "size": 0.5, "depth": 1.0, "gain": 0.5, "shading": 0.5, "blur": 40.0, "halo": 1.0,
+}  # fmt: skip
 _STEPS: Final[Mapping[Cause, float]] = {"pose": 0.5, "size": 0.02, "depth": 0.05, "blur": 1.5, "halo": 0.05}
 REACH: Final = 3.5
 _NEARLY_CLIPPED: Final = 0.88
@@ -301,14 +305,18 @@ class _Fit:
         u: dict[Cause, Floats] = {c: np.zeros(len(_PARAMETERS[c])) for c in chosen}
         if not chosen:
             return theta, effects, u
+        noise = max(float(self.noise_variance @ self.scene.weights) / 3.0, 1e-12)
         for _ in range(_PASSES):
             images = {c: self.columns(c, theta, smooth) for c in chosen}
             matrix = np.stack([self.listed(image) for c in chosen for image in images[c]], axis=1)
             residual = self.listed(self.scene.residual(theta))
             hessian = matrix.T @ matrix
-            hessian += _RIDGE * np.diag(np.diag(hessian))
-            step = np.linalg.solve(hessian, matrix.T @ residual)
-            spread = self._spread(matrix, residual - matrix @ step, hessian)
+            # a move along a strip changes nothing: what the image does not tell stays where it is
+            prior = noise / np.concatenate([np.full(len(theta[c]), _PRIOR_SD[c]) for c in chosen]) ** 2
+            hessian += _RIDGE * np.diag(np.diag(hessian)) + np.diag(prior)
+            moved = np.concatenate([theta[c] for c in chosen])
+            step = np.linalg.solve(hessian, matrix.T @ residual - prior * moved)
+            spread = self._spread(matrix, residual - matrix @ step, hessian, noise)
             at = 0
             for c in chosen:
                 moves = np.clip(step[at : at + len(theta[c])], -_limit(c), _limit(c))
@@ -318,12 +326,13 @@ class _Fit:
                 at += len(theta[c])
         return theta, effects, u
 
-    def _spread(self, matrix: Floats, left: Floats, hessian: Floats) -> Floats:
-        """Return standard uncertainties whose residuals may be alike over tiles of 12 pixels (sandwich)."""
+    def _spread(self, matrix: Floats, left: Floats, hessian: Floats, noise: float) -> Floats:
+        """Return standard uncertainties: residuals may be alike over tiles (sandwich), and noise is the least."""
         tile = np.repeat(tile_indices(self.scene.fitted, _TILE_PX), 3)
         scores = np.stack([np.bincount(tile, weights=column * left) for column in matrix.T], axis=1)
         inverse = np.linalg.inv(hessian)
-        return np.asarray(np.sqrt(np.maximum(np.diag(inverse @ (scores.T @ scores) @ inverse), 0.0)))
+        of_tiles = np.diag(inverse @ (scores.T @ scores) @ inverse)
+        return np.asarray(np.sqrt(np.maximum(of_tiles, noise * np.diag(inverse))))
 
 
 def _limit(cause: Cause) -> float:

@@ -192,3 +192,18 @@ def test_too_few_pixels_tell_nothing():
         demand_contact=False,
     )  # fmt: skip
     assert attribute_error(compared, near, 1, FULL_DN, 0.5) is None
+
+
+def test_a_strip_has_no_place_along_itself():
+    """A cylinder that moved across is found; along itself nothing changes, and nothing is claimed."""
+    rng = np.random.default_rng(6)
+    columns = np.indices(SHAPE_PX)[1].astype(float)
+    distance = np.abs(columns - 90.0) / 14.0
+    rest = shaded(np.zeros((*SHAPE_PX, 2)))
+    contact = rest * (1.0 + 0.3 * np.exp(-(distance**2)) * np.sign(columns - 90.0))[..., None]
+    captured = rest + warped(contact - rest, dx=2.0)
+    found, _ = attributed(contact, rest, captured, distance, 1.5, rng)
+    assert found.causes[0].cause == "pose"
+    across, along = found.causes[0].parameters
+    assert across.value == pytest.approx(2.0, rel=0.15)
+    assert abs(along.value) <= 3.0 * along.u + 0.5

@@ -364,6 +364,9 @@ def test_two_commands_lead_from_a_folder_to_scores(tmp_path, monkeypatch):
     assert (tmp_path / "set" / "contacts.png").read_bytes().startswith(b"\x89PNG")
     press = read_record(tmp_path / "set" / "0002.press.json", SimulatedPress)
     assert "taught by 3 other presses: 0001, 0003, 0005" in press.notes
+    made_of = {path.rsplit("/", 1)[-1] for path in press.provenance.input_sha256}
+    assert made_of >= {"0001.png", "0002.png", "0003.png", "0005.png", "0000.png", "annotate.csv"}
+    assert "0004.png" not in made_of
     assert finray("compare set set --out scores").status == 0
     summary = json.loads((tmp_path / "scores" / "summary.json").read_text())["record"]
     skills = {pair["name"]: pair["skill"]["estimate"] for pair in summary["pairs"]}
