@@ -232,6 +232,44 @@ class FittedToneCurve(Model):
     draws: Annotated[NDArray[np.float64], ArraySpec("<f8", ("draw", "2"))] = Field(description="exponent, offset")
 
 
+class CauseParameter(Model):
+    """How large a cause of error is: what would have to change in the simulation to repair it."""
+
+    name: str
+    unit: str
+    value: float
+    u: NotNegative = Field(description="standard uncertainty from noise and from what no cause explains")
+
+
+class ErrorCause(Model):
+    """One cause of a simulation's error, its size, and the skill that it costs."""
+
+    cause: Literal["pose", "size", "depth", "gain", "shading", "blur", "halo"]
+    parameters: tuple[CauseParameter, ...]
+    skill_lost: float = Field(description="its part of 1 - skill; parts add up, so that one may be below 0")
+    skill_regained: float = Field(description="what repairing it alone would add to the skill")
+    like: tuple[str, ...] = Field(default=(), description="causes whose effect on the image is much like this one's")
+    advice: str
+
+
+class ErrorAttribution(Model):
+    """Where 1 - skill of the headline region comes from: parts that add up.
+
+    Causes are those that a joint fit of small changes of the simulation found to explain the residual; the largest
+    first. Saturated pixels and noise are no causes of the simulation.
+    """
+
+    causes: tuple[ErrorCause, ...]
+    skill_lost: float = Field(description="1 - skill of the region")
+    saturation_skill: float = Field(description="of pixels that are clipped, or nearly so, in the simulation")
+    noise_skill: float = Field(description="of render and capture, as known or as neighbours differ; 0 where taken out")
+    remainder_skill: float = Field(description="explained by none of these")
+    maps: Annotated[NDArray[np.float32], ArraySpec("<f4", ("cause", "row", "column"))] | None = Field(
+        description="what each cause changes in the image, mean over channels, relative to the pad's level; None "
+        "without a cause"
+    )
+
+
 class PhotometricErrorReport(Record):
     """Comparison of one simulated press with one tactile capture.
 
@@ -240,7 +278,7 @@ class PhotometricErrorReport(Record):
     with a repeat) a score may lie above it; elsewhere a score above it is not meaningful.
     """
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray compare'"
     shown: ClassVar[tuple[str, ...]] = (
         "simulated", "captured", "headline_skill", "headline_region", "exposure_factor", "values",
@@ -268,6 +306,19 @@ class PhotometricErrorReport(Record):
     light_angle_deg: float | None
     light_angle_uncertainty_deg: float | None = None
     interval_covers: str = Field(description="what the intervals cover, in plain words")
+    interval_over: Literal["inputs", "pixels of this press"] | None = Field(
+        default=None,
+        description="inputs: 95 % of what they leave open; pixels of this press: no more than the spread over parts of "
+        "the region, which says nothing of another press; None: not known (an older version)",
+    )
+    contact_signal: NotNegative | None = Field(
+        default=None,
+        description="weighted sum of squares of the contact's change over the headline region, in squares of the "
+        "no-contact level (encoded values: of full scale) times pixels; None: not known (an older version)",
+    )
+    attribution: ErrorAttribution | None = Field(
+        default=None, description="None where it cannot be told, or was not asked for"
+    )
     monte_carlo: MonteCarlo | None = Field(default=None, description="None where no input has a known uncertainty")
     budget: tuple[InputUncertainty, ...] = ()
     validation: tuple[ValidationCell, ...] = ()
@@ -292,30 +343,75 @@ class ComparedPair(Model):
     name: str
     simulated: str
     captured: str
+    simulator: str = Field(default="", description="whose press it is; empty where only one is compared")
+    press: str = Field(default="", description="repeats of one press share it; empty: the name")
+    session: str | None = Field(default=None, description="in which it was captured; None: not known")
+    sensor: str | None = Field(default=None, description="of which it was captured; None: not known")
     report: str | None = Field(default=None, description="file of the report, relative to the batch")
     skill: Interval | None = Field(default=None, description="headline of the report")
     floor_skill: Interval | None = Field(default=None, description="what a repeat of the no-contact image would score")
+    contact_signal: NotNegative | None = Field(
+        default=None, description="squared change by the contact that skill is a share of; None: not known"
+    )
     findings: tuple[str, ...] = ()
     error: str | None = Field(default=None, description="why this pair could not be compared")
 
 
-class ComparisonBatch(Record):
-    """Comparison of several simulated presses with their captures.
+class SkillOverPresses(Model):
+    """Skill of all presses together: 1 - sum of their squared errors / sum of their squared changes by contact.
 
-    The mean skill is over presses, each counting once; its interval is that of Student's t over them, so that it says
-    what other presses of this kind would give, which the intervals of single reports do not know.
+    The interval says what other presses of this kind would give. Its units are the highest of sensors, sessions and
+    presses of which there are three; with fewer units it has no ends.
     """
 
-    schema_version: ClassVar[int] = 2
+    estimate: float
+    low95: float | None = Field(description="None with fewer than three units")
+    high95: float | None = Field(description="None with fewer than three units")
+    presses: Annotated[int, Field(ge=1)]
+    unit: Literal["press", "session", "sensor"]
+    units: Annotated[int, Field(ge=1)]
+    method: str = Field(description="how the interval was formed, in plain words")
+    not_sampled: tuple[str, ...] = Field(default=(), description="what the interval does not know")
+
+
+class SimulatorScore(Model):
+    """One simulator of a batch."""
+
+    simulator: str
+    compared: Annotated[int, Field(ge=0, description="presses")]
+    failed: Annotated[int, Field(ge=0, description="presses that could not be compared")]
+    skill: SkillOverPresses | None = Field(
+        description="over the presses that all ranked simulators share; None where nothing could be compared"
+    )
+
+
+class SkillDifference(Model):
+    """Skill of one simulator less that of another on the same presses.
+
+    Intervals of all differences of a batch hold together with 95 % (Bonferroni).
+    """
+
+    first: str
+    second: str
+    estimate: float
+    low95: float | None = Field(description="None with fewer than three units")
+    high95: float | None = Field(description="None with fewer than three units")
+    presses: Annotated[int, Field(ge=1)]
+    better_in: Annotated[int, Field(ge=0, description="presses in which the first has the higher skill")]
+
+
+class ComparisonBatch(Record):
+    """Comparison of simulated presses with their captures, of one simulator or several, the best first."""
+
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray compare' with folders"
 
     pairs: tuple[ComparedPair, ...]
     headline_region: str | None = Field(description="None where no pair could be compared")
-    mean_skill: Interval | None = Field(
-        description="None with fewer than two compared pairs; an interval altogether above 1 means that model and "
-        "noise disagree"
-    )
+    simulators: tuple[SimulatorScore, ...] = Field(default=(), description="the best first")
+    differences: tuple[SkillDifference, ...] = Field(default=(), description="of every two simulators")
     worst: tuple[str, ...] = Field(default=(), description="names of the pairs of lowest skill, the lowest first")
+    to_capture_next: tuple[str, ...] = Field(default=(), description="what would make the scores surer")
     notes: tuple[str, ...] = ()
 
 

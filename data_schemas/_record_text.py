@@ -124,6 +124,8 @@ def interval_text(estimate: float, low: float, high: float, unit: str = "", most
     if low == high == estimate:
         return f"{significant(estimate)} {unit}".strip()
     places = min(decimals_for((high - low) / 2), most_decimals)
+    if fixed(low, places) == fixed(high, places):  # two equal ends would look like an interval of no width
+        return f"{fixed(estimate, places)} {unit}".strip()
     return f"{fixed(estimate, places)} [{fixed(low, places)}, {fixed(high, places)}] {unit}".strip()
 
 

@@ -163,7 +163,7 @@ class NormalMapRecord(Record):
     on the half that did not teach it, and the mean angle of its normals.
     """
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray sense teach'"
 
     name: str
@@ -188,6 +188,11 @@ class NormalMapRecord(Record):
     )
     held_out_height_error_rel: Annotated[Floats, ArraySpec("<f8", ("press",))] | None = Field(
         default=None, description="of each press by that map, height from the rim to the middle: sensed / true - 1"
+    )
+    held_out_level_mm: Annotated[Floats, ArraySpec("<f8", ("ring",), "mm")] | None = Field(
+        default=None,
+        description="by those maps, mean depth 2.5 to 3.5 radii from the contact, where the gel is taken as flat, "
+        "counted from the frame of the picture; of presses with such a ring in view; none: not known",
     )
     taught_by_sha256: tuple[str, ...] = Field(
         default=(), description="SHA-256 of the contact images that taught it; none: not known"
@@ -216,12 +221,12 @@ class SensedPress(Record):
     normal: Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "3"), "1")]
     contact: Annotated[NDArray[np.uint8], ArraySpec("<u1", ("row", "column"))]
     depth_u_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})] | None = Field(
-        description="standard uncertainty of the depth at one pixel beside another; none: the map does not hold it"
+        description="standard uncertainty of the depth at one pixel, its level included; none: the map does not hold it"
     )
     contact_depth_mm: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "mm"})]
     deepest_mm: float = Field(description="largest depth")
     deepest_u_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})] | None = Field(
-        description="standard uncertainty of a depth, from the rim of a contact to its middle"
+        description="standard uncertainty of the largest depth, its level included"
     )
     contact_area_mm2: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm2"})]
     contact_area_u_mm2: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm2"})] | None = Field(

@@ -324,6 +324,19 @@ def _with_verdict_of_captures(body: Body) -> Body:
     return {**body, "verdict": verdict}
 
 
+def _without_mean_of_skills(body: Body) -> Body:
+    """Return a batch whose mean of skills, another statistic than today's, stands in its notes."""
+    kept = {name: value for name, value in body.items() if name != "mean_skill"}
+    mean = body["mean_skill"]
+    if mean is None:
+        return kept
+    told = (
+        f"mean of the skills {mean['estimate']:.3f}, 95 % {mean['low95']:.3f} to {mean['high95']:.3f} by Student's t, "
+        "as an earlier version stored it; compare again for the skill of all presses together"
+    )
+    return {**kept, "notes": [*body["notes"], told]}
+
+
 MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     # provenance may name packages, processor, renderer and changed sources; the envelope carries a seal
     **dict.fromkeys(LAST_UNSEALED.items(), _as_it_is),
@@ -370,6 +383,12 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("TactileCapture", 2): _as_it_is,
     # errors of the depth on unseen presses, and which presses taught; none: not known
     ("NormalMapRecord", 2): _as_it_is,
+    # errors of the level of the depth; none: not known
+    ("NormalMapRecord", 3): _as_it_is,
+    # what the intervals are over, the contact's signal, causes of the error; none: not known
+    ("PhotometricErrorReport", 3): _as_it_is,
+    # the skill of all presses together, of several simulators, in place of the mean of skills
+    ("ComparisonBatch", 2): _without_mean_of_skills,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
+    from finray_calib.cli._bench import add_bench
     from finray_calib.cli._capture import add_capture
     from finray_calib.cli._compare import add_compare
     from finray_calib.cli._completion import add_completion
@@ -29,6 +30,7 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "add_bench",
     "add_capture",
     "add_check",
     "add_compare",

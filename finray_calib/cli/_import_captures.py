@@ -1,6 +1,7 @@
 """``finray import captures``: another lab's folder of presses becomes tactile captures, read by a recipe."""
 
 import argparse
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,13 +9,13 @@ from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, sa
 from finray_calib.cli._run import (
     add_out,
     command_line,
-    file_name,
+    distinct_file_names,
     input_digests,
     require_new,
 )
 
 if TYPE_CHECKING:
-    from data_schemas import ContactCircle, SimulatedPress, TactileCapture
+    from data_schemas import Record, SimulatedPress, TactileCapture
     from finray_calib.exchange import Recipe
 
 DESCRIPTION = """\
@@ -56,9 +57,9 @@ def add_captures_format(formats: "argparse._SubParsersAction[argparse.ArgumentPa
 def run_captures(arguments: argparse.Namespace) -> None:
     """Import and report."""
     from data_schemas import ImportFormatError, provenance
-    from data_schemas.storage import ProductSet, digest_as_read, write_record
+    from data_schemas.storage import ProductSet, write_record
     from finray_calib.exchange import read_by_recipe, read_circles, recipe_names
-    from finray_calib.reports import circles_csv, contacts_png
+    from finray_calib.reports import ContactSheet
 
     if arguments.list:
         give(recipes=list(recipe_names()))
@@ -71,22 +72,57 @@ def run_captures(arguments: argparse.Namespace) -> None:
         )
     recipe, recipe_file = _recipe(arguments)
     out = require_new(arguments.out or Path(f"{folder.resolve().name}.captures"))
-    circles: dict[str, ContactCircle] = {} if arguments.circles is None else read_circles(arguments.circles)
-    with progress_bar("import") as progress:
-        found = read_by_recipe(folder, recipe, circles, progress)
-    teaching: int | None = arguments.predict_from
-    presses = {} if teaching is None else _predicted(list(found.captures.values()), teaching)
-    files = sorted(p for p in folder.rglob("*") if digest_as_read(p) is not None)
-    files += [recipe_file, *([] if arguments.circles is None else [arguments.circles])]
-    origin = provenance(command_line(), input_digests(files))
+    circles = {} if arguments.circles is None else read_circles(arguments.circles)
+    given = [recipe_file, *([] if arguments.circles is None else [arguments.circles])]
+    sheet, files, told = ContactSheet(), _Names(), _Told()
+    made_of: dict[str, tuple[Path, ...]] = {}
     with ProductSet(out) as products:
-        products.add(out / CONTACTS, contacts_png(found.captures))
-        products.add(out / CIRCLES, circles_csv(found.captures).encode())
-        for name, capture in found.captures.items():
-            write_record(capture, out / f"{file_name(name)}{CAPTURE}", origin, products)
-        for name, press in presses.items():
-            write_record(press, out / f"{file_name(name)}{PRESS}", origin, products)
-    _tell(out, found.captures, found.left_out, presses)
+
+        def store(record: "Record", place: str, read: Iterable[Path]) -> None:
+            write_record(record, out / place, provenance(command_line(), input_digests([*read, *given])), products)
+
+        def take(name: str, capture: "TactileCapture", read: tuple[Path, ...]) -> None:
+            sheet.add(name, capture)
+            told.add(capture)
+            made_of[name] = read
+            store(capture, f"{files.of(name)}{CAPTURE}", read)
+
+        with progress_bar("import") as progress:
+            found = read_by_recipe(folder, recipe, circles, progress, take)
+        predicted = 0
+        for name, press, taught in _predicted(found.captures, arguments.predict_from):
+            read = {path for source in (name, *taught) for path in made_of[source]}
+            store(press, f"{files.of(name)}{PRESS}", sorted(read))
+            predicted += 1
+        products.add(out / CONTACTS, sheet.png())
+        products.add(out / CIRCLES, sheet.circles_csv().encode())
+    _tell(out, told, found.left_out, predicted)
+
+
+class _Names:
+    """Give every press a file name of its own."""
+
+    def __init__(self) -> None:
+        self._seen: list[str] = []
+
+    def of(self, name: str) -> str:
+        """Return the file name of a press, the same each time."""
+        if name not in self._seen:
+            self._seen.append(name)
+        return distinct_file_names(self._seen)[name]
+
+
+class _Told:
+    """Keep what is said of a set: its size, and what the first capture tells of all."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.first: TactileCapture | None = None
+
+    def add(self, capture: "TactileCapture") -> None:
+        """Count a capture; only the first is kept."""
+        self.count += 1
+        self.first = self.first or capture
 
 
 def _recipe(arguments: argparse.Namespace) -> "tuple[Recipe, Path]":
@@ -104,32 +140,38 @@ def _recipes(names: tuple[str, ...]) -> str:
     return "\n".join(f"{name:28} {read_recipe(name)[0].what}" for name in names)
 
 
-def _predicted(captures: "list[TactileCapture]", count: int) -> "dict[str, SimulatedPress]":
-    """Return name -> prediction of every press that does not teach."""
+def _predicted(
+    captures: "Mapping[str, TactileCapture]", count: int | None
+) -> "Iterator[tuple[str, SimulatedPress, list[str]]]":
+    """Yield name and prediction of every press that does not teach, also under another name, and which presses do."""
     from data_schemas import ImportFormatError
     from finray_calib.compare import predict_press, spread_over, teach_table
+    from finray_calib.sensing import contact_sha256
 
-    if not 1 <= count < len(captures):
-        raise ImportFormatError(
-            f"--predict-from {count}: must be 1 to {len(captures) - 1}, for {len(captures)} presses"
-        )
-    teaching = {captures[i].name for i in spread_over(len(captures), count)}
-    table = teach_table([capture for capture in captures if capture.name in teaching])
-    return {c.name: predict_press(table, c) for c in captures if c.name not in teaching}
+    if count is None:
+        return
+    names = list(captures)
+    if not 1 <= count < len(names):
+        raise ImportFormatError(f"--predict-from {count}: must be 1 to {len(names) - 1}, for {len(names)} presses")
+    taught = [names[i] for i in spread_over(len(names), count)]
+    table = teach_table([captures[name] for name in taught])
+    for name in names:
+        capture = captures[name]
+        if contact_sha256(capture) not in table.taught_by_sha256:
+            yield name, predict_press(table, capture), taught
+        elif capture.name not in table.taught_by:
+            warn(f"{name}: is the same image as a press that taught the table, and is not predicted")
 
 
-def _tell(
-    out: Path,
-    captures: "dict[str, TactileCapture]",
-    left_out: "dict[str, list[str]]",
-    presses: "dict[str, SimulatedPress]",
-) -> None:
+def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int) -> None:
     """Say what was imported and what it lacks."""
-    first = next(iter(captures.values()))
+    first = told.first
+    if first is None:
+        return
     rows, columns = first.contact.shape[:2]
-    wrote(out, f"{len(captures)} captures, {columns} x {rows} px, encoding {first.encoding}")
-    give(captures=len(captures), width_px=columns, height_px=rows, encoding=first.encoding, source=first.source,
-         licence=first.licence, left_out=left_out, predicted=len(presses))  # fmt: skip
+    wrote(out, f"{told.count} captures, {columns} x {rows} px, encoding {first.encoding}")
+    give(captures=told.count, width_px=columns, height_px=rows, encoding=first.encoding, source=first.source,
+         licence=first.licence, left_out=left_out, predicted=predicted)  # fmt: skip
     look_at(out / CONTACTS)
     say(f"  {first.source}")
     say(f"  licence: {first.licence or 'not stated by the recipe'}")
@@ -137,10 +179,13 @@ def _tell(
         say(f"  lacks {part.what}: {part.lost}")
     for why, names in left_out.items():
         say(f"  left out: {', '.join(names)}: {why}")
-    if presses:
-        taught = len(captures) - len(presses)
-        say(f"  {len(presses)} presses are predicted by a table that {taught} others taught")
+    if predicted:
+        say(f"  {predicted} presses are predicted by a table that others taught")
         go_on_with("finray compare", out, out)
     if first.contact_told_by == "search":
-        correct = "" if first.contact_circle is None else f", correct {out / CIRCLES}, and import with --circles"
+        correct = (
+            ""
+            if first.contact_circle is None
+            else (f", correct {out / CIRCLES} (told_by: label, where you did), and import with --circles")
+        )
         warn(f"the contacts were searched for: look at {out / CONTACTS}{correct}")

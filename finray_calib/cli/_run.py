@@ -152,6 +152,20 @@ def file_name(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.()+-]", "-", name).lstrip(".-")[:LONGEST_NAME] or "unnamed"
 
 
+def distinct_file_names(names: Iterable[str]) -> dict[str, str]:
+    """Return each name with its plain file name; names whose file names would be one get a part of their own."""
+    found: dict[str, str] = {}
+    taken: set[str] = set()
+    for name in dict.fromkeys(names):
+        plain, number = file_name(name), 2
+        # some file systems do not tell capitals from small letters
+        while plain.casefold() in taken:
+            plain, number = f"{file_name(name)[: LONGEST_NAME - 6]}-{number}", number + 1
+        taken.add(plain.casefold())
+        found[name] = plain
+    return found
+
+
 def require_new(path: Path) -> Path:
     """Return `path` if nothing is there yet, found before any work is done; what dead writers left there is removed."""
     from data_schemas.storage import clear_leftovers

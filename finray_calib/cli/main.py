@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 from data_schemas import DiedError, FinrayError, system_words
 from data_schemas.storage import OBJECTS_PER_COLLECTION
 from finray_calib.cli import (
+    add_bench,
     add_capture,
     add_check,
     add_compare,
@@ -63,6 +64,7 @@ VERBS = {
     "simulate": add_simulate,
     "recolour": add_recolour,
     "compare": add_compare,
+    "bench": add_bench,
     "sense": add_sense,
     "decide": add_decide,
     "import": add_import,

@@ -14,8 +14,23 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from finray_calib.compare._batch import mean_skill, pair_by_name, pairs_of_rows, worst_pairs
-    from finray_calib.compare._comparison_record import NO_DRIFT, CheckOptions, compare_checked, compare_press
+    from finray_calib.compare._batch import (
+        PairRow,
+        pair_by_name,
+        pairs_of_rows,
+        rank_simulators,
+        skill_differences,
+        skill_over_presses,
+        to_capture,
+        worst_pairs,
+    )
+    from finray_calib.compare._comparison_record import (
+        NO_DRIFT,
+        CheckOptions,
+        compare_checked,
+        compare_press,
+        shown_press,
+    )
     from finray_calib.compare._displayed_images import ciede2000, srgb_to_lab
     from finray_calib.compare._mismatch import find_mismatches
     from finray_calib.compare._press_table import PressTable, predict_press, spread_over, teach_table
@@ -29,6 +44,7 @@ __all__ = [
     "DILATED",
     "NO_DRIFT",
     "CheckOptions",
+    "PairRow",
     "PressTable",
     "Region",
     "ciede2000",
@@ -37,16 +53,20 @@ __all__ = [
     "contact_regions",
     "disc",
     "find_mismatches",
-    "mean_skill",
     "multi_scale_similarity",
     "pair_by_name",
     "pairs_of_rows",
     "predict_press",
+    "rank_simulators",
     "register_press",
+    "shown_press",
+    "skill_differences",
+    "skill_over_presses",
     "spread_over",
     "srgb_to_lab",
     "strip_from_distance",
     "structural_similarity",
     "teach_table",
+    "to_capture",
     "worst_pairs",
 ]

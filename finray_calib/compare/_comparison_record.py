@@ -5,7 +5,7 @@ reader must know, namely what the intervals cover, what they leave out, and what
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from data_schemas import (
 from finray_calib.compare._candidate_errors import region_records, sensing_record
 from finray_calib.compare._comparison import LARGEST_HEADLINE_NOISE, Comparison, quiet_comparison
 from finray_calib.compare._displayed_images import SSIM_SETTINGS, ShownCandidate, full_frame_ssim, shown_candidates
+from finray_calib.compare._error_attribution import attribute_error
 from finray_calib.compare._input_draws import POSE, Drawn, Inputs, Propagated, generator_of
 from finray_calib.compare._mismatch import find_mismatches, require_no_mismatch
 from finray_calib.compare._photometric_error import (
@@ -45,7 +46,7 @@ from finray_calib.compare._prepared_images import Nuisances, nuisances_of, prepa
 from finray_calib.compare._regions import DILATED, FACTORS
 from finray_calib.compare._registration import move_press, register_press
 from finray_calib.compare._tone_curve import drift_record, encoded_layers, tone_record, without_gain
-from finray_calib.sensing import patch_scale, rgb_image, scale_finding, with_measured_scale
+from finray_calib.sensing import full_scale_dn, patch_scale, rgb_image, scale_finding, with_measured_scale
 
 #: How the finding begins that says that the camera stands where the render has it.
 NO_DRIFT = "no drift of the camera to speak of"
@@ -119,6 +120,11 @@ def compare_checked(
     forced = any(f.severity == "refuse" for f in findings)
     found = {"findings": (*report.findings, *checks), "forced_mismatch": forced, "patch_scale": scale}
     return report.model_copy(update=found), _as_compared(compared, capture)
+
+
+def shown_press(press: SimulatedPress, capture: TactileCapture, registered: bool = False) -> SimulatedPress:
+    """Return the press as :func:`compare_checked` compared it: moved if asked, through the camera's curve and gains."""
+    return _as_compared(_placed_press(press, capture, registered)[0], capture)
 
 
 def _as_compared(press: SimulatedPress, capture: TactileCapture) -> SimulatedPress:
@@ -209,10 +215,7 @@ def compare_press(
     exposure = None if draws.propagated is None else draws.propagated.draws["exposure"]
     red, green, blue = (float(w) for w in comparison.channel_weights)
     return PhotometricErrorReport(
-        simulated=press.name,
-        captured=capture.name,
-        finger=None if press.design is None else finger_identity(press.design),
-        label=press.label,
+        **_compared_sides(press, capture),
         values="linear light" if linear else ENCODED if nuisances.tone is None else THROUGH_A_CURVE,
         block_px=images.block_px,
         headline_region=DILATED,
@@ -224,9 +227,12 @@ def compare_press(
         exposure_factor_sd=None if exposure is None else float(exposure.std(ddof=1)),
         channel_weights=(red, green, blue),
         objective_error=statements.objective,
-        light_angle_deg=capture.light_angle_deg,
-        light_angle_uncertainty_deg=capture.light_angle_uncertainty_deg,
         interval_covers=interval_covers(comparison, draws),
+        interval_over="pixels of this press" if draws.propagated is None else "inputs",
+        contact_signal=_contact_signal(comparison, capture, images.block_px),
+        attribution=attribute_error(
+            comparison, images.distance, images.block_px, full_scale_dn(capture), headline.skill.estimate
+        ),
         monte_carlo=monte_carlo(draws.propagated, press, comparison.inputs),
         budget=statements.budget,
         validation=statements.validation,
@@ -271,6 +277,24 @@ class _Statements:
     objective: ObjectiveError | None = None
     budget: tuple[InputUncertainty, ...] = ()
     validation: tuple[ValidationCell, ...] = ()
+
+
+def _compared_sides(press: SimulatedPress, capture: TactileCapture) -> dict[str, Any]:
+    """Return what the report says of both sides as they were given."""
+    return {
+        "simulated": press.name,
+        "captured": capture.name,
+        "finger": None if press.design is None else finger_identity(press.design),
+        "label": press.label,
+        "light_angle_deg": capture.light_angle_deg,
+        "light_angle_uncertainty_deg": capture.light_angle_uncertainty_deg,
+    }
+
+
+def _contact_signal(comparison: Comparison, capture: TactileCapture, block_px: int) -> float:
+    """Return what the headline skill is a share of, in pixels times squares of the level or of full scale."""
+    signal = float(comparison.sums[-1].signal(np.ones(1))[0] @ comparison.channel_weights) * block_px**2
+    return signal if capture.encoding == "linear" else signal / full_scale_dn(capture) ** 2
 
 
 def _conditioned(comparison: Comparison, rng: np.random.Generator) -> Drawn | None:
@@ -328,13 +352,18 @@ COVERS_INPUTS = (
     "the metric between the noise-free capture and the noise-free render with the true paints, camera and pose: what "
     "the inputs of the budget leave open, with 95 % probability; noise is taken out of every error"
 )
-COVERS_PARTS = (
-    "how much a number depends on which part of the region was looked at (tiles drawn with replacement): no input of "
-    "this image has a known uncertainty"
+_PARTS: Final = (
+    "how much a number depends on which pixels of this press are looked at (square tiles of the region, drawn with "
+    "replacement), and are no 95 % intervals"
 )
+_NOT_PRESSES: Final = (
+    "They say nothing of another press, which usually differs by several times as much; compare folders of three "
+    "presses or more for an interval over presses"
+)
+COVERS_PARTS = f"{_PARTS}; no input of this image has a known uncertainty. {_NOT_PRESSES}"
 COVERS_CURVE = (
-    "how much a number depends on which part of the region was looked at (tiles drawn with replacement), and what "
-    "{unknown} leaves open; no other input of this image has a known uncertainty"
+    f"{_PARTS}; what {{unknown}} leaves open is in them; no other input of this image has a known uncertainty. "
+    f"{_NOT_PRESSES}"
 )
 
 

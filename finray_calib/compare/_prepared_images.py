@@ -208,7 +208,10 @@ def prepare_images(press: SimulatedPress, capture: TactileCapture) -> PreparedIm
 _OWN_NOISE_SHARE = 0.5
 _LEAST_NOISE_PIXELS = 500
 # noise of the render below this share of the camera's moves no score, and is not told from it
-_LEAST_RENDER_NOISE = 0.2
+_LEAST_RENDER_NOISE = 0.3
+#: By so much the camera's noise may be taken too large, as where the repeat holds more of it. Without this margin an
+#: independent capture would be taken for one of the render's.
+_CAMERA_NOISE_TOO_LARGE_REL = 0.15
 
 
 def holds_noise_of(layers: RenderLayers, captured: Captured) -> bool:
@@ -237,7 +240,7 @@ def holds_noise_of(layers: RenderLayers, captured: Captured) -> bool:
         return False
     render, camera = (of_render[used] ** 2).mean(axis=0), of_camera[used].mean(axis=0)
     told = render > _LEAST_RENDER_NOISE * camera
-    share = ((left[used] ** 2).mean(axis=0) - camera)[told] / render[told]
+    share = ((left[used] ** 2).mean(axis=0) - (1.0 - _CAMERA_NOISE_TOO_LARGE_REL) * camera)[told] / render[told]
     return bool(told.any() and float(np.median(share)) < _OWN_NOISE_SHARE)
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from data_schemas import CompareError, SimulatedPress, TactileCapture
 from finray_calib.compare._tone_curve import far_gain
-from finray_calib.sensing import contact_distance, full_scale_dn, rgb_image
+from finray_calib.sensing import contact_distance, contact_sha256, full_scale_dn, rgb_image
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -50,12 +50,15 @@ class PressTable:
         Rows and columns of the images.
     taught_by : tuple of str
         Names of the presses.
+    taught_by_sha256 : tuple of str
+        SHA-256 of their contact images: a press under another name is known by it.
     """
 
     coefficients: Floats
     half_width_px: float
     shape_px: tuple[int, int]
     taught_by: tuple[str, ...]
+    taught_by_sha256: tuple[str, ...]
 
 
 def teach_table(captures: Sequence[TactileCapture]) -> PressTable:
@@ -93,7 +96,8 @@ def teach_table(captures: Sequence[TactileCapture]) -> PressTable:
         right += terms.T @ target
     penalty = RIDGE_REL * np.trace(normal) / len(normal) * np.eye(len(normal))
     coefficients = np.linalg.solve(normal + penalty, right)
-    return PressTable(coefficients, width_px, (shape[0], shape[1]), tuple(capture.name for capture in captures))
+    names, digests = zip(*((capture.name, contact_sha256(capture)) for capture in captures), strict=True)
+    return PressTable(coefficients, width_px, (shape[0], shape[1]), names, digests)
 
 
 def predict_press(table: PressTable, capture: TactileCapture) -> SimulatedPress:
@@ -104,8 +108,11 @@ def predict_press(table: PressTable, capture: TactileCapture) -> SimulatedPress:
     CompareError
         The capture does not tell where its contact is, has another size, or taught the table itself.
     """
-    if capture.name in table.taught_by:
-        raise CompareError(f"{capture.name}: taught the table, so that what it predicts of it proves nothing")
+    if contact_sha256(capture) in table.taught_by_sha256:
+        raise CompareError(
+            f"{capture.name}: its contact image taught the table ({', '.join(table.taught_by)}), so that what it "
+            "predicts of it proves nothing"
+        )
     distance = _distance(capture)
     if distance.shape != table.shape_px:
         raise CompareError(f"{capture.name}: has another size than the presses that taught the table")

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from finray_calib.exchange._recipe_captures import RecipeCaptures, read_by_recipe
     from finray_calib.exchange._record_arrays import record_dataset
     from finray_calib.exchange._render_files import write_optics_folder
-    from finray_calib.exchange._render_folder import read_renders
+    from finray_calib.exchange._render_folder import press_request, read_renders
     from finray_calib.exchange._taxim_export import FEWEST_PRESSES, taxim_files
     from finray_calib.exchange._vtu import vtu_bytes
 else:
@@ -62,6 +62,7 @@ __all__ = [
     "nine_dtact_capture",
     "nine_dtact_prediction",
     "paint_spectra",
+    "press_request",
     "printable_parts",
     "raspberry_pi_capture",
     "read_ball_presses",

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path, PurePosixPath
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -203,22 +203,35 @@ def read_ball_presses(folder: Path, mm_per_px: float, ball_diameter_mm: float | 
     return BallPressFolder(tuple(captures), tuple(left_out))
 
 
-def read_circles(path: Path) -> dict[str, ContactCircle]:
-    """Return image name -> contact circle of a CSV file (image, column_px, row_px, radius_px).
+@dataclass(frozen=True, slots=True)
+class ToldCircle:
+    """A contact circle, and whether a person drew it or a search found it."""
+
+    circle: ContactCircle
+    by: Literal["label", "search"]
+
+
+def read_circles(path: Path) -> dict[str, ToldCircle]:
+    """Return image name -> contact circle of a CSV file (image, column_px, row_px, radius_px, and told_by if it likes).
 
     Raises
     ------
     ImportFormatError
-        When it is missing or not such a file, a radius is not above zero, or an image comes twice.
+        When it is missing or not such a file, a radius is not above zero, told_by is neither label nor search, or an
+        image comes twice.
     """
-    circles: dict[str, ContactCircle] = {}
+    circles: dict[str, ToldCircle] = {}
     for line, row in _rows(path, _CIRCLE_COLUMNS):
         image = str(_inside(row["image"], path, line))
         column, at_row, radius = (_number(row[name], name, path, line) for name in _CIRCLE_COLUMNS[1:])
         if radius <= 0.0 or image in circles:
             fault = f"radius_px = {radius:g} must be above 0" if radius <= 0.0 else f"{image} has a circle already"
             raise ImportFormatError(f"{path}, line {line}: {fault}; correct the line")
-        circles[image] = ContactCircle(row_px=at_row, column_px=column, radius_px=radius)
+        told = str(row.get("told_by", "")).strip() or "label"
+        if told not in ("label", "search"):
+            raise ImportFormatError(f"{path}, line {line}: told_by must be label or search, got {told!r}; correct it")
+        found = ContactCircle(row_px=at_row, column_px=column, radius_px=radius)
+        circles[image] = ToldCircle(found, "search" if told == "search" else "label")
     return circles
 
 
@@ -247,8 +260,8 @@ def _circled(folder: Path, ball_diameter_mm: float | None) -> list[BallPress]:
     path = folder / CIRCLES
     diameter = require_length(ball_diameter_mm, "the ball's diameter", "--ball-diameter-mm")
     return [
-        BallPress(image, read_rgb(folder / image), circle.row_px, circle.column_px, circle.radius_px, diameter)
-        for image, circle in read_circles(path).items()
+        BallPress(image, read_rgb(folder / image), of.circle.row_px, of.circle.column_px, of.circle.radius_px, diameter)
+        for image, of in read_circles(path).items()
     ]
 
 

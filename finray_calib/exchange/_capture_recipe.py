@@ -2,17 +2,22 @@
 
 A recipe says which files are the presses, where the image without contact is, which columns or arrays hold the contact,
 the scale with its unit, and what was pressed. Those of public sets come with the program; a file of your own is read by
-the same rules.
+the same rules. Here are also the tables and arrays of labels that a recipe names.
 """
 
-from pathlib import Path
-from typing import Annotated, Final, Literal
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Final, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from data_schemas import ImportFormatError, MissingPart, Model, explain
-from data_schemas.storage import read_toml_tables
-from finray_calib.exchange._ball_presses import LARGEST_PIXEL_MM, require_length
+from data_schemas.storage import read_csv, read_toml_tables
+from finray_calib.exchange._ball_presses import LARGEST_PIXEL_MM, read_npz, require_length
 
 RECIPES: Final = Path(__file__).parent / "recipes"
 PRESS: Final = "{press}"
@@ -216,5 +221,103 @@ def with_sizes(recipe: Recipe, ball_diameter_mm: float | None, mm_per_px: float 
         )
     if mm_per_px is not None:
         require_length(mm_per_px, "millimetres per pixel", "--mm-per-px", LARGEST_PIXEL_MM)
-        recipe = recipe.model_copy(update={"scale": RecipeScale(mm_per_px=mm_per_px)})
+        check = {} if recipe.scale is None else recipe.scale.model_dump(include={"check_length_mm", "check_length_px"})
+        recipe = recipe.model_copy(update={"scale": RecipeScale(mm_per_px=mm_per_px, **check)})
     return recipe
+
+
+_MEMBER = re.compile(r"^(?P<name>.+?)(?:\[(?P<index>\d+)\])?$")
+PICKLED = (".pkl", ".pickle")
+
+
+class LeftOutError(Exception):
+    """Why a press cannot be read; the others can."""
+
+
+def pickle_words(path: Path) -> str:
+    """Return why a pickled file is not opened, and the lines that convert it outside of the program."""
+    return (
+        "is pickled, and opening it could run a stranger's code, so it is never opened; if you trust its owner, "
+        "convert it in a Python of your own: import numpy, pathlib, pickle; "
+        f"values = pickle.loads(pathlib.Path('{path.name}').read_bytes()); "
+        f"numpy.save('{path.stem}.npy', numpy.array(values, dtype=float)), and name the .npy file in the recipe"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class LabelTable:
+    """Hold the lines of a CSV table by the path that names a press, and by its last part.
+
+    Folders before it may be those of another machine, so that the last part is enough, where one line only has it.
+    """
+
+    columns: list[str]
+    by_path: dict[str, list[dict[str, str]]]
+    by_last: dict[str, list[dict[str, str]]]
+
+    def row(self, name: str, path: Path) -> dict[str, str] | None:
+        """Return the line that names a press or its file.
+
+        Raises
+        ------
+        LeftOutError
+            Several lines that differ do.
+        """
+        for table, keys in (
+            (self.by_path, (name, name + path.suffix)),
+            (self.by_last, (path.name, PurePosixPath(name).name)),
+        ):
+            rows = next((table[key] for key in keys if key in table), [])
+            if len(rows) > 1:
+                raise LeftOutError("several lines of the table are of it, or of others of its name, and they differ")
+            if rows:
+                return dict.fromkeys(self.columns, "") | rows[0]
+        return None
+
+
+def read_label_table(path: Path, press: str) -> LabelTable:
+    """Read a table whose column `press` names the press, its file or its folder."""
+    columns, rows = read_csv(path, "a CSV file", ImportFormatError, skip_space=True)
+    if press not in columns:
+        raise ImportFormatError(f"{path}: has no column '{press}' that names the press; it has {', '.join(columns)}")
+    table = LabelTable(columns, {}, {})
+    for _, cells in rows:
+        row = dict(zip(columns, cells, strict=False))
+        named = PurePosixPath(row.get(press, "").strip().replace("\\", "/"))
+        # what follows the last dot of "press_1.5" is no kind of file
+        last = {named.name, named.stem} if not named.suffix[1:].isdigit() else {named.name}
+        keyed = [(table.by_path, named.as_posix()), *((table.by_last, key) for key in last)]
+        for found, key in keyed:
+            lines = found.setdefault(key, [])
+            if row not in lines:
+                lines.append(row)
+    return table
+
+
+def label_column(path: Path, column: str | None) -> list[str]:
+    """Return the cells of a column."""
+    columns, rows = read_csv(path, "a CSV file of forces", ImportFormatError, skip_space=True)
+    if column not in columns:
+        raise ImportFormatError(f"{path}: has no column '{column}'; it has {', '.join(columns)}: correct force.column")
+    at = columns.index(column)
+    return [cells[at] if at < len(cells) else "" for _, cells in rows]
+
+
+def label_array(arrays: Mapping[str, NDArray[Any]], pickled: tuple[str, ...], name: str, path: Path) -> NDArray[Any]:
+    """Return an array of numbers."""
+    if name in pickled:
+        raise ImportFormatError(f"{path}: '{name}' {pickle_words(Path(name))}")
+    if name not in arrays:
+        raise ImportFormatError(f"{path}: array '{name}' is missing; it holds {', '.join(sorted(arrays)) or 'nothing'}")
+    return arrays[name]
+
+
+def label_entry(path: Path, value: str) -> float:
+    """Return an array of one number, or one entry of it."""
+    member = _MEMBER.match(value)
+    name, index = (member["name"], member["index"]) if member is not None else (value, None)
+    array = label_array(*read_npz(path), name, path).ravel()
+    at = 0 if index is None else int(index)
+    if at >= array.size or (index is None and array.size != 1) or not np.isfinite(array[at]):
+        raise ImportFormatError(f"{path}: '{value}' must be one finite number; '{name}' holds {array.size} numbers")
+    return float(array[at])

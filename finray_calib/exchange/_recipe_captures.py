@@ -5,11 +5,12 @@ which that is so of all presses is refused.
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+import struct
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import cv2
 import numpy as np
@@ -24,10 +25,21 @@ from data_schemas import (
     PlaceInImage,
     TactileCapture,
 )
-from data_schemas.storage import finite_number, read_csv, read_npy
-from finray_calib.exchange._ball_presses import MOST_PRESSES, read_npz
-from finray_calib.exchange._capture_recipe import PRESS, Quantity, Recipe
-from finray_calib.exchange._motion_jpeg import motion_jpeg_frames
+from data_schemas.storage import finite_number, read_bytes, read_npy
+from finray_calib.exchange._ball_presses import MOST_PRESSES, ToldCircle, read_npz
+from finray_calib.exchange._capture_recipe import (
+    PICKLED,
+    PRESS,
+    LabelTable,
+    LeftOutError,
+    Quantity,
+    Recipe,
+    label_array,
+    label_column,
+    label_entry,
+    pickle_words,
+    read_label_table,
+)
 from finray_calib.exchange._render_folder import exr_rgb
 from finray_calib.sensing import contact_distance, find_contact_circle, find_contact_outline
 from rigs.cameras import decoded_picture, read_picture
@@ -38,6 +50,8 @@ Progress = Callable[[int, int, str], None]
 
 VIDEO: Final = ".avi"
 MOST_FILES = 200_000
+#: Presses that the median stands on, spread over the set: of more it hardly changes, and they fill the memory.
+MOST_IN_MEDIAN = 51
 #: A scale that its own check length contradicts by more than this is not the scale.
 SCALE_TOLERANCE_REL = 0.1
 #: Frames whose change is at least this share of the largest are the hold of a press.
@@ -48,8 +62,6 @@ _SURFACE_DEGREE = 3
 _BITS = {np.dtype(np.uint8): 8, np.dtype(np.uint16): 16}
 _MEDIAN_LOSES = "the median of the presses stands for it; they shine through by some DN: small errors are not seen"
 _SURFACE_LOSES = "a smooth surface through far pixels stands for it; texture of the gel counts as contact"
-_MEMBER = re.compile(r"^(?P<name>.+?)(?:\[(?P<index>\d+)\])?$")
-_PICKLED = (".pkl", ".pickle")
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,26 +71,27 @@ class RecipeCaptures:
     Attributes
     ----------
     captures
-        Name of the press -> its capture.
+        Name of the press -> its capture, read from the folder again each time it is asked for: a large set does not
+        fit into memory.
     left_out
         Why presses were left out -> their names.
     """
 
-    captures: dict[str, TactileCapture]
+    captures: Mapping[str, TactileCapture]
     left_out: dict[str, list[str]]
 
 
-class _LeftOutError(Exception):
-    """Why a press cannot be read; the others can."""
+Take = Callable[[str, TactileCapture, tuple[Path, ...]], None]
 
 
 def read_by_recipe(
     folder: Path,
     recipe: Recipe,
-    circles: Mapping[str, ContactCircle] | None = None,
+    circles: Mapping[str, ToldCircle] | None = None,
     progress: Progress | None = None,
+    take: Take | None = None,
 ) -> RecipeCaptures:
-    """Read all presses of a folder.
+    """Read all presses of a folder, one after the other.
 
     Parameters
     ----------
@@ -90,6 +103,8 @@ def read_by_recipe(
         Name of a press -> circle that stands in the place of what the recipe says.
     progress
         Called with number, count and name before each press.
+    take
+        Called with name, capture and the files that it was made of, before the next one is read.
 
     Raises
     ------
@@ -100,7 +115,7 @@ def read_by_recipe(
     if not folder.is_dir():
         raise ImportFormatError(f"{folder}: no such folder; give the folder that the recipe '{recipe.name}' describes")
     reader = _Folder(folder, recipe, dict(circles or {}))
-    captures: dict[str, TactileCapture] = {}
+    read: list[str] = []
     excluded = [name for name in recipe.presses.leave_out if name in reader.files]
     left_out = {"the recipe leaves it out": excluded} if excluded else {}
     names = [name for name in reader.files if name not in recipe.presses.leave_out]
@@ -108,16 +123,38 @@ def read_by_recipe(
         if progress is not None:
             progress(number, len(names), name)
         try:
-            captures[name] = reader.capture(name)
-        except (_LeftOutError, CompareError) as why:
+            capture = reader.capture(name)
+        except (LeftOutError, CompareError) as why:
             left_out.setdefault(str(why), []).append(name)
-    if not captures:
+            continue
+        read.append(name)
+        if take is not None:
+            take(name, capture, reader.made_of)
+    if not read:
         raise ImportFormatError(
             f"{folder}: none of its {len(reader.files)} presses can be read by the recipe '{recipe.name}': "
             f"{'; '.join(left_out)}"
         )
-    reader.check_scale(captures)
-    return RecipeCaptures(captures, left_out)
+    reader.check_scale(read)
+    return RecipeCaptures(_ReadAgain(reader, read), left_out)
+
+
+class _ReadAgain(Mapping[str, TactileCapture]):
+    """Captures by name, each read when it is asked for."""
+
+    def __init__(self, reader: "_Folder", names: Sequence[str]) -> None:
+        self._reader, self._names = reader, dict.fromkeys(names)
+
+    def __getitem__(self, name: str) -> TactileCapture:
+        if name not in self._names:
+            raise KeyError(name)
+        return self._reader.capture(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
 
 
 @dataclass
@@ -126,10 +163,13 @@ class _Folder:
 
     folder: Path
     recipe: Recipe
-    circles: dict[str, ContactCircle]
+    circles: dict[str, ToldCircle]
     files: dict[str, Path] = field(init=False)
+    _found: dict[str, dict[str, Any]] = field(init=False, default_factory=dict)
+    _made_of: set[Path] = field(init=False, default_factory=set)
     _median: Counts | None = field(init=False, default=None)
-    _tables: dict[tuple[Path, str], "_Table"] = field(init=False, default_factory=dict)
+    _median_of: set[Path] = field(init=False, default_factory=set)
+    _tables: dict[tuple[Path, str], "LabelTable"] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         self.files = dict(_press_files(self.folder, self.recipe))
@@ -142,8 +182,14 @@ class _Folder:
             if name not in self.files:
                 raise ImportFormatError(f"--circles: {name} is no press of {self.folder}; correct the line")
 
+    @property
+    def made_of(self) -> tuple[Path, ...]:
+        """Files that the last capture was made of."""
+        return tuple(sorted(self._made_of))
+
     def capture(self, name: str) -> TactileCapture:
         """Return the capture of a press."""
+        self._made_of.clear()
         force_n = None
         if self.files[name].suffix.lower() == VIDEO:
             images, force_n = self._video(name)
@@ -194,16 +240,16 @@ class _Folder:
             licence=recipe.licence,
         )
 
-    def check_scale(self, captures: Mapping[str, TactileCapture]) -> None:
+    def check_scale(self, names: Sequence[str]) -> None:
         """Refuse a scale that the check length contradicts."""
         scale, contact = self.recipe.scale, self.recipe.contact
         if scale is None or scale.check_length_px is None or scale.check_length_mm is None or contact is None:
             return
         lengths_px = []
-        for name in captures:
+        for name in names:
             try:
                 lengths_px.append(self._quantity(name, contact.file, contact.press, scale.check_length_px))
-            except _LeftOutError:
+            except LeftOutError:
                 continue
         if not lengths_px:
             return
@@ -231,6 +277,7 @@ class _Folder:
 
     def _picture(self, path: Path) -> Counts:
         """Return a picture as counts (H, W, 3) in RGB order, stretched where the recipe says so."""
+        self._made_of.add(path)
         if path.suffix.lower() == ".exr":
             full = self.recipe.picture.full_scale
             if full is None:
@@ -260,13 +307,18 @@ class _Folder:
         source = self.recipe.no_contact
         if source.median_of_presses:
             if self._median is None:
-                pictures = [self._picture(path) for path in self.files.values()]
+                left_out = set(self.recipe.presses.leave_out)
+                files = [path for name, path in self.files.items() if name not in left_out]
+                step = -(-len(files) // MOST_IN_MEDIAN)
+                pictures = [self._picture(path) for path in files[::step]]
                 if len({picture.shape for picture in pictures}) > 1 or len(pictures) < 3:
                     raise ImportFormatError(
                         f"{self.folder}: a median needs at least 3 presses of one size, got {len(pictures)}; take "
                         "images without contact"
                     )
                 self._median = np.median(pictures, axis=0).astype(np.uint16)
+                self._median_of = set(files[::step])
+            self._made_of |= self._median_of
             return [self._median]
         found = []
         for pattern, needed in ((source.file, True), (source.repeat_file, False)):
@@ -276,7 +328,7 @@ class _Folder:
             if path.is_file():
                 found.append(self._picture(path))
             elif needed:
-                raise _LeftOutError(f"there is no {pattern}, the image without contact")
+                raise LeftOutError(f"there is no {pattern}, the image without contact")
         return found
 
     def _video(self, name: str) -> tuple[list[Counts], float | None]:
@@ -288,9 +340,10 @@ class _Folder:
                 "without contact"
             )
         path = self.files[name]
+        self._made_of.add(path)
         frames = motion_jpeg_frames(path)
         if len(frames) <= before:
-            raise _LeftOutError(f"the video has {len(frames)} frames, and the first {before} are without contact")
+            raise LeftOutError(f"the video has {len(frames)} frames, and the first {before} are without contact")
         first = _small(_frame(frames[0], path))
         force = self._force(name, len(frames))
         if force is None:
@@ -298,10 +351,10 @@ class _Folder:
         else:  # many load cells count compression as negative, or rest beside zero
             strength = np.abs(force - np.median(force[:before]))
         if not strength.max() > 0.0:
-            raise _LeftOutError("nothing changes in its video")
+            raise LeftOutError("nothing changes in its video")
         held = _longest_run(strength, float(strength.max()))
         if held < before:
-            raise _LeftOutError(f"its video is held within the first {before} frames, which are to be without contact")
+            raise LeftOutError(f"its video is held within the first {before} frames, which are to be without contact")
         images = [_frame(frames[i], path) for i in (held, 0, before - 1)]
         return [self._arranged(image) for image in images], None if force is None else float(force[held])
 
@@ -311,13 +364,14 @@ class _Folder:
         if source is None:
             return None
         path = _named(self.folder, source.file, name)
-        if path.suffix.lower() in _PICKLED:
+        if path.suffix.lower() in PICKLED:
             raise ImportFormatError(f"{path}: {pickle_words(path)}")
         if not path.is_file():
             return None
+        self._made_of.add(path)
         try:
             values = (
-                np.array([finite_number(cell) for cell in _column(path, source.column)])
+                np.array([finite_number(cell) for cell in label_column(path, source.column)])
                 if path.suffix.lower() == ".csv"
                 else read_npy(path, "forces (npy)", ImportFormatError).astype(np.float64).ravel()
             )
@@ -345,7 +399,9 @@ class _Folder:
         contact = self.recipe.contact
         circle = self.circles.get(name)
         if circle is not None:
-            return self._with_circle(capture, circle, "label")
+            return self._with_circle(capture, circle.circle, circle.by)
+        if name in self._found:  # a search takes long, and finds the same again
+            return capture.model_copy(update=self._found[name])
         if contact is None:
             return capture
         if contact.circle is not None:
@@ -354,31 +410,37 @@ class _Folder:
                 for value in (contact.circle.column_px, contact.circle.row_px, contact.circle.radius_px)
             )
             if radius <= 0.0:
-                raise _LeftOutError(f"its circle has a radius of {radius:g} px; it must be above 0")
+                raise LeftOutError(f"its circle has a radius of {radius:g} px; it must be above 0")
             return self._with_circle(capture, ContactCircle(row_px=row, column_px=column, radius_px=radius), "label")
-        if contact.search == "circle":
-            found = find_contact_circle(capture, _ball_px(capture)).circle
-            return self._with_circle(capture, found, "search")
-        if contact.search == "outline":
-            corners = find_contact_outline(capture)
-            return capture.model_copy(update={"contact_outline": corners, "contact_told_by": "search"})
+        if contact.search is not None:
+            placed = self._searched(capture, contact.search)
+            fields = ("contact_circle", "contact_outline", "contact_told_by")
+            self._found[name] = {name_of: getattr(placed, name_of) for name_of in fields}
+            return placed
         places = contact.outline_px.get(name) if contact.outline_px else self._hull(name)
         if places is None:
-            raise _LeftOutError("the recipe has no outline of it")
+            raise LeftOutError("the recipe has no outline of it")
         corners = tuple(PlaceInImage(column_px=float(c), row_px=float(r)) for c, r in places)
         return capture.model_copy(update={"contact_outline": corners, "contact_told_by": "label"})
+
+    def _searched(self, capture: TactileCapture, what: Literal["circle", "outline"]) -> TactileCapture:
+        """Return the capture with the contact that a search finds."""
+        if what == "circle":
+            return self._with_circle(capture, find_contact_circle(capture, _ball_px(capture)).circle, "search")
+        corners = find_contact_outline(capture)
+        return capture.model_copy(update={"contact_outline": corners, "contact_told_by": "search"})
 
     def _with_circle(self, capture: TactileCapture, circle: ContactCircle, by: str) -> TactileCapture:
         """Return the capture with a circle that can be."""
         rows, columns = capture.contact.shape[:2]
         if not (0.0 <= circle.row_px < rows and 0.0 <= circle.column_px < columns):
-            raise _LeftOutError(
+            raise LeftOutError(
                 f"its circle's centre, row {circle.row_px:g}, column {circle.column_px:g}, lies outside the picture of "
                 f"{columns} x {rows} px; are row and column exchanged?"
             )
         ball_px = _ball_px(capture)
         if ball_px is not None and circle.radius_px > ball_px:
-            raise _LeftOutError(
+            raise LeftOutError(
                 f"a contact circle of {circle.radius_px:g} px radius is larger than the ball's {ball_px:.4g} px; is "
                 "the scale mm per px and not px per mm, and the ball's size its diameter?"
             )
@@ -389,14 +451,17 @@ class _Folder:
         contact = self.recipe.contact
         path = _named(self.folder, (contact.file if contact is not None else None) or "", name)
         if not path.is_file():
-            raise _LeftOutError(f"there is no {contact.file if contact is not None else ''}, which holds its contact")
+            raise LeftOutError(f"there is no {contact.file if contact is not None else ''}, which holds its contact")
+        self._made_of.add(path)
         arrays, pickled = read_npz(path)
-        corners = [_array(arrays, pickled, part, path) for part in (contact.outline if contact is not None else ())]
+        corners = [
+            label_array(arrays, pickled, part, path) for part in (contact.outline if contact is not None else ())
+        ]
         if any(part.ndim != 2 or part.shape[1] != 2 for part in corners):
             raise ImportFormatError(f"{path}: corners must be of shape (n, 2), column and row; correct contact.outline")
         points = np.concatenate(corners).astype(np.float32) if corners else np.zeros((0, 2), dtype=np.float32)
         if len(np.unique(points, axis=0)) < 3 or not np.isfinite(points).all():
-            raise _LeftOutError("its outline has fewer than 3 corners, or some that are no numbers")
+            raise LeftOutError("its outline has fewer than 3 corners, or some that are no numbers")
         return np.asarray(cv2.convexHull(points)[:, 0], dtype=np.float32)
 
     def _quantity(self, name: str, file: str | None, press: str | None, value: Quantity) -> float:
@@ -408,22 +473,24 @@ class _Folder:
                 f"recipe '{self.recipe.name}': '{value}' is a column, and no file is named that holds it"
             )
         path = _named(self.folder, file, name)
-        if path.suffix.lower() in _PICKLED:
+        if path.suffix.lower() in PICKLED:
             raise ImportFormatError(f"{path}: {pickle_words(path)}")
         if path.suffix.lower() == ".npz":
             if not path.is_file():
-                raise _LeftOutError(f"there is no {file}, which holds its contact")
-            return _entry(path, value)
+                raise LeftOutError(f"there is no {file}, which holds its contact")
+            self._made_of.add(path)
+            return label_entry(path, value)
         if press is None:
             raise ImportFormatError(
                 f"recipe '{self.recipe.name}': 'press' is missing beside file = \"{file}\"; name the column that says "
                 "which press a line is of"
             )
-        table = self._tables.get((path, press)) or _read_table(path, press)
+        table = self._tables.get((path, press)) or read_label_table(path, press)
         self._tables[path, press] = table
+        self._made_of.add(path)
         row = table.row(name, self.files[name])
         if row is None:
-            raise _LeftOutError(f"no line of {path.name} is of it")
+            raise LeftOutError(f"no line of {path.name} is of it")
         if value not in row:
             raise ImportFormatError(
                 f"{path}: has no column '{value}'; it has {', '.join(row)}: correct the recipe '{self.recipe.name}'"
@@ -452,16 +519,6 @@ class _Folder:
         )
         told = [MissingPart(what=what, lost=lost) for is_missing, what, lost in lacks if is_missing]
         return (*told, *self.recipe.lacks)
-
-
-def pickle_words(path: Path) -> str:
-    """Return why a pickled file is not opened, and the lines that convert it outside of the program."""
-    return (
-        "is pickled, and opening it could run a stranger's code, so it is never opened; if you trust its owner, "
-        "convert it in a Python of your own: import numpy, pathlib, pickle; "
-        f"values = pickle.loads(pathlib.Path('{path.name}').read_bytes()); "
-        f"numpy.save('{path.stem}.npy', numpy.array(values, dtype=float)), and name the .npy file in the recipe"
-    )
 
 
 def _press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
@@ -550,7 +607,7 @@ def _with_far_surface(capture: TactileCapture) -> TactileCapture:
     """Return the capture with a smooth surface through its far pixels in the place of a no-contact image."""
     distance = contact_distance(capture)
     if distance is None:
-        raise _LeftOutError("where its contact is, is not known, so no pixels can be told to be far from it")
+        raise LeftOutError("where its contact is, is not known, so no pixels can be told to be far from it")
     rows, columns = distance.shape
     y, x = np.mgrid[:rows, :columns] / max(rows, columns) - 0.5
     powers = [(i, j) for i in range(_SURFACE_DEGREE + 1) for j in range(_SURFACE_DEGREE + 1 - i)]
@@ -558,7 +615,7 @@ def _with_far_surface(capture: TactileCapture) -> TactileCapture:
     values = np.log(np.maximum(capture.contact.astype(np.float64), 0.5))
     far = (distance > FAR_HALF_WIDTHS) & (capture.contact < 2**capture.bit_depth - 1).all(axis=-1)
     if far.mean() < 0.1:
-        raise _LeftOutError(
+        raise LeftOutError(
             "less than a tenth of the picture is far from its contact; an image without contact is needed"
         )
     surface = np.exp(terms @ np.linalg.lstsq(terms[far], values[far], rcond=None)[0])
@@ -566,80 +623,41 @@ def _with_far_surface(capture: TactileCapture) -> TactileCapture:
     return capture.model_copy(update={"no_contact": limited, "no_contact_from": "pixels far from the contact"})
 
 
-@dataclass(frozen=True, slots=True)
-class _Table:
-    """Hold the lines of a CSV table by the path that names a press, and by its last part.
+LARGEST_VIDEO_BYTES = 512 << 20
+MOST_FRAMES = 20_000
+_HEADER_BYTES = 8
+_DEEPEST_LIST = 6
+_CONVERT = "convert the video: ffmpeg -i VIDEO -c:v mjpeg -q:v 1 VIDEO.avi, or to pictures"
 
-    Folders before it may be those of another machine, so that the last part is enough, where one line only has it.
+
+def motion_jpeg_frames(path: Path) -> list[bytes]:
+    """Return the JPEG bytes of every frame of an AVI file, in order.
+
+    Raises
+    ------
+    ImportFormatError
+        The file is missing, no AVI, its frames are no JPEG pictures, or there are too many.
     """
-
-    columns: list[str]
-    by_path: dict[str, list[dict[str, str]]]
-    by_last: dict[str, list[dict[str, str]]]
-
-    def row(self, name: str, path: Path) -> dict[str, str] | None:
-        """Return the line that names a press or its file.
-
-        Raises
-        ------
-        _LeftOutError
-            Several lines that differ do.
-        """
-        for table, keys in (
-            (self.by_path, (name, name + path.suffix)),
-            (self.by_last, (path.name, PurePosixPath(name).name)),
-        ):
-            rows = next((table[key] for key in keys if key in table), [])
-            if len(rows) > 1:
-                raise _LeftOutError("several lines of the table are of it, or of others of its name, and they differ")
-            if rows:
-                return dict.fromkeys(self.columns, "") | rows[0]
-        return None
+    content = read_bytes(path, "a Motion-JPEG video (AVI)", ImportFormatError, LARGEST_VIDEO_BYTES)
+    if content[:4] != b"RIFF" or content[8:12] != b"AVI ":
+        raise ImportFormatError(f"{path}: is no AVI video; {_CONVERT}")
+    frames = [part for part in _video_parts(content, 0, len(content), 0) if part]
+    if not frames or len(frames) > MOST_FRAMES:
+        raise ImportFormatError(
+            f"{path}: holds {len(frames)} frames; 1 to {MOST_FRAMES} are allowed: give a part of it"
+        )
+    if not all(frame.startswith(b"\xff\xd8") for frame in frames):
+        raise ImportFormatError(f"{path}: its frames are no JPEG pictures (Motion JPEG); {_CONVERT}")
+    return frames
 
 
-def _read_table(path: Path, press: str) -> _Table:
-    """Read a table whose column `press` names the press, its file or its folder."""
-    columns, rows = read_csv(path, "a CSV file", ImportFormatError, skip_space=True)
-    if press not in columns:
-        raise ImportFormatError(f"{path}: has no column '{press}' that names the press; it has {', '.join(columns)}")
-    table = _Table(columns, {}, {})
-    for _, cells in rows:
-        row = dict(zip(columns, cells, strict=False))
-        named = PurePosixPath(row.get(press, "").strip().replace("\\", "/"))
-        # what follows the last dot of "press_1.5" is no kind of file
-        last = {named.name, named.stem} if not named.suffix[1:].isdigit() else {named.name}
-        keyed = [(table.by_path, named.as_posix()), *((table.by_last, key) for key in last)]
-        for found, key in keyed:
-            lines = found.setdefault(key, [])
-            if row not in lines:
-                lines.append(row)
-    return table
-
-
-def _column(path: Path, column: str | None) -> list[str]:
-    """Return the cells of a column."""
-    columns, rows = read_csv(path, "a CSV file of forces", ImportFormatError, skip_space=True)
-    if column not in columns:
-        raise ImportFormatError(f"{path}: has no column '{column}'; it has {', '.join(columns)}: correct force.column")
-    at = columns.index(column)
-    return [cells[at] if at < len(cells) else "" for _, cells in rows]
-
-
-def _array(arrays: Mapping[str, NDArray[Any]], pickled: tuple[str, ...], name: str, path: Path) -> NDArray[Any]:
-    """Return an array of numbers."""
-    if name in pickled:
-        raise ImportFormatError(f"{path}: '{name}' {pickle_words(Path(name))}")
-    if name not in arrays:
-        raise ImportFormatError(f"{path}: array '{name}' is missing; it holds {', '.join(sorted(arrays)) or 'nothing'}")
-    return arrays[name]
-
-
-def _entry(path: Path, value: str) -> float:
-    """Return an array of one number, or one entry of it."""
-    member = _MEMBER.match(value)
-    name, index = (member["name"], member["index"]) if member is not None else (value, None)
-    array = _array(*read_npz(path), name, path).ravel()
-    at = 0 if index is None else int(index)
-    if at >= array.size or (index is None and array.size != 1) or not np.isfinite(array[at]):
-        raise ImportFormatError(f"{path}: '{value}' must be one finite number; '{name}' holds {array.size} numbers")
-    return float(array[at])
+def _video_parts(content: bytes, at: int, end: int, depth: int) -> Iterator[bytes]:
+    """Return the video chunks between two places; lists are entered, what is cut off is left out."""
+    while at + _HEADER_BYTES <= end:
+        name, size = content[at : at + 4], struct.unpack("<I", content[at + 4 : at + 8])[0]
+        start, stop = at + _HEADER_BYTES, at + _HEADER_BYTES + size
+        if name in (b"RIFF", b"LIST") and depth < _DEEPEST_LIST:
+            yield from _video_parts(content, start + 4, min(stop, end), depth + 1)
+        elif name[2:] in (b"dc", b"db") and stop <= end:
+            yield content[start:stop]
+        at = stop + size % 2

@@ -6,10 +6,12 @@ which says what the values are. A folder of such folders holds several presses. 
 asked for: PNG is encoded and OpenEXR linear light unless render.json says otherwise, npy says nothing by itself.
 """
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
@@ -210,3 +212,50 @@ def _distance(
         f"{folder}: nothing says where the contact is, and a score needs its region; write {DEPTH} (mm, positive into "
         f"the gel), {MASK}, or contact_circle into {DESCRIPTION}, or give the capture with --capture"
     )
+
+
+REQUEST: Final = "press.json"
+
+
+def press_request(capture: TactileCapture, with_contact: bool) -> dict[str, bytes]:
+    """Return the files that tell a simulator of a press: what to render, or with its contact image what to learn from.
+
+    ``no_contact.png`` (8 or 16 bits, counts above the black level), ``contact.png`` where it is to be learnt from, and
+    ``press.json`` with the contact (circle, or corners of its outline), the indenter, the scale and the encoding; what
+    the capture does not know is null.
+
+    Parameters
+    ----------
+    capture
+        Of the press.
+    with_contact
+        Whether the contact image is among them.
+
+    Raises
+    ------
+    ImportFormatError
+        The capture holds Bayer counts, which simulators of colour images do not read.
+    """
+    if capture.layout != "RGB":
+        raise ImportFormatError(f"{capture.name}: holds {capture.layout} counts; a bench needs captures in RGB")
+    circle, outline = capture.contact_circle, capture.contact_outline
+    told = {
+        "name": capture.name,
+        "contact_circle": None if circle is None else circle.model_dump(),
+        "contact_outline": None if outline is None else [corner.model_dump() for corner in outline],
+        "indenter": capture.indenter.model_dump(),
+        "mm_per_px": capture.mm_per_px,
+        "encoding": "linear" if capture.encoding == "linear" else "encoded",
+        "bit_depth": capture.bit_depth,
+        "force_n": capture.force_n,
+    }
+    images = {NO_CONTACT: capture.no_contact, **({CONTACT: capture.contact} if with_contact else {})}
+    files = {f"{name}.png": _counts_png(counts, capture) for name, counts in images.items()}
+    return {**files, REQUEST: (json.dumps(told, indent=1) + "\n").encode()}
+
+
+def _counts_png(counts: NDArray[np.uint16], capture: TactileCapture) -> bytes:
+    """Return counts above the black level as a PNG image of 8 or 16 bits."""
+    above = np.maximum(counts.astype(np.int64) - round(capture.black_level_dn), 0)
+    image = above.astype(np.uint8 if capture.bit_depth == 8 else np.uint16)
+    return cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))[1].tobytes()

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
+    from finray_calib.reports._batch_page import PressPictures, batch_lines, batch_page, press_pictures, ranking_figure
     from finray_calib.reports._check_page import check_report
     from finray_calib.reports._comparison_figures import error_map_figure, force_figure_png, score_figure
     from finray_calib.reports._comparison_page import comparison_page
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
         row_of,
         simulation_sentence,
     )
-    from finray_calib.reports._contact_sheet import circles_csv, contacts_png, sensed_png
+    from finray_calib.reports._contact_sheet import ContactSheet, sensed_png
     from finray_calib.reports._decision_figures import angle_figure
     from finray_calib.reports._decision_page import (
         decision_meaning,
@@ -89,21 +90,23 @@ else:
 
 __all__ = [
     "ByteImage",
+    "ContactSheet",
     "Content",
     "FittedPaint",
     "Json",
     "PaintTruth",
     "Picture",
+    "PressPictures",
     "RecordPlot",
     "ReportTable",
     "Section",
     "angle_figure",
+    "batch_lines",
+    "batch_page",
     "check_report",
-    "circles_csv",
     "clipped_remark",
     "comparison_lines",
     "comparison_page",
-    "contacts_png",
     "decimals_for",
     "decision_meaning",
     "decision_page",
@@ -145,9 +148,11 @@ __all__ = [
     "percent",
     "plain",
     "plot_record",
+    "press_pictures",
     "pressed_finger_png",
     "probability",
     "provenance_table",
+    "ranking_figure",
     "raspberry_pi_display",
     "raster",
     "render_page",

@@ -72,6 +72,28 @@ def draw_outline(axes: Axes, mask: NDArray[np.bool_], line: str) -> None:
 
 
 @styled()
+def cause_figure(changed: NDArray[np.float32], all_changes: NDArray[np.float32]) -> str:
+    """Draw what one cause changes in the image, on the scale of the largest of all causes.
+
+    Parameters
+    ----------
+    changed
+        (H, W) change relative to the pad's level.
+    all_changes
+        (causes, H, W) of which it is one.
+    """
+    top = max(float(np.percentile(np.abs(all_changes), SHOWN_PERCENTILE)), 1e-9)
+    rows, columns = np.flatnonzero(all_changes.any(axis=(0, 2))), np.flatnonzero(all_changes.any(axis=(0, 1)))
+    part = changed if not rows.size else changed[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    figure = new_figure(3.4, 3.4 * 0.82 * part.shape[0] / part.shape[1] + 0.3)
+    axes = figure.subplots()
+    drawn = axes.imshow(part, cmap="PuOr_r", vmin=-top, vmax=top)
+    axes.set_axis_off()
+    figure.colorbar(drawn, ax=axes, shrink=0.8, extend="both").set_label("change / level (1)")
+    return svg_text(figure)
+
+
+@styled()
 def score_figure(report: PhotometricErrorReport) -> str:
     """Draw the skill of doing nothing, of the simulation and of a repeat, region by region."""
     figure = new_figure(5.4, 0.85 * len(report.regions) + 1.2)

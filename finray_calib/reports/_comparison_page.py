@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from data_schemas import (
+    ErrorAttribution,
     InputUncertainty,
     PhotometricErrorReport,
     SensingError,
@@ -19,6 +20,7 @@ from data_schemas import (
 from finray_calib.reports import _comparison_statements as words
 from finray_calib.reports._comparison_figures import (
     budget_figure,
+    cause_figure,
     change_figures,
     error_map_figure,
     score_figure,
@@ -53,11 +55,12 @@ from finray_calib.reports._page import (
     drawing,
     files_table,
     images_table,
+    in_rows,
     raster,
     render_page,
     scale_table,
 )
-from finray_calib.reports._plain_text import Json, fixed, percent, plain, signed_percent, significant
+from finray_calib.reports._plain_text import Json, fixed, interval_name, percent, plain, signed_percent, significant
 
 TEMPLATE = "result_page.html.j2"
 
@@ -118,11 +121,7 @@ def _key_numbers(report: PhotometricErrorReport) -> tuple[tuple[str, str, str], 
         if not words.is_noise_taken_out(report):
             noise = "with its noise, which is in the simulation's score too"
         repeated = (words.repeat_text(floor.skill.estimate), noise)
-    between = f"95 %: {fixed(skill.low95, 3)} to {fixed(skill.high95, 3)}"
-    if fixed(skill.low95, 2) != fixed(skill.high95, 2):
-        between = f"95 %: {fixed(skill.low95, 2)} to {fixed(skill.high95, 2)}"
-    elif skill.low95 == skill.high95:
-        between = "without an interval: nothing that is known to be uncertain changes it"
+    between = _skill_between(report)
     numbers = [
         ("Skill of the simulation", fixed(skill.estimate, 2), between),
         ("Doing nothing", "0", "the untouched image in its place"),
@@ -135,9 +134,24 @@ def _key_numbers(report: PhotometricErrorReport) -> tuple[tuple[str, str, str], 
     return tuple(numbers)
 
 
+def _skill_between(report: PhotometricErrorReport) -> str:
+    """Return the ends of the skill's interval, and what they are of."""
+    skill = report.headline_skill
+    if skill.low95 == skill.high95:
+        return "without an interval: nothing that is known to be uncertain changes it"
+    places = 2 if fixed(skill.low95, 2) != fixed(skill.high95, 2) else 3
+    if fixed(skill.low95, places) == fixed(skill.high95, places):
+        return "its interval is narrower than 0.001"
+    ends = f"{fixed(skill.low95, places)} to {fixed(skill.high95, places)}"
+    return f"95 %: {ends}" if interval_name(report) == "95 %" else f"over pixels of this press: {ends}"
+
+
 def _sections(report: PhotometricErrorReport, press: SimulatedPress, capture: TactileCapture) -> list[Part]:
     """Return images, metrics, uncertainty, parts and origin, as far as there are any."""
-    parts = [images_part(report, press, capture), _metrics(report)]
+    parts = [images_part(report, press, capture)]
+    if report.attribution is not None:
+        parts.append(causes_part(report.attribution))
+    parts.append(_metrics(report))
     if report.tone_curve is not None or report.white_balance is not None:
         parts.append(_camera(report))
     if report.budget:
@@ -210,7 +224,7 @@ def _metrics(report: PhotometricErrorReport) -> Part:
         Content(
             lead="Every number stands beside doing nothing (the untouched image in place of the simulation) and the "
             "floor (a second capture without contact in place of the first). A metric that rates doing nothing nearly "
-            "as good as the simulation cannot tell them apart. Square brackets: 95 % interval.",
+            f"as good as the simulation cannot tell them apart. Square brackets: {_BRACKETS[interval_name(report)]}.",
             tables=tuple(metric_table(report, region) for region in report.regions),
             remarks=(f"SSIM: {report.ssim_settings}.",),
             has_wide_tables=True,
@@ -218,15 +232,19 @@ def _metrics(report: PhotometricErrorReport) -> Part:
     )
 
 
+_BRACKETS = {"95 %": "95 % interval", "over pixels": "spread over pixels of this press, no 95 % interval"}
+
+
 def _summary(report: PhotometricErrorReport, command: str, digests: Mapping[str, str]) -> Json:
     """Return every number of the page; draws and map stay in the record."""
-    objective = report.objective_error
+    objective, causes = report.objective_error, report.attribution
     draws = {"log_ratio_draws", "log_exposure_draws"}
     numbers: Json = plain(
         {
             "photometric_error": {
-                **report.model_dump(mode="json", exclude={"error_map", "provenance", "objective_error"}),
+                **report.model_dump(mode="json", exclude={"error_map", "provenance", "objective_error", "attribution"}),
                 "objective_error": None if objective is None else objective.model_dump(mode="json", exclude=draws),
+                "attribution": None if causes is None else causes.model_dump(mode="json", exclude={"maps"}),
             },
             "command": command,
             "input_sha256": dict(digests),
@@ -312,9 +330,36 @@ def _scores(report: PhotometricErrorReport) -> Picture:
     return drawing(
         score_figure(report),
         words.simulation_sentence(report),
-        "Skill by region, with 95 % intervals. What to see: the nearer the circle is to 1, the less is left to gain; "
-        "the diamond is a repeated capture, with its noise; at 0 the simulation is worth as much as an image of "
-        "the untouched pad.",
+        f"Skill by region; bars: {_BRACKETS[interval_name(report)]}. What to see: the nearer the circle is to 1, the "
+        "less is left to gain; the diamond is a repeated capture, with its noise; at 0 the simulation is worth as much "
+        "as an image of the untouched pad.",
+    )
+
+
+def causes_part(found: ErrorAttribution) -> Part:
+    """Show what the skill is lost by: size, picture and what to do, with the sum and what is left."""
+    maps = found.maps
+    pictures = (
+        []
+        if maps is None
+        else [
+            drawing(
+                cause_figure(maps[k], maps),
+                f"What {cause.cause} changes in the image; it costs {fixed(cause.skill_lost, 3)} of skill.",
+                f"{cause.cause.capitalize()}: {cause.advice}.",
+                is_small=len(found.causes) > 1,
+            )
+            for k, cause in enumerate(found.causes)
+        ]
+    )
+    return Part(
+        "Why is it off?",
+        Content(
+            words.causes_sentence(found),
+            in_rows(pictures),
+            remarks=words.causes_remarks(found),
+            tables=(words.causes_table(found),),
+        ),
     )
 
 

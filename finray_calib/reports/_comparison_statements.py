@@ -9,6 +9,8 @@ from math import hypot, sqrt
 from typing import Literal
 
 from data_schemas import (
+    CauseParameter,
+    ErrorAttribution,
     ErrorRow,
     FittedToneCurve,
     Interval,
@@ -23,7 +25,9 @@ from data_schemas import (
 from finray_calib.reports._page import ReportTable, TableGroup, one_group
 from finray_calib.reports._plain_text import (
     NO_VALUE,
+    decimals_for,
     fixed,
+    interval_name,
     interval_text,
     percent,
     signed_percent,
@@ -102,6 +106,8 @@ def simulation_sentence(report: PhotometricErrorReport) -> str:
     """Say how much of what the touch changes in the image the simulation explains, against both bounds."""
     skill, floor = report.headline_skill, row_of(headline(report), "floor")
     score = skill_text(skill.estimate, skill.low95, skill.high95)
+    if "[" in score and interval_name(report) != "95 %":
+        score = f"{score} (over pixels of this press)"
     if skill.high95 < 0:
         meaning = f"The simulated touch is worse than leaving the image unchanged: skill {score}"
     elif skill.low95 <= 0:
@@ -281,10 +287,13 @@ def white_balance_sentence(drift: WhiteBalanceDrift) -> str:
 
 
 def between(value: Interval) -> str:
-    """Return the ends of an interval with one decimal, or that there is none."""
+    """Return the ends of an interval of an angle, or that there is none."""
     if value.low95 == value.high95:
         return "without an interval: no input with a known uncertainty changes it"
-    return f"95 %: {fixed(value.low95, 1)} to {fixed(value.high95, 1)} deg"
+    places = max(1, min(decimals_for((value.high95 - value.low95) / 2.0), 3))
+    if fixed(value.low95, places) == fixed(value.high95, places):
+        return "95 %: less than 0.001 deg to either side"
+    return f"95 %: {fixed(value.low95, places)} to {fixed(value.high95, places)} deg"
 
 
 def scale_sentences(report: PhotometricErrorReport) -> tuple[str, ...]:
@@ -463,7 +472,14 @@ def error_table(report: PhotometricErrorReport, report_level_a: PhotometricError
         TableGroup(region_heading(report, region), _region_rows(region, paper.get(region.region)))
         for region in report.regions
     )
-    columns = ("candidate", "skill [95 %]", "skill R, G, B", "relative RMS R, G, B", "PSNR (dB)", "SSIM")
+    columns = (
+        "candidate",
+        f"skill [{interval_name(report)}]",
+        "skill R, G, B",
+        "relative RMS R, G, B",
+        "PSNR (dB)",
+        "SSIM",
+    )
     return ReportTable("Every candidate against the captured contact image", columns, groups)
 
 
@@ -548,3 +564,58 @@ def validation_table(report: PhotometricErrorReport) -> ReportTable:
     )
     columns = ("part", "error", "2 u", "verdict", "u of render, inputs, capture", "area too bright, too dark", "pixels")
     return ReportTable("Mean level, simulated against captured, relative to the captured level", columns, groups)
+
+
+def causes_sentence(found: ErrorAttribution) -> str:
+    """Say what most of the skill is lost by."""
+    lost = f"Of the skill {fixed(found.skill_lost, 3)} is lost"
+    if not found.causes:
+        return f"{lost}; no small change of the simulation explains a part of it."
+    first, share = found.causes[0], found.causes[0].skill_lost / max(found.skill_lost, 1e-12)
+    return (
+        f"{lost}, {fixed(first.skill_lost, 3)} of it by {first.cause} ({percent(share)}). Each picture shows what one "
+        "cause changes in the image, relative to the untouched level."
+    )
+
+
+def causes_table(found: ErrorAttribution) -> ReportTable:
+    """List every cause with its size and what it costs, and what is left, so that the parts add up."""
+    rows: list[tuple[str, ...]] = [
+        (
+            cause.cause,
+            "; ".join(_parameter_text(p) for p in cause.parameters),
+            fixed(cause.skill_lost, 3),
+            fixed(cause.skill_regained, 3),
+            ", ".join(cause.like) or NO_VALUE,
+        )
+        for cause in found.causes
+    ]
+    rest = (
+        ("saturation", "pixels that are nearly clipped in the simulation", found.saturation_skill),
+        ("noise", "of the capture, as neighbours show it", found.noise_skill),
+        ("remainder", "explained by none of these", found.remainder_skill),
+        ("sum", "1 - skill", found.skill_lost),
+    )
+    rows += [(name, what, fixed(value, 3), NO_VALUE, NO_VALUE) for name, what, value in rest]
+    columns = ("cause", "size, with standard uncertainty", "skill lost", "regained if repaired alone", "looks like")
+    return one_group("What the skill is lost by", columns, rows, is_words=True)
+
+
+def causes_remarks(found: ErrorAttribution) -> tuple[str, ...]:
+    """Return what the attribution does not know."""
+    told = ["The parts add up; a part may be below 0 where causes work against each other."]
+    if any(cause.like for cause in found.causes):
+        told.append(
+            "Causes that look like another are not told apart by one image alone: the size of their sum is known, the "
+            "share of each is not. Presses at other depths and places tell them apart."
+        )
+    if found.skill_lost > 0.0 and found.remainder_skill > 0.5 * found.skill_lost:
+        told.append("More than half is explained by none of the causes: look at the error map.")
+    return tuple(told)
+
+
+def _parameter_text(parameter: CauseParameter) -> str:
+    """Return a parameter with its standard uncertainty."""
+    if parameter.unit == "1":
+        return f"{parameter.name} {signed_percent(parameter.value)} (u {percent(parameter.u)})"
+    return f"{parameter.name} {significant(parameter.value, 2)} {parameter.unit} (u {significant(parameter.u, 2)})"

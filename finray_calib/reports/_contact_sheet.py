@@ -2,7 +2,6 @@
 
 import csv
 import io
-from collections.abc import Mapping
 
 import cv2
 import numpy as np
@@ -19,34 +18,38 @@ _COLUMNS = 7
 _WHITE, _DARK = (255, 255, 255), (0, 0, 0)
 
 
-def contacts_png(captures: Mapping[str, TactileCapture]) -> bytes:
-    """Return thumbnails of the presses with their circle or outline as a PNG picture.
+class ContactSheet:
+    """Small pictures of presses with their contact, and their circles, added one press after the other."""
 
-    Parameters
-    ----------
-    captures
-        Name of the press -> capture; the first 200 are shown.
-    """
-    tiles = [_thumbnail(name, capture) for name, capture in list(captures.items())[:MOST_SHOWN]]
-    height = max(tile.shape[0] for tile in tiles)
-    columns = min(_COLUMNS, len(tiles))
-    sheet = np.full((-(-len(tiles) // columns) * height, columns * THUMBNAIL_PX, 3), 255, np.uint8)
-    for i, tile in enumerate(tiles):
-        top, left = i // columns * height, i % columns * THUMBNAIL_PX
-        sheet[top : top + tile.shape[0], left : left + tile.shape[1]] = tile
-    return cv2.imencode(".png", np.ascontiguousarray(sheet[..., ::-1]))[1].tobytes()
+    def __init__(self) -> None:
+        self._tiles: list[Bytes] = []
+        self._rows: list[tuple[str, ...]] = []
 
-
-def circles_csv(captures: Mapping[str, TactileCapture]) -> str:
-    """Return the circles of the presses, a line each: image, column_px, row_px, radius_px."""
-    text = io.StringIO(newline="")
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(("image", "column_px", "row_px", "radius_px"))
-    for name, capture in captures.items():
+    def add(self, name: str, capture: TactileCapture) -> None:
+        """Add a press; the first 200 are shown."""
+        if len(self._tiles) < MOST_SHOWN:
+            self._tiles.append(_thumbnail(name, capture))
         circle = capture.contact_circle
         if circle is not None:
-            table.writerow((name, *(f"{v:.4g}" for v in (circle.column_px, circle.row_px, circle.radius_px))))
-    return text.getvalue()
+            numbers = (f"{v:.4g}" for v in (circle.column_px, circle.row_px, circle.radius_px))
+            self._rows.append((name, *numbers, capture.contact_told_by or "label"))
+
+    def png(self) -> bytes:
+        """Return the pictures as one PNG picture."""
+        height = max(tile.shape[0] for tile in self._tiles)
+        columns = min(_COLUMNS, len(self._tiles))
+        sheet = np.full((-(-len(self._tiles) // columns) * height, columns * THUMBNAIL_PX, 3), 255, np.uint8)
+        for i, tile in enumerate(self._tiles):
+            top, left = i // columns * height, i % columns * THUMBNAIL_PX
+            sheet[top : top + tile.shape[0], left : left + tile.shape[1]] = tile
+        return cv2.imencode(".png", np.ascontiguousarray(sheet[..., ::-1]))[1].tobytes()
+
+    def circles_csv(self) -> str:
+        """Return the circles, a line each: image, column_px, row_px, radius_px, told_by."""
+        text = io.StringIO(newline="")
+        table = csv.writer(text, lineterminator="\n")
+        table.writerows([("image", "column_px", "row_px", "radius_px", "told_by"), *self._rows])
+        return text.getvalue()
 
 
 def _thumbnail(name: str, capture: TactileCapture) -> Bytes:

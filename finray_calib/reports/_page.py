@@ -4,8 +4,9 @@ The first cell of a table's row is its heading. Also the tables on origin: what 
 """
 
 import base64
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -16,11 +17,22 @@ from finray_calib.reports._style import svg_data_uri
 
 
 @dataclass(frozen=True, slots=True)
+class Link:
+    """Text that leads to a file beside the page."""
+
+    text: str
+    file: str
+
+
+Cell = str | Link
+
+
+@dataclass(frozen=True, slots=True)
 class TableGroup:
     """Rows under a common heading; an empty heading shows none."""
 
     heading: str
-    rows: tuple[tuple[str, ...], ...]
+    rows: tuple[tuple[Cell, ...], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +46,7 @@ class ReportTable:
 
 
 def one_group(
-    caption: str, columns: tuple[str, ...], rows: Iterable[tuple[str, ...]], is_words: bool = False
+    caption: str, columns: tuple[str, ...], rows: Iterable[tuple[Cell, ...]], is_words: bool = False
 ) -> ReportTable:
     """Return a table of one group without a heading."""
     return ReportTable(caption, columns, (TableGroup("", tuple(rows)),), is_words)
@@ -110,6 +122,13 @@ def figure_png(png: bytes, alternative: str, caption: str) -> Picture:
     """Return a figure that was drawn as PNG as a picture."""
     source = f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
     return Picture(source, alternative, caption)
+
+
+def in_rows(pictures: Sequence[Picture]) -> tuple[tuple[Picture, ...], ...]:
+    """Return small pictures in rows of at most three, of about one length: a last one alone would be drawn large."""
+    count = -(-len(pictures) // 3)
+    ends = [round(k * len(pictures) / max(count, 1)) for k in range(count + 1)]
+    return tuple(tuple(pictures[a:b]) for a, b in pairwise(ends))
 
 
 def drawing(svg: str, alternative: str, caption: str, is_small: bool = False) -> Picture:

@@ -105,13 +105,19 @@ def estimate_json(value: Estimate, truth: float | None = None) -> Json:
 WIDTH_COLUMNS = 80
 _COLUMNS = (
     ("", 10),
-    ("skill [95 %]", 20),
+    ("skill", 20),
     ("skill R, G, B", 16),
     ("rel. RMS R, G, B", 17),
     ("PSNR dB", 7),
     ("SSIM", 5),
 )
 _LABEL_COLUMNS = 40
+
+
+def interval_name(report: PhotometricErrorReport) -> str:
+    """Return what the intervals of the scores are called: 95 % of what inputs leave open, or pixels of one press."""
+    of_inputs = report.monte_carlo is not None if report.interval_over is None else report.interval_over == "inputs"
+    return "95 %" if of_inputs else "over pixels"
 
 
 def comparison_lines(report: PhotometricErrorReport) -> str:
@@ -130,11 +136,16 @@ def comparison_lines(report: PhotometricErrorReport) -> str:
     lines = [f"{_cut(report.simulated)} against {_cut(report.captured)}", _cut(report.label, WIDTH_COLUMNS)]
     lines.append(f"values: {report.values}; {_exposure(report)}")
     for region in report.regions:
-        lines += ["", _cut(_heading(report, region), WIDTH_COLUMNS), _line([title for title, _ in _COLUMNS])]
+        titles = [f"skill [{interval_name(report)}]" if title == "skill" else title for title, _ in _COLUMNS]
+        lines += ["", _cut(_heading(report, region), WIDTH_COLUMNS), _line(titles)]
         lines += [_line(_cells(row)) for row in region.rows]
     skill = report.headline_skill
     headline = skill_text(skill.estimate, skill.low95, skill.high95)
     lines += ["", _cut(f"headline: skill {headline} over {report.headline_region}", WIDTH_COLUMNS)]
+    if interval_name(report) != "95 %":
+        lines.append(
+            "in brackets: over pixels of this press, no 95 % interval; three presses give one (compare folders)"
+        )
     for reason in report.withheld:
         lines += wrap(f"withheld: {reason}", WIDTH_COLUMNS, subsequent_indent="  ")
     return "\n".join(lines) + "\n"

@@ -29,6 +29,8 @@ _INSIDE, _OUTSIDE = np.linspace(0.86, 1.0, 4), np.linspace(1.1, 1.3, 4)
 # how far the rim may lie from the centre of the coarse search, in radii of the smallest circle
 _REACH_REL = 0.6
 _STEPS_PX = (1.5, 0.75)
+#: Pictures that are wider or higher are searched in blocks, and the circle is then refined in their own pixels.
+LARGEST_SEARCHED_PX: Final = 640
 # of an outline: what counts as a change of the picture
 _LEAST_CHANGE, _CHANGED_SHARE = 0.01, 1.0 / 3.0
 
@@ -129,17 +131,59 @@ def find_contact_circle(capture: TactileCapture, largest_radius_px: float | None
     contact, no_contact = (rgb_image(counts, capture) for counts in (capture.contact, capture.no_contact))
     full = 2.0**capture.bit_depth - 1.0
     contact, no_contact = (np.nan_to_num(image, nan=full) for image in (contact, no_contact))
-    largest = min(largest_radius_px or np.inf, _LARGEST_SHARE * min(contact.shape[:2]))
+    largest = float(min(largest_radius_px or np.inf, _LARGEST_SHARE * min(contact.shape[:2])))
     if largest < SMALLEST_RADIUS_PX:
         raise CompareError(
             f"{capture.name}: no contact circle of {SMALLEST_RADIUS_PX:g} px or more fits; give it by --circles"
         )
     smallest = max(SMALLEST_RADIUS_PX, 0.3 * largest_radius_px if largest_radius_px else 0.0)
+    side = -(-max(contact.shape[:2]) // LARGEST_SEARCHED_PX)
+    small = [_in_blocks(image, side) for image in (contact, no_contact)]
+    # the smallest circle of a large picture is large in itself: SMALLEST_RADIUS_PX are those that are looked at
+    found = _searched(small[0], small[1], max(smallest / side, SMALLEST_RADIUS_PX), largest / side)
+    if side == 1:
+        return found
+    circle = ContactCircle(
+        row_px=(found.circle.row_px + 0.5) * side - 0.5,
+        column_px=(found.circle.column_px + 0.5) * side - 0.5,
+        radius_px=found.circle.radius_px * side,
+    )
+    whole = FoundCircle(circle, found.is_even, found.scatter_px * side)
+    return whole if found.is_even else _refined(contact, no_contact, whole, side, largest)
+
+
+def _in_blocks(image: Floats, side_px: int) -> Floats:
+    """Return the means over blocks of pixels; what is left at the edges is cut off."""
+    if side_px == 1:
+        return image
+    rows, columns = (size // side_px for size in image.shape[:2])
+    whole = image[: rows * side_px, : columns * side_px]
+    small = cv2.resize(np.ascontiguousarray(whole), (columns, rows), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.float64)
+
+
+def _searched(contact: Floats, no_contact: Floats, smallest_px: float, largest_px: float) -> FoundCircle:
+    """Return the circle that a picture of moderate size shows."""
     signal = _log_change(contact, no_contact, 1.5)
-    odd, even = _coarse(signal, smallest, largest, is_even=False), _coarse(signal, smallest, largest, is_even=True)
+    odd, even = (_coarse(signal, smallest_px, largest_px, is_even=is_even) for is_even in (False, True))
     if even.response_rel > odd.response_rel:
         return _even_circle(signal, even)
-    return _odd_circle(_log_change(contact, no_contact, 1.0), odd, smallest, largest)
+    return _odd_circle(_log_change(contact, no_contact, 1.0), odd, smallest_px, largest_px)
+
+
+def _refined(contact: Floats, no_contact: Floats, found: FoundCircle, side_px: int, largest_px: float) -> FoundCircle:
+    """Return a circle of blocks refined in the pixels around it, by the same rim at the same width."""
+    circle = found.circle
+    reach = int(np.ceil(1.6 * circle.radius_px))
+    top, left = max(int(circle.row_px) - reach, 0), max(int(circle.column_px) - reach, 0)
+    part = np.s_[top : int(circle.row_px) + reach + 1, left : int(circle.column_px) + reach + 1]
+    energies = _curvature(_log_change(contact[part], no_contact[part], float(side_px)), float(side_px))
+    rim = _Rim(np.sqrt((energies**2).sum(axis=-1)))
+    best = (circle.column_px - left, circle.row_px - top, circle.radius_px)
+    for step in (0.75 * side_px, 0.375 * side_px):
+        best = rim.best_near(best, step, largest_px)
+    refined = ContactCircle(row_px=best[1] + top, column_px=best[0] + left, radius_px=best[2])
+    return FoundCircle(refined, found.is_even, found.scatter_px)
 
 
 def find_contact_outline(capture: TactileCapture) -> tuple[PlaceInImage, ...]:
@@ -269,24 +313,18 @@ def _odd_circle(signal: Image, coarse: _Place, smallest_px: float, largest_px: f
     inside = [start for start in starts if 0.0 <= start[0] < columns and 0.0 <= start[1] < rows]
     x, y, r = max(inside or starts, key=rim.score)
     for step in _STEPS_PX:
-        near = [
-            (x + i * step, y + j * step, min(r + k * step, largest_px))
-            for i in (-1, 0, 1)
-            for j in (-1, 0, 1)
-            for k in (-1, 0, 1)
-        ]
-        x, y, r = max(near, key=rim.score)
+        x, y, r = rim.best_near((x, y, r), step, largest_px)
     rims = [_Rim(energies[..., c]) for c in range(energies.shape[2])]
     of_channels = [radii[int(np.argmax([of_channel.score((x, y, float(q))) for q in radii]))] for of_channel in rims]
     circle = ContactCircle(row_px=y, column_px=x, radius_px=r)
     return FoundCircle(circle, False, float(np.std(of_channels)))
 
 
-def _curvature(signal: Image) -> Image:
-    """Return how strongly each channel changes over few pixels; dirt that both images share is not in the signal."""
-    high = np.abs(signal - cv2.GaussianBlur(signal, (0, 0), 4.0))
+def _curvature(signal: Image, width_px: float = 1.0) -> Image:
+    """Return how strongly each channel changes over few widths; dirt that both images share is not in the signal."""
+    high = np.abs(signal - cv2.GaussianBlur(signal, (0, 0), 4.0 * width_px))
     high = np.minimum(high, np.percentile(high, 98.0, axis=(0, 1)))
-    return np.asarray(cv2.GaussianBlur(high, (0, 0), 1.0), dtype=np.float32)
+    return np.asarray(cv2.GaussianBlur(high, (0, 0), width_px), dtype=np.float32)
 
 
 class _Rim:
@@ -297,6 +335,19 @@ class _Rim:
         self._half_typical = 0.5 * float(np.median(energy)) + 1e-9
         turn = np.linspace(0.0, 2.0 * np.pi, _RAYS, endpoint=False)
         self._x, self._y = (np.outer(np.concatenate([_INSIDE, _OUTSIDE]), f(turn)) for f in (np.cos, np.sin))
+
+    def best_near(
+        self, circle: tuple[float, float, float], step_px: float, largest_px: float
+    ) -> tuple[float, float, float]:
+        """Return the best of the circles one step away in any of column, row and radius."""
+        x, y, r = circle
+        near = [
+            (x + i * step_px, y + j * step_px, min(r + k * step_px, largest_px))
+            for i in (-1, 0, 1)
+            for j in (-1, 0, 1)
+            for k in (-1, 0, 1)
+        ]
+        return max(near, key=self.score)
 
     def score(self, circle: tuple[float, float, float]) -> float:
         """Return the mean over rays of the bounded step at the rim, -1 to 1."""

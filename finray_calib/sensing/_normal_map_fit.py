@@ -142,10 +142,11 @@ def ball_slopes(rows_px: Floats, columns_px: Floats, press: CalibrationPress) ->
 
 @dataclass(frozen=True, slots=True)
 class DepthErrors:
-    """Errors of the depth of each press by maps that it did not teach, (presses,)."""
+    """Errors of the depth of each press by maps that it did not teach, (presses,); levels where a ring is in view."""
 
     rms_mm: Floats
     height_rel: Floats
+    level_mm: Floats | None
 
 
 FOLDS: Final = 6
@@ -160,7 +161,8 @@ def depth_errors(presses: Sequence[CalibrationPress], mm_per_px: float, seed: in
     """Sense each press by a map of five sixths of the others, and compare its depth to that of the ball.
 
     The depth is integrated over a window of three radii. Inside the circle it is that of the ball's cap but for a
-    constant, which is taken out: the rms of what is left; and the height from the rim to the middle, relative.
+    constant, which is taken out: the rms of what is left; and the height from the rim to the middle, relative. The
+    level is the mean depth 2.5 to 3.5 radii away, where the gel is taken as flat, counted from the picture's frame.
 
     Parameters
     ----------
@@ -172,7 +174,7 @@ def depth_errors(presses: Sequence[CalibrationPress], mm_per_px: float, seed: in
     lessons = _lessons(presses, seed, DEGREE)
     order = np.random.default_rng([seed, FOLDS]).permutation(len(lessons))
     rows, columns = presses[0].contact.shape[:2]
-    rms, heights = np.empty(len(lessons)), np.empty(len(lessons))
+    rms, heights, levels = np.empty((3, len(lessons)))
     for unseen in np.array_split(order, FOLDS):
         others = [lesson for k, lesson in enumerate(lessons) if k not in set(unseen.tolist())]
         seen = np.concatenate([lesson.change for lesson in others])
@@ -180,7 +182,35 @@ def depth_errors(presses: Sequence[CalibrationPress], mm_per_px: float, seed: in
         for k in unseen:
             left_mm, heights[k] = _depth_error(taught, presses[k], mm_per_px)
             rms[k] = np.sqrt(np.mean(left_mm**2))
-    return DepthErrors(rms, heights)
+            levels[k] = _level_mm(taught, presses[k], mm_per_px)
+    known = np.isfinite(levels)
+    return DepthErrors(rms, heights, levels[known] if known.any() else None)
+
+
+def frame_of(shape: tuple[int, ...]) -> Mask:
+    """Return the pixels of the frame of a picture, where the gel is taken to be untouched."""
+    width = max(1, round(_FRAME_SHARE * min(shape[:2])))
+    frame: Mask = np.ones(shape[:2], dtype=np.bool_)
+    frame[width:-width, width:-width] = False
+    return frame
+
+
+# the frame of the picture, in shares of its shorter side
+_FRAME_SHARE = 0.05
+_FLAT_TO_REL = 3.5
+_LEAST_RING_PX = 50
+
+
+def _level_mm(taught: NormalMap, press: CalibrationPress, mm_per_px: float) -> float:
+    """Return the mean depth around a contact, counted from the frame; NaN where too little of the ring is in view."""
+    slopes = taught.slopes(press.contact, press.no_contact)
+    depth = poisson_depth_mm(filled_slopes(slopes), mm_per_px)
+    rows, columns = np.indices(depth.shape, dtype=np.float64)
+    away = np.hypot(rows - press.row_px, columns - press.column_px) / press.radius_px
+    ring = (away >= _FLAT_FROM_REL) & (away <= _FLAT_TO_REL)
+    if ring.sum() < _LEAST_RING_PX:
+        return float("nan")
+    return float(depth[ring].mean() - np.median(depth[frame_of(depth.shape)]))
 
 
 def _depth_error(taught: NormalMap, press: CalibrationPress, mm_per_px: float) -> tuple[Floats, float]:
@@ -328,6 +358,7 @@ def normal_map_record(captures: Sequence[TactileCapture], name: str, seed: int) 
         held_out_angle_deg=score.angle_deg,
         held_out_depth_rms_mm=errors.rms_mm,
         held_out_height_error_rel=errors.height_rel,
+        held_out_level_mm=errors.level_mm,
         taught_by_sha256=tuple(contact_sha256(capture) for capture in captures),
         notes=tuple(sorted({capture.source for capture in captures})),
     )

@@ -8,15 +8,14 @@ from numpy.typing import NDArray
 
 from data_schemas import CompareError, NormalMapRecord, SensedPress, TactileCapture
 from finray_calib.sensing._normal_map import filled_slopes, mean_level, poisson_depth_mm, relative_change, rgb_image
-from finray_calib.sensing._normal_map_fit import check_senses, contact_sha256, normal_map_of
+from finray_calib.sensing._normal_map_fit import check_senses, contact_sha256, frame_of, normal_map_of
 
 Floats = NDArray[np.float64]
 
 CONTACT_SHARE: Final = 0.1
 """Without another level, the contact is where the depth exceeds this share of the largest, and three times its u."""
 _TIMES_U = 3.0
-# the frame of the picture, in shares of its shorter side: the gel is taken to be untouched there
-_FRAME_SHARE = 0.05
+_SEGMENTS = 8
 #: Below this many standard uncertainties the largest depth is none.
 LEAST_DEPTH_TO_U: Final = 2.0
 _OUTSIDE_TOLD, _CLIPPED_TOLD = 0.05, 0.01
@@ -27,7 +26,7 @@ def sense_press(record: NormalMapRecord, capture: TactileCapture, contact_depth_
 
     The depth is the least-squares integral of the slopes and counts from its median over the frame of the picture.
     Its uncertainties are root mean squares over the presses that taught it, each sensed by a map of others of them, so
-    they hold for shapes, places and depths like theirs.
+    they hold for shapes, places and depths like theirs; the error of the level from which depths count is in them.
 
     Parameters
     ----------
@@ -51,9 +50,9 @@ def sense_press(record: NormalMapRecord, capture: TactileCapture, contact_depth_
     usable: NDArray[np.bool_] = np.asarray(np.isfinite(slopes).all(axis=-1), dtype=np.bool_)
     whole = filled_slopes(slopes)
     depth = poisson_depth_mm(whole, record.mm_per_px)
-    depth -= float(np.median(depth[_frame(depth.shape)]))
-    u_mm, u_rel = _uncertainties(record)
+    depth -= float(np.median(depth[frame_of(depth.shape)]))
     deepest = float(depth.max())
+    u_mm, deepest_u_mm = _uncertainties(record, depth, deepest)
     if not deepest > LEAST_DEPTH_TO_U * (u_mm or 0.0):
         raise CompareError(
             f"{capture.name}: the map '{record.name}' senses no depth beyond its uncertainty (largest "
@@ -86,7 +85,7 @@ def sense_press(record: NormalMapRecord, capture: TactileCapture, contact_depth_
         depth_u_mm=u_mm,
         contact_depth_mm=chosen,
         deepest_mm=deepest,
-        deepest_u_mm=None if u_rel is None else u_rel * deepest,
+        deepest_u_mm=deepest_u_mm,
         contact_area_mm2=float(touched.sum()) * record.mm_per_px**2,
         contact_area_u_mm2=None if u_mm is None else _area_u_mm2(depth, chosen, u_mm, record.mm_per_px),
         outside_share=found.outside_share,
@@ -109,19 +108,30 @@ def _share(which: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
     return float(which[of].mean())
 
 
-def _frame(shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return the pixels of the frame of a picture."""
-    width = max(1, round(_FRAME_SHARE * min(shape[:2])))
-    frame = np.ones(shape[:2], dtype=np.bool_)
-    frame[width:-width, width:-width] = False
-    return frame
+def _uncertainties(record: NormalMapRecord, depth: Floats, deepest_mm: float) -> tuple[float | None, float | None]:
+    """Return u of the depth at a pixel and of the largest depth, mm: of presses that did not teach, with the level.
+
+    The level is as far off as around those presses, or as the frame of this picture scatters, whichever is more.
+    """
+    rms, height, levels = record.held_out_depth_rms_mm, record.held_out_height_error_rel, record.held_out_level_mm
+    level_mm = max(_frame_scatter_mm(depth), 0.0 if levels is None else float(np.sqrt(np.mean(levels**2))))
+    of_pixel = None if rms is None else float(np.sqrt(np.mean(rms**2) + level_mm**2))
+    of_deepest = None if height is None else float(np.sqrt(np.mean(height**2) * deepest_mm**2 + level_mm**2))
+    return of_pixel, of_deepest
 
 
-def _uncertainties(record: NormalMapRecord) -> tuple[float | None, float | None]:
-    """Return u of the depth at a pixel (mm) and of a height (relative), by presses that did not teach."""
-    rms, height = record.held_out_depth_rms_mm, record.held_out_height_error_rel
-    of_pixel = None if rms is None else float(np.sqrt(np.mean(rms**2)))
-    return of_pixel, None if height is None else float(np.sqrt(np.mean(height**2)))
+def _frame_scatter_mm(depth: Floats) -> float:
+    """Return the standard deviation over eight parts of the frame of their median depth: what its level is unsure by.
+
+    Half of the parts may be touched by the contact or its halo: the median of the deviations counts.
+    """
+    rows, columns = np.nonzero(frame_of(depth.shape))
+    middle = (depth.shape[0] - 1) / 2.0, (depth.shape[1] - 1) / 2.0
+    turn = np.arctan2(rows - middle[0], columns - middle[1])
+    part = np.minimum(((turn + np.pi) / (2.0 * np.pi) * _SEGMENTS).astype(np.intp), _SEGMENTS - 1)
+    values = depth[rows, columns]
+    medians = np.array([np.median(values[part == k]) for k in range(_SEGMENTS) if (part == k).any()])
+    return float(1.4826 * np.median(np.abs(medians - np.median(medians))))
 
 
 def _area_u_mm2(depth: Floats, level_mm: float, u_mm: float, mm_per_px: float) -> float:
@@ -140,6 +150,11 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
         )
     if taught is None:
         notes.append("whether this press taught the map is not known: the map is of an earlier version; teach it again")
+    if record.held_out_level_mm is None and record.held_out_depth_rms_mm is not None:
+        notes.append(
+            "how far the level of the depth is off around a contact is not known: only the scatter of the frame is in "
+            "its uncertainty; teach again, with contacts that leave 3.5 radii in view"
+        )
     if record.held_out_depth_rms_mm is None:
         notes.append("the uncertainty of the depth is not known: the map is of an earlier version; teach it again")
     if shares.outside_share > _OUTSIDE_TOLD:

@@ -38,7 +38,14 @@ def test_folders_give_reports_and_a_summary_and_survive_a_bad_pair(folders: Path
     assert batch.worst == tuple(sorted(("one", "two"), key=lambda n: {"one": one, "two": two}[n].skill.estimate))
     assert one.skill is not None
     assert two.skill is not None
-    assert batch.mean_skill.estimate == pytest.approx((one.skill.estimate + two.skill.estimate) / 2)
+    left = [(1.0 - p.skill.estimate) * p.contact_signal for p in (one, two)]
+    (score,) = batch.simulators
+    assert score.skill.estimate == pytest.approx(1.0 - sum(left) / (one.contact_signal + two.contact_signal))
+    assert (score.compared, score.failed, score.skill.low95) == (2, 1, None)
+    page = (folders / "out/summary.html").read_text()
+    assert 'href="two.photometric-error.html"' in page
+    assert (folders / "out/two.photometric-error.html").is_file()
+    assert "2 presses give no interval" in page
     report = read_record(folders / "out" / str(one.report), PhotometricErrorReport)
     assert report.headline_skill == one.skill
     with (folders / "out/summary.csv").open(newline="") as file:
@@ -50,6 +57,42 @@ def test_folders_give_reports_and_a_summary_and_survive_a_bad_pair(folders: Path
     assert again.status == 2
     assert "exists already and is not overwritten" in again.err
     assert tree(folders) == before
+
+
+def test_simulators_are_ranked_on_one_page(folders: Path) -> None:
+    """The render against one at half contrast, each with reports of its own; the same folder twice is refused."""
+    half = press()
+    weak = half.model_copy(update={"contact": (half.contact + half.no_contact) / 2})
+    for name in ("one", "two", "three"):
+        write_record(weak, folders / f"weak/{name}.press.json", provenance("pytest"))
+    write_record(half, folders / "simulated/three.press.json", provenance("pytest"))
+    write_record(capture_of(half, 30.0), folders / "captured/three.capture.json", provenance("pytest"))
+    outcome = finray(f"compare {folders}/weak {folders}/simulated {folders}/captured --out {folders}/out")
+    assert outcome.status == 0, outcome.err
+    batch = read_record(folders / "out/summary.json", ComparisonBatch)
+    assert [score.simulator for score in batch.simulators] == ["simulated", "weak"]
+    assert batch.simulators[1].skill.estimate == pytest.approx(0.75, abs=0.05)  # (1 - 1/2)^2 of the change is left
+    (difference,) = batch.differences
+    assert (difference.first, difference.second, difference.better_in) == ("simulated", "weak", 3)
+    assert difference.low95 is not None
+    assert difference.low95 > 0.0
+    assert (folders / "out/weak/one.photometric-error.html").is_file()
+    page = (folders / "out/summary.html").read_text()
+    assert "simulated is best" in page
+    assert 'href="weak/one.photometric-error.html"' in page
+    twice = finray(f"compare {folders}/weak {folders}/weak {folders}/captured --out {folders}/other")
+    assert "weak: is given twice; give each folder of simulated presses once" in twice.err
+
+
+def test_names_that_give_one_file_name_get_files_of_their_own(folders: Path) -> None:
+    rows = ["a/b", "a:b", "A-b"]
+    text = "".join(f"simulated/one.press.json,captured/one.capture.json,{name}\n" for name in rows)
+    (folders / "pairs.csv").write_text("simulated,captured,name\n" + text)
+    assert finray(f"compare --pairs {folders}/pairs.csv --out {folders}/out").status == 0
+    batch = read_record(folders / "out/summary.json", ComparisonBatch)
+    files = [str(pair.report) for pair in batch.pairs]
+    assert files == [f"{name}.photometric-error.json" for name in ("a-b", "a-b-2", "A-b-3")]
+    assert all((folders / "out" / file).is_file() for file in files)
 
 
 def test_a_list_of_pairs(folders: Path) -> None:
@@ -84,7 +127,8 @@ def test_nothing_compared_is_an_error_that_says_where_to_look(folders: Path) -> 
     [
         ("", "give SIMULATED and CAPTURE, or --pairs CSV: one of the two"),
         ("{0}/simulated", "with what? Give CAPTURE too"),
-        ("{0}/simulated {0}/captured/one.capture.json", "one is a folder, the other is not; give two records or two"),
+        ("{0}/simulated {0}/captured/one.capture.json", "some are folders, others are not; give two records or"),
+        ("{0}/none.json {0}/none.json {0}/none.json", "none.json: one too many; give one record of a press and one"),
         ("{0}/simulated --pairs {0}/pairs.csv", "give SIMULATED and CAPTURE, or --pairs CSV: one of the two"),
         ("--pairs {0}/pairs.csv", "row 1: needs a file in each of the columns simulated, captured"),
         ("--pairs {0}/none.csv", "none.csv: no such file; give the path of a CSV file"),

@@ -1,8 +1,19 @@
+import re
+
 import numpy as np
 import pytest
 
 from data_schemas import ComparedPair, CompareError, Interval
-from finray_calib.compare import mean_skill, pair_by_name, pairs_of_rows, worst_pairs
+from finray_calib.compare import (
+    PairRow,
+    pair_by_name,
+    pairs_of_rows,
+    rank_simulators,
+    skill_differences,
+    skill_over_presses,
+    to_capture,
+    worst_pairs,
+)
 from finray_calib.compare._batch import pair_name
 
 
@@ -24,9 +35,14 @@ def test_files_are_paired_by_name():
 def test_files_are_paired_by_a_table():
     rows = [
         {"simulated": " s/a.json", "captured": "c/x.capture.json "},
-        {"simulated": "s/b.json", "captured": "c\\y.json", "name": "why"},
+        {"simulated": "s/b.json", "captured": "c\\y.json", "name": "why", "simulator": "mine", "session": "day 2"},
+        {"simulated": "s/c.json", "captured": "c/x.capture.json", "simulator": "mine", "press": "5", "sensor": "A"},
     ]
-    assert pairs_of_rows(rows) == {"x": ("s/a.json", "c/x.capture.json"), "why": ("s/b.json", "c\\y.json")}
+    assert pairs_of_rows(rows) == [
+        PairRow("x", "s/a.json", "c/x.capture.json"),
+        PairRow("why", "s/b.json", "c\\y.json", "mine", session="day 2"),
+        PairRow("x", "s/c.json", "c/x.capture.json", "mine", "5", None, "A"),
+    ]
     with pytest.raises(CompareError, match="row 2: the name 'x' occurs twice; add a column name"):
         pairs_of_rows([rows[0], rows[0]])
     with pytest.raises(CompareError, match="row 1: needs a file in each of the columns simulated, captured"):
@@ -35,23 +51,124 @@ def test_files_are_paired_by_a_table():
         pairs_of_rows([])
 
 
-def test_the_mean_over_presses_and_its_interval():
-    """Four presses, a thousand times: the interval holds the mean in 95 %, 4 standard errors are 2.8 %."""
-    skills = np.random.default_rng(0).normal(0.8, 0.1, (1000, 4))
-    found = [mean_skill(row) for row in skills]
-    assert found[0].estimate == pytest.approx(skills[0].mean())
-    assert np.mean([f.low95 <= 0.8 <= f.high95 for f in found]) == pytest.approx(0.95, abs=0.028)
-    assert mean_skill(skills[0, :1]) is None
-    # noise taken out of each: a mean above 1 stays inside its own interval
-    above = mean_skill(np.array([1.02, 1.046]))
-    assert above.estimate == pytest.approx(1.033)
-    assert above.low95 < above.estimate < above.high95
+def pair(name, skill, signal=1.0, **told):
+    interval = None if skill is None else Interval(estimate=skill, low95=skill, high95=skill)
+    return ComparedPair(name=str(name), simulated="s", captured="c", skill=interval, contact_signal=signal, **told)
+
+
+@pytest.mark.parametrize("spread", [0.3, 0.45, 0.8])
+@pytest.mark.parametrize("presses", [3, 5, 8, 12])
+def test_the_interval_over_presses_holds_the_truth(presses, spread):
+    """Log-normal 1 - E and signals, 500 samples: 0.90 to 0.98 are held, less and more two standard errors (0.027)."""
+    rng = np.random.default_rng([presses, int(100 * spread)])
+    truth, held = 1.0 - 0.05 * np.exp(spread**2 / 2.0), 0
+    for _ in range(500):
+        left = 0.05 * np.exp(spread * rng.standard_normal(presses))
+        signals = np.exp(0.5 * rng.standard_normal(presses))
+        found = skill_over_presses([pair(k, 1.0 - e, s) for k, (e, s) in enumerate(zip(left, signals, strict=True))])
+        assert found.low95 < found.estimate < found.high95 < 1.0
+        held += found.low95 <= truth <= found.high95
+    assert 0.90 - 0.027 <= held / 500 <= 0.98 + 0.013
+
+
+def test_the_interval_is_that_of_a_jackknife_by_hand():
+    """Three presses: 1 - E = 0.1, 0.2, 0.4 of signals 1, 2, 1 is 0.9 / 4; without one 0.8 / 3, 0.5 / 2, 0.5 / 3."""
+    found = skill_over_presses([pair("a", 0.9, 1.0), pair("b", 0.8, 2.0), pair("c", 0.6, 1.0)])
+    logs = np.log([0.8 / 3.0, 0.5 / 2.0, 0.5 / 3.0])
+    half = 4.302653 * np.sqrt(2.0 / 3.0 * ((logs - logs.mean()) ** 2).sum())
+    assert found.estimate == pytest.approx(1.0 - 0.9 / 4.0)
+    assert found.low95 == pytest.approx(1.0 - 0.225 * np.exp(half), rel=1e-6)
+    assert found.high95 == pytest.approx(1.0 - 0.225 * np.exp(-half), rel=1e-6)
+    assert (found.unit, found.units, found.presses) == ("press", 3, 3)
+    assert found.not_sampled == ("other sensors", "other sessions")
+
+
+def test_two_presses_have_no_interval_and_what_noise_leaves_ends_at_one():
+    two = skill_over_presses([pair("a", 0.391), pair("b", 0.9)])
+    assert (two.low95, two.high95) == (None, None)
+    assert two.method == "no interval: it needs three units, and there are 2"
+    assert skill_over_presses([pair("a", None)]) is None
+    # noise that was taken out leaves one press no error
+    above = skill_over_presses([pair("a", 0.95), pair("b", 1.02), pair("c", 0.97)])
+    assert above.low95 < above.estimate < above.high95 == 1.0
+    assert "leaves some no error" in above.method
+    over = skill_over_presses([pair("a", 1.01), pair("b", 1.02), pair("c", 1.03)])
+    assert over.estimate == over.high95 == pytest.approx(1.02)
+
+
+def test_the_unit_is_the_highest_level_with_three_and_repeats_are_one_press():
+    """Repeats of one press differ by little: counted as presses they would claim far too much."""
+    repeats = [pair(f"{p}{r}", 0.9 + 0.02 * p, 1.0, press=str(p)) for p in range(3) for r in range(5)]
+    found = skill_over_presses(repeats)
+    assert (found.unit, found.units, found.presses) == ("press", 3, 15)
+    alone = skill_over_presses([p.model_copy(update={"press": ""}) for p in repeats])
+    assert found.high95 - found.low95 > 2.0 * (alone.high95 - alone.low95)
+    sessions = [pair(k, 0.9 + 0.01 * (k % 3), session=f"day {k % 3}") for k in range(9)]
+    assert skill_over_presses(sessions).unit == "session"
+    assert skill_over_presses(sessions).not_sampled == ("other sensors",)
+    sensors = [p.model_copy(update={"sensor": p.name}) for p in sessions]
+    assert (skill_over_presses(sensors).unit, skill_over_presses(sensors).not_sampled) == ("sensor", ())
+
+
+def test_spread_between_sessions_is_held_by_sessions_not_by_presses():
+    """Four sessions of six presses that share half of their spread: sessions as units hold 95 %, presses do not."""
+    rng = np.random.default_rng(4)
+    truth, held = 1.0 - 0.05 * np.exp(0.3**2), {"session": 0, "press": 0}
+    for _ in range(400):
+        shared = np.repeat(0.3 * rng.standard_normal(4), 6)
+        left = 0.05 * np.exp(shared + 0.3 * rng.standard_normal(24))
+        pairs = [pair(k, 1.0 - e, session=str(k // 6)) for k, e in enumerate(left)]
+        for unit, told in (("session", pairs), ("press", [p.model_copy(update={"session": None}) for p in pairs])):
+            found = skill_over_presses(told)
+            assert found.unit == unit
+            held[unit] += found.low95 <= truth <= found.high95
+    assert held["session"] / 400 >= 0.90
+    assert held["press"] / 400 < 0.85
+
+
+def test_a_paired_difference_is_surer_than_its_simulators():
+    """What makes a press hard for both cancels; 400 samples of 8 presses hold the difference in 0.90 to 0.98."""
+    rng = np.random.default_rng(2)
+    truth, held = 0.02 * np.exp(0.45**2 / 2.0), 0
+    for _ in range(400):
+        hard = np.exp(0.45 * rng.standard_normal(8))
+        own = np.exp(0.1 * rng.standard_normal(8) - 0.1**2 / 2.0)
+        pairs = [pair(k, 1.0 - 0.05 * h, simulator="a") for k, h in enumerate(hard)]
+        pairs += [pair(k, 1.0 - 0.07 * h * o, simulator="b") for k, (h, o) in enumerate(zip(hard, own, strict=True))]
+        (found,) = skill_differences(pairs, ["a", "b"])
+        held += found.low95 <= truth <= found.high95
+    assert 0.90 - 0.03 <= held / 400 <= 0.98 + 0.014
+    (one, other), left_out = rank_simulators(pairs)
+    assert (one.simulator, other.simulator, left_out) == ("a", "b", ())
+    assert found.low95 > 0.0 > one.skill.low95 - other.skill.high95  # told apart although both intervals overlap
+    three = skill_differences([*pairs, *(p.model_copy(update={"simulator": "c"}) for p in pairs[:8])], ["a", "b", "c"])
+    wider = next(d for d in three if (d.first, d.second) == ("a", "b"))
+    assert wider.high95 - wider.low95 > found.high95 - found.low95  # three intervals that hold together
+    same = next(d for d in three if (d.first, d.second) == ("a", "c"))
+    assert (same.estimate, same.low95, same.high95, same.better_in) == (0.0, 0.0, 0.0, 0)
+
+
+def test_simulators_are_ranked_over_the_presses_that_all_have():
+    """One that fails on the hard press gains nothing by it."""
+    pairs = [pair(k, s, simulator="whole") for k, s in enumerate((0.9, 0.9, 0.9, 0.2))]
+    pairs += [pair(k, s, simulator="fails") for k, s in enumerate((0.8, 0.8, 0.8, None))]
+    pairs.append(pair(0, None, simulator="never"))
+    scores, left_out = rank_simulators(pairs)
+    assert [(s.simulator, s.compared, s.failed) for s in scores] == [("whole", 4, 0), ("fails", 3, 1), ("never", 0, 1)]
+    assert left_out == ("3",)
+    assert scores[0].skill.estimate == pytest.approx(0.9)
+    assert scores[2].skill is None
+
+
+def test_what_to_capture_next_follows_from_what_is_missing():
+    told = to_capture([pair("a", 0.9), pair("b", 0.8)])
+    assert told[0].startswith("1 more press, at other places and depths: 3 give an interval")
+    assert any("second image without contact beside each press: 2 of 2 have none" in wish for wish in told)
+    many = to_capture([pair(k, s) for k, s in enumerate((0.93, 0.95, 0.96, 0.94, 0.95, 0.97))])
+    assert re.match(r"\d+ more presses: the interval of 6 is 0\.0\d+ to either side", many[0])
+    assert to_capture([pair("a", None)]) == ()
 
 
 def test_the_worst_pairs_come_first():
-    def pair(name, skill):
-        interval = None if skill is None else Interval(estimate=skill, low95=skill, high95=skill)
-        return ComparedPair(name=name, simulated="s", captured="c", skill=interval)
-
     pairs = [pair(n, s) for n, s in zip("abcdefg", [0.5, 0.1, None, 0.9, -2.0, 0.3, 0.4], strict=True)]
     assert worst_pairs(pairs) == ("e", "b", "f", "g", "a")

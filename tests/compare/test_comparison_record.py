@@ -1,5 +1,7 @@
 """From press and capture to the report: rows, statements, notes, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,8 +10,9 @@ from finray_calib.compare import DILATED, compare_press
 from finray_calib.compare import _input_draws as stopping_rule
 from finray_calib.compare._candidate_errors import chromaticity_error, skill_interval
 from finray_calib.compare._comparison_record import ALWAYS_UNKNOWN, COVERS_INPUTS, COVERS_PARTS
+from finray_calib.compare._image_noise import CaptureNoise
 from finray_calib.compare._input_draws import DRIFT, PIXELS, POSE, WALLS
-from finray_calib.compare._prepared_images import prepare_images
+from finray_calib.compare._prepared_images import holds_noise_of, prepare_images
 from finray_calib.compare._regions import PATCH
 from tests.command_line.records import capture_of
 from tests.command_line.records import press as made_up_press
@@ -232,6 +235,18 @@ def test_captures_of_their_own_are_not_taken_for_the_render():
     for seed in range(10):
         made = twin(np.random.default_rng(seed), [0.02, 0.1, 0.6][seed % 3])
         assert not prepare_images(made.press, made.capture).holds_noise_of_render
+
+
+@pytest.mark.parametrize("factor", [1.11, 1.15])
+@pytest.mark.parametrize("render_noise", [0.012, 0.014, 0.02])
+def test_a_camera_whose_noise_is_taken_too_large_is_no_copy_of_the_render(render_noise, factor):
+    """Captures of their own; the render has a quarter to three quarters of the camera's noise."""
+    for seed in range(4):
+        made = twin(np.random.default_rng(seed), render_noise)
+        images = prepare_images(made.press, made.capture)
+        noise = images.captured.noise
+        larger = CaptureNoise(factor * noise.offset, factor * noise.slope)
+        assert not holds_noise_of(images.layers, replace(images.captured, noise=larger))
 
 
 def test_images_of_another_size_are_refused(pair):

@@ -106,7 +106,7 @@ def test_captures_of_the_ball_plan_teach_a_normal_map(tmp_path, monkeypatch):
     circles = re.search(r"^    image,.*\n    press-001\.json,.*$", request.page, re.M)
     assert circles is not None
     (tmp_path / "circles.csv").write_text(circles[0])
-    circle = read_circles(tmp_path / "circles.csv")["press-001.json"]
+    circle = read_circles(tmp_path / "circles.csv")["press-001.json"].circle
 
     plan = plan.model_copy(update={"presses": plan.presses[:2], "board": None})
     rig = rig_of(tmp_path, SMALL_RIG + "shortest_exposure_s = 1e-2\nlongest_exposure_s = 0.02\n")

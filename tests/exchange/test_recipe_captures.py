@@ -1,17 +1,23 @@
 """Recipes turn the folders of other labs into captures; what cannot be is refused with what to do."""
 
+import gc
 import json
 import pickle
+import weakref
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
-from data_schemas import ImportFormatError, PlaceInImage, SimulatedPress, TactileCapture
+from data_schemas import CompareError, ImportFormatError, IndenterPose, PlaceInImage, SimulatedPress, TactileCapture
 from data_schemas.storage import read_record
+from finray_calib.compare import predict_press, teach_table
 from finray_calib.exchange import Recipe, read_by_recipe, read_circles, read_recipe, recipe_names, with_sizes
-from finray_calib.exchange._recipe_captures import pickle_words
-from finray_calib.sensing import contact_distance
+from finray_calib.exchange._capture_recipe import pickle_words
+from finray_calib.sensing import _contact_place as contact_place
+from finray_calib.sensing import contact_distance, find_contact_circle
+from finray_calib.sensing._contact_place import _coarse
 from tests.command_line.running import finray, succeed
 from tests.exchange.ball_press_folders import Trap
 from tests.exchange.recipe_folders import (
@@ -19,9 +25,11 @@ from tests.exchange.recipe_folders import (
     CONTACT_PX,
     PLACES,
     SHAPE_PX,
+    dome,
     flat,
     grasp,
     save,
+    soft_dome,
     write_balls,
     write_digit,
     write_edges,
@@ -352,10 +360,13 @@ def test_two_commands_lead_from_a_folder_to_scores(tmp_path, monkeypatch):
     assert "lacks a second image without contact" in said
     assert "finray compare set set" in said
     circles = read_circles(tmp_path / "set" / "circles.csv")
-    assert (circles["0002"].row_px, circles["0002"].column_px) == PLACES[1]
+    assert (circles["0002"].circle.row_px, circles["0002"].circle.column_px) == PLACES[1]
     assert (tmp_path / "set" / "contacts.png").read_bytes().startswith(b"\x89PNG")
     press = read_record(tmp_path / "set" / "0002.press.json", SimulatedPress)
     assert "taught by 3 other presses: 0001, 0003, 0005" in press.notes
+    made_of = {path.rsplit("/", 1)[-1] for path in press.provenance.input_sha256}
+    assert made_of >= {"0001.png", "0002.png", "0003.png", "0005.png", "0000.png", "annotate.csv"}
+    assert "0004.png" not in made_of
     assert finray("compare set set --out scores").status == 0
     summary = json.loads((tmp_path / "scores" / "summary.json").read_text())["record"]
     skills = {pair["name"]: pair["skill"]["estimate"] for pair in summary["pairs"]}
@@ -377,6 +388,122 @@ def test_two_commands_lead_from_a_folder_to_scores(tmp_path, monkeypatch):
         assert failed.status == 2
         assert message in failed.err
     assert "fots-gelsight" in succeed("import captures --list")
+
+
+def test_one_capture_at_a_time_is_in_memory(tmp_path):
+    """Each is handed on and forgotten before the next is read; it is read again when it is asked for."""
+    seen, alive = [], []
+
+    def take(name, capture, files):
+        gc.collect()
+        alive.append(sum(ref() is not None for ref in seen))
+        seen.append(weakref.ref(capture))
+        assert {file.name for file in files} == {f"{name}.png", "0000.png", "annotate.csv"}
+
+    found = read_by_recipe(write_fots(tmp_path / "f"), shipped("fots-gelsight"), take=take)
+    assert (list(found.captures), len(found.captures)) == ([f"000{k}" for k in range(1, 6)], 5)
+    assert max(alive) <= 1  # the one before, at most
+    assert found.captures["0003"].contact_circle.row_px == PLACES[2][0]
+    with pytest.raises(KeyError):
+        found.captures["0099"]
+
+
+def test_the_median_does_not_use_what_is_left_out(tmp_path):
+    """Three dark pictures that the recipe leaves out would drag the median of six down."""
+    folder = write_digit(tmp_path / "f")
+    plain = shipped("fots-digit", ball=2 * BALL_PX / 21.09)
+    for k in range(90, 99):
+        save(folder / "mlp_calib" / "digit" / f"00{k}.png", 0.1 * flat())
+    names = tuple(f"00{k}" for k in range(90, 99))
+    chosen = plain.model_copy(update={"presses": plain.presses.model_copy(update={"leave_out": names})})
+    found = read_by_recipe(folder, chosen)
+    assert float(np.median(found.captures["0000"].no_contact)) == pytest.approx(float(np.median(flat())), abs=3.0)
+    assert found.left_out["the recipe leaves it out"] == list(names)
+
+
+def test_who_told_a_circle_is_kept(tmp_path, monkeypatch):
+    """Circles that were searched for stay searched for, also when they come back by --circles."""
+    write_digit(tmp_path / "digit")
+    monkeypatch.chdir(tmp_path)
+    options = f"digit --recipe fots-digit --ball-diameter-mm {2 * BALL_PX / 21.09}"
+    assert finray(f"import captures {options} --out set").status == 0
+    lines = (tmp_path / "set" / "circles.csv").read_text().splitlines()
+    assert lines[0] == "image,column_px,row_px,radius_px,told_by"
+    assert all(line.endswith(",search") for line in lines[1:])
+    (tmp_path / "mine.csv").write_text("\n".join([*lines[:2], "0002,60,45,20,label", *lines[3:]]))
+    assert finray(f"import captures {options} --circles mine.csv --out again").status == 0
+    told = [read_record(tmp_path / "again" / f"000{k}.capture.json", TactileCapture) for k in (0, 2)]
+    assert [capture.contact_told_by for capture in told] == ["search", "label"]
+    assert [any(part.what == "a drawn contact" for part in capture.missing) for capture in told] == [True, False]
+    (tmp_path / "mine.csv").write_text("image,column_px,row_px,radius_px,told_by\n0001,60,45,20,hearsay\n")
+    failed = finray(f"import captures {options} --circles mine.csv --out no")
+    assert "mine.csv, line 2: told_by must be label or search, got 'hearsay'" in failed.err
+
+
+def test_presses_whose_names_give_one_file_name_are_all_kept(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("a b", "a+b", "a,b"):
+        save(tmp_path / "set" / f"{name}.png", dome(60.0, 80.0))
+    save(tmp_path / "set" / "rest.png", flat())
+    (tmp_path / "mine.toml").write_text(PICTURES)
+    succeed("import captures set --recipe mine.toml --out out")
+    stored = sorted(path.name for path in (tmp_path / "out").glob("*.capture.json"))
+    assert stored == ["a+b.capture.json", "a-b-2.capture.json", "a-b.capture.json"]
+    names = {read_record(tmp_path / "out" / file, TactileCapture).name for file in stored}
+    assert names == {"a b", "a+b", "a,b"}
+
+
+def test_a_press_that_taught_is_not_predicted_under_another_name(tmp_path, monkeypatch):
+    """0001 teaches; 0002 is the same picture."""
+    folder = write_fots(tmp_path / "fots")
+    presses = folder / "mlp_calib" / "gelsight"
+    (presses / "0002.png").write_bytes((presses / "0001.png").read_bytes())
+    monkeypatch.chdir(tmp_path)
+    outcome = finray("import captures fots --recipe fots-gelsight --predict-from 1 --out set")
+    assert outcome.status == 0
+    assert "0002: is the same image as a press that taught the table, and is not predicted" in outcome.err
+    assert sorted(p.name for p in (tmp_path / "set").glob("*.press.json")) == [f"000{k}.press.json" for k in (3, 4, 5)]
+    captures = read_by_recipe(folder, shipped("fots-gelsight")).captures
+    with pytest.raises(CompareError, match=r"0002: its contact image taught the table \(0001\), so that what it"):
+        predict_press(teach_table([captures["0001"]]), captures["0002"])
+
+
+def test_the_scale_that_the_user_gives_meets_the_check_length_too():
+    plain = read_recipe("gs-sdk-edge")[0]
+    given = with_sizes(plain, None, 0.5)
+    assert given.scale.mm_per_px == 0.5
+    assert (given.scale.check_length_mm, given.scale.check_length_px) == (
+        plain.scale.check_length_mm, plain.scale.check_length_px,
+    )  # fmt: skip
+    assert given.scale.check_length_mm is not None
+
+
+@pytest.mark.parametrize("factor", [1, 4, 7])
+def test_a_circle_in_a_large_picture_is_found_in_small_ones(factor, monkeypatch):
+    """Pictures of 160, 640 and 1120 px width: the same circle, and never more than 640 px are searched."""
+    row, column = PLACES[2]
+    small = np.clip(soft_dome(row, column, np.random.default_rng(3)), 0, 254)
+    size = (SHAPE_PX[1] * factor, SHAPE_PX[0] * factor)
+    images = [cv2.resize(image, size, interpolation=cv2.INTER_CUBIC) for image in (small, flat())]
+    counts = [np.clip(np.rint(image), 0, 254).astype(np.uint16) for image in images]
+    capture = TactileCapture(
+        name="large", contact=counts[0], no_contact=counts[1], repeat_no_contact=None, layout="RGB",
+        encoding="unknown", bit_depth=8, black_level_dn=0.0, exposure_s=None, light_angle_deg=None,
+        indenter=IndenterPose(shape="ball", radius_mm=None, depth_mm=None, position_mm=None), contact_circle=None,
+        mm_per_px=None, source="closed form",
+    )  # fmt: skip
+    searched = []
+
+    def spied(signal, *rest, **more):
+        searched.append(signal.shape)
+        return _coarse(signal, *rest, **more)
+
+    monkeypatch.setattr(contact_place, "_coarse", spied)
+    found = find_contact_circle(capture).circle
+    assert max(max(shape[:2]) for shape in searched) <= 640
+    radius = CONTACT_PX * factor
+    assert abs(found.radius_px - radius) < 0.2 * radius
+    assert np.hypot((found.row_px + 0.5) / factor - row, (found.column_px + 0.5) / factor - column) < 0.2 * CONTACT_PX
 
 
 def test_an_outline_outside_the_image_has_no_distance(tmp_path):

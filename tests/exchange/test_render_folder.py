@@ -8,10 +8,11 @@ import pytest
 
 from data_schemas import ContactCircle, ImportFormatError, PhotometricErrorReport, SimulatedPress, provenance
 from data_schemas.storage import read_record, write_record
-from finray_calib.exchange import read_renders
+from finray_calib.exchange import press_request, read_by_recipe, read_recipe, read_renders
 from finray_calib.sensing import outline_distance
 from tests.command_line.running import finray, succeed
 from tests.compare.test_tone_curve import RADIUS_PX, SHAPE, distance, pair
+from tests.exchange.recipe_folders import write_fots
 
 DEPTH_MM = np.maximum(1.0 - distance() ** 2, 0.0)
 
@@ -68,7 +69,7 @@ def test_a_folder_of_presses_meets_a_folder_of_captures(tmp_path, monkeypatch):
     assert "renders.presses: 2 presses" in told
     press = read_record(tmp_path / "renders.presses" / "two.press.json", SimulatedPress)
     np.testing.assert_allclose(press.distance, distance(), atol=1e-5)
-    assert "mean skill 0.9" in succeed("compare renders.presses captures")
+    assert "skill 0.9" in succeed("compare renders.presses captures")
 
 
 def test_encoded_images_stay_encoded_and_rgb(tmp_path):
@@ -194,3 +195,20 @@ def test_openexr_is_light(tmp_path):
         file.write(str(tmp_path / "p" / "contact.exr"))
     with pytest.raises(ImportFormatError, match="needs the channels R, G and B, got Y"):
         read_renders(tmp_path / "p")
+
+
+def test_a_press_is_asked_for_without_its_contact_and_bayer_counts_are_refused(tmp_path):
+    capture = read_by_recipe(write_fots(tmp_path / "f"), read_recipe("fots-gelsight")[0]).captures["0002"]
+    asked = press_request(capture, with_contact=False)
+    assert asked.keys() == {"no_contact.png", "press.json"}
+    told = json.loads(asked["press.json"])
+    assert told["contact_circle"] == {"row_px": 45.0, "column_px": 60.0, "radius_px": 20.0}
+    assert (told["encoding"], told["indenter"]["radius_mm"]) == ("encoded", 2.35)
+    deep = capture.model_copy(update={"bit_depth": 12, "black_level_dn": 64.0, "contact": capture.contact + 1000})
+    taught = press_request(deep, with_contact=True)
+    image = cv2.imdecode(np.frombuffer(taught["contact.png"], np.uint8), cv2.IMREAD_UNCHANGED)[..., ::-1]
+    np.testing.assert_array_equal(image, capture.contact + 1000 - 64)
+    plane = capture.contact[..., :1]
+    bayer = capture.model_copy(update={"layout": "Bayer RGGB", "contact": plane, "no_contact": plane})
+    with pytest.raises(ImportFormatError, match="holds Bayer RGGB counts; a bench needs captures in RGB"):
+        press_request(bayer, with_contact=False)

@@ -1,0 +1,279 @@
+"""``finray bench``: score any simulator on any captures by one protocol: few presses teach, the others judge."""
+
+import argparse
+import csv
+import hashlib
+import io
+import json
+import shlex
+import subprocess
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from finray_calib.cli._output import give, look_at, say, wrote
+from finray_calib.cli._run import add_out, add_seed, command_line, distinct_file_names, require_new
+
+if TYPE_CHECKING:
+    from data_schemas import ComparisonBatch, SimulatedPress, TactileCapture
+
+BENCH_HELP = "score a simulator on captures that it has not seen, by one protocol"
+TACTILE_DESCRIPTION = """\
+Score a simulator on a set of tactile captures. At most six presses, spread over the set, may teach it; all others
+judge it. Your command is run once, with these words replaced by folders:
+
+  {teach}    a folder for each teaching press: contact.png, no_contact.png, press.json
+  {judge}    a folder for each judged press: no_contact.png and press.json, without the contact
+  {renders}  where it writes a folder of the same name for each judged press, as 'finray import render' reads it
+
+Beside it stand a table that the same presses taught, and doing nothing, which scores 0. Presses whose image taught
+are never judged. OUT gets the page of the comparison (scores/summary.html), row.json and row.csv: skill with its
+interval, digests of all captures, what the command was and how long it took."""
+TABLE, BLANK = "table of the teaching presses", "doing nothing"
+MOST_TEACHING = 6
+CAPTURE = ".capture.json"
+_COLUMNS = ("set", "simulator", "skill", "low95", "high95", "presses", "taught", "table", "seconds", "captures_sha256")
+
+
+def add_bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb and its job."""
+    parser = verbs.add_parser("bench", help=BENCH_HELP, description=BENCH_HELP)
+    jobs = parser.add_subparsers(dest="job", metavar="JOB", title="jobs", required=True)
+    tactile = jobs.add_parser("tactile", help=BENCH_HELP, description=TACTILE_DESCRIPTION)
+    tactile.add_argument("captures", type=Path, metavar="CAPTURES", help="folder of NAME.capture.json")
+    tactile.add_argument("--simulator", metavar="NAME", help="name of yours in the row; with --command")
+    tactile.add_argument(
+        "--command", metavar="WORDS",
+        help="what runs your simulator, one string; without it the row is that of the table",
+    )  # fmt: skip
+    tactile.add_argument(
+        "--teach", type=int, default=MOST_TEACHING, metavar="N", help="presses that teach (default: 6)"
+    )
+    tactile.add_argument(
+        "--limit-s", type=float, default=3600.0, metavar="S", help="longest time of the command (default: 3600)"
+    )
+    add_out(tactile, "CAPTURES.bench, a folder")
+    add_seed(tactile)
+    tactile.set_defaults(run=run_bench_tactile)
+
+
+def run_bench_tactile(arguments: argparse.Namespace) -> None:
+    """Split, let the simulator render, compare, and write the row."""
+    from data_schemas import CompareError, ComparisonBatch
+    from data_schemas.storage import ProductSet, read_record
+    from finray_calib.cli._compare_folders import PAGE, SUMMARY, compare_folders
+
+    if (arguments.command is None) != (arguments.simulator is None):
+        raise CompareError(
+            "--simulator NAME and --command WORDS go together; give both, or neither for the table alone"
+        )
+    folder: Path = arguments.captures
+    captures = _captures(folder)
+    taught, judged = _split(captures, arguments.teach)
+    out = require_new(arguments.out or Path(f"{folder.resolve().name}.bench"))
+    seconds, presses = _presses(arguments, out, captures, taught, judged)
+    _store(out, presses, arguments.seed)
+    listed = _pairs_csv(out, presses, folder)
+    scores = out / "scores"
+    options = {"pairs": listed, "out": scores, "seed": arguments.seed, "register": False, "despite_mismatch": False}
+    compare_folders(argparse.Namespace(**options, normal_map=None, scale=None))
+    batch = read_record(scores / SUMMARY, ComparisonBatch)
+    row = _row(arguments, batch, captures, taught, seconds)
+    with ProductSet(out / "row.json") as products:
+        products.add(out / "row.csv", _as_csv(row).encode())
+        products.add(out / "row.json", (json.dumps(row, indent=1, sort_keys=True) + "\n").encode())
+    say(_as_csv(row).rstrip())
+    wrote(out, "holds row.json, row.csv and scores/summary.html")
+    give(row=row)
+    look_at(scores / PAGE)
+
+
+def _captures(folder: Path) -> "dict[str, TactileCapture]":
+    """Return the captures of a folder, whose contact is known."""
+    from data_schemas import CompareError, TactileCapture
+    from data_schemas.storage import read_record
+
+    files = sorted(folder.glob(f"*{CAPTURE}")) if folder.is_dir() else []
+    read = {file.name.removesuffix(CAPTURE): read_record(file, TactileCapture) for file in files}
+    known = {n: c for n, c in read.items() if c.contact_circle is not None or c.contact_outline is not None}
+    if len(known) < 2:
+        raise CompareError(
+            f"{folder}: holds {len(known)} captures that tell where their contact is; at least 2 are needed: import a "
+            "set with 'finray import captures'"
+        )
+    return known
+
+
+def _split(captures: "Mapping[str, TactileCapture]", count: int) -> tuple[list[str], list[str]]:
+    """Return the names of teaching and judged presses; no image is in both."""
+    from data_schemas import CompareError
+    from finray_calib.compare import spread_over
+    from finray_calib.sensing import contact_sha256
+
+    names = list(captures)
+    most = min(MOST_TEACHING, len(names) - 1)
+    if not 1 <= count <= most:
+        raise CompareError(f"--teach {count}: must be 1 to {most}, for {len(names)} presses of which the others judge")
+    taught = [names[i] for i in spread_over(len(names), count)]
+    seen = {contact_sha256(captures[name]) for name in taught}
+    judged = [name for name in names if contact_sha256(captures[name]) not in seen]
+    if not judged:
+        raise CompareError("no press is left to judge: all are images that teach")
+    return taught, judged
+
+
+def _presses(
+    arguments: argparse.Namespace,
+    out: Path,
+    captures: "Mapping[str, TactileCapture]",
+    taught: Sequence[str],
+    judged: Sequence[str],
+) -> "tuple[float | None, dict[str, dict[str, SimulatedPress]]]":
+    """Return seconds of the command, and simulator -> press -> what it makes of the press."""
+    from data_schemas import CompareError
+    from finray_calib.compare import predict_press, teach_table
+    from finray_calib.exchange import read_renders
+
+    table = teach_table([captures[name] for name in taught])
+    of_table = {name: predict_press(table, captures[name]) for name in judged}
+    blank = {
+        name: press.model_copy(update={"contact": press.no_contact, "label": BLANK, "notes": ()})
+        for name, press in of_table.items()
+    }
+    presses = {TABLE: of_table, BLANK: blank}
+    if arguments.command is None:
+        return None, presses
+    protocol, renders = out / "protocol", out / "renders"
+    _write_requests(protocol, captures, taught, judged)
+    seconds = _run_simulator(arguments, protocol, renders)
+    unasked = sorted({inner.name for inner in renders.iterdir() if inner.is_dir()} - set(judged))
+    if unasked:
+        raise CompareError(f"{renders}: {unasked[0]} is no judged press; render those of {protocol / 'judge'}")
+    rendered = read_renders(renders, {name: captures[name] for name in judged})
+    missing = sorted(set(judged) - rendered.keys())
+    if missing:
+        raise CompareError(
+            f"{renders}: {len(missing)} of {len(judged)} judged presses are missing ({', '.join(missing[:5])}): a "
+            "simulator is scored on all of them or on none"
+        )
+    return seconds, {arguments.simulator: rendered, **presses}
+
+
+def _write_requests(
+    protocol: Path, captures: "Mapping[str, TactileCapture]", taught: Sequence[str], judged: Sequence[str]
+) -> None:
+    """Write what the simulator may see."""
+    from data_schemas.storage import ProductSet
+    from finray_calib.exchange import press_request
+
+    with ProductSet(protocol) as products:
+        for part, names in (("teach", taught), ("judge", judged)):
+            for name in names:
+                for file, content in press_request(captures[name], part == "teach").items():
+                    products.add(protocol / part / name / file, content)
+
+
+def _run_simulator(arguments: argparse.Namespace, protocol: Path, renders: Path) -> float:
+    """Run the user's command without a shell, and return its wall time, s."""
+    from data_schemas import CompareError
+
+    places = {"{teach}": protocol / "teach", "{judge}": protocol / "judge", "{renders}": renders}
+    words = shlex.split(arguments.command)
+    for mark, place in places.items():
+        words = [word.replace(mark, str(place.resolve())) for word in words]
+    renders.mkdir(parents=True)
+    start = time.monotonic()
+    try:
+        done = subprocess.run(words, stdin=subprocess.DEVNULL, timeout=arguments.limit_s, check=False)
+    except subprocess.TimeoutExpired:
+        raise CompareError(
+            f"--command: ran longer than {arguments.limit_s:g} s; give --limit-s more, or fewer presses"
+        ) from None
+    except (OSError, ValueError) as error:
+        raise CompareError(f"--command: {words[0] if words else 'nothing'} cannot be run ({error})") from None
+    if done.returncode:
+        raise CompareError(f"--command: ended with status {done.returncode}; what it printed stands above")
+    return time.monotonic() - start
+
+
+def _store(out: Path, presses: "Mapping[str, Mapping[str, SimulatedPress]]", seed: int) -> None:
+    """Store every simulated press."""
+    from data_schemas import provenance
+    from data_schemas.storage import ProductSet, write_record
+
+    folders = distinct_file_names(presses)
+    origin = provenance(command_line(), {}, seed)
+    with ProductSet(out / "presses") as products:
+        for simulator, of in presses.items():
+            for name, press in of.items():
+                write_record(press, out / "presses" / folders[simulator] / f"{name}.press.json", origin, products)
+
+
+def _pairs_csv(out: Path, presses: "Mapping[str, Mapping[str, SimulatedPress]]", captures: Path) -> Path:
+    """Write the list of pairs, and return it."""
+    from data_schemas.storage import ProductSet
+
+    folders, text = distinct_file_names(presses), io.StringIO(newline="")
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(("simulator", "name", "simulated", "captured"))
+    for simulator, of in presses.items():
+        for name in of:
+            captured = (captures / f"{name}{CAPTURE}").resolve()
+            table.writerow((simulator, name, f"presses/{folders[simulator]}/{name}.press.json", captured))
+    path = out / "pairs.csv"
+    with ProductSet(path) as products:
+        products.add(path, text.getvalue().encode())
+    return path
+
+
+def _row(
+    arguments: argparse.Namespace,
+    batch: "ComparisonBatch",
+    captures: "Mapping[str, TactileCapture]",
+    taught: Sequence[str],
+    seconds: float | None,
+) -> dict[str, Any]:
+    """Return the row of the table, sealed by the SHA-256 of its other entries."""
+    from data_schemas import package_version
+    from finray_calib.sensing import contact_sha256
+
+    named = {s.simulator: None if s.skill is None else s.skill.model_dump() for s in batch.simulators}
+    own = arguments.simulator or TABLE
+    digests = sorted(contact_sha256(capture) for capture in captures.values())
+    blank = named[BLANK] or {}
+    row: dict[str, Any] = {
+        "set": arguments.captures.resolve().name,
+        "source": next(iter(captures.values())).source,
+        "simulator": own,
+        "command": arguments.command,
+        "skill": named[own],
+        "table": named[TABLE],
+        "blank": blank.get("estimate"),
+        "differences": [d.model_dump() for d in batch.differences if own in (d.first, d.second)],
+        "region": batch.headline_region,
+        "taught": list(taught),
+        "not_compared": {p.name: p.error for p in batch.pairs if p.simulator == own and p.error},
+        "seconds": seconds,
+        "captures_sha256": hashlib.sha256("\n".join(digests).encode()).hexdigest(),
+        "version": package_version(),
+    }
+    row["row_sha256"] = hashlib.sha256(json.dumps(row, sort_keys=True).encode()).hexdigest()
+    return row
+
+
+def _as_csv(row: Mapping[str, Any]) -> str:
+    """Return the row as two lines of a table."""
+    skill, table = row["skill"] or {}, row["table"] or {}
+
+    def short(value: float | None) -> str:
+        return "" if value is None else f"{value:.3f}"
+
+    cells = (
+        row["set"], row["simulator"], short(skill.get("estimate")), short(skill.get("low95")),
+        short(skill.get("high95")), skill.get("presses", ""), len(row["taught"]), short(table.get("estimate")),
+        short(row["seconds"]), row["captures_sha256"][:12],
+    )  # fmt: skip
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows([_COLUMNS, cells])
+    return text.getvalue()

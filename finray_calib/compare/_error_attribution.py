@@ -1,0 +1,472 @@
+r"""Why a simulation is off: how much skill is lost by pose, size, depth, gain, shading, blur and halo.
+
+Each cause is a small change of the simulated contact image. With the simulation's own change by contact :math:`c`,
+
+.. math:: S' = e^{g + p \cdot x} \left[ B + G_\sigma * \left\{ (1 + a) (1 + h [d > 1])\, c(T x) \right\} \right]
+
+where T shifts and stretches about the contact (pose, size), a is depth, h halo, G blur, g gain and p shading, both per
+channel. Causes are chosen one by one, by what they explain of the residual, and then fitted together by
+Gauss-Newton steps, over pixels up to 3.5 half-widths from the contact that are not nearly clipped.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Literal, get_args
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import CauseParameter, ErrorAttribution, ErrorCause
+from finray_calib.compare._comparison import Comparison
+from finray_calib.compare._image_noise import block_mean
+from finray_calib.compare._regions import tile_indices
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Cause = Literal["pose", "size", "depth", "gain", "shading", "blur", "halo"]
+CAUSES: Final = get_args(Cause)
+
+#: Parameters of each cause: name, unit, and factor from the fit's own unit.
+_PARAMETERS: Final[Mapping[Cause, tuple[tuple[str, str], ...]]] = {
+    "pose": (("along columns", "px"), ("along rows", "px")),
+    "size": (("radius", "1"),),
+    "depth": (("strength", "1"),),
+    "gain": (("red", "1"), ("green", "1"), ("blue", "1")),
+    "shading": tuple((f"{c} along {way}", "1") for way in ("columns", "rows") for c in ("red", "green", "blue")),
+    "blur": (("sigma", "px"),),
+    "halo": (("strength", "1"),),
+}
+#: Before the images are looked at: px, shares, and px^2 of blur. Far wider than what images tell.
+_PRIOR_SD: Final[Mapping[Cause, float]] = {
+    "pose": 10.0, "size": 0.5, "depth": 1.0, "gain": 0.5, "shading": 0.5, "blur": 40.0, "halo": 1.0,
+}  # fmt: skip
+_STEPS: Final[Mapping[Cause, float]] = {"pose": 0.5, "size": 0.02, "depth": 0.05, "blur": 1.5, "halo": 0.05}
+REACH: Final = 3.5
+_NEARLY_CLIPPED: Final = 0.88
+_LARGEST_SIDE_PX: Final = 176
+_SMOOTH_PX: Final = 1.5
+_PASSES: Final = 4
+#: A cause must remove this share of what is left, and more than noise; its parameter must exceed three times its u.
+_LEAST_SHARE, _TIMES_NOISE, _TIMES_U = 0.03, 4.0, 3.0
+_TILE_PX: Final = 12
+#: Effects that another cause imitates to this correlation are not told apart by one image.
+_ALIKE: Final = 0.8
+_RIDGE: Final = 1e-9
+_LARGEST: Final = 0.7
+
+
+@dataclass(frozen=True, slots=True)
+class _Scene:
+    """Images (H, W, 3) around a contact, and what places in them mean.
+
+    Attributes
+    ----------
+    rest, change, captured : ndarray, shape (H, W, 3)
+        Simulated without contact, what contact adds to it, and the capture, in one unit.
+    outside : ndarray, shape (H, W, 1)
+        0 inside the contact, 1 outside.
+    place : ndarray, shape (H, W, 2)
+        Along columns and rows, -0.5 to 0.5 over the whole picture.
+    centre_px : tuple of float
+        Column and row of the contact.
+    weights : ndarray, shape (3,)
+    fitted, scored : ndarray of bool, shape (H, W)
+        Pixels that the fit uses, and that the skill is formed over.
+    side_px : float
+        Raw pixels along the side of one pixel here.
+    """
+
+    rest: Floats
+    change: Floats
+    captured: Floats
+    outside: Floats
+    place: Floats
+    centre_px: tuple[float, float]
+    weights: Floats
+    fitted: Bools
+    scored: Bools
+    side_px: float
+
+    def changed(self, theta: Mapping[Cause, Floats]) -> Floats:
+        """Return the simulation with these changes."""
+        image = self._contact(theta)
+        log_gain = np.zeros(3) if "gain" not in theta else theta["gain"]
+        if "shading" in theta:
+            slope = theta["shading"].reshape(2, 3)
+            return np.asarray(image * np.exp(log_gain + self.place @ slope))
+        return np.asarray(image * np.exp(log_gain))
+
+    def _contact(self, theta: Mapping[Cause, Floats]) -> Floats:
+        """Return the image before gain and shading."""
+        change = self.change
+        if "pose" in theta or "size" in theta:
+            dx, dy = theta.get("pose", np.zeros(2))
+            zoom = float(np.exp(theta["size"][0])) if "size" in theta else 1.0
+            x, y = self.centre_px
+            matrix = np.array([[zoom, 0.0, x + dx - zoom * x], [0.0, zoom, y + dy - zoom * y]])
+            size = (change.shape[1], change.shape[0])
+            moved = cv2.warpAffine(change, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+            change = np.asarray(moved, dtype=np.float64)
+        if "depth" in theta:
+            change = change * (1.0 + theta["depth"][0])
+        if "halo" in theta:
+            change = change * (1.0 + theta["halo"][0] * self.outside)
+        if "blur" in theta:
+            change = _blurred(change, float(theta["blur"][0]))
+        return np.asarray(self.rest + change)
+
+    def residual(self, theta: Mapping[Cause, Floats]) -> Floats:
+        """Return captured minus changed simulation."""
+        return self.captured - self.changed(theta)
+
+    def energy(self, image: Floats, other: Floats | None = None) -> float:
+        """Return the weighted sum of squares, or of products, over the scored pixels."""
+        second = image if other is None else other
+        return float((image * second)[self.scored].sum(axis=0) @ self.weights)
+
+
+def _blurred(change: Floats, variance_px2: float) -> Floats:
+    """Return an image blurred by this variance; sharpened to first order where it is negative."""
+    if abs(variance_px2) < 1e-6:
+        return change
+    soft = cv2.GaussianBlur(change, (0, 0), float(np.sqrt(abs(variance_px2))))
+    return np.asarray(soft if variance_px2 > 0.0 else 2.0 * change - soft)
+
+
+def attribute_error(
+    comparison: Comparison, distance: Floats, block_px: int, full_scale_dn: float, skill: float
+) -> ErrorAttribution | None:
+    """Return the causes of a comparison's error over its headline region, the largest first.
+
+    Parameters
+    ----------
+    comparison
+        Both sides, with tone curve and gains taken out.
+    distance : ndarray, shape (H, W)
+        From the contact in half-widths.
+    block_px
+        Side of the blocks that the images are means of.
+    full_scale_dn
+        What is nearer to it than 12 % is left out of the fit: clipped light has no derivative.
+    skill
+        Of the headline region; 1 - skill is what the parts add up to.
+
+    Returns
+    -------
+    ErrorAttribution or None
+        None where too few pixels are left to fit.
+    """
+    scene, window = _scene(comparison, distance, block_px, full_scale_dn)
+    if scene.fitted.sum() < 10 * _TILE_PX or not scene.change[scene.fitted].any():
+        return None
+    fit = _Fit(scene, _noise_variance(comparison, scene, window, {}))
+    chosen = fit.choose()
+    theta, effects, u = fit.together(chosen)
+    kept = tuple(c for c in chosen if (np.abs(theta[c]) > _TIMES_U * u[c]).any())
+    if kept != chosen:
+        theta, effects, u = fit.together(kept)
+    fit = _Fit(scene, _noise_variance(comparison, scene, window, theta))
+    return _attribution(comparison, window, fit, (theta, effects, u), 1.0 - skill)
+
+
+@dataclass(frozen=True, slots=True)
+class _Window:
+    """The part of the compared images that the scene shows, averaged over blocks."""
+
+    rows: slice
+    columns: slice
+    side_px: int
+
+    def of(self, image: Floats) -> Floats:
+        """Return that part of an image."""
+        part = image[self.rows, self.columns]
+        return part if self.side_px == 1 else block_mean(part, self.side_px)
+
+    def back(self, image: Floats, shape: tuple[int, int]) -> NDArray[np.float32]:
+        """Return a map of the scene in the compared image, 0 elsewhere."""
+        whole = np.zeros(shape, dtype=np.float32)
+        large = np.repeat(np.repeat(image, self.side_px, axis=0), self.side_px, axis=1)
+        top, left = self.rows.start, self.columns.start
+        whole[top : top + large.shape[0], left : left + large.shape[1]] = large
+        return whole
+
+
+def _scene(comparison: Comparison, distance: Floats, block_px: int, full_scale_dn: float) -> tuple[_Scene, _Window]:
+    """Return the images around the contact in few pixels."""
+    layers, k = comparison.layers, comparison.best_exposure
+    near = np.nan_to_num(distance, nan=np.inf) <= REACH
+    rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
+    height, width = int(rows[-1] - rows[0] + 1), int(columns[-1] - columns[0] + 1)
+    side = max(1, -(-max(height, width) // _LARGEST_SIDE_PX))
+    height, width = height // side * side, width // side * side
+    top, left = int(rows[0]), int(columns[0])
+    window = _Window(slice(top, top + height), slice(left, left + width), side)
+    simulated, rest = (window.of(k * layers.rgb(image)) for image in (layers.contact, layers.no_contact))
+    captured, away = window.of(comparison.captured.contact), window.of(distance)
+    used = np.where(comparison.used[-1], 1.0, np.nan)
+    finite = np.isfinite(captured).all(axis=-1) & np.isfinite(simulated).all(axis=-1)
+    inside = np.nan_to_num(away, nan=np.inf) <= 1.0
+    at = np.argwhere(inside).mean(axis=0) if inside.any() else np.array(away.shape) / 2.0
+    dark = (simulated < _NEARLY_CLIPPED * full_scale_dn).all(axis=-1)
+    y, x = np.mgrid[: away.shape[0], : away.shape[1]].astype(np.float64)
+    rows_all, columns_all = distance.shape
+    place = np.stack([(left + side * x) / columns_all - 0.5, (top + side * y) / rows_all - 0.5], axis=-1)
+    return _Scene(
+        rest=rest,
+        change=simulated - rest,
+        captured=np.nan_to_num(captured),
+        outside=np.clip((np.nan_to_num(away, nan=9.0) - 1.0) / 0.1, 0.0, 1.0)[..., None],
+        place=place,
+        centre_px=(float(at[1]), float(at[0])),
+        weights=comparison.channel_weights,
+        fitted=np.asarray(finite & dark & (np.nan_to_num(away, nan=np.inf) <= REACH), dtype=np.bool_),
+        scored=np.asarray(finite & np.isfinite(window.of(used)), dtype=np.bool_),
+        side_px=float(side * block_px),
+    ), window
+
+
+def _noise_variance(comparison: Comparison, scene: _Scene, window: _Window, theta: Mapping[Cause, Floats]) -> Floats:
+    """Return the variance (3,) of a pixel's noise: known, or from how neighbours differ in what causes leave."""
+    known = comparison.captured.variance(np.nan_to_num(comparison.captured.contact))
+    known = known + comparison.best_exposure**2 * comparison.layers.contact_variance
+    variance = np.nan_to_num(window.of(known))[scene.fitted].mean(axis=0) / window.side_px**2
+    if (variance > 0.0).all():
+        return np.asarray(variance)
+    left = scene.residual(theta)
+    # mean of four neighbours, which a plane cancels: the variance of the difference is 5/4 of a pixel's
+    kernel = np.array([[0.0, -0.25, 0.0], [-0.25, 1.0, -0.25], [0.0, -0.25, 0.0]])
+    differences = cv2.filter2D(left, -1, kernel)
+    seen = cv2.erode(scene.fitted.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_)
+    if not seen.any():
+        return np.zeros(3)
+    squares = differences[seen] ** 2
+    # the median alone would jump between the steps of whole counts
+    typical = squares <= 16.0 * 1.4826**2 * np.median(squares, axis=0)
+    return np.asarray(0.8 * np.where(typical, squares, 0.0).sum(axis=0) / np.maximum(typical.sum(axis=0), 1))
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """Choose and fit causes on one scene."""
+
+    scene: _Scene
+    noise_variance: Floats
+
+    def columns(self, cause: Cause, theta: Mapping[Cause, Floats], smooth: _Scene) -> list[Floats]:
+        """Return the derivatives (H, W, 3) of the changed simulation by the parameters of a cause."""
+        if cause in ("gain", "shading"):
+            image = self.scene.changed(theta)
+            alone = [image * np.eye(3)[c] for c in range(3)]
+            if cause == "gain":
+                return alone
+            return [self.scene.place[..., way, None] * image for way in (0, 1) for image in alone]
+        start = theta.get(cause, np.zeros(len(_PARAMETERS[cause])))
+        found = []
+        for move in _STEPS[cause] * np.eye(len(start)):
+            low = smooth.changed({**theta, cause: start - move})
+            high = smooth.changed({**theta, cause: start + move})
+            found.append((high - low) / (2.0 * move.sum()))
+        return found
+
+    def listed(self, image: Floats) -> Floats:
+        """Return an image's fitted pixels, weighted, as one list."""
+        return np.asarray((image * np.sqrt(self.scene.weights))[self.scene.fitted].ravel())
+
+    def smooth(self) -> _Scene:
+        """Return the scene whose change is smooth: derivatives of noise are none of a cause."""
+        soft = cv2.GaussianBlur(self.scene.change, (0, 0), _SMOOTH_PX)
+        return replace(self.scene, change=np.asarray(soft, dtype=np.float64))
+
+    def choose(self) -> tuple[Cause, ...]:
+        """Return the causes by forward selection, on one linearisation of all."""
+        smooth = self.smooth()
+        parts = {c: [self.listed(image) for image in self.columns(c, {}, smooth)] for c in CAUSES}
+        residual = self.listed(self.scene.residual({}))
+        total = float(residual @ residual)
+        noise = float(self.noise_variance @ self.scene.weights) / 3.0
+        chosen: list[Cause] = []
+        explained = 0.0
+        while len(chosen) < len(CAUSES):
+            tried = {c: _explained([*chosen, c], parts, residual) for c in CAUSES if c not in chosen}
+            best = max(tried, key=lambda c: tried[c])
+            more = tried[best] - explained
+            if more < _LEAST_SHARE * (total - explained) or more < _TIMES_NOISE * len(parts[best]) * noise:
+                break
+            chosen.append(best)
+            explained = tried[best]
+        return tuple(chosen)
+
+    def together(self, chosen: Sequence[Cause]) -> tuple[dict[Cause, Floats], dict[Cause, Floats], dict[Cause, Floats]]:
+        """Return parameters, effects (H, W, 3) and standard uncertainties of causes that are fitted together."""
+        smooth = self.smooth()
+        theta = {c: np.zeros(len(_PARAMETERS[c])) for c in chosen}
+        effects = {c: np.zeros_like(self.scene.rest) for c in chosen}
+        u: dict[Cause, Floats] = {c: np.zeros(len(_PARAMETERS[c])) for c in chosen}
+        if not chosen:
+            return theta, effects, u
+        noise = max(float(self.noise_variance @ self.scene.weights) / 3.0, 1e-12)
+        for _ in range(_PASSES):
+            images = {c: self.columns(c, theta, smooth) for c in chosen}
+            matrix = np.stack([self.listed(image) for c in chosen for image in images[c]], axis=1)
+            residual = self.listed(self.scene.residual(theta))
+            hessian = matrix.T @ matrix
+            # a move along a strip changes nothing: what the image does not tell stays where it is
+            prior = noise / np.concatenate([np.full(len(theta[c]), _PRIOR_SD[c]) for c in chosen]) ** 2
+            hessian += _RIDGE * np.diag(np.diag(hessian)) + np.diag(prior)
+            moved = np.concatenate([theta[c] for c in chosen])
+            step = np.linalg.solve(hessian, matrix.T @ residual - prior * moved)
+            spread = self._spread(matrix, residual - matrix @ step, hessian, noise)
+            at = 0
+            for c in chosen:
+                moves = np.clip(step[at : at + len(theta[c])], -_limit(c), _limit(c))
+                effects[c] = effects[c] + sum(m * image for m, image in zip(moves, images[c], strict=True))
+                theta[c] = theta[c] + moves
+                u[c] = spread[at : at + len(theta[c])]
+                at += len(theta[c])
+        return theta, effects, u
+
+    def _spread(self, matrix: Floats, left: Floats, hessian: Floats, noise: float) -> Floats:
+        """Return standard uncertainties: residuals may be alike over tiles (sandwich), and noise is the least."""
+        tile = np.repeat(tile_indices(self.scene.fitted, _TILE_PX), 3)
+        scores = np.stack([np.bincount(tile, weights=column * left) for column in matrix.T], axis=1)
+        inverse = np.linalg.inv(hessian)
+        of_tiles = np.diag(inverse @ (scores.T @ scores) @ inverse)
+        return np.asarray(np.sqrt(np.maximum(of_tiles, noise * np.diag(inverse))))
+
+
+def _limit(cause: Cause) -> float:
+    """Return the largest step of one pass."""
+    return {"pose": 4.0, "blur": 12.0, "size": 0.15}.get(cause, _LARGEST)
+
+
+def _explained(causes: Sequence[Cause], parts: Mapping[Cause, list[Floats]], residual: Floats) -> float:
+    """Return what causes explain of a residual's sum of squares."""
+    matrix = np.stack([column for c in causes for column in parts[c]], axis=1)
+    gram, right = matrix.T @ matrix, matrix.T @ residual
+    gram += _RIDGE * np.diag(np.diag(gram)) + 1e-300 * np.eye(len(gram))
+    return float(right @ np.linalg.solve(gram, right))
+
+
+def _attribution(
+    comparison: Comparison,
+    window: _Window,
+    fit: _Fit,
+    found: tuple[dict[Cause, Floats], dict[Cause, Floats], dict[Cause, Floats]],
+    lost: float,
+) -> ErrorAttribution:
+    """Return the record: parts of 1 - skill that add up."""
+    theta, effects, u = found
+    scene = fit.scene
+    left = scene.residual({})
+    signal = _signal(comparison, scene, window)
+    noise = 0.0
+    if not (comparison.sums[-1].noise.error > 0.0).any():  # else it is taken out of the score
+        noise = float(fit.noise_variance @ scene.weights) * float(scene.scored.sum()) * window.side_px**2 / signal
+    dark = scene.fitted[..., None]
+    saturation = scene.energy(np.where(dark, 0.0, left)) / signal
+    parts = {c: scene.energy(np.where(dark, left, 0.0), effects[c]) / signal for c in effects}
+    order = sorted(parts, key=lambda c: -scene.energy(effects[c]))
+    remainder = lost - saturation - noise - sum(parts.values())
+    level = float(np.nanmean(comparison.captured.no_contact))
+    shape = (comparison.used[-1].shape[0], comparison.used[-1].shape[1])
+    maps = [window.back(effects[c].mean(axis=-1) / level, shape) for c in order]
+    return ErrorAttribution(
+        causes=tuple(
+            ErrorCause(
+                cause=c,
+                parameters=_in_pixels(c, theta[c], u[c], scene.side_px),
+                skill_lost=parts[c],
+                skill_regained=(scene.energy(left) - scene.energy(scene.residual({c: theta[c]}))) / signal,
+                like=_alike(fit, c, effects[c]),
+                advice=_advice(c, theta[c], scene.side_px),
+            )
+            for c in order
+        ),
+        skill_lost=lost,
+        saturation_skill=saturation,
+        noise_skill=noise,
+        remainder_skill=remainder,
+        maps=np.stack(maps) if maps else None,
+    )
+
+
+def _signal(comparison: Comparison, scene: _Scene, window: _Window) -> float:
+    """Return the change by contact over the scored pixels."""
+    rest = np.nan_to_num(window.of(comparison.captured.no_contact))
+    return max(scene.energy(rest - scene.captured), 1e-300)
+
+
+def _in_pixels(cause: Cause, theta: Floats, u: Floats, px: float) -> tuple[CauseParameter, ...]:
+    """Return the parameters in raw pixels, or as shares."""
+    values, spread = theta, u
+    if cause == "pose":
+        values, spread = px * theta, px * u
+    elif cause == "blur":
+        sigma = float(np.sign(theta[0]) * np.sqrt(abs(theta[0])))
+        values, spread = np.array([px * sigma]), np.array([px * u[0] / max(2.0 * abs(sigma), 1e-3)])
+    elif cause in ("size", "gain", "shading"):
+        values = np.expm1(theta)
+    return tuple(
+        CauseParameter(name=name, unit=unit, value=float(v), u=float(s))
+        for (name, unit), v, s in zip(_PARAMETERS[cause], values, spread, strict=True)
+    )
+
+
+def _alike(fit: _Fit, cause: Cause, effect: Floats) -> tuple[str, ...]:
+    """Return the causes that could imitate an effect."""
+    wanted = fit.listed(effect)
+    size = float(wanted @ wanted)
+    if not size > 0.0:
+        return ()
+    smooth, found = fit.smooth(), []
+    for other in CAUSES:
+        if other != cause:
+            part = {other: [fit.listed(image) for image in fit.columns(other, {}, smooth)]}
+            if np.sqrt(max(_explained([other], part, wanted), 0.0) / size) >= _ALIKE:
+                found.append(other)
+    return tuple(found)
+
+
+def _advice(cause: Cause, theta: Floats, px: float) -> str:
+    """Return what to do about a cause, with its size."""
+    first = float(theta[0])
+    more, share = ("more", "weaker") if first > 0.0 else ("less", "stronger"), f"{abs(first):.0%}"
+    if cause == "pose":
+        dx, dy = px * theta
+        return (
+            f"the contact lies {abs(dx):.2g} px {'right' if dx > 0 else 'left'} and {abs(dy):.2g} px "
+            f"{'below' if dy > 0 else 'above'} of where it is simulated: correct the circle (--circles), or refine the "
+            "pose of the press"
+        )
+    if cause == "size":
+        large = "larger" if first > 0.0 else "smaller"
+        return f"the contact is {share} {large} than simulated: check the indenter's size, the depth and the scale"
+    if cause == "depth":
+        return (
+            f"the simulated change is {share} {share and more[1]} than the captured one: check the depth of the press, "
+            "and the contrast of the lights"
+        )
+    if cause == "gain":
+        worst = float(theta[int(np.abs(theta).argmax())])
+        return (
+            f"a channel of the contact image is {abs(np.expm1(worst)):.1%} {'brighter' if worst > 0 else 'darker'} "
+            "than simulated, everywhere: lock exposure and white balance, and take an image without contact just before"
+        )
+    if cause == "shading":
+        return (
+            f"light changes across the picture by up to {float(np.abs(theta).max()):.1%} otherwise than simulated: "
+            "check how the lights fall off, and let them warm up"
+        )
+    if cause == "blur":
+        sigma = px * np.sqrt(abs(first))
+        return (
+            f"the capture is blurred by {sigma:.2g} px beyond the simulation: check the focus, or add the blur of lens "
+            "and gel to the simulation"
+            if first > 0.0
+            else f"the simulation is blurred by {sigma:.2g} px beyond the capture: blur less, or render on a finer mesh"
+        )
+    return (
+        f"the change around the contact is {share} {'stronger' if first > 0.0 else 'weaker'} than simulated: the gel "
+        "bulges there; use finite elements in place of a table or of rigid shapes"
+    )

@@ -1,0 +1,429 @@
+"""The page over many presses and simulators: who explains most, by how much, where it goes wrong, what to capture next.
+
+Simulators are ranked over the presses that all of them have; the worst presses stand with picture and causes.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import (
+    ComparedPair,
+    ComparisonBatch,
+    ErrorAttribution,
+    PhotometricErrorReport,
+    SimulatedPress,
+    SimulatorScore,
+    SkillDifference,
+    SkillOverPresses,
+    TactileCapture,
+    package_version,
+)
+from finray_calib.reports._images import ByteImage, touch_changes, touch_pictures
+from finray_calib.reports._page import (
+    Content,
+    Link,
+    Part,
+    Picture,
+    ReportTable,
+    drawing,
+    files_table,
+    in_rows,
+    one_group,
+    raster,
+    render_page,
+)
+from finray_calib.reports._plain_text import NO_VALUE, fixed, plain, skill_text
+from finray_calib.reports._style import BLUE, INK, MUTED, new_figure, styled, svg_text
+
+_TILE_PX = 150
+_MOST_DOTS = 2000
+#: Change of the picture, relative to the untouched level, that is shown as full colour.
+_SHOWN_PERCENTILE = 99.0
+
+
+@dataclass(frozen=True, slots=True)
+class PressPictures:
+    """What the page shows of one press.
+
+    Attributes
+    ----------
+    simulator, name
+        Whose press, and which.
+    page
+        File of its own page, relative to this one.
+    skill
+        Of the simulation.
+    tiles
+        Captured, simulated and what is left over, side by side, 8-bit.
+    attribution
+        Causes of its error; None where they cannot be told.
+    """
+
+    simulator: str
+    name: str
+    page: str
+    skill: float
+    tiles: ByteImage
+    attribution: ErrorAttribution | None
+
+
+def press_pictures(
+    simulator: str,
+    name: str,
+    page: str,
+    report: PhotometricErrorReport,
+    press: SimulatedPress,
+    capture: TactileCapture,
+) -> PressPictures:
+    """Return the small pictures of a press: captured, simulated, simulated change less captured change."""
+    factors = tuple(region.factor for region in report.regions)
+    shown, changes = touch_pictures(press, capture, factors), touch_changes(press, capture, factors)
+    left = changes.simulated - changes.captured
+    scale = float(np.nanpercentile(np.abs(changes.captured), _SHOWN_PERCENTILE)) if changes.captured.size else 1.0
+    tiles = [_tile(shown.captured), _tile(shown.simulated), _tile(_signed(left, max(scale, 1e-9)))]
+    return PressPictures(
+        simulator, name, page, report.headline_skill.estimate, np.concatenate(tiles, axis=1), report.attribution
+    )
+
+
+def _tile(picture: ByteImage) -> ByteImage:
+    """Return a picture in the size of a tile, with a margin."""
+    height, width = picture.shape[:2]
+    size = (_TILE_PX, max(1, round(_TILE_PX * height / width)))
+    small = cv2.resize(np.ascontiguousarray(picture), size, interpolation=cv2.INTER_AREA)
+    tall = np.full((_TILE_PX * 3 // 4 if size[1] <= _TILE_PX * 3 // 4 else _TILE_PX * 4 // 3, _TILE_PX + 6, 3), 255)
+    rows = min(size[1], len(tall))
+    tall[:rows, 3:-3] = small[:rows]
+    return tall.astype(np.uint8)
+
+
+def _signed(values: NDArray[np.float64], top: float) -> ByteImage:
+    """Return values as blue (too dark) over white to orange (too bright)."""
+    share = np.clip(np.nan_to_num(values) / top, -1.0, 1.0)[..., None]
+    white, dark, bright = np.array([255.0, 255.0, 255.0]), np.array([0.0, 84.0, 147.0]), np.array([213.0, 94.0, 0.0])
+    ends = np.where(share < 0.0, dark, bright)
+    return np.asarray(np.rint(white + np.abs(share) * (ends - white)), dtype=np.uint8)
+
+
+def batch_page(batch: ComparisonBatch, worst: Sequence[PressPictures], command: str, digests: Mapping[str, str]) -> str:
+    """Return the page over all presses as self-contained HTML; equal input gives equal text.
+
+    Parameters
+    ----------
+    batch
+        The comparison.
+    worst
+        The presses of lowest skill, the lowest first.
+    command
+        The command that reproduces it.
+    digests
+        Name of each input file -> SHA-256.
+    """
+    failed = sum(pair.skill is None for pair in batch.pairs)
+    names = {pair.name for pair in batch.pairs}
+    return render_page(
+        "result_page.html.j2",
+        verb="finray compare",
+        title=f"{len(names)} presses, {_count(len(batch.simulators), 'simulator')}",
+        lead="How far simulated touches are from real ones. Skill 0 is doing nothing (the untouched image in place of "
+        "the simulation), 1 is perfect.",
+        verdict=_verdict(batch),
+        sentence=" ".join(_sentences(batch)),
+        key_numbers=tuple(_key_numbers(batch)),
+        findings=tuple(f"Not compared: {_named(batch, pair)}: {pair.error}" for pair in batch.pairs if pair.error),
+        limits=tuple(_limits(batch)),
+        notes=batch.notes,
+        sections=tuple(_sections(batch, worst)),
+        command=command,
+        files=files_table(digests, package_version()),
+        summary=plain({"comparison": batch.model_dump(mode="json", exclude={"provenance"}), "failed": failed}),
+    )
+
+
+def batch_lines(batch: ComparisonBatch) -> Iterator[str]:
+    """Yield what the terminal prints of a batch: skills over presses, differences, the worst, what to capture."""
+    for score in batch.simulators:
+        if score.skill is not None:
+            yield f"{_simulator(score)}: skill {skill_over_text(score.skill)}, {_over(score.skill)}"
+            yield f"  {_method(score.skill)}"
+        else:
+            yield f"{_simulator(score)}: no press could be compared"
+    for difference in batch.differences:
+        yield f"{_difference_sentence(difference)}"
+    if batch.worst:
+        yield f"lowest: {', '.join(batch.worst)}"
+    for wish in batch.to_capture_next:
+        yield f"capture next: {wish}"
+
+
+def skill_over_text(skill: SkillOverPresses) -> str:
+    """Return the skill of all presses with its interval, where there is one."""
+    if skill.low95 is None or skill.high95 is None:
+        return fixed(skill.estimate, 3)
+    return skill_text(skill.estimate, skill.low95, skill.high95)
+
+
+def _simulator(score: SimulatorScore) -> str:
+    """Return how a simulator is called."""
+    return score.simulator or "simulation"
+
+
+_PLURAL = {"press": "presses"}
+
+
+def _count(number: int, what: str) -> str:
+    """Return a number of things."""
+    return f"{number} {what}" if number == 1 else f"{number} {_PLURAL.get(what, what + 's')}"
+
+
+def _over(skill: SkillOverPresses) -> str:
+    """Say what the skill is taken over."""
+    units = "" if skill.unit == "press" else f" of {_count(skill.units, skill.unit)}"
+    return f"over {_count(skill.presses, 'press')}{units}"
+
+
+def _method(skill: SkillOverPresses) -> str:
+    """Say how the interval was formed and what it does not know."""
+    unknown = f"; not in it: {', '.join(skill.not_sampled)}" if skill.not_sampled else ""
+    if skill.low95 is None:
+        return f"{skill.method}{unknown}"
+    return f"95 % over {_count(skill.units, skill.unit)}: {skill.method}{unknown}"
+
+
+def _named(batch: ComparisonBatch, pair: ComparedPair) -> str:
+    """Return the name of a press, with its simulator where there are several."""
+    return f"{pair.simulator}, {pair.name}" if len(batch.simulators) > 1 else pair.name
+
+
+def _ranked(batch: ComparisonBatch) -> list[tuple[SimulatorScore, SkillOverPresses]]:
+    """Return the simulators that have a skill, the best first."""
+    return [(score, score.skill) for score in batch.simulators if score.skill is not None]
+
+
+def _verdict(batch: ComparisonBatch) -> str:
+    """Say which simulator is best, or how good the only one is."""
+    ranked = _ranked(batch)
+    if not ranked:
+        return "Nothing could be compared"
+    score, skill = ranked[0]
+    if len(ranked) == 1:
+        if skill.low95 is None or skill.high95 is None:
+            return f"Skill {fixed(skill.estimate, 2)}; {_count(skill.units, skill.unit)} give no interval"
+        if skill.low95 > 0.0:
+            return "Better than no simulation"
+        return "Worse than no simulation" if skill.high95 < 0.0 else "Not told apart from no simulation"
+    next_one = next((d for d in batch.differences if {d.first, d.second} == {s.simulator for s, _ in ranked[:2]}), None)
+    if next_one is None or next_one.low95 is None:
+        return f"{_simulator(score)} scores highest; too few presses to tell it from the next"
+    return f"{_simulator(score)} is best" if next_one.low95 > 0.0 else "The best two are not told apart"
+
+
+def _sentences(batch: ComparisonBatch) -> Iterator[str]:
+    """Yield the scores in words."""
+    for score, skill in _ranked(batch):
+        yield f"{_capital(_simulator(score))} scores {skill_over_text(skill)} {_over(skill)}."
+
+
+def _capital(text: str) -> str:
+    """Return the text with a capital where it is a word of ours."""
+    return "The simulation" if text == "simulation" else text
+
+
+def _key_numbers(batch: ComparisonBatch) -> Iterator[tuple[str, str, str]]:
+    """Yield (label, value, remark)."""
+    for score, skill in _ranked(batch)[:3]:
+        between = "no interval: it needs three presses"
+        if skill.low95 is not None and skill.high95 is not None:
+            places = 3 if skill.high95 - skill.low95 < 0.02 else 2
+            between = f"95 %: {fixed(skill.low95, places)} to {fixed(skill.high95, places)}"
+        yield f"Skill, {_simulator(score)}", fixed(skill.estimate, 3), between
+    yield "Doing nothing", "0", "the untouched image in its place"
+    compared = sum(pair.skill is not None for pair in batch.pairs)
+    yield "Compared", f"{compared} of {len(batch.pairs)}", "pairs; the others are named below"
+
+
+def _limits(batch: ComparisonBatch) -> Iterator[str]:
+    """Yield what the numbers do not know."""
+    ranked = _ranked(batch)
+    if ranked:
+        _, skill = ranked[0]
+        yield (
+            "Skill over presses is 1 - the sum of squared errors of all presses / the sum of their squared changes by "
+            "contact, so that a press counts by how much it changes the picture."
+        )
+        yield f"Its interval: {_method(skill)}."
+        if skill.unit == "press":
+            yield (
+                "Presses are taken to be independent samples of the presses that you care about: the same place and "
+                "depth again is a repeat, which a column press in --pairs joins."
+            )
+    if batch.differences:
+        yield (
+            "Differences are taken press by press, so that what makes a press hard for both cancels. Their intervals "
+            f"hold together with 95 % (Bonferroni over {_count(len(batch.differences), 'difference')})."
+        )
+    yield "The pages of single presses show intervals of one press; they say nothing of another one."
+
+
+def _sections(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Iterator[Part]:
+    """Yield ranking, worst presses, causes, and all presses."""
+    if _ranked(batch):
+        yield _ranking_part(batch)
+    if worst:
+        yield _worst_part(batch, worst)
+    if any(press.attribution is not None for press in worst):
+        yield _causes_part(batch, worst)
+    if batch.to_capture_next:
+        rows = [(str(k), wish) for k, wish in enumerate(batch.to_capture_next, start=1)]
+        table = one_group("Most useful first", ("", "capture"), rows, is_words=True)
+        yield Part("What to capture next", Content("What would make these scores surer.", tables=(table,)))
+    table = _all_table(batch, {(press.simulator, press.name): press.page for press in worst})
+    yield Part("All presses", Content("Skill of each press, as it is; its page where it is one of the worst.",
+                                      tables=(table,), has_wide_tables=True))  # fmt: skip
+
+
+def _ranking_part(batch: ComparisonBatch) -> Part:
+    """Show the ranking."""
+    picture = drawing(
+        ranking_figure(batch),
+        " ".join(_sentences(batch)),
+        "Large mark with bar: skill of all presses together with its 95 % interval; small marks: single presses. What "
+        "to see: intervals that do not overlap are told apart; where they do overlap, look at the differences, which "
+        "are taken press by press.",
+    )
+    tables = [_score_table(batch), *([_difference_table(batch)] if batch.differences else [])]
+    return Part("Ranking", Content(" ".join(_sentences(batch)), ((picture,),), tables=tuple(tables)))
+
+
+@styled()
+def ranking_figure(batch: ComparisonBatch) -> str:
+    """Draw the skill of each simulator with its interval, and those of its presses."""
+    ranked = _ranked(batch)
+    figure = new_figure(7.2, 0.75 * len(ranked) + 1.1)
+    axes = figure.subplots()
+    lowest = 0.0
+    for place, (score, skill) in enumerate(ranked):
+        of = [p.skill.estimate for p in batch.pairs if p.simulator == score.simulator and p.skill is not None]
+        shown = np.array(of[:_MOST_DOTS])
+        spread = 0.28 * np.sin(2.4 * np.arange(len(shown)))  # apart, and the same each time
+        axes.plot(shown, place + spread, ".", color=MUTED, markersize=4.0, alpha=0.6)
+        low, high = skill.low95, skill.high95
+        bar = None if low is None or high is None else [[skill.estimate - low], [high - skill.estimate]]
+        axes.errorbar([skill.estimate], [place], xerr=bar, fmt="o", color=BLUE, markersize=8.0, linewidth=2.2)
+        lowest = min(lowest, float(np.quantile(shown, 0.02)), skill.estimate if low is None else low)
+    axes.axvline(0.0, color=MUTED, linewidth=1.0)
+    axes.axvline(1.0, color=MUTED, linewidth=1.0, linestyle=":")
+    left = max(lowest - 0.05, -2.0)
+    axes.set(ylim=(len(ranked) - 0.5, -0.5), xlim=(left, 1.05), xlabel="skill (1): 0 is doing nothing, 1 is perfect")
+    labels = [_simulator(score)[-32:].replace("$", r"\$") for score, _ in ranked]
+    axes.set_yticks(range(len(ranked)), labels, color=INK)
+    axes.grid(visible=False, axis="y")
+    return svg_text(figure)
+
+
+def _score_table(batch: ComparisonBatch) -> ReportTable:
+    """List the simulators."""
+    rows = [
+        (
+            _simulator(score),
+            NO_VALUE if score.skill is None else skill_over_text(score.skill),
+            NO_VALUE if score.skill is None else str(score.skill.presses),
+            str(score.compared),
+            str(score.failed),
+        )
+        for score in batch.simulators
+    ]
+    columns = ("simulator", "skill [95 %]", "presses in it", "compared", "failed")
+    return one_group("Simulators, the best first", columns, rows)
+
+
+def _difference_table(batch: ComparisonBatch) -> ReportTable:
+    """List the differences of every two simulators."""
+    rows = [
+        (
+            f"{d.first} less {d.second}",
+            fixed(d.estimate, 3) if d.low95 is None or d.high95 is None else skill_text(d.estimate, d.low95, d.high95),
+            f"{d.better_in} of {d.presses}",
+            _told_apart(d),
+        )
+        for d in batch.differences
+    ]
+    columns = ("pair", "difference in skill [95 %, all together]", "presses in which the first is better", "told apart")
+    return one_group("Differences, press by press", columns, rows)
+
+
+def _told_apart(difference: SkillDifference) -> str:
+    """Say whether two simulators are told apart."""
+    if difference.low95 is None or difference.high95 is None:
+        return "too few presses"
+    return "yes" if difference.low95 > 0.0 or difference.high95 < 0.0 else "no"
+
+
+def _difference_sentence(d: SkillDifference) -> str:
+    """Return a difference in one line."""
+    ends = "no interval" if d.low95 is None or d.high95 is None else skill_text(d.estimate, d.low95, d.high95)
+    shown = f"{fixed(d.estimate, 3)}, {ends}" if d.low95 is None else ends
+    return f"{d.first} less {d.second}: {shown}; better in {d.better_in} of {d.presses} presses"
+
+
+def _worst_part(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Part:
+    """Show the presses of lowest skill."""
+    pictures = [_worst_picture(batch, press) for press in worst]
+    rows = in_rows(pictures)
+    lead = (
+        "From left to right: captured, simulated, and simulated less captured change (orange: the simulation is too "
+        "bright, blue: too dark, full colour at the largest captured change)."
+    )
+    return Part(f"The {_count(len(worst), 'press')} of lowest skill", Content(lead, rows))
+
+
+def _worst_picture(batch: ComparisonBatch, press: PressPictures) -> Picture:
+    """Return the pictures of one press with its largest cause."""
+    name = f"{press.simulator}, {press.name}" if len(batch.simulators) > 1 else press.name
+    cause = ""
+    if press.attribution is not None and press.attribution.causes:
+        first = press.attribution.causes[0]
+        cause = f"; most is lost by {first.cause}: {fixed(first.skill_lost, 3)}"
+    text = f"{name}: skill {fixed(press.skill, 3)}{cause}"
+    return raster(press.tiles, f"Captured, simulated and left over, {text}.", text)
+
+
+def _causes_part(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Part:
+    """List what each of the worst presses loses by what."""
+    told = [(press, press.attribution) for press in worst if press.attribution is not None]
+    names = list(dict.fromkeys(cause.cause for _, found in told for cause in found.causes))
+    totals = {n: sum(c.skill_lost for _, found in told for c in found.causes if c.cause == n) for n in names}
+    names.sort(key=lambda n: -totals[n])
+    rows = []
+    for press, found in told:
+        of = {cause.cause: fixed(cause.skill_lost, 3) for cause in found.causes}
+        name = f"{press.simulator}, {press.name}" if len(batch.simulators) > 1 else press.name
+        rest = (found.saturation_skill, found.noise_skill, found.remainder_skill, found.skill_lost)
+        last = (fixed(value, 3) for value in rest)
+        rows.append((name, *(of.get(n, NO_VALUE) for n in names), *last))
+    columns = ("press", *names, "saturation", "noise", "remainder", "1 - skill")
+    lead = "No small change of the simulation explains what is left over."
+    if names:
+        lead = f"Over these presses most is lost by {names[0]}: {fixed(totals[names[0]] / len(told), 3)} of skill each."
+    remark = "The parts of a row add up to 1 - skill. The page of a press shows sizes and pictures of its causes."
+    return Part(
+        "Why the worst are off", Content(lead, remarks=(remark,), tables=(one_group("Skill lost", columns, rows),))
+    )
+
+
+def _all_table(batch: ComparisonBatch, pages: Mapping[tuple[str, str], str]) -> ReportTable:
+    """List all pairs."""
+    rows = []
+    for pair in batch.pairs:
+        name: str | Link = _named(batch, pair)
+        page = pages.get((pair.simulator, pair.name))
+        if page is not None:
+            name = Link(_named(batch, pair), page)
+        floor = NO_VALUE if pair.floor_skill is None else fixed(pair.floor_skill.estimate, 3)
+        skill = "not compared" if pair.skill is None else fixed(pair.skill.estimate, 3)
+        rows.append((name, skill, floor, str(len(pair.findings))))
+    return one_group("Skill of every press", ("press", "skill", "floor", "findings"), rows)
