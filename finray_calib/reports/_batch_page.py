@@ -134,7 +134,7 @@ def batch_page(batch: ComparisonBatch, worst: Sequence[PressPictures], command: 
         verdict=_verdict(batch),
         sentence=" ".join(_sentences(batch)),
         key_numbers=tuple(_key_numbers(batch)),
-        findings=tuple(f"Not compared: {_named(batch, pair)}: {pair.error}" for pair in batch.pairs if pair.error),
+        findings=tuple(_failures(batch)),
         limits=tuple(_limits(batch)),
         notes=batch.notes,
         sections=tuple(_sections(batch, worst)),
@@ -229,8 +229,24 @@ def _sentences(batch: ComparisonBatch) -> Iterator[str]:
 
 
 def _capital(text: str) -> str:
-    """Return the text with a capital where it is a word of ours."""
-    return "The simulation" if text == "simulation" else text
+    """Return the name of a simulator as the beginning of a sentence."""
+    return "The simulation" if text == "simulation" else f"\u201c{text}\u201d"
+
+
+def _failures(batch: ComparisonBatch) -> Iterator[str]:
+    """Yield the first pairs that could not be compared and why; what all simulators share is said once."""
+    of: dict[tuple[str, str], list[str]] = {}
+    for pair in batch.pairs:
+        if pair.error:
+            of.setdefault((pair.name, pair.error), []).append(pair.simulator)
+    for (name, error), simulators in list(of.items())[:_MOST_FAILURES]:
+        whose = f" ({', '.join(simulators)})" if len(batch.simulators) > len(simulators) else ""
+        yield f"Not compared: {name}{whose}: {error}"
+    if len(of) > _MOST_FAILURES:
+        yield f"{len(of) - _MOST_FAILURES} more were not compared; summary.csv says why."
+
+
+_MOST_FAILURES = 5
 
 
 def _key_numbers(batch: ComparisonBatch) -> Iterator[tuple[str, str, str]]:
@@ -239,7 +255,8 @@ def _key_numbers(batch: ComparisonBatch) -> Iterator[tuple[str, str, str]]:
         between = "no interval: it needs three presses"
         if skill.low95 is not None and skill.high95 is not None:
             places = 3 if skill.high95 - skill.low95 < 0.02 else 2
-            between = f"95 %: {fixed(skill.low95, places)} to {fixed(skill.high95, places)}"
+            ends = fixed(skill.low95, places), fixed(skill.high95, places)
+            between = f"95 %: {' to '.join(ends)}" if ends[0] != ends[1] else "its interval is narrower than 0.001"
         yield f"Skill, {_simulator(score)}", fixed(skill.estimate, 3), between
     yield "Doing nothing", "0", "the untouched image in its place"
     compared = sum(pair.skill is not None for pair in batch.pairs)

@@ -1,6 +1,7 @@
 """``finray compare`` over folders and lists: a report for each pair, a summary, and pairs that fail."""
 
 import csv
+import re
 from pathlib import Path
 
 import pytest
@@ -151,3 +152,19 @@ def test_the_help_says_where_a_score_may_lie_above_the_floor() -> None:
     """The noise of linear captures is taken out of the score, not of the floor."""
     told = " ".join(finray("compare --help").out.split())
     assert "so that the score may lie above it; with encoded values both hold the noise" in told
+
+
+def test_what_fails_for_all_simulators_is_said_once_and_no_interval_has_equal_ends(folders: Path) -> None:
+    """Exchanged channels are refused whoever simulates; an untouched image scores 0 in each of three presses."""
+    blank = press().model_copy(update={"contact": press().no_contact})
+    for name in ("one", "two", "three", "bgr"):
+        write_record(blank, folders / f"blank/{name}.press.json", provenance("pytest"))
+    write_record(press(), folders / "simulated/three.press.json", provenance("pytest"))
+    write_record(capture_of(press(), 30.0), folders / "captured/three.capture.json", provenance("pytest"))
+    assert finray(f"compare {folders}/simulated {folders}/blank {folders}/captured --out {folders}/out").status == 0
+    batch = read_record(folders / "out/summary.json", ComparisonBatch)
+    scores = {score.simulator: score for score in batch.simulators}
+    assert scores["blank"].skill.estimate == pytest.approx(0.0, abs=0.01)
+    page = (folders / "out/summary.html").read_text()
+    assert page.count("Not compared: bgr") <= 2  # the reasons of both differ in their numbers
+    assert re.search(r"95 %: (\S+) to \1\b", page) is None
