@@ -46,6 +46,13 @@ if TYPE_CHECKING:
         TactileSession,
         Target,
     )
+    from data_schemas._certificate import (
+        CertificateDetails,
+        CertifiedLimits,
+        CertifiedName,
+        Reference,
+        ReferenceCertificate,
+    )
     from data_schemas._check import (
         AcceptanceReport,
         CheckFacts,
@@ -290,6 +297,9 @@ __all__ = [
     "CameraSettings",
     "CaptureError",
     "CaptureSession",
+    "CertificateDetails",
+    "CertifiedLimits",
+    "CertifiedName",
     "ChainCheck",
     "ChannelCharacterisation",
     "ChannelName",
@@ -424,6 +434,8 @@ __all__ = [
     "RadiometryError",
     "Record",
     "RecordError",
+    "Reference",
+    "ReferenceCertificate",
     "RefusedError",
     "RegionError",
     "RegionExtent",

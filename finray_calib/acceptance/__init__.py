@@ -11,22 +11,38 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.acceptance._acceptance_report import SECTIONS, judge, result_line, value_text
+    from finray_calib.acceptance._certified_results import (
+        NO_REFERENCE,
+        Budget,
+        CertifiedResult,
+        certified_results,
+        uncertainty_budget,
+    )
     from finray_calib.acceptance._conformity import (
         GUARD_FACTOR,
         ToleranceInterval,
         conformance_probability,
         global_risks,
     )
+    from finray_calib.acceptance._equivalence import Compared, Equivalence, tins_are_equivalent
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "GUARD_FACTOR",
+    "NO_REFERENCE",
     "SECTIONS",
+    "Budget",
+    "CertifiedResult",
+    "Compared",
+    "Equivalence",
     "ToleranceInterval",
+    "certified_results",
     "conformance_probability",
     "global_risks",
     "judge",
     "result_line",
+    "tins_are_equivalent",
+    "uncertainty_budget",
     "value_text",
 ]

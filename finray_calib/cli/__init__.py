@@ -11,6 +11,7 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.cli._capture import add_capture
+    from finray_calib.cli._certificate import add_certificate
     from finray_calib.cli._compare import add_compare
     from finray_calib.cli._decide import add_decide
     from finray_calib.cli._demo import add_demo, add_doctor
@@ -29,6 +30,7 @@ else:
 
 __all__ = [
     "add_capture",
+    "add_certificate",
     "add_check",
     "add_compare",
     "add_decide",

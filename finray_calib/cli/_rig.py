@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli._certificate import add_equivalence
 from finray_calib.cli._run import (
     Progress,
     add_out,
@@ -181,7 +182,7 @@ def _offered(role: str, device: "FoundDevice") -> bool:
     return bool(answer) and answer.strip().lower() in ("", "y", "yes")
 
 
-CHECK_HELP = "check a rig with its hardware in the loop (acceptance)"
+CHECK_HELP = "check a rig with its hardware in the loop (acceptance), or two tins of a paint"
 CHECK_RUN_HELP = "try every device of a rig and judge it against limits"
 CHECK_RUN_DESCRIPTION = """\
 Try every device of a rig: handshakes, moves of the wheel, filters in their slots, dark level, exposure ratios, and how
@@ -210,6 +211,7 @@ def add_check(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     parser.add_argument("--rig", type=Path, required=True, metavar="RIG", help="rig file (TOML): camera, wheel, lights")
     add_out(parser, "NAME-check/")
     parser.set_defaults(run=run_check)
+    add_equivalence(acts)
 
 
 def run_check(arguments: argparse.Namespace) -> int:

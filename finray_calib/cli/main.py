@@ -12,6 +12,7 @@ from data_schemas import DiedError, FinrayError, system_words
 from data_schemas.storage import OBJECTS_PER_COLLECTION
 from finray_calib.cli import (
     add_capture,
+    add_certificate,
     add_check,
     add_compare,
     add_decide,
@@ -62,6 +63,7 @@ VERBS = {
     "export": add_export,
     "rig": add_rig,
     "check": add_check,
+    "certificate": add_certificate,
     "design": add_design,
     "study": add_study,
     "doctor": add_doctor,

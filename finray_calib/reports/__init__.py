@@ -11,6 +11,12 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
+    from finray_calib.reports._certificate_page import (
+        Certificate,
+        certificate_of,
+        certificate_page,
+        certificate_pdf,
+    )
     from finray_calib.reports._check_page import check_report
     from finray_calib.reports._comparison_figures import error_map_figure, force_figure_png, score_figure
     from finray_calib.reports._comparison_page import comparison_page
@@ -89,6 +95,7 @@ else:
 
 __all__ = [
     "ByteImage",
+    "Certificate",
     "Content",
     "FittedPaint",
     "Json",
@@ -98,6 +105,9 @@ __all__ = [
     "ReportTable",
     "Section",
     "angle_figure",
+    "certificate_of",
+    "certificate_page",
+    "certificate_pdf",
     "check_report",
     "circles_csv",
     "clipped_remark",
