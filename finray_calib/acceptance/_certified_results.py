@@ -42,7 +42,7 @@ CERTIFIED: Final[dict[CertifiedName, tuple[str, str]]] = {
 _EMISSION_REFERENCES: Final[tuple[Reference, ...]] = ("white reference", "filters", "lamp")
 NO_REFERENCE: Final = "not traceable: no reference certificate recorded"
 CONFORMS_FROM: Final = 0.95
-_QUANTILES_SD: Final = tuple(float(sd) for sd in norm.ppf((0.025, 0.16, 0.5, 0.84, 0.975)))
+_QUANTILES_SD: Final = tuple(float(norm.ppf(level)) for level in (0.025, 0.16, 0.5, 0.84, 0.975))
 """Of a normal distribution, where a record holds those of the draws."""
 
 

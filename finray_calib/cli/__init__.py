@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from finray_calib.cli._design import add_design
     from finray_calib.cli._export import add_export
     from finray_calib.cli._fit import add_fit
+    from finray_calib.cli._history import add_history
     from finray_calib.cli._import import add_import
     from finray_calib.cli._radiometry import add_radiometry
     from finray_calib.cli._rig import add_check, add_rig
@@ -39,6 +40,7 @@ __all__ = [
     "add_doctor",
     "add_export",
     "add_fit",
+    "add_history",
     "add_import",
     "add_radiometry",
     "add_recolour",

@@ -159,7 +159,9 @@ PASS: equivalent in this quantity. FAIL: different. UNDECIDED: neither is shown;
 unit of the quantity: mode_nm, fwhm_nm, peak_per_nm, energy_yield, reflectance_at_laser; that of spectrum is a share of
 the peak. With one coat of a tin nothing is known of the differences between coats, and the command says so.
 Exit status: 0, 1 where the tins differ in a quantity, 2 after a mistake."""
-COMPARED = ("mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser", "spectrum")
+COMPARED: "tuple[Compared, ...]" = (
+    "mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser", "spectrum",
+)  # fmt: skip
 
 
 def add_equivalence(acts: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from finray_calib.cli._certificate import add_equivalence
+from finray_calib.cli._history import add_gauge_rr
 from finray_calib.cli._run import (
     Progress,
     add_out,
@@ -211,6 +212,7 @@ def add_check(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     parser.add_argument("--rig", type=Path, required=True, metavar="RIG", help="rig file (TOML): camera, wheel, lights")
     add_out(parser, "NAME-check/")
     parser.set_defaults(run=run_check)
+    add_gauge_rr(acts)
     add_equivalence(acts)
 
 

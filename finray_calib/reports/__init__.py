@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from finray_calib.reports._fit_page import fit_parts, no_emission_page, paint_report
     from finray_calib.reports._fit_statements import model_statement, paint_sentence, signals_table
     from finray_calib.reports._fitted_paint import FittedPaint, PaintTruth, fit_summary
+    from finray_calib.reports._history_page import history_page
     from finray_calib.reports._images import (
         ByteImage,
         clipped_remark,
@@ -140,6 +141,7 @@ __all__ = [
     "force_lines",
     "grid_phrase",
     "headline",
+    "history_page",
     "interval_text",
     "level_a_sentence",
     "light_angle_png",

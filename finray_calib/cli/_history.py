@@ -1,0 +1,204 @@
+"""``finray history`` and ``finray check gauge-rr``: is a rig still what it was, and how well it repeats."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from finray_calib.cli._run import naming, progress_bar, require_new, say
+
+if TYPE_CHECKING:
+    from finray_calib.acceptance import ChartRules, GaugeStudy, History, SessionFacts
+
+HISTORY_HELP = "chart a rig over its sessions: in control or out of control, and the light each sample received"
+HISTORY_DESCRIPTION = """\
+Read all paint sessions below a folder and chart, for each rig: level and colour of the lamp, each filter, the laser,
+the dark level and its growth (stray light), the sharpness of the white tile; and for each sample: level and centroid of
+the emission. The first sessions are the reference (--reference, 10). Later ones are judged by a Shewhart and an EWMA
+chart, whose limits keep the stated share of false alarms (--false-alarms, 0.01 of the sessions, all quantities
+together) for a reference of that length.
+
+When you have looked into an alarm, give --cleared SESSION: charts begin anew after it, with the same reference. After a
+change of the rig (a new lamp), move the older sessions to another folder: the rig then needs a new reference.
+
+The ledger sums the laser light that fell on each sample, and what it took of the emission where that was measured.
+Exit status: 0 in control or undecided (too few sessions), 1 out of control, 2 after a mistake."""
+OUT_OF_CONTROL = 1
+DEPTHS = ("session.json", "*/session.json", "*/*/session.json")
+
+
+def add_history(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb."""
+    parser = verbs.add_parser(
+        "history", help=HISTORY_HELP, description=HISTORY_DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("folder", type=Path, metavar="DIR", help="folder of session folders")
+    parser.add_argument("--reference", type=int, default=10, metavar="N", help="first sessions: what is normal (10)")
+    parser.add_argument(
+        "--false-alarms", type=float, default=0.01, metavar="SHARE", help="of good sessions that give an alarm (0.01)"
+    )
+    parser.add_argument("--cleared", metavar="SESSION", help="alarms up to this session were looked into")
+    parser.add_argument("--report", type=Path, metavar="PAGE", help="write the charts as a page (HTML); must be new")
+    parser.set_defaults(run=run_history)
+
+
+def run_history(arguments: argparse.Namespace) -> int:
+    """Read, chart, print and return the exit status."""
+    from data_schemas import FinrayError
+    from data_schemas.storage import write_bytes
+    from finray_calib.acceptance import session_history
+    from finray_calib.reports import history_page
+
+    page = None if arguments.report is None else require_new(arguments.report)
+    facts = _facts(arguments.folder)
+    with naming(FinrayError, arguments.folder):
+        found = session_history(facts, arguments.reference, arguments.false_alarms, arguments.cleared)
+    _say_history(found, len(facts))
+    if page is not None:
+        write_bytes(page, history_page(found, str(arguments.folder), arguments.reference).encode())
+        say(f"{page}: open it in a browser")
+    return OUT_OF_CONTROL if found.verdict == "OUT OF CONTROL" else 0
+
+
+def _facts(folder: Path) -> "list[SessionFacts]":
+    """Reduce the paint sessions below a folder."""
+    from data_schemas import CaptureError
+    from finray_calib.acceptance import session_facts
+    from rigs.capture import read_frame_of, read_session, session_kind
+
+    places = sorted({path.parent for pattern in DEPTHS for path in folder.glob(pattern)})
+    paint = [place for place in places if session_kind(place) == "paint"]
+    if not paint:
+        raise CaptureError(
+            f"{folder}: holds no paint session; give a folder whose folders were written by 'finray capture'"
+        )
+    facts = []
+    with progress_bar("history") as progress:
+        for number, place in enumerate(paint):
+            name = place.relative_to(folder).as_posix()
+            progress(number, len(paint), name)
+            facts.append(session_facts(name, read_session(place), lambda frame, at=place: read_frame_of(at, frame)))
+    return facts
+
+
+def _say_history(found: "History", sessions: int) -> None:
+    """Print the verdict, its reasons, every quantity at its last session, and the ledger."""
+    say(f"{found.verdict}: {sessions} sessions, {len(found.watched)} charts")
+    for reason in found.reasons:
+        say(f"  {reason}")
+    for waiting in found.waiting:
+        say(f"  no chart: {waiting}")
+    for name in dict.fromkeys(one.of for one in found.watched):
+        say(f"  {name}: mean and sd of the reference, then the newest session")
+        for one in (one for one in found.watched if one.of == name):
+            chart = one.chart
+            last = (chart.values[-1] - chart.mean) / chart.sd
+            newest = f"{last:+7.1f} sd" if len(one.sessions) > (chart.rules.reference or 0) else ""
+            say(f"    {one.quantity:46s}{chart.mean:10.5g} {chart.sd:9.2g}{newest}")
+            if chart.outlier is not None:
+                say(f"      note: {one.sessions[chart.outlier]} stands out of the reference; was it good?")
+    if found.watched:
+        say(f"  limits: {_limit(found.watched[0].chart.rules)}")
+    for row in found.ledger:
+        lost = "" if row.lost is None else f", which took {100 * row.lost:.2g} % of the emission"
+        say(f"  light on '{row.paint_name}': {row.dose_j:.3g} J in {row.sessions} sessions{lost}")
+    say(f"  false alarms: {100 * found.false_alarms:g} % of good sessions in all, {100 * found.of_each:.2g} % a chart")
+
+
+def _limit(rules: "ChartRules") -> str:
+    """Return the limits of both charts."""
+    return f"{rules.shewhart_sd:.1f} sd for one session, {rules.ewma_limit_sd:.1f} sd for the weighted mean"
+
+
+GAUGE_HELP = "gauge R&R: how much of what is seen is the measurement"
+GAUGE_DESCRIPTION = """\
+Analyse a gauge study: several samples, each measured in the same sessions, with repeats and, if you like, mounted anew
+within a session. Take five samples or more that differ as yours do, and six sessions or more: with three, the interval
+of the measurement's standard deviation spans a factor of five.
+
+STUDY is a CSV file with one row for each capture, as many for each sample in each session:
+
+  sample,session,mount,paint
+  A,1,1,A-1-1a.paint.json
+  A,1,1,A-1-1b.paint.json
+
+with the calibration of the capture (its place is relative to the CSV file; --quantity names the quantity), or with a
+column "value" in the place of "paint". Leave out the column "mount" where the samples were not mounted anew.
+PASS: the measurement's share of the total standard deviation is below 10 % with 95 % confidence; FAIL: above 30 %.
+Exit status: 0, 1 after FAIL, 2 after a mistake."""
+QUANTITIES = ("mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser")
+
+
+def add_gauge_rr(acts: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register what ``finray check gauge-rr`` takes."""
+    parser = acts.add_parser(
+        "gauge-rr", help=GAUGE_HELP, description=GAUGE_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("study", type=Path, metavar="STUDY", help="CSV file: sample,session[,mount],paint or value")
+    parser.add_argument("--quantity", choices=QUANTITIES, default="mode_nm", help="of the calibrations (mode_nm)")
+    parser.set_defaults(run=run_gauge_rr)
+
+
+def run_gauge_rr(arguments: argparse.Namespace) -> int:
+    """Analyse, print and return the exit status."""
+    from data_schemas import FinrayError
+    from finray_calib.acceptance import balanced_values, gauge_study
+
+    with naming(FinrayError, arguments.study):
+        study = gauge_study(balanced_values(_measurements(arguments.study, arguments.quantity)))
+    _say_study(study)
+    return OUT_OF_CONTROL if study.verdict == "FAIL" else 0
+
+
+def _measurements(path: Path, quantity: str) -> "list[tuple[str, str, str, float]]":
+    """Return sample, session, mount and value of each row."""
+    from data_schemas import PaintCalibration, RecordError
+    from data_schemas.storage import finite_number, read_csv, read_record
+
+    columns, rows = read_csv(path, "a CSV file of a gauge study")
+    value = next((name for name in ("paint", "value") if name in columns), None)
+    lacking = [name for name in ("sample", "session") if name not in columns]
+    if lacking or value is None:
+        raise RecordError(
+            f"{path}: the header names {', '.join(columns)}; it must name sample, session, and paint or value, and may "
+            "name mount"
+        )
+    found = []
+    for line, cells in rows:
+        row = dict(zip(columns, cells, strict=False))
+        if any(not row.get(name) for name in ("sample", "session", value)):
+            raise RecordError(f"{path}: line {line}: give sample, session and {value}")
+        if value == "paint":
+            number = read_record(path.parent / row["paint"], PaintCalibration).parameters[quantity].estimate
+        else:
+            try:
+                number = finite_number(row["value"])
+            except ValueError as fault:
+                raise RecordError(f"{path}: line {line}: value: {fault}") from None
+        found.append((row["sample"], row["session"], row.get("mount", ""), number))
+    return found
+
+
+def _say_study(study: "GaugeStudy") -> None:
+    """Print the analysis of variance, the standard deviations and the verdict."""
+    mounts = f" x {study.mounts} mounts" if study.mounts > 1 else ""
+    say(f"{study.samples} samples x {study.sessions} sessions{mounts} x {study.repeats} repeats")
+    say(f"  {'source':20s}{'freedom':>8s}{'mean square':>14s}{'F':>9s}{'p':>8s}{'sd':>12s}")
+    for line in study.strata:
+        ratio = "" if line.f_ratio is None else f"{line.f_ratio:.4g}"
+        chance = "" if line.p is None else f"{line.p:.3f}"
+        say(f"  {line.source:20s}{line.freedom:8d}{line.mean_square:14.6g}{ratio:>9s}{chance:>8s}"
+            f"{line.variance**0.5:12.4g}")  # fmt: skip
+    rows = (
+        ("measurement, sd", study.gauge_sd, 1.0, ""),
+        ("samples, sd", study.sample_sd, 1.0, ""),
+        ("share of the total sd (%GRR)", study.share, 100.0, " %"),
+        ("distinct categories, not rounded", study.categories, 1.0, ""),
+    )
+    for name, value, factor, unit in rows:
+        low, centre, high = (factor * x for x in (value.low95, value.estimate, value.high95))
+        say(f"  {name:34s}{centre:.4g}{unit} [{low:.3g}, {high:.3g}]{unit} (95 %)")
+    say(f"  number of distinct categories: {study.distinct_categories} (5 or more are wanted)")
+    for note in study.notes:
+        say(f"  note: {note}")
+    say(f"{study.verdict}: below 10 % passes, above 30 % fails, each with its interval")
