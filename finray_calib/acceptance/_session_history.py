@@ -16,7 +16,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import CaptureSession, FinrayError, Frame, RegionOfInterest
+from data_schemas import CaptureSession, FinrayError, RegionOfInterest
 from finray_calib.acceptance._control_charts import EWMA_WEIGHT, FEWEST_REFERENCE, Chart, chart_rules, watch
 from finray_calib.radiometry import ReadFrame, SessionSteps, bleaching_trend, session_steps
 
@@ -139,27 +139,24 @@ def _emission(session: CaptureSession, steps: SessionSteps) -> dict[str, float]:
 def _sharpness(session: CaptureSession, read: ReadFrame) -> float:
     r"""Return the sharpness of the white tile's texture.
 
-    .. math:: 100 \sqrt{\langle g_1 g_2 \rangle / (\bar D_1 \bar D_2)}
+    .. math:: 100 \sqrt{\sum_{i \ne j} \langle g_i g_j \rangle \Big/ \sum_{i \ne j} \bar D_i \bar D_j}
 
-    with g the differences of neighbouring greens in two frames of the brightest filter: their noise is independent, so
-    that it does not count as sharpness. Negative where chance outweighs the texture.
+    with g the differences of neighbouring greens in a white frame of mean D, over all pairs of frames: their noise is
+    independent, so that it does not count as sharpness; the camera's own pattern does. Negative where chance outweighs
+    the texture.
     """
-    white = [frame for frame in session.frames if frame.frame_type == "white"]
-    rates = dict(zip(_filters_of(white), map(sum, session.white_rates_dn_per_s), strict=False))
-    brightest = max(rates, key=lambda name: rates[name], default=white[0].filter_name)
-    two = [frame for frame in white if frame.filter_name == brightest][:2]
-    if len(two) < 2:
-        two = white[:2]
-    black = session.rig.camera.black_level_dn
-    greens = [_greens(read(frame), session.plan.region) - black for frame in two]
-    scaled = [green / green.mean() for green in greens]
-    energy = sum(float((np.diff(scaled[0], axis=axis) * np.diff(scaled[1], axis=axis)).mean()) for axis in (0, 1))
+    greens = [
+        _greens(read(frame), session.plan.region) - session.rig.camera.black_level_dn
+        for frame in session.frames
+        if frame.frame_type == "white"
+    ]
+    means = np.array([green.mean() for green in greens])
+    energy = 0.0
+    for axis in (0, 1):
+        steps = [np.diff(green, axis=axis) for green in greens]
+        energy += float((np.sum(steps, axis=0) ** 2).mean()) - sum(float((step**2).mean()) for step in steps)
+    energy /= max(float(means.sum() ** 2 - (means**2).sum()), 1e-300)
     return PERCENT * float(np.sign(energy) * np.sqrt(abs(energy)))
-
-
-def _filters_of(frames: Sequence[Frame]) -> tuple[str | None, ...]:
-    """Return the names of the filters in the order in which they were first used."""
-    return tuple(dict.fromkeys(frame.filter_name for frame in frames))
 
 
 def _greens(counts: NDArray[np.uint16], region: RegionOfInterest) -> Floats:

@@ -1,6 +1,7 @@
 """``finray history`` and ``finray check gauge-rr``: is a rig still what it was, and how well it repeats."""
 
 import argparse
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -77,7 +78,7 @@ def _facts(folder: Path) -> "list[SessionFacts]":
         for number, place in enumerate(paint):
             name = place.relative_to(folder).as_posix()
             progress(number, len(paint), name)
-            facts.append(session_facts(name, read_session(place), lambda frame, at=place: read_frame_of(at, frame)))
+            facts.append(session_facts(name, read_session(place), partial(read_frame_of, place)))
     return facts
 
 
