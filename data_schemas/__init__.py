@@ -47,6 +47,7 @@ if TYPE_CHECKING:
         Target,
     )
     from data_schemas._certificate import (
+        CERTIFIED,
         CertificateDetails,
         CertifiedLimits,
         CertifiedName,
@@ -268,6 +269,7 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "CERTIFIED",
     "CHANNELS",
     "FEWEST_LEVELS",
     "HELD_UNCERTAINTY_REL",

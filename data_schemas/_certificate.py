@@ -1,6 +1,6 @@
 """What a laboratory adds to the certificate of a paint (TOML): for whom, under which conditions, its references."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field, model_validator
 
@@ -8,6 +8,14 @@ from data_schemas._model import Model, Record
 from data_schemas._rig import IsoDay
 
 CertifiedName = Literal["mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser"]
+CERTIFIED: Final[dict[CertifiedName, tuple[str, str]]] = {
+    "mode_nm": ("Wavelength of the maximum of the emission", "nm"),
+    "fwhm_nm": ("Full width at half maximum", "nm"),
+    "peak_per_nm": ("Emission at the maximum, as radiance factor per nm", "1/nm"),
+    "energy_yield": ("Energy yield: emitted over incident energy", ""),
+    "reflectance_at_laser": ("Reflectance at the laser line", ""),
+}
+"""Quantity -> what it is, and its unit."""
 Reference = Literal["white reference", "filters", "lamp", "camera response", "laser", "other"]
 Line = Annotated[str, Field(max_length=300)]
 

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.stats import norm
 
 from data_schemas import (
+    CERTIFIED,
     BandSignals,
     CertificateDetails,
     CertifiedName,
@@ -31,14 +32,6 @@ from data_schemas import (
 from finray_calib.acceptance._conformity import ToleranceInterval
 from finray_calib.fit import calibrate_paint
 
-CERTIFIED: Final[dict[CertifiedName, tuple[str, str]]] = {
-    "mode_nm": ("Wavelength of the maximum of the emission", "nm"),
-    "fwhm_nm": ("Full width at half maximum", "nm"),
-    "peak_per_nm": ("Emission at the maximum, as radiance factor per nm", "1/nm"),
-    "energy_yield": ("Energy yield: emitted over incident energy", ""),
-    "reflectance_at_laser": ("Reflectance at the laser line", ""),
-}
-"""Quantity -> what it is, and its unit."""
 _EMISSION_REFERENCES: Final[tuple[Reference, ...]] = ("white reference", "filters", "lamp")
 NO_REFERENCE: Final = "not traceable: no reference certificate recorded"
 CONFORMS_FROM: Final = 0.95
@@ -146,7 +139,7 @@ def _result(
     )
 
 
-def conformity_of(value: Estimate, limits: ToleranceInterval) -> float:
+def conformity_of(found: Estimate, limits: ToleranceInterval) -> float:
     r"""Return the probability that a quantity keeps its limits, from its median and intervals.
 
     .. math:: P(\eta \le T) = \Phi(z(T))
@@ -156,21 +149,21 @@ def conformity_of(value: Estimate, limits: ToleranceInterval) -> float:
 
     Parameters
     ----------
-    value
+    found
         Median and intervals.
     limits
         In the unit of the quantity.
     """
-    points = (value.low95, value.low68, value.estimate, value.high68, value.high95)
+    points = (found.low95, found.low68, found.estimate, found.high68, found.high95)
 
-    def below(limit: float) -> float:
-        if not np.isfinite(limit):
-            return float(limit > 0.0)
-        first = min(max(int(np.searchsorted(points, limit, side="right")) - 1, 0), len(points) - 2)
+    def below(value: float) -> float:
+        if not np.isfinite(value):
+            return float(value > 0.0)
+        first = min(max(int(np.searchsorted(points, value, side="right")) - 1, 0), len(points) - 2)
         width = points[first + 1] - points[first]
         if width <= 0.0:  # a quantity at the end of its range
-            return float(limit >= points[first])
-        share = (limit - points[first]) / width
+            return float(value >= points[first])
+        share = (value - points[first]) / width
         return float(norm.cdf(_QUANTILES_SD[first] + share * (_QUANTILES_SD[first + 1] - _QUANTILES_SD[first])))
 
     low, high = limits.edges
@@ -242,12 +235,12 @@ class Budget:
     ----------
     rows
         The sources that the record names.
-    resolution
+    resolved_share
         Two standard errors of a share, from the scatter over the repeats: a smaller share is not told from none.
     """
 
     rows: tuple[BudgetRow, ...]
-    resolution: float
+    resolved_share: float
 
 
 NOISE_LEFT: Final = 0.1
@@ -298,7 +291,7 @@ def uncertainty_budget(
         BudgetRow(source, size, evaluation, dict(zip(CERTIFIED, map(float, row), strict=True)))
         for (source, size, evaluation, _), row in zip(cases, shares, strict=True)
     )
-    return Budget(rows, resolution=2.0 * float(np.sqrt(scatter.mean() / REPEATS)))
+    return Budget(rows, resolved_share=2.0 * float(np.sqrt(scatter.mean() / REPEATS)))
 
 
 def _expanded_squared(fitted: PaintCalibration | PaintWithoutEmission) -> list[float]:

@@ -37,7 +37,7 @@ from data_schemas import FinrayError
 Floats = NDArray[np.float64]
 ChartName = Literal["Shewhart", "EWMA"]
 
-EWMA_WEIGHT: Final = 0.2
+SMOOTHING_FACTOR: Final = 0.2
 FEWEST_REFERENCE: Final = 6
 """Sessions of a reference: with fewer, limits are so wide that little is seen."""
 OUTLIER_P: Final = 0.01
@@ -51,64 +51,68 @@ class ChartRules:
 
     Attributes
     ----------
-    false_alarms
+    false_alarm_share
         Rate for one session of one quantity, for which the limits were computed.
     reference
         Sessions of the reference; None where mean and standard deviation are known.
-    shewhart_sd
+    shewhart_factor
         k, in standard deviations of the reference.
-    weight, ewma_sd
+    smoothing_factor, ewma_factor
         The weight of the newest session, and L, in standard deviations of the weighted mean.
     """
 
-    false_alarms: float
+    false_alarm_share: float
     reference: int | None
-    shewhart_sd: float
-    weight: float
-    ewma_sd: float
+    shewhart_factor: float
+    smoothing_factor: float
+    ewma_factor: float
 
     @property
-    def ewma_limit_sd(self) -> float:
+    def ewma_limit_factor(self) -> float:
         """Largest weighted mean that is allowed, in standard deviations of the reference."""
-        return self.ewma_sd * math.sqrt(self.weight / (2.0 - self.weight))
+        return self.ewma_factor * math.sqrt(self.smoothing_factor / (2.0 - self.smoothing_factor))
 
 
 @lru_cache
-def chart_rules(false_alarms: float, reference: int | None = None, weight: float = EWMA_WEIGHT) -> ChartRules:
+def chart_rules(
+    false_alarm_share: float, reference: int | None = None, smoothing_factor: float = SMOOTHING_FACTOR
+) -> ChartRules:
     """Return limits that keep a rate of false alarms.
 
     Parameters
     ----------
-    false_alarms
+    false_alarm_share
         Share of the sessions of one quantity with nothing wrong that give an alarm.
     reference
         Number of sessions that mean and standard deviation were estimated from; None where they are known.
-    weight
-        Of the newest session in the weighted mean.
+    smoothing_factor
+        Weight of the newest session in the weighted mean.
 
     Raises
     ------
     FinrayError
         The rate or the weight is out of range, or the reference has too few sessions.
     """
-    if not 1e-6 <= false_alarms <= 0.2:
-        raise FinrayError(f"false alarms: {false_alarms:g} is out of range; give 0.000001 to 0.2 of the sessions")
-    if not 0.01 <= weight <= 1.0:
-        raise FinrayError(f"weight of the newest session: {weight:g} is out of range; give 0.01 to 1")
+    if not 1e-6 <= false_alarm_share <= 0.2:
+        raise FinrayError(f"false alarms: {false_alarm_share:g} is out of range; give 0.000001 to 0.2 of the sessions")
+    if not 0.01 <= smoothing_factor <= 1.0:
+        raise FinrayError(f"weight of the newest session: {smoothing_factor:g} is out of range; give 0.01 to 1")
     if reference is not None and reference < FEWEST_REFERENCE:
         raise FinrayError(f"reference of {reference} sessions: give {FEWEST_REFERENCE} or more")
     if reference is None:
-        shewhart_sd = float(norm.isf(false_alarms / 4))
+        shewhart_factor = float(norm.isf(false_alarm_share / 4))
     else:
-        shewhart_sd = float(student.isf(false_alarms / 4, reference - 1)) * math.sqrt(1.0 + 1.0 / reference)
+        shewhart_factor = float(student.isf(false_alarm_share / 4, reference - 1)) * math.sqrt(1.0 + 1.0 / reference)
 
-    def excess(ewma_sd: float) -> float:
-        rules = ChartRules(false_alarms, reference, shewhart_sd, weight, ewma_sd)
-        return math.log(false_alarm_rate(rules) / false_alarms)
+    def excess(ewma_factor: float) -> float:
+        rules = ChartRules(false_alarm_share, reference, shewhart_factor, smoothing_factor, ewma_factor)
+        return math.log(false_alarm_rate(rules) / false_alarm_share)
 
-    highest = shewhart_sd / math.sqrt(weight / (2.0 - weight))  # beyond it the other chart alarms first
-    ewma_sd = float(brentq(excess, 0.2, highest, xtol=1e-4))
-    return ChartRules(false_alarms, reference, shewhart_sd, weight, ewma_sd)
+    highest = shewhart_factor / math.sqrt(
+        smoothing_factor / (2.0 - smoothing_factor)
+    )  # beyond it the other chart alarms first
+    ewma_factor = float(brentq(excess, 0.2, highest, xtol=1e-4))
+    return ChartRules(false_alarm_share, reference, shewhart_factor, smoothing_factor, ewma_factor)
 
 
 def false_alarm_rate(rules: ChartRules) -> float:
@@ -140,10 +144,10 @@ def run_length(rules: ChartRules, shift_sd: float = 0.0, scale: float = 1.0) -> 
     scale
         Standard deviation of the reference over the true one.
     """
-    limit, weight = scale * rules.ewma_limit_sd, rules.weight
+    limit, weight = scale * rules.ewma_limit_factor, rules.smoothing_factor
     width = 2.0 * limit / _STATES
     places = -limit + width * (np.arange(_STATES) + 0.5)
-    most = scale * rules.shewhart_sd
+    most = scale * rules.shewhart_factor
     upper = (places[None] + width / 2 - (1.0 - weight) * places[:, None]) / weight
     lower = upper - width / weight
     inside = ndtr(np.clip(upper, -most, most) - shift_sd) - ndtr(np.clip(lower, -most, most) - shift_sd)
@@ -214,12 +218,12 @@ def watch(values: Sequence[float], rules: ChartRules, cleared: int = 0) -> Chart
     weighted, alarms, z = np.full(series.size, mean), [], 0.0
     for place in range(max(count, cleared), series.size):
         x = (series[place] - mean) / sd
-        z = rules.weight * x + (1.0 - rules.weight) * z
+        z = rules.smoothing_factor * x + (1.0 - rules.smoothing_factor) * z
         weighted[place] = mean + sd * z
         found: list[ChartName] = []
-        if abs(x) > rules.shewhart_sd:
+        if abs(x) > rules.shewhart_factor:
             found.append("Shewhart")
-        if abs(z) > rules.ewma_limit_sd:
+        if abs(z) > rules.ewma_limit_factor:
             found.append("EWMA")
         alarms += [Alarm(place, chart) for chart in found]
         z = 0.0 if found else z

@@ -31,8 +31,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from data_schemas import CheckVerdict, FinrayError, Optics, PaintCalibration
-from finray_calib.acceptance._certified_results import CERTIFIED
+from data_schemas import CERTIFIED, CheckVerdict, FinrayError, Optics, PaintCalibration
 from finray_calib.spectra import curve_quantities
 
 Floats = NDArray[np.float64]

@@ -1,7 +1,7 @@
 r"""What a rig and a sample were in every session, charted over sessions, and the light that each sample has received.
 
 From the frames of a paint session: level and colour of the lamp, each filter apart from both, the laser, the dark level
-and how it grows, the sharpness of the white tile; and of the sample its emission, the centroid of that, and its fading.
+and how it grows, the sharpness of the white frames; and of the sample its emission, the centroid of that, and its fading.
 With W, L and F the summed channels of white tile under the lamp, white tile and sample under the laser,
 
 .. math:: \ln W_f = a + b \lambda_f + r_f, \quad \text{emission} = \ln \sum_f F_f / W_f - \ln L / W_{450}
@@ -16,8 +16,8 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import CaptureSession, FinrayError, RegionOfInterest
-from finray_calib.acceptance._control_charts import EWMA_WEIGHT, FEWEST_REFERENCE, Chart, chart_rules, watch
+from data_schemas import CaptureSession, FinrayError
+from finray_calib.acceptance._control_charts import FEWEST_REFERENCE, SMOOTHING_FACTOR, Chart, chart_rules, watch
 from finray_calib.radiometry import ReadFrame, SessionSteps, bleaching_trend, session_steps
 
 Floats = NDArray[np.float64]
@@ -77,7 +77,7 @@ def session_facts(name: str, session: CaptureSession, read: ReadFrame) -> Sessio
         of_rig = {
             **_lights(session, steps),
             **_darks(steps),
-            "sharpness of the white tile (%)": _sharpness(session, read),
+            "sharpness of the white frames (%)": _sharpness(session, read),
         }
         of_sample = _emission(session, steps)
     except FinrayError as error:
@@ -137,32 +137,31 @@ def _emission(session: CaptureSession, steps: SessionSteps) -> dict[str, float]:
 
 
 def _sharpness(session: CaptureSession, read: ReadFrame) -> float:
-    r"""Return the sharpness of the white tile's texture.
+    r"""Return the sharpness of the white frames, which the edges of the white tile decide.
 
     .. math:: 100 \sqrt{\sum_{i \ne j} \langle g_i g_j \rangle \Big/ \sum_{i \ne j} \bar D_i \bar D_j}
 
-    with g the differences of neighbouring greens in a white frame of mean D, over all pairs of frames: their noise is
-    independent, so that it does not count as sharpness; the camera's own pattern does. Negative where chance outweighs
-    the texture.
+    with g the differences of neighbouring greens over a white frame and D the mean of its region, over all pairs of
+    frames: their noise is independent, so that it does not count as sharpness. The camera's own pattern does; where the
+    tile fills the frame it is most of it, and a change of focus is not seen. Negative where chance outweighs all.
     """
-    greens = [
-        _greens(read(frame), session.plan.region) - session.rig.camera.black_level_dn
-        for frame in session.frames
-        if frame.frame_type == "white"
-    ]
-    means = np.array([green.mean() for green in greens])
-    energy = 0.0
-    for axis in (0, 1):
-        steps = [np.diff(green, axis=axis) for green in greens]
-        energy += float((np.sum(steps, axis=0) ** 2).mean()) - sum(float((step**2).mean()) for step in steps)
-    energy /= max(float(means.sum() ** 2 - (means**2).sum()), 1e-300)
+    black = session.rig.camera.black_level_dn
+    region = session.plan.region
+    means, squares = [], 0.0
+    sums: list[Floats | float] = [0.0, 0.0]
+    for frame in session.frames:
+        if frame.frame_type == "white":
+            green = read(frame)[0::2, 1::2] - black
+            rows = slice(region.row_px // 2, (region.row_px + region.height_px) // 2)
+            columns = slice(region.column_px // 2, (region.column_px + region.width_px) // 2)
+            means.append(float(green[rows, columns].mean()))
+            steps = [np.diff(green, axis=axis) for axis in (0, 1)]
+            sums = [total + step for total, step in zip(sums, steps, strict=True)]
+            squares += sum(float((step**2).mean()) for step in steps)
+    together = sum(float((np.asarray(total) ** 2).mean()) for total in sums)
+    level = sum(means) ** 2 - sum(mean**2 for mean in means)
+    energy = (together - squares) / max(level, 1e-300)
     return PERCENT * float(np.sign(energy) * np.sqrt(abs(energy)))
-
-
-def _greens(counts: NDArray[np.uint16], region: RegionOfInterest) -> Floats:
-    """Return the greens of the even rows of a region (RGGB), as (H / 2, W / 2)."""
-    top, left = region.row_px & ~1, region.column_px & ~1
-    return counts[top : top + region.height_px : 2, left + 1 : left + region.width_px : 2].astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +216,7 @@ class History:
         The charts, and the dose of each sample.
     waiting
         What has no chart, and why: too few sessions, or a reference without scatter.
-    false_alarms, of_each
+    false_alarm_share, false_alarm_share_each
         Share of the sessions with nothing wrong that raise any alarm, and of one quantity.
     """
 
@@ -226,12 +225,12 @@ class History:
     watched: tuple[Watched, ...]
     ledger: tuple[LedgerRow, ...]
     waiting: tuple[str, ...]
-    false_alarms: float
-    of_each: float
+    false_alarm_share: float
+    false_alarm_share_each: float
 
 
 def session_history(
-    facts: Sequence[SessionFacts], reference: int = 10, false_alarms: float = 0.01, cleared: str | None = None
+    facts: Sequence[SessionFacts], reference: int = 10, false_alarm_share: float = 0.01, cleared: str | None = None
 ) -> History:
     """Chart all quantities over the sessions.
 
@@ -241,7 +240,7 @@ def session_history(
         One for each session, in any order.
     reference
         Number of first sessions, of each rig and sample, that say what is normal.
-    false_alarms
+    false_alarm_share
         Share of the sessions with nothing wrong that raise an alarm in any quantity, which are taken as independent.
     cleared
         Name of the session up to which alarms were looked into.
@@ -260,8 +259,8 @@ def session_history(
         if not since:
             raise FinrayError(f"no session is called {cleared!r}; give one of {', '.join(one.name for one in ordered)}")
     series, waiting = _series(ordered, reference)
-    of_each = 1.0 - (1.0 - false_alarms) ** (1.0 / max(len(series), 1))
-    rules = chart_rules(of_each, reference, EWMA_WEIGHT)
+    false_alarm_share_each = 1.0 - (1.0 - false_alarm_share) ** (1.0 / max(len(series), 1))
+    rules = chart_rules(false_alarm_share_each, reference, SMOOTHING_FACTOR)
     watched = []
     for of, quantity, sessions in series:
         values = [{**one.rig, **one.sample}[quantity] for one in sessions]
@@ -273,7 +272,9 @@ def session_history(
     reasons = _reasons(watched, ordered, since)
     judged = any(len(one.sessions) > reference for one in watched)
     verdict: Verdict = "OUT OF CONTROL" if reasons else "IN CONTROL" if judged else "UNDECIDED"
-    return History(verdict, reasons, tuple(watched), _ledger(ordered), waiting, false_alarms, of_each)
+    return History(
+        verdict, reasons, tuple(watched), _ledger(ordered), waiting, false_alarm_share, false_alarm_share_each
+    )
 
 
 def _series(

@@ -12,6 +12,7 @@ from data_schemas import lazy_exports
 if TYPE_CHECKING:
     from finray_calib.cli._capture import add_capture
     from finray_calib.cli._certificate import add_certificate
+    from finray_calib.cli._check import add_check
     from finray_calib.cli._compare import add_compare
     from finray_calib.cli._decide import add_decide
     from finray_calib.cli._demo import add_demo, add_doctor
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from finray_calib.cli._history import add_history
     from finray_calib.cli._import import add_import
     from finray_calib.cli._radiometry import add_radiometry
-    from finray_calib.cli._rig import add_check, add_rig
+    from finray_calib.cli._rig import add_rig
     from finray_calib.cli._sense import add_sense
     from finray_calib.cli._simulate import add_recolour, add_simulate, spelled_now
     from finray_calib.cli._study import add_study

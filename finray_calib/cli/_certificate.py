@@ -1,4 +1,4 @@
-"""``finray certificate`` and ``finray check equivalence``: what is stated of a paint, and of two tins of it."""
+"""``finray certificate``: the certificate of a paint, as a page and as PDF."""
 
 import argparse
 from datetime import UTC, datetime
@@ -9,7 +9,7 @@ from finray_calib.cli._run import naming, progress_bar, require_new, say, warn
 
 if TYPE_CHECKING:
     from data_schemas import CaptureSession
-    from finray_calib.acceptance import CertifiedResult, Compared
+    from finray_calib.acceptance import CertifiedResult
     from finray_calib.lineage import Traced
 
 CERTIFICATE_HELP = "write the certificate of a paint: results with expanded uncertainty, on one page"
@@ -145,72 +145,3 @@ def _say(results: "tuple[CertifiedResult, ...]", traceability: str) -> None:
         verdict = "" if result.verdict is None else f"  {result.verdict}"
         say(f"  {result.title:52s} {text}{verdict}")
     say(f"  {traceability}")
-
-
-EQUIVALENCE_HELP = "are two tins of a paint equivalent within margins"
-EQUIVALENCE_DESCRIPTION = """\
-Compare two tins of a paint by the calibrations of their coats, each fitted from a session of its own on one rig,
-against margins that you state: two one-sided tests with 5 % risk.
-
-  finray check equivalence --first A1.json A2.json A3.json --second B1.json B2.json B3.json
-      --margin mode_nm=4 --margin energy_yield=0.03 --margin spectrum=0.1
-
-PASS: equivalent in this quantity. FAIL: different. UNDECIDED: neither is shown; measure more coats. Margins are in the
-unit of the quantity: mode_nm, fwhm_nm, peak_per_nm, energy_yield, reflectance_at_laser; that of spectrum is a share of
-the peak. With one coat of a tin nothing is known of the differences between coats, and the command says so.
-Exit status: 0, 1 where the tins differ in a quantity, 2 after a mistake."""
-COMPARED: "tuple[Compared, ...]" = (
-    "mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser", "spectrum",
-)  # fmt: skip
-
-
-def add_equivalence(acts: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register what ``finray check equivalence`` takes."""
-    parser = acts.add_parser(
-        "equivalence", help=EQUIVALENCE_HELP, description=EQUIVALENCE_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
-    for tin in ("first", "second"):
-        parser.add_argument(
-            f"--{tin}", type=Path, nargs="+", required=True, metavar="PAINT", help=f"calibrations of the {tin} tin"
-        )
-    parser.add_argument(
-        "--margin", action="append", required=True, type=_margin, metavar="QUANTITY=VALUE",
-        help="largest difference that is allowed; one option for each quantity",
-    )  # fmt: skip
-    parser.set_defaults(run=run_equivalence)
-
-
-def _margin(text: str) -> "tuple[Compared, float]":
-    """Parse QUANTITY=VALUE."""
-    name, _, number = text.partition("=")
-    known = next((one for one in COMPARED if one == name), None)
-    try:
-        margin = float(number)
-    except ValueError:
-        margin = 0.0
-    if known is None or not 0.0 < margin < float("inf"):
-        raise argparse.ArgumentTypeError(
-            f"{text!r} must be QUANTITY=VALUE with a value above 0 and one of {', '.join(COMPARED)}"
-        )
-    return known, margin
-
-
-def run_equivalence(arguments: argparse.Namespace) -> int:
-    """Compare, print and return the exit status."""
-    from data_schemas import FinrayError, PaintCalibration, decimals_for, fixed
-    from data_schemas.storage import read_record
-    from finray_calib.acceptance import tins_are_equivalent
-
-    margins = dict(arguments.margin)
-    if len(margins) < len(arguments.margin):
-        raise FinrayError("--margin: a quantity is given twice; give each once")
-    tins = [[read_record(path, PaintCalibration) for path in paths] for paths in (arguments.first, arguments.second)]
-    found = tins_are_equivalent(tins[0], tins[1], margins)
-    for one in found:
-        places = decimals_for(0.5 * (one.high90 - one.low90))
-        low, centre, high = (fixed(value, places) for value in (one.low90, one.difference, one.high90))
-        say(f"{one.verdict:10s} {one.title}: differs by {centre} [{low}, {high}] {one.unit}".rstrip())
-        say(f"           90 % interval, allowed +-{one.margin:g} {one.unit}".rstrip())
-        say(f"           {one.basis}")
-    return NOT_CONFORMING if any(one.verdict == "FAIL" for one in found) else 0

@@ -1,4 +1,4 @@
-"""``finray history`` and ``finray check gauge-rr``: is a rig still what it was, and how well it repeats."""
+"""``finray history``: is a rig still what it was."""
 
 import argparse
 from functools import partial
@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 from finray_calib.cli._run import naming, progress_bar, require_new, say
 
 if TYPE_CHECKING:
-    from finray_calib.acceptance import ChartRules, GaugeStudy, History, SessionFacts
+    from finray_calib.acceptance import ChartRules, History, SessionFacts
 
 HISTORY_HELP = "chart a rig over its sessions: in control or out of control, and the light each sample received"
 HISTORY_DESCRIPTION = """\
 Read all paint sessions below a folder and chart, for each rig: level and colour of the lamp, each filter, the laser,
-the dark level and its growth (stray light), the sharpness of the white tile; and for each sample: level and centroid of
+the dark level and its growth (stray light), the sharpness of the white frames; and for each sample: level and centroid of
 the emission. The first sessions are the reference (--reference, 10). Later ones are judged by a Shewhart and an EWMA
 chart, whose limits keep the stated share of false alarms (--false-alarms, 0.01 of the sessions, all quantities
 together) for a reference of that length.
@@ -103,103 +103,10 @@ def _say_history(found: "History", sessions: int) -> None:
     for row in found.ledger:
         lost = "" if row.lost is None else f", which took {100 * row.lost:.2g} % of the emission"
         say(f"  light on '{row.paint_name}': {row.dose_j:.3g} J in {row.sessions} sessions{lost}")
-    say(f"  false alarms: {100 * found.false_alarms:g} % of good sessions in all, {100 * found.of_each:.2g} % a chart")
+    share, each = 100 * found.false_alarm_share, 100 * found.false_alarm_share_each
+    say(f"  false alarms: {share:g} % of good sessions in all, {each:.2g} % a chart")
 
 
 def _limit(rules: "ChartRules") -> str:
     """Return the limits of both charts."""
-    return f"{rules.shewhart_sd:.1f} sd for one session, {rules.ewma_limit_sd:.1f} sd for the weighted mean"
-
-
-GAUGE_HELP = "gauge R&R: how much of what is seen is the measurement"
-GAUGE_DESCRIPTION = """\
-Analyse a gauge study: several samples, each measured in the same sessions, with repeats and, if you like, mounted anew
-within a session. Take five samples or more that differ as yours do, and six sessions or more: with three, the interval
-of the measurement's standard deviation spans a factor of five.
-
-STUDY is a CSV file with one row for each capture, as many for each sample in each session:
-
-  sample,session,mount,paint
-  A,1,1,A-1-1a.paint.json
-  A,1,1,A-1-1b.paint.json
-
-with the calibration of the capture (its place is relative to the CSV file; --quantity names the quantity), or with a
-column "value" in the place of "paint". Leave out the column "mount" where the samples were not mounted anew.
-PASS: the measurement's share of the total standard deviation is below 10 % with 95 % confidence; FAIL: above 30 %.
-Exit status: 0, 1 after FAIL, 2 after a mistake."""
-QUANTITIES = ("mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser")
-
-
-def add_gauge_rr(acts: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register what ``finray check gauge-rr`` takes."""
-    parser = acts.add_parser(
-        "gauge-rr", help=GAUGE_HELP, description=GAUGE_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("study", type=Path, metavar="STUDY", help="CSV file: sample,session[,mount],paint or value")
-    parser.add_argument("--quantity", choices=QUANTITIES, default="mode_nm", help="of the calibrations (mode_nm)")
-    parser.set_defaults(run=run_gauge_rr)
-
-
-def run_gauge_rr(arguments: argparse.Namespace) -> int:
-    """Analyse, print and return the exit status."""
-    from data_schemas import FinrayError
-    from finray_calib.acceptance import balanced_values, gauge_study
-
-    with naming(FinrayError, arguments.study):
-        study = gauge_study(balanced_values(_measurements(arguments.study, arguments.quantity)))
-    _say_study(study)
-    return OUT_OF_CONTROL if study.verdict == "FAIL" else 0
-
-
-def _measurements(path: Path, quantity: str) -> "list[tuple[str, str, str, float]]":
-    """Return sample, session, mount and value of each row."""
-    from data_schemas import PaintCalibration, RecordError
-    from data_schemas.storage import finite_number, read_csv, read_record
-
-    columns, rows = read_csv(path, "a CSV file of a gauge study")
-    value = next((name for name in ("paint", "value") if name in columns), None)
-    lacking = [name for name in ("sample", "session") if name not in columns]
-    if lacking or value is None:
-        raise RecordError(
-            f"{path}: the header names {', '.join(columns)}; it must name sample, session, and paint or value, and may "
-            "name mount"
-        )
-    found = []
-    for line, cells in rows:
-        row = dict(zip(columns, cells, strict=False))
-        if any(not row.get(name) for name in ("sample", "session", value)):
-            raise RecordError(f"{path}: line {line}: give sample, session and {value}")
-        if value == "paint":
-            number = read_record(path.parent / row["paint"], PaintCalibration).parameters[quantity].estimate
-        else:
-            try:
-                number = finite_number(row["value"])
-            except ValueError as fault:
-                raise RecordError(f"{path}: line {line}: value: {fault}") from None
-        found.append((row["sample"], row["session"], row.get("mount", ""), number))
-    return found
-
-
-def _say_study(study: "GaugeStudy") -> None:
-    """Print the analysis of variance, the standard deviations and the verdict."""
-    mounts = f" x {study.mounts} mounts" if study.mounts > 1 else ""
-    say(f"{study.samples} samples x {study.sessions} sessions{mounts} x {study.repeats} repeats")
-    say(f"  {'source':20s}{'freedom':>8s}{'mean square':>14s}{'F':>9s}{'p':>8s}{'sd':>12s}")
-    for line in study.strata:
-        ratio = "" if line.f_ratio is None else f"{line.f_ratio:.4g}"
-        chance = "" if line.p is None else f"{line.p:.3f}"
-        say(f"  {line.source:20s}{line.freedom:8d}{line.mean_square:14.6g}{ratio:>9s}{chance:>8s}"
-            f"{line.variance**0.5:12.4g}")  # fmt: skip
-    rows = (
-        ("measurement, sd", study.gauge_sd, 1.0, ""),
-        ("samples, sd", study.sample_sd, 1.0, ""),
-        ("share of the total sd (%GRR)", study.share, 100.0, " %"),
-        ("distinct categories, not rounded", study.categories, 1.0, ""),
-    )
-    for name, value, factor, unit in rows:
-        low, centre, high = (factor * x for x in (value.low95, value.estimate, value.high95))
-        say(f"  {name:34s}{centre:.4g}{unit} [{low:.3g}, {high:.3g}]{unit} (95 %)")
-    say(f"  number of distinct categories: {study.distinct_categories} (5 or more are wanted)")
-    for note in study.notes:
-        say(f"  note: {note}")
-    say(f"{study.verdict}: below 10 % passes, above 30 % fails, each with its interval")
+    return f"{rules.shewhart_factor:.1f} sd for one session, {rules.ewma_limit_factor:.1f} sd for the weighted mean"

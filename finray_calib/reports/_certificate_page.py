@@ -194,7 +194,7 @@ def _budget(budget: Budget) -> ReportTable:
     """List the share of U^2 of each source."""
 
     def share(value: float) -> str:
-        return f"{100 * value:.0f} %" if value > budget.resolution else NO_VALUE
+        return f"{100 * value:.0f} %" if value > budget.resolved_share else NO_VALUE
 
     rows = [
         (row.source, f"{row.size} ({row.evaluation})", *(share(row.shares[name]) for name in _SHORT))
@@ -202,7 +202,7 @@ def _budget(budget: Budget) -> ReportTable:
     ]
     caption = (
         "Budget: share of U\N{SUPERSCRIPT TWO} that goes where one source alone is taken away "
-        f"({NO_VALUE}: below {100 * budget.resolution:.0f} %, not resolved)"
+        f"({NO_VALUE}: below {100 * budget.resolved_share:.0f} %, not resolved)"
     )
     return one_group(caption, ("source", "size (evaluation)", *_SHORT.values()), rows)
 
@@ -418,17 +418,19 @@ class _Sheets:
         """Return the height of a line as a share of the sheet."""
         return 1.35 * size_pt / (72 * SHEET_IN[1])
 
-    def room(self, height: float) -> float:
+    def room(self, height_share: float) -> float:
         """Take room of a height, on the next sheet where this one has none, and return its lower edge."""
-        if self._y - height < _BOTTOM:
+        if self._y - height_share < _BOTTOM:
             self._turn()
-        self._y -= height
+        self._y -= height_share
         return self._y
 
-    def line(self, text: str, x: float = _LEFT, factor: float = 1.0, weight: str = "normal") -> None:
+    def line(self, text: str, x_share: float = _LEFT, factor: float = 1.0, weight: str = "normal") -> None:
         """Write one line."""
         size = factor * self.size_pt
-        self.pages[-1].text(x, self.room(self._line_height(size)), text, fontsize=size, weight=weight, parse_math=False)
+        self.pages[-1].text(
+            x_share, self.room(self._line_height(size)), text, fontsize=size, weight=weight, parse_math=False
+        )
 
     def paragraph(self, text: str, weight: str = "normal") -> None:
         """Write a text over the width of the sheet."""
@@ -457,15 +459,15 @@ class _Sheets:
                                         weight="bold" if number == 0 else "normal")  # fmt: skip
             self.rule(low - 0.1 * height)
 
-    def rule(self, y: float | None = None) -> None:
+    def rule(self, y_share: float | None = None) -> None:
         """Draw a line over the width."""
-        y = self.room(0.004) if y is None else y
+        y = self.room(0.004) if y_share is None else y_share
         self.pages[-1].add_artist(Line2D((_LEFT, _RIGHT), (y, y), color=HAIRLINE, linewidth=0.6))
 
-    def axes(self, height: float) -> Axes:
+    def axes(self, height_share: float) -> Axes:
         """Return axes over the width."""
-        low = self.room(height + 0.03)
-        return self.pages[-1].add_axes((_LEFT + 0.05, low + 0.03, _RIGHT - _LEFT - 0.05, height))
+        low = self.room(height_share + 0.03)
+        return self.pages[-1].add_axes((_LEFT + 0.05, low + 0.03, _RIGHT - _LEFT - 0.05, height_share))
 
 
 def _lay_out(sheets: _Sheets, certificate: Certificate, paint: PaintCalibration) -> _Sheets:

@@ -40,7 +40,7 @@ def history_page(history: History, folder: str, reference: int) -> str:
         ("Charts", str(len(history.watched)), f"reference: the first {reference} sessions"),
         ("Alarms", str(alarms), "of all charts, also those that were cleared"),
         ("Newest session", newest[:10], newest[11:19]),
-        ("False alarms", percent(history.false_alarms), "of good sessions, all charts together"),
+        ("False alarms", percent(history.false_alarm_share), "of good sessions, all charts together"),
     )
     return render_page(
         TEMPLATE,
@@ -79,8 +79,9 @@ def _limits(history: History, reference: int) -> tuple[str, ...]:
         if one.chart.outlier is not None
     ]
     return (
-        f"The limits keep {100 * history.of_each:.2g} % false alarms for each chart and session, for mean and standard "
-        f"deviation of {reference} sessions. That holds for sessions that are independent and normally distributed.",
+        f"The limits keep {100 * history.false_alarm_share_each:.2g} % false alarms for each chart and session, for "
+        f"mean and standard deviation of {reference} sessions. That holds for sessions that are independent and "
+        "normally distributed.",
         "What was wrong in the reference already is not seen: the first sessions say what is normal.",
         "A chart says that something changed, not what: lamp, filter and white tile change the same signals.",
         "A change that a chart shows may be too small to matter: compare it with the uncertainty that you state.",
@@ -116,7 +117,7 @@ def chart_figure(one: Watched) -> str:
     axes = figure.subplots()
     place = np.arange(1, chart.values.size + 1)
     apart, weighted = chart.values - chart.mean, chart.weighted - chart.mean
-    single, mean = (chart.sd * limit for limit in (chart.rules.shewhart_sd, chart.rules.ewma_limit_sd))
+    single, mean = (chart.sd * limit for limit in (chart.rules.shewhart_factor, chart.rules.ewma_limit_factor))
     axes.axhspan(-mean, mean, facecolor=HAIRLINE, alpha=0.6, linewidth=0)
     for limit in (-single, single):
         axes.axhline(limit, color=MUTED, linestyle="--", linewidth=0.9)
@@ -139,8 +140,9 @@ def _table(shown: Sequence[Watched]) -> ReportTable:
         chart = one.chart
         last = (chart.values[-1] - chart.mean) / chart.sd
         rows.append((
-            one.quantity, f"{chart.mean:.5g}", f"{chart.sd:.2g}", f"{chart.rules.shewhart_sd:.2f} sd",
-            f"{chart.rules.ewma_limit_sd:.2f} sd", f"{fixed(last, 1)} sd", str(len({a.place for a in chart.alarms})),
+            one.quantity, f"{chart.mean:.5g}", f"{chart.sd:.2g}", f"{chart.rules.shewhart_factor:.2f} sd",
+            f"{chart.rules.ewma_limit_factor:.2f} sd", f"{fixed(last, 1)} sd",
+            str(len({alarm.place for alarm in chart.alarms})),
         ))  # fmt: skip
     columns = ("quantity", "mean", "sd", "limit, one session", "limit, weighted mean", "last session", "alarms")
     return one_group("Reference, limits and the last session", columns, rows)

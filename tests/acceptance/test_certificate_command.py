@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas import CertificateDetails, provenance
+from data_schemas import CERTIFIED, CertificateDetails, provenance
 from data_schemas.storage import sha256_of, write_record
 from finray_calib.acceptance import Budget, certified_results
-from finray_calib.acceptance._certified_results import CERTIFIED, BudgetRow
+from finray_calib.acceptance._certified_results import BudgetRow
 from finray_calib.cli.main import main
 from finray_calib.reports import certificate_of, certificate_page, certificate_pdf
 from rigs import paint_plan, simulated_rig

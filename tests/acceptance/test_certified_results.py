@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 
 from data_schemas import (
+    CERTIFIED,
     BandSignals,
     CertificateDetails,
     CertifiedLimits,
@@ -166,14 +167,14 @@ def test_shares_of_a_fit_whose_variance_is_a_known_sum(bands, monkeypatch):
         variance += 0.05 * any(f.fwhm_uncertainty_nm for f in optics.filters)
         variance += 0.05 * any(f.blocking_uncertainty_od for f in optics.filters)
         variance += 0.1 * bool(optics.lamp_temperature_uncertainty_k)
-        values = {name: normal(example().parameters[name].estimate, variance**0.5) for name in module.CERTIFIED}
+        values = {name: normal(example().parameters[name].estimate, variance**0.5) for name in CERTIFIED}
         return paint(**values)
 
     monkeypatch.setattr(module, "calibrate_paint", fit)
     budget = uncertainty_budget(bands, example(), seed=7)
     shares = [row.shares["mode_nm"] for row in budget.rows]
     assert shares == pytest.approx([0.5 * (1 - module.NOISE_LEFT**2), 0.3, 0.05, 0.05, 0.1])
-    assert budget.resolution == pytest.approx(0.0, abs=1e-9)
+    assert budget.resolved_share == pytest.approx(0.0, abs=1e-9)
     assert set(seeds) == {7, 8, 9, 10}
 
 

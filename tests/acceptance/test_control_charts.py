@@ -7,7 +7,7 @@ from scipy import stats
 from data_schemas import FinrayError
 from finray_calib.acceptance import ChartRules, chart_rules, run_length, watch
 
-NO_SHEWHART_SD = 1e3
+NO_SHEWHART = 1e3
 
 
 @pytest.mark.parametrize(
@@ -22,7 +22,7 @@ NO_SHEWHART_SD = 1e3
 )
 def test_run_lengths_of_lucas_and_saccucci(weight, limit_sd, shift_sd, sessions):
     """Technometrics 32 (1990), table 3 as it is widely quoted (Montgomery, Statistical Quality Control, table 9.11)."""
-    rules = ChartRules(0.01, None, NO_SHEWHART_SD, weight, limit_sd)
+    rules = ChartRules(0.01, None, NO_SHEWHART, weight, limit_sd)
     assert run_length(rules, shift_sd) == pytest.approx(sessions, rel=0.01)
 
 
@@ -44,8 +44,8 @@ def alarms_at(values, rules):
     found, z = np.zeros(values.shape, bool), np.zeros(len(values))
     for i in range(count, values.shape[1]):
         x = (values[:, i] - mean) / sd
-        z = rules.weight * x + (1 - rules.weight) * z
-        found[:, i] = (np.abs(x) > rules.shewhart_sd) | (np.abs(z) > rules.ewma_limit_sd)
+        z = rules.smoothing_factor * x + (1 - rules.smoothing_factor) * z
+        found[:, i] = (np.abs(x) > rules.shewhart_factor) | (np.abs(z) > rules.ewma_limit_factor)
         z[found[:, i]] = 0.0
     return found
 
@@ -63,7 +63,7 @@ def test_false_alarms_of_series_in_control_are_those_that_were_asked_for(referen
 def test_limits_that_ignore_how_short_the_reference_is_alarm_far_too_often():
     """The poisoned case: limits of a known mean and standard deviation on a reference of 10 sessions."""
     known = chart_rules(0.01)
-    careless = ChartRules(0.01, 10, known.shewhart_sd, known.weight, known.ewma_sd)
+    careless = ChartRules(0.01, 10, known.shewhart_factor, known.smoothing_factor, known.ewma_factor)
     found = alarms_at(series(np.random.default_rng(2), 1000, 110), careless)
     assert found[:, 10:].mean() > 0.03
 

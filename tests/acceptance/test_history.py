@@ -65,7 +65,7 @@ def test_dark_frames_and_dose(usual):
 
 
 def test_blur_lowers_the_sharpness(usual, tmp_path):
-    """Frames that are blurred as they are read: the mean of 2 x 2 neighbouring greens halves the texture's contrast."""
+    """Frames that are blurred as they are read, by the mean of 2 x 2 neighbouring greens: edges are half as steep."""
     folder = capture(tmp_path / "session")
     session = read_session(folder)
 
@@ -75,8 +75,8 @@ def test_blur_lowers_the_sharpness(usual, tmp_path):
         return np.round(np.mean(shifted, axis=0)).astype(np.uint16)
 
     soft = session_facts("soft", session, blurred)
-    name = "sharpness of the white tile (%)"
-    assert soft.rig[name] < 0.75 * usual.rig[name]
+    name = "sharpness of the white frames (%)"
+    assert soft.rig[name] < 0.85 * usual.rig[name]
 
 
 def test_frames_that_cannot_be_reduced_are_a_fault(tmp_path):
