@@ -291,7 +291,7 @@ def uncertainty_budget(
         BudgetRow(source, size, evaluation, dict(zip(CERTIFIED, map(float, row), strict=True)))
         for (source, size, evaluation, _), row in zip(cases, shares, strict=True)
     )
-    return Budget(rows, resolved_share=2.0 * float(np.sqrt(scatter.mean() / REPEATS)))
+    return Budget(rows, resolved_share=2.0 * float(np.sqrt(np.nanmean(scatter) / REPEATS)))
 
 
 def _expanded_squared(fitted: PaintCalibration | PaintWithoutEmission) -> list[float]:

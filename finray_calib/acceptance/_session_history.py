@@ -1,8 +1,8 @@
 r"""What a rig and a sample were in every session, charted over sessions, and the light that each sample has received.
 
 From the frames of a paint session: level and colour of the lamp, each filter apart from both, the laser, the dark level
-and how it grows, the sharpness of the white frames; and of the sample its emission, the centroid of that, and its fading.
-With W, L and F the summed channels of white tile under the lamp, white tile and sample under the laser,
+and how it grows, the sharpness of the white frames; and of the sample its emission, the centroid of that, and its
+fading. With W, L and F the summed channels of white tile under the lamp, white tile and sample under the laser,
 
 .. math:: \ln W_f = a + b \lambda_f + r_f, \quad \text{emission} = \ln \sum_f F_f / W_f - \ln L / W_{450}
 
@@ -23,6 +23,7 @@ from finray_calib.radiometry import ReadFrame, SessionSteps, bleaching_trend, se
 Floats = NDArray[np.float64]
 Verdict = Literal["IN CONTROL", "OUT OF CONTROL", "UNDECIDED"]
 PERCENT: Final = 100.0
+MOST_FALSE_ALARMS: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,6 +254,10 @@ def session_history(
     ordered = sorted(facts, key=lambda one: one.captured_utc)
     if reference < FEWEST_REFERENCE:
         raise FinrayError(f"reference of {reference} sessions: give {FEWEST_REFERENCE} or more")
+    if not 0.0 < false_alarm_share <= MOST_FALSE_ALARMS:
+        raise FinrayError(
+            f"false alarms: {false_alarm_share:g} is out of range; give a share above 0 and up to {MOST_FALSE_ALARMS:g}"
+        )
     since = ""
     if cleared is not None:
         since = next((one.captured_utc for one in ordered if one.name == cleared), "")

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 HISTORY_HELP = "chart a rig over its sessions: in control or out of control, and the light each sample received"
 HISTORY_DESCRIPTION = """\
 Read all paint sessions below a folder and chart, for each rig: level and colour of the lamp, each filter, the laser,
-the dark level and its growth (stray light), the sharpness of the white frames; and for each sample: level and centroid of
-the emission. The first sessions are the reference (--reference, 10). Later ones are judged by a Shewhart and an EWMA
+the dark level and its growth (stray light), the sharpness of the white frames; and for each sample: level and centroid
+of the emission. The first sessions are the reference (--reference, 10). Later ones are judged by a Shewhart and an EWMA
 chart, whose limits keep the stated share of false alarms (--false-alarms, 0.01 of the sessions, all quantities
 together) for a reference of that length.
 

@@ -265,7 +265,7 @@ def _conditions(paint: PaintCalibration, details: CertificateDetails, session: C
     stated = details.conditions or "temperature and humidity were not recorded"
     told = f"As the laboratory states: {stated}." if details.conditions else f"{stated.capitalize()}."
     if session is None:
-        return f"{told} The session of the frames was not found."
+        return f"{told} No single session of the frames was found."
     region = session.plan.region
     dose = max((frame.laser_dose_j for frame in session.frames), default=0.0)
     proof = "not proven" if session.filter_proof is None else session.filter_proof.verdict

@@ -84,7 +84,7 @@ def test_files_that_are_away_are_named(tmp_path, capsys):
     text = (tmp_path / "red.certificate.html").read_text()
     assert "1 were not found and not verified" in text
     assert "Not traceable: no reference certificate recorded." in text
-    assert "The session of the frames was not found." in text
+    assert "No single session of the frames was found." in text
 
 
 def test_a_quantity_outside_its_limits_ends_with_1(tmp_path, capsys):

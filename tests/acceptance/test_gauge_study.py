@@ -19,7 +19,7 @@ AIAG = """\
 0.04 -1.38 0.88 0.14 -1.46 -0.29 0.02 -0.46 1.77 -1.49
 -0.11 -1.13 1.09 0.20 -1.07 -0.67 0.01 -0.56 1.45 -1.77
 -0.15 -0.96 0.67 0.11 -1.45 -0.49 0.21 -0.49 1.87 -2.16"""
-"""Three operators with three trials each (rows), ten parts: AIAG, Measurement Systems Analysis, 4th ed., page 118."""
+"""Three operators with three trials each (rows), ten parts: AIAG, Measurement Systems Analysis, 4th edition."""
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def aiag():
 
 
 def test_the_example_of_the_aiag(aiag):
-    """Results of the manual (pages 126 and 127), which Minitab prints as well: the interaction is pooled."""
+    """Results of the manual, which Minitab prints as well: the interaction is pooled."""
     study = gauge_study(aiag)
     assert study.is_pooled
     squares = [line.mean_square * line.freedom for line in study.strata]

@@ -167,6 +167,9 @@ def test_mistakes():
         session_history(made(noise(12)), 3)
     with pytest.raises(FinrayError, match="no session is called 'x'"):
         session_history(made(noise(12)), cleared="x")
+    for share in (0.0, 2.0, float("nan")):
+        with pytest.raises(FinrayError, match="give a share above 0 and up to"):
+            session_history(made(noise(12)), false_alarm_share=share)
 
 
 def test_page_holds_its_numbers_and_no_markup_of_names():
