@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from finray_calib.cli._fit import add_fit
     from finray_calib.cli._history import add_history
     from finray_calib.cli._import import add_import
+    from finray_calib.cli._live import add_live
     from finray_calib.cli._radiometry import add_radiometry
     from finray_calib.cli._rig import add_rig
     from finray_calib.cli._sense import add_sense
@@ -43,6 +44,7 @@ __all__ = [
     "add_fit",
     "add_history",
     "add_import",
+    "add_live",
     "add_radiometry",
     "add_recolour",
     "add_rig",
