@@ -11,14 +11,16 @@ import json
 import secrets
 from dataclasses import asdict
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from importlib.resources import files
+from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
-from data_schemas import FinrayError
+from data_schemas import CaptureError, FinrayError
+from data_schemas.storage import parse_json, read_bytes
 from rigs.live_view._live_rig import LiveRig
 
 LOOPBACK = "127.0.0.1"
 MOST_COMMAND_BYTES = 1000
+PAGE = Path(__file__).with_name("live_view.html")
 
 
 class LiveServer(ThreadingHTTPServer):
@@ -69,7 +71,7 @@ class _Handler(BaseHTTPRequestHandler):
         asked = urlsplit(self.path)
         query = parse_qs(asked.query)
         if asked.path == "/" and self._is_allowed(query.get("token", [""])[0]):
-            self._reply("text/html; charset=utf-8", files("rigs.live_view").joinpath("live_view.html").read_bytes())
+            self._reply("text/html; charset=utf-8", read_bytes(PAGE, "the page of the live view"))
         elif asked.path == "/frame" and self._is_allowed(self.headers.get("X-Token", "")):
             after = query.get("after", ["0"])[0]
             picture, numbers = self.server.live.latest(int(after) if after.isdecimal() and len(after) < 12 else 0)
@@ -95,10 +97,8 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(413)
             return
         try:
-            command = json.loads(self.rfile.read(int(length)))
+            command = parse_json(self.rfile.read(int(length)), "live view", CaptureError)
             self.server.live.ask(command if isinstance(command, dict) else {})
-        except (ValueError, RecursionError):
-            self._reply("text/plain; charset=utf-8", b"no JSON", status=400)
         except FinrayError as error:
             self._reply("text/plain; charset=utf-8", str(error).encode(), status=400)
         else:
