@@ -69,7 +69,10 @@ def run_certificate(arguments: argparse.Namespace) -> int:
 
     path: Path = arguments.paint
     stem = path.name.removesuffix(".json").removesuffix(".paint")
-    page = require_new(arguments.out or path.with_name(f"{stem}.certificate.html"))
+    page = arguments.out or path.with_name(f"{stem}.certificate.html")
+    if page.suffix != ".html":
+        raise FinrayError(f"{page}: is to be a page; choose an --out that ends in .html, the PDF goes beside it")
+    require_new(page)
     pdf = require_new(page.with_suffix(".pdf"))
     paint = read_record(path, PaintCalibration)
     details = (

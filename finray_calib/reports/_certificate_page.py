@@ -187,7 +187,11 @@ def _conformity(results: Sequence[CertifiedResult]) -> str:
     judged = [result for result in results if result.verdict is not None]
     if not judged:
         return "No statement of conformity is made: no limits were given."
-    return "; ".join(f"{result.verdict}: {result.title.partition(',')[0].partition(':')[0]}" for result in judged) + "."
+    return (
+        "Conformity: "
+        + "; ".join(f"{result.verdict}: {result.title.partition(',')[0].partition(':')[0]}" for result in judged)
+        + "."
+    )
 
 
 def _budget(budget: Budget) -> ReportTable:
@@ -212,7 +216,7 @@ def _instruments(paint: PaintCalibration, details: CertificateDetails, session: 
     optics = paint.optics
     said: dict[str, DeviceIdentity] = {} if session is None else {device.role: device for device in session.devices}
     parts = {
-        "camera": optics.camera_response[0].source,
+        "camera": f"spectral response: {optics.camera_response[0].source}",
         "filter wheel": f"{len(optics.filters)} band-pass filters",
         "laser": f"{optics.laser.wavelength_nm:g} nm, {optics.laser.power_mw:g} mW",
         "lamp": optics.lamp.source,

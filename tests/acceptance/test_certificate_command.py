@@ -87,6 +87,13 @@ def test_files_that_are_away_are_named(tmp_path, capsys):
     assert "No single session of the frames was found." in text
 
 
+def test_a_page_has_the_ending_of_one(tmp_path, capsys):
+    path = tmp_path / "red.paint.json"
+    write_record(example(), path, provenance("finray fit x", {}, 1))
+    assert main(["certificate", str(path), "--out", str(tmp_path / "red.pdf")]) == 2
+    assert "choose an --out that ends in .html" in capsys.readouterr().err
+
+
 def test_a_quantity_outside_its_limits_ends_with_1(tmp_path, capsys):
     path, laboratory = tmp_path / "red.paint.json", tmp_path / "laboratory.toml"
     write_record(example(), path, provenance("finray fit x", {}, 1))

@@ -15,6 +15,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from data_schemas import CameraSettings, CaptureError, LostError, RigFile
+from finray_calib.cli.main import main
 from rigs import OpenRig, open_rig, write_rig
 from rigs.live_view import LiveRig, focus_measure, live_server
 from rigs.live_view._live_rig import LONGEST_EXPOSURE_S, live_picture
@@ -257,6 +258,13 @@ def test_command_prints_an_address_and_ends_in_order(rig, tmp_path, ending):
         _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
     assert err == ""
+
+
+@pytest.mark.parametrize("port", ["80", "x", "65536"])
+def test_ports_that_are_none(port, capsys):
+    with pytest.raises(SystemExit):
+        main(["live", "--rig", "rig.toml", "--port", port])
+    assert "must be a whole number from 1024 to 65535" in capsys.readouterr().err
 
 
 @pytest.mark.rigs
