@@ -46,6 +46,14 @@ if TYPE_CHECKING:
         TactileSession,
         Target,
     )
+    from data_schemas._certificate import (
+        CERTIFIED,
+        CertificateDetails,
+        CertifiedLimits,
+        CertifiedName,
+        Reference,
+        ReferenceCertificate,
+    )
     from data_schemas._check import (
         AcceptanceReport,
         CheckFacts,
@@ -267,6 +275,7 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "CERTIFIED",
     "CHANNELS",
     "FEWEST_LEVELS",
     "HELD_UNCERTAINTY_REL",
@@ -297,6 +306,9 @@ __all__ = [
     "CaptureError",
     "CaptureSession",
     "CauseParameter",
+    "CertificateDetails",
+    "CertifiedLimits",
+    "CertifiedName",
     "ChainCheck",
     "ChannelCharacterisation",
     "ChannelName",
@@ -433,6 +445,8 @@ __all__ = [
     "RadiometryError",
     "Record",
     "RecordError",
+    "Reference",
+    "ReferenceCertificate",
     "RefusedError",
     "RegionError",
     "RegionExtent",

@@ -11,22 +11,55 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.acceptance._acceptance_report import SECTIONS, judge, result_line, value_text
+    from finray_calib.acceptance._certified_results import (
+        NO_REFERENCE,
+        Budget,
+        CertifiedResult,
+        certified_results,
+        uncertainty_budget,
+    )
     from finray_calib.acceptance._conformity import (
         GUARD_FACTOR,
         ToleranceInterval,
         conformance_probability,
         global_risks,
     )
+    from finray_calib.acceptance._control_charts import Alarm, Chart, ChartRules, chart_rules, run_length, watch
+    from finray_calib.acceptance._equivalence import Compared, Equivalence, tins_are_equivalent
+    from finray_calib.acceptance._gauge_study import GaugeStudy, balanced_values, gauge_study
+    from finray_calib.acceptance._session_history import History, SessionFacts, Watched, session_facts, session_history
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "GUARD_FACTOR",
+    "NO_REFERENCE",
     "SECTIONS",
+    "Alarm",
+    "Budget",
+    "CertifiedResult",
+    "Chart",
+    "ChartRules",
+    "Compared",
+    "Equivalence",
+    "GaugeStudy",
+    "History",
+    "SessionFacts",
     "ToleranceInterval",
+    "Watched",
+    "balanced_values",
+    "certified_results",
+    "chart_rules",
     "conformance_probability",
+    "gauge_study",
     "global_risks",
     "judge",
     "result_line",
+    "run_length",
+    "session_facts",
+    "session_history",
+    "tins_are_equivalent",
+    "uncertainty_budget",
     "value_text",
+    "watch",
 ]

@@ -1,25 +1,17 @@
-"""``finray rig`` and ``finray check``: write a rig file, find devices, show what they report, and accept the rig."""
+"""``finray rig``: write a rig file, find devices, and show what they report."""
 
 import argparse
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import Progress, give, go_on_with, guide, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._output import give, go_on_with, guide, say, warn, wrote
 from finray_calib.cli._run import (
     add_out,
-    command_line,
-    file_name,
-    input_digests,
-    interruptible,
-    naming,
     require_new,
 )
 
 if TYPE_CHECKING:
-    from data_schemas import RigFile
     from rigs import FoundDevice, Role
 
 
@@ -186,76 +178,3 @@ def _offered(role: str, device: "FoundDevice") -> bool:
     sys.stderr.flush()
     answer = sys.stdin.readline()
     return bool(answer) and answer.strip().lower() in ("", "y", "yes")
-
-
-CHECK_HELP = "check a rig with its hardware in the loop (acceptance)"
-CHECK_RUN_HELP = "try every device of a rig and judge it against limits"
-CHECK_RUN_DESCRIPTION = """\
-Try every device of a rig: handshakes, moves of the wheel, filters in their slots, dark level, exposure ratios, and how
-long the laser stays on after a mishap. Every check has a value, its standard uncertainty, a limit and a verdict: PASS,
-FAIL, UNDECIDED, or ERROR when a device broke it off.
-
-Writes a folder with check.json, junit.xml and report.html. The white tile must be in view, the box closed.
-
-Exit status: 0 when nothing failed (also with undecided checks, which are named), 1 after FAIL or ERROR, 2 after a
-mistake in plan, rig file or arguments."""
-NOT_ACCEPTED = 1
-
-
-def add_check(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the verb and what it can do."""
-    acts = verbs.add_parser("check", help=CHECK_HELP, description=CHECK_HELP).add_subparsers(
-        dest="act", metavar="ACT", title="acts", required=True
-    )
-    parser = acts.add_parser("run", help=CHECK_RUN_HELP, description=CHECK_RUN_DESCRIPTION)
-    parser.add_argument(
-        "plan", type=Path, metavar="PLAN", help='plan file (TOML): kind = "check", name, region, limits'
-    )
-    parser.add_argument("--rig", type=Path, required=True, metavar="RIG", help="rig file (TOML): camera, wheel, lights")
-    add_out(parser, "NAME-check/")
-    parser.set_defaults(run=run_check)
-
-
-def run_check(arguments: argparse.Namespace) -> int:
-    """Check, store the report and return the exit status."""
-    from data_schemas import CaptureError, CheckPlan, RigFile, provenance
-    from data_schemas.storage import ProductSet, read_toml, write_record
-    from finray_calib.acceptance import judge, result_line
-    from finray_calib.exchange import junit_xml
-    from finray_calib.reports import check_report
-    from rigs.capture import check_filters, record_facts
-
-    plan, rig = read_toml(arguments.plan, CheckPlan), read_toml(arguments.rig, RigFile)
-    out = require_new(arguments.out or Path(f"{file_name(plan.check_name)}-check"))
-    with naming(CaptureError, arguments.plan):
-        check_filters(plan, rig)
-    with interruptible(out), _telling(rig) as progress:
-        facts, notes = record_facts(rig, plan, arguments.rig.parent, progress)
-    origin = provenance(command_line(), input_digests([arguments.plan, arguments.rig]), plan.seed)
-    report = judge(facts, plan, rig, notes).model_copy(update={"provenance": origin})
-    with ProductSet(out) as products:
-        products.add(out / "junit.xml", junit_xml(report, origin))
-        products.add(out / "report.html", check_report(report).encode())
-        write_record(report, out / "check.json", origin, products)
-    for result in report.results:
-        say(result_line(result))
-    for note in report.notes:
-        say(f"note: {note}")
-    give(verdict=report.verdict, results=report.results, notes=report.notes)
-    wrote(out, f"{report.verdict}; holds report.html, junit.xml and check.json")
-    look_at(out / "report.html")
-    return NOT_ACCEPTED if report.verdict in ("FAIL", "ERROR") else 0
-
-
-@contextmanager
-def _telling(rig: "RigFile") -> Iterator[Progress]:
-    """Show the progress; on a real rig in lines, below the safety line of its laser."""
-    if rig.is_simulated:
-        with progress_bar("check") as progress:
-            yield progress
-        return
-    from rigs.light_guard import safety_lines
-
-    for line in safety_lines(rig.laser):
-        guide(line)
-    yield lambda done, total, what: guide(f"  {done + 1}/{total} {what}")

@@ -215,16 +215,25 @@ def interruptible(out: Path) -> Iterator[None]:
     """Let SIGTERM and a closed terminal end a capture as Ctrl-C does, and say how to go on."""
     from rigs.capture import JOURNAL_NAME, SESSION_NAME, lacks_manifest
 
+    with ended_by_signals():
+        try:
+            yield
+        except (KeyboardInterrupt, FinrayError, OSError):
+            if (out / JOURNAL_NAME).exists() and (not (out / SESSION_NAME).exists() or lacks_manifest(out)):
+                warn(f"{out}: holds what was captured so far; go on with: finray capture --resume {out}")
+            raise
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """Let SIGTERM and a closed terminal end a block as Ctrl-C does."""
+
     def stop(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGHUP)}
     try:
         yield
-    except (KeyboardInterrupt, FinrayError, OSError):
-        if (out / JOURNAL_NAME).exists() and (not (out / SESSION_NAME).exists() or lacks_manifest(out)):
-            warn(f"{out}: holds what was captured so far; go on with: finray capture --resume {out}")
-        raise
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

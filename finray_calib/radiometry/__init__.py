@@ -43,7 +43,8 @@ if TYPE_CHECKING:
         require_same_settings,
         shading_gains,
     )
-    from finray_calib.radiometry._session_steps import session_steps, signal_covariance
+    from finray_calib.radiometry._session_steps import SessionSteps, session_steps, signal_covariance
+    from finray_calib.radiometry._step_signals import ReadFrame
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -55,6 +56,8 @@ __all__ = [
     "FrameStack",
     "LibcameraTuning",
     "PhotonTransfer",
+    "ReadFrame",
+    "SessionSteps",
     "band_signals",
     "bands_of_steps",
     "bleaching_trend",

@@ -12,6 +12,12 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.reports._batch_page import PressPictures, batch_lines, batch_page, press_pictures, ranking_figure
+    from finray_calib.reports._certificate_page import (
+        Certificate,
+        certificate_of,
+        certificate_page,
+        certificate_pdf,
+    )
     from finray_calib.reports._check_page import check_report
     from finray_calib.reports._comparison_figures import error_map_figure, force_figure_png, score_figure
     from finray_calib.reports._comparison_page import comparison_page
@@ -40,6 +46,7 @@ if TYPE_CHECKING:
     from finray_calib.reports._fit_page import fit_parts, no_emission_page, paint_report
     from finray_calib.reports._fit_statements import model_statement, paint_sentence, signals_table
     from finray_calib.reports._fitted_paint import FittedPaint, PaintTruth, fit_summary
+    from finray_calib.reports._history_page import history_page
     from finray_calib.reports._images import (
         ByteImage,
         clipped_remark,
@@ -90,6 +97,7 @@ else:
 
 __all__ = [
     "ByteImage",
+    "Certificate",
     "ContactSheet",
     "Content",
     "FittedPaint",
@@ -103,6 +111,9 @@ __all__ = [
     "angle_figure",
     "batch_lines",
     "batch_page",
+    "certificate_of",
+    "certificate_page",
+    "certificate_pdf",
     "check_report",
     "clipped_remark",
     "comparison_lines",
@@ -133,6 +144,7 @@ __all__ = [
     "force_lines",
     "grid_phrase",
     "headline",
+    "history_page",
     "interval_text",
     "level_a_sentence",
     "light_angle_png",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas import NO_ADDRESS, CameraPlan, CheckPlan, PaintPlan, RigFile
+from data_schemas import NO_ADDRESS, CameraPlan, CertificateDetails, CheckPlan, PaintPlan, RigFile
 from data_schemas._check import CheckLimits
 from data_schemas.storage import read_toml
 from finray_calib.cli.main import build_parser
@@ -20,7 +20,13 @@ PAGES = sorted(HOW_TO.glob("*.md"))
 FENCED = re.compile(r"^```toml\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
 INDENTED_PLAN = re.compile(r'^ +kind = "camera"\n(?:(?: +.*)?\n)+?(?=^ *Optional)', flags=re.MULTILINE)
 COMMAND = re.compile(r"^ +(finray .+?)(?: +#.*)?$", flags=re.MULTILINE)
-RECORD_OF = {"rig.toml": RigFile, "plan.toml": PaintPlan, "bands.toml": BandFolder, "check.toml": CheckPlan}
+RECORD_OF = {
+    "rig.toml": RigFile,
+    "plan.toml": PaintPlan,
+    "bands.toml": BandFolder,
+    "check.toml": CheckPlan,
+    "laboratory.toml": CertificateDetails,
+}
 
 
 def text_of(page: str) -> str:
@@ -104,6 +110,12 @@ def test_every_printed_command_is_understood(page, line):
 def test_commands_are_found_at_all():
     lines = [line for page, line in commands() if page == "calibrate-a-paint.md"]
     assert {line.split()[1] for line in lines} == {"rig", "capture", "radiometry", "fit", "simulate", "export"}
+
+
+def test_file_of_the_laboratory_is_valid(tmp_path):
+    details = read_as_user(printed_file("certify-a-paint.md", "laboratory.toml"), "laboratory.toml", tmp_path)
+    assert [reference.of for reference in details.references] == ["white reference"]
+    assert details.limits[0].quantity == "mode_nm"
 
 
 def test_plans_of_the_study_page_make_points(tmp_path):

@@ -1,0 +1,339 @@
+r"""What a rig and a sample were in every session, charted over sessions, and the light that each sample has received.
+
+From the frames of a paint session: level and colour of the lamp, each filter apart from both, the laser, the dark level
+and how it grows, the sharpness of the white frames; and of the sample its emission, the centroid of that, and its
+fading. With W, L and F the summed channels of white tile under the lamp, white tile and sample under the laser,
+
+.. math:: \ln W_f = a + b \lambda_f + r_f, \quad \text{emission} = \ln \sum_f F_f / W_f - \ln L / W_{450}
+
+with level a at the mean wavelength, colour b over the range of the filters and r the filter by itself.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import CaptureSession, FinrayError
+from finray_calib.acceptance._control_charts import FEWEST_REFERENCE, SMOOTHING_FACTOR, Chart, chart_rules, watch
+from finray_calib.radiometry import ReadFrame, SessionSteps, bleaching_trend, session_steps
+
+Floats = NDArray[np.float64]
+Verdict = Literal["IN CONTROL", "OUT OF CONTROL", "UNDECIDED"]
+PERCENT: Final = 100.0
+MOST_FALSE_ALARMS: Final = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class SessionFacts:
+    """What one session shows.
+
+    Attributes
+    ----------
+    name, captured_utc
+        Its folder, and when its first frame was taken.
+    rig_name, paint_name
+        Names in rig file and plan: sessions with the same names are compared.
+    dose_j
+        Laser light that fell on the sample.
+    rig, sample
+        Quantity, with its unit in brackets -> value.
+    fading_per_j, fading_sd_per_j
+        Relative loss of emission per joule; None where no filter was captured twice.
+    fault
+        Why the frames could not be reduced; the quantities are then empty.
+    """
+
+    name: str
+    captured_utc: str
+    rig_name: str
+    paint_name: str
+    dose_j: float
+    rig: dict[str, float]
+    sample: dict[str, float]
+    fading_per_j: float | None = None
+    fading_sd_per_j: float | None = None
+    fault: str = ""
+
+
+def session_facts(name: str, session: CaptureSession, read: ReadFrame) -> SessionFacts:
+    """Reduce a session to what is charted.
+
+    Parameters
+    ----------
+    name
+        How the session is called.
+    session
+        Its record.
+    read
+        Returns the counts of a frame.
+    """
+    dose_j = max((frame.laser_dose_j for frame in session.frames), default=0.0)
+    taken, rig, paint = session.frames[0].captured_utc, session.rig.name, session.plan.paint_name
+    try:
+        steps = session_steps(session, read)
+        trend = bleaching_trend(steps)
+        of_rig = {
+            **_lights(session, steps),
+            **_darks(steps),
+            "sharpness of the white frames (%)": _sharpness(session, read),
+        }
+        of_sample = _emission(session, steps)
+    except FinrayError as error:
+        return SessionFacts(name, taken, rig, paint, dose_j, {}, {}, fault=str(error))
+    if trend is None:
+        return SessionFacts(name, taken, rig, paint, dose_j, of_rig, of_sample)
+    return SessionFacts(
+        name, taken, rig, paint, dose_j, of_rig, of_sample, trend.record.loss_per_j, trend.record.sd_per_j
+    )
+
+
+def _summed(signal_dn_per_s: Floats) -> float:
+    """Return the signal summed over the channels; a lost channel counts as nothing."""
+    return float(np.nansum(signal_dn_per_s))
+
+
+def _lights(session: CaptureSession, steps: SessionSteps) -> dict[str, float]:
+    """Return the lamp's level and colour, each filter by itself, and the laser's level."""
+    centres = {band.name: band.center_nm for band in session.rig.filter_wheel.filters}
+    place = np.array([centres[name] for name in steps.names])
+    white = PERCENT * np.log([_summed(step.signal_dn_per_s) for step in steps.white])
+    span = float(np.ptp(place)) or 1.0
+    design = np.column_stack([np.ones(place.size), (place - place.mean()) / span])
+    line = np.linalg.lstsq(design, white, rcond=None)[0]
+    apart = white - design @ line
+    return {
+        "lamp level (%)": float(line[0]),
+        "lamp colour, long over short wavelengths (%)": float(line[1]),
+        **{f"filter {name} (%)": float(value) for name, value in zip(steps.names, apart, strict=True)},
+        "laser level (%)": PERCENT * float(np.log(_summed(steps.laser_white.signal_dn_per_s))),
+    }
+
+
+def _darks(steps: SessionSteps) -> dict[str, float]:
+    """Return the dark level at the shortest exposure, and its growth, which is dark current and stray light."""
+    shortest_s, longest_s = min(steps.darks), max(steps.darks)
+    low, high = (float(steps.darks[time].level_dn.mean()) for time in (shortest_s, longest_s))
+    growth = {} if longest_s == shortest_s else {"dark rate (DN/s)": (high - low) / (longest_s - shortest_s)}
+    return {"dark level (DN)": low, **growth}
+
+
+def _emission(session: CaptureSession, steps: SessionSteps) -> dict[str, float]:
+    """Return level and centroid of the emission of the sample."""
+    centres = {band.name: band.center_nm for band in session.rig.filter_wheel.filters}
+    shown = [i for i in range(len(steps.names)) if i != steps.excitation]
+    place = np.array([centres[steps.names[i]] for i in shown])
+    white = np.array([_summed(steps.white[i].signal_dn_per_s) for i in shown])
+    emitted = np.array([_summed(steps.fluorescence[i].signal_dn_per_s) for i in shown]) / white
+    laser = _summed(steps.laser_white.signal_dn_per_s) / _summed(steps.white[steps.excitation].signal_dn_per_s)
+    total = float(emitted.sum())
+    if total <= 0.0:
+        return {}
+    return {
+        "emission (%)": PERCENT * float(np.log(total / laser)),
+        "centroid of the emission (nm)": float((place * emitted).sum() / total),
+    }
+
+
+def _sharpness(session: CaptureSession, read: ReadFrame) -> float:
+    r"""Return the sharpness of the white frames, which the edges of the white tile decide.
+
+    .. math:: 100 \sqrt{\sum_{i \ne j} \langle g_i g_j \rangle \Big/ \sum_{i \ne j} \bar D_i \bar D_j}
+
+    with g the differences of neighbouring greens over a white frame and D the mean of its region, over all pairs of
+    frames: their noise is independent, so that it does not count as sharpness. The camera's own pattern does; where the
+    tile fills the frame it is most of it, and a change of focus is not seen. Negative where chance outweighs all.
+    """
+    black = session.rig.camera.black_level_dn
+    region = session.plan.region
+    means, squares = [], 0.0
+    sums: list[Floats | float] = [0.0, 0.0]
+    for frame in session.frames:
+        if frame.frame_type == "white":
+            green = read(frame)[0::2, 1::2] - black
+            rows = slice(region.row_px // 2, (region.row_px + region.height_px) // 2)
+            columns = slice(region.column_px // 2, (region.column_px + region.width_px) // 2)
+            means.append(float(green[rows, columns].mean()))
+            steps = [np.diff(green, axis=axis) for axis in (0, 1)]
+            sums = [total + step for total, step in zip(sums, steps, strict=True)]
+            squares += sum(float((step**2).mean()) for step in steps)
+    together = sum(float((np.asarray(total) ** 2).mean()) for total in sums)
+    level = sum(means) ** 2 - sum(mean**2 for mean in means)
+    energy = (together - squares) / max(level, 1e-300)
+    return PERCENT * float(np.sign(energy) * np.sqrt(abs(energy)))
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """One quantity of a rig or a sample over its sessions."""
+
+    of: str
+    quantity: str
+    sessions: tuple[str, ...]
+    captured_utc: tuple[str, ...]
+    chart: Chart
+
+
+@dataclass(frozen=True, slots=True)
+class LedgerRow:
+    """Laser light that a sample has received.
+
+    Attributes
+    ----------
+    paint_name, sessions, dose_j
+        The sample, its sessions, and the dose summed over them.
+    fading_per_j, fading_sd_per_j
+        Mean relative loss per joule, weighted by its uncertainty in each session; None where none measured it.
+    """
+
+    paint_name: str
+    sessions: int
+    dose_j: float
+    fading_per_j: float | None
+    fading_sd_per_j: float | None
+
+    @property
+    def lost(self) -> float | None:
+        """Share of the emission that the dose took; None where no loss is resolved (two standard deviations)."""
+        if self.fading_per_j is None or self.fading_sd_per_j is None or self.fading_per_j < 2.0 * self.fading_sd_per_j:
+            return None
+        return float(-np.expm1(-self.fading_per_j * self.dose_j))
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """Sessions over time.
+
+    Attributes
+    ----------
+    verdict
+        OUT OF CONTROL: a chart alarmed after the reference, or a session could not be reduced, since alarms were last
+        cleared. UNDECIDED: nothing has more sessions than its reference.
+    reasons
+        What stands behind it, the newest last.
+    watched, ledger
+        The charts, and the dose of each sample.
+    waiting
+        What has no chart, and why: too few sessions, or a reference without scatter.
+    false_alarm_share, false_alarm_share_each
+        Share of the sessions with nothing wrong that raise any alarm, and of one quantity.
+    """
+
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    watched: tuple[Watched, ...]
+    ledger: tuple[LedgerRow, ...]
+    waiting: tuple[str, ...]
+    false_alarm_share: float
+    false_alarm_share_each: float
+
+
+def session_history(
+    facts: Sequence[SessionFacts], reference: int = 10, false_alarm_share: float = 0.01, cleared: str | None = None
+) -> History:
+    """Chart all quantities over the sessions.
+
+    Parameters
+    ----------
+    facts
+        One for each session, in any order.
+    reference
+        Number of first sessions, of each rig and sample, that say what is normal.
+    false_alarm_share
+        Share of the sessions with nothing wrong that raise an alarm in any quantity, which are taken as independent.
+    cleared
+        Name of the session up to which alarms were looked into.
+
+    Raises
+    ------
+    FinrayError
+        The reference is too short, the rate out of range, or no session has the name that was cleared.
+    """
+    ordered = sorted(facts, key=lambda one: one.captured_utc)
+    if reference < FEWEST_REFERENCE:
+        raise FinrayError(f"reference of {reference} sessions: give {FEWEST_REFERENCE} or more")
+    if not 0.0 < false_alarm_share <= MOST_FALSE_ALARMS:
+        raise FinrayError(
+            f"false alarms: {false_alarm_share:g} is out of range; give a share above 0 and up to {MOST_FALSE_ALARMS:g}"
+        )
+    since = ""
+    if cleared is not None:
+        since = next((one.captured_utc for one in ordered if one.name == cleared), "")
+        if not since:
+            raise FinrayError(f"no session is called {cleared!r}; give one of {', '.join(one.name for one in ordered)}")
+    series, waiting = _series(ordered, reference)
+    false_alarm_share_each = 1.0 - (1.0 - false_alarm_share) ** (1.0 / max(len(series), 1))
+    rules = chart_rules(false_alarm_share_each, reference, SMOOTHING_FACTOR)
+    watched = []
+    for of, quantity, sessions in series:
+        values = [{**one.rig, **one.sample}[quantity] for one in sessions]
+        first = sum(one.captured_utc <= since for one in sessions)
+        chart = watch(values, rules, first)
+        watched.append(
+            Watched(of, quantity, tuple(s.name for s in sessions), tuple(s.captured_utc for s in sessions), chart)
+        )
+    reasons = _reasons(watched, ordered, since)
+    judged = any(len(one.sessions) > reference for one in watched)
+    verdict: Verdict = "OUT OF CONTROL" if reasons else "IN CONTROL" if judged else "UNDECIDED"
+    return History(
+        verdict, reasons, tuple(watched), _ledger(ordered), waiting, false_alarm_share, false_alarm_share_each
+    )
+
+
+def _series(
+    ordered: Sequence[SessionFacts], reference: int
+) -> tuple[list[tuple[str, str, list[SessionFacts]]], tuple[str, ...]]:
+    """Return (of what, quantity, sessions) for all that has a whole reference, and what has none."""
+    found: dict[tuple[str, str], list[SessionFacts]] = {}
+    for one in ordered:
+        for quantity in one.rig:
+            found.setdefault((one.rig_name, quantity), []).append(one)
+        for quantity in one.sample:
+            found.setdefault((f"{one.paint_name} on {one.rig_name}", quantity), []).append(one)
+    series, counts, alike = [], dict[str, int](), []
+    for (of, quantity), sessions in found.items():
+        if len(sessions) < reference:
+            counts[of] = max(counts.get(of, 0), len(sessions))
+        elif np.ptp([{**s.rig, **s.sample}[quantity] for s in sessions[:reference]]) > 0:
+            series.append((of, quantity, sessions))
+        else:
+            alike.append(f"{of}: {quantity} is exactly alike in all sessions of the reference, so it has no chart")
+    waiting = (f"{of}: {n} of {reference} sessions of its reference" for of, n in counts.items())
+    return series, (*waiting, *alike)
+
+
+def _reasons(watched: Sequence[Watched], ordered: Sequence[SessionFacts], since: str) -> tuple[str, ...]:
+    """Return the sessions that could not be reduced and, of each chart, its alarms; in the order of their beginning."""
+    told = [(s.captured_utc, f"{s.name}: cannot be reduced: {s.fault}") for s in ordered if s.fault]
+    for one in watched:
+        alarms = [alarm for alarm in one.chart.alarms if one.captured_utc[alarm.place] > since]
+        if not alarms:
+            continue
+        first = alarms[0].place
+        charts = " and ".join(dict.fromkeys(alarm.chart for alarm in alarms if alarm.place == first))
+        apart = (one.chart.values[first] - one.chart.mean) / one.chart.sd
+        sessions = len({alarm.place for alarm in alarms})
+        again = "" if sessions == 1 else f"; {sessions} sessions in all"
+        text = f"{one.sessions[first]}: {one.quantity} is {apart:+.1f} sd from the reference ({charts}){again}"
+        told.append((one.captured_utc[first], text))
+    return tuple(text for taken, text in sorted(told) if taken > since)
+
+
+def _ledger(ordered: Sequence[SessionFacts]) -> tuple[LedgerRow, ...]:
+    """Sum the dose of each sample."""
+    rows = []
+    for name in dict.fromkeys(one.paint_name for one in ordered):
+        sessions = [one for one in ordered if one.paint_name == name]
+        measured = [
+            (one.fading_per_j, one.fading_sd_per_j)
+            for one in sessions
+            if one.fading_per_j is not None and one.fading_sd_per_j
+        ]
+        fading = sd = None
+        if measured:
+            values, weights = np.array([v for v, _ in measured]), np.array([s**-2 for _, s in measured])
+            fading, sd = float((values * weights).sum() / weights.sum()), float(weights.sum() ** -0.5)
+        rows.append(LedgerRow(name, len(sessions), sum(one.dose_j for one in sessions), fading, sd))
+    return tuple(rows)

@@ -1,0 +1,260 @@
+"""``finray check``: a rig with its hardware in the loop, how well it repeats (gauge R&R), and two tins of a paint."""
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from finray_calib.cli._output import Progress, give, guide, look_at, progress_bar, say, wrote
+from finray_calib.cli._run import (
+    add_out,
+    command_line,
+    file_name,
+    input_digests,
+    interruptible,
+    naming,
+    require_new,
+)
+
+if TYPE_CHECKING:
+    from data_schemas import RigFile
+    from finray_calib.acceptance import Compared, GaugeStudy
+
+CHECK_HELP = "check a rig with its hardware in the loop (acceptance), or two tins of a paint"
+CHECK_RUN_HELP = "try every device of a rig and judge it against limits"
+CHECK_RUN_DESCRIPTION = """\
+Try every device of a rig: handshakes, moves of the wheel, filters in their slots, dark level, exposure ratios, and how
+long the laser stays on after a mishap. Every check has a value, its standard uncertainty, a limit and a verdict: PASS,
+FAIL, UNDECIDED, or ERROR when a device broke it off.
+Writes a folder with check.json, junit.xml and report.html. The white tile must be in view, the box closed.
+Exit status: 0 when nothing failed (also with undecided checks, which are named), 1 after FAIL or ERROR, 2 after a
+mistake in plan, rig file or arguments."""
+NOT_ACCEPTED = 1
+
+
+def add_check(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb and what it can do."""
+    acts = verbs.add_parser("check", help=CHECK_HELP, description=CHECK_HELP).add_subparsers(
+        dest="act", metavar="ACT", title="acts", required=True
+    )
+    parser = acts.add_parser(
+        "run",
+        help=CHECK_RUN_HELP,
+        description=CHECK_RUN_DESCRIPTION,
+    )
+    parser.add_argument(
+        "plan", type=Path, metavar="PLAN", help='plan file (TOML): kind = "check", name, region, limits'
+    )
+    parser.add_argument("--rig", type=Path, required=True, metavar="RIG", help="rig file (TOML): camera, wheel, lights")
+    add_out(parser, "NAME-check/")
+    parser.set_defaults(run=run_check)
+    add_gauge_rr(acts)
+    add_equivalence(acts)
+
+
+def run_check(arguments: argparse.Namespace) -> int:
+    """Check, store the report and return the exit status."""
+    from data_schemas import CaptureError, CheckPlan, RigFile, provenance
+    from data_schemas.storage import ProductSet, read_toml, write_record
+    from finray_calib.acceptance import judge, result_line
+    from finray_calib.exchange import junit_xml
+    from finray_calib.reports import check_report
+    from rigs.capture import check_filters, record_facts
+
+    plan, rig = read_toml(arguments.plan, CheckPlan), read_toml(arguments.rig, RigFile)
+    out = require_new(arguments.out or Path(f"{file_name(plan.check_name)}-check"))
+    with naming(CaptureError, arguments.plan):
+        check_filters(plan, rig)
+    with interruptible(out), _telling(rig) as progress:
+        facts, notes = record_facts(rig, plan, arguments.rig.parent, progress)
+    origin = provenance(command_line(), input_digests([arguments.plan, arguments.rig]), plan.seed)
+    report = judge(facts, plan, rig, notes).model_copy(update={"provenance": origin})
+    with ProductSet(out) as products:
+        products.add(out / "junit.xml", junit_xml(report, origin))
+        products.add(out / "report.html", check_report(report).encode())
+        write_record(report, out / "check.json", origin, products)
+    for result in report.results:
+        say(result_line(result))
+    for note in report.notes:
+        say(f"note: {note}")
+    give(verdict=report.verdict, results=report.results, notes=report.notes)
+    wrote(out, f"{report.verdict}; holds report.html, junit.xml and check.json")
+    look_at(out / "report.html")
+    return NOT_ACCEPTED if report.verdict in ("FAIL", "ERROR") else 0
+
+
+@contextmanager
+def _telling(rig: "RigFile") -> Iterator[Progress]:
+    """Show the progress; on a real rig in lines, below the safety line of its laser."""
+    if rig.is_simulated:
+        with progress_bar("check") as progress:
+            yield progress
+        return
+    from rigs.light_guard import safety_lines
+
+    for line in safety_lines(rig.laser):
+        guide(line)
+    yield lambda done, total, what: guide(f"  {done + 1}/{total} {what}")
+
+
+GAUGE_HELP = "gauge R&R: how much of what is seen is the measurement"
+GAUGE_DESCRIPTION = """\
+Analyse a gauge study: several samples, each measured in the same sessions, with repeats and, if you like, mounted anew
+within a session. Take five samples or more that differ as yours do, and six sessions or more: with three, the interval
+of the measurement's standard deviation spans a factor of five.
+
+STUDY is a CSV file with one row for each capture, as many for each sample in each session:
+
+  sample,session,mount,paint
+  A,1,1,A-1-1a.paint.json
+  A,1,1,A-1-1b.paint.json
+
+with the calibration of the capture (its place is relative to the CSV file; --quantity names the quantity), or with a
+column "value" in the place of "paint". Leave out the column "mount" where the samples were not mounted anew.
+PASS: the measurement's share of the total standard deviation is below 10 % with 95 % confidence; FAIL: above 30 %.
+Exit status: 0, 1 after FAIL, 2 after a mistake."""
+QUANTITIES = ("mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser")
+
+
+def add_gauge_rr(acts: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register what ``finray check gauge-rr`` takes."""
+    parser = acts.add_parser("gauge-rr", help=GAUGE_HELP, description=GAUGE_DESCRIPTION)
+    parser.add_argument("study", type=Path, metavar="STUDY", help="CSV file: sample,session[,mount],paint or value")
+    parser.add_argument("--quantity", choices=QUANTITIES, default="mode_nm", help="of the calibrations (mode_nm)")
+    parser.set_defaults(run=run_gauge_rr)
+
+
+def run_gauge_rr(arguments: argparse.Namespace) -> int:
+    """Analyse, print and return the exit status."""
+    from data_schemas import FinrayError
+    from finray_calib.acceptance import balanced_values, gauge_study
+
+    with naming(FinrayError, arguments.study):
+        study = gauge_study(balanced_values(_measurements(arguments.study, arguments.quantity)))
+    _say_study(study)
+    return NOT_ACCEPTED if study.verdict == "FAIL" else 0
+
+
+def _measurements(path: Path, quantity: str) -> "list[tuple[str, str, str, float]]":
+    """Return sample, session, mount and value of each row."""
+    from data_schemas import PaintCalibration, RecordError
+    from data_schemas.storage import finite_number, read_csv, read_record
+
+    columns, rows = read_csv(path, "a CSV file of a gauge study")
+    value = next((name for name in ("paint", "value") if name in columns), None)
+    lacking = [name for name in ("sample", "session") if name not in columns]
+    if lacking or value is None:
+        raise RecordError(
+            f"{path}: the header names {', '.join(columns)}; it must name sample, session, and paint or value, and may "
+            "name mount"
+        )
+    found = []
+    for line, cells in rows:
+        row = dict(zip(columns, cells, strict=False))
+        if any(not row.get(name) for name in ("sample", "session", value)):
+            raise RecordError(f"{path}: line {line}: give sample, session and {value}")
+        if value == "paint":
+            number = read_record(path.parent / row["paint"], PaintCalibration).parameters[quantity].estimate
+        else:
+            try:
+                number = finite_number(row["value"])
+            except ValueError as fault:
+                raise RecordError(f"{path}: line {line}: value: {fault}") from None
+        found.append((row["sample"], row["session"], row.get("mount", ""), number))
+    return found
+
+
+def _say_study(study: "GaugeStudy") -> None:
+    """Print the analysis of variance, the standard deviations and the verdict."""
+    mounts = f" x {study.mounts} mounts" if study.mounts > 1 else ""
+    say(f"{study.samples} samples x {study.sessions} sessions{mounts} x {study.repeats} repeats")
+    say(f"  {'source':20s}{'freedom':>8s}{'mean square':>14s}{'F':>9s}{'p':>8s}{'sd':>12s}")
+    for line in study.strata:
+        ratio = "" if line.f_ratio is None else f"{line.f_ratio:.4g}"
+        chance = "" if line.p is None else f"{line.p:.3f}"
+        say(f"  {line.source:20s}{line.freedom:8d}{line.mean_square:14.6g}{ratio:>9s}{chance:>8s}"
+            f"{line.variance**0.5:12.4g}")  # fmt: skip
+    rows = (
+        ("measurement, sd", study.gauge_sd, 1.0, ""),
+        ("samples, sd", study.sample_sd, 1.0, ""),
+        ("share of the total sd (%GRR)", study.share, 100.0, " %"),
+        ("distinct categories, not rounded", study.categories, 1.0, ""),
+    )
+    for name, value, factor, unit in rows:
+        low, centre, high = (factor * x for x in (value.low95, value.estimate, value.high95))
+        say(f"  {name:34s}{centre:.4g}{unit} [{low:.3g}, {high:.3g}]{unit} (95 %)")
+    say(f"  number of distinct categories: {study.distinct_categories} (5 or more are wanted)")
+    for note in study.notes:
+        say(f"  note: {note}")
+    say(f"{study.verdict}: below 10 % passes, above 30 % fails, each with its interval")
+    give(study=study)
+
+
+EQUIVALENCE_HELP = "are two tins of a paint equivalent within margins"
+EQUIVALENCE_DESCRIPTION = """\
+Compare two tins of a paint by the calibrations of their coats, each fitted from a session of its own on one rig,
+against margins that you state: two one-sided tests with 5 % risk.
+
+  finray check equivalence --first A1.json A2.json A3.json --second B1.json B2.json B3.json
+      --margin mode_nm=4 --margin energy_yield=0.03 --margin spectrum=0.1
+
+PASS: equivalent in this quantity. FAIL: different. UNDECIDED: neither is shown; measure more coats. Margins are in the
+unit of the quantity: mode_nm, fwhm_nm, peak_per_nm, energy_yield, reflectance_at_laser; that of spectrum is a share of
+the peak. With one coat of a tin nothing is known of the differences between coats, and the command says so.
+Exit status: 0, 1 where the tins differ in a quantity, 2 after a mistake."""
+COMPARED: "tuple[Compared, ...]" = (
+    "mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser", "spectrum",
+)  # fmt: skip
+
+
+def add_equivalence(acts: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register what ``finray check equivalence`` takes."""
+    parser = acts.add_parser(
+        "equivalence", help=EQUIVALENCE_HELP, description=EQUIVALENCE_DESCRIPTION,
+    )  # fmt: skip
+    for tin in ("first", "second"):
+        parser.add_argument(
+            f"--{tin}", type=Path, nargs="+", required=True, metavar="PAINT", help=f"calibrations of the {tin} tin"
+        )
+    parser.add_argument(
+        "--margin", action="append", required=True, type=_margin, metavar="QUANTITY=VALUE",
+        help="largest difference that is allowed; one option for each quantity",
+    )  # fmt: skip
+    parser.set_defaults(run=run_equivalence)
+
+
+def _margin(text: str) -> "tuple[Compared, float]":
+    """Parse QUANTITY=VALUE."""
+    name, _, number = text.partition("=")
+    known = next((one for one in COMPARED if one == name), None)
+    try:
+        margin = float(number)
+    except ValueError:
+        margin = 0.0
+    if known is None or not 0.0 < margin < float("inf"):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} must be QUANTITY=VALUE with a value above 0 and one of {', '.join(COMPARED)}"
+        )
+    return known, margin
+
+
+def run_equivalence(arguments: argparse.Namespace) -> int:
+    """Compare, print and return the exit status."""
+    from data_schemas import FinrayError, PaintCalibration, decimals_for, fixed
+    from data_schemas.storage import read_record
+    from finray_calib.acceptance import tins_are_equivalent
+
+    margins = dict(arguments.margin)
+    if len(margins) < len(arguments.margin):
+        raise FinrayError("--margin: a quantity is given twice; give each once")
+    tins = [[read_record(path, PaintCalibration) for path in paths] for paths in (arguments.first, arguments.second)]
+    found = tins_are_equivalent(tins[0], tins[1], margins)
+    for one in found:
+        places = decimals_for(0.5 * (one.high90 - one.low90))
+        low, centre, high = (fixed(value, places) for value in (one.low90, one.difference, one.high90))
+        say(f"{one.verdict:10s} {one.title}: differs by {centre} [{low}, {high}] {one.unit}".rstrip())
+        say(f"           90 % interval, allowed +-{one.margin:g} {one.unit}".rstrip())
+        say(f"           {one.basis}")
+    give(compared=found)
+    return NOT_ACCEPTED if any(one.verdict == "FAIL" for one in found) else 0

@@ -1,0 +1,23 @@
+"""Look through a rig while it is set up: a live view in the browser, on this computer only.
+
+One thread owns the devices and exposes without end; pages ask for the newest frame. The lamp and the filter wheel
+follow the page; the laser is never lit here, because nothing in this view proves that it goes off.
+"""
+
+from typing import TYPE_CHECKING
+
+from data_schemas import lazy_exports
+
+if TYPE_CHECKING:
+    from rigs.live_view._live_rig import LiveNumbers, LiveRig, focus_measure
+    from rigs.live_view._live_server import LiveServer, live_server
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "LiveNumbers",
+    "LiveRig",
+    "LiveServer",
+    "focus_measure",
+    "live_server",
+]

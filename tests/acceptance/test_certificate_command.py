@@ -1,0 +1,160 @@
+"""``finray certificate`` and ``finray check equivalence`` as users run them, on a session, its signals and a fit."""
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from data_schemas import CERTIFIED, CertificateDetails, provenance
+from data_schemas.storage import sha256_of, write_record
+from finray_calib.acceptance import Budget, certified_results
+from finray_calib.acceptance._certified_results import BudgetRow
+from finray_calib.cli.main import main
+from finray_calib.reports import certificate_of, certificate_page, certificate_pdf
+from rigs import paint_plan, simulated_rig
+from rigs.capture import capture_paint_session
+from tests.acceptance.paints import MEASURED_ON, example
+
+LABORATORY = Path(__file__).parents[1] / "schemas" / "frozen" / "CertificateDetails" / "v1" / "example.toml"
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory) -> Path:
+    """A folder with a session, its band signals, and the example's calibration as if it were fitted to them."""
+    folder = tmp_path_factory.mktemp("lab")
+    rig = simulated_rig("red", width_px=160, height_px=128)
+    capture_paint_session(rig, paint_plan("red", rig.camera), Path(), folder / "session", "finray capture")
+    assert main(["radiometry", str(folder / "session"), "--out", str(folder / "red.bands.json")]) == 0
+    inputs = {"red.bands.json": sha256_of(folder / "red.bands.json")}
+    write_record(example(), folder / "red.paint.json", provenance("finray fit red.bands.json", inputs, 1))
+    return folder
+
+
+class _Tags(HTMLParser):
+    """Collects the kinds of scripts and where anything is loaded from."""
+
+    def __init__(self):
+        super().__init__()
+        self.scripts, self.sources = [], []
+
+    def handle_starttag(self, tag, attrs):
+        named = dict(attrs)
+        if tag == "script":
+            self.scripts.append(named.get("type"))
+        self.sources += [named[name] for name in ("src", "href") if name in named]
+
+
+def test_certificate_of_a_session(measured, tmp_path, capsys):
+    page = tmp_path / "red.html"
+    words = ["certificate", str(measured / "red.paint.json"), "--laboratory", str(LABORATORY), "--out", str(page)]
+    assert main(words) == 0
+    told = capsys.readouterr().out
+    assert "Full width at half maximum" in told
+    text = page.read_text()
+    assert "not traceable: no certificate valid on the day" in text
+    assert "no paint was measured, the rig is simulated" in text.lower()
+    assert "The calibration and the 2 files behind it were hashed again" in text
+    assert "laser dose on the sample" in text
+    tags = _Tags()
+    tags.feed(text)
+    assert tags.scripts == ["application/json"]
+    assert all(source.startswith("data:") for source in tags.sources)
+    assert page.with_suffix(".pdf").read_bytes().startswith(b"%PDF")
+    assert main(words) == 2
+
+
+def test_files_that_were_changed_since_are_refused(measured, tmp_path, capsys):
+    frame = next((measured / "session" / "frames").iterdir())
+    whole = frame.read_bytes()
+    frame.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+    try:
+        assert main(["certificate", str(measured / "red.paint.json"), "--out", str(tmp_path / "a.html")]) == 2
+    finally:
+        frame.write_bytes(whole)
+    assert "a certificate rests on files that are as they were written" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_files_that_are_away_are_named(tmp_path, capsys):
+    path = tmp_path / "red.paint.json"
+    write_record(example(), path, provenance("finray fit red.bands.json", {"red.bands.json": "0" * 64}, 1))
+    assert main(["certificate", str(path)]) == 0
+    text = (tmp_path / "red.certificate.html").read_text()
+    assert "1 were not found and not verified" in text
+    assert "Not traceable: no reference certificate recorded." in text
+    assert "No single session of the frames was found." in text
+
+
+def test_a_page_has_the_ending_of_one(tmp_path, capsys):
+    path = tmp_path / "red.paint.json"
+    write_record(example(), path, provenance("finray fit x", {}, 1))
+    assert main(["certificate", str(path), "--out", str(tmp_path / "red.pdf")]) == 2
+    assert "choose an --out that ends in .html" in capsys.readouterr().err
+
+
+def test_a_quantity_outside_its_limits_ends_with_1(tmp_path, capsys):
+    path, laboratory = tmp_path / "red.paint.json", tmp_path / "laboratory.toml"
+    write_record(example(), path, provenance("finray fit x", {}, 1))
+    laboratory.write_text('[[limits]]\nquantity = "mode_nm"\nhigh = 500\n')
+    assert main(["certificate", str(path), "--laboratory", str(laboratory)]) == 1
+    assert "FAIL" in capsys.readouterr().out
+
+
+def certificate(**details):
+    given = CertificateDetails(**details)
+    budget = Budget((BudgetRow("lamp", "50 K", "B", dict.fromkeys(CERTIFIED, 0.4)),), 0.1)
+    results = certified_results(example(), given, MEASURED_ON)
+    return certificate_of(example(), results, given, "0" * 64, MEASURED_ON, budget=budget)
+
+
+def test_words_of_a_user_are_text_and_no_markup():
+    text = certificate_page(certificate(customer="<script>alert(1)</script>", number="$\\frac{1}$"), example())
+    assert "<script>alert" not in text
+    assert "&lt;script&gt;alert(1)" in text
+
+
+def test_pdf_is_one_sheet_and_repeats():
+    made = certificate(customer="$x_", laboratory="L" * 300, item="words " * 50, conditions="22 degC")
+    pdf = certificate_pdf(made, example())
+    assert pdf == certificate_pdf(made, example())
+    assert len(re.findall(rb"/Type\s*/Page\b", pdf)) == 1
+
+
+def test_a_pdf_with_many_warnings_takes_more_sheets():
+    warned = example().model_copy(update={"warnings": tuple(f"warning {i} " + "word " * 40 for i in range(60))})
+    given = CertificateDetails()
+    made = certificate_of(warned, certified_results(warned, given, None), given, "0" * 64, MEASURED_ON)
+    assert len(re.findall(rb"/Type\s*/Page\b", certificate_pdf(made, warned))) > 1
+
+
+def test_numbers_of_the_page_stand_in_it_as_json():
+    text = certificate_page(certificate(), example())
+    summary = json.loads(re.search(r'id="summary">(.*?)</script>', text, re.DOTALL)[1])
+    assert summary["results"][0][1] in text
+    assert summary["traceability"].startswith("not traceable")
+
+
+def test_equivalence_command(tmp_path, capsys):
+    path = tmp_path / "red.paint.json"
+    write_record(example(), path, provenance("finray fit x", {}, 1))
+    words = ["check", "equivalence", "--first", str(path), "--second", str(path)]
+    assert main([*words, "--margin", "reflectance_at_laser=0.9"]) == 0
+    assert "PASS" in capsys.readouterr().out
+    assert main([*words, "--margin", "mode_nm=1", "--margin", "mode_nm=2"]) == 2
+    assert "a quantity is given twice" in capsys.readouterr().err
+    moved = example().parameters["reflectance_at_laser"]
+    numbers = {name: getattr(moved, name) + (0.0 if name == "sd" else 0.5) for name in type(moved).model_fields}
+    other = {**example().parameters, "reflectance_at_laser": type(moved)(**numbers)}
+    write_record(example().model_copy(update={"parameters": other}), tmp_path / "b.json", provenance("x", {}, 1))
+    words[-1] = str(tmp_path / "b.json")
+    assert main([*words, "--margin", "reflectance_at_laser=0.1"]) == 1
+    assert "FAIL" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("margin", ["mode=1", "mode_nm", "mode_nm=0", "mode_nm=x", "mode_nm=inf"])
+def test_a_margin_that_is_none(margin, capsys):
+    with pytest.raises(SystemExit):
+        main(["check", "equivalence", "--first", "a", "--second", "b", "--margin", margin])
+    assert "must be QUANTITY=VALUE" in capsys.readouterr().err

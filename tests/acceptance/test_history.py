@@ -1,0 +1,212 @@
+"""History of sessions: what is read of their frames, verdicts, the ledger of light, the page and the command."""
+
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_schemas import FinrayError
+from finray_calib.acceptance import SessionFacts, session_facts, session_history
+from finray_calib.cli.main import main
+from finray_calib.reports import history_page
+from rigs import paint_plan, simulated_rig
+from rigs.capture import capture_paint_session, read_frame_of, read_session
+
+
+def rig_with(seed=1, kelvin=2856, power_mw=4.5):
+    rig = simulated_rig("red", width_px=96, height_px=80)
+    return rig.model_copy(
+        update={
+            "lamp": rig.lamp.model_copy(update={"spectrum": f"planck-{kelvin}K"}),
+            "laser": rig.laser.model_copy(update={"power_mw": power_mw}),
+            "simulated": rig.simulated.model_copy(update={"seed": seed}),
+        }
+    )
+
+
+def capture(out, **changes):
+    rig = rig_with(**changes)
+    capture_paint_session(rig, paint_plan("red", rig.camera), Path(), out, "finray capture")
+    return out
+
+
+def facts_of(folder) -> SessionFacts:
+    return session_facts(folder.name, read_session(folder), lambda frame: read_frame_of(folder, frame))
+
+
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory):
+    return facts_of(capture(tmp_path_factory.mktemp("usual") / "session"))
+
+
+def test_lamp_and_laser_of_the_frames_are_those_of_the_bench(usual, tmp_path):
+    """A lamp of 2906 K: its colour by Planck's law; a laser with 5 % more power: its level, and nothing of the lamp."""
+    warm, strong = facts_of(capture(tmp_path / "warm", kelvin=2906)), facts_of(capture(tmp_path / "s", power_mw=4.725))
+    centres = np.array([f.center_nm for f in rig_with().filter_wheel.filters])
+    second_nm_k = 1.438776877e7
+    change = 100 * (np.log(np.expm1(second_nm_k / (centres * 2856)) / np.expm1(second_nm_k / (centres * 2906))))
+    slope = np.polyfit((centres - centres.mean()) / np.ptp(centres), change, 1)[0]
+    colour = "lamp colour, long over short wavelengths (%)"
+    assert warm.rig[colour] - usual.rig[colour] == pytest.approx(slope, abs=0.5)
+    assert strong.rig["laser level (%)"] - usual.rig["laser level (%)"] == pytest.approx(100 * math.log(1.05), abs=0.5)
+    assert strong.rig["lamp level (%)"] - usual.rig["lamp level (%)"] == pytest.approx(0.0, abs=0.3)
+    assert strong.sample["emission (%)"] - usual.sample["emission (%)"] == pytest.approx(0.0, abs=1.0)
+
+
+def test_dark_frames_and_dose(usual):
+    rig = rig_with()
+    assert usual.rig["dark level (DN)"] == pytest.approx(rig.camera.black_level_dn, abs=0.5)
+    assert usual.dose_j > 0
+    assert 550 < usual.sample["centroid of the emission (nm)"] < 650
+
+
+def test_blur_lowers_the_sharpness(usual, tmp_path):
+    """Frames that are blurred as they are read, by the mean of 2 x 2 neighbouring greens: edges are half as steep."""
+    folder = capture(tmp_path / "session")
+    session = read_session(folder)
+
+    def blurred(frame):
+        counts = read_frame_of(folder, frame).astype(float)
+        shifted = [np.roll(counts, (i, j), (0, 1)) for i in (0, 2) for j in (0, 2)]
+        return np.round(np.mean(shifted, axis=0)).astype(np.uint16)
+
+    soft = session_facts("soft", session, blurred)
+    name = "sharpness of the white frames (%)"
+    assert soft.rig[name] < 0.85 * usual.rig[name]
+
+
+def test_frames_that_cannot_be_reduced_are_a_fault(tmp_path):
+    folder = capture(tmp_path / "session")
+    session = read_session(folder)
+    dark = session.model_copy(update={"frames": tuple(f for f in session.frames if f.frame_type != "dark")})
+    found = session_facts("no darks", dark, lambda frame: read_frame_of(folder, frame))
+    assert "no dark frames" in found.fault
+    good = [replace(found, name=f"s{i}", captured_utc=f"2026-01-{i + 1:02d}", rig={}, fault="") for i in range(7)]
+    history = session_history([*good, replace(found, captured_utc="2026-02-01")], 6)
+    assert history.verdict == "OUT OF CONTROL"
+    assert "no darks: cannot be reduced" in history.reasons[0]
+
+
+def made(values, *, paint="red", quantity="lamp level (%)", fading=None):
+    """Return facts with one quantity of the rig."""
+    return [
+        SessionFacts(
+            name=f"s{i:02d}",
+            captured_utc=f"2026-01-{i + 1:02d}T00:00:00",
+            rig_name="rig",
+            paint_name=paint,
+            dose_j=0.5,
+            rig={quantity: float(value)},
+            sample={},
+            fading_per_j=fading,
+            fading_sd_per_j=None if fading is None else 0.01,
+        )
+        for i, value in enumerate(values)
+    ]
+
+
+def noise(n, seed=1):
+    return np.random.default_rng(seed).standard_normal(n)
+
+
+def test_in_control_until_a_step():
+    values = noise(16)
+    assert session_history(made(values)).verdict == "IN CONTROL"
+    values[13:] += 8.0
+    found = session_history(made(values))
+    assert found.verdict == "OUT OF CONTROL"
+    assert found.reasons[0].startswith("s13: lamp level (%) is +")
+    assert session_history(made(values), cleared="s15").verdict == "IN CONTROL"
+
+
+def test_order_is_that_of_the_capture():
+    values = noise(14)
+    facts = made(values)
+    assert session_history(facts[::-1]).watched[0].sessions == tuple(one.name for one in facts)
+
+
+def test_few_sessions_decide_nothing():
+    found = session_history(made(noise(8)))
+    assert found.verdict == "UNDECIDED"
+    assert "8 of 10 sessions" in found.waiting[0]
+    assert session_history(made(noise(10))).verdict == "UNDECIDED"
+    alike = session_history(made(np.ones(12)))
+    assert (alike.verdict, alike.watched) == ("UNDECIDED", ())
+    assert "exactly alike" in alike.waiting[0]
+
+
+def test_false_alarms_are_shared_by_all_charts():
+    """400 rigs in control with 6 quantities and 20 more sessions: 1 % of the sessions raise an alarm."""
+    rng = np.random.default_rng(2)
+    alarmed = []
+    for _ in range(400):
+        facts = made(np.zeros(30))
+        facts = [replace(one, rig={f"q{j}": float(rng.standard_normal()) for j in range(6)}) for one in facts]
+        found = session_history(facts)
+        alarmed.append(len({alarm.place for one in found.watched for alarm in one.chart.alarms}) / 20)
+    error = np.std(alarmed) / np.sqrt(len(alarmed))
+    assert np.mean(alarmed) == pytest.approx(0.01, abs=4 * error)
+
+
+def test_ledger_sums_dose_and_fading():
+    facts = [*made(noise(4), fading=0.05), *made(noise(2), paint="green", fading=0.001)]
+    red, green = session_history(facts).ledger
+    assert (red.sessions, red.dose_j) == (4, 2.0)
+    assert red.fading_per_j == pytest.approx(0.05)
+    assert red.fading_sd_per_j == pytest.approx(0.01 / 2)
+    assert red.lost == pytest.approx(-math.expm1(-0.05 * 2.0))
+    assert green.lost is None
+
+
+def test_mistakes():
+    with pytest.raises(FinrayError, match="give 6 or more"):
+        session_history(made(noise(12)), 3)
+    with pytest.raises(FinrayError, match="no session is called 'x'"):
+        session_history(made(noise(12)), cleared="x")
+    for share in (0.0, 2.0, float("nan")):
+        with pytest.raises(FinrayError, match="give a share above 0 and up to"):
+            session_history(made(noise(12)), false_alarm_share=share)
+
+
+def test_page_holds_its_numbers_and_no_markup_of_names():
+    values = noise(14)
+    values[12] += 30.0
+    facts = [replace(one, name=f"<b>{one.name}") for one in made(values)]
+    text = history_page(session_history(facts), "<i>lab", 10)
+    assert "OUT OF CONTROL" in text
+    assert "<b>s12" not in text
+    assert "&lt;b&gt;s12" in text
+    summary = json.loads(re.search(r'id="summary">(.*?)</script>', text, re.DOTALL)[1])
+    assert summary["series"][0]["values"] == pytest.approx(values)
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory) -> Path:
+    """Seven sessions; the last has a laser with 10 % less power."""
+    folder = tmp_path_factory.mktemp("lab")
+    for i in range(7):
+        capture(folder / f"s{i}", seed=i + 1, power_mw=4.05 if i == 6 else 4.5)
+    return folder
+
+
+def test_command(lab, tmp_path, capsys):
+    page = tmp_path / "history.html"
+    assert main(["history", str(lab), "--reference", "6", "--report", str(page)]) == 1
+    told = capsys.readouterr().out
+    assert told.startswith("OUT OF CONTROL: 7 sessions")
+    assert "s6: laser level (%)" in told
+    assert "light on 'red'" in told
+    assert "laser level" in page.read_text()
+    assert main(["history", str(lab), "--reference", "6", "--cleared", "s6"]) == 0
+    assert main(["history", str(lab), "--reference", "6", "--report", str(page)]) == 2
+    assert main(["history", str(lab)]) == 0
+    assert "7 of 10 sessions" in capsys.readouterr().out
+
+
+def test_a_folder_without_sessions(tmp_path, capsys):
+    assert main(["history", str(tmp_path)]) == 2
+    assert "holds no paint session" in capsys.readouterr().err
