@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> None:
     from data_schemas import DecideError, LightAngleSweep, PhotometricErrorReport, provenance
     from data_schemas.storage import ProductSet, read_record, write_record
     from finray_calib.decide import decide
-    from finray_calib.reports import decision_page
+    from finray_calib.reports import decision_page, verdict_words
 
     out = require_new(arguments.out or Path("light-angle-decision.json"))
     page = new_page_beside(out)
@@ -86,6 +86,6 @@ def run(arguments: argparse.Namespace) -> None:
     with ProductSet(out) as products:
         products.add(page, decision_page(decision, sweeps, command_line(), inputs).encode())
         write_record(decision, out, provenance(command_line(), inputs, arguments.seed), products)
-    say(f"{out}: {decision.verdict.upper()}")
-    say(f"  {decision.sentence}")
-    say(f"{page}: written, for whoever mounts the light")
+    say(decision.headline)
+    say(f"\n{verdict_words(decision).capitalize()}. {decision.sentence.removeprefix(decision.headline).strip()}")
+    say(f"\n{out}: {decision.verdict.upper()}\n{page}: written, for whoever mounts the light")

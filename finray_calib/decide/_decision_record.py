@@ -39,16 +39,18 @@ from finray_calib.decide._light_angle import (
 )
 from finray_calib.decide._next_observation import Proposal, propose_capture, propose_render
 from finray_calib.decide._other_objectives import OtherOptimum, other_optima
-from finray_calib.decide._sim_to_real import COMMON_SHARE
+from finray_calib.decide._sim_to_real import COMMON_SHARE, MOVED_SD_DEG
 
 Floats = NDArray[np.float64]
 TOLERANCE_REL = 0.02
 #: Half-width of a central 95 % interval of a normal distribution, in standard deviations.
 _BAND_QUANTILE = 1.959964
 _ERROR_CURVE = (
-    "a random curve over the angle, with kinks or without, with a correlation length between 8 and 150 deg, with edges "
-    "of shadows and narrow reflections"
+    f"a curve that is moved by some {MOVED_SD_DEG:g} deg (one standard deviation) and differs by a random curve over "
+    "the angle, with kinks or without, with a correlation length between 8 and 150 deg, by edges of shadows and by "
+    "narrow reflections"
 )
+_ASSUMED_SIZE = "3 %, 95 % between 0.4 % and 21 %"
 
 
 def decide(
@@ -94,7 +96,7 @@ def decide(
     next_render = propose_render(decision) if len(swept) == 1 else None
     next_capture = propose_capture(decision, captures)
     decided = _contacts(swept, decision)
-    first = headline(decision, decided, criterion, TOLERANCE_REL)
+    first = headline(decision, decided, TOLERANCE_REL)
     then = decision_sentence(decision, captures.angles_deg, TOLERANCE_REL, next_render, next_capture, others, decided)
     # over several touches the curve is a share of the best
     scale = float(swept[0].values.mean()) if len(swept) == 1 else 1.0
@@ -182,16 +184,16 @@ def _deciding_captures(decision: AngleDecision, captures: CaptureErrors, scale: 
     """
     if not captures.names:
         return ()
-    discrepancy = decision.discrepancy
-    expected = _at_captures(decision, captures, discrepancy.shape_means)
-    offset = discrepancy.visible.mean.mean(axis=1)[captures.contact]
+    level = decision.error_mean.mean(axis=1)
+    expected = _at_captures(decision, captures, decision.error_mean - level[:, None])
+    offset = level[captures.contact]
     if captures.scale_of is not None:
         for number in np.unique(captures.scale_of):
             members = captures.scale_of == number
             offset[members] = (captures.log_error - expected)[members].mean()
     log_shape = captures.log_error - offset
     log_error = captures.log_error if captures.scale_of is None else log_shape
-    sd = np.sqrt(np.diag(discrepancy.noise))
+    sd = np.sqrt(np.diag(decision.discrepancy.noise))
     simulated = _at_captures(decision, captures, np.array([curve.mean for curve in decision.curves]))
     value = scale * simulated * np.exp(-log_shape)
     return tuple(
@@ -264,7 +266,7 @@ def _notes(sweeps: Sequence[LightAngleSweep], decision: AngleDecision, captures:
     if not captures.names:
         notes.append(
             "no capture shows how far the finger differs from the simulation; until one does, the error is taken to be "
-            f"{_ERROR_CURVE} and an assumed size (10 %, 95 % between 2.5 % and 39 %). The odds are as good as this "
+            f"{_ERROR_CURVE}, of an assumed size ({_ASSUMED_SIZE}). The odds are as good as this "
             "assumption"
         )
     else:
@@ -276,7 +278,7 @@ def _notes(sweeps: Sequence[LightAngleSweep], decision: AngleDecision, captures:
         )
         notes.append(
             f"captures are compared {compared}; how the sim-to-real error depends on the angle elsewhere is "
-            f"{_ERROR_CURVE}, whose size (prior: 10 %, 95 % between 2.5 % and 39 %) the captures tell; they see the "
+            f"{_ERROR_CURVE}, of a size (prior: {_ASSUMED_SIZE}) that the captures tell; they see the "
             "image beside the indenter, the sweep its probe points"
         )
         notes += _unseen_channels(sweep)
@@ -295,9 +297,7 @@ def _unseen_channels(sweep: LightAngleSweep) -> list[str]:
     return ["the sweep was written by an older version without its channels: red, green and blue count alike"]
 
 
-def headline(
-    decision: AngleDecision, contacts: Sequence[DecidedContact], criterion: Criterion, tolerance_rel: float
-) -> str:
+def headline(decision: AngleDecision, contacts: Sequence[DecidedContact], tolerance_rel: float) -> str:
     """Return the first sentence: where to mount the light, what is lost, and for which touches that is so.
 
     Parameters
@@ -305,36 +305,24 @@ def headline(
     decision : AngleDecision
     contacts : sequence of DecidedContact
         What was touched.
-    criterion : str
-        What was minimised over the touches.
     tolerance_rel : float
         Loss that does not matter, which gives the tolerance of the angle.
     """
-    one = f"For one place only, {_at(contacts[0])}: " if len(contacts) == 1 else ""
+    only = f"For one place only ({_at(contacts[0])}), " if len(contacts) == 1 else ""
     if decision.at_range_end:
-        start = "The" if not one else f"{one}the"
         return (
-            f"{start} best angle found, {decision.best_deg:.0f} deg, is the end of the sweep, so that a better one may "
-            "lie beyond it: simulate a wider sweep before the light is mounted."
+            f"{only or 'For this finger, '}the best angle found, {decision.best_deg:.0f} deg, is the end of the sweep: "
+            "simulate a wider sweep before the light is mounted."
         )
-    verb = "mount" if one else "Mount"
-    angle = f"{one}{verb} the light at {mounting_angle(decision)} deg"
-    if one:
-        return (
-            f"{angle}; between these angles the touch is at most {percent(tolerance_rel)} less bright than at the best."
-        )
+    angle = f"{only}{'mount' if only else 'Mount'} the light at {mounting_angle(decision)} deg"
+    simulated = "" if decision.validated else "as simulated, "
+    if only:
+        return f"{angle}: {simulated}the touch is at most {percent(tolerance_rel)} less bright than at the best angle."
     losses = [contact.loss_rel for contact in contacts]
-    worst = contacts[int(np.argmax(losses))]
     average = float(np.dot([contact.weight_share for contact in contacts], losses))
-    span, most = span_of(contacts), percent(max(losses))
-    if criterion == "worst":
-        return (
-            f"{angle}: the brightness of the touch is at most {most} below the best at any of the {span}, and "
-            f"{percent(average)} on average."
-        )
     return (
-        f"{angle}: the brightness of the touch is on average {percent(average)} below the best at the {span}, and at "
-        f"most {most} ({_at(worst)})."
+        f"{angle}: {simulated}the touch is at most {percent(max(losses))} less bright than the best at any of the "
+        f"{span_of(contacts)}, and {percent(average)} on average."
     )
 
 
@@ -432,8 +420,9 @@ def _ground(decision: AngleDecision, captures_deg: Floats) -> str:
     low_rel, amplitude_rel, high_rel = decision.discrepancy.amplitude_quantiles_rel
     if not captures_deg.size:
         return (
-            "So says the simulation; no capture has checked it, and it is not decided before one does. An error of "
-            f"{percent(amplitude_rel)} (95 %: {percent(low_rel)} to {percent(high_rel)}) at each angle is assumed."
+            "So says the simulation; no capture has checked it, and it is not decided before one does. Assumed is that "
+            f"the finger's curve may be moved by some {MOVED_SD_DEG:g} deg and be off by {percent(amplitude_rel)} "
+            f"(95 %: {percent(low_rel)} to {percent(high_rel)}) at each angle."
         )
     angles = [f"{angle:.0f}" for angle in sorted(set(captures_deg.tolist()))]
     listed = " and ".join([*([", ".join(angles[:-1])] if len(angles) > 1 else []), angles[-1]])
@@ -450,10 +439,9 @@ def _odds(decision: AngleDecision, tolerance_rel: float) -> str:
     """Say what may be lost against another angle, and with what probability."""
     risk = decision.risk
     return (
-        f"Another angle may be better by {percent(risk.expected_regret_rel)} on average and by at most "
-        f"{percent(risk.regret_95_rel)} with {percent(CONFIDENCE)} probability; that it is better by no more than "
-        f"{percent(tolerance_rel)} has a probability of {risk.p_within_tolerance:.2f}, and that the best angle lies "
-        f"within {NEARBY_DEG:.0f} deg one of {risk.p_within_5deg:.2f}."
+        f"No other angle is better by more than {percent(tolerance_rel)} with a probability of "
+        f"{risk.p_within_tolerance:.2f}, and none by more than {percent(risk.regret_95_rel)} with one of "
+        f"{CONFIDENCE:.2f}; the best angle lies within {NEARBY_DEG:.0f} deg with one of {risk.p_within_5deg:.2f}."
     )
 
 

@@ -350,7 +350,7 @@ def run_demo(
     Returns
     -------
     dict
-        What the report says: verdict, sentence; and `seconds`, the wall time of all stages.
+        What the report says: verdict, certainty; and `seconds`, the wall time of all stages.
 
     Raises
     ------

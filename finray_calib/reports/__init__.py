@@ -25,17 +25,25 @@ if TYPE_CHECKING:
     from finray_calib.reports._contact_sheet import circles_csv, contacts_png, sensed_png
     from finray_calib.reports._decision_figures import angle_figure
     from finray_calib.reports._decision_page import (
-        decision_meaning,
+        decision_numbers,
         decision_page,
         decision_table,
         decision_validation,
-        equivalent_text,
+        mounting_picture,
+        verdict_sentence,
+        verdict_words,
     )
     from finray_calib.reports._design_study_page import design_study_page, study_text
     from finray_calib.reports._finger_page import finger_page
     from finray_calib.reports._finger_pictures import finger_page_png, pressed_finger_png, untouched_finger_png
     from finray_calib.reports._finger_views import finger_outline
-    from finray_calib.reports._fit_figures import paint_map_figure, spot_sentence, spots_note, spread_sentence
+    from finray_calib.reports._fit_figures import (
+        emission_figure,
+        paint_map_figure,
+        spot_sentence,
+        spots_note,
+        spread_sentence,
+    )
     from finray_calib.reports._fit_page import fit_parts, no_emission_page, paint_report
     from finray_calib.reports._fit_statements import model_statement, paint_sentence, signals_table
     from finray_calib.reports._fitted_paint import FittedPaint, PaintTruth, fit_summary
@@ -105,7 +113,7 @@ __all__ = [
     "comparison_page",
     "contacts_png",
     "decimals_for",
-    "decision_meaning",
+    "decision_numbers",
     "decision_page",
     "decision_table",
     "decision_validation",
@@ -115,7 +123,7 @@ __all__ = [
     "display_white",
     "drawing",
     "duration",
-    "equivalent_text",
+    "emission_figure",
     "error_map_figure",
     "error_table",
     "figure_png",
@@ -134,6 +142,7 @@ __all__ = [
     "level_a_sentence",
     "light_angle_png",
     "model_statement",
+    "mounting_picture",
     "no_emission_page",
     "one_group",
     "pad_window",
@@ -166,4 +175,6 @@ __all__ = [
     "touch_pair",
     "two_lights_png",
     "untouched_finger_png",
+    "verdict_sentence",
+    "verdict_words",
 ]

@@ -8,7 +8,8 @@ from matplotlib.patches import Arc, Rectangle, Wedge
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
-from data_schemas import FingerDesign, LightAngleDecision, LightAngleSweep
+from data_schemas import FingerDesign, LightAngleDecision, LightAngleSweep, SimulateError
+from finray_calib.reports._finger_views import FingerOutline, draw_body, finger_outline
 from finray_calib.reports._style import (
     BLUE,
     GREEN,
@@ -197,41 +198,57 @@ def contacts_figure(decision: LightAngleDecision) -> str:
     return svg_text(figure)
 
 
-_BEFORE_MM, _AFTER_MM, _MARGIN_MM = 12.0, 34.0, 8.0
-_RAY_MM, _ARC_MM = 20.0, 13.0
+_MARGIN_MM, _LABELS_MM = 6.0, 5.0
+_RAY_MM, _ARC_MM = 24.0, 16.0
 
 
 @styled()
 def mounting_figure(decision: LightAngleDecision, design: FingerDesign) -> str:
-    """Draw pad and panel from the side: along the pad to the right, into the pad upwards; lengths are to scale."""
+    """Draw the finger from the side with its light at the decided angle, to scale: along the pad to the right."""
     along, into = design.light.position_mm[2], design.light.position_mm[1]
-    touched = [contact.position_mm for contact in decision.contacts]
-    right = max(design.pad.length_mm, along)
-    if not touched and design.pad.length_mm >= _AFTER_MM:
-        right = along + _AFTER_MM
-    low, high = into - _MARGIN_MM, max(design.pad.thickness_mm, into + _RAY_MM) + _MARGIN_MM / 2
-    left = along - (_BEFORE_MM if decision.angle_deg <= 90 else _RAY_MM + _MARGIN_MM)
-    figure = new_figure(5.8, 5.8 * (high - low) / (right - left) + 0.2)
-    axes = figure.subplots()
-    axes.add_patch(
-        Rectangle((0.0, 0.0), design.pad.length_mm, design.pad.thickness_mm, facecolor=SKY, alpha=0.3, edgecolor=MUTED)
+    pad = design.pad
+    finger = _outline(design)
+    least, greatest = (
+        (np.zeros(2), np.array([pad.thickness_mm, pad.length_mm]))
+        if finger is None
+        else tuple(bound[1:] for bound in finger.bounds_mm)
     )
-    axes.text(right - 3.0, design.pad.thickness_mm / 2, "pad", ha="right", va="center")
-    top = np.full(len(touched), design.pad.thickness_mm + 1.2)
-    axes.plot(touched, top, "v", color=VERMILLION, markersize=5.0, clip_on=False)
-    axes.plot([along, right], [into, into], color=MUTED, linewidth=0.9, linestyle="--")
-    axes.text(right, into - 0.6, "0 deg, along the pad", ha="right", va="top", fontsize=9, color=MUTED)
-    axes.plot([along, along], [into, into + _RAY_MM], color=MUTED, linewidth=0.9, linestyle="--")
-    axes.text(along - 0.8, into + _RAY_MM, "90 deg,\ninto the pad", ha="right", va="top", fontsize=9, color=MUTED)
+    left, right = min(least[1], along - _RAY_MM * (decision.angle_deg > 90)), max(greatest[1], along + _RAY_MM)
+    low, high = min(least[0], into - _LABELS_MM), max(pad.thickness_mm, greatest[0], into + _RAY_MM) + _LABELS_MM
+    left, right, low = left - _MARGIN_MM, right + _MARGIN_MM, low - _MARGIN_MM
+    figure = new_figure(5.8, 5.8 * (high - low) / (right - left))
+    figure.set_layout_engine("none")  # to the edges: there are no labels to make room for
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set(xlim=(left, right), ylim=(low, high), aspect="equal")
+    axes.set_axis_off()
+    if finger is None:
+        axes.add_patch(Rectangle((0.0, 0.0), pad.length_mm, pad.thickness_mm, facecolor=SKY, alpha=0.3))
+    else:
+        draw_body(axes, finger, rasterized=True)
+    touched = [contact.position_mm for contact in decision.contacts]
+    axes.plot(touched, np.full(len(touched), pad.thickness_mm + 1.6), "v", color=VERMILLION, markersize=5.0)
+    axes.text(pad.length_mm, pad.thickness_mm / 2, " tip", ha="left", va="bottom", weight="bold")
+    axes.text(0.0, pad.thickness_mm / 2, "base ", ha="right", va="bottom", weight="bold")
+    axes.text(0.7 * pad.length_mm, pad.thickness_mm / 2, "gel pad", ha="center", va="center")
+    axes.plot([along, along + 1.7 * _RAY_MM], [into, into], color=INK, linewidth=0.9, linestyle="--")
+    axes.text(along + 1.75 * _RAY_MM, into, "0 deg", va="center", backgroundcolor="white")
+    axes.plot([along, along], [into, into + _RAY_MM], color=INK, linewidth=0.9, linestyle="--")
+    axes.text(along, into + _RAY_MM + 0.5, "90 deg", ha="center", va="bottom")
     ranges = decision.statement.equivalent_deg if decision.tolerance_deg is None else (decision.tolerance_deg,)
     for start, end in ranges:
         axes.add_patch(
-            Wedge((along, into), _RAY_MM, start, end, facecolor="none", edgecolor=GREEN, hatch="///", linewidth=0.8)
+            Wedge((along, into), _RAY_MM, start, end, facecolor="white", alpha=0.8, edgecolor=GREEN, hatch="///")
         )
     _panel(axes, (along, into), decision.angle_deg, design.light.height_mm)
-    axes.set(xlim=(left, right), ylim=(low, high), aspect="equal")
-    axes.set_axis_off()
     return svg_text(figure)
+
+
+def _outline(design: FingerDesign) -> FingerOutline | None:
+    """Return the parts of a finger; None where they do not fit together, which a sweep need not know."""
+    try:
+        return finger_outline(design)
+    except SimulateError:
+        return None
 
 
 def _panel(axes: Axes, place_mm: tuple[float, float], angle_deg: float, height_mm: float) -> None:
@@ -241,7 +258,14 @@ def _panel(axes: Axes, place_mm: tuple[float, float], angle_deg: float, height_m
     centre = np.array(place_mm)
     ends = np.stack([centre - edge, centre + edge])
     axes.plot(*ends.T, color=BLUE, linewidth=5.0, solid_capstyle="butt")
-    axes.text(centre[0] - 1.5, centre[1] - 2.2, "light", ha="right", va="top", color=INK)
+    axes.text(
+        centre[0],
+        centre[1] - height_mm / 2 - 1.5,
+        "light",
+        ha="center",
+        va="top",
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+    )
     tip = centre + _RAY_MM * normal
     axes.annotate(
         "", (tip[0], tip[1]), place_mm, arrowprops={"arrowstyle": "-|>", "color": BLUE, "lw": 1.8, "shrinkA": 0}
@@ -250,5 +274,6 @@ def _panel(axes: Axes, place_mm: tuple[float, float], angle_deg: float, height_m
     middle = np.radians(angle_deg / 2)
     write = centre + (_ARC_MM + 1.0) * np.array([np.cos(middle), np.sin(middle)])
     axes.text(
-        write[0], write[1], f"{angle_deg:.0f} deg", va="center", weight="bold", color=INK, backgroundcolor="white"
-    )
+        write[0], write[1], f"{angle_deg:.0f} deg", va="center", weight="bold", color=INK,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+    )  # fmt: skip

@@ -27,11 +27,12 @@ from finray_calib.reports._page import Content, Part, Picture, ReportTable, draw
 from finray_calib.reports._plain_text import Json, percent, plain, probability, signed_percent
 
 TEMPLATE = "result_page.html.j2"
+#: Whether it is decided, and what follows.
 VERDICTS: Final = {
-    "decided": "decided",
-    "tie": "a tie: angles beside it do as well",
-    "undecided": "not decided: more renders are needed",
-    "needs captures": "not decided: captures are needed",
+    "decided": ("decided", "only angles nearby do as well"),
+    "tie": ("decided", "angles beside it do as well"),
+    "undecided": ("not decided", "more renders are needed"),
+    "needs captures": ("not decided", "captures are needed"),
 }
 
 
@@ -58,9 +59,9 @@ def decision_page(
         verb="finray decide",
         title=f"Angle of the blue light: {sweep.design.name}",
         lead="",
-        verdict=decision.headline or verdict_title(decision),
+        verdict=verdict_sentence(decision),
         sentence="",
-        key_numbers=_key_numbers(decision),
+        key_numbers=decision_numbers(decision),
         findings=(),
         opening=tuple(_opening(decision, sweeps)),
         limits=limits(decision),
@@ -72,7 +73,7 @@ def decision_page(
     )
 
 
-def _key_numbers(decision: LightAngleDecision) -> tuple[tuple[str, str, str], ...]:
+def decision_numbers(decision: LightAngleDecision) -> tuple[tuple[str, str, str], ...]:
     """Return (label, value, remark) of the few numbers that stand beside the verdict."""
     claim, angle = decision.statement, decision.angle_deg
     if decision.at_range_end:
@@ -82,7 +83,7 @@ def _key_numbers(decision: LightAngleDecision) -> tuple[tuple[str, str, str], ..
     odds = () if not within else ((f"None better by more than {tolerance}", within, "probability"),)
     side = mounting_range(decision)
     return (
-        ("Light angle", f"{angle:.0f} deg", VERDICTS[decision.verdict]),
+        ("The angle is", *VERDICTS[decision.verdict]),
         *(() if side is None else (("Mount it between", side, f"costs at most {tolerance} more, as expected"),)),
         *odds,
         (
@@ -91,6 +92,16 @@ def _key_numbers(decision: LightAngleDecision) -> tuple[tuple[str, str, str], ..
             f"on average; by at most {percent(claim.regret_95)} with 95 % probability",
         ),
     )
+
+
+def verdict_sentence(decision: LightAngleDecision) -> str:
+    """Return the first sentence of the decision; of a record of an older version, the verdict as what to do."""
+    return decision.headline or verdict_title(decision)
+
+
+def verdict_words(decision: LightAngleDecision) -> str:
+    """Return the verdict in words, such as "not decided: captures are needed"."""
+    return ": ".join(VERDICTS[decision.verdict])
 
 
 def mounting_range(decision: LightAngleDecision) -> str | None:
@@ -108,7 +119,7 @@ def _opening(decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep]) ->
         "which "
         "the panel shines: 0 deg along the pad towards the tip, 90 deg straight into it."
     )
-    parts = [Part("The finger with its light", Content(lead, ((_mounting(decision, sweeps[0]),),)))]
+    parts = [Part("The finger with its light", Content(lead, ((mounting_picture(decision, sweeps[0]),),)))]
     if len(decision.contacts) > 1:
         parts.append(_map(decision))
     rest = decision.sentence.removeprefix(decision.headline).strip()
@@ -202,7 +213,7 @@ def _curve(decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep]) -> P
     return Part("Curve over the angle", Content(lead, ((picture,),)))
 
 
-def _mounting(decision: LightAngleDecision, sweep: LightAngleSweep) -> Picture:
+def mounting_picture(decision: LightAngleDecision, sweep: LightAngleSweep) -> Picture:
     """Show what the angle means on the finger."""
     between = mounting_range(decision)
     hatched = (
@@ -212,9 +223,9 @@ def _mounting(decision: LightAngleDecision, sweep: LightAngleSweep) -> Picture:
     )
     return drawing(
         mounting_figure(decision, sweep.design),
-        f"Side view of pad and light panel: the panel shines at {decision.angle_deg:.0f} deg from the pad's plane."
-        f"{hatched}",
-        f"Pad and panel from the side, to scale. Marks on the pad: where it was touched.{hatched}",
+        f"Side view of the finger with its light panel, which shines at {decision.angle_deg:.0f} deg from the pad's "
+        f"plane.{hatched}",
+        f"The finger from the side, to scale. Marks on the pad: where it was touched.{hatched}",
     )
 
 

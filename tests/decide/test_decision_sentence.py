@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from data_schemas import DecidedContact, Indenter
-from finray_calib.decide._decision_record import decision_sentence, headline, outside
+from finray_calib.decide._decision_record import _ASSUMED_SIZE, decision_sentence, headline, outside
 from finray_calib.decide._light_angle import AngleRisk
 from finray_calib.decide._next_observation import Proposal
 from finray_calib.decide._other_objectives import OtherOptimum
+from finray_calib.decide._sim_to_real import PRIOR_ERROR_LOG_SD, PRIOR_ERROR_REL
 
 NONE = np.empty(0)
 RISK = AngleRisk(0.5, 0.0304, 0.0161, (), 0.96)
@@ -47,36 +48,30 @@ def touches(*losses, across_mm=0.0, depth_mm=1.5):
 
 
 def test_the_first_sentence_says_what_to_do_and_for_which_touches():
-    found = headline(decision(33.0), touches(0.02, 0.1, 0.06), "worst", 0.02)
+    found = headline(decision(33.0), touches(0.02, 0.1, 0.06), 0.02)
     assert found == (
-        "Mount the light at 33 \u00b1 6 deg: the brightness of the touch is at most 10 % below the best at any of the "
-        "3 places from 8 to 16 mm, and 6 % on average."
+        "Mount the light at 33 \u00b1 6 deg: as simulated, the touch is at most 10 % less bright than the best at any "
+        "of the 3 places from 8 to 16 mm, and 6 % on average."
     )
-    found = headline(decision(33.0), touches(0.02, 0.1, 0.06), "average", 0.02)
-    assert found == (
-        "Mount the light at 33 \u00b1 6 deg: the brightness of the touch is on average 6 % below the best at the 3 "
-        "places "
-        "from 8 to 16 mm, and at most 10 % (12 mm from the base)."
-    )
-    found = headline(decision(), [*touches(0.0), *touches(0.05, depth_mm=3.0)], "average", 0.02)
-    assert "at the 2 touches at 8 mm, and at most 5 %" in found
+    found = headline(decision(33.0, validated=True), touches(0.02, 0.1, 0.06), 0.02)
+    assert found.startswith("Mount the light at 33 \u00b1 6 deg: the touch is at most 10 % less bright")
+    pair = [touches(0.0, 0.0)[0], touches(0.05, 0.05, depth_mm=3.0)[0]]
+    assert "any of the 2 touches at 8 mm, and 2.5 % on average" in headline(decision(), pair, 0.02)
 
 
 def test_one_sweep_is_for_one_place_only():
-    found = headline(decision(44.0), touches(0.0, across_mm=3.0), "average", 0.02)
+    found = headline(decision(44.0), touches(0.0, across_mm=3.0), 0.02)
     assert found == (
-        "For one place only, 8 mm from the base and 3 mm beside its middle: mount the light at 44 \u00b1 6 deg; "
-        "between "
-        "these angles the touch is at most 2 % less bright than at the best."
+        "For one place only (8 mm from the base and 3 mm beside its middle), mount the light at 44 \u00b1 6 deg: as "
+        "simulated, the touch is at most 2 % less bright than at the best angle."
     )
 
 
 @pytest.mark.parametrize("losses", [(0.0,), (0.0, 0.1)])
 def test_an_angle_at_the_end_of_the_sweep_is_not_to_be_mounted(losses):
-    found = headline(decision(90.0, "undecided", at_range_end=True), touches(*losses), "average", 0.02)
-    assert "best angle found, 90 deg, is the end of the sweep" in found
-    assert "simulate a wider sweep before the light is mounted." in found
-    assert found.startswith("For one place only" if len(losses) == 1 else "The best")
+    found = headline(decision(90.0, "undecided", at_range_end=True), touches(*losses), 0.02)
+    assert "the best angle found, 90 deg, is the end of the sweep: simulate a wider sweep before" in found
+    assert found.startswith("For one place only (8 mm" if len(losses) == 1 else "For this finger, ")
 
 
 def test_what_lies_outside_is_said():
@@ -89,15 +84,18 @@ def test_what_lies_outside_is_said():
     assert "at 8 mm along the pad, 0 to 3 mm from the middle line, 1.5 to 3 mm deep" in outside(wide, Indenter())
 
 
+def test_what_is_assumed_of_the_error_is_what_the_prior_says():
+    low, high = 100 * PRIOR_ERROR_REL * np.exp([-1.96 * PRIOR_ERROR_LOG_SD, 1.96 * PRIOR_ERROR_LOG_SD])
+    assert f"{100 * PRIOR_ERROR_REL:.2g} %, 95 % between {low:.1f} % and {high:.0f} %" == _ASSUMED_SIZE
+
+
 def test_without_captures_nothing_is_decided_and_the_next_one_is_named():
     found = decision_sentence(decision(), NONE, 0.02, None, Proposal(70.0, 0.01, 0.02))
     assert found == (
-        "So says the simulation; no capture has checked it, and it is not decided before one does. An error of 10 % "
-        "(95 %: 4 % to 30 %) at each angle is assumed. Another angle may be better by 3 % on average and by at most "
-        "1.6 % "
-        "with 95 % probability; that it is better by no more than 2 % has a probability of 0.96, and that the best "
-        "angle "
-        "lies within 5 deg one of 0.50. Capture next with the light at 70 deg."
+        "So says the simulation; no capture has checked it, and it is not decided before one does. Assumed is that the "
+        "finger's curve may be moved by some 5 deg and be off by 10 % (95 %: 4 % to 30 %) at each angle. No other angle "
+        "is better by more than 2 % with a probability of 0.96, and none by more than 1.6 % with one of 0.95; the best "
+        "angle lies within 5 deg with one of 0.50. Capture next with the light at 70 deg."
     )
 
 

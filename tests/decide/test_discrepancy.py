@@ -11,6 +11,7 @@ from finray_calib.decide._sim_to_real import (
     EDGE_PROBABILITY,
     EDGE_SIZE_LOG_SD,
     EDGE_SIZE_REL,
+    MOVED_SD_DEG,
     PRIOR_ERROR_LENGTH_DEG,
     PRIOR_ERROR_LENGTH_LOG_SD,
     PRIOR_ERROR_LOG_SD,
@@ -32,8 +33,19 @@ def captures(log_error, scale_of=None, sd=0.02, angles=ANGLES):
     return CaptureErrors(names, np.asarray(angles[:size]), np.full(size, 1.0), np.array(log_error), shared, groups)
 
 
-def posterior(errors, slope=0.0):
-    return discrepancy_posterior(errors, np.full(len(errors.names), slope), GRID)
+HILL = np.log(0.4 + np.exp(-0.5 * ((GRID - 40) / 12) ** 2))
+
+
+def posterior(errors, slope=0.0, ln_curve=None):
+    """Of a curve that is flat, or has this slope: moving it changes no more than its scale."""
+    curve = slope * GRID if ln_curve is None else ln_curve
+    return discrepancy_posterior(errors, curve[None, :], GRID)
+
+
+def shapes(found, count, seed):
+    """Draws at the first place, less their means over the grid."""
+    draws = found.draws(count, np.random.default_rng(seed))[:, 0]
+    return draws - draws.mean(axis=1, keepdims=True)
 
 
 def test_without_captures_it_is_the_prior():
@@ -42,7 +54,7 @@ def test_without_captures_it_is_the_prior():
     low, median, high = prior.amplitude_quantiles_rel
     # The nodes are 17 % apart; quantiles between them are interpolated.
     assert median == pytest.approx(PRIOR_ERROR_REL, rel=0.02)
-    assert [low, high] == pytest.approx(PRIOR_ERROR_REL * np.exp([-1.96 * 0.7, 1.96 * 0.7]), rel=0.05)
+    assert [low, high] == pytest.approx(PRIOR_ERROR_REL * np.exp([-1.96 * PRIOR_ERROR_LOG_SD, 1.96 * PRIOR_ERROR_LOG_SD]), rel=0.08)
     # E a^2 of a lognormal; its truncation at 200 % matters little
     mean_square = PRIOR_ERROR_REL**2 * np.exp(2 * PRIOR_ERROR_LOG_SD**2)
     assert np.diag(prior.covariance) == pytest.approx(np.full(31, mean_square), rel=0.02)
@@ -88,8 +100,7 @@ def test_draws_have_the_posterior_mean_and_spread(monkeypatch):
     monkeypatch.setattr(module, "EDGE_PROBABILITY", 0.0)
     for scale_of in ([0, 0, 0], None):
         found = posterior(captures([0.25, 0.05, -0.1], scale_of))
-        draws = found.shape_draws(20_000, np.random.default_rng(1))[:, 0]
-        assert draws.mean(axis=1) == pytest.approx(np.zeros(20_000), abs=1e-12)
+        draws = shapes(found, 20_000, 1)
         error = found.shape_sd / np.sqrt(20_000)
         # 5 standard errors over 31 correlated angles.
         assert (np.abs(draws.mean(axis=0) - found.shape_mean) < 5 * error).all()
@@ -110,17 +121,38 @@ def test_edges_and_reflections_have_their_sizes_and_rates():
     assert mean_square < (shapes**2).mean() < 1.5 * mean_square
 
 
-def test_importance_sampling_of_edges_agrees_with_rejection(monkeypatch):
+def test_a_moved_curve_is_the_simulated_one_at_another_angle(monkeypatch):
+    """Without shape, edges and reflections the real curve has the same hill, some degrees elsewhere."""
+    monkeypatch.setattr(module, "EDGE_PROBABILITY", 0.0)
+    monkeypatch.setattr(module, "PRIOR_ERROR_REL", 1e-9)
+    monkeypatch.setattr(module, "_NODES_REL", np.array([1e-9]))
+    grid = np.linspace(0, 90, 181)
+    fine = np.log(0.4 + np.exp(-0.5 * ((grid - 40) / 12) ** 2))
+    found = discrepancy_posterior(NO_CAPTURES, np.stack([fine, fine + 1.0]), grid)
+    draws = found.draws(4000, np.random.default_rng(5))
+    real = fine - draws[:, 0]
+    tops_deg = grid[real.argmax(axis=1)]
+    # standard errors 0.08 and 0.06 deg, grid of 0.5 deg
+    assert tops_deg.mean() == pytest.approx(40.0, abs=0.4)
+    assert tops_deg.std() == pytest.approx(MOVED_SD_DEG, rel=0.06)
+    # all places are moved alike, and the hill keeps its height over its foot
+    assert draws[:, 1] == pytest.approx(draws[:, 0], abs=1e-6)
+    assert np.ptp(real, axis=1) == pytest.approx(np.full(4000, np.ptp(fine)), rel=0.03)
+
+
+@pytest.mark.parametrize("ln_curve", [None, HILL], ids=["flat", "hill"])
+def test_importance_sampling_of_edges_and_movement_agrees_with_rejection(ln_curve, monkeypatch):
     """Draws of the whole prior, kept by the likelihood of two captures: nothing of the update is shared."""
     monkeypatch.setattr(module, "_SHAPES", 4000)
     monkeypatch.setattr(module, "EDGE_PROBABILITY", 0.9)
     errors = captures([0.15, -0.05], [0, 0], sd=0.05)
-    draws = posterior(errors).shape_draws(20_000, np.random.default_rng(3))[:, 0]
-    prior = posterior(NO_CAPTURES).shape_draws(60_000, np.random.default_rng(4))[:, 0]
+    found = posterior(errors, ln_curve=ln_curve)
+    draws = shapes(found, 20_000, 3)
+    prior = shapes(posterior(NO_CAPTURES, ln_curve=ln_curve), 60_000, 4)
     # captures at angles of the grid; the unknown scale takes up the mean, so that only their difference counts
     first, second = (int(np.abs(GRID - angle).argmin()) for angle in errors.angles_deg)
     misfit = (prior[:, first] - prior[:, second]) - (errors.log_error[0] - errors.log_error[1])
-    variance = errors.covariance[0, 0] + errors.covariance[1, 1] - 2 * errors.covariance[0, 1]
+    variance = found.noise[0, 0] + found.noise[1, 1] - 2 * found.noise[0, 1]
     weights = np.exp(-0.5 * misfit**2 / variance)
     weights /= weights.sum()
     kept = 1 / (weights**2).sum()
@@ -136,7 +168,8 @@ def test_one_capture_tells_the_size_of_the_contact_error_and_its_level_near_its_
     small, large = posterior(captures([0.01])), posterior(captures([0.4]))
     prior = posterior(NO_CAPTURES).amplitude_quantiles_rel[1]
     # the part in common with the no-contact image stays as large as it was
-    assert np.sqrt(COMMON_SHARE) * prior < small.amplitude_quantiles_rel[1] < prior < large.amplitude_quantiles_rel[1]
+    assert np.sqrt(COMMON_SHARE) * prior < small.amplitude_quantiles_rel[1] < 0.5 * large.amplitude_quantiles_rel[1]
+    assert small.visible.amplitude_weights @ module._NODES_REL < np.sqrt(1 - COMMON_SHARE) * 1.5 * prior
     near, far = np.abs(GRID - 12).argmin(), len(GRID) - 1
     assert large.mean[near] == pytest.approx(0.4, abs=0.03)
     assert abs(large.mean[far]) < 0.2
@@ -167,15 +200,15 @@ def test_a_common_scale_of_one_rig_changes_nothing():
 
 
 def test_captures_at_several_angles_correct_the_shape_and_shrink_its_uncertainty():
-    tilt = 0.3 * (GRID / 45 - 1)
+    tilt = 0.06 * (GRID / 45 - 1)
     angles = np.array([5.0, 30.0, 60.0, 85.0])
     found = posterior(captures(np.interp(angles, GRID, tilt), [0] * 4, sd=0.005, angles=angles))
     between = (GRID >= 5) & (GRID <= 85)
-    assert found.shape_mean[between] == pytest.approx(tilt[between], abs=0.03)
+    assert found.shape_mean[between] == pytest.approx(tilt[between], abs=0.01)
     # beyond the last captures the error may have a kink, so the tilt is not continued in full
     assert (np.abs(found.shape_mean - tilt) < 2 * found.shape_sd).all()
     ratio = found.shape_sd / posterior(NO_CAPTURES).shape_sd
-    # this error of 30 % is larger than the prior's 10 %, and half-way between captures a short one may hide
+    # this error of 3.5 % is as large as the prior's; half-way between captures a short one may hide
     assert ratio.max() < 1.0
     assert np.interp(angles, GRID, ratio).max() < 0.4
 

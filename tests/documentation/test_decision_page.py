@@ -285,7 +285,7 @@ def test_a_decision_over_places_begins_with_what_to_do_then_the_finger_then_the_
     text = plain(html)
     order = [
         "Mount the light at 32 \u00b1 6 deg: the brightness of the touch is on average 8.3 % below the best.",
-        "not decided: captures are needed",
+        "The angle is not decided captures are needed",
         "The finger with its light",
         "Hatched: between 26 and 41 deg it costs at most 2 % more.",
         "What each place loses",

@@ -14,7 +14,6 @@ from finray_calib.demo._results import all_notes, assumptions, true_loss, trust_
 from finray_calib.reports import (
     comparison_lines,
     decimals_for,
-    decision_meaning,
     decision_table,
     duration,
     error_table,
@@ -27,6 +26,7 @@ from finray_calib.reports import (
     significant,
     simulation_sentence,
 )
+from finray_calib.reports._decision_page import decision_meaning
 from finray_calib.reports._plain_text import WIDTH_COLUMNS, unbroken
 
 RESULTS = example_results()
@@ -138,7 +138,7 @@ def test_assumptions_name_what_nobody_measured() -> None:
 def test_lines_break_neither_between_number_and_unit_nor_inside_an_interval() -> None:
     assert unbroken("4.4 % of 597 nm") == "4.4\u00a0% of 597\u00a0nm"
     assert unbroken("0.95 [0.92, 0.97] s") == "0.95 [0.92,\u00a00.97]\u00a0s"
-    assert unbroken("4.5 +- 3.1 nats") == "4.5 \u00b1 3.1 nats"
+    assert unbroken("4.5 +- 3.1 nats") == "4.5\u00a0\u00b1\u00a03.1 nats"
     assert unbroken("5 months, 3 deg/s") == "5 months, 3 deg/s"
 
 
