@@ -44,6 +44,11 @@ def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         help="least loss on average over the touches (default), or at the worst of them",
     )  # fmt: skip
     parser.add_argument(
+        "--aim", choices=["brightness", "normal"],
+        help="decide on the brightness of the touches, or on the expected error of the sensed normal, which sweeps by "
+        "--objectives all hold (default: the latter where it is there, without reports and weights)",
+    )  # fmt: skip
+    parser.add_argument(
         "--photometric-error", type=Path, action="append", default=[], metavar="REPORT", dest="reports",
         help="record written by 'finray compare', once for each capture; best at several light angles",
     )  # fmt: skip
@@ -80,7 +85,13 @@ def run(arguments: argparse.Namespace) -> None:
     reports = [read_record(path, PhotometricErrorReport) for path in arguments.reports]
     with naming(DecideError, *paths):
         decision = decide(
-            sweeps, reports, arguments.seed, arguments.narrow_sweep, arguments.weights, arguments.criterion
+            sweeps,
+            reports,
+            arguments.seed,
+            arguments.narrow_sweep,
+            arguments.weights,
+            arguments.criterion,
+            arguments.aim,
         )
     inputs = input_digests(paths)
     with ProductSet(out) as products:

@@ -304,7 +304,9 @@ def _sweep(arguments: argparse.Namespace, out: Path, position_mm: float | None, 
         "samples": arguments.samples,
         "engine": working_engine(arguments.engine),
         "paints_as_given": arguments.paints_as_given,
-        "all_objectives": arguments.objectives == "all",
+        # of the undeformed pad, and so the same at every place
+        "all_objectives": arguments.objectives == "all"
+        and (position_mm is None or position_mm == arguments.positions[0]),
         "narrow_sweep": True,
     }
     if position_mm is not None:

@@ -382,18 +382,15 @@ def decide_contacts(
         If a sweep has too few angles or repeats, unsorted angles or values that are not positive numbers, no angle is
         allowed at all places, or the tolerance is out of range.
     """
-    for contact in contacts:
-        _check(contact.angles_deg, contact.values, tolerance_rel)
-    curves = tuple(simulated_curve(contact.angles_deg, contact.values) for contact in contacts)
+    curves = tuple(_checked_curve(contact, tolerance_rel) for contact in contacts)
     discrepancy = _discrepancy(curves, captures)
     judge = _judge(contacts, curves, criterion, tolerance_rel)
     means = np.array([curve.mean for curve in curves])
     drawn = np.stack([curve.posterior.draws(draws, rng)[:, 0] for curve in curves], axis=1)
-    alone = judge.least_regret(drawn)
-    rendered = judge.risk(drawn, alone)
+    rendered = judge.risk(drawn, alone := judge.least_regret(drawn))
     drawn *= np.exp(_paint_draws(contacts, judge.grid_deg, draws, rng))
     simulation_only = judge.risk(drawn, alone)
-    alone_mean, alone_sd = _band(judge, means, drawn)
+    alone_band = _band(judge, means, drawn)
     errors = discrepancy.draws(draws, rng)
     # without captures nothing is known of the error's sign
     error_mean = errors.mean(axis=0) if captures.names else np.zeros_like(means)
@@ -401,16 +398,14 @@ def decide_contacts(
     real_means = means * np.exp(error_mean.mean(axis=1, keepdims=True) - error_mean)
     errors -= errors.mean(axis=2, keepdims=True)
     drawn *= np.exp(-errors)
-    best = judge.least_regret(drawn)
-    risk = judge.risk(drawn, best)
-    at_range_end = best in (0, judge.grid_deg.size - 1)
-    mean, sd = _band(judge, real_means, drawn)
+    risk = judge.risk(drawn, best := judge.least_regret(drawn))
+    real_band = _band(judge, real_means, drawn)
     return AngleDecision(
         best_deg=float(judge.grid_deg[best]),
         best_simulation_only_deg=float(judge.grid_deg[alone]),
-        at_range_end=at_range_end,
+        at_range_end=judge.is_end(best),
         # an optimum at the end of the sweep may lie outside it: no risk inside the range says anything
-        verdict="undecided" if at_range_end else verdict_of(rendered, risk, tolerance_rel, bool(captures.names)),
+        verdict="undecided" if judge.is_end(best) else verdict_of(rendered, risk, tolerance_rel, bool(captures.names)),
         simulation_only=simulation_only,
         risk=risk,
         validated=bool(captures.names),
@@ -418,10 +413,10 @@ def decide_contacts(
         discrepancy=discrepancy,
         error_mean=error_mean,
         choices=judge.choices,
-        mean_rel=mean,
-        sd_rel=sd,
-        simulation_only_mean_rel=alone_mean,
-        simulation_only_sd_rel=alone_sd,
+        mean_rel=real_band[0],
+        sd_rel=real_band[1],
+        simulation_only_mean_rel=alone_band[0],
+        simulation_only_sd_rel=alone_band[1],
         contacts=judge.losses(real_means, drawn, best),
         value_mean=judge.value(drawn).mean(axis=0),
         shown_by_capture=_shown_by_capture(judge, contacts[0].angles_deg, errors, drawn),
@@ -460,6 +455,10 @@ class _Judge:
         value = self.value(curves, criterion)
         expected = (value / value[:, self.choices].max(axis=1, keepdims=True)).mean(axis=0)
         return int(np.where(self.choices, expected, -np.inf).argmax())
+
+    def is_end(self, best: int) -> bool:
+        """Return whether an angle is the first or last one."""
+        return best in (0, self.grid_deg.size - 1)
 
     def risk(self, curves: Floats, best: int) -> AngleRisk:
         """Return the risk of an angle over drawn curves (S, C, G)."""
@@ -527,6 +526,12 @@ def _paint_draws(contacts: Sequence[SweptContact], grid_deg: Floats, draws: int,
             on_grid = np.array([np.interp(grid_deg, contact.angles_deg, row) for row in about_mean])
             found[:, number] = normals[:, : len(on_grid)] @ on_grid
     return found
+
+
+def _checked_curve(contact: SweptContact, tolerance_rel: float) -> SimulatedCurve:
+    """Return the curve of a sweep that allows a decision."""
+    _check(contact.angles_deg, contact.values, tolerance_rel)
+    return simulated_curve(contact.angles_deg, contact.values)
 
 
 def simulated_curve(angles_deg: Floats, values: Floats) -> SimulatedCurve:

@@ -40,17 +40,17 @@ PRIOR_ERROR_LENGTH_LOG_SD = 0.8
 #: Share of the variance that image with and without contact have in common. Nobody measured it. With three quarters,
 #: captures that do not see that part take away a seventh of the sim-only bound at most.
 COMMON_SHARE = 0.75
-_NODES_REL = np.geomspace(0.004, 2.0, 21)
+_NODES_REL = np.geomspace(0.002, 1.0, 21)
 _LENGTHS_DEG = LENGTHS_DEG
 _SMOOTHNESSES = SMOOTHNESSES
 
-#: An edge and a narrow reflection are each there with this probability, of a lognormal size (median, log sd).
+#: Two edges and a narrow reflection are each there with this probability, of a lognormal size (median, log sd).
 EDGE_PROBABILITY = 0.5
 EDGE_SIZE_REL, EDGE_SIZE_LOG_SD = 0.06, 0.8
 _EDGE_WIDTHS_DEG, _GLINT_WIDTHS_DEG = (1.5, 10.0), (3.0, 15.0)
 #: Beyond the ends of the grid a part of an edge or reflection still reaches in.
 _BEYOND_DEG = 10.0
-#: Shapes among which captures choose; a quarter of them have no edge at all.
+#: Shapes among which captures choose; a quarter of them have no edge.
 _SHAPES = 500
 
 
@@ -157,7 +157,7 @@ class Discrepancy:
 
 
 def edges_and_glints(angles_deg: Floats, count: int, grid_deg: Floats, rng: np.random.Generator) -> Floats:
-    """Return draws (count, A) of ln(simulated / real) by an edge of a shadow and by a narrow reflection.
+    """Return draws (count, A) of ln(simulated / real) by up to two edges of shadows and by a narrow reflection.
 
     b tanh((angle - at) / width) with a width of 1.5 to 10 deg, and b exp(-((angle - at) / width)^2 / 2) with one of 3
     to 15 deg, at any angle, either way; each is there with a probability of 1/2, its size b lognormal (median 6 %,
@@ -174,13 +174,14 @@ def edges_and_glints(angles_deg: Floats, count: int, grid_deg: Floats, rng: np.r
     rng : numpy.random.Generator
     """
     total = np.zeros((count, angles_deg.size))
-    for number, (low_deg, high_deg) in enumerate((_EDGE_WIDTHS_DEG, _GLINT_WIDTHS_DEG)):
+    for low_deg, high_deg in (_EDGE_WIDTHS_DEG, _EDGE_WIDTHS_DEG, _GLINT_WIDTHS_DEG):
         is_there = rng.random((count, 1)) < EDGE_PROBABILITY
         size = EDGE_SIZE_REL * np.exp(EDGE_SIZE_LOG_SD * rng.standard_normal((count, 1)))
         size *= is_there * rng.choice([-1.0, 1.0], (count, 1))
         at = rng.uniform(grid_deg[0] - _BEYOND_DEG, grid_deg[-1] + _BEYOND_DEG, (count, 1))
         distance = (angles_deg - at) / np.exp(rng.uniform(np.log(low_deg), np.log(high_deg), (count, 1)))
-        total += size * (np.tanh(distance) if number == 0 else np.exp(-(distance**2) / 2))
+        is_edge = low_deg == _EDGE_WIDTHS_DEG[0]
+        total += size * (np.tanh(distance) if is_edge else np.exp(-(distance**2) / 2))
     return total
 
 

@@ -130,8 +130,12 @@ def other_objectives_figure(decision: LightAngleDecision, sweep: LightAngleSweep
     decided = sweep.values
     if len(decision.contacts) > 1:  # the value over all touches, at the angles of the sweep
         decided = np.interp(sweep.angles_deg, decision.grid_deg, decision.mean)[:, None]
+    others = [(o.name, o.utility) for o in sweep.other_objectives]
+    if decision.aim == "normal":  # what was decided on stands among them; the brightness is that of this touch
+        others = [(o.name, o.utility) for o in sweep.other_objectives if o.place_values is None]
+        others.insert(0, ("brightness", sweep.values))
     lines = [("decided on", (BLUE, "-", "o"), decided)]
-    lines += [(o.name, look, o.utility) for o, look in zip(sweep.other_objectives, cycle(_LOOKS), strict=False)]
+    lines += [(name, look, utility) for (name, utility), look in zip(others, cycle(_LOOKS), strict=False)]
     for name, (colour, style, marker), utility in lines:
         mean = utility.mean(axis=1)
         axes.plot(
@@ -172,14 +176,17 @@ def contacts_figure(decision: LightAngleDecision) -> str:
         raise ValueError("the decision holds no map; decide again on its sweeps")
     order = np.argsort([contact.position_mm for contact in decision.contacts], kind="stable")
     contacts = [decision.contacts[k] for k in order]
-    loss = 1.0 - decision.contact_value[order]
+    value = decision.contact_value[order]
+    loss, label, top = 1.0 - value, "less bright than at its best (1)", 0.6
+    if decision.aim == "normal":
+        loss, label, top = 1.0 / value - 1.0, "error of the normal above its best (1)", 0.3
     figure = new_figure(5.8, 1.6 + 0.22 * len(contacts))
     axes = figure.subplots()
     rows = np.arange(len(contacts))
     places = np.array([contact.position_mm for contact in contacts])
     at = places if (np.diff(places) > 0).all() else rows.astype(np.float64)
     shown = axes.pcolormesh(
-        decision.grid_deg, at, loss, cmap="cividis_r", vmin=0.0, vmax=0.6, shading="nearest", rasterized=True
+        decision.grid_deg, at, loss, cmap="cividis_r", vmin=0.0, vmax=top, shading="nearest", rasterized=True
     )
     lines = axes.contour(decision.grid_deg, at, loss, levels=_LOSS_LEVELS, colors=INK, linewidths=0.7)
     axes.clabel(lines, fmt=lambda level: f"{100 * level:g} %", fontsize=8)
@@ -189,12 +196,12 @@ def contacts_figure(decision: LightAngleDecision) -> str:
         decision.angle_deg, 1.01, f"{decision.angle_deg:.0f} deg", transform=axes.get_xaxis_transform(), ha="center",
         va="bottom", weight="bold",
     )  # fmt: skip
-    axes.set(xlabel="angle of the blue light (deg)", ylabel="touch, from the base (mm)")
+    axes.set(xlabel="angle of the blue light (deg)", ylabel="place, from the base (mm)")
     axes.set_yticks(at, [f"{place:g}" for place in places])
     axes.xaxis.set_major_locator(MultipleLocator(10 if np.ptp(decision.grid_deg) <= 130 else 30))
     axes.grid(visible=False)
     bar = figure.colorbar(shown, ax=axes, fraction=0.05, pad=0.02)
-    bar.set_label("less bright than at its best (1)")
+    bar.set_label(label)
     return svg_text(figure)
 
 
@@ -270,7 +277,17 @@ def _panel(axes: Axes, place_mm: tuple[float, float], angle_deg: float, height_m
     axes.annotate(
         "", (tip[0], tip[1]), place_mm, arrowprops={"arrowstyle": "-|>", "color": BLUE, "lw": 1.8, "shrinkA": 0}
     )
-    axes.add_patch(Arc(place_mm, 2 * _ARC_MM, 2 * _ARC_MM, theta1=0.0, theta2=angle_deg, color=INK, linewidth=1.2))
+    axes.add_patch(
+        Arc(
+            place_mm,
+            2 * _ARC_MM,
+            2 * _ARC_MM,
+            theta1=min(0.0, angle_deg),
+            theta2=max(0.0, angle_deg),
+            color=INK,
+            linewidth=1.2,
+        )
+    )
     middle = np.radians(angle_deg / 2)
     write = centre + (_ARC_MM + 1.0) * np.array([np.cos(middle), np.sin(middle)])
     axes.text(

@@ -1,12 +1,13 @@
 """The sentences of a decision: what to do first, then how sure that is."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from data_schemas import DecidedContact, Indenter
-from finray_calib.decide._decision_record import _ASSUMED_SIZE, decision_sentence, headline, outside
+from finray_calib.decide._decision_record import _ASSUMED_SIZE, _other_sentences, decision_sentence, headline, outside
 from finray_calib.decide._light_angle import AngleRisk
 from finray_calib.decide._next_observation import Proposal
 from finray_calib.decide._other_objectives import OtherOptimum
@@ -92,16 +93,16 @@ def test_what_is_assumed_of_the_error_is_what_the_prior_says():
 def test_without_captures_nothing_is_decided_and_the_next_one_is_named():
     found = decision_sentence(decision(), NONE, 0.02, None, Proposal(70.0, 0.01, 0.02))
     assert found == (
-        "So says the simulation; no capture has checked it, and it is not decided before one does. Assumed is that the "
-        "finger's curve may be moved by some 5 deg and be off by 10 % (95 %: 4 % to 30 %) at each angle. No other angle "
-        "is better by more than 2 % with a probability of 0.96, and none by more than 1.6 % with one of 0.95; the best "
-        "angle lies within 5 deg with one of 0.50. Capture next with the light at 70 deg."
+        "So says the simulation; no capture has checked it, and it is not decided before one does. Assumed is that "
+        "the finger's curve may be moved by some 5 deg and be off by 10 % (95 %: 4 % to 30 %) at each angle. No other "
+        "angle is better by more than 2 % with a probability of 0.96, and none by more than 1.6 % with one of 0.95; "
+        "the best angle lies within 5 deg with one of 0.50. Capture next with the light at 70 deg."
     )
 
 
 def test_of_several_places_the_one_to_capture_is_named():
     proposal = Proposal(70.0, 0.01, 0.02, contact=1)
-    found = decision_sentence(decision(), NONE, 0.02, None, proposal, (), touches(0.0, 0.1))
+    found = decision_sentence(decision(), NONE, 0.02, None, proposal, touches(0.0, 0.1))
     assert found.endswith("Capture next with the light at 70 deg, 12 mm from the base.")
 
 
@@ -113,13 +114,32 @@ def test_captures_are_named_with_what_they_changed():
         "would be 9 deg."
     )
     assert found.endswith("Any angle from 3 to 18 deg will do.")
-    other = OtherOptimum("normal error", "deg", 55.0, False, (2.0, 3.0), 0.31, 0.2, 0.4, True)
-    found = decision_sentence(
-        decision(20.0, validated=True), np.array([30.0]), 0.02, None, Proposal(70.0, 0.01, 0.02), [other]
-    )
+    found = decision_sentence(decision(20.0, validated=True), np.array([30.0]), 0.02, None, Proposal(70.0, 0.01, 0.02))
     assert found.startswith("A capture at 30 deg is in this, which is not enough to decide: the simulation is off")
-    assert found.endswith(
-        "Capture next with the light at 70 deg. Normal error would choose 55 deg and loses 31 % here."
+    assert found.endswith("Capture next with the light at 70 deg.")
+
+
+def test_what_others_would_have_chosen_is_said_with_its_cost():
+    other = OtherOptimum("normal error", "deg", 55.0, False, (2.0, 3.0), 0.31, 0.2, 0.4, True, 0.2)
+    agrees = replace(other, disagrees=False)
+    assert _other_sentences([other, agrees], "brightness") == [
+        "Normal error would have chosen 55 deg, with 20 % less brightness."
+    ]
+    # an inverse that is 20 % less is an error that is a quarter larger
+    assert _other_sentences([other], "normal") == [
+        "Normal error would have chosen 55 deg, where the error of the normal is 25 % larger."
+    ]
+
+
+def test_a_decision_on_the_normal_tells_the_error_and_its_places():
+    found = headline(decision(-25.0), touches(0.02, 0.2), 0.02, "normal")
+    assert found == (
+        "Mount the light at -25 \u00b1 6 deg: as simulated, the error of the sensed normal is at most 25 % above the "
+        "best at any of the 2 places from 8 to 12 mm, and 14 % on average."
+    )
+    assert outside(touches(0.0, 0.0), Indenter(), "normal") == (
+        "It holds for facets of the undeformed pad at 8 to 12 mm, tilted by up to 20 deg; shadows of the object that "
+        "is touched are left out."
     )
 
 
