@@ -211,7 +211,7 @@ class ContactLosses:
     loss_95_rel : ndarray, shape (C,)
         Loss at the chosen angle that is not exceeded with 95 % probability.
     average_deg, worst_deg : float
-        Angles of the least regret on average over the places, and at the worst of them.
+        Angles that are best on average over the places, and at the worst of them.
     tolerance_deg : tuple of (float, float)
         Angles around the chosen one between which the expected curves lose at most the tolerance more.
     """
@@ -234,7 +234,7 @@ class AngleDecision:
     Attributes
     ----------
     best_deg, best_simulation_only_deg : float
-        Angle of the least expected regret on the real finger, and if the simulation were exact.
+        Angle of the least expected regret with captures, and of the greatest value of the simulated curves.
     at_range_end : bool
         Whether the former is the first or last angle of the sweep, so that the optimum may lie outside.
     verdict : str
@@ -350,9 +350,9 @@ def decide_contacts(
     remaining scatter is pooled, and a random curve f whose smoothness, length and amplitude are summed over is put
     through the means on a grid of 1 deg. The real curve is f exp(p - t): p one draw of the paints, t the sim-to-real
     error less its mean over the grid: what captures tell of it, and its prior without any (see
-    `discrepancy_posterior`). Chosen is the angle of the least expected regret over joint draws: where the light falls
-    off steeply at one side of the greatest value, it lies a little to the other side. See `verdict_of` for the rules of
-    the verdict.
+    `discrepancy_posterior`). Chosen is, with captures, the angle of the least expected regret over joint draws, where
+    the light falls off steeply at one side of the greatest value a little to the other side; without, the angle of the
+    greatest value of the simulated curves. See `verdict_of` for the rules of the verdict.
 
     Valid for an objective sampled finely enough to see its peak (10 deg for the light angle), and for repeats whose
     mean is wanted: renders with different seeds. An error of shape that all repeats share does not average out:
@@ -387,7 +387,7 @@ def decide_contacts(
     judge = _judge(contacts, curves, criterion, tolerance_rel)
     means = np.array([curve.mean for curve in curves])
     drawn = np.stack([curve.posterior.draws(draws, rng)[:, 0] for curve in curves], axis=1)
-    rendered = judge.risk(drawn, alone := judge.least_regret(drawn))
+    rendered = judge.risk(drawn, alone := judge.best(means, None))
     drawn *= np.exp(_paint_draws(contacts, judge.grid_deg, draws, rng))
     simulation_only = judge.risk(drawn, alone)
     alone_band = _band(judge, means, drawn)
@@ -398,7 +398,8 @@ def decide_contacts(
     real_means = means * np.exp(error_mean.mean(axis=1, keepdims=True) - error_mean)
     errors -= errors.mean(axis=2, keepdims=True)
     drawn *= np.exp(-errors)
-    risk = judge.risk(drawn, best := judge.least_regret(drawn))
+    by_draws = drawn if captures.names else None
+    risk = judge.risk(drawn, best := judge.best(real_means, by_draws))
     real_band = _band(judge, real_means, drawn)
     return AngleDecision(
         best_deg=float(judge.grid_deg[best]),
@@ -417,7 +418,7 @@ def decide_contacts(
         sd_rel=real_band[1],
         simulation_only_mean_rel=alone_band[0],
         simulation_only_sd_rel=alone_band[1],
-        contacts=judge.losses(real_means, drawn, best),
+        contacts=judge.losses(real_means, drawn, best, by_draws),
         value_mean=judge.value(drawn).mean(axis=0),
         shown_by_capture=_shown_by_capture(judge, contacts[0].angles_deg, errors, drawn),
     )
@@ -450,10 +451,15 @@ class _Judge:
             return np.asarray(relative.min(axis=-2))
         return np.asarray(np.einsum("c,...cg->...g", self.weights, relative))
 
-    def least_regret(self, curves: Floats, criterion: Criterion | None = None) -> int:
-        """Return the index of the choice with the least expected regret over drawn curves (S, C, G)."""
-        value = self.value(curves, criterion)
-        expected = (value / value[:, self.choices].max(axis=1, keepdims=True)).mean(axis=0)
+    def best(self, means: Floats, drawn: Floats | None, criterion: Criterion | None = None) -> int:
+        """Return the index of the best choice for the expected curves (C, G).
+
+        With draws (S, C, G) of the curves it is the one of the least expected regret over them.
+        """
+        expected = self.value(means, criterion)
+        if drawn is not None:
+            value = self.value(drawn, criterion)
+            expected = (value / value[:, self.choices].max(axis=1, keepdims=True)).mean(axis=0)
         return int(np.where(self.choices, expected, -np.inf).argmax())
 
     def is_end(self, best: int) -> bool:
@@ -464,7 +470,7 @@ class _Judge:
         """Return the risk of an angle over drawn curves (S, C, G)."""
         return angle_risk(self.value(curves), self.grid_deg, best, self.tolerance_rel, self.choices)
 
-    def losses(self, means: Floats, drawn: Floats, best: int) -> ContactLosses:
+    def losses(self, means: Floats, drawn: Floats, best: int, by_draws: Floats | None) -> ContactLosses:
         """Return what each place loses."""
         value, grid = self.value(means), self.grid_deg
         enough = self.choices & (value >= (1 - self.tolerance_rel) * value[best])
@@ -473,8 +479,8 @@ class _Judge:
             weights=self.weights,
             relative=self.relative(means),
             loss_95_rel=np.quantile(1 - self.relative(drawn)[..., best], CONFIDENCE, axis=0),
-            average_deg=float(grid[self.least_regret(drawn, "average")]),
-            worst_deg=float(grid[self.least_regret(drawn, "worst")]),
+            average_deg=float(grid[self.best(means, by_draws, "average")]),
+            worst_deg=float(grid[self.best(means, by_draws, "worst")]),
             tolerance_deg=(low, high),
         )
 

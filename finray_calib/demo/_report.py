@@ -45,6 +45,7 @@ from finray_calib.demo._stages import (
     CAPTURE,
     DECISION,
     MECHANICS,
+    OTHER_TRUE_SWEEPS,
     PRESS,
     REPORT,
     SURFACES,
@@ -82,6 +83,7 @@ from finray_calib.reports import (
     pad_window,
     paint_sentence,
     percent,
+    places_part,
     pressed_finger_png,
     provenance_table,
     raster,
@@ -231,7 +233,7 @@ def _decide(results: DemoResults) -> Content:
     """Show the objective over the angle."""
     decision, sweep = results.decision, results.sweep
     picture = drawing(
-        angle_figure(decision, sweep, results.true_sweep),
+        angle_figure(decision, sweep, results.true_sweeps),
         f"The objective over the light angle is best near {decision.angle_deg:.0f} deg. {decision.sentence}",
         "Objective over the angle of the blue light: 0 deg along the pad, 90 deg straight into it. What to see: where "
         "the curve is flat the angle matters little; hatched angles do as well as the chosen one.",
@@ -243,6 +245,7 @@ def _decide(results: DemoResults) -> Content:
         picture_rows=((picture,),),
         remarks=(decision.sentence.removeprefix(decision.headline).strip(), validation_statement(decision)),
         tables=(decision_table(decision),),
+        parts=(places_part(decision),) if len(decision.contacts) > 1 else (),
     )
 
 
@@ -460,7 +463,7 @@ def stored_results(demo: Demo, seconds: Mapping[str, float]) -> DemoResults:
         renderer_note=demo.engine.note,
         command=settings.command,
         provenance=provenance(settings.command, {}, settings.seed),
-        true_sweep=read_record(demo.path(TRUE_SWEEP), LightAngleSweep),
+        true_sweeps=tuple(read_record(demo.path(name), LightAngleSweep) for name in (TRUE_SWEEP, *OTHER_TRUE_SWEEPS)),
         report_level_a=read_record(demo.path(REPORT["a"]), PhotometricErrorReport),
     )
 

@@ -23,13 +23,14 @@ if TYPE_CHECKING:
         simulation_sentence,
     )
     from finray_calib.reports._contact_sheet import circles_csv, contacts_png, sensed_png
-    from finray_calib.reports._decision_figures import angle_figure
+    from finray_calib.reports._decision_figures import angle_figure, true_value
     from finray_calib.reports._decision_page import (
         decision_numbers,
         decision_page,
         decision_table,
         decision_validation,
         mounting_picture,
+        places_part,
         verdict_sentence,
         verdict_words,
     )
@@ -152,6 +153,7 @@ __all__ = [
     "paper_paints_png",
     "pareto_text",
     "percent",
+    "places_part",
     "plain",
     "plot_record",
     "pressed_finger_png",
@@ -173,6 +175,7 @@ __all__ = [
     "study_text",
     "to_display",
     "touch_pair",
+    "true_value",
     "two_lights_png",
     "untouched_finger_png",
     "verdict_sentence",

@@ -1,5 +1,6 @@
 """Figures of a decision: objective over the light angle, other objectives, and how the light is mounted. SVG text."""
 
+from collections.abc import Sequence
 from itertools import cycle
 
 import numpy as np
@@ -37,8 +38,16 @@ def on_curve_scale(sweep: LightAngleSweep, decision: LightAngleDecision) -> Floa
     return np.asarray(sweep.values / sweep.values.mean(axis=0) * curve.mean())
 
 
+def true_value(true_sweeps: Sequence[LightAngleSweep]) -> Floats:
+    """Return the value of each angle (A,): mean over places of the brightness over its greatest there."""
+    curves = [(sweep.values / sweep.values.mean(axis=0)).mean(axis=1) for sweep in true_sweeps]
+    return np.asarray(np.mean([curve / curve.max() for curve in curves], axis=0))
+
+
 @styled()
-def angle_figure(decision: LightAngleDecision, sweep: LightAngleSweep, true_sweep: LightAngleSweep | None) -> str:
+def angle_figure(
+    decision: LightAngleDecision, sweep: LightAngleSweep, true_sweeps: Sequence[LightAngleSweep] = ()
+) -> str:
     """Draw the objective relative to the best of the mean curve, over the angle of the light.
 
     The curve of the real finger with its band, the one of the renders alone (dashed where captures moved the former),
@@ -69,9 +78,12 @@ def angle_figure(decision: LightAngleDecision, sweep: LightAngleSweep, true_swee
         for repeat in range(values.shape[1]):
             label = "renders" if repeat == 0 else None
             axes.plot(sweep.angles_deg, values[:, repeat], "o", color=INK, markersize=3.2, alpha=0.7, label=label)
-    if true_sweep is not None:
-        truth = on_curve_scale(true_sweep, decision).mean(axis=1) / best
-        axes.plot(true_sweep.angles_deg, truth, "--D", color=VERMILLION, linewidth=1.3, markersize=3.5, label="truth")
+    if true_sweeps:
+        truth = true_value(true_sweeps)
+        if len(decision.contacts) < 2:
+            truth = on_curve_scale(true_sweeps[0], decision).mean(axis=1)
+        angles = true_sweeps[0].angles_deg
+        axes.plot(angles, truth / best, "--D", color=VERMILLION, linewidth=1.3, markersize=3.5, label="truth")
     _mark_captures(axes, decision, best)
     _mark_decision(axes, decision)
     axes.set(xlabel="angle of the blue light (deg)", ylabel="objective relative to its best (1)")

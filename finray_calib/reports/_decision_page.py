@@ -123,7 +123,7 @@ def _opening(decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep]) ->
     )
     parts = [Part("The finger with its light", Content(lead, ((mounting_picture(decision, sweeps[0]),),)))]
     if len(decision.contacts) > 1:
-        parts.append(_map(decision))
+        parts.append(places_part(decision))
     rest = decision.sentence.removeprefix(decision.headline).strip()
     why = Content(rest if decision.headline else decision_meaning(decision), remarks=_reasons(decision, rest))
     return [*parts, Part("Why, and how sure it is", why)]
@@ -170,7 +170,7 @@ def criterion_sentence(decision: LightAngleDecision) -> str | None:
     )
 
 
-def _map(decision: LightAngleDecision) -> Part:
+def places_part(decision: LightAngleDecision) -> Part:
     """Show what each place loses at each angle."""
     worst = max(decision.contacts, key=lambda contact: contact.loss_rel)
     what = "less bright a touch is" if decision.aim == "brightness" else "larger the error of the sensed normal is"
@@ -215,7 +215,7 @@ def _curve(decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep]) -> P
     if several:
         what = "The brightness over all touches" if decision.aim == "brightness" else "The inverse error of the normal"
     picture = drawing(
-        angle_figure(decision, sweeps[0], None),
+        angle_figure(decision, sweeps[0]),
         f"{what} over the light angle is best near {decision.angle_deg:.0f} deg. "
         f"{decision.headline or decision.sentence}",
         f"{what} over the angle of the light. What to see: where the curve is flat the angle matters little; hatched "

@@ -109,7 +109,7 @@ def hostile() -> str:
     results = example_results(paint_name=HOSTILE)
     press = results.press.model_copy(update={"camera_matrix": None})
     decision = example_decision("needs captures", validated=False)
-    return demo_report(replace(results, press=press, decision=decision, true_sweep=None, report_level_a=None))
+    return demo_report(replace(results, press=press, decision=decision, true_sweeps=(), report_level_a=None))
 
 
 def test_hostile_names_stay_text(hostile: str) -> None:
