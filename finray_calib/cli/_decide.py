@@ -19,11 +19,12 @@ HELP = "decide on the light angle from sweeps at the places that are touched"
 DESCRIPTION = """\
 Decide on the angle of the blue light (light.angle_deg of the design: between the pad's plane and the direction in
 which the panel shines; 0 along the pad, 90 into it). Give one sweep for each place where the finger is touched, as
-'finray simulate sweep --positions' writes them; one sweep alone decides for its one place only. The answer gives the
-angle with its tolerance, what is lost against the best at every place, the probability that another angle is better,
-and by how much. Photometric error reports, one for each physical capture, correct the simulated curves near their
-angles and show how sure they are elsewhere; without any, nothing is decided. The answer also names the capture that
-would help most."""
+'finray simulate sweep --positions' writes them; one sweep alone decides for its one place only. Sweeps
+by --objectives all are decided on by the expected error of the sensed normal, others by the brightness. The answer
+gives the angle with its tolerance, what is lost against the best at every place, the probability that another angle
+is better, and by how much. Photometric error reports, one for each physical capture, correct the simulated curves
+near their angles and show how sure they are elsewhere; without any, nothing is decided. The answer also names the
+capture that would help most."""
 
 
 def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

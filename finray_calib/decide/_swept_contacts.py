@@ -111,8 +111,7 @@ def _normal_along(
     """Return the inverse error of the normal at each place along the pad, and brightness among the others."""
     allowed = [touch.allowed for touch in touches if touch.allowed is not None]
     everywhere = np.all(allowed, axis=0) if allowed else None
-    errors, places = normal.place_values, normal.places_mm
-    assert errors is not None and places is not None  # noqa: S101, PT018 - chosen for having them
+    errors, places = np.asarray(normal.place_values), np.asarray(normal.places_mm)
     contacts = []
     for number in range(len(places)):
         utility = 1.0 / errors[..., number]
