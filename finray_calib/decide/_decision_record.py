@@ -481,8 +481,8 @@ def _ground(decision: AngleDecision, captures_deg: Floats) -> str:
     enough = "" if decision.verdict in {"decided", "tie"} else ", which is not enough to decide"
     return (
         f"{number} at {listed} deg {'is' if captures_deg.size == 1 else 'are'} in this{enough}: the simulation is off "
-        f"by some {percent(amplitude_rel)} at an angle. Without them it would be "
-        f"{decision.best_simulation_only_deg:.0f} deg."
+        f"by some {percent(amplitude_rel)} at an angle. Without {'it' if captures_deg.size == 1 else 'them'} the "
+        f"choice would be {decision.best_simulation_only_deg:.0f} deg."
     )
 
 

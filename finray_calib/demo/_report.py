@@ -238,10 +238,16 @@ def _decide(results: DemoResults) -> Content:
         "Objective over the angle of the blue light: 0 deg along the pad, 90 deg straight into it. What to see: where "
         "the curve is flat the angle matters little; hatched angles do as well as the chosen one.",
     )
+    touched = (
+        f" The finger was touched at {len(decision.contacts)} places: at one by finite elements, at the others by a "
+        "formula."
+        if len(decision.contacts) > 1
+        else ""
+    )
     return Content(
         lead=f"Objective: {decision.objective}. It was rendered at {len(sweep.angles_deg)} angles with "
-        f"{sweep.values.shape[1]} repeats that share their random draws; a smooth random curve through them gives the "
-        "probability of each angle.",
+        f"{sweep.values.shape[1]} repeats that share their random draws; random curves through them give the "
+        f"probability of each angle.{touched}",
         picture_rows=((picture,),),
         remarks=(decision.sentence.removeprefix(decision.headline).strip(), validation_statement(decision)),
         tables=(decision_table(decision),),

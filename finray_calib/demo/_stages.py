@@ -280,6 +280,7 @@ class Demo:
 
         sweeps = [read_record(self.path(name), LightAngleSweep) for name in (SWEEP, *OTHER_SWEEPS)]
         report = read_record(self.path(REPORT["b"]), PhotometricErrorReport)
+        sweeps.sort(key=lambda sweep: sweep.design.indenter.position_mm)
         decision = decide(sweeps, [report], self.settings.seed)
         return self._store(decision, DECISION, [SWEEP, *OTHER_SWEEPS, REPORT["b"]])
 

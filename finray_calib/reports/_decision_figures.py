@@ -95,7 +95,7 @@ def angle_figure(
 
 def _mark_captures(axes: Axes, decision: LightAngleDecision, best: float) -> None:
     """Draw captures with twice the standard uncertainties of value and angle."""
-    if not decision.captures:
+    if not decision.captures or len(decision.contacts) > 1:  # a capture is of one place, this curve of all of them
         return
     axes.errorbar(
         [capture.light_angle_deg for capture in decision.captures],

@@ -182,6 +182,9 @@ def test_objectives_that_agree_or_cannot_be_told_are_not_called_a_disagreement()
 def test_figures_show_captures_forbidden_angles_and_any_mounting():
     without = DECISION.model_copy(update={"captures": ()})
     assert len(angle_figure(DECISION, SWEEP)) > len(angle_figure(without, SWEEP))
+    # of several places a capture is on no curve of the figure
+    several = over_places(captures=DECISION.captures)
+    assert angle_figure(several, SWEEP) == angle_figure(over_places(), SWEEP)
     free = SWEEP.model_copy(update={"constraints": None})
     assert len(other_objectives_figure(DECISION, SWEEP)) > len(other_objectives_figure(DECISION, free))
     named = SWEEP.other_objectives[0].model_copy(update={"name": HOSTILE})
