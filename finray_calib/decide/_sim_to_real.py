@@ -75,33 +75,6 @@ class Discrepancy:
     _seen: Observations
     _ln_curves: Floats
 
-    @property
-    def mean(self) -> Floats:
-        """Expected shape at the first place (G,); of several unknown scales with that of the first capture."""
-        return np.asarray(self.visible.mean[0])
-
-    @cached_property
-    def covariance(self) -> Floats:
-        """Covariance (G, G) of t at the first place, without edges and reflections."""
-        hidden = 0.0 if self.hidden is None else self.hidden.covariance
-        return np.asarray(self.visible.covariance + hidden)
-
-    @property
-    def shape_means(self) -> Floats:
-        """Mean of t less its mean over the grid, at each place, shape (C, G)."""
-        return np.asarray(self.visible.mean - self.visible.mean.mean(axis=1, keepdims=True))
-
-    @property
-    def shape_mean(self) -> Floats:
-        """The same at the first place, shape (G,)."""
-        return np.asarray(self.shape_means[0])
-
-    @property
-    def shape_sd(self) -> Floats:
-        """Standard deviation of t less its mean over the grid at the first place, without edges, shape (G,)."""
-        response = self.covariance - self.covariance.mean(axis=0)
-        return np.asarray(np.sqrt(np.maximum(np.diag(response) - response.mean(axis=1), 0)))
-
     @cached_property
     def amplitude_quantiles_rel(self) -> tuple[float, float, float]:
         """Quantiles of the standard deviation of t at an angle, 2.5 %, 50 % and 97.5 %, without edges."""
