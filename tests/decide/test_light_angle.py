@@ -223,8 +223,8 @@ def test_claims_hold_with_captures(case):
     assert outcome.claimed_within_5deg - outcome.actual_within_5deg <= LARGEST_MISS + 0.1
     # Binomial(40, 0.95): below 34 with probability 3e-3.
     assert outcome.coverage_of_95 >= 34 / 40
-    # the model's own errors are small and often without a derivative: three captures see little of them
-    assert outcome.regret < (1.0 if case.truth == "model" else 0.6) * outcome.regret_simulation_only
+    # of the model's own errors many have no derivative: three captures see less of them
+    assert outcome.regret < (0.9 if case.truth == "model" else 0.6) * outcome.regret_simulation_only
 
 
 @pytest.mark.parametrize(
