@@ -130,7 +130,7 @@ def _one(case: Case, rng: np.random.Generator, draws: int) -> Sequence[float]:
         angles = np.array(case.captures_deg)
         captures = honest_captures(simulated, seen, angles, rng, case.absolute, FOREIGN_CAPTURE_SD_REL, 0.0)
     if isinstance(case.truth, str):
-        log_error = log_discrepancy(case.truth, rng)
+        log_error = log_discrepancy(case.truth, rng, simulated)
         real = simulated * np.exp(-log_error)
         if case.captures_deg:
             captures = honest_captures(simulated, log_error, np.array(case.captures_deg), rng, case.absolute)

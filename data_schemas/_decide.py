@@ -13,6 +13,7 @@ from data_schemas._units import AngleDeg, Fraction
 Floats = NDArray[np.float64]
 Verdict = Literal["decided", "tie", "undecided", "needs captures"]
 Criterion = Literal["average", "worst"]
+Aim = Literal["brightness", "normal"]
 Curve = Annotated[Floats, ArraySpec("<f8", ("angle",))]
 
 
@@ -64,6 +65,10 @@ class OtherObjective(Model):
     loss_rel: float = Field(description="at the decided angle, against that optimum: mean")
     loss_90_rel: tuple[float, float] = Field(description="its 5 % and 95 % quantiles")
     disagrees: bool | None = Field(description="with 95 % probability beyond the tolerance; None: not to be told")
+    cost_rel: float | None = Field(
+        default=None,
+        description="what its best angle loses of what was decided on, as expected; None in older versions",
+    )
     statement: str
 
 
@@ -94,11 +99,16 @@ class LightAngleDecision(Record):
     one touch, the sweep's, and name none.
     """
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray decide'"
     shown: ClassVar[tuple[str, ...]] = ("angle_deg", "verdict", "sentence")
 
     objective: str
+    aim: Aim = Field(
+        default="brightness",
+        description="what was decided on: brightness of the touch, or expected error of the sensed normal, whose "
+        "inverse is then the value, at places instead of touches",
+    )
     angle_deg: AngleDeg
     angle_simulation_only_deg: AngleDeg
     verdict: Verdict

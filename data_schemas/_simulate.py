@@ -143,11 +143,22 @@ class AngleObjective(Model):
     unit: str
     larger_is_better: bool
     values: Annotated[Floats, ArraySpec("<f8", ("angle", "repeat"))]
+    place_values: Annotated[Floats, ArraySpec("<f8", ("angle", "repeat", "place"))] | None = Field(
+        default=None,
+        description="the same at places along the pad: what a decision prefers to brightness; None without",
+    )
+    places_mm: Annotated[Floats, ArraySpec("<f8", ("place",), "mm")] | None = Field(
+        default=None, description="of these places, from the base"
+    )
 
     @model_validator(mode="after")
     def _positive(self) -> "AngleObjective":
-        if not (self.values > 0.0).all():
-            raise ValueError(f"{self.name}: values must be positive, the least is {self.values.min():g} {self.unit}")
+        least = min(float(v.min()) for v in (self.values, self.place_values) if v is not None)
+        if not least > 0.0:
+            raise ValueError(f"{self.name}: values must be positive, the least is {least:g} {self.unit}")
+        if (self.place_values is None) != (self.places_mm is None):
+            raise ValueError(f"{self.name}: values at places and the places themselves belong together")
+        check_dimensions(self)
         return self
 
     @property
@@ -211,7 +222,7 @@ class LightAngleSweep(Record):
     change the ranking of angles.
     """
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray simulate sweep'"
 
     name: str

@@ -435,6 +435,7 @@ def decide_light_angle(
     narrow_sweep: bool = False,
     weights: Sequence[float] | None = None,
     criterion: Literal["average", "worst"] = "average",
+    aim: Literal["brightness", "normal"] | None = None,
     seed: int = 1,
 ) -> LightAngleDecision:
     """Decide on the angle of the light over touches of a finger: the angle, its risk, and what each touch loses.
@@ -451,6 +452,9 @@ def decide_light_angle(
         How often each touch occurs, in the order of the sweeps; by default all alike.
     criterion
         "average": the least loss on average over the touches; "worst": at the worst of them.
+    aim
+        "brightness" of the touches, or expected error of the sensed "normal" at places along the pad; by default the
+        latter where a sweep holds it (``all_objectives=True``) and neither reports nor weights are given.
     seed
         Of the random generator.
 
@@ -468,6 +472,12 @@ def decide_light_angle(
     files += [file for _, read in compared for file in read]
     with naming(DecideError, *files):
         decision = decide(
-            [sweep for sweep, _ in swept], [report for report, _ in compared], seed, narrow_sweep, weights, criterion
+            [sweep for sweep, _ in swept],
+            [report for report, _ in compared],
+            seed,
+            narrow_sweep,
+            weights,
+            criterion,
+            aim,
         )
     return made(decision, "decide_light_angle", files, seed)

@@ -344,6 +344,9 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("LightAngleDecision", 2): _as_it_is,
     # one touch or several; a verdict has another name
     ("LightAngleDecision", 3): _with_verdict_of_captures,
+    # what was decided on, and what other objectives would cost it; values of an objective at places
+    ("LightAngleDecision", 4): _as_it_is,
+    ("LightAngleSweep", 2): _as_it_is,
     # whether there is emission at all; none: not judged
     ("PaintCalibration", 3): _as_it_is,
     # a laser may declare what switches it off outside the computer

@@ -19,11 +19,12 @@ HELP = "decide on the light angle from sweeps at the places that are touched"
 DESCRIPTION = """\
 Decide on the angle of the blue light (light.angle_deg of the design: between the pad's plane and the direction in
 which the panel shines; 0 along the pad, 90 into it). Give one sweep for each place where the finger is touched, as
-'finray simulate sweep --positions' writes them; one sweep alone decides for its one place only. The answer gives the
-angle with its tolerance, what is lost against the best at every place, the probability that another angle is better,
-and by how much. Photometric error reports, one for each physical capture, correct the simulated curves near their
-angles and show how sure they are elsewhere; without any, nothing is decided. The answer also names the capture that
-would help most."""
+'finray simulate sweep --positions' writes them; one sweep alone decides for its one place only. Sweeps
+by --objectives all are decided on by the expected error of the sensed normal, others by the brightness. The answer
+gives the angle with its tolerance, what is lost against the best at every place, the probability that another angle
+is better, and by how much. Photometric error reports, one for each physical capture, correct the simulated curves
+near their angles and show how sure they are elsewhere; without any, nothing is decided. The answer also names the
+capture that would help most."""
 
 
 def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -40,6 +41,11 @@ def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     parser.add_argument(
         "--criterion", choices=["average", "worst"], default="average",
         help="least loss on average over the touches (default), or at the worst of them",
+    )  # fmt: skip
+    parser.add_argument(
+        "--aim", choices=["brightness", "normal"],
+        help="decide on the brightness of the touches, or on the expected error of the sensed normal, which sweeps by "
+        "--objectives all hold (default: the latter where it is there, without reports and weights)",
     )  # fmt: skip
     parser.add_argument(
         "--photometric-error", type=Path, action="append", default=[], metavar="REPORT", dest="reports",
@@ -69,7 +75,7 @@ def run(arguments: argparse.Namespace) -> None:
     from data_schemas import DecideError, LightAngleSweep, PhotometricErrorReport, provenance
     from data_schemas.storage import ProductSet, read_record, write_record
     from finray_calib.decide import decide
-    from finray_calib.reports import decision_page
+    from finray_calib.reports import decision_page, verdict_words
 
     out = require_new(arguments.out or Path("light-angle-decision.json"))
     page = new_page_beside(out)
@@ -78,17 +84,25 @@ def run(arguments: argparse.Namespace) -> None:
     reports = [read_record(path, PhotometricErrorReport) for path in arguments.reports]
     with naming(DecideError, *paths):
         decision = decide(
-            sweeps, reports, arguments.seed, arguments.narrow_sweep, arguments.weights, arguments.criterion
+            sweeps,
+            reports,
+            arguments.seed,
+            arguments.narrow_sweep,
+            arguments.weights,
+            arguments.criterion,
+            arguments.aim,
         )
     inputs = input_digests(paths)
     with ProductSet(out) as products:
         products.add(page, decision_page(decision, sweeps, command_line(), inputs).encode())
         write_record(decision, out, provenance(command_line(), inputs, arguments.seed), products)
+    say(decision.headline)
+    say(f"\n{verdict_words(decision).capitalize()}. {decision.sentence.removeprefix(decision.headline).strip()}\n")
     wrote(out, decision.verdict.upper())
-    say(f"  {decision.sentence}")
     wrote(page, "for whoever mounts the light")
     give(
         verdict=decision.verdict, angle_deg=decision.angle_deg, tolerance_deg=decision.tolerance_deg,
-        sentence=decision.sentence, validated=decision.validated, next_capture=decision.next_capture,
+        headline=decision.headline, sentence=decision.sentence, validated=decision.validated,
+        next_capture=decision.next_capture,
     )  # fmt: skip
     look_at(page)

@@ -122,7 +122,8 @@ def add_sweep(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--objectives", choices=["intensity", "all"], default="intensity",
         help="only the brightness beside the indenter (default), or also how well normals can be measured (Fisher "
-        "information, held-out error), evenness, clipping and room for the panel (about a minute more)",
+        "information, held-out error), evenness, colours, clipping and room for the panel: 15 s more, once, with the "
+        "first of --positions",
     )  # fmt: skip
     parser.add_argument(
         "--samples", type=_even, default=4000, metavar="N", help="paths per probe, an even number (default: 4000)"
@@ -300,7 +301,9 @@ def _sweep(arguments: argparse.Namespace, out: Path, position_mm: float | None, 
         "samples": arguments.samples,
         "engine": working_engine(arguments.engine),
         "paints_as_given": arguments.paints_as_given,
-        "all_objectives": arguments.objectives == "all",
+        # of the undeformed pad, and so the same at every place
+        "all_objectives": arguments.objectives == "all"
+        and (position_mm is None or position_mm == arguments.positions[0]),
         "narrow_sweep": True,
     }
     if position_mm is not None:

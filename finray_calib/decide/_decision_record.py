@@ -1,9 +1,6 @@
 """From sweeps of the light angle and photometric error reports to the stored decision and its sentences.
 
-A repeat of a sweep has its own paths and its own draw of both paints. Paths average out over the repeats; the paint of
-the real finger is one draw, so that its scatter must be kept. The bands of each repeat are stored beside its colours,
-and colours are linear in bands: every draw of the paints can be put on the bands of every repeat, which takes the two
-apart exactly (`swept_contacts`). The sentences say first what to do, then what is lost, and how sure that is.
+The sentences say first what to do, then what is lost, and how sure that is.
 """
 
 from collections.abc import Sequence
@@ -16,16 +13,12 @@ from data_schemas import (
     AngleProposal,
     AngleStatement,
     DecidedContact,
-    DecideError,
     DecidingCapture,
     Indenter,
     LightAngleDecision,
     LightAngleSweep,
     OtherObjective,
     PhotometricErrorReport,
-    finger_identity,
-    look_like_radians,
-    narrow_sweep_text,
 )
 from finray_calib.decide._capture_errors import CaptureErrors, capture_errors, require_one_finger
 from finray_calib.decide._light_angle import (
@@ -34,21 +27,25 @@ from finray_calib.decide._light_angle import (
     AngleDecision,
     AngleRisk,
     Criterion,
-    SweptContact,
     decide_contacts,
 )
 from finray_calib.decide._next_observation import Proposal, propose_capture, propose_render
 from finray_calib.decide._other_objectives import OtherOptimum, other_optima
-from finray_calib.decide._sim_to_real import COMMON_SHARE
+from finray_calib.decide._sim_to_real import COMMON_SHARE, MOVED_SD_DEG
+from finray_calib.decide._swept_contacts import Aim, DecidedOn, decided_on
 
 Floats = NDArray[np.float64]
 TOLERANCE_REL = 0.02
 #: Half-width of a central 95 % interval of a normal distribution, in standard deviations.
 _BAND_QUANTILE = 1.959964
 _ERROR_CURVE = (
-    "a random curve over the angle, with kinks or without, with a correlation length between 8 and 150 deg, with edges "
-    "of shadows and narrow reflections"
+    f"a curve that is moved by some {MOVED_SD_DEG:g} deg (one standard deviation) and differs by a random curve over "
+    "the angle, with kinks or without, with a correlation length between 8 and 150 deg, by edges of shadows and by "
+    "narrow reflections"
 )
+#: Shape of what is looked at where the error of the normal is decided on.
+FACET = "facet"
+_ASSUMED_SIZE = "3 %, 95 % between 0.4 % and 21 %"
 
 
 def decide(
@@ -58,6 +55,7 @@ def decide(
     narrow_sweep: bool = False,
     weights: Sequence[float] | None = None,
     criterion: Criterion = "average",
+    aim: Aim | None = None,
 ) -> LightAngleDecision:
     """Decide on the light angle; reports on captures correct the simulated curves and tell how sure they are.
 
@@ -77,6 +75,9 @@ def decide(
         How often each touch occurs; None: all alike.
     criterion
         "average": the least loss on average over the touches; "worst": the least loss at the worst of them.
+    aim
+        "brightness" of the touches, or expected error of the sensed "normal" at places along the pad; None: the latter
+        where a sweep holds it and neither reports nor weights are given.
 
     Raises
     ------
@@ -85,42 +86,51 @@ def decide(
         is on another finger, or two reports are on one capture.
     """
     swept = [sweeps] if isinstance(sweeps, LightAngleSweep) else list(sweeps)
-    contacts = swept_contacts(swept, weights, narrow_sweep)
+    on = decided_on(swept, weights, narrow_sweep, aim, bool(reports))
     of_finger, of_sweep = require_one_finger(swept, reports)
     captures, left_out = capture_errors(swept, reports, of_sweep)
     rng = np.random.default_rng(seed)
-    decision = decide_contacts(contacts, rng, TOLERANCE_REL, captures, criterion)
-    others = other_optima(swept[0], decision.best_deg, TOLERANCE_REL, rng)
-    next_render = propose_render(decision) if len(swept) == 1 else None
-    next_capture = propose_capture(decision, captures)
-    decided = _contacts(swept, decision)
-    first = headline(decision, decided, criterion, TOLERANCE_REL)
-    then = decision_sentence(decision, captures.angles_deg, TOLERANCE_REL, next_render, next_capture, others, decided)
+    decision = decide_contacts(on.contacts, rng, TOLERANCE_REL, captures, criterion)
+    others = other_optima(on, decision, TOLERANCE_REL, rng)
+    next_render = propose_render(decision) if len(on.contacts) == 1 else None
+    next_capture = propose_capture(decision, captures) if on.aim == "brightness" else None
+    decided = _contacts(swept, on, decision)
+    first = headline(decision, decided, TOLERANCE_REL, on.aim)
+    then = decision_sentence(decision, captures.angles_deg, TOLERANCE_REL, next_render, next_capture, decided)
+    told = [first, then, *_other_sentences(others, on.aim), outside(decided, swept[0].design.indenter, on.aim)]
     # over several touches the curve is a share of the best
-    scale = float(swept[0].values.mean()) if len(swept) == 1 else 1.0
+    scale = float(swept[0].values.mean()) if len(on.contacts) == 1 else 1.0
     return LightAngleDecision(
-        objective=swept[0].objective,
-        angle_deg=decision.best_deg,
-        angle_simulation_only_deg=decision.best_simulation_only_deg,
-        verdict=decision.verdict,
-        at_range_end=decision.at_range_end,
+        objective=on.objective,
+        aim=on.aim,
         headline=first,
-        sentence=f"{first} {then} {outside(decided, swept[0].design.indenter)}",
+        sentence=" ".join(told),
         tolerance_rel=TOLERANCE_REL,
-        tolerance_deg=decision.contacts.tolerance_deg,
         criterion=criterion,
         contacts=decided,
-        angle_average_deg=decision.contacts.average_deg,
-        angle_worst_deg=decision.contacts.worst_deg,
-        contact_value=decision.contacts.relative,
+        **_choice(decision),
         captures=_deciding_captures(decision, captures, scale),
         **_certainty(decision),
         **_curves(decision, scale),
         next_render=_proposal(next_render, decided),
         next_capture=_proposal(next_capture, decided),
         other_objectives=tuple(_other(other) for other in others),
-        notes=(*of_finger, *left_out, *_notes(swept, decision, captures)),
+        notes=(*of_finger, *left_out, *_notes(swept, on, decision, captures)),
     )
+
+
+def _choice(decision: AngleDecision) -> dict[str, Any]:
+    """Return the fields that say which angle is chosen."""
+    return {
+        "angle_deg": decision.best_deg,
+        "angle_simulation_only_deg": decision.best_simulation_only_deg,
+        "verdict": decision.verdict,
+        "at_range_end": decision.at_range_end,
+        "tolerance_deg": decision.contacts.tolerance_deg,
+        "angle_average_deg": decision.contacts.average_deg,
+        "angle_worst_deg": decision.contacts.worst_deg,
+        "contact_value": decision.contacts.relative,
+    }
 
 
 def _certainty(decision: AngleDecision) -> dict[str, Any]:
@@ -153,24 +163,29 @@ def _band(mean_rel: Floats, sd_rel: Floats, scale: float) -> tuple[Floats, Float
     return scale * mean_rel, scale * (mean_rel - half), scale * (mean_rel + half)
 
 
-def _contacts(sweeps: Sequence[LightAngleSweep], decision: AngleDecision) -> tuple[DecidedContact, ...]:
-    """Return each touch and what it loses."""
+def _contacts(sweeps: Sequence[LightAngleSweep], on: DecidedOn, decision: AngleDecision) -> tuple[DecidedContact, ...]:
+    """Return each touch or place and what it loses."""
     losses = decision.contacts
     best = int(np.abs(decision.grid_deg - decision.best_deg).argmin())
     own = np.where(decision.choices, losses.relative, -np.inf).argmax(axis=1)
+    is_touch = on.aim == "brightness"
+    indenter = sweeps[0].design.indenter
+    what = [(sweep.name, sweep.design.indenter) for sweep in sweeps]
+    if not is_touch:  # facets all across the pad, which nothing touches
+        what = [(sweeps[0].name, indenter.model_copy(update={"position_mm": mm})) for mm in on.places_mm]
     return tuple(
         DecidedContact(
-            sweep=sweep.name,
-            shape=sweep.design.indenter.shape,
-            position_mm=sweep.design.indenter.position_mm,
-            across_mm=sweep.design.indenter.across_mm,
-            depth_mm=sweep.design.indenter.depth_mm,
+            sweep=name,
+            shape=touch.shape if is_touch else FACET,
+            position_mm=touch.position_mm,
+            across_mm=touch.across_mm if is_touch else 0.0,
+            depth_mm=touch.depth_mm if is_touch else 0.0,
             weight_share=float(losses.weights[n]),
             best_deg=float(decision.grid_deg[own[n]]),
             loss_rel=max(0.0, 1.0 - float(losses.relative[n, best])),
             loss_95_rel=float(losses.loss_95_rel[n]),
         )
-        for n, sweep in enumerate(sweeps)
+        for n, (name, touch) in enumerate(what)
     )
 
 
@@ -182,16 +197,16 @@ def _deciding_captures(decision: AngleDecision, captures: CaptureErrors, scale: 
     """
     if not captures.names:
         return ()
-    discrepancy = decision.discrepancy
-    expected = _at_captures(decision, captures, discrepancy.shape_means)
-    offset = discrepancy.visible.mean.mean(axis=1)[captures.contact]
+    level = decision.error_mean.mean(axis=1)
+    expected = _at_captures(decision, captures, decision.error_mean - level[:, None])
+    offset = level[captures.contact]
     if captures.scale_of is not None:
         for number in np.unique(captures.scale_of):
             members = captures.scale_of == number
             offset[members] = (captures.log_error - expected)[members].mean()
     log_shape = captures.log_error - offset
     log_error = captures.log_error if captures.scale_of is None else log_shape
-    sd = np.sqrt(np.diag(discrepancy.noise))
+    sd = np.sqrt(np.diag(decision.discrepancy.noise))
     simulated = _at_captures(decision, captures, np.array([curve.mean for curve in decision.curves]))
     value = scale * simulated * np.exp(-log_shape)
     return tuple(
@@ -245,11 +260,14 @@ def _other(other: OtherOptimum) -> OtherObjective:
         loss_rel=other.loss_rel,
         loss_90_rel=(other.loss_low_rel, other.loss_high_rel),
         disagrees=other.disagrees,
+        cost_rel=other.cost_rel,
         statement=str(other),
     )
 
 
-def _notes(sweeps: Sequence[LightAngleSweep], decision: AngleDecision, captures: CaptureErrors) -> tuple[str, ...]:
+def _notes(
+    sweeps: Sequence[LightAngleSweep], on: DecidedOn, decision: AngleDecision, captures: CaptureErrors
+) -> tuple[str, ...]:
     """Say what the decision rests on."""
     sweep, light = sweeps[0], sweeps[0].design.light
     notes = [
@@ -259,28 +277,21 @@ def _notes(sweeps: Sequence[LightAngleSweep], decision: AngleDecision, captures:
         f"scatter of one value about the curve: {max(c.noise_rel for c in decision.curves):.1%}, of render noise, "
         "which is averaged over the repeats; the scatter of the paint draws is kept: the real paint is one of them",
     ]
+    if on.aim == "normal":
+        notes.append(
+            "the error of the sensed normal is that of facets of the undeformed pad, by a map taught at other places; "
+            "that its inverse is as far from the finger's as a brightness would be, is assumed"
+        )
+    exposed = next((swept.constraints for swept in sweeps if swept.constraints is not None), None)
+    if exposed is not None:
+        longer = float(np.interp(decision.best_deg, sweep.angles_deg, exposed.exposure_rel))
+        notes.append(f"the exposure at this angle is {longer:.2g} times the shortest of the sweep")
     if not decision.choices.all():
         notes.append("angles at which pixels clip or the panel does not fit were left out of the choice")
-    if not captures.names:
-        notes.append(
-            "no capture shows how far the finger differs from the simulation; until one does, the error is taken to be "
-            f"{_ERROR_CURVE} and an assumed size (10 %, 95 % between 2.5 % and 39 %). The odds are as good as this "
-            "assumption"
-        )
-    else:
-        compared = (
-            "relative to the no-contact image of each capture, so an error that contact and no-contact image share is "
-            f"not seen: it keeps its prior, assumed to be {COMMON_SHARE:.0%} of the variance"
-            if captures.scale_of is None
-            else "by exposure and LED current, up to one unknown scale for each rig"
-        )
-        notes.append(
-            f"captures are compared {compared}; how the sim-to-real error depends on the angle elsewhere is "
-            f"{_ERROR_CURVE}, whose size (prior: 10 %, 95 % between 2.5 % and 39 %) the captures tell; they see the "
-            "image beside the indenter, the sweep its probe points"
-        )
-        notes += _unseen_channels(sweep)
-    if len(sweeps) > 1:
+    notes.append(_note_on_error(captures))
+    if captures.names and sweep.channels is None:
+        notes.append("the sweep was written by an older version without its channels: red, green and blue count alike")
+    if len(on.contacts) > 1:
         notes.append(
             "between places the error is alike by a share that nobody measured: 10 to 90 % of its variance, all alike "
             "likely; edges and reflections are those of one camera and shared"
@@ -288,15 +299,28 @@ def _notes(sweeps: Sequence[LightAngleSweep], decision: AngleDecision, captures:
     return tuple(notes)
 
 
-def _unseen_channels(sweep: LightAngleSweep) -> list[str]:
-    """Say when the sweep does not know the shares of its channels."""
-    if sweep.channels is not None:
-        return []
-    return ["the sweep was written by an older version without its channels: red, green and blue count alike"]
+def _note_on_error(captures: CaptureErrors) -> str:
+    """Say what is assumed of the sim-to-real error, and how captures tell of it."""
+    if not captures.names:
+        return (
+            "no capture shows how far the finger differs from the simulation; until one does, the error is taken to be "
+            f"{_ERROR_CURVE}, of an assumed size ({_ASSUMED_SIZE}). The odds are as good as this assumption"
+        )
+    compared = (
+        "relative to the no-contact image of each capture, so an error that contact and no-contact image share is "
+        f"not seen: it keeps its prior, assumed to be {COMMON_SHARE:.0%} of the variance"
+        if captures.scale_of is None
+        else "by exposure and LED current, up to one unknown scale for each rig"
+    )
+    return (
+        f"captures are compared {compared}; how the sim-to-real error depends on the angle elsewhere is "
+        f"{_ERROR_CURVE}, of a size (prior: {_ASSUMED_SIZE}) that the captures tell; they see the image beside the "
+        "indenter, the sweep its probe points"
+    )
 
 
 def headline(
-    decision: AngleDecision, contacts: Sequence[DecidedContact], criterion: Criterion, tolerance_rel: float
+    decision: AngleDecision, contacts: Sequence[DecidedContact], tolerance_rel: float, aim: Aim = "brightness"
 ) -> str:
     """Return the first sentence: where to mount the light, what is lost, and for which touches that is so.
 
@@ -305,37 +329,39 @@ def headline(
     decision : AngleDecision
     contacts : sequence of DecidedContact
         What was touched.
-    criterion : str
-        What was minimised over the touches.
     tolerance_rel : float
         Loss that does not matter, which gives the tolerance of the angle.
+    aim : str
+        What was decided on.
     """
-    one = f"For one place only, {_at(contacts[0])}: " if len(contacts) == 1 else ""
+    only = f"For one place only ({_at(contacts[0])}), " if len(contacts) == 1 else ""
     if decision.at_range_end:
-        start = "The" if not one else f"{one}the"
         return (
-            f"{start} best angle found, {decision.best_deg:.0f} deg, is the end of the sweep, so that a better one may "
-            "lie beyond it: simulate a wider sweep before the light is mounted."
+            f"{only or 'For this finger, '}the best angle found, {decision.best_deg:.0f} deg, is the end of the sweep: "
+            "simulate a wider sweep before the light is mounted."
         )
-    verb = "mount" if one else "Mount"
-    angle = f"{one}{verb} the light at {mounting_angle(decision)} deg"
-    if one:
-        return (
-            f"{angle}; between these angles the touch is at most {percent(tolerance_rel)} less bright than at the best."
-        )
+    angle = f"{only}{'mount' if only else 'Mount'} the light at {mounting_angle(decision)} deg"
+    simulated = "" if decision.validated else "as simulated, "
+    if only:
+        return f"{angle}: {simulated}the touch is at most {percent(tolerance_rel)} less bright than at the best angle."
     losses = [contact.loss_rel for contact in contacts]
-    worst = contacts[int(np.argmax(losses))]
-    average = float(np.dot([contact.weight_share for contact in contacts], losses))
-    span, most = span_of(contacts), percent(max(losses))
-    if criterion == "worst":
+    weights = [contact.weight_share for contact in contacts]
+    if aim == "normal":
+        above = above_best(np.array(losses))
         return (
-            f"{angle}: the brightness of the touch is at most {most} below the best at any of the {span}, and "
-            f"{percent(average)} on average."
+            f"{angle}: {simulated}the error of the sensed normal is at most {percent(above.max())} above the best at "
+            f"any of the {span_of(contacts)}, and {percent(float(above @ weights))} on average."
         )
+    average = float(np.dot(weights, losses))
     return (
-        f"{angle}: the brightness of the touch is on average {percent(average)} below the best at the {span}, and at "
-        f"most {most} ({_at(worst)})."
+        f"{angle}: {simulated}the touch is at most {percent(max(losses))} less bright than the best at any of the "
+        f"{span_of(contacts)}, and {percent(average)} on average."
     )
+
+
+def above_best(loss_rel: Floats) -> Floats:
+    """Return by how much an error is above its best, from the loss of its inverse."""
+    return np.asarray(1.0 / (1.0 - loss_rel) - 1.0)
 
 
 def mounting_angle(decision: AngleDecision) -> str:
@@ -354,7 +380,7 @@ def span_of(contacts: Sequence[DecidedContact]) -> str:
     return f"{len(contacts)} touches {along}"
 
 
-def outside(contacts: Sequence[DecidedContact], indenter: Indenter) -> str:
+def outside(contacts: Sequence[DecidedContact], indenter: Indenter, aim: Aim = "brightness") -> str:
     """Return what the decision says nothing about.
 
     Parameters
@@ -363,8 +389,15 @@ def outside(contacts: Sequence[DecidedContact], indenter: Indenter) -> str:
         What was touched.
     indenter : Indenter
         Of the first of them.
+    aim : str
+        What was decided on.
     """
     places = sorted({contact.position_mm for contact in contacts})
+    if aim == "normal":
+        return (
+            f"It holds for facets of the undeformed pad at {places[0]:g} to {places[-1]:g} mm, tilted by up to 20 deg; "
+            "shadows of the object that is touched are left out."
+        )
     across = sorted({contact.across_mm for contact in contacts})
     depths = sorted({contact.depth_mm for contact in contacts})
     shapes = sorted({contact.shape for contact in contacts})
@@ -384,7 +417,6 @@ def decision_sentence(
     tolerance_rel: float,
     next_render: Proposal | None = None,
     next_capture: Proposal | None = None,
-    others: Sequence[OtherOptimum] = (),
     contacts: Sequence[DecidedContact] = (),
 ) -> str:
     """Return what follows the first sentence: how sure the choice is, why, and what to do next.
@@ -398,8 +430,6 @@ def decision_sentence(
         Relative loss that does not matter.
     next_render, next_capture : Proposal, optional
         Said where the verdict asks for it.
-    others : sequence of OtherOptimum
-        Other objectives; those that disagree are named.
     contacts : sequence of DecidedContact
         Of several, the one to capture is named.
 
@@ -418,13 +448,22 @@ def decision_sentence(
     if next_capture is not None and (decision.verdict == "needs captures" or not captures_deg.size):
         where = f", {_at(contacts[next_capture.contact])}" if len(contacts) > 1 else ""
         parts.append(f"Capture next with the light at {next_capture.angle_deg:.0f} deg{where}.")
-    parts += [
-        f"{other.name[:1].upper()}{other.name[1:]} would choose {other.best_deg:.0f} deg and loses "
-        f"{percent(other.loss_rel)} here."
-        for other in others
-        if other.disagrees
-    ]
     return " ".join(parts)
+
+
+def _other_sentences(others: Sequence[OtherOptimum], aim: Aim) -> list[str]:
+    """Say what each objective that disagrees would have chosen, and what that costs."""
+    told = []
+    for other in others:
+        if other.disagrees:
+            cost = (
+                f"with {percent(other.cost_rel)} less brightness"
+                if aim == "brightness"
+                else f"where the error of the normal is {percent(float(above_best(np.array(other.cost_rel))))} larger"
+            )
+            name = f"{other.name[:1].upper()}{other.name[1:]}"
+            told.append(f"{name} would have chosen {other.best_deg:.0f} deg, {cost}.")
+    return told
 
 
 def _ground(decision: AngleDecision, captures_deg: Floats) -> str:
@@ -432,8 +471,9 @@ def _ground(decision: AngleDecision, captures_deg: Floats) -> str:
     low_rel, amplitude_rel, high_rel = decision.discrepancy.amplitude_quantiles_rel
     if not captures_deg.size:
         return (
-            "So says the simulation; no capture has checked it, and it is not decided before one does. An error of "
-            f"{percent(amplitude_rel)} (95 %: {percent(low_rel)} to {percent(high_rel)}) at each angle is assumed."
+            "So says the simulation; no capture has checked it, and it is not decided before one does. Assumed is that "
+            f"the finger's curve may be moved by some {MOVED_SD_DEG:g} deg and be off by {percent(amplitude_rel)} "
+            f"(95 %: {percent(low_rel)} to {percent(high_rel)}) at each angle."
         )
     angles = [f"{angle:.0f}" for angle in sorted(set(captures_deg.tolist()))]
     listed = " and ".join([*([", ".join(angles[:-1])] if len(angles) > 1 else []), angles[-1]])
@@ -441,8 +481,8 @@ def _ground(decision: AngleDecision, captures_deg: Floats) -> str:
     enough = "" if decision.verdict in {"decided", "tie"} else ", which is not enough to decide"
     return (
         f"{number} at {listed} deg {'is' if captures_deg.size == 1 else 'are'} in this{enough}: the simulation is off "
-        f"by some {percent(amplitude_rel)} at an angle. Without them it would be "
-        f"{decision.best_simulation_only_deg:.0f} deg."
+        f"by some {percent(amplitude_rel)} at an angle. Without {'it' if captures_deg.size == 1 else 'them'} the "
+        f"choice would be {decision.best_simulation_only_deg:.0f} deg."
     )
 
 
@@ -450,10 +490,9 @@ def _odds(decision: AngleDecision, tolerance_rel: float) -> str:
     """Say what may be lost against another angle, and with what probability."""
     risk = decision.risk
     return (
-        f"Another angle may be better by {percent(risk.expected_regret_rel)} on average and by at most "
-        f"{percent(risk.regret_95_rel)} with {percent(CONFIDENCE)} probability; that it is better by no more than "
-        f"{percent(tolerance_rel)} has a probability of {risk.p_within_tolerance:.2f}, and that the best angle lies "
-        f"within {NEARBY_DEG:.0f} deg one of {risk.p_within_5deg:.2f}."
+        f"No other angle is better by more than {percent(tolerance_rel)} with a probability of "
+        f"{risk.p_within_tolerance:.2f}, and none by more than {percent(risk.regret_95_rel)} with one of "
+        f"{CONFIDENCE:.2f}; the best angle lies within {NEARBY_DEG:.0f} deg with one of {risk.p_within_5deg:.2f}."
     )
 
 
@@ -466,106 +505,3 @@ def _at(contact: DecidedContact) -> str:
 def percent(fraction: float) -> str:
     """Return a fraction as per cent with two significant digits."""
     return f"{float(f'{100 * fraction:.2g}'):g} %"
-
-
-#: Colours that follow from the bands do so but for rounding.
-_LARGEST_MISFIT_REL = 1e-6
-
-
-def swept_contacts(
-    sweeps: Sequence[LightAngleSweep], weights: Sequence[float] | None, narrow_sweep: bool = False
-) -> list[SweptContact]:
-    """Return what sweeps of one finger say, one for each touch.
-
-    Parameters
-    ----------
-    sweeps
-        Of one finger, paints and objective, over the same angles.
-    weights
-        How often each touch occurs; None: all alike.
-    narrow_sweep
-        Whether angles that span less than 4 deg are meant so.
-
-    Raises
-    ------
-    DecideError
-        The sweeps do not belong together, the weights do not fit, or angles look like radians.
-    """
-    if weights is not None and (len(weights) != len(sweeps) or not (np.array(weights) > 0).all()):
-        raise DecideError(
-            f"{len(weights)} weights ({', '.join(f'{w:g}' for w in weights)}) for {len(sweeps)} sweeps; give one "
-            "number above 0 for each sweep, in their order, or none for equal weights"
-        )
-    for sweep in sweeps:
-        if look_like_radians(sweep.angles_deg) and not narrow_sweep:
-            raise DecideError(narrow_sweep_text(sweep.angles_deg))
-        _require_together(sweeps[0], sweep)
-    touches = [sweep.design.indenter.model_dump_json() for sweep in sweeps]
-    if len(set(touches)) < len(touches):
-        twice = next(sweep for number, sweep in enumerate(sweeps) if touches[number] in touches[:number])
-        raise DecideError(
-            f"two sweeps are of one touch (position_mm = {twice.design.indenter.position_mm:g} mm): it would count "
-            "twice. Give each sweep once, and its weight by --weights"
-        )
-    return [_contact(sweep, 1.0 if weights is None else weights[k]) for k, sweep in enumerate(sweeps)]
-
-
-def _require_together(first: LightAngleSweep, sweep: LightAngleSweep) -> None:
-    """Refuse a sweep of another finger, paints, objective or angles than the first."""
-    parts = set(finger_identity(first.design).differs_in(finger_identity(sweep.design))) - {"indenter"}
-    if parts:
-        raise DecideError(
-            f"the sweeps '{first.name}' and '{sweep.name}' are of two fingers, which differ in "
-            f"{', '.join(sorted(parts))}: no one light suits both. Only [indenter] may differ between the sweeps"
-        )
-    if first.paints != sweep.paints:
-        raise DecideError(
-            f"the sweeps '{first.name}' and '{sweep.name}' have different paint calibrations; simulate all of them "
-            "with the same --paint files"
-        )
-    if first.objective != sweep.objective:
-        raise DecideError(
-            f"the sweeps '{first.name}' and '{sweep.name}' have different objectives; decide on each alone"
-        )
-    if first.angles_deg.tolist() != sweep.angles_deg.tolist():
-        raise DecideError(
-            f"the sweeps '{first.name}' and '{sweep.name}' have different angles "
-            f"({first.angles_deg[0]:g} to {first.angles_deg[-1]:g} deg and {sweep.angles_deg[0]:g} to "
-            f"{sweep.angles_deg[-1]:g} deg); simulate all of them with the same --angles"
-        )
-
-
-def _contact(sweep: LightAngleSweep, weight: float) -> SweptContact:
-    """Return one touch, its paints apart where that can be told."""
-    allowed = None if sweep.constraints is None else sweep.constraints.allowed
-    crossed = _each_paint_on_each_repeat(sweep)
-    if crossed is None:
-        # paints and paths cannot be told apart: the whole scatter is kept as if it were of the paints
-        table = _relative(sweep.values)
-        return SweptContact(sweep.angles_deg, sweep.values, allowed, np.log(np.maximum(table, 1e-6)).T, weight)
-    relative = _relative(crossed)
-    return SweptContact(sweep.angles_deg, relative.mean(axis=1), allowed, np.log(relative.mean(axis=2)).T, weight)
-
-
-def _relative(values: Floats) -> Floats:
-    """Return values (A, ...) over their means over the angles."""
-    return np.asarray(values / values.mean(axis=0))
-
-
-def _each_paint_on_each_repeat(sweep: LightAngleSweep) -> Floats | None:
-    """Return the objective (angle, paint draw, repeat) of each paint draw with the paths of each repeat.
-
-    None where the colours of the sweep do not follow from its bands.
-    """
-    if sweep.channels is None or sweep.basis.shape[1] != sweep.values.shape[1]:
-        return None
-    bands = sweep.basis.mean(axis=2)
-    matrices = []
-    for repeat in range(bands.shape[1]):
-        matrix, _, rank, _ = np.linalg.lstsq(bands[:, repeat], sweep.channels[:, repeat], rcond=None)
-        misfit = np.abs(bands[:, repeat] @ matrix - sweep.channels[:, repeat]).max()
-        if rank < bands.shape[2] or misfit > _LARGEST_MISFIT_REL * np.abs(sweep.channels[:, repeat]).max():
-            return None
-        matrices.append(matrix)
-    values = np.einsum("arb,pbc->apr", bands, np.array(matrices)) / sweep.channels.shape[2]
-    return values if (values > 0).all() else None

@@ -190,8 +190,12 @@ class SimulatedCurve:
     @property
     def log_slope_per_deg(self) -> Floats:
         """Derivative of the logarithm of the expected curve, shape (G,)."""
-        mean = self.mean
-        return np.asarray(np.gradient(np.log(np.maximum(mean, _LEAST_SHARE * mean.max())), self.posterior.grid_deg))
+        return np.asarray(np.gradient(self.ln_mean, self.posterior.grid_deg))
+
+    @property
+    def ln_mean(self) -> Floats:
+        """Logarithm of the expected curve, shape (G,)."""
+        return np.asarray(np.log(np.maximum(self.mean, _LEAST_SHARE * self.mean.max())))
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +211,7 @@ class ContactLosses:
     loss_95_rel : ndarray, shape (C,)
         Loss at the chosen angle that is not exceeded with 95 % probability.
     average_deg, worst_deg : float
-        Angles of the least loss on average over the places, and of the least loss at the worst of them.
+        Angles that are best on average over the places, and at the worst of them.
     tolerance_deg : tuple of (float, float)
         Angles around the chosen one between which the expected curves lose at most the tolerance more.
     """
@@ -230,7 +234,7 @@ class AngleDecision:
     Attributes
     ----------
     best_deg, best_simulation_only_deg : float
-        Angle of the greatest value of the expected real curves, and of the expected simulated ones.
+        Angle of the least expected regret with captures, and of the greatest value of the simulated curves.
     at_range_end : bool
         Whether the former is the first or last angle of the sweep, so that the optimum may lie outside.
     verdict : str
@@ -245,6 +249,8 @@ class AngleDecision:
         Of each place.
     discrepancy : Discrepancy
         Sim-to-real error of the curves; its prior without captures.
+    error_mean : ndarray, shape (C, G)
+        Its expected value at each place, with the unknown scale of the first rig; zero without captures.
     choices : ndarray of bool, shape (G,)
         Angles of the grid that may be chosen.
     mean_rel, sd_rel : ndarray, shape (G,)
@@ -253,9 +259,11 @@ class AngleDecision:
     simulation_only_mean_rel, simulation_only_sd_rel : ndarray, shape (G,)
         The same if the simulation were exact.
     contacts : ContactLosses
+    value_mean : ndarray, shape (G,)
+        Expected value of each angle over the joint draws.
     shown_by_capture : ndarray, shape (C, A, G + 1)
-        Over several places, covariance of the value with the sim-to-real error at each place and angle of the sweep,
-        and last the variance of that error; empty at one place.
+        Covariance of the value with the sim-to-real error at each place and angle of the sweep, and last the variance
+        of that error.
     """
 
     best_deg: float
@@ -267,12 +275,14 @@ class AngleDecision:
     validated: bool
     curves: tuple[SimulatedCurve, ...]
     discrepancy: Discrepancy
+    error_mean: Floats
     choices: NDArray[np.bool_]
     mean_rel: Floats
     sd_rel: Floats
     simulation_only_mean_rel: Floats
     simulation_only_sd_rel: Floats
     contacts: ContactLosses
+    value_mean: Floats
     shown_by_capture: Floats
 
     @property
@@ -340,9 +350,9 @@ def decide_contacts(
     remaining scatter is pooled, and a random curve f whose smoothness, length and amplitude are summed over is put
     through the means on a grid of 1 deg. The real curve is f exp(p - t): p one draw of the paints, t the sim-to-real
     error less its mean over the grid: what captures tell of it, and its prior without any (see
-    `discrepancy_posterior`). Chosen is the angle of the greatest value of E f exp(-E t): the spread of t is left out,
-    because E exp(-t) would favour angles for being far from any capture. Its risk is taken over joint draws. See
-    `verdict_of` for the rules of the verdict.
+    `discrepancy_posterior`). Chosen is, with captures, the angle of the least expected regret over joint draws, where
+    the light falls off steeply at one side of the greatest value a little to the other side; without, the angle of the
+    greatest value of the simulated curves. See `verdict_of` for the rules of the verdict.
 
     Valid for an objective sampled finely enough to see its peak (10 deg for the light angle), and for repeats whose
     mean is wanted: renders with different seeds. An error of shape that all repeats share does not average out:
@@ -372,41 +382,44 @@ def decide_contacts(
         If a sweep has too few angles or repeats, unsorted angles or values that are not positive numbers, no angle is
         allowed at all places, or the tolerance is out of range.
     """
-    for contact in contacts:
-        _check(contact.angles_deg, contact.values, tolerance_rel)
-    curves = tuple(simulated_curve(contact.angles_deg, contact.values) for contact in contacts)
+    curves = tuple(_checked_curve(contact, tolerance_rel) for contact in contacts)
     discrepancy = _discrepancy(curves, captures)
     judge = _judge(contacts, curves, criterion, tolerance_rel)
     means = np.array([curve.mean for curve in curves])
-    real_means = means * np.exp(-discrepancy.shape_means)
-    best, alone = judge.best(real_means), judge.best(means)
     drawn = np.stack([curve.posterior.draws(draws, rng)[:, 0] for curve in curves], axis=1)
-    rendered = judge.risk(drawn, alone)
+    rendered = judge.risk(drawn, alone := judge.best(means, None))
     drawn *= np.exp(_paint_draws(contacts, judge.grid_deg, draws, rng))
     simulation_only = judge.risk(drawn, alone)
-    alone_mean, alone_sd = _band(judge, means, drawn)
-    errors = discrepancy.shape_draws(draws, rng)
+    alone_band = _band(judge, means, drawn)
+    errors = discrepancy.draws(draws, rng)
+    # without captures nothing is known of the error's sign
+    error_mean = errors.mean(axis=0) if captures.names else np.zeros_like(means)
+    # a scale common to all angles cannot change the ranking
+    real_means = means * np.exp(error_mean.mean(axis=1, keepdims=True) - error_mean)
+    errors -= errors.mean(axis=2, keepdims=True)
     drawn *= np.exp(-errors)
-    risk = judge.risk(drawn, best)
-    at_range_end = best in (0, judge.grid_deg.size - 1)
-    mean, sd = _band(judge, real_means, drawn)
+    by_draws = drawn if captures.names else None
+    risk = judge.risk(drawn, best := judge.best(real_means, by_draws))
+    real_band = _band(judge, real_means, drawn)
     return AngleDecision(
         best_deg=float(judge.grid_deg[best]),
         best_simulation_only_deg=float(judge.grid_deg[alone]),
-        at_range_end=at_range_end,
+        at_range_end=judge.is_end(best),
         # an optimum at the end of the sweep may lie outside it: no risk inside the range says anything
-        verdict="undecided" if at_range_end else verdict_of(rendered, risk, tolerance_rel, bool(captures.names)),
+        verdict="undecided" if judge.is_end(best) else verdict_of(rendered, risk, tolerance_rel, bool(captures.names)),
         simulation_only=simulation_only,
         risk=risk,
         validated=bool(captures.names),
         curves=curves,
         discrepancy=discrepancy,
+        error_mean=error_mean,
         choices=judge.choices,
-        mean_rel=mean,
-        sd_rel=sd,
-        simulation_only_mean_rel=alone_mean,
-        simulation_only_sd_rel=alone_sd,
-        contacts=judge.losses(real_means, drawn, best),
+        mean_rel=real_band[0],
+        sd_rel=real_band[1],
+        simulation_only_mean_rel=alone_band[0],
+        simulation_only_sd_rel=alone_band[1],
+        contacts=judge.losses(real_means, drawn, best, by_draws),
+        value_mean=judge.value(drawn).mean(axis=0),
         shown_by_capture=_shown_by_capture(judge, contacts[0].angles_deg, errors, drawn),
     )
 
@@ -414,9 +427,7 @@ def decide_contacts(
 def _discrepancy(curves: Sequence[SimulatedCurve], captures: CaptureErrors) -> Discrepancy:
     """Return the sim-to-real error of all places; the slope of a capture's curve tells what its angle's error does."""
     grid_deg = curves[0].posterior.grid_deg
-    slopes = np.array([np.interp(captures.angles_deg, grid_deg, curve.log_slope_per_deg) for curve in curves])
-    slope = slopes[captures.contact, np.arange(captures.contact.size)]
-    return discrepancy_posterior(captures, slope, grid_deg, len(curves))
+    return discrepancy_posterior(captures, np.array([curve.ln_mean for curve in curves]), grid_deg)
 
 
 @dataclass(frozen=True, slots=True)
@@ -440,15 +451,26 @@ class _Judge:
             return np.asarray(relative.min(axis=-2))
         return np.asarray(np.einsum("c,...cg->...g", self.weights, relative))
 
-    def best(self, curves: Floats, criterion: Criterion | None = None) -> int:
-        """Return the index of the greatest value among the choices."""
-        return int(np.where(self.choices, self.value(curves, criterion), -np.inf).argmax())
+    def best(self, means: Floats, drawn: Floats | None, criterion: Criterion | None = None) -> int:
+        """Return the index of the best choice for the expected curves (C, G).
+
+        With draws (S, C, G) of the curves it is the one of the least expected regret over them.
+        """
+        expected = self.value(means, criterion)
+        if drawn is not None:
+            value = self.value(drawn, criterion)
+            expected = (value / value[:, self.choices].max(axis=1, keepdims=True)).mean(axis=0)
+        return int(np.where(self.choices, expected, -np.inf).argmax())
+
+    def is_end(self, best: int) -> bool:
+        """Return whether an angle is the first or last one."""
+        return best in (0, self.grid_deg.size - 1)
 
     def risk(self, curves: Floats, best: int) -> AngleRisk:
         """Return the risk of an angle over drawn curves (S, C, G)."""
         return angle_risk(self.value(curves), self.grid_deg, best, self.tolerance_rel, self.choices)
 
-    def losses(self, means: Floats, drawn: Floats, best: int) -> ContactLosses:
+    def losses(self, means: Floats, drawn: Floats, best: int, by_draws: Floats | None) -> ContactLosses:
         """Return what each place loses."""
         value, grid = self.value(means), self.grid_deg
         enough = self.choices & (value >= (1 - self.tolerance_rel) * value[best])
@@ -457,8 +479,8 @@ class _Judge:
             weights=self.weights,
             relative=self.relative(means),
             loss_95_rel=np.quantile(1 - self.relative(drawn)[..., best], CONFIDENCE, axis=0),
-            average_deg=float(grid[self.best(means, "average")]),
-            worst_deg=float(grid[self.best(means, "worst")]),
+            average_deg=float(grid[self.best(means, by_draws, "average")]),
+            worst_deg=float(grid[self.best(means, by_draws, "worst")]),
             tolerance_deg=(low, high),
         )
 
@@ -487,8 +509,6 @@ def _band(judge: _Judge, means: Floats, drawn: Floats) -> tuple[Floats, Floats]:
 
 def _shown_by_capture(judge: _Judge, angles_deg: Floats, errors: Floats, drawn: Floats) -> Floats:
     """Return how the value moves with the error at each place and angle (C, A, G + 1), over draws."""
-    if errors.shape[1] == 1:
-        return np.empty((0, 0, 0))
     at = np.abs(judge.grid_deg - angles_deg[:, None]).argmin(axis=1)
     shown = errors[..., at] - errors[..., at].mean(axis=0)
     value = judge.value(drawn)
@@ -512,6 +532,12 @@ def _paint_draws(contacts: Sequence[SweptContact], grid_deg: Floats, draws: int,
             on_grid = np.array([np.interp(grid_deg, contact.angles_deg, row) for row in about_mean])
             found[:, number] = normals[:, : len(on_grid)] @ on_grid
     return found
+
+
+def _checked_curve(contact: SweptContact, tolerance_rel: float) -> SimulatedCurve:
+    """Return the curve of a sweep that allows a decision."""
+    _check(contact.angles_deg, contact.values, tolerance_rel)
+    return simulated_curve(contact.angles_deg, contact.values)
 
 
 def simulated_curve(angles_deg: Floats, values: Floats) -> SimulatedCurve:

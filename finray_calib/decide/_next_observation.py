@@ -113,57 +113,39 @@ def propose_render(decision: AngleDecision) -> Proposal | None:
     """
     simulated = decision.simulated
     curve = simulated.posterior
-    noise_rel = simulated.noise_rel / np.sqrt(simulated.repeats)
+    noise_rel = simulated.noise_rel / float(np.sqrt(simulated.repeats))
     noise_variance = np.full(curve.grid_deg.size, noise_rel**2)
-    response = np.exp(-decision.discrepancy.shape_mean)[:, None] * curve.covariance
-    return _most_helpful(decision, response, np.diag(curve.covariance), noise_variance)
+    response = (decision.mean_rel / simulated.mean)[:, None] * curve.covariance
+    choices = decision.choices
+    mean = decision.mean_rel[choices]
+    gains = knowledge_gradient(mean, response[choices], np.diag(curve.covariance), noise_variance)
+    best = int(gains.argmax())
+    gain_rel = float(gains[best] / mean.max())
+    return None if gain_rel < LEAST_GAIN_REL else Proposal(float(curve.grid_deg[best]), gain_rel, noise_rel)
 
 
 def propose_capture(decision: AngleDecision, captures: CaptureErrors) -> Proposal | None:
-    """Return the angle to capture next; None where it would change nothing.
+    """Return the place and the angle of the sweep to capture next; None where it would change nothing.
 
-    A capture shows the sim-to-real error at its angle, with the noise of the captures so far (median; 1 % and 2 deg
-    without any). That it also tells the amplitude of that error is not counted. Over several
-    places, from draws, the place and the angle of the sweep that help most, the angle's uncertainty left out.
+    A capture shows the sim-to-real error at its place and angle, with the noise of the captures so far (median; 1 % and
+    2 deg without any). How the value of each angle moves with that error is taken from the joint draws, to first order;
+    that a capture also tells the amplitude of the error is not counted.
     """
     sd_rel, angle_sd_deg = ASSUMED_CAPTURE_SD_REL, UNSTATED_ANGLE_SD_DEG
     if captures.names:
         sd_rel = float(np.sqrt(np.median(np.diag(captures.covariance))))
         angle_sd_deg = float(np.median(captures.angle_sd_deg))
-    if decision.shown_by_capture.size:
-        return _capture_of_several(decision, sd_rel)
-    noise_variance = sd_rel**2 + (decision.simulated.log_slope_per_deg * angle_sd_deg) ** 2
-    discrepancy = decision.discrepancy
-    response = -decision.mean_rel[:, None] * discrepancy.shape_response
-    return _most_helpful(decision, response, np.diag(discrepancy.visible.covariance), noise_variance)
-
-
-def _capture_of_several(decision: AngleDecision, sd_rel: float) -> Proposal | None:
-    """Return the place and angle where a capture helps most."""
     shown, choices = decision.shown_by_capture, decision.choices
     places, angles, _ = shown.shape
+    swept_deg = decision.simulated.posterior.seen.angles_deg
+    slopes = [np.interp(swept_deg, decision.grid_deg, curve.log_slope_per_deg) for curve in decision.curves]
+    noise_variance = sd_rel**2 + (np.ravel(slopes) * angle_sd_deg) ** 2
     flat = shown.reshape(places * angles, -1)
-    mean = decision.mean_rel[choices]
-    gains = knowledge_gradient(mean, flat[:, :-1][:, choices].T, flat[:, -1], np.full(len(flat), sd_rel**2))
+    mean = decision.value_mean[choices]
+    gains = knowledge_gradient(mean, flat[:, :-1][:, choices].T, flat[:, -1], noise_variance)
     best = int(gains.argmax())
     gain_rel = float(gains[best] / mean.max())
     if gain_rel < LEAST_GAIN_REL:
         return None
     place, angle = divmod(best, angles)
-    swept_deg = decision.simulated.posterior.seen.angles_deg
-    return Proposal(float(swept_deg[angle]), gain_rel, sd_rel, place)
-
-
-def _most_helpful(
-    decision: AngleDecision, response: Floats, observed_variance: Floats, noise_variance: Floats
-) -> Proposal | None:
-    """Return the candidate of the grid with the greatest knowledge gradient."""
-    choices = decision.choices
-    mean = decision.mean_rel[choices]
-    gains = knowledge_gradient(mean, response[choices], observed_variance, noise_variance)
-    best = int(gains.argmax())
-    gain_rel = float(gains[best] / mean.max())
-    if gain_rel < LEAST_GAIN_REL:
-        return None
-    grid_deg = decision.grid_deg
-    return Proposal(float(grid_deg[best]), gain_rel, float(np.sqrt(noise_variance[best])))
+    return Proposal(float(swept_deg[angle]), gain_rel, float(np.sqrt(noise_variance[best])), place)

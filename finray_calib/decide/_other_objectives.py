@@ -1,13 +1,14 @@
-"""What the decided angle costs under the sweep's other objectives: normals, evenness."""
+"""Objectives beside the one that is decided on: what the decided angle loses under them, and what theirs costs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import AngleObjective, DecideError, LightAngleSweep
-from finray_calib.decide._light_angle import open_angles, simulated_curve
+from data_schemas import AngleObjective, DecideError
+from finray_calib.decide._light_angle import AngleDecision, open_angles, simulated_curve
+from finray_calib.decide._swept_contacts import DecidedOn
 
 Floats = NDArray[np.float64]
 OPTIMUM_DRAWS: Final = 2000
@@ -31,6 +32,8 @@ class OtherOptimum:
         The objective itself, in its unit, at that angle and at the decided one.
     loss_rel, loss_low_rel, loss_high_rel : float
         Relative loss of utility at the decided angle: mean, 5 % and 95 % quantile.
+    cost_rel : float
+        Relative loss, as expected, of what is decided on at this objective's best angle.
     disagrees : bool or None
         True when the loss exceeds the tolerance with 95 % probability, False when it stays within it with 95 %
         probability, None when the sweep is too noisy to say.
@@ -45,6 +48,7 @@ class OtherOptimum:
     loss_low_rel: float
     loss_high_rel: float
     disagrees: bool | None
+    cost_rel: float = 0.0
 
     def __str__(self) -> str:
         """Say it in one sentence."""
@@ -58,16 +62,15 @@ class OtherOptimum:
 
 
 def other_optima(
-    sweep: LightAngleSweep, decided_deg: float, tolerance_rel: float, rng: np.random.Generator
+    on: DecidedOn, decision: AngleDecision, tolerance_rel: float, rng: np.random.Generator
 ) -> tuple[OtherOptimum, ...]:
-    """Return the optimum of each further objective of a sweep, in the order in which it stores them.
+    """Return the optimum of each objective that was not decided on, in the order in which they are stored.
 
     Parameters
     ----------
-    sweep : LightAngleSweep
-        With or without further objectives.
-    decided_deg : float
-        Angle that was decided on the sweep's own objective.
+    on : DecidedOn
+        With or without other objectives.
+    decision : AngleDecision
     tolerance_rel : float
         Relative loss that does not matter.
     rng : numpy.random.Generator
@@ -75,13 +78,17 @@ def other_optima(
     Returns
     -------
     tuple of OtherOptimum
-        Empty for a sweep without further objectives.
+        Empty without other objectives.
     """
-    allowed = None if sweep.constraints is None else sweep.constraints.allowed
-    return tuple(
-        other_optimum(sweep.angles_deg, objective, decided_deg, tolerance_rel, rng, allowed)
-        for objective in sweep.other_objectives
-    )
+    allowed = [contact.allowed for contact in on.contacts if contact.allowed is not None]
+    everywhere = np.all(allowed, axis=0) if allowed else None
+    angles_deg, grid_deg, value = on.contacts[0].angles_deg, decision.grid_deg, decision.mean_rel
+    found = []
+    for objective in on.others:
+        other = other_optimum(angles_deg, objective, decision.best_deg, tolerance_rel, rng, everywhere)
+        there, here = (np.interp(angle, grid_deg, value) for angle in (other.best_deg, decision.best_deg))
+        found.append(replace(other, cost_rel=max(0.0, float(1.0 - there / here))))
+    return tuple(found)
 
 
 def other_optimum(

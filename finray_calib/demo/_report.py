@@ -45,6 +45,7 @@ from finray_calib.demo._stages import (
     CAPTURE,
     DECISION,
     MECHANICS,
+    OTHER_TRUE_SWEEPS,
     PRESS,
     REPORT,
     SURFACES,
@@ -63,12 +64,12 @@ from finray_calib.reports import (
     angle_figure,
     clipped_remark,
     decimals_for,
-    decision_meaning,
+    decision_numbers,
     decision_table,
     display_remark,
     drawing,
     duration,
-    equivalent_text,
+    emission_figure,
     error_map_figure,
     error_table,
     figure_png,
@@ -77,12 +78,13 @@ from finray_calib.reports import (
     grid_phrase,
     headline,
     level_a_sentence,
+    mounting_picture,
     one_group,
     pad_window,
     paint_sentence,
     percent,
+    places_part,
     pressed_finger_png,
-    probability,
     provenance_table,
     raster,
     render_page,
@@ -93,6 +95,8 @@ from finray_calib.reports import (
     simulation_sentence,
     to_display,
     touch_pair,
+    verdict_sentence,
+    verdict_words,
 )
 from finray_calib.sensing import rgb_image
 from rigs.capture import read_frame_of, read_session
@@ -117,9 +121,9 @@ def demo_report(results: DemoResults) -> str:
     """
     return render_page(
         TEMPLATE,
-        decision=results.decision,
-        verdict_meaning=decision_meaning(results.decision),
+        verdict=verdict_sentence(results.decision),
         key_numbers=_key_numbers(results),
+        first_look=_first_look(results),
         findings=_findings(results),
         limits=trust_limits(results),
         assumptions=assumptions(results),
@@ -134,17 +138,32 @@ def demo_report(results: DemoResults) -> str:
 def _key_numbers(results: DemoResults) -> tuple[tuple[str, str, str], ...]:
     """Return (label, value, remark) of the few numbers that stand beside the verdict."""
     decision, report = results.decision, results.report
-    claim, skill, floor = decision.statement, report.headline_skill, row_of(headline(report), "floor")
+    skill, floor = report.headline_skill, row_of(headline(report), "floor")
     repeated = "no repeat captured" if floor is None else f"a repeated capture {fixed(floor.skill.estimate, 3)}"
     return (
-        ("Light angle", f"{decision.angle_deg:.0f} deg", f"equivalent: {equivalent_text(claim)}"),
-        ("True best within 5 deg", probability(claim.p_within_5deg), "probability"),
-        ("Expected loss", percent(claim.expected_regret), f"at most {percent(claim.regret_95)} with 95 % probability"),
+        *decision_numbers(decision),
         (
             "Simulation skill",
             fixed(skill.estimate, 2),
             f"95 %: {fixed(skill.low95, 2)} to {fixed(skill.high95, 2)}; do nothing 0, {repeated}",
         ),
+    )
+
+
+def _first_look(results: DemoResults) -> Content:
+    """Show the touch before and after, the finger with its light, and both spectra."""
+    untouched, touched, _ = _strip(results)
+    spectra = tuple(
+        drawing(
+            emission_figure(results.paints[colour].fitted),
+            paint_sentence(results.paints[colour].fitted),
+            f"Emission of the {colour} paint, as fitted, with its 95 % band.",
+        )
+        for colour in COLOURS
+    )
+    return Content(
+        "The pad before and after the touch, as the camera saw it; the light on the finger; and what the paints emit.",
+        picture_rows=((untouched, touched, mounting_picture(results.decision, results.sweep)), spectra),
     )
 
 
@@ -214,18 +233,25 @@ def _decide(results: DemoResults) -> Content:
     """Show the objective over the angle."""
     decision, sweep = results.decision, results.sweep
     picture = drawing(
-        angle_figure(decision, sweep, results.true_sweep),
+        angle_figure(decision, sweep, results.true_sweeps),
         f"The objective over the light angle is best near {decision.angle_deg:.0f} deg. {decision.sentence}",
         "Objective over the angle of the blue light: 0 deg along the pad, 90 deg straight into it. What to see: where "
         "the curve is flat the angle matters little; hatched angles do as well as the chosen one.",
     )
+    touched = (
+        f" The finger was touched at {len(decision.contacts)} places: at one by finite elements, at the others by a "
+        "formula."
+        if len(decision.contacts) > 1
+        else ""
+    )
     return Content(
         lead=f"Objective: {decision.objective}. It was rendered at {len(sweep.angles_deg)} angles with "
-        f"{sweep.values.shape[1]} repeats that share their random draws; a smooth random curve through them gives the "
-        "probability of each angle.",
+        f"{sweep.values.shape[1]} repeats that share their random draws; random curves through them give the "
+        f"probability of each angle.{touched}",
         picture_rows=((picture,),),
-        remarks=(validation_statement(decision),),
+        remarks=(decision.sentence.removeprefix(decision.headline).strip(), validation_statement(decision)),
         tables=(decision_table(decision),),
+        parts=(places_part(decision),) if len(decision.contacts) > 1 else (),
     )
 
 
@@ -406,7 +432,7 @@ WHITE_PATCH = 19  # of the ColorChecker
 
 
 def write_report(settings: Mapping[str, Any], seconds: Mapping[str, float]) -> dict[str, str]:
-    """Write summary and report of a demo whose stages are all stored; return the verdict and its sentence.
+    """Write summary and report of a demo whose stages are all stored; return its first sentence, and how sure that is.
 
     Parameters
     ----------
@@ -423,7 +449,8 @@ def write_report(settings: Mapping[str, Any], seconds: Mapping[str, float]) -> d
         products.add(demo.path(REPORT_PAGE), demo_report(results).encode())
         out = demo.settings.out
         products.add(out / MANIFEST_NAME, manifest_text(out, products.added_below(out), (LOGS,)))
-    return {"verdict": results.decision.verdict, "sentence": results.decision.sentence}
+    decision = results.decision
+    return {"verdict": verdict_sentence(decision), "certainty": verdict_words(decision)}
 
 
 def stored_results(demo: Demo, seconds: Mapping[str, float]) -> DemoResults:
@@ -442,7 +469,7 @@ def stored_results(demo: Demo, seconds: Mapping[str, float]) -> DemoResults:
         renderer_note=demo.engine.note,
         command=settings.command,
         provenance=provenance(settings.command, {}, settings.seed),
-        true_sweep=read_record(demo.path(TRUE_SWEEP), LightAngleSweep),
+        true_sweeps=tuple(read_record(demo.path(name), LightAngleSweep) for name in (TRUE_SWEEP, *OTHER_TRUE_SWEEPS)),
         report_level_a=read_record(demo.path(REPORT["a"]), PhotometricErrorReport),
     )
 

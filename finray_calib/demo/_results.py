@@ -4,7 +4,7 @@ A number that is not finite becomes null. Also how far the run can be trusted: w
 every note of the records.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -35,6 +35,7 @@ from finray_calib.reports import (
     model_statement,
     percent,
     plain,
+    true_value,
 )
 
 Colour = Literal["red", "green"]
@@ -83,8 +84,8 @@ class DemoResults:
         Which renderer made the images and what that means, in words.
     command
         The command that reproduces the run.
-    true_sweep
-        The same objective over the angle for the hidden true finger, or None when it was not rendered.
+    true_sweeps
+        The same objective over the angle for the hidden true finger, at each place; empty when it was not rendered.
     report_level_a
         The paper's emitter (light textured by distance, the same at every angle) against the same capture, or
         None when it was not rendered.
@@ -105,7 +106,7 @@ class DemoResults:
     renderer_note: str
     command: str
     provenance: Provenance
-    true_sweep: LightAngleSweep | None = None
+    true_sweeps: tuple[LightAngleSweep, ...] = ()
     mechanics: PressMechanics | None = None
     surfaces: FingerSurfaces | None = None
     report_level_a: PhotometricErrorReport | None = None
@@ -183,7 +184,7 @@ def _photometric_error(report: PhotometricErrorReport | None) -> Json | None:
 def _decision(results: DemoResults) -> Json:
     """Return the decision with and without the sim-to-real error, beside the truth where it is known."""
     decision = results.decision
-    true = None if results.true_sweep is None else true_loss(results.true_sweep, decision.angle_deg)
+    true = true_loss(results.true_sweeps, decision.angle_deg) if results.true_sweeps else None
     return {
         "angle_deg": decision.angle_deg,
         **_statement(decision.statement),
@@ -199,15 +200,16 @@ def _decision(results: DemoResults) -> Json:
     }
 
 
-def true_loss(true_sweep: LightAngleSweep, angle_deg: float) -> tuple[float, float]:
+def true_loss(true_sweeps: Sequence[LightAngleSweep], angle_deg: float) -> tuple[float, float]:
     """Return the best rendered angle of the true finger in deg, and the loss of another angle relative to it.
 
-    Linear between the rendered angles; a loss below the sweep's own noise is not distinguishable from none.
+    Over several places the value of an angle is the mean of the brightness over its own best there. Linear between the
+    rendered angles; a loss below the sweeps' own noise is not distinguishable from none.
     """
-    curve = (true_sweep.values / true_sweep.values.mean(axis=0)).mean(axis=1)
+    curve = true_value(true_sweeps)
     best = int(np.argmax(curve))
-    at_angle = float(np.interp(angle_deg, true_sweep.angles_deg, curve))
-    return float(true_sweep.angles_deg[best]), 1.0 - at_angle / float(curve[best])
+    at_angle = float(np.interp(angle_deg, true_sweeps[0].angles_deg, curve))
+    return float(true_sweeps[0].angles_deg[best]), 1.0 - at_angle / float(curve[best])
 
 
 def _statement(statement: AngleStatement) -> Json:
@@ -311,9 +313,9 @@ def all_notes(results: DemoResults) -> tuple[str, ...]:
 
 def truth_statement(results: DemoResults) -> str | None:
     """Say what the chosen angle costs on the hidden true finger, or None when that was not rendered."""
-    if results.true_sweep is None:
+    if not results.true_sweeps:
         return None
-    best_deg, loss = true_loss(results.true_sweep, results.decision.angle_deg)
+    best_deg, loss = true_loss(results.true_sweeps, results.decision.angle_deg)
     cost = "nothing measurable" if loss < 0.0005 else percent(loss)
     return (
         f"On the hidden true finger the best rendered angle is {best_deg:.0f} deg, and the chosen "

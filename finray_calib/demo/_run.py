@@ -28,7 +28,19 @@ from data_schemas.storage import (
     sha256_of,
     write_bytes,
 )
-from finray_calib.demo._stages import CAPTURE, COLOURS, DECISION, MECHANICS, PRESS, REPORT, SURFACES, SWEEP, TRUE_SWEEP
+from finray_calib.demo._stages import (
+    CAPTURE,
+    COLOURS,
+    DECISION,
+    MECHANICS,
+    OTHER_SWEEPS,
+    OTHER_TRUE_SWEEPS,
+    PRESS,
+    REPORT,
+    SURFACES,
+    SWEEP,
+    TRUE_SWEEP,
+)
 
 SETTINGS, TIMES = "demo.json", "stage-times.jsonl"
 LOGS = "logs"
@@ -302,8 +314,13 @@ STAGES: tuple[Stage, ...] = (
         _product(SWEEP, "data_schemas._simulate:LightAngleSweep", SURFACES, *PAINTS),
     ),
     _stage(
-        "simulate", "the sweep of the true finger", "true_sweep", "renders",
+        "simulate", "the sweeps at other places", "other_sweeps", "renders",
+        *(_product(name, "data_schemas._simulate:LightAngleSweep", *PAINTS) for name in OTHER_SWEEPS),
+    ),
+    _stage(
+        "simulate", "the sweeps of the true finger", "true_sweeps", "renders",
         _product(TRUE_SWEEP, "data_schemas._simulate:LightAngleSweep", SURFACES),
+        *(_product(name, "data_schemas._simulate:LightAngleSweep") for name in OTHER_TRUE_SWEEPS),
     ),
     _stage(
         "capture", "the capture of the digital twin", "twin", "renders",
@@ -318,7 +335,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     _stage(
         "decide", "the decision on the light angle", "decide", "verdict",
-        _product(DECISION, "data_schemas._decide:LightAngleDecision", SWEEP, REPORT["b"]),
+        _product(DECISION, "data_schemas._decide:LightAngleDecision", SWEEP, *OTHER_SWEEPS, REPORT["b"]),
     ),
 )  # fmt: skip
 REPORT_STAGE = Stage("", "the report", "finray_calib.demo._report:write_report", {}, (), "verdict")
@@ -350,7 +367,7 @@ def run_demo(
     Returns
     -------
     dict
-        What the report says: verdict, sentence; and `seconds`, the wall time of all stages.
+        What the report says: verdict, certainty; and `seconds`, the wall time of all stages.
 
     Raises
     ------

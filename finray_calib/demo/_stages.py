@@ -50,9 +50,13 @@ TWIN_SEED = 1000
 PRESS = {"a": "press-level-a.json", "b": "press.json"}
 SURFACES, MECHANICS = "pressed-finger.surfaces.json", "pressed-finger.mechanics.json"
 CAPTURE, SWEEP, TRUE_SWEEP = "tactile-capture.json", "sweep.json", "true-sweep.json"
+#: Beside the place of the press, where the finger is touched too; pressed there by a formula.
+OTHER_PLACES_MM = (8.0, 22.0, 50.0, 64.0)
+OTHER_SWEEPS = tuple(f"sweep-{place:02.0f}mm.json" for place in OTHER_PLACES_MM)
+OTHER_TRUE_SWEEPS = tuple(f"true-{name}" for name in OTHER_SWEEPS)
 REPORT = {"a": "photometric-error-level-a.json", "b": "photometric-error.json"}
 DECISION = "light-angle-decision.json"
-WITH_PROGRESS = frozenset({"capture", "press", "simulate", "sweep", "true_sweep", "twin"})
+WITH_PROGRESS = frozenset({"capture", "press", "simulate", "sweep", "other_sweeps", "true_sweeps", "twin"})
 Progress = Callable[[int, int, str], None]
 R = TypeVar("R", bound=Record)
 
@@ -182,6 +186,11 @@ class Demo:
         camera = design.camera.model_copy(update={"response": str(self.settings.sensor.resolve())})
         return design.model_copy(update={"camera": camera})
 
+    def design_at(self, position_mm: float) -> FingerDesign:
+        """Return the finger of the demo, touched elsewhere and as deep as a formula presses it by default."""
+        touched = FingerDesign().indenter.model_copy(update={"position_mm": position_mm})
+        return self.design().model_copy(update={"indenter": touched})
+
     def press(self, progress: Progress) -> tuple[PressMechanics, FingerSurfaces]:
         """Press the finger by finite elements; everything rendered afterwards has its shape."""
         from finray_calib.spectra import machine_threads
@@ -218,17 +227,32 @@ class Demo:
         sweep = self._swept(finger, calibrations, SWEEP_REPEATS, self.settings.seed, progress)
         return self._store(sweep, SWEEP, [SURFACES, *(f"{c}/paint.json" for c in COLOURS)])
 
-    def true_sweep(self, progress: Progress) -> LightAngleSweep:
-        """Sweep the light angle of the hidden true finger: what the decision is worth, for the report only."""
-        sweep = self._swept(self.true_finger(), {}, TRUE_SWEEP_REPEATS, self.settings.seed + TWIN_SEED, progress)
-        return self._store(sweep, TRUE_SWEEP, [SURFACES])
+    def other_sweeps(self, progress: Progress) -> None:
+        """Sweep the light angle with the finger touched at other places, by presses of a formula."""
+        from sim.experiments import paint_optics
 
-    def true_finger(self) -> "PaintedFinger":
+        calibrations = self.calibrations()
+        paints = {c: paint_optics(p) for c, p in calibrations.items()}
+        for place_mm, name in zip(OTHER_PLACES_MM, OTHER_SWEEPS, strict=True):
+            finger = self._finger(self.design_at(place_mm), paints)
+            sweep = self._swept(finger, calibrations, SWEEP_REPEATS, self.settings.seed, progress, pressed=False)
+            self._store(sweep, name, [f"{c}/paint.json" for c in COLOURS])
+
+    def true_sweeps(self, progress: Progress) -> None:
+        """Sweep the light angle of the hidden true finger: what the decision is worth, for the report only."""
+        seed = self.settings.seed + TWIN_SEED
+        sweep = self._swept(self.true_finger(), {}, TRUE_SWEEP_REPEATS, seed, progress)
+        self._store(sweep, TRUE_SWEEP, [SURFACES])
+        for place_mm, name in zip(OTHER_PLACES_MM, OTHER_TRUE_SWEEPS, strict=True):
+            finger = self.true_finger(self.design_at(place_mm))
+            self._store(self._swept(finger, {}, TRUE_SWEEP_REPEATS, seed, progress, pressed=False), name, [])
+
+    def true_finger(self, design: FingerDesign | None = None) -> "PaintedFinger":
         """Return the finger as it was really built: true paints, light and coating a little off."""
         from sim.experiments import hidden_design
 
         paints = {colour: true_paint_optics(colour, self.truth(colour)) for colour in COLOURS}
-        return self._finger(hidden_design(self.design()), paints)
+        return self._finger(hidden_design(design or self.design()), paints)
 
     def twin(self, progress: Progress) -> TactileCapture:
         """Capture the digital twin: hidden true paints, another light angle, coating and seed."""
@@ -251,13 +275,14 @@ class Demo:
         return self._store(report, REPORT[level], [PRESS[level], CAPTURE])
 
     def decide(self) -> LightAngleDecision:
-        """Decide on the light angle from the stored sweep and report."""
+        """Decide on the light angle from the stored sweeps of all places and the report."""
         from finray_calib.decide import decide
 
-        sweep = read_record(self.path(SWEEP), LightAngleSweep)
+        sweeps = [read_record(self.path(name), LightAngleSweep) for name in (SWEEP, *OTHER_SWEEPS)]
         report = read_record(self.path(REPORT["b"]), PhotometricErrorReport)
-        decision = decide(sweep, [report], self.settings.seed)
-        return self._store(decision, DECISION, [SWEEP, REPORT["b"]])
+        sweeps.sort(key=lambda sweep: sweep.design.indenter.position_mm)
+        decision = decide(sweeps, [report], self.settings.seed)
+        return self._store(decision, DECISION, [SWEEP, *OTHER_SWEEPS, REPORT["b"]])
 
     def _swept(
         self,
@@ -266,14 +291,16 @@ class Demo:
         repeats: int,
         seed: int,
         progress: Progress,
+        pressed: bool = True,
     ) -> LightAngleSweep:
-        """Sweep the light angle of a finger."""
+        """Sweep the light angle of a finger, pressed by finite elements or by a formula."""
         from sim.experiments import light_angle_sweep
         from sim.optics import ProbePaths
 
         digests = self._digests() if calibrations else {}
         paths = ProbePaths(self.settings.effort.probe_samples, repeats, seed)
-        return light_angle_sweep(finger, calibrations, ANGLES_DEG, paths, digests, progress, shapes=self.shapes())
+        shapes = self.shapes() if pressed else None
+        return light_angle_sweep(finger, calibrations, ANGLES_DEG, paths, digests, progress, shapes=shapes)
 
     def _finger(self, design: FingerDesign, paints: "Mapping[str, PaintOptics]") -> "PaintedFinger":
         """Join design, paints, the tactile camera's response and the renderer."""

@@ -30,19 +30,28 @@ if TYPE_CHECKING:
         simulation_sentence,
     )
     from finray_calib.reports._contact_sheet import ContactSheet, sensed_png
-    from finray_calib.reports._decision_figures import angle_figure
+    from finray_calib.reports._decision_figures import angle_figure, true_value
     from finray_calib.reports._decision_page import (
-        decision_meaning,
+        decision_numbers,
         decision_page,
         decision_table,
         decision_validation,
-        equivalent_text,
+        mounting_picture,
+        places_part,
+        verdict_sentence,
+        verdict_words,
     )
     from finray_calib.reports._design_study_page import design_study_page, study_text
     from finray_calib.reports._finger_page import finger_page
     from finray_calib.reports._finger_pictures import finger_page_png, pressed_finger_png, untouched_finger_png
     from finray_calib.reports._finger_views import finger_outline
-    from finray_calib.reports._fit_figures import paint_map_figure, spot_sentence, spots_note, spread_sentence
+    from finray_calib.reports._fit_figures import (
+        emission_figure,
+        paint_map_figure,
+        spot_sentence,
+        spots_note,
+        spread_sentence,
+    )
     from finray_calib.reports._fit_page import fit_parts, no_emission_page, paint_report
     from finray_calib.reports._fit_statements import model_statement, paint_sentence, signals_table
     from finray_calib.reports._fitted_paint import FittedPaint, PaintTruth, fit_summary
@@ -119,7 +128,7 @@ __all__ = [
     "comparison_lines",
     "comparison_page",
     "decimals_for",
-    "decision_meaning",
+    "decision_numbers",
     "decision_page",
     "decision_table",
     "decision_validation",
@@ -129,7 +138,7 @@ __all__ = [
     "display_white",
     "drawing",
     "duration",
-    "equivalent_text",
+    "emission_figure",
     "error_map_figure",
     "error_table",
     "figure_png",
@@ -149,6 +158,7 @@ __all__ = [
     "level_a_sentence",
     "light_angle_png",
     "model_statement",
+    "mounting_picture",
     "no_emission_page",
     "one_group",
     "pad_window",
@@ -158,6 +168,7 @@ __all__ = [
     "paper_paints_png",
     "pareto_text",
     "percent",
+    "places_part",
     "plain",
     "plot_record",
     "press_pictures",
@@ -181,6 +192,9 @@ __all__ = [
     "study_text",
     "to_display",
     "touch_pair",
+    "true_value",
     "two_lights_png",
     "untouched_finger_png",
+    "verdict_sentence",
+    "verdict_words",
 ]

@@ -1,5 +1,6 @@
 """Figures of a decision: objective over the light angle, other objectives, and how the light is mounted. SVG text."""
 
+from collections.abc import Sequence
 from itertools import cycle
 
 import numpy as np
@@ -8,7 +9,8 @@ from matplotlib.patches import Arc, Rectangle, Wedge
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
-from data_schemas import FingerDesign, LightAngleDecision, LightAngleSweep
+from data_schemas import FingerDesign, LightAngleDecision, LightAngleSweep, SimulateError
+from finray_calib.reports._finger_views import FingerOutline, draw_body, finger_outline
 from finray_calib.reports._style import (
     BLUE,
     GREEN,
@@ -36,8 +38,16 @@ def on_curve_scale(sweep: LightAngleSweep, decision: LightAngleDecision) -> Floa
     return np.asarray(sweep.values / sweep.values.mean(axis=0) * curve.mean())
 
 
+def true_value(true_sweeps: Sequence[LightAngleSweep]) -> Floats:
+    """Return the value of each angle (A,): mean over places of the brightness over its greatest there."""
+    curves = [(sweep.values / sweep.values.mean(axis=0)).mean(axis=1) for sweep in true_sweeps]
+    return np.asarray(np.mean([curve / curve.max() for curve in curves], axis=0))
+
+
 @styled()
-def angle_figure(decision: LightAngleDecision, sweep: LightAngleSweep, true_sweep: LightAngleSweep | None) -> str:
+def angle_figure(
+    decision: LightAngleDecision, sweep: LightAngleSweep, true_sweeps: Sequence[LightAngleSweep] = ()
+) -> str:
     """Draw the objective relative to the best of the mean curve, over the angle of the light.
 
     The curve of the real finger with its band, the one of the renders alone (dashed where captures moved the former),
@@ -68,9 +78,12 @@ def angle_figure(decision: LightAngleDecision, sweep: LightAngleSweep, true_swee
         for repeat in range(values.shape[1]):
             label = "renders" if repeat == 0 else None
             axes.plot(sweep.angles_deg, values[:, repeat], "o", color=INK, markersize=3.2, alpha=0.7, label=label)
-    if true_sweep is not None:
-        truth = on_curve_scale(true_sweep, decision).mean(axis=1) / best
-        axes.plot(true_sweep.angles_deg, truth, "--D", color=VERMILLION, linewidth=1.3, markersize=3.5, label="truth")
+    if true_sweeps:
+        truth = true_value(true_sweeps)
+        if len(decision.contacts) < 2:
+            truth = on_curve_scale(true_sweeps[0], decision).mean(axis=1)
+        angles = true_sweeps[0].angles_deg
+        axes.plot(angles, truth / best, "--D", color=VERMILLION, linewidth=1.3, markersize=3.5, label="truth")
     _mark_captures(axes, decision, best)
     _mark_decision(axes, decision)
     axes.set(xlabel="angle of the blue light (deg)", ylabel="objective relative to its best (1)")
@@ -82,7 +95,7 @@ def angle_figure(decision: LightAngleDecision, sweep: LightAngleSweep, true_swee
 
 def _mark_captures(axes: Axes, decision: LightAngleDecision, best: float) -> None:
     """Draw captures with twice the standard uncertainties of value and angle."""
-    if not decision.captures:
+    if not decision.captures or len(decision.contacts) > 1:  # a capture is of one place, this curve of all of them
         return
     axes.errorbar(
         [capture.light_angle_deg for capture in decision.captures],
@@ -129,8 +142,12 @@ def other_objectives_figure(decision: LightAngleDecision, sweep: LightAngleSweep
     decided = sweep.values
     if len(decision.contacts) > 1:  # the value over all touches, at the angles of the sweep
         decided = np.interp(sweep.angles_deg, decision.grid_deg, decision.mean)[:, None]
+    others = [(o.name, o.utility) for o in sweep.other_objectives]
+    if decision.aim == "normal":  # what was decided on stands among them; the brightness is that of this touch
+        others = [(o.name, o.utility) for o in sweep.other_objectives if o.place_values is None]
+        others.insert(0, ("brightness", sweep.values))
     lines = [("decided on", (BLUE, "-", "o"), decided)]
-    lines += [(o.name, look, o.utility) for o, look in zip(sweep.other_objectives, cycle(_LOOKS), strict=False)]
+    lines += [(name, look, utility) for (name, utility), look in zip(others, cycle(_LOOKS), strict=False)]
     for name, (colour, style, marker), utility in lines:
         mean = utility.mean(axis=1)
         axes.plot(
@@ -171,14 +188,17 @@ def contacts_figure(decision: LightAngleDecision) -> str:
         raise ValueError("the decision holds no map; decide again on its sweeps")
     order = np.argsort([contact.position_mm for contact in decision.contacts], kind="stable")
     contacts = [decision.contacts[k] for k in order]
-    loss = 1.0 - decision.contact_value[order]
+    value = decision.contact_value[order]
+    loss, label, top = 1.0 - value, "less bright than at its best (1)", 0.6
+    if decision.aim == "normal":
+        loss, label, top = 1.0 / value - 1.0, "error of the normal above its best (1)", 0.3
     figure = new_figure(5.8, 1.6 + 0.22 * len(contacts))
     axes = figure.subplots()
     rows = np.arange(len(contacts))
     places = np.array([contact.position_mm for contact in contacts])
     at = places if (np.diff(places) > 0).all() else rows.astype(np.float64)
     shown = axes.pcolormesh(
-        decision.grid_deg, at, loss, cmap="cividis_r", vmin=0.0, vmax=0.6, shading="nearest", rasterized=True
+        decision.grid_deg, at, loss, cmap="cividis_r", vmin=0.0, vmax=top, shading="nearest", rasterized=True
     )
     lines = axes.contour(decision.grid_deg, at, loss, levels=_LOSS_LEVELS, colors=INK, linewidths=0.7)
     axes.clabel(lines, fmt=lambda level: f"{100 * level:g} %", fontsize=8)
@@ -188,50 +208,66 @@ def contacts_figure(decision: LightAngleDecision) -> str:
         decision.angle_deg, 1.01, f"{decision.angle_deg:.0f} deg", transform=axes.get_xaxis_transform(), ha="center",
         va="bottom", weight="bold",
     )  # fmt: skip
-    axes.set(xlabel="angle of the blue light (deg)", ylabel="touch, from the base (mm)")
+    axes.set(xlabel="angle of the blue light (deg)", ylabel="place, from the base (mm)")
     axes.set_yticks(at, [f"{place:g}" for place in places])
     axes.xaxis.set_major_locator(MultipleLocator(10 if np.ptp(decision.grid_deg) <= 130 else 30))
     axes.grid(visible=False)
     bar = figure.colorbar(shown, ax=axes, fraction=0.05, pad=0.02)
-    bar.set_label("less bright than at its best (1)")
+    bar.set_label(label)
     return svg_text(figure)
 
 
-_BEFORE_MM, _AFTER_MM, _MARGIN_MM = 12.0, 34.0, 8.0
-_RAY_MM, _ARC_MM = 20.0, 13.0
+_MARGIN_MM, _LABELS_MM = 6.0, 5.0
+_RAY_MM, _ARC_MM = 24.0, 16.0
 
 
 @styled()
 def mounting_figure(decision: LightAngleDecision, design: FingerDesign) -> str:
-    """Draw pad and panel from the side: along the pad to the right, into the pad upwards; lengths are to scale."""
+    """Draw the finger from the side with its light at the decided angle, to scale: along the pad to the right."""
     along, into = design.light.position_mm[2], design.light.position_mm[1]
-    touched = [contact.position_mm for contact in decision.contacts]
-    right = max(design.pad.length_mm, along)
-    if not touched and design.pad.length_mm >= _AFTER_MM:
-        right = along + _AFTER_MM
-    low, high = into - _MARGIN_MM, max(design.pad.thickness_mm, into + _RAY_MM) + _MARGIN_MM / 2
-    left = along - (_BEFORE_MM if decision.angle_deg <= 90 else _RAY_MM + _MARGIN_MM)
-    figure = new_figure(5.8, 5.8 * (high - low) / (right - left) + 0.2)
-    axes = figure.subplots()
-    axes.add_patch(
-        Rectangle((0.0, 0.0), design.pad.length_mm, design.pad.thickness_mm, facecolor=SKY, alpha=0.3, edgecolor=MUTED)
+    pad = design.pad
+    finger = _outline(design)
+    least, greatest = (
+        (np.zeros(2), np.array([pad.thickness_mm, pad.length_mm]))
+        if finger is None
+        else tuple(bound[1:] for bound in finger.bounds_mm)
     )
-    axes.text(right - 3.0, design.pad.thickness_mm / 2, "pad", ha="right", va="center")
-    top = np.full(len(touched), design.pad.thickness_mm + 1.2)
-    axes.plot(touched, top, "v", color=VERMILLION, markersize=5.0, clip_on=False)
-    axes.plot([along, right], [into, into], color=MUTED, linewidth=0.9, linestyle="--")
-    axes.text(right, into - 0.6, "0 deg, along the pad", ha="right", va="top", fontsize=9, color=MUTED)
-    axes.plot([along, along], [into, into + _RAY_MM], color=MUTED, linewidth=0.9, linestyle="--")
-    axes.text(along - 0.8, into + _RAY_MM, "90 deg,\ninto the pad", ha="right", va="top", fontsize=9, color=MUTED)
+    left, right = min(least[1], along - _RAY_MM * (decision.angle_deg > 90)), max(greatest[1], along + _RAY_MM)
+    low, high = min(least[0], into - _LABELS_MM), max(pad.thickness_mm, greatest[0], into + _RAY_MM) + _LABELS_MM
+    left, right, low = left - _MARGIN_MM, right + _MARGIN_MM, low - _MARGIN_MM
+    figure = new_figure(5.8, 5.8 * (high - low) / (right - left))
+    figure.set_layout_engine("none")  # to the edges: there are no labels to make room for
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set(xlim=(left, right), ylim=(low, high), aspect="equal")
+    axes.set_axis_off()
+    if finger is None:
+        axes.add_patch(Rectangle((0.0, 0.0), pad.length_mm, pad.thickness_mm, facecolor=SKY, alpha=0.3))
+    else:
+        draw_body(axes, finger, rasterized=True)
+    touched = [contact.position_mm for contact in decision.contacts]
+    axes.plot(touched, np.full(len(touched), pad.thickness_mm + 1.6), "v", color=VERMILLION, markersize=5.0)
+    axes.text(pad.length_mm, pad.thickness_mm / 2, " tip", ha="left", va="bottom", weight="bold")
+    axes.text(0.0, pad.thickness_mm / 2, "base ", ha="right", va="bottom", weight="bold")
+    axes.text(0.7 * pad.length_mm, pad.thickness_mm / 2, "gel pad", ha="center", va="center")
+    axes.plot([along, along + 1.7 * _RAY_MM], [into, into], color=INK, linewidth=0.9, linestyle="--")
+    axes.text(along + 1.75 * _RAY_MM, into, "0 deg", va="center", backgroundcolor="white")
+    axes.plot([along, along], [into, into + _RAY_MM], color=INK, linewidth=0.9, linestyle="--")
+    axes.text(along, into + _RAY_MM + 0.5, "90 deg", ha="center", va="bottom")
     ranges = decision.statement.equivalent_deg if decision.tolerance_deg is None else (decision.tolerance_deg,)
     for start, end in ranges:
         axes.add_patch(
-            Wedge((along, into), _RAY_MM, start, end, facecolor="none", edgecolor=GREEN, hatch="///", linewidth=0.8)
+            Wedge((along, into), _RAY_MM, start, end, facecolor="white", alpha=0.8, edgecolor=GREEN, hatch="///")
         )
     _panel(axes, (along, into), decision.angle_deg, design.light.height_mm)
-    axes.set(xlim=(left, right), ylim=(low, high), aspect="equal")
-    axes.set_axis_off()
     return svg_text(figure)
+
+
+def _outline(design: FingerDesign) -> FingerOutline | None:
+    """Return the parts of a finger; None where they do not fit together, which a sweep need not know."""
+    try:
+        return finger_outline(design)
+    except SimulateError:
+        return None
 
 
 def _panel(axes: Axes, place_mm: tuple[float, float], angle_deg: float, height_mm: float) -> None:
@@ -241,14 +277,32 @@ def _panel(axes: Axes, place_mm: tuple[float, float], angle_deg: float, height_m
     centre = np.array(place_mm)
     ends = np.stack([centre - edge, centre + edge])
     axes.plot(*ends.T, color=BLUE, linewidth=5.0, solid_capstyle="butt")
-    axes.text(centre[0] - 1.5, centre[1] - 2.2, "light", ha="right", va="top", color=INK)
+    axes.text(
+        centre[0],
+        centre[1] - height_mm / 2 - 1.5,
+        "light",
+        ha="center",
+        va="top",
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+    )
     tip = centre + _RAY_MM * normal
     axes.annotate(
         "", (tip[0], tip[1]), place_mm, arrowprops={"arrowstyle": "-|>", "color": BLUE, "lw": 1.8, "shrinkA": 0}
     )
-    axes.add_patch(Arc(place_mm, 2 * _ARC_MM, 2 * _ARC_MM, theta1=0.0, theta2=angle_deg, color=INK, linewidth=1.2))
+    axes.add_patch(
+        Arc(
+            place_mm,
+            2 * _ARC_MM,
+            2 * _ARC_MM,
+            theta1=min(0.0, angle_deg),
+            theta2=max(0.0, angle_deg),
+            color=INK,
+            linewidth=1.2,
+        )
+    )
     middle = np.radians(angle_deg / 2)
     write = centre + (_ARC_MM + 1.0) * np.array([np.cos(middle), np.sin(middle)])
     axes.text(
-        write[0], write[1], f"{angle_deg:.0f} deg", va="center", weight="bold", color=INK, backgroundcolor="white"
-    )
+        write[0], write[1], f"{angle_deg:.0f} deg", va="center", weight="bold", color=INK,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+    )  # fmt: skip

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_schemas import (
     AngleProposal,
@@ -26,12 +27,14 @@ from finray_calib.reports._decision_figures import (
 from finray_calib.reports._page import Content, Part, Picture, ReportTable, drawing, files_table, one_group, render_page
 from finray_calib.reports._plain_text import Json, percent, plain, probability, signed_percent
 
+Floats = NDArray[np.float64]
 TEMPLATE = "result_page.html.j2"
+#: Whether it is decided, and what follows.
 VERDICTS: Final = {
-    "decided": "decided",
-    "tie": "a tie: angles beside it do as well",
-    "undecided": "not decided: more renders are needed",
-    "needs captures": "not decided: captures are needed",
+    "decided": ("decided", "only angles nearby do as well"),
+    "tie": ("decided", "angles beside it do as well"),
+    "undecided": ("not decided", "more renders are needed"),
+    "needs captures": ("not decided", "captures are needed"),
 }
 
 
@@ -58,9 +61,9 @@ def decision_page(
         verb="finray decide",
         title=f"Angle of the blue light: {sweep.design.name}",
         lead="",
-        verdict=decision.headline or verdict_title(decision),
+        verdict=verdict_sentence(decision),
         sentence="",
-        key_numbers=_key_numbers(decision),
+        key_numbers=decision_numbers(decision),
         findings=(),
         opening=tuple(_opening(decision, sweeps)),
         limits=limits(decision),
@@ -72,7 +75,7 @@ def decision_page(
     )
 
 
-def _key_numbers(decision: LightAngleDecision) -> tuple[tuple[str, str, str], ...]:
+def decision_numbers(decision: LightAngleDecision) -> tuple[tuple[str, str, str], ...]:
     """Return (label, value, remark) of the few numbers that stand beside the verdict."""
     claim, angle = decision.statement, decision.angle_deg
     if decision.at_range_end:
@@ -82,7 +85,7 @@ def _key_numbers(decision: LightAngleDecision) -> tuple[tuple[str, str, str], ..
     odds = () if not within else ((f"None better by more than {tolerance}", within, "probability"),)
     side = mounting_range(decision)
     return (
-        ("Light angle", f"{angle:.0f} deg", VERDICTS[decision.verdict]),
+        ("The angle is", *VERDICTS[decision.verdict]),
         *(() if side is None else (("Mount it between", side, f"costs at most {tolerance} more, as expected"),)),
         *odds,
         (
@@ -91,6 +94,16 @@ def _key_numbers(decision: LightAngleDecision) -> tuple[tuple[str, str, str], ..
             f"on average; by at most {percent(claim.regret_95)} with 95 % probability",
         ),
     )
+
+
+def verdict_sentence(decision: LightAngleDecision) -> str:
+    """Return the first sentence of the decision; of a record of an older version, the verdict as what to do."""
+    return decision.headline or verdict_title(decision)
+
+
+def verdict_words(decision: LightAngleDecision) -> str:
+    """Return the verdict in words, such as "not decided: captures are needed"."""
+    return ": ".join(VERDICTS[decision.verdict])
 
 
 def mounting_range(decision: LightAngleDecision) -> str | None:
@@ -108,9 +121,9 @@ def _opening(decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep]) ->
         "which "
         "the panel shines: 0 deg along the pad towards the tip, 90 deg straight into it."
     )
-    parts = [Part("The finger with its light", Content(lead, ((_mounting(decision, sweeps[0]),),)))]
+    parts = [Part("The finger with its light", Content(lead, ((mounting_picture(decision, sweeps[0]),),)))]
     if len(decision.contacts) > 1:
-        parts.append(_map(decision))
+        parts.append(places_part(decision))
     rest = decision.sentence.removeprefix(decision.headline).strip()
     why = Content(rest if decision.headline else decision_meaning(decision), remarks=_reasons(decision, rest))
     return [*parts, Part("Why, and how sure it is", why)]
@@ -128,6 +141,16 @@ def _reasons(decision: LightAngleDecision, rest: str) -> tuple[str, ...]:
     return (*older, *(() if choice is None else (choice,)), *(() if other is None else (other,)))
 
 
+def lost_rel(decision: LightAngleDecision, loss_rel: Floats) -> Floats:
+    """Return losses of brightness as they are, of the inverse error of the normal as how much larger the error is."""
+    return loss_rel if decision.aim == "brightness" else np.asarray(1.0 / (1.0 - loss_rel) - 1.0)
+
+
+def lost(decision: LightAngleDecision, loss_rel: float) -> str:
+    """Return a loss in words, see :func:`lost_rel`."""
+    return percent(float(lost_rel(decision, np.array(loss_rel))))
+
+
 def criterion_sentence(decision: LightAngleDecision) -> str | None:
     """Say what the other way to weigh the touches would choose, and what that costs; None for one touch."""
     value, average_deg, worst_deg = decision.contact_value, decision.angle_average_deg, decision.angle_worst_deg
@@ -136,40 +159,41 @@ def criterion_sentence(decision: LightAngleDecision) -> str | None:
     weights = [contact.weight_share for contact in decision.contacts]
 
     def told(angle_deg: float) -> str:
-        losses = np.maximum(1.0 - value[:, int(np.abs(decision.grid_deg - angle_deg).argmin())], 0.0)
-        return f"{percent(float(losses @ weights))} on average and {percent(float(losses.max()))} at the worst place"
+        at = int(np.abs(decision.grid_deg - angle_deg).argmin())
+        losses = lost_rel(decision, np.maximum(1.0 - value[:, at], 0.0))
+        return f"{percent(float(losses @ weights))} on average and {percent(float(losses.max()))} at most"
 
     chosen = "on average" if decision.criterion == "average" else "at the worst place"
     return (
-        f"The least loss on average has {average_deg:.0f} deg: {told(average_deg)}. The least loss at the worst "
-        "place has "
-        f"{worst_deg:.0f} deg: {told(worst_deg)}. Chosen was the least loss {chosen} (--criterion)."
+        f"Best on average is {average_deg:.0f} deg: {told(average_deg)}. Best at the worst place is {worst_deg:.0f} "
+        f"deg: {told(worst_deg)}. Chosen was the best {chosen} (--criterion)."
     )
 
 
-def _map(decision: LightAngleDecision) -> Part:
+def places_part(decision: LightAngleDecision) -> Part:
     """Show what each place loses at each angle."""
     worst = max(decision.contacts, key=lambda contact: contact.loss_rel)
+    what = "less bright a touch is" if decision.aim == "brightness" else "larger the error of the sensed normal is"
     picture = drawing(
         contacts_figure(decision),
-        f"Loss of brightness over place and angle. At {decision.angle_deg:.0f} deg the most is lost at "
-        f"{worst.position_mm:g} mm from the base: {percent(worst.loss_rel)}.",
-        "How much less bright a touch is than at the best angle for its own place, as expected. Dots: the best angle "
-        "of "
-        "each place; dashed line: the chosen angle. What to see: bright is good; no angle is bright for all places.",
+        f"How much {what} than at its best, over place and angle. At {decision.angle_deg:.0f} deg the most is lost at "
+        f"{worst.position_mm:g} mm from the base: {lost(decision, worst.loss_rel)}.",
+        f"How much {what} than at the best angle for its own place, as expected. Dots: the best angle of each place; "
+        "dashed line: the chosen angle. What to see: bright is good; no angle is bright for all places.",
     )
     rows = (
         (
             touch_text(contact, decision.contacts),
             f"{contact.weight_share:.1%}",
             f"{contact.best_deg:.0f} deg",
-            percent(contact.loss_rel),
-            percent(contact.loss_95_rel),
+            lost(decision, contact.loss_rel),
+            lost(decision, contact.loss_95_rel),
         )
         for contact in decision.contacts
     )
-    columns = ("touch", "weight", "its own best angle", "expected loss at the chosen angle", "loss, 95 % bound")
-    table = one_group(f"Each touch, with the light at {decision.angle_deg:.0f} deg", columns, rows, is_words=True)
+    name, lose = ("touch", "less bright by") if decision.aim == "brightness" else ("place", "error larger by")
+    columns = (name, "weight", "its own best angle", f"{lose}, as expected", f"{lose}, 95 % bound")
+    table = one_group(f"Each {name}, with the light at {decision.angle_deg:.0f} deg", columns, rows, is_words=True)
     lead = "Every place has a best angle of its own; one light has to serve all of them."
     return Part("What each place loses", Content(lead, ((picture,),), tables=(table,)))
 
@@ -178,16 +202,20 @@ def _sections(decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep]) -
     """Return curve, numbers, other objectives where there are any, proposals and origin."""
     parts = [_curve(decision, sweeps), _claims(decision)]
     if decision.other_objectives:
-        parts.append(_others(decision, sweeps[0]))
-    return [*parts, _next(decision), _sweep(sweeps)]
+        parts.append(_others(decision, next((sweep for sweep in sweeps if sweep.other_objectives), sweeps[0])))
+    # captures tell of the brightness: with another aim none is proposed
+    proposals = [_next(decision)] if decision.aim == "brightness" else []
+    return [*parts, *proposals, _sweep(sweeps)]
 
 
 def _curve(decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep]) -> Part:
     """Show the objective over the angle."""
-    several = len(sweeps) > 1
-    what = "The brightness over all touches" if several else "The objective"
+    several = len(decision.contacts) > 1
+    what = "The objective"
+    if several:
+        what = "The brightness over all touches" if decision.aim == "brightness" else "The inverse error of the normal"
     picture = drawing(
-        angle_figure(decision, sweeps[0], None),
+        angle_figure(decision, sweeps[0]),
         f"{what} over the light angle is best near {decision.angle_deg:.0f} deg. "
         f"{decision.headline or decision.sentence}",
         f"{what} over the angle of the light. What to see: where the curve is flat the angle matters little; hatched "
@@ -195,16 +223,17 @@ def _curve(decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep]) -> P
     )
     lead = (
         f"Objective: {decision.objective.rstrip('.')}. It was rendered at {len(sweeps[0].angles_deg)} angles with "
-        f"{sweeps[0].values.shape[1]} repeats that share their random draws; smooth and less smooth random curves "
+        "repeats that share their random draws; smooth and less smooth random curves "
         "through "
         "them give the probability of each angle."
     )
     return Part("Curve over the angle", Content(lead, ((picture,),)))
 
 
-def _mounting(decision: LightAngleDecision, sweep: LightAngleSweep) -> Picture:
+def mounting_picture(decision: LightAngleDecision, sweep: LightAngleSweep) -> Picture:
     """Show what the angle means on the finger."""
     between = mounting_range(decision)
+    marks = "where it was touched" if decision.aim == "brightness" else "the places that were looked at"
     hatched = (
         ""
         if between is None
@@ -212,9 +241,9 @@ def _mounting(decision: LightAngleDecision, sweep: LightAngleSweep) -> Picture:
     )
     return drawing(
         mounting_figure(decision, sweep.design),
-        f"Side view of pad and light panel: the panel shines at {decision.angle_deg:.0f} deg from the pad's plane."
-        f"{hatched}",
-        f"Pad and panel from the side, to scale. Marks on the pad: where it was touched.{hatched}",
+        f"Side view of the finger with its light panel, which shines at {decision.angle_deg:.0f} deg from the pad's "
+        f"plane.{hatched}",
+        f"The finger from the side, to scale. Marks on the pad: {marks}.{hatched}",
     )
 
 
@@ -255,7 +284,7 @@ def _captures_table(decision: LightAngleDecision) -> ReportTable:
 
 
 def _others(decision: LightAngleDecision, sweep: LightAngleSweep) -> Part:
-    """Show what the angle costs under the other objectives."""
+    """Show what the other objectives would have chosen, what that costs, and what the angle costs under them."""
     sentence = disagreement_sentence(decision) or ""
     picture = drawing(
         other_objectives_figure(decision, sweep),
@@ -268,15 +297,17 @@ def _others(decision: LightAngleDecision, sweep: LightAngleSweep) -> Part:
         (
             other.name,
             f"{other.best_deg:.0f} deg",
+            "not stored" if other.cost_rel is None else lost(decision, other.cost_rel),
             f"{percent(other.loss_rel)} [{percent(other.loss_90_rel[0])}, {percent(other.loss_90_rel[1])}]",
             told[other.disagrees],
         )
         for other in decision.other_objectives
     )
-    columns = ("objective", "best at", "loss at the chosen angle [90 %]", "needs another angle")
-    table = one_group("Other objectives of the sweep", columns, rows, is_words=True)
+    cost = "touch less bright there by" if decision.aim == "brightness" else "error of the normal larger there by"
+    columns = ("objective", "would have chosen", cost, "its own loss here [90 %]", "needs another angle")
+    table = one_group("Objectives side by side", columns, rows, is_words=True)
     meanings = tuple(f"{o.name}: {o.meaning.rstrip('.')} ({o.unit})." for o in sweep.other_objectives)
-    return Part("Other objectives", Content(sentence, ((picture,),), meanings, (table,)))
+    return Part("What others would have chosen", Content(sentence, ((picture,),), meanings, (table,)))
 
 
 def _next(decision: LightAngleDecision) -> Part:
@@ -305,7 +336,7 @@ def _sweep_table(sweeps: Sequence[LightAngleSweep]) -> ReportTable:
         ("light panel", f"{light.width_mm:g} x {light.height_mm:g} mm, {light.peak_wavelength_nm:g} nm"),
         ("panel sits at", f"x, y, z = {', '.join(f'{p:g}' for p in light.position_mm)} mm"),
         ("mirror", f"reflects {percent(design.mirror.reflectance)}, radius {design.mirror.radius_mm:g} mm"),
-        ("touches", str(len(sweeps))),
+        ("sweeps, each beside a touch", str(len(sweeps))),
         ("points looked at in each", str(len(sweep.probe_points_mm))),
     ]
     rows += [(f"{colour} paint", f"SHA-256 {digest}") for colour, digest in sorted(sweep.paints.items())]
@@ -543,9 +574,18 @@ def disagreement_sentence(decision: LightAngleDecision) -> str | None:
         return f"No other objective of the sweep is shown to need another angle{doubt}: {_names(others)}."
     told = "; ".join(
         f"{other.name} is best at {other.best_deg:.0f} deg and loses {percent(other.loss_rel)} here"
+        + _cost(decision, other)
         for other in against
     )
     return f"The objectives disagree: {told}. Weigh this before the light is mounted."
+
+
+def _cost(decision: LightAngleDecision, other: OtherObjective) -> str:
+    """Return what the best angle of another objective costs the one that was decided on."""
+    if other.cost_rel is None:
+        return ""
+    larger = "less brightness" if decision.aim == "brightness" else "more error of the normal"
+    return f" (there: {lost(decision, other.cost_rel)} {larger})"
 
 
 def _names(others: tuple[OtherObjective, ...]) -> str:

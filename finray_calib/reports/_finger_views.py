@@ -147,22 +147,7 @@ _BEHIND_THE_CUT = "#e4e7eb"
 def draw_side(axes: Axes, finger: FingerOutline) -> None:
     """Draw the cut at x = 0, paler what lies beyond it, and the indenter at first touch."""
     design, pad = finger.design, finger.design.pad
-    for name in ("base_plate", "backing", "skeleton"):
-        if name in finger.hexahedra:
-            beyond = side_polygons(finger, name, 0.95 * finger.layout.half_width_mm)
-            axes.add_collection(PolyCollection(list(beyond), facecolor=_BEHIND_THE_CUT, edgecolor="face"))
-            axes.add_collection(LineCollection(list(outer_edges(beyond)), colors=HAIRLINE, linewidths=0.8))
-            cut = side_polygons(finger, name, 0.01)
-            axes.add_collection(PolyCollection(list(cut), facecolor=PART_COLOURS[name], edgecolor="face"))
-            axes.add_collection(LineCollection(list(outer_edges(cut)), colors=MUTED, linewidths=0.8))
-    z = np.linspace(0.0, pad.length_mm, 141)
-    axes.fill_between(z, 0.0, rest_height_mm(design, 0.0, z), facecolor=PART_COLOURS["gel"], edgecolor=INK, lw=0.8)
-    axes.plot(z, rest_height_mm(design, 0.0, z), color=INK, lw=1.8)
-    flange = design.skeleton.flange_mm
-    sheet = 0.0 if pad.film is None else pad.film.thickness_mm
-    axes.plot([-flange, pad.length_mm + flange], [-sheet / 2.0] * 2, color=ORANGE, lw=2.0)
-    mirror = back_curve_mm(finger.layout.mirror, np.linspace(*finger.layout.mirror_along_mm, 80), 0.0)
-    axes.plot(mirror[:, 1], mirror[:, 0], color=SKY, lw=3.0)
+    draw_body(axes, finger)
     _draw_camera(axes, finger)
     _draw_lights(axes, design)
     _draw_indenter(axes, finger)
@@ -180,6 +165,35 @@ def draw_side(axes: Axes, finger: FingerOutline) -> None:
         ylabel="y (mm)",
         title="side view, cut along the middle (x = 0); pale: the side of the finger behind the cut",
     )
+
+
+def draw_body(axes: Axes, finger: FingerOutline, rasterized: bool = False) -> None:
+    """Draw skeleton, plates, gel pad, coat, film and mirror from the side; many small faces may be drawn as pixels."""
+    design, pad = finger.design, finger.design.pad
+    for name in ("base_plate", "backing", "skeleton"):
+        if name in finger.hexahedra:
+            beyond = side_polygons(finger, name, 0.95 * finger.layout.half_width_mm)
+            axes.add_collection(
+                PolyCollection(list(beyond), facecolor=_BEHIND_THE_CUT, edgecolor="face", rasterized=rasterized)
+            )
+            axes.add_collection(
+                LineCollection(list(outer_edges(beyond)), colors=HAIRLINE, linewidths=0.8, rasterized=rasterized)
+            )
+            cut = side_polygons(finger, name, 0.01)
+            axes.add_collection(
+                PolyCollection(list(cut), facecolor=PART_COLOURS[name], edgecolor="face", rasterized=rasterized)
+            )
+            axes.add_collection(
+                LineCollection(list(outer_edges(cut)), colors=MUTED, linewidths=0.8, rasterized=rasterized)
+            )
+    z = np.linspace(0.0, pad.length_mm, 141)
+    axes.fill_between(z, 0.0, rest_height_mm(design, 0.0, z), facecolor=PART_COLOURS["gel"], edgecolor=INK, lw=0.8)
+    axes.plot(z, rest_height_mm(design, 0.0, z), color=INK, lw=1.8)
+    flange = design.skeleton.flange_mm
+    sheet = 0.0 if pad.film is None else pad.film.thickness_mm
+    axes.plot([-flange, pad.length_mm + flange], [-sheet / 2.0] * 2, color=ORANGE, lw=2.0)
+    mirror = back_curve_mm(finger.layout.mirror, np.linspace(*finger.layout.mirror_along_mm, 80), 0.0)
+    axes.plot(mirror[:, 1], mirror[:, 0], color=SKY, lw=3.0)
 
 
 def _draw_camera(axes: Axes, finger: FingerOutline) -> None:

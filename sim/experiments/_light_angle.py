@@ -385,13 +385,7 @@ def objectives_of(table: FacetTable, sensor: Sensor, seed: int) -> tuple[AngleOb
         _smaller_is_better(
             "normal from one pixel, worst tenth of the pad", f"the same, 90 % quantile over the pad; {_SEEN}", worst
         ),
-        _smaller_is_better(
-            "held-out normal error",
-            "mean angle between true and estimated normals at places left out of the calibration of a cubic map "
-            f"(colour relative to no contact, place) -> slopes; facets tilted by 0 to {tilt_deg:g} deg, sensor noise; "
-            f"{_SEEN}",
-            held_out_errors_deg(table, sensor, seed),
-        ),
+        _held_out_error(table, sensor, seed),
         AngleObjective(
             name="uniformity",
             meaning="5 % over 95 % quantile over the pad of the luminance without contact, mean of R, G and B, each "
@@ -399,6 +393,14 @@ def objectives_of(table: FacetTable, sensor: Sensor, seed: int) -> tuple[AngleOb
             unit="1",
             larger_is_better=True,
             values=_uniformities(table),
+        ),
+        AngleObjective(
+            name="colour separation",
+            meaning="angle between the colours (R, G and B, each relative to no contact) of facets tilted "
+            f"{tilt_deg:g} deg to opposite sides, mean of across and along the pad, median over the pad",
+            unit="deg",
+            larger_is_better=True,
+            values=np.median(colour_separations_deg(table), axis=2),
         ),
     )
 
@@ -411,16 +413,54 @@ def normal_sigmas_deg(table: FacetTable, sensor: Sensor) -> Floats:
     return normal_sigma_deg(jacobian, noise_variance_e2(table.signal_e[..., 0, :], sensor, EXPOSURE_S))
 
 
+def _held_out_error(table: FacetTable, sensor: Sensor, seed: int) -> AngleObjective:
+    """Return the error of normals at places that did not teach the map, all over the pad and along it."""
+    places_mm, row_of_point = rows_along(table.places_mm[:, 1])
+    errors_deg = held_out_errors_deg(table, sensor, seed)
+    by_row = np.stack([errors_deg[..., row_of_point == row].mean(axis=-1) for row in range(len(places_mm))], axis=-1)
+    tilt_deg = max(tilt for tilt, _ in OTHER_TILTS_DEG)
+    return AngleObjective(
+        name="held-out normal error",
+        meaning="mean angle between true and estimated normals at places left out of the calibration of a cubic "
+        f"map (colour relative to no contact, place) -> slopes; facets tilted by 0 to {tilt_deg:g} deg, sensor "
+        f"noise; {_SEEN}",
+        unit="deg",
+        larger_is_better=False,
+        values=errors_deg.mean(axis=-1),
+        place_values=by_row,
+        places_mm=places_mm,
+    )
+
+
+def rows_along(z_mm: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    """Return the rows of the grid of points: their mean places along the pad (row,), and the row of each point."""
+    low, high = float(z_mm.min()), float(z_mm.max())
+    step = max(high - low, np.finfo(np.float64).tiny) / (POINTS_ALONG - 1)
+    _, row_of_point = np.unique(np.rint((z_mm - low) / step), return_inverse=True)
+    places = np.array([z_mm[row_of_point == row].mean() for row in range(row_of_point.max() + 1)])
+    return places, row_of_point.astype(np.int64)
+
+
+def colour_separations_deg(table: FacetTable) -> Floats:
+    """Return the angle between the colours of facets that tilt most to opposite sides, (angle, repeat, point)."""
+    relative = table.signal_e[..., -QUARTERS:, :] / table.signal_e[..., :1, :]
+    direction = relative / np.linalg.norm(relative, axis=-1, keepdims=True)
+    # facets stand a quarter turn apart: opposite ones two places from each other; exact for small angles
+    apart = np.linalg.norm(direction[..., :2, :] - direction[..., 2:, :], axis=-1)
+    return np.asarray(np.degrees(2.0 * np.arcsin(apart / 2.0)).mean(axis=-1))
+
+
 def held_out_errors_deg(table: FacetTable, sensor: Sensor, seed: int) -> Floats:
-    """Return the mean error of held-out places in deg, (angle, repeat); angles share the noise's seed of a repeat."""
-    angles, repeats = table.signal_e.shape[:2]
-    error_deg = np.empty((angles, repeats))
+    """Return the mean errors at held-out points in deg, (angle, repeat, point); angles share the seeds of the noise."""
+    angles, repeats, points = table.signal_e.shape[:3]
+    error_deg = np.empty((angles, repeats, points))
     for angle, repeat in np.ndindex(angles, repeats):
         signal_e = table.signal_e[angle, repeat]
         seen_e = frames_e(signal_e, FRAMES, sensor, EXPOSURE_S, np.random.default_rng([seed, repeat]))
         # the picture without contact is a mean of many frames: without noise of its own
         relative = seen_e / signal_e[:, :1, None]
-        error_deg[angle, repeat] = held_out_normal_error_deg(relative, table.places_mm, table.slopes).mean()
+        found_deg = held_out_normal_error_deg(relative, table.places_mm, table.slopes)
+        error_deg[angle, repeat] = found_deg.mean(axis=(1, 2))
     return error_deg
 
 

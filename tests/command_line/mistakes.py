@@ -359,7 +359,7 @@ CASES = (
         "newer record",
         "decide {tmp}/sweep.json",
         rf"sweep\.json: schema_version 9 was written by a newer finray; .* update with {NEW}",
-        edited("sweep.json", '"schema_version": 2', '"schema_version": 9'),
+        edited("sweep.json", '"schema_version": 3', '"schema_version": 9'),
     ),
     Case(
         "record without its arrays",

@@ -264,7 +264,7 @@ def test_the_demo_itself_goes_on_after_a_fit_that_crashed(tmp_path):
     assert gone_within(children, 5.0)
     after = tree(out / "red")
     assert all(after[path] == digest for path, digest in kept.items())
-    assert f"{out}: goes on after 2 of 15 stages" in again.out
+    assert f"{out}: goes on after 2 of 16 stages" in again.out
 
 
 class Demo:

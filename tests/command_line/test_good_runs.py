@@ -106,7 +106,8 @@ def test_swept_angles_lead_to_a_decision(rendered: Path, tmp_path: Path) -> None
     require_valid(tmp_path / "decision.json")
     decision = read_record(tmp_path / "decision.json", LightAngleDecision)
     assert 0.0 <= decision.angle_deg <= 90.0
-    assert decision.sentence in said
+    assert said.startswith(decision.headline)
+    assert decision.sentence.removeprefix(decision.headline).strip() in said
     assert not decision.validated
 
 

@@ -9,10 +9,12 @@ from scipy.interpolate import PchipInterpolator
 from finray_calib.decide._capture_errors import CaptureErrors
 from finray_calib.decide._gaussian_process import draw_normal, matern_correlation
 from finray_calib.decide._sim_to_real import (
+    MOVED_SD_DEG,
     PRIOR_ERROR_LENGTH_DEG,
     PRIOR_ERROR_LENGTH_LOG_SD,
     PRIOR_ERROR_LOG_SD,
     PRIOR_ERROR_REL,
+    edges_and_glints,
 )
 
 Floats = NDArray[np.float64]
@@ -45,17 +47,20 @@ def regret_of(curve: Floats, angle_deg: float) -> float:
     return float(1 - np.interp(angle_deg, FINE_DEG, curve) / curve.max())
 
 
-def log_discrepancy(family: Family, rng: np.random.Generator) -> Floats:
+def log_discrepancy(family: Family, rng: np.random.Generator, simulated: Floats) -> Floats:
     """Return ln(simulated / real) on FINE_DEG, apart from a common scale.
 
-    "model" is a draw of the prior of the decision. Its shape is wrong for the others: a tilt (sd
+    "model" is a draw of the whole prior of the decision. Its shape is wrong for the others: a tilt (sd
     15 % from the middle to the ends), or a bump (sd 20 %) of half-width 15 deg anywhere.
     """
     if family == "model":
         amplitude = PRIOR_ERROR_REL * np.exp(PRIOR_ERROR_LOG_SD * rng.standard_normal())
         length_deg = PRIOR_ERROR_LENGTH_DEG * np.exp(PRIOR_ERROR_LENGTH_LOG_SD * rng.standard_normal())
         correlation = matern_correlation(FINE_DEG, FINE_DEG, length_deg, rng.choice([0.5, 1.5, 2.5]))
-        return draw_normal(amplitude**2 * correlation, 1, rng)[0]
+        shape = draw_normal(amplitude**2 * correlation, 1, rng)[0]
+        shape += edges_and_glints(FINE_DEG, 1, FINE_DEG, rng)[0]
+        moved = np.interp(FINE_DEG + MOVED_SD_DEG * rng.standard_normal(), FINE_DEG, simulated)
+        return np.asarray(shape + np.log(simulated / moved))
     if family == "tilt":
         return np.asarray(0.15 * rng.standard_normal() * (FINE_DEG / 45 - 1))
     center = rng.uniform(0, 90)

@@ -6,7 +6,8 @@ import pytest
 from data_schemas import AngleObjective, DecideError, finger_identity
 from data_schemas.storage._records import MIGRATIONS
 from finray_calib.decide import decide
-from finray_calib.decide._decision_record import TOLERANCE_REL, swept_contacts
+from finray_calib.decide._decision_record import TOLERANCE_REL
+from finray_calib.decide._swept_contacts import swept_contacts
 from tests.command_line.records import BEST_DEG
 from tests.command_line.records import sweep as sweep_record
 from tests.decide.test_capture_errors import objective_error, report
@@ -22,18 +23,19 @@ def test_without_a_report_it_carries_the_prior_of_the_error_and_decides_nothing(
     decision = decide(sweep_record(), [], 1)
     assert not decision.validated
     assert decision.verdict == "needs captures"
-    assert decision.discrepancy_rel == pytest.approx(0.10, rel=0.02)
-    assert decision.discrepancy_95_rel == pytest.approx((0.0245, 0.40), rel=0.05)
+    assert decision.discrepancy_rel == pytest.approx(0.03, rel=0.02)
+    assert decision.discrepancy_95_rel == pytest.approx((0.0042, 0.213), rel=0.08)
     assert decision.captures == ()
     assert decision.statement_simulation_only.p_within_tolerance > 0.99 > 0.8 > decision.statement.p_within_tolerance
     assert decision.statement.regret_95 > 10 * decision.statement_simulation_only.regret_95
     assert decision.mean == pytest.approx(decision.mean_simulation_only, rel=1e-12)
     assert (decision.high95 - decision.low95 > decision.high95_simulation_only - decision.low95_simulation_only).all()
-    assert any("until one does, the error is taken to be a random curve" in note for note in decision.notes)
+    assert any("until one does, the error is taken to be a curve that is moved" in note for note in decision.notes)
     assert "it is not decided before one does" in decision.sentence
     assert decision.sentence.startswith(decision.headline)
-    assert decision.headline.startswith("For one place only, 35 mm from the base: mount the light at 35")
-    assert decision.angle_deg == decision.angle_simulation_only_deg == pytest.approx(BEST_DEG, abs=2)
+    assert decision.headline.startswith("For one place only (35 mm from the base), mount the light at 3")
+    assert decision.angle_deg == pytest.approx(BEST_DEG, abs=2)
+    assert decision.angle_simulation_only_deg == pytest.approx(BEST_DEG, abs=2)
     assert "no capture has checked it" in decision.sentence
     assert decision.next_capture is not None
     assert f"Capture next with the light at {decision.next_capture.angle_deg:.0f} deg" in decision.sentence
@@ -124,8 +126,68 @@ def test_other_objectives_are_listed_and_disagreement_is_said():
     assert disagrees.disagrees is True
     assert disagrees.best_deg == pytest.approx(90, abs=2)
     assert TOLERANCE_REL < disagrees.loss_90_rel[0] < disagrees.loss_rel < disagrees.loss_90_rel[1]
-    assert "Normal error would choose 9" in decision.sentence
+    assert "Normal error would have chosen " in decision.sentence
+    # what its best angle loses of the brightness, by the brightness' own curve
+    at = np.abs(decision.grid_deg - disagrees.best_deg).argmin()
+    assert disagrees.cost_rel == pytest.approx(1 - decision.mean[at] / decision.mean.max(), abs=0.01)
+    assert agrees.cost_rel < 0.01
     assert "Uniformity" not in decision.sentence
+
+
+def with_normal_errors(tops_deg, places_mm=(10.0, 30.0, 50.0)):
+    """A sweep that holds the error of the normal at places, each least at an angle of its own, and brightness."""
+    sweep = sweep_record()
+    errors = 5.0 / hills(sweep.angles_deg, tops_deg).T[:, None, :]
+    noise = 1 + 0.005 * np.random.default_rng(8).standard_normal((sweep.angles_deg.size, 4, len(tops_deg)))
+    normal = AngleObjective(
+        name="held-out normal error", meaning="m", unit="deg", larger_is_better=False,
+        values=(errors * noise).mean(axis=2), place_values=errors * noise, places_mm=np.array(places_mm),
+    )  # fmt: skip
+    return sweep.model_copy(update={"other_objectives": (normal,)})
+
+
+@pytest.mark.parametrize("criterion", ["average", "worst"])
+def test_the_error_of_the_normal_is_decided_on_where_it_is_there(criterion):
+    tops = (60.0, 75.0, 90.0)
+    sweep = with_normal_errors(tops)
+    decision = decide(sweep, [], 1, criterion=criterion)
+    assert decision.aim == "normal"
+    fine = np.arange(0.0, 121.0)
+    relative = hills(fine, tops)
+    value = relative.min(axis=0) if criterion == "worst" else relative.mean(axis=0)
+    assert value[int(decision.angle_deg)] > value.max() - 0.01
+    assert [c.best_deg for c in decision.contacts] == pytest.approx(tops, abs=4)
+    assert [c.position_mm for c in decision.contacts] == [10.0, 30.0, 50.0]
+    above = 1 / relative[:, int(decision.angle_deg)] - 1
+    assert [1 / (1 - c.loss_rel) - 1 for c in decision.contacts] == pytest.approx(above, abs=0.02)
+    assert "the error of the sensed normal is at most" in decision.headline
+    (brightness,) = decision.other_objectives
+    assert brightness.name == "brightness"
+    assert brightness.best_deg == pytest.approx(BEST_DEG, abs=3)
+    assert brightness.disagrees
+    assert brightness.cost_rel == pytest.approx(1 - value[int(brightness.best_deg)] / value.max(), abs=0.02)
+    assert "Brightness would have chosen 3" in decision.sentence
+    assert decision.verdict == "needs captures"
+    assert decision.next_capture is None
+
+
+def test_captures_and_weights_are_of_the_brightness():
+    sweep = with_normal_errors((60.0, 75.0, 90.0))
+    reported = decide(sweep, [capture(30.0, 0.1)], 1)
+    assert reported.aim == "brightness"
+    assert {other.name for other in reported.other_objectives} == {"held-out normal error"}
+    assert decide(sweep, [], 1, weights=[2.0]).aim == "brightness"
+    assert decide(sweep, [], 1, aim="brightness").angle_deg == pytest.approx(BEST_DEG, abs=3)
+    with pytest.raises(
+        DecideError, match=r"reports tell of the brightness\. Leave them out, or decide on the brightness"
+    ):
+        decide(sweep, [capture(30.0, 0.1)], 1, aim="normal")
+    with pytest.raises(DecideError, match="weights are of touches, the error is of places"):
+        decide(sweep, [], 1, weights=[2.0], aim="normal")
+    with pytest.raises(
+        DecideError, match="do not hold it at places along the pad: simulate them with --objectives all"
+    ):
+        decide(sweep_record(), [], 1, aim="normal")
 
 
 def at_place(position_mm, best_deg, **changes):

@@ -1,15 +1,17 @@
 """The sentences of a decision: what to do first, then how sure that is."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from data_schemas import DecidedContact, Indenter
-from finray_calib.decide._decision_record import decision_sentence, headline, outside
+from finray_calib.decide._decision_record import _ASSUMED_SIZE, _other_sentences, decision_sentence, headline, outside
 from finray_calib.decide._light_angle import AngleRisk
 from finray_calib.decide._next_observation import Proposal
 from finray_calib.decide._other_objectives import OtherOptimum
+from finray_calib.decide._sim_to_real import PRIOR_ERROR_LOG_SD, PRIOR_ERROR_REL
 
 NONE = np.empty(0)
 RISK = AngleRisk(0.5, 0.0304, 0.0161, (), 0.96)
@@ -47,36 +49,30 @@ def touches(*losses, across_mm=0.0, depth_mm=1.5):
 
 
 def test_the_first_sentence_says_what_to_do_and_for_which_touches():
-    found = headline(decision(33.0), touches(0.02, 0.1, 0.06), "worst", 0.02)
+    found = headline(decision(33.0), touches(0.02, 0.1, 0.06), 0.02)
     assert found == (
-        "Mount the light at 33 \u00b1 6 deg: the brightness of the touch is at most 10 % below the best at any of the "
-        "3 places from 8 to 16 mm, and 6 % on average."
+        "Mount the light at 33 \u00b1 6 deg: as simulated, the touch is at most 10 % less bright than the best at any "
+        "of the 3 places from 8 to 16 mm, and 6 % on average."
     )
-    found = headline(decision(33.0), touches(0.02, 0.1, 0.06), "average", 0.02)
-    assert found == (
-        "Mount the light at 33 \u00b1 6 deg: the brightness of the touch is on average 6 % below the best at the 3 "
-        "places "
-        "from 8 to 16 mm, and at most 10 % (12 mm from the base)."
-    )
-    found = headline(decision(), [*touches(0.0), *touches(0.05, depth_mm=3.0)], "average", 0.02)
-    assert "at the 2 touches at 8 mm, and at most 5 %" in found
+    found = headline(decision(33.0, validated=True), touches(0.02, 0.1, 0.06), 0.02)
+    assert found.startswith("Mount the light at 33 \u00b1 6 deg: the touch is at most 10 % less bright")
+    pair = [touches(0.0, 0.0)[0], touches(0.05, 0.05, depth_mm=3.0)[0]]
+    assert "any of the 2 touches at 8 mm, and 2.5 % on average" in headline(decision(), pair, 0.02)
 
 
 def test_one_sweep_is_for_one_place_only():
-    found = headline(decision(44.0), touches(0.0, across_mm=3.0), "average", 0.02)
+    found = headline(decision(44.0), touches(0.0, across_mm=3.0), 0.02)
     assert found == (
-        "For one place only, 8 mm from the base and 3 mm beside its middle: mount the light at 44 \u00b1 6 deg; "
-        "between "
-        "these angles the touch is at most 2 % less bright than at the best."
+        "For one place only (8 mm from the base and 3 mm beside its middle), mount the light at 44 \u00b1 6 deg: as "
+        "simulated, the touch is at most 2 % less bright than at the best angle."
     )
 
 
 @pytest.mark.parametrize("losses", [(0.0,), (0.0, 0.1)])
 def test_an_angle_at_the_end_of_the_sweep_is_not_to_be_mounted(losses):
-    found = headline(decision(90.0, "undecided", at_range_end=True), touches(*losses), "average", 0.02)
-    assert "best angle found, 90 deg, is the end of the sweep" in found
-    assert "simulate a wider sweep before the light is mounted." in found
-    assert found.startswith("For one place only" if len(losses) == 1 else "The best")
+    found = headline(decision(90.0, "undecided", at_range_end=True), touches(*losses), 0.02)
+    assert "the best angle found, 90 deg, is the end of the sweep: simulate a wider sweep before" in found
+    assert found.startswith("For one place only (8 mm" if len(losses) == 1 else "For this finger, ")
 
 
 def test_what_lies_outside_is_said():
@@ -89,21 +85,24 @@ def test_what_lies_outside_is_said():
     assert "at 8 mm along the pad, 0 to 3 mm from the middle line, 1.5 to 3 mm deep" in outside(wide, Indenter())
 
 
+def test_what_is_assumed_of_the_error_is_what_the_prior_says():
+    low, high = 100 * PRIOR_ERROR_REL * np.exp([-1.96 * PRIOR_ERROR_LOG_SD, 1.96 * PRIOR_ERROR_LOG_SD])
+    assert f"{100 * PRIOR_ERROR_REL:.2g} %, 95 % between {low:.1f} % and {high:.0f} %" == _ASSUMED_SIZE
+
+
 def test_without_captures_nothing_is_decided_and_the_next_one_is_named():
     found = decision_sentence(decision(), NONE, 0.02, None, Proposal(70.0, 0.01, 0.02))
     assert found == (
-        "So says the simulation; no capture has checked it, and it is not decided before one does. An error of 10 % "
-        "(95 %: 4 % to 30 %) at each angle is assumed. Another angle may be better by 3 % on average and by at most "
-        "1.6 % "
-        "with 95 % probability; that it is better by no more than 2 % has a probability of 0.96, and that the best "
-        "angle "
-        "lies within 5 deg one of 0.50. Capture next with the light at 70 deg."
+        "So says the simulation; no capture has checked it, and it is not decided before one does. Assumed is that "
+        "the finger's curve may be moved by some 5 deg and be off by 10 % (95 %: 4 % to 30 %) at each angle. No other "
+        "angle is better by more than 2 % with a probability of 0.96, and none by more than 1.6 % with one of 0.95; "
+        "the best angle lies within 5 deg with one of 0.50. Capture next with the light at 70 deg."
     )
 
 
 def test_of_several_places_the_one_to_capture_is_named():
     proposal = Proposal(70.0, 0.01, 0.02, contact=1)
-    found = decision_sentence(decision(), NONE, 0.02, None, proposal, (), touches(0.0, 0.1))
+    found = decision_sentence(decision(), NONE, 0.02, None, proposal, touches(0.0, 0.1))
     assert found.endswith("Capture next with the light at 70 deg, 12 mm from the base.")
 
 
@@ -111,17 +110,36 @@ def test_captures_are_named_with_what_they_changed():
     tie = AngleRisk(0.5, 0.000374, 0.0012, ((3.0, 18.0),), 0.99)
     found = decision_sentence(decision(5.0, "tie", tie, validated=True), np.array([70.0, 10, 40]), 0.025)
     assert found.startswith(
-        "3 captures at 10, 40 and 70 deg are in this: the simulation is off by some 10 % at an angle. Without them it "
-        "would be 9 deg."
+        "3 captures at 10, 40 and 70 deg are in this: the simulation is off by some 10 % at an angle. Without them the "
+        "choice would be 9 deg."
     )
     assert found.endswith("Any angle from 3 to 18 deg will do.")
-    other = OtherOptimum("normal error", "deg", 55.0, False, (2.0, 3.0), 0.31, 0.2, 0.4, True)
-    found = decision_sentence(
-        decision(20.0, validated=True), np.array([30.0]), 0.02, None, Proposal(70.0, 0.01, 0.02), [other]
-    )
+    found = decision_sentence(decision(20.0, validated=True), np.array([30.0]), 0.02, None, Proposal(70.0, 0.01, 0.02))
     assert found.startswith("A capture at 30 deg is in this, which is not enough to decide: the simulation is off")
-    assert found.endswith(
-        "Capture next with the light at 70 deg. Normal error would choose 55 deg and loses 31 % here."
+    assert found.endswith("Capture next with the light at 70 deg.")
+
+
+def test_what_others_would_have_chosen_is_said_with_its_cost():
+    other = OtherOptimum("normal error", "deg", 55.0, False, (2.0, 3.0), 0.31, 0.2, 0.4, True, 0.2)
+    agrees = replace(other, disagrees=False)
+    assert _other_sentences([other, agrees], "brightness") == [
+        "Normal error would have chosen 55 deg, with 20 % less brightness."
+    ]
+    # an inverse that is 20 % less is an error that is a quarter larger
+    assert _other_sentences([other], "normal") == [
+        "Normal error would have chosen 55 deg, where the error of the normal is 25 % larger."
+    ]
+
+
+def test_a_decision_on_the_normal_tells_the_error_and_its_places():
+    found = headline(decision(-25.0), touches(0.02, 0.2), 0.02, "normal")
+    assert found == (
+        "Mount the light at -25 \u00b1 6 deg: as simulated, the error of the sensed normal is at most 25 % above the "
+        "best at any of the 2 places from 8 to 12 mm, and 14 % on average."
+    )
+    assert outside(touches(0.0, 0.0), Indenter(), "normal") == (
+        "It holds for facets of the undeformed pad at 8 to 12 mm, tilted by up to 20 deg; shadows of the object that "
+        "is touched are left out."
     )
 
 

@@ -11,6 +11,7 @@ from finray_calib.decide._sim_to_real import (
     EDGE_PROBABILITY,
     EDGE_SIZE_LOG_SD,
     EDGE_SIZE_REL,
+    MOVED_SD_DEG,
     PRIOR_ERROR_LENGTH_DEG,
     PRIOR_ERROR_LENGTH_LOG_SD,
     PRIOR_ERROR_LOG_SD,
@@ -32,20 +33,53 @@ def captures(log_error, scale_of=None, sd=0.02, angles=ANGLES):
     return CaptureErrors(names, np.asarray(angles[:size]), np.full(size, 1.0), np.array(log_error), shared, groups)
 
 
-def posterior(errors, slope=0.0):
-    return discrepancy_posterior(errors, np.full(len(errors.names), slope), GRID)
+HILL = np.log(0.4 + np.exp(-0.5 * ((GRID - 40) / 12) ** 2))
+
+
+def posterior(errors, slope=0.0, ln_curve=None):
+    """Of a curve that is flat, or has this slope: moving it changes no more than its scale."""
+    curve = slope * GRID if ln_curve is None else ln_curve
+    return discrepancy_posterior(errors, curve[None, :], GRID)
+
+
+def expected(found):
+    """The shape expected at the first place, with the scale of the first rig."""
+    return found.visible.mean[0]
+
+
+def covariance(found):
+    """Of the shape at the first place: what captures see, and what they do not."""
+    return found.visible.covariance + (0.0 if found.hidden is None else found.hidden.covariance)
+
+
+def shape_mean(found):
+    return expected(found) - expected(found).mean()
+
+
+def shape_sd(found):
+    """Standard deviation of the shape less its mean over the grid."""
+    response = covariance(found) - covariance(found).mean(axis=0)
+    return np.sqrt(np.diag(response) - response.mean(axis=1))
+
+
+def shapes(found, count, seed):
+    """Draws at the first place, less their means over the grid."""
+    draws = found.draws(count, np.random.default_rng(seed))[:, 0]
+    return draws - draws.mean(axis=1, keepdims=True)
 
 
 def test_without_captures_it_is_the_prior():
     prior = posterior(NO_CAPTURES)
-    assert prior.mean == pytest.approx(np.zeros(31))
+    assert expected(prior) == pytest.approx(np.zeros(31))
     low, median, high = prior.amplitude_quantiles_rel
     # The nodes are 17 % apart; quantiles between them are interpolated.
     assert median == pytest.approx(PRIOR_ERROR_REL, rel=0.02)
-    assert [low, high] == pytest.approx(PRIOR_ERROR_REL * np.exp([-1.96 * 0.7, 1.96 * 0.7]), rel=0.05)
-    # E a^2 of a lognormal; its truncation at 200 % matters little
+    assert [low, high] == pytest.approx(
+        PRIOR_ERROR_REL * np.exp([-1.96 * PRIOR_ERROR_LOG_SD, 1.96 * PRIOR_ERROR_LOG_SD]), rel=0.08
+    )
+    # E a^2 of a lognormal, which its truncation at 100 % lowers by 5 %
     mean_square = PRIOR_ERROR_REL**2 * np.exp(2 * PRIOR_ERROR_LOG_SD**2)
-    assert np.diag(prior.covariance) == pytest.approx(np.full(31, mean_square), rel=0.02)
+    assert np.diag(covariance(prior)) == pytest.approx(np.full(31, mean_square), rel=0.08)
 
 
 @pytest.mark.parametrize("scale_of", [[0, 0, 0], [0, 0, 1]])
@@ -79,8 +113,8 @@ def test_posterior_agrees_with_a_dense_joint_normal(scale_of, monkeypatch):
     mean = weights @ np.array(means)
     spread = sum(w * (c + np.outer(m, m)) for w, c, m in zip(weights, covariances, means, strict=True))
     # The flat prior is approached as noise / vague, rounding grows as vague: both below 1e-6.
-    assert found.mean == pytest.approx(mean, abs=1e-5)
-    assert np.abs(found.covariance - (spread - np.outer(mean, mean))).max() < 1e-5
+    assert expected(found) == pytest.approx(mean, abs=1e-5)
+    assert np.abs(covariance(found) - (spread - np.outer(mean, mean))).max() < 1e-5
 
 
 def test_draws_have_the_posterior_mean_and_spread(monkeypatch):
@@ -88,39 +122,61 @@ def test_draws_have_the_posterior_mean_and_spread(monkeypatch):
     monkeypatch.setattr(module, "EDGE_PROBABILITY", 0.0)
     for scale_of in ([0, 0, 0], None):
         found = posterior(captures([0.25, 0.05, -0.1], scale_of))
-        draws = found.shape_draws(20_000, np.random.default_rng(1))[:, 0]
-        assert draws.mean(axis=1) == pytest.approx(np.zeros(20_000), abs=1e-12)
-        error = found.shape_sd / np.sqrt(20_000)
+        draws = shapes(found, 20_000, 1)
+        error = shape_sd(found) / np.sqrt(20_000)
         # 5 standard errors over 31 correlated angles.
-        assert (np.abs(draws.mean(axis=0) - found.shape_mean) < 5 * error).all()
-        # Mixtures of amplitudes have heavy tails: a standard deviation is good to 3 %.
-        assert draws.std(axis=0) == pytest.approx(found.shape_sd, rel=0.03)
+        assert (np.abs(draws.mean(axis=0) - shape_mean(found)) < 5 * error).all()
+        # Mixtures of amplitudes have heavy tails: a standard deviation is good to 5 %.
+        assert draws.std(axis=0) == pytest.approx(shape_sd(found), rel=0.05)
 
 
-def test_edges_and_reflections_have_their_sizes_and_rates():
+def test_edges_and_reflections_have_their_sizes_and_rates(monkeypatch):
     shapes = edges_and_glints(GRID, 20_000, GRID, np.random.default_rng(2))
     none = (np.abs(shapes).max(axis=1) == 0).mean()
     # binomial standard error 0.0035
-    assert none == pytest.approx((1 - EDGE_PROBABILITY) ** 2, abs=0.015)
-    only_edge = shapes[(np.abs(shapes).max(axis=1) > 0)]
-    # an edge ends at +- b, a reflection peaks at b: both medians are near that of b, seen through a grid of 3 deg
-    assert np.median(np.abs(only_edge).max(axis=1)) == pytest.approx(EDGE_SIZE_REL, rel=0.25)
+    assert none == pytest.approx((1 - EDGE_PROBABILITY) ** 3, abs=0.015)
     mean_square = EDGE_SIZE_REL**2 * np.exp(2 * EDGE_SIZE_LOG_SD**2) * EDGE_PROBABILITY
-    # the edge alone gives nearly b^2 everywhere; a reflection is narrow
-    assert mean_square < (shapes**2).mean() < 1.5 * mean_square
+    # an edge gives nearly b^2 everywhere, and there are two; a reflection is narrow
+    assert 1.7 * mean_square < (shapes**2).mean() < 2.4 * mean_square
+    monkeypatch.setattr(module, "EDGE_PROBABILITY", 0.05)
+    rare = edges_and_glints(GRID, 20_000, GRID, np.random.default_rng(3))
+    alone = np.abs(rare).max(axis=1)
+    # an edge ends at +- b, a reflection peaks at b: both medians are near that of b, seen through a grid of 3 deg
+    assert np.median(alone[alone > 0]) == pytest.approx(EDGE_SIZE_REL, rel=0.25)
 
 
-def test_importance_sampling_of_edges_agrees_with_rejection(monkeypatch):
+def test_a_moved_curve_is_the_simulated_one_at_another_angle(monkeypatch):
+    """Without shape, edges and reflections the real curve has the same hill, some degrees elsewhere."""
+    monkeypatch.setattr(module, "EDGE_PROBABILITY", 0.0)
+    monkeypatch.setattr(module, "PRIOR_ERROR_REL", 1e-9)
+    monkeypatch.setattr(module, "_NODES_REL", np.array([1e-9]))
+    grid = np.linspace(0, 90, 181)
+    fine = np.log(0.4 + np.exp(-0.5 * ((grid - 40) / 12) ** 2))
+    found = discrepancy_posterior(NO_CAPTURES, np.stack([fine, fine + 1.0]), grid)
+    draws = found.draws(4000, np.random.default_rng(5))
+    real = fine - draws[:, 0]
+    tops_deg = grid[real.argmax(axis=1)]
+    # standard errors 0.08 and 0.06 deg, grid of 0.5 deg
+    assert tops_deg.mean() == pytest.approx(40.0, abs=0.4)
+    assert tops_deg.std() == pytest.approx(MOVED_SD_DEG, rel=0.06)
+    # all places are moved alike, and the hill keeps its height over its foot
+    assert draws[:, 1] == pytest.approx(draws[:, 0], abs=1e-6)
+    assert np.ptp(real, axis=1) == pytest.approx(np.full(4000, np.ptp(fine)), rel=0.03)
+
+
+@pytest.mark.parametrize("ln_curve", [None, HILL], ids=["flat", "hill"])
+def test_importance_sampling_of_edges_and_movement_agrees_with_rejection(ln_curve, monkeypatch):
     """Draws of the whole prior, kept by the likelihood of two captures: nothing of the update is shared."""
     monkeypatch.setattr(module, "_SHAPES", 4000)
     monkeypatch.setattr(module, "EDGE_PROBABILITY", 0.9)
     errors = captures([0.15, -0.05], [0, 0], sd=0.05)
-    draws = posterior(errors).shape_draws(20_000, np.random.default_rng(3))[:, 0]
-    prior = posterior(NO_CAPTURES).shape_draws(60_000, np.random.default_rng(4))[:, 0]
+    found = posterior(errors, ln_curve=ln_curve)
+    draws = shapes(found, 20_000, 3)
+    prior = shapes(posterior(NO_CAPTURES, ln_curve=ln_curve), 60_000, 4)
     # captures at angles of the grid; the unknown scale takes up the mean, so that only their difference counts
     first, second = (int(np.abs(GRID - angle).argmin()) for angle in errors.angles_deg)
     misfit = (prior[:, first] - prior[:, second]) - (errors.log_error[0] - errors.log_error[1])
-    variance = errors.covariance[0, 0] + errors.covariance[1, 1] - 2 * errors.covariance[0, 1]
+    variance = found.noise[0, 0] + found.noise[1, 1] - 2 * found.noise[0, 1]
     weights = np.exp(-0.5 * misfit**2 / variance)
     weights /= weights.sum()
     kept = 1 / (weights**2).sum()
@@ -128,21 +184,21 @@ def test_importance_sampling_of_edges_agrees_with_rejection(monkeypatch):
     sd = np.sqrt(weights @ (prior - mean) ** 2)
     error = sd * np.sqrt(1 / kept + 1 / 20_000 + 1 / 1000)  # 4000 shapes, a quarter of which have weight
     assert (np.abs(draws.mean(axis=0) - mean) < 5 * error).all()
-    # heavy tails: standard deviations agree to 10 %
-    assert draws.std(axis=0) == pytest.approx(sd, rel=0.1)
+    # heavy tails: standard deviations agree to 15 %
+    assert draws.std(axis=0) == pytest.approx(sd, rel=0.15)
 
 
 def test_one_capture_tells_the_size_of_the_contact_error_and_its_level_near_its_angle():
     small, large = posterior(captures([0.01])), posterior(captures([0.4]))
     prior = posterior(NO_CAPTURES).amplitude_quantiles_rel[1]
     # the part in common with the no-contact image stays as large as it was
-    assert np.sqrt(COMMON_SHARE) * prior < small.amplitude_quantiles_rel[1] < prior < large.amplitude_quantiles_rel[1]
+    assert np.sqrt(COMMON_SHARE) * prior < small.amplitude_quantiles_rel[1] < 0.5 * large.amplitude_quantiles_rel[1]
     near, far = np.abs(GRID - 12).argmin(), len(GRID) - 1
-    assert large.mean[near] == pytest.approx(0.4, abs=0.03)
-    assert abs(large.mean[far]) < 0.2
+    assert expected(large)[near] == pytest.approx(0.4, abs=0.03)
+    assert abs(expected(large)[far]) < 0.2
     visible = large.visible.covariance
     assert visible[near, near] < 0.05 * visible[far, far]
-    assert (np.diag(large.covariance) > np.diag(large.hidden.covariance)).all()
+    assert (np.diag(covariance(large)) > np.diag(large.hidden.covariance)).all()
 
 
 def test_relative_captures_leave_the_common_part_its_prior():
@@ -151,31 +207,31 @@ def test_relative_captures_leave_the_common_part_its_prior():
     exact = posterior(captures([0.0] * 10, [0] * 10, sd=0.002, angles=angles))
     relative = posterior(captures([0.0] * 10, None, sd=0.002, angles=angles))
     prior = posterior(NO_CAPTURES)
-    assert exact.shape_sd.max() < 0.1 * prior.shape_sd.min()
-    assert (relative.shape_sd > 0.8 * prior.shape_sd).all()
+    assert shape_sd(exact).max() < 0.1 * shape_sd(prior).min()
+    assert (shape_sd(relative) > 0.8 * shape_sd(prior)).all()
 
 
 def test_a_common_scale_of_one_rig_changes_nothing():
     plain = posterior(captures([0.25, 0.05, -0.1], [0, 0, 0]))
     shifted = posterior(captures([7.25, 7.05, 6.9], [0, 0, 0]))
-    assert shifted.shape_mean == pytest.approx(plain.shape_mean, abs=1e-9)
+    assert shape_mean(shifted) == pytest.approx(shape_mean(plain), abs=1e-9)
     assert shifted.amplitude_quantiles_rel == pytest.approx(plain.amplitude_quantiles_rel)
     # a rig with a single capture says nothing of the shape
     lone = posterior(captures([0.4], [0]))
-    assert lone.shape_mean == pytest.approx(np.zeros(31), abs=1e-12)
+    assert shape_mean(lone) == pytest.approx(np.zeros(31), abs=1e-12)
     assert lone.amplitude_quantiles_rel == pytest.approx(posterior(NO_CAPTURES).amplitude_quantiles_rel)
 
 
 def test_captures_at_several_angles_correct_the_shape_and_shrink_its_uncertainty():
-    tilt = 0.3 * (GRID / 45 - 1)
+    tilt = 0.06 * (GRID / 45 - 1)
     angles = np.array([5.0, 30.0, 60.0, 85.0])
     found = posterior(captures(np.interp(angles, GRID, tilt), [0] * 4, sd=0.005, angles=angles))
     between = (GRID >= 5) & (GRID <= 85)
-    assert found.shape_mean[between] == pytest.approx(tilt[between], abs=0.03)
+    assert shape_mean(found)[between] == pytest.approx(tilt[between], abs=0.01)
     # beyond the last captures the error may have a kink, so the tilt is not continued in full
-    assert (np.abs(found.shape_mean - tilt) < 2 * found.shape_sd).all()
-    ratio = found.shape_sd / posterior(NO_CAPTURES).shape_sd
-    # this error of 30 % is larger than the prior's 10 %, and half-way between captures a short one may hide
+    assert (np.abs(shape_mean(found) - tilt) < 2 * shape_sd(found)).all()
+    ratio = shape_sd(found) / shape_sd(posterior(NO_CAPTURES))
+    # this error of 3.5 % is as large as the prior's; half-way between captures a short one may hide
     assert ratio.max() < 1.0
     assert np.interp(angles, GRID, ratio).max() < 0.4
 
@@ -185,5 +241,5 @@ def test_an_uncertain_angle_counts_by_the_slope():
     flat, steep = posterior(errors, 0.0), posterior(errors, 0.1)
     assert steep.noise[0, 0] == pytest.approx(flat.noise[0, 0] + 0.1**2)
     near = np.abs(GRID - 12).argmin()
-    assert 0 < steep.mean[near] < flat.mean[near]
-    assert steep.covariance[near, near] > flat.covariance[near, near]
+    assert 0 < expected(steep)[near] < expected(flat)[near]
+    assert covariance(steep)[near, near] > covariance(flat)[near, near]

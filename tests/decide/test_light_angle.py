@@ -170,7 +170,7 @@ def test_one_capture_widens_the_risk_by_what_it_shows():
     good, bad = (decide(values, captures=captures([30], e, absolute=False)) for e in (0.01, 0.3))
     assert good.simulation_only == bad.simulation_only
     assert bad.risk.regret_95_rel > 1.3 * good.risk.regret_95_rel > 2 * good.simulation_only.regret_95_rel
-    assert bad.risk.p_within_5deg < good.risk.p_within_5deg
+    assert bad.risk.expected_regret_rel > good.risk.expected_regret_rel
 
 
 def test_an_angle_that_the_constraints_forbid_is_not_chosen():
@@ -223,8 +223,8 @@ def test_claims_hold_with_captures(case):
     assert outcome.claimed_within_5deg - outcome.actual_within_5deg <= LARGEST_MISS + 0.1
     # Binomial(40, 0.95): below 34 with probability 3e-3.
     assert outcome.coverage_of_95 >= 34 / 40
-    # of the prior's own errors two thirds have no second derivative: three captures see less of them
-    assert outcome.regret < (0.8 if case.truth == "model" else 0.6) * outcome.regret_simulation_only
+    # of the model's own errors many have no derivative: three captures see less of them
+    assert outcome.regret < (0.9 if case.truth == "model" else 0.6) * outcome.regret_simulation_only
 
 
 @pytest.mark.parametrize(

@@ -113,7 +113,7 @@ def example_results(seed: int = SEED, paint_name: str = "fluorescent red", measu
             input_sha256={"demo.toml": "ab" * 32},
             seed=seed,
         ),
-        true_sweep=true_sweep,
+        true_sweeps=(true_sweep,),
         report_level_a=_scored(report, 0.702),
     )
 

@@ -120,7 +120,7 @@ def test_without_a_capture_it_is_said_at_once():
     for absent in (
         "with captures",
         "Captures in this decision",
-        "Other objectives of the sweep",
+        "Objectives side by side",
     ):
         assert absent not in text
 
@@ -181,7 +181,10 @@ def test_objectives_that_agree_or_cannot_be_told_are_not_called_a_disagreement()
 
 def test_figures_show_captures_forbidden_angles_and_any_mounting():
     without = DECISION.model_copy(update={"captures": ()})
-    assert len(angle_figure(DECISION, SWEEP, None)) > len(angle_figure(without, SWEEP, None))
+    assert len(angle_figure(DECISION, SWEEP)) > len(angle_figure(without, SWEEP))
+    # of several places a capture is on no curve of the figure
+    several = over_places(captures=DECISION.captures)
+    assert angle_figure(several, SWEEP) == angle_figure(over_places(), SWEEP)
     free = SWEEP.model_copy(update={"constraints": None})
     assert len(other_objectives_figure(DECISION, SWEEP)) > len(other_objectives_figure(DECISION, free))
     named = SWEEP.other_objectives[0].model_copy(update={"name": HOSTILE})
@@ -285,27 +288,40 @@ def test_a_decision_over_places_begins_with_what_to_do_then_the_finger_then_the_
     text = plain(html)
     order = [
         "Mount the light at 32 \u00b1 6 deg: the brightness of the touch is on average 8.3 % below the best.",
-        "not decided: captures are needed",
+        "The angle is not decided captures are needed",
         "The finger with its light",
         "Hatched: between 26 and 41 deg it costs at most 2 % more.",
         "What each place loses",
         "8 mm 33.3% 63 deg 22 % 52 %",
         "Why, and how sure it is So says the simulation. It holds for touches at 8 to 50 mm.",
-        "The least loss on average has 32 deg: 8.3 % on average and 22 % at the worst place. The least loss at the "
-        "worst "
-        "place has 47 deg:",
-        "Chosen was the least loss on average (--criterion).",
+        "Best on average is 32 deg: 8.3 % on average and 22 % at most. Best at the worst place is 47 deg:",
+        "Chosen was the best on average (--criterion).",
         "How far to trust this",
     ]
     places = [text.index(part) for part in order]
     assert places == sorted(places)
     for absent in ("model-limited", "Risk:", "On the drawing"):
         assert absent not in text[: text.index("How far to trust this")]
-    assert "Chosen was the least loss at the worst place" in plain(
+    assert "Chosen was the best at the worst place" in plain(
         decision_page(over_places(criterion="worst"), [SWEEP] * 3, COMMAND, DIGESTS)
     )
     numbers = json.loads(re.search(r'id="summary">(.*?)</script>', html, re.DOTALL)[1])
     assert [sweep["name"] for sweep in numbers["sweeps"]] == [SWEEP.name] * 3
+
+
+def test_a_decision_on_the_normal_shows_its_error_and_what_others_cost():
+    normal = DECISION.other_objectives[0].model_copy(update={"name": "brightness", "cost_rel": 0.2})
+    html = decision_page(over_places(aim="normal", other_objectives=(normal,)), [SWEEP] * 3, COMMAND, DIGESTS)
+    text = plain(html)
+    for told in (
+        "How much larger the error of the sensed normal is than at the best angle for its own place",
+        "8 mm 33.3% 63 deg 28 % 108 %",
+        "Marks on the pad: the places that were looked at",
+        "brightness 62 deg 25 % 21 % [17 %, 25 %] yes",
+        "brightness is best at 62 deg and loses 21 % here (there: 25 % more error of the normal)",
+    ):
+        assert told in text
+    assert "Next capture" not in text
 
 
 def test_the_map_needs_a_decision_that_holds_one():

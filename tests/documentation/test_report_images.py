@@ -181,7 +181,7 @@ def test_every_figure_is_well_formed_and_undated() -> None:
         "reflectance": lambda: reflectance_figure(paint),
         "error map": lambda: error_map_figure(RESULTS.report, outline),
         "scores": lambda: score_figure(RESULTS.report),
-        "angle": lambda: angle_figure(RESULTS.decision, RESULTS.sweep, RESULTS.true_sweep),
+        "angle": lambda: angle_figure(RESULTS.decision, RESULTS.sweep, RESULTS.true_sweeps),
     }
     for name, make in makers.items():
         svg = make()
@@ -195,8 +195,8 @@ def test_series_differ_by_marker_and_not_only_by_colour() -> None:
 
 
 def test_the_angle_figure_shows_more_when_there_is_more() -> None:
-    validated = angle_figure(example_decision("tie"), RESULTS.sweep, RESULTS.true_sweep)
-    alone = angle_figure(example_decision("tie", validated=False), RESULTS.sweep, None)
+    validated = angle_figure(example_decision("tie"), RESULTS.sweep, RESULTS.true_sweeps)
+    alone = angle_figure(example_decision("tie", validated=False), RESULTS.sweep)
     assert len(validated) > len(alone)
 
 

@@ -14,7 +14,6 @@ from finray_calib.demo._results import all_notes, assumptions, true_loss, trust_
 from finray_calib.reports import (
     comparison_lines,
     decimals_for,
-    decision_meaning,
     decision_table,
     duration,
     error_table,
@@ -27,6 +26,7 @@ from finray_calib.reports import (
     significant,
     simulation_sentence,
 )
+from finray_calib.reports._decision_page import decision_meaning
 from finray_calib.reports._plain_text import WIDTH_COLUMNS, unbroken
 
 RESULTS = example_results()
@@ -96,7 +96,7 @@ def test_summary_has_the_promised_keys_in_plain_json() -> None:
 
 def test_summary_turns_what_is_not_finite_into_null() -> None:
     report = RESULTS.report.model_copy(update={"light_angle_deg": float("nan")})
-    numbers = summary(replace(RESULTS, report=report, true_sweep=None))
+    numbers = summary(replace(RESULTS, report=report, true_sweeps=()))
     assert numbers["photometric_error"]["light_angle_deg"] is None
     assert numbers["decision"]["true_regret"] is None
 
@@ -138,7 +138,7 @@ def test_assumptions_name_what_nobody_measured() -> None:
 def test_lines_break_neither_between_number_and_unit_nor_inside_an_interval() -> None:
     assert unbroken("4.4 % of 597 nm") == "4.4\u00a0% of 597\u00a0nm"
     assert unbroken("0.95 [0.92, 0.97] s") == "0.95 [0.92,\u00a00.97]\u00a0s"
-    assert unbroken("4.5 +- 3.1 nats") == "4.5 \u00b1 3.1 nats"
+    assert unbroken("4.5 +- 3.1 nats") == "4.5\u00a0\u00b1\u00a03.1 nats"
     assert unbroken("5 months, 3 deg/s") == "5 months, 3 deg/s"
 
 
@@ -201,10 +201,19 @@ def test_a_missing_floor_is_said() -> None:
 def test_true_loss_of_a_known_curve() -> None:
     sweep = RESULTS.sweep
     values = np.interp(sweep.angles_deg, [0.0, 30.0, 120.0], [0.5, 1.0, 0.1])[:, None] * [1.0, 3.0, 0.2]
-    best_deg, loss = true_loss(sweep.model_copy(update={"values": values}), 60.0)
+    true = sweep.model_copy(update={"values": values})
+    best_deg, loss = true_loss([true], 60.0)
     assert best_deg == 30.0
     assert loss == pytest.approx(0.3, rel=1e-12)  # a straight line from 1 at 30 deg to 0.1 at 120 deg
-    assert truth_statement(replace(RESULTS, true_sweep=None)) is None
+    assert truth_statement(replace(RESULTS, true_sweeps=())) is None
+    # at a second place that is three times as bright and alike, the same
+    assert true_loss([true, true.model_copy(update={"values": 3 * values})], 60.0) == pytest.approx((best_deg, loss))
+    # of two places with opposite slopes no angle is best for both
+    back = true.model_copy(update={"values": values[::-1]})
+    curve = values.mean(axis=1) / values.mean(axis=1).max()
+    both = (curve + curve[::-1]) / 2
+    at = np.interp(60.0, sweep.angles_deg, both)
+    assert true_loss([true, back], 60.0)[1] == pytest.approx(1 - at / both.max(), abs=1e-9)
 
 
 def test_tables_name_what_is_not_used() -> None:

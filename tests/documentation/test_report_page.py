@@ -32,12 +32,15 @@ def test_every_tag_is_closed_in_order(page: Page) -> None:
 
 
 def test_the_verdict_stands_before_every_stage_image_and_table(page: Page, html: str) -> None:
-    verdict = html.index("32\u00a0deg: true optimum within")
+    verdict = html.index("Several angles do equally well; take 32\u00a0deg")
     assert verdict < min(html.index("<img"), html.index("<table"), *(html.index(f'id="{stage}"') for stage in STAGES))
     assert html.index("How far to trust this") < html.index('id="capture"')
     positions = [html.index(f'id="{stage}"') for stage in STAGES]
     assert positions == sorted(positions)
-    assert "Any of these angles will do: 25 to 39 deg" in page.prose
+    assert "The angle is decided angles beside it do as well" in page.prose
+    first = page.prose[: page.prose.index("How far to trust this")]
+    for shown in ("Captured, no contact", "Captured, contact", "The finger from the side, to scale", "Emission of the"):
+        assert shown in first
 
 
 def test_the_page_needs_nothing_from_outside_and_no_script(page: Page, html: str) -> None:
@@ -56,7 +59,7 @@ def test_the_page_needs_nothing_from_outside_and_no_script(page: Page, html: str
 def test_the_figures_themselves_load_nothing(page: Page) -> None:
     sources = [str(image["src"]) for image in page.all("img")]
     drawings = [base64.b64decode(s.split(",")[1]).decode() for s in sources if s.startswith("data:image/svg")]
-    assert len(drawings) == 15  # six for each paint, error map, scores, angle
+    assert len(drawings) == 18  # six for each paint, error map, scores, angle; above them the finger and two spectra
     for svg in drawings:
         assert "<script" not in svg
         assert all(ref.startswith(("#", "data:")) for ref in re.findall(r'href="([^"]*)"', svg))
@@ -106,7 +109,7 @@ def hostile() -> str:
     results = example_results(paint_name=HOSTILE)
     press = results.press.model_copy(update={"camera_matrix": None})
     decision = example_decision("needs captures", validated=False)
-    return demo_report(replace(results, press=press, decision=decision, true_sweep=None, report_level_a=None))
+    return demo_report(replace(results, press=press, decision=decision, true_sweeps=(), report_level_a=None))
 
 
 def test_hostile_names_stay_text(hostile: str) -> None:
@@ -120,8 +123,8 @@ def test_hostile_names_stay_text(hostile: str) -> None:
 
 def test_another_verdict_is_named_in_title_and_box(hostile: str) -> None:
     text = Page(hostile).prose
-    assert "needs captures: finray demo report" in text
-    assert "More renders will not help" in text
+    assert "finray demo: 32 deg is the best guess of the simulation; a capture has to confirm it" in text
+    assert "The angle is not decided captures are needed" in text
     assert "not validated against a capture" in text
     assert "hidden true finger" not in text
 

@@ -165,7 +165,15 @@ def test_exposure_is_the_longest_that_clips_less_than_the_limit():
 def test_objectives_prefer_the_angle_of_most_contrast_and_brightness_does_not_count():
     rgb, places = made_up()
     table = exposed_table(rgb, places, uniform_shares(), SENSOR)
-    median, worst, held_out, even = objectives.objectives_of(table, SENSOR, 3)
+    median, worst, held_out, even, colours = objectives.objectives_of(table, SENSOR, 3)
+    # tilts of 20 deg across change red against green, the more the more contrast
+    assert colours.larger_is_better
+    assert (np.diff(colours.values.mean(axis=1)) > 0.0).all()
+    assert held_out.places_mm is not None
+    assert held_out.place_values is not None
+    rows = [held_out.place_values[..., row] for row in range(len(held_out.places_mm))]
+    points = [np.sum(objectives.rows_along(places[:, 1])[1] == row) for row in range(len(rows))]
+    np.testing.assert_allclose(np.average(rows, axis=0, weights=points), held_out.values)
     for objective in (median, worst, held_out):
         assert not objective.larger_is_better
         assert (np.diff(objective.values.mean(axis=1)) < 0.0).all()
@@ -174,6 +182,25 @@ def test_objectives_prefer_the_angle_of_most_contrast_and_brightness_does_not_co
     # four times brighter panels: the exposure takes it back
     brighter = exposed_table(4.0 * rgb, places, uniform_shares(), SENSOR)
     np.testing.assert_allclose(brighter.signal_e, table.signal_e)
+
+
+def test_the_separation_is_the_angle_between_opposite_colours():
+    rgb, places = made_up(angles=1, repeats=1)
+    table = exposed_table(rgb, places, uniform_shares(), SENSOR)
+    relative = rgb[0, 0, 0] / rgb[0, 0, 0, :1]
+    expected = [
+        np.degrees(np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b)))
+        for a, b in ((relative[9], relative[11]), (relative[10], relative[12]))
+    ]
+    np.testing.assert_allclose(objectives.colour_separations_deg(table), np.mean(expected), rtol=1e-6)
+
+
+def test_rows_are_those_of_the_grid():
+    z = np.repeat([7.0, 18.2, 29.4, 40.6, 51.8, 63.0], 5) + np.tile([-0.4, 0.3, 0.0, 0.2, -0.1], 6)
+    places, row = objectives.rows_along(np.delete(z, slice(10, 15)))
+    # a row that the camera does not see is no place
+    assert places == pytest.approx([7.0, 18.2, 40.6, 51.8, 63.0])
+    assert row.tolist() == np.repeat(np.arange(5), 5).tolist()
 
 
 def test_the_derivative_is_that_of_the_linear_colours():
@@ -209,6 +236,11 @@ def test_frames_have_the_noise_that_the_bound_counts_with():
 def test_records_refuse_values_that_have_no_inverse_and_constraints_count():
     with pytest.raises(ValueError, match="made up: values must be positive"):
         AngleObjective(name="made up", meaning="", unit="deg", larger_is_better=False, values=np.array([[1.0, 0.0]]))
+    with pytest.raises(ValueError, match="made up: values at places and the places themselves belong together"):
+        AngleObjective(
+            name="made up", meaning="", unit="deg", larger_is_better=False, values=np.ones((2, 2)),
+            place_values=np.ones((2, 2, 3)),
+        )  # fmt: skip
     constraints = AngleConstraints(
         clipped_share=np.array([0.0, 0.002, 0.0]),
         clipped_limit_share=0.001,
@@ -231,11 +263,11 @@ def test_all_objectives_of_a_finger(llvm, paints, monkeypatch):
     found, constraints = sweep.other_objectives, sweep.constraints
     assert constraints is not None
     assert sweep.values.shape == (4, 2)
-    assert [o.values.shape for o in found] == [(4, 2)] * 4
+    assert [o.values.shape for o in found] == [(4, 2)] * 5
     assert constraints.in_the_way == ("",) * 4
     assert constraints.allowed.all()
     # turned away from the pad, the panel leaves most of it dark: less even and harder to tell normals by
-    sigma, worst, held_out, even = (o.values.mean(axis=1) for o in found)
+    sigma, worst, held_out, even, _ = (o.values.mean(axis=1) for o in found)
     assert sigma[3] > 1.5 * sigma[0]
     assert worst[3] > 1.5 * worst[0]
     assert even[3] < 0.7 * even[0]
