@@ -15,6 +15,7 @@ from data_schemas._curves import SpectralCurve
 from data_schemas._design import FingerDesign
 from data_schemas._design_parts import Preset
 from data_schemas._model import Model, Record
+from data_schemas._plain_sensor import PlainSensor
 from data_schemas._units import AngleDeg, Fraction
 
 Image = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "3"))]
@@ -94,7 +95,7 @@ class SimulatedPress(Record):
     with ``rendered_light``; all its other images are those of ``shown_light``.
     """
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray simulate render'"
 
     name: str
@@ -126,6 +127,7 @@ class SimulatedPress(Record):
     camera_matrix: Annotated[Floats, ArraySpec("<f8", ("3", "band"))] | None = None
     light_angle_deg: AngleDeg | None
     design: FingerDesign | None
+    sensor: PlainSensor | None = Field(default=None, description="of a classic sensor, which has no finger's design")
     paints: dict[str, str] = Field(default={}, description="colour -> SHA-256 of the paint calibration")
     notes: tuple[str, ...] = ()
 
@@ -211,7 +213,7 @@ class LightAngleSweep(Record):
     change the ranking of angles.
     """
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray simulate sweep'"
 
     name: str
@@ -288,7 +290,7 @@ class PressSensitivities(Model):
 class PressMechanics(Record):
     """Force against push of one finger under a rigid indenter; the surfaces stand in a record of their own."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray simulate press'"
 
     name: str
@@ -344,7 +346,7 @@ class PressMechanics(Record):
 class PressIncrement(Record):
     """The state of a finger at one increment of a press, from which the press can go on."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray simulate press'"
 
     preset: Preset

@@ -140,8 +140,9 @@ class DifferentiatedProbes:
         mi, light = self.renderer, self.design.light
         if parameter == "angle_deg":
             sine, cosine = dr.sincos(math.radians(1.0) * (light.angle_deg + change))
-            panel.normal = mi.Vector3f(0.0, sine, cosine)
-            panel.along = mi.Vector3f(0.0, cosine, -sine) * (light.height_mm / 2.0)
+            x, z = math.sin(math.radians(light.azimuth_deg)), math.cos(math.radians(light.azimuth_deg))
+            panel.normal = mi.Vector3f(x * cosine, sine, z * cosine)
+            panel.along = mi.Vector3f(-x * sine, cosine, -z * sine) * (light.height_mm / 2.0)
         else:
             axis = mi.Vector3f(*[1.0 if name == parameter else 0.0 for name in POSITION_AXES])
             panel.centre = panel.centre + change * axis

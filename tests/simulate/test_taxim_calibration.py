@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data_schemas import FingerDesign, GelPad, Indenter, PlainSensor, SimulateError
-from data_schemas._design import CameraBelow
+from data_schemas import CameraBelow, FingerDesign, GelPad, Indenter, PlainSensor, SimulateError
 from sim.experiments import _ball_presses as taxim_finger
 from sim.experiments import render_ball_presses
 from sim.experiments._ball_presses import DEPTHS_REL, mm_per_px, planned_presses, surface_of
