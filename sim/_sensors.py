@@ -36,7 +36,7 @@ def _gelsight_flat(name: str) -> PlainSensor:
             ColouredLight(channel="green", azimuth_deg=-120.0, **bank),
             ColouredLight(channel="blue", azimuth_deg=120.0, **bank),
         ),
-        camera=CameraBelow(distance_mm=36.55, field_of_view_deg=28.0, width_px=240, height_px=240),
+        camera=CameraBelow(distance_mm=36.55, field_of_view_deg=23.0, width_px=240, height_px=240),
         indenter=Indenter(shape="ball", radius_mm=4.0, depth_mm=1.0, position_mm=10.0),
         source=(
             "Agarwal, Man, Yuan, Simulation of vision-based tactile sensors using physics based rendering (ICRA 2021) "
@@ -95,7 +95,7 @@ def _nine_dtact(name: str) -> PlainSensor:
     """Return a 9DTact: a translucent layer before black gel under even white light."""
     ring = tuple(
         ColouredLight(
-            channel="white", azimuth_deg=45.0 * k - 180.0, angle_deg=60.0, distance_mm=17.0, depth_mm=6.0, width_mm=6.0,
+            channel="white", azimuth_deg=45.0 * k - 180.0, angle_deg=60.0, distance_mm=20.0, depth_mm=5.0, width_mm=6.0,
             height_mm=3.0,
         )
         for k in range(8)

@@ -114,10 +114,14 @@ def run_list(arguments: argparse.Namespace) -> None:
 
 def run_init(arguments: argparse.Namespace) -> None:
     """Write a design file."""
+    from data_schemas import SimulateError
     from data_schemas.storage import write_bytes
-    from sim import SENSORS, design_toml, preset_design, preset_sensor, sensor_toml
+    from sim import PRESETS, SENSORS, design_toml, preset_design, preset_sensor, sensor_toml
 
     name = arguments.preset
+    if name not in PRESETS and name not in SENSORS:
+        known = ", ".join([*PRESETS, *SENSORS])
+        raise SimulateError(f"there is no preset design '{name}'; there are {known}")
     text = sensor_toml(preset_sensor(name)) if name in SENSORS else design_toml(preset_design(name))
     out = require_new(arguments.out or Path(f"{name}.toml"))
     write_bytes(out, text.encode())
