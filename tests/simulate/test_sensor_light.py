@@ -32,12 +32,15 @@ DARK = {"wall_reflectance": 0.0, "box_reflectance": 0.0, "panel_reflectance": 0.
 def test_a_white_furnace_is_white(llvm, pad):
     """Panels all around below, and nothing that absorbs: every point shines as the panels do, the dent too.
 
-    What they leave dark is a slit 1.2 deg high along the horizon, 0.05 % of the light that falls on the gel.
+    Paths end at 30 surfaces; in a gel that absorbs nothing, whose white walls are half of its surface, that cuts off
+    0.5 to 0.9 % of the light (Mitsuba's own ``path`` to the same depth: 0.9913 +- 0.0007).
     """
     floor = ColouredLight(
-        channel="white", angle_deg=90.0, distance_mm=0.0, depth_mm=41.0, width_mm=48.0, height_mm=48.0
+        channel="white", angle_deg=90.0, distance_mm=0.0, depth_mm=40.45, width_mm=48.0, height_mm=48.0
     )
-    side = ColouredLight(channel="white", angle_deg=0.0, distance_mm=24.0, depth_mm=20.5, width_mm=48.0, height_mm=40.0)
+    side = ColouredLight(
+        channel="white", angle_deg=0.0, distance_mm=24.0, depth_mm=20.25, width_mm=48.0, height_mm=40.4
+    )
     sides = (side.model_copy(update={"azimuth_deg": azimuth}) for azimuth in (0.0, 90.0, 180.0, -90.0))
     sensor = PlainSensor(
         pad=pad, wall_reflectance=1.0, box_reflectance=1.0, panel_reflectance=0.0, lights=(floor, *sides),
@@ -51,7 +54,7 @@ def test_a_white_furnace_is_white(llvm, pad):
     )
     error = means.std(axis=0, ddof=1) / np.sqrt(len(means))
     assert error.max() < 2e-3  # can tell
-    # 1 % for the paths that end at 30 surfaces and the rim; the error is that of 7 degrees of freedom
+    # 1 % for the paths that end at 30 surfaces
     assert (np.abs(means.mean(axis=0) - 1.0) < 0.01 + 4.0 * error).all()
 
 
