@@ -3,14 +3,12 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from data_schemas import CoatSurface, PlainSensor, SimulatedPress, SimulateError
-from data_schemas.storage import parse_in_child, read_bytes, read_npy
 from sim.mechanics import read_triangles, rigid_indenter
 from sim.optics import (
     GelHeight,
@@ -25,12 +23,12 @@ from sim.surface_meshes import (
     contact_distance,
     height_over_pad_mm,
     imprinted_height_mm,
+    read_height_map,
     rest_height_mm,
 )
 
 Floats = NDArray[np.float64]
 
-_LARGEST_PICTURE_BYTES = 64 << 20
 _FINEST_GRID = 1000
 _THINNEST_GEL_MM = 0.05
 _LARGEST_CLIFF_MM = 0.05
@@ -149,7 +147,7 @@ def _mapped(
     sensor: PlainSensor, surface: CoatSurface, path: Path, grid: tuple[Floats, Floats], undeformed: Floats
 ) -> Floats:
     """Return the height of the coat by a map, (nx, nz); the coat at rest outside it."""
-    values = _map_mm(surface, path)
+    values = read_height_map(path) * (surface.unit_mm or 1.0)
     rows, columns = values.shape
     step = surface.step_mm or 0.0
     middle = sensor.pad.length_mm / 2.0 if surface.position_mm is None else surface.position_mm
@@ -179,36 +177,6 @@ def _require_no_cliff(path: Path, known: NDArray[np.bool_], depth_mm: Floats) ->
             f"{path}: the map ends on the pad with a step of {cliff:.3g} mm; at most {_LARGEST_CLIFF_MM:g} mm is "
             "allowed: give a map that covers the pad, or one whose rim lies at rest"
         )
-
-
-def _map_mm(surface: CoatSurface, path: Path) -> Floats:
-    """Return the numbers of a map in mm, (rows, columns)."""
-    if path.suffix.lower() == ".npy":
-        values = np.asarray(read_npy(path, "a height map (surface.file, NPY)", SimulateError), dtype=np.float64)
-    else:
-        content = read_bytes(path, "a height map (surface.file, PNG)", SimulateError, _LARGEST_PICTURE_BYTES)
-        _, arrays = parse_in_child(f"{__name__}:grey_picture", content, path, "a PNG picture", SimulateError)
-        values = np.asarray(arrays["picture"], dtype=np.float64)
-    if values.ndim != 2 or min(values.shape) < 2 or not np.isfinite(values).all():
-        raise SimulateError(f"{path}: a height map holds finite numbers in rows and columns, got shape {values.shape}")
-    return np.asarray(values * (surface.unit_mm or 1.0))
-
-
-def grey_picture(content: bytes, where: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Return the grey levels of a PNG; it runs in a child process.
-
-    Raises
-    ------
-    SimulateError
-        It is no PNG, or a coloured one.
-    """
-    import cv2
-
-    picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    if picture is None or picture.ndim != 2:
-        held = "cannot be decoded" if picture is None else f"holds {picture.shape[2]} channels"
-        raise SimulateError(f"{where}: {held}; a height map must be a grey PNG of 8 or 16 bit")
-    return {}, {"picture": picture}
 
 
 def _equal_circle(touched: NDArray[np.bool_], gel: GelHeight) -> Floats:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
         shape_from_mesh,
         split_quads,
     )
-    from sim.surface_meshes._imprint import height_over_pad_mm, imprinted_height_mm
+    from sim.surface_meshes._imprint import height_over_pad_mm, imprinted_height_mm, read_height_map
     from sim.surface_meshes._intersections import check_no_intersections, crossing_pair
     from sim.surface_meshes._solid import (
         Coordinates,
@@ -94,6 +94,7 @@ __all__ = [
     "planar_solid",
     "pressed_height_mm",
     "pressed_shape",
+    "read_height_map",
     "rest_height_mm",
     "rest_shape",
     "restore_shapes",

@@ -1,16 +1,18 @@
-"""The coat where a rigid body of any shape is pressed in, and the height of triangles over the pad.
+"""The coat where a rigid body of any shape is pressed in, the height of triangles over the pad, and height maps.
 
 A geometric imprint, no mechanical solution: the body's shape, rounded at its rim, and a bulge around it that keeps the
 volume of the gel. For a ball and a cylinder it is the analytic press of :mod:`sim.surface_meshes`.
 """
 
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from data_schemas import SimulateError
+from data_schemas.storage import parse_in_child, read_bytes, read_npy
 from sim.surface_meshes._finger_shape import BLEND_MM, SMALLEST_BULGE_MEAN
 
 Floats = NDArray[np.float64]
@@ -119,3 +121,42 @@ def _mean(values: Floats) -> float:
     """Return the mean over an evenly spaced grid by the trapezoid rule."""
     inner = np.trapezoid(np.trapezoid(values, axis=1), axis=0)
     return float(inner / ((values.shape[0] - 1) * (values.shape[1] - 1)))
+
+
+_LARGEST_PICTURE_BYTES = 64 << 20
+
+
+def read_height_map(path: Path) -> Floats:
+    """Return the numbers of a height map as they are stored, (rows, columns): NPY, or a grey PNG of 8 or 16 bit.
+
+    Raises
+    ------
+    SimulateError
+        It cannot be read, or holds no finite numbers in rows and columns.
+    """
+    if path.suffix.lower() == ".npy":
+        values = np.asarray(read_npy(path, "a height map (surface.file, NPY)", SimulateError), dtype=np.float64)
+    else:
+        content = read_bytes(path, "a height map (surface.file, PNG)", SimulateError, _LARGEST_PICTURE_BYTES)
+        _, arrays = parse_in_child(f"{__name__}:grey_picture", content, path, "a PNG picture", SimulateError)
+        values = np.asarray(arrays["picture"], dtype=np.float64)
+    if values.ndim != 2 or min(values.shape) < 2 or not np.isfinite(values).all():
+        raise SimulateError(f"{path}: a height map holds finite numbers in rows and columns, got shape {values.shape}")
+    return values
+
+
+def grey_picture(content: bytes, where: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return the grey levels of a PNG; it runs in a child process.
+
+    Raises
+    ------
+    SimulateError
+        It is no PNG, or a coloured one.
+    """
+    import cv2
+
+    picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    if picture is None or picture.ndim != 2:
+        held = "cannot be decoded" if picture is None else f"holds {picture.shape[2]} channels"
+        raise SimulateError(f"{where}: {held}; a height map must be a grey PNG of 8 or 16 bit")
+    return {}, {"picture": picture}
