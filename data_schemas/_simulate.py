@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from data_schemas._arrays import ArraySpec, check_dimensions
 from data_schemas._curves import SpectralCurve
 from data_schemas._design import FingerDesign
-from data_schemas._design_parts import Preset
+from data_schemas._design_parts import Indenter, Preset
 from data_schemas._model import Model, Record
 from data_schemas._plain_sensor import PlainSensor
 from data_schemas._units import AngleDeg, Fraction
@@ -130,6 +130,13 @@ class SimulatedPress(Record):
     sensor: PlainSensor | None = Field(default=None, description="of a classic sensor, which has no finger's design")
     paints: dict[str, str] = Field(default={}, description="colour -> SHA-256 of the paint calibration")
     notes: tuple[str, ...] = ()
+
+    @property
+    def indenter(self) -> Indenter | None:
+        """What is pressed in; None where no design tells it, or a height map or mesh stands in its place."""
+        if self.design is not None:
+            return self.design.indenter
+        return None if self.sensor is None or self.sensor.surface is not None else self.sensor.indenter
 
     @model_validator(mode="after")
     def _images_agree(self) -> "SimulatedPress":

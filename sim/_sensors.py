@@ -39,12 +39,12 @@ def _gelsight_flat(name: str) -> PlainSensor:
         camera=CameraBelow(distance_mm=36.55, field_of_view_deg=23.0, width_px=240, height_px=240),
         indenter=Indenter(shape="ball", radius_mm=4.0, depth_mm=1.0, position_mm=10.0),
         source=(
-            "Agarwal, Man, Yuan, Simulation of vision-based tactile sensors using physics based rendering (ICRA 2021) "
-            "and its scene flatgel in CMURoboTouch/tactile_optical_simulation: three banks a third of a turn apart, "
-            "each 12.59 mm from the axis and 8.79 mm below the coat, tilted up by 19 deg; camera 41.05 mm below the "
-            "coat; clear core of index 1.5403; diffuse coat. The inner face is put 4.5 mm below the coat, above the "
-            "banks, which shine through air here and through the core there; pad, field of view and powers are "
-            "assumed"
+            "Agarwal, Man, Yuan, Simulation of vision-based tactile sensors using physics based rendering (ICRA "
+            "2021) and its scene flatgel in CMURoboTouch/tactile_optical_simulation: three banks a third of a turn "
+            "apart, each of two strips (one rectangle here) 12.59 mm from the axis and 8.79 mm below the coat, "
+            "tilted up by 19 deg; camera 41.05 mm below the coat; clear core of index 1.5403; diffuse coat. The "
+            "inner face is put 4.5 mm below the coat, above the banks, which shine through air here and through the "
+            "core there; pad, field of view and powers are assumed"
         ),
         origin={
             **dict.fromkeys(
@@ -144,11 +144,11 @@ def _gelsight_wedge(name: str) -> PlainSensor:
         ),
         indenter=Indenter(shape="ball", radius_mm=6.0, depth_mm=1.2, position_mm=13.5),
         source=(
-            "GelSight Wedge (Wang, She, Romero, Adelson, ICRA 2021, arXiv 2106.08851) as GelSight-lab/EstimateModulus "
-            "uses it: pad of 35 x 27 mm, 5.5 mm thick; red and blue along the long sides, green at the near end; the "
-            "camera's pose and field are those of a pinhole fitted to its published corners of the pad "
-            "(config_100.csv, 0.3 px), with the plane mirror unfolded. Sizes, angles and powers of the lights are "
-            "assumed"
+            "GelSight Wedge (Wang, She, Romero, Adelson, ICRA 2021, arXiv 2106.08851) as GelSight- "
+            "lab/EstimateModulus uses it: pad of 35 x 27 mm, 5.5 mm thick; red and blue along the long sides, green "
+            "at the near end; the camera's pose and field are those of a pinhole fitted to its published corners of "
+            "the pad (config_100.csv, 0.3 px), with the plane mirror unfolded. Sizes, angles and powers of the "
+            "lights are assumed"
         ),
         origin={
             **dict.fromkeys(

@@ -118,7 +118,8 @@ def render_plain_sensor(
     Raises
     ------
     SimulateError
-        When samples_per_pixel is odd or below 2, when the pad has a film, or when a light lies in the housing's way.
+        When samples_per_pixel is odd or below 2, when the pad has a film, or when a scalar variant meets a light that
+        is not Lambertian.
     """
     if samples_per_pixel < 2 or samples_per_pixel % 2:
         raise SimulateError(
@@ -212,8 +213,15 @@ def plain_sensor_integrator(
     gel: GelHeight | None = None,
     folder: Path = Path(),
 ) -> Any:
-    """Return what renders a plain sensor's scene: panels connected through the inner face where the variant can."""
+    """Return what renders a plain sensor's scene: panels connected through the inner face where the variant can.
+
+    Raises
+    ------
+    SimulateError
+        When a scalar variant meets a light that is not Lambertian.
+    """
     if renderer.variant() == SCALAR_VARIANT:
+        _require_lambertian_lights(sensor)
         return scene.integrator()
     from sim.optics._band_paths import coloured_integrator  # these need the variant set
     from sim.optics._panel_light import Panel
@@ -225,6 +233,15 @@ def plain_sensor_integrator(
     panels = [Panel(light_frame(sensor, light), light, share) for light in sensor.lights]
     dark = _WALLS if sensor.walls == "dark" else ()
     return coloured_integrator(scene, panels, light_colours(sensor, folder), face, dark, sensor.wall_reflectance)
+
+
+def _require_lambertian_lights(sensor: PlainSensor) -> None:
+    """Check that Mitsuba's own integrator, which knows no beams, can render the lights."""
+    if any(light.beam_exponent != 1.0 for light in sensor.lights):
+        raise SimulateError(
+            f"lights.beam_exponent: {SCALAR_VARIANT} renders Lambertian lights only; install LLVM 17 or newer, or set "
+            "it to 1"
+        )
 
 
 def light_frame(sensor: PlainSensor, light: ColouredLight) -> PanelFrame:

@@ -3,7 +3,8 @@
 A :class:`Surface` carries texture coordinates; :func:`check_closed` proves that several of them close one volume. A
 finger's shape is at rest, with the analytic press, or smoothly bent, and can be stored as a record and restored. The
 mirror on the back beam is straight across, slightly convex along the finger; its lay-out is assumed for a pad of
-70 x 35 mm, chosen so that the pad fills the frame of a 120 deg camera, and scales with the pad.
+70 x 35 mm, chosen so that the pad fills the frame of a 120 deg camera, and scales with the pad, where a design does not
+say otherwise.
 
 The analytic press dents the coated face by a cylinder or a ball; it is no mechanical solution. The cylinder lies across
 the pad (axis along x), and each line of the face along the pad is dented for itself; so the shape serves flat,

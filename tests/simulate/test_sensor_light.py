@@ -16,6 +16,7 @@ from sim.optics import (
     plain_sensor_scene,
     render_plain_sensor,
     seen_places_mm,
+    sensor_calibration,
     sensor_pose,
 )
 from sim.optics._plain_sensor import light_colours
@@ -240,6 +241,23 @@ def test_a_press_is_seen_where_its_map_says_with_a_turned_camera(llvm):
     assert inside.sum() > 50
     # a third of the contact's radius
     assert np.linalg.norm(shown - said) < np.sqrt(inside.sum() / np.pi) / 3.0
+
+
+def test_a_calibrated_lens_takes_the_place_of_the_field_of_view(scalar, tmp_path):
+    """A calibration without distortion is the pinhole; its own field counts, not the design's."""
+    focal = 32.0 / np.tan(np.radians(20.0) / 2.0)
+    (tmp_path / "lens.yaml").write_text(
+        f"image_width: 64\nimage_height: 64\ncamera_matrix: [{focal}, 0, 31.5, 0, {focal}, 31.5, 0, 0, 1]\n"
+        "distortion_coefficients: [0, 0, 0, 0]\n"
+    )
+    ideal = PlainSensor(pad=FLAT, camera=SMALL, indenter=BALL)
+    camera = SMALL.model_copy(update={"field_of_view_deg": 60.0, "calibration": "lens.yaml"})
+    calibrated = ideal.model_copy(update={"camera": camera})
+    gel = analytic_gel(ideal, True)
+    found = seen_places_mm(calibrated, gel, scalar, sensor_calibration(calibrated, tmp_path))
+    np.testing.assert_allclose(found, seen_places_mm(ideal, gel, scalar), atol=2e-3)
+    image = render_plain_sensor(calibrated, scalar, 1, 2, folder=tmp_path)
+    assert image.contact.shape == (16, 16, 3)
 
 
 def test_colours_by_name_and_by_spectrum(tmp_path):
