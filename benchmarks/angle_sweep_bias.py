@@ -21,7 +21,6 @@ from data_schemas import FingerDesign
 from sim.optics import BAND_NAMES, choose_variant, open_renderer, paint_bands
 from sim.optics._painted_walls import WallExchange, direct_lights
 from sim.optics._probes import Probes, default_probe_points_mm, probes_on
-from sim.optics._scene import PANEL_REFLECTANCE
 from sim.surface_meshes import FingerShape, pressed_shape
 
 Floats = NDArray[np.float64]
@@ -86,7 +85,7 @@ def in_scene(
             ]
         )
         of_scenes = []
-        for reflectance in (0.0, PANEL_REFLECTANCE):
+        for reflectance in (0.0, design.enclosure.panel_reflectance):
             parameters["panel0.bsdf.reflectance.value"] = mi.Color3f(reflectance)
             parameters.update()
             of_scenes.append(

@@ -117,7 +117,7 @@ if TYPE_CHECKING:
         LightAngleDecision,
         OtherObjective,
     )
-    from data_schemas._design import CHANNELS, ColouredLight, FingerDesign, PlainSensor, finger_identity
+    from data_schemas._design import FingerDesign, finger_identity
     from data_schemas._design_parts import (
         Backing,
         BulkOverShear,
@@ -156,6 +156,15 @@ if TYPE_CHECKING:
         SamplingMethod,
     )
     from data_schemas._model import Estimate, Model, Quantity, Record, explain
+    from data_schemas._plain_sensor import (
+        CHANNELS,
+        CameraBelow,
+        CoatSurface,
+        ColouredLight,
+        PlainSensor,
+        SensorCoat,
+        TranslucentLayer,
+    )
     from data_schemas._provenance import Provenance, digest_of_input, note_renderer, package_version, provenance
     from data_schemas._radiometry import BandSignals, Bleaching, Flag, Optics, PixelSignals, TiltRatio
     from data_schemas._record_methods import register_record_methods
@@ -298,6 +307,7 @@ __all__ = [
     "BoardResidual",
     "BrightestAngle",
     "BulkOverShear",
+    "CameraBelow",
     "CameraCalibration",
     "CameraCharacterisation",
     "CameraPlan",
@@ -319,6 +329,7 @@ __all__ = [
     "CheckResult",
     "CheckVerdict",
     "ChecksumError",
+    "CoatSurface",
     "Coating",
     "ColourCheckerMatch",
     "ColourPatch",
@@ -464,6 +475,7 @@ __all__ = [
     "SensedPress",
     "SensingError",
     "SensingRow",
+    "SensorCoat",
     "SignalDn",
     "SimulateError",
     "SimulatedBench",
@@ -492,6 +504,7 @@ __all__ = [
     "Target",
     "TiltRatio",
     "TimedOutError",
+    "TranslucentLayer",
     "TwoLights",
     "Uniformity",
     "UnsafeError",

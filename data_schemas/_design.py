@@ -1,20 +1,17 @@
-"""The finger as a designer describes it (TOML), a classic tactile sensor beside it, and which finger a product is of.
+"""The finger as a designer describes it (TOML), and which finger a product is of.
 
 Axes: x across the pad, y from the inner (camera side) face into the gel, z along the pad from the base; mm.
 The light angle is the angle of the panel's normal from the pad plane: 0 along the pad, 90 straight into it.
 
-A classic sensor is a flat or domed gel pad over coloured light panels, with a camera straight below. The identity of
-a finger is what its light depends on, part by part, as checksums.
+The identity of a finger is what its light depends on, part by part, as checksums.
 """
 
 import difflib
 import hashlib
 import json
 from collections.abc import Iterator
-from typing import Annotated, Any, Final, Literal, get_args
+from typing import Any, ClassVar, Final, Literal, get_args
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, Field, field_validator, model_validator
 
 from data_schemas._design_parts import (
@@ -32,7 +29,7 @@ from data_schemas._design_parts import (
     TactileCamera,
 )
 from data_schemas._model import Model, Record
-from data_schemas._units import AngleDeg, Fraction, LengthMm, RelativeUncertainty
+from data_schemas._units import RelativeUncertainty
 
 Origin = Literal["measured", "data sheet", "paper", "assumed"]
 PAPER_VALUES: Final[dict[str, tuple[Any, ...]]] = {
@@ -55,14 +52,22 @@ PAPER_VALUES: Final[dict[str, tuple[Any, ...]]] = {
 """Field -> the values that the paper gives for its fingers; another value is not the paper's, whatever a file says."""
 
 
+MOST_FURTHER_LIGHTS: Final = 46
+
+
 class FingerDesign(Record):
     """Everything the simulation needs to know of a finger apart from the paints."""
+
+    schema_version: ClassVar[int] = 2
 
     name: str = "fin-ray-70x35"
     pad: GelPad = GelPad(film=Film())
     coating: Coating = Coating()
     light: LightPanel = LightPanel()
     second_light: LightPanel | None = Field(default=None, description="a further panel, for example at the tip")
+    further_lights: tuple[LightPanel, ...] = Field(
+        default=(), max_length=MOST_FURTHER_LIGHTS, description="more panels"
+    )
     enclosure: Enclosure = Enclosure()
     mirror: Mirror = Mirror()
     camera: TactileCamera = TactileCamera()
@@ -112,13 +117,7 @@ class FingerDesign(Record):
     @field_validator("origin", "uncertainty_rel")
     @classmethod
     def _known_fields(cls, origin: dict[str, Any]) -> dict[str, Any]:
-        known = [path for path in _field_paths(cls) if not path.startswith("provenance.")]
-        for name in origin:
-            if name not in known:
-                near = difflib.get_close_matches(name, known, cutoff=0.5)
-                hint = f"did you mean {' or '.join(near)}?" if near else f"fields are {', '.join(known)}"
-                raise ValueError(f"'{name}' is no field of the design; {hint}")
-        return origin
+        return of_known_fields(cls, origin)
 
     def idle_fields(self) -> dict[str, str]:
         """Return also what the finger has no part for."""
@@ -144,7 +143,8 @@ class FingerDesign(Record):
     @property
     def lights(self) -> tuple[LightPanel, ...]:
         """The panels of the finger."""
-        return (self.light,) if self.second_light is None else (self.light, self.second_light)
+        second = () if self.second_light is None else (self.second_light,)
+        return (self.light, *second, *self.further_lights)
 
     @model_validator(mode="after")
     def _pad_on_the_fin(self) -> "FingerDesign":
@@ -158,9 +158,12 @@ class FingerDesign(Record):
 
     @model_validator(mode="after")
     def _one_led_spectrum(self) -> "FingerDesign":
+        others = [("second_light", self.second_light)] if self.second_light is not None else []
+        others += [(f"further_lights (entry {k})", light) for k, light in enumerate(self.further_lights, start=1)]
         for name in ("peak_wavelength_nm", "fwhm_nm"):
-            if self.second_light is not None and getattr(self.light, name) != getattr(self.second_light, name):
-                raise ValueError(f"second_light.{name} must equal light.{name}: both panels share one LED band")
+            for panel, light in others:
+                if getattr(self.light, name) != getattr(light, name):
+                    raise ValueError(f"{panel}.{name} must equal light.{name}: all panels share one LED band")
         return self
 
     @model_validator(mode="after")
@@ -179,8 +182,25 @@ class FingerDesign(Record):
         return self
 
 
+def of_known_fields(model: type[BaseModel], told: dict[str, Any]) -> dict[str, Any]:
+    """Return what is told of fields, such as where their numbers come from.
+
+    Raises
+    ------
+    ValueError
+        One is no field of a part of the design; the message names what is near.
+    """
+    known = [path for path in _field_paths(model) if not path.startswith("provenance.")]
+    for name in told:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, cutoff=0.5)
+            hint = f"did you mean {' or '.join(near)}?" if near else f"fields are {', '.join(known)}"
+            raise ValueError(f"'{name}' is no field of the design; {hint}")
+    return told
+
+
 def _field_paths(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
-    """Yield the dotted paths of all numbers and choices of a nested model."""
+    """Yield the dotted paths of all numbers and choices of a nested model; of a list, those of its entries."""
     for name, field in model.model_fields.items():
         inner = next(
             (
@@ -192,104 +212,8 @@ def _field_paths(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
         )
         if inner is not None:
             yield from _field_paths(inner, f"{prefix}{name}.")
-        elif prefix:
+        elif prefix or field.annotation in (float, int):
             yield prefix + name
-
-
-Channel = Literal["red", "green", "blue"]
-CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")
-
-
-class ColouredLight(Model):
-    """A light panel beside and below the pad that shines in one channel of the picture."""
-
-    channel: Channel
-    azimuth_deg: AngleDeg = Field(
-        default=0.0, description="where its light goes, seen along the pad: 0 along +z, 90 along +x"
-    )
-    angle_deg: AngleDeg = Field(
-        default=40.0, description="of the panel's normal from the pad plane: 0 along the pad, 90 straight into it"
-    )
-    distance_mm: LengthMm = Field(default=14.0, description="of its centre from the axis through the pad's middle")
-    depth_mm: LengthMm = Field(default=10.0, description="of its centre below the inner face")
-    width_mm: LengthMm = 12.0
-    height_mm: LengthMm = 4.0
-    power_rel: Annotated[float, Field(gt=0.0, le=100.0)] = Field(default=1.0, description="radiance along the normal")
-    beam_exponent: Annotated[float, Field(ge=1.0, le=50.0)] = Field(
-        default=1.0, description="m of an intensity ~ cos^m of the angle from the normal; 1 is Lambertian"
-    )
-
-    @model_validator(mode="after")
-    def _below_the_pad(self) -> "ColouredLight":
-        reach_mm = self.height_mm / 2.0 * abs(float(np.cos(np.radians(self.angle_deg))))
-        if reach_mm >= self.depth_mm:
-            raise ValueError(
-                f"depth_mm = {self.depth_mm:g} mm puts an edge of the {self.channel} panel at the inner face or above "
-                f"it; it must be more than {reach_mm:.3g} mm for a panel of this height and angle"
-            )
-        return self
-
-
-class CameraBelow(Model):
-    """Pinhole camera on the axis through the pad's middle that looks straight at it.
-
-    Columns of the picture run along +x, rows against z, as the camera sees the pad.
-    """
-
-    distance_mm: LengthMm = Field(default=40.0, description="of the pinhole below the inner face")
-    field_of_view_deg: Annotated[float, Field(ge=5.0, le=120.0, json_schema_extra={"unit": "deg"})] = Field(
-        default=30.0, description="over the width of the picture"
-    )
-    width_px: Annotated[int, Field(ge=8, le=4096)] = 160
-    height_px: Annotated[int, Field(ge=8, le=4096)] = 160
-
-
-def _three_lights() -> tuple[ColouredLight, ...]:
-    """Return three lights a third of a turn apart."""
-    return tuple(ColouredLight(channel=c, azimuth_deg=a) for c, a in zip(CHANNELS, (0.0, 120.0, -120.0), strict=True))
-
-
-class PlainSensor(Record):
-    """A classic sensor without fluorescence: every number is an assumption unless its user knows better.
-
-    The gel's index is that at 589 nm in all channels: over the visible range it differs by 0.01.
-    """
-
-    name: str = "plain-20x20"
-    pad: GelPad = GelPad(length_mm=20.0, width_mm=20.0, thickness_mm=4.0)
-    coating: Coating = Coating(diffuse_share=0.8)
-    walls: Literal["dark", "clear"] = Field(default="dark", description="sides of the gel: black-painted, or bare gel")
-    wall_reflectance: Fraction = Field(default=0.05, description="of dark walls")
-    box_reflectance: Fraction = Field(default=0.04, description="of the housing")
-    lights: tuple[ColouredLight, ...] = Field(default_factory=_three_lights, min_length=1, max_length=3)
-    camera: CameraBelow = CameraBelow()
-    indenter: Indenter = Indenter(shape="ball", radius_mm=4.0, depth_mm=1.0, position_mm=10.0)
-
-    @model_validator(mode="after")
-    def _one_light_per_channel(self) -> "PlainSensor":
-        channels = [light.channel for light in self.lights]
-        if len(set(channels)) < len(channels):
-            raise ValueError(f"lights: one panel per channel, got {', '.join(channels)}")
-        return self
-
-    @model_validator(mode="after")
-    def _press_is_possible(self) -> "PlainSensor":
-        self.pressed_pad()
-        return self
-
-    def pressed_pad(self) -> FingerDesign:
-        """Return pad and indenter as a design whose coated face the analytic press can shape.
-
-        Raises
-        ------
-        ValueError
-            When the indenter lies beside the pad.
-        """
-        return FingerDesign(pad=self.pad, coating=self.coating, indenter=self.indenter)
-
-    def middle_mm(self) -> NDArray[np.float64]:
-        """Return the middle of the inner face, shape (3,)."""
-        return np.array([0.0, 0.0, self.pad.length_mm / 2.0])
 
 
 #: Fields that are no part of the finger: what is varied or set in a session, how finely it is computed, and words.
@@ -303,15 +227,19 @@ _LEFT_OUT: Final = {
         "bit_depth",
         "field_of_view_deg",
         "calibration",
+        "position_mm",
+        "aim_deg",
         "response_at_led_uncertainty_rel",
     },
     "indenter": {"depth_mm"},
 }
-VERSION: Final = 2
+VERSION: Final = 3
 """Of what is hashed: another field of a part, or another way to hash, is another version. Version 1 left out fields at
-their default, so that after a change of a default different fingers could look alike."""
+their default, so that after a change of a default different fingers could look alike; version 2 knew the place of the
+mirror by the pad's size only, and at most two panels."""
 _PARTS: Final = (
-    "pad", "coating", "light", "second_light", "enclosure", "mirror", "camera", "indenter", "skeleton", "mechanics",
+    "pad", "coating", "light", "second_light", "further_lights", "enclosure", "mirror", "camera", "indenter",
+    "skeleton", "mechanics",
 )  # fmt: skip
 
 
@@ -338,8 +266,11 @@ def finger_identity(design: FingerDesign) -> FingerIdentity:
     parts = {}
     for name in _PARTS:
         part = getattr(design, name)
-        given: Any = None if part is None else part.model_dump(mode="json")
-        if given is not None:
+        if isinstance(part, tuple):
+            given: Any = [one.model_dump(mode="json") for one in part]
+        else:
+            given = None if part is None else part.model_dump(mode="json")
+        if isinstance(given, dict):
             given = {key: value for key, value in given.items() if key not in _LEFT_OUT.get(name, set())}
         parts[name] = hashlib.sha256(json.dumps(given, sort_keys=True).encode()).hexdigest()
     return FingerIdentity(version=VERSION, name=design.name, depth_mm=design.indenter.depth_mm, parts=parts)

@@ -177,6 +177,9 @@ class LightPanel(Model):
     """Blue LED panel outside the gel, below the inner face."""
 
     angle_deg: AngleDeg = 30.0
+    azimuth_deg: AngleDeg = Field(
+        default=0.0, description="where its light goes, seen along the pad: 0 along +z, 90 along +x"
+    )
     position_mm: tuple[PositionMm, PositionMm, PositionMm] = (0.0, -10.0, -1.0)
     width_mm: LengthMm = 20.0
     height_mm: LengthMm = 4.0
@@ -206,11 +209,45 @@ class Mirror(Model):
 
     reflectance: Fraction = 0.88
     radius_mm: Annotated[float, Field(gt=50.0, le=1e6, json_schema_extra={"unit": "mm"})] = 400.0
+    base_yz_mm: tuple[PositionMm, PositionMm] | None = Field(
+        default=None,
+        description="y and z where its line meets the pad's base; by default -20, 0 for a pad of 70 x 35 mm, scaled "
+        "with the pad's size",
+    )
+    tip_yz_mm: tuple[PositionMm, PositionMm] | None = Field(
+        default=None, description="the same at the pad's tip; by default -4.5, 70 for a pad of 70 x 35 mm, scaled"
+    )
+    overhang_mm: Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})] = Field(
+        default=4.0, description="how far it reaches beyond both places"
+    )
+    side_overhang_mm: Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})] = Field(
+        default=1.0, description="how far it reaches beyond the pad at each side"
+    )
+
+    @model_validator(mode="after")
+    def _behind_the_pad(self) -> "Mirror":
+        for name in ("base_yz_mm", "tip_yz_mm"):
+            place = getattr(self, name)
+            if place is not None and place[0] >= 0.0:
+                raise ValueError(f"{name}: y must be negative (behind the inner face, y = 0 mm), got {place[0]:g} mm")
+        if self.base_yz_mm is not None and self.tip_yz_mm is not None and self.tip_yz_mm[1] <= self.base_yz_mm[1]:
+            raise ValueError(
+                f"tip_yz_mm: z = {self.tip_yz_mm[1]:g} mm must be more than that of base_yz_mm, "
+                f"{self.base_yz_mm[1]:g} mm"
+            )
+        return self
 
 
 class TactileCamera(Model):
     """Camera at the base that sees the pad through the mirror."""
 
+    position_mm: tuple[PositionMm, PositionMm, PositionMm] | None = Field(
+        default=None,
+        description="x, y, z of the pinhole; by default 0, -15, -2 for a pad of 70 x 35 mm, scaled with the pad's size",
+    )
+    aim_deg: Annotated[float, Field(ge=-80.0, le=80.0, json_schema_extra={"unit": "deg"})] = Field(
+        default=14.0, description="of the line of sight behind the mirror, from the pad's normal towards the tip"
+    )
     field_of_view_deg: Annotated[float, Field(ge=20.0, le=150.0, json_schema_extra={"unit": "deg"})] = 120.0
     width_px: Annotated[int, Field(ge=64, le=4096)] = 640
     height_px: Annotated[int, Field(ge=48, le=4096)] = 480
@@ -228,6 +265,15 @@ class TactileCamera(Model):
         description="'assumed' (smooth stand-in curves) or a CSV file with the header "
         "wavelength_nm,red_percent,green_percent,blue_percent",
     )
+
+    @model_validator(mode="after")
+    def _outside_the_gel(self) -> "TactileCamera":
+        if self.position_mm is not None and self.position_mm[1] >= 0.0:
+            raise ValueError(
+                "position_mm: y must be negative (outside the gel, whose inner face is y = 0 mm), got "
+                f"{self.position_mm[1]:g} mm"
+            )
+        return self
 
     @model_validator(mode="after")
     def _whole_bayer_cells(self) -> "TactileCamera":
@@ -249,6 +295,8 @@ class Enclosure(Model):
 
     cloth_reflectance: Fraction = 0.04
     base_reflectance: Fraction = 0.05
+    panel_reflectance: Fraction = Field(default=0.05, description="of the light panels themselves")
+    cloth_clearance_mm: LengthMm = Field(default=8.0, description="of the cloth around finger, lights and camera")
 
 
 # unit -> what a number that is 1000 times too small, too large, or 10^6 times too large may have been given in

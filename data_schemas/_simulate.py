@@ -13,8 +13,9 @@ from pydantic import Field, model_validator
 from data_schemas._arrays import ArraySpec, check_dimensions
 from data_schemas._curves import SpectralCurve
 from data_schemas._design import FingerDesign
-from data_schemas._design_parts import Preset
+from data_schemas._design_parts import Indenter, Preset
 from data_schemas._model import Model, Record
+from data_schemas._plain_sensor import PlainSensor
 from data_schemas._units import AngleDeg, Fraction
 
 Image = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "3"))]
@@ -94,7 +95,7 @@ class SimulatedPress(Record):
     with ``rendered_light``; all its other images are those of ``shown_light``.
     """
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray simulate render'"
 
     name: str
@@ -126,8 +127,16 @@ class SimulatedPress(Record):
     camera_matrix: Annotated[Floats, ArraySpec("<f8", ("3", "band"))] | None = None
     light_angle_deg: AngleDeg | None
     design: FingerDesign | None
+    sensor: PlainSensor | None = Field(default=None, description="of a classic sensor, which has no finger's design")
     paints: dict[str, str] = Field(default={}, description="colour -> SHA-256 of the paint calibration")
     notes: tuple[str, ...] = ()
+
+    @property
+    def indenter(self) -> Indenter | None:
+        """What is pressed in; None where no design tells it, or a height map or mesh stands in its place."""
+        if self.design is not None:
+            return self.design.indenter
+        return None if self.sensor is None or self.sensor.surface is not None else self.sensor.indenter
 
     @model_validator(mode="after")
     def _images_agree(self) -> "SimulatedPress":
@@ -299,7 +308,7 @@ class PressSensitivities(Model):
 class PressMechanics(Record):
     """Force against push of one finger under a rigid indenter; the surfaces stand in a record of their own."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray simulate press'"
 
     name: str
@@ -355,7 +364,7 @@ class PressMechanics(Record):
 class PressIncrement(Record):
     """The state of a finger at one increment of a press, from which the press can go on."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray simulate press'"
 
     preset: Preset

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
         recolour_press,
         render_images,
         render_press,
+        render_sensor,
         sweep_light_angle,
     )
     from finray_calib._library import (
@@ -130,6 +131,7 @@ __all__ = [
     "reduce_session",
     "render_images",
     "render_press",
+    "render_sensor",
     "sweep_light_angle",
     "trace_record",
     "write_record",

@@ -13,6 +13,7 @@ from data_schemas import (
     FingerSurfaces,
     LightAngleSweep,
     PaintCalibration,
+    PlainSensor,
     PressMechanics,
     SimulatedPress,
     SimulateError,
@@ -248,6 +249,48 @@ def render_images(
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
     products = simulate_images(scene, rendering, digests, progress)
     return replace(products, press=made(products.press, "render_images", files, seed))
+
+
+def render_sensor(
+    sensor: PlainSensor | PathLike,
+    *,
+    seed: int = 1,
+    samples: int = DEFAULT_SAMPLES_PER_PIXEL,
+    engine: "Preference" = "auto",
+) -> SimulatedPress:
+    """Render the contact and no-contact image of a classic sensor, in its camera's linear RGB.
+
+    Parameters
+    ----------
+    sensor
+        A design, its file, or the name of a ready-made sensor, such as "gelsight-flat".
+    seed
+        Of the random generator.
+    samples
+        Paths per pixel, an even number.
+    engine
+        "auto", "llvm" or "scalar".
+
+    Raises
+    ------
+    SimulateError
+        There is neither a ready-made sensor nor a file of this name, or the scene cannot be rendered.
+    """
+    from sim import SENSORS, preset_sensor, read_sensor, sensor_inputs
+    from sim.experiments import simulate_sensor_press
+
+    folder, files = Path(), []
+    if isinstance(sensor, PlainSensor):
+        design = sensor
+    elif not Path(sensor).exists() and os.fspath(sensor) in SENSORS:
+        design = preset_sensor(os.fspath(sensor))
+    else:
+        path = Path(sensor)
+        design, folder = read_sensor(path), path.parent
+        files = sensor_inputs(design, path)
+    with naming(SimulateError, *files[:1]):
+        press, _ = simulate_sensor_press(design, folder, _renderer(engine), seed, samples)
+    return made(press, "render_sensor", files, seed)
 
 
 def _rendering(seed: int, options: RenderOptions) -> "Rendering":

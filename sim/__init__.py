@@ -14,7 +14,22 @@ from data_schemas import lazy_exports
 if TYPE_CHECKING:
     from sim._designs import PRESETS, design_inputs, design_toml, preset_design, read_design
     from sim._library_proofs import is_installed, proof_failure
+    from sim._sensors import SENSORS, is_sensor, preset_sensor, read_sensor, sensor_inputs, sensor_toml
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
-__all__ = ["PRESETS", "design_inputs", "design_toml", "is_installed", "preset_design", "proof_failure", "read_design"]
+__all__ = [
+    "PRESETS",
+    "SENSORS",
+    "design_inputs",
+    "design_toml",
+    "is_installed",
+    "is_sensor",
+    "preset_design",
+    "preset_sensor",
+    "proof_failure",
+    "read_design",
+    "read_sensor",
+    "sensor_inputs",
+    "sensor_toml",
+]

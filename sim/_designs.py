@@ -149,61 +149,75 @@ _LEFT_OUT = {"provenance", "schema_version", "name", "materials", "origin", "unc
 def design_toml(design: FingerDesign) -> str:
     """Return a design as TOML; what is left out, or has no effect in this design, stands in comments."""
     idle = design.idle_fields()
-    parts = [_HEAD, f"schema_version = {design.schema_version}\nname = {_value(design.name)}\n"]
+    parts = [_HEAD, f"schema_version = {design.schema_version}\nname = {toml_value(design.name)}\n"]
     for name in (field for field in FingerDesign.model_fields if field not in _LEFT_OUT):
         part = getattr(design, name)
-        if part is None:
-            parts.append(_commented_out(name, LightPanel()))
+        if isinstance(part, tuple):
+            parts.append(_listed(name, part, idle))
+        elif part is None:
+            parts.append(commented_out(name, LightPanel()))
         else:
-            parts.append("".join(_table(name, part, idle)))
+            parts.append("".join(table_lines(name, part, idle)))
     for name, texts in (("materials", design.materials), ("origin", design.origin)):
-        lines = "".join(f"{_value(key)} = {_value(text)}\n" for key, text in texts.items())
+        lines = "".join(f"{toml_value(key)} = {toml_value(text)}\n" for key, text in texts.items())
         parts.append(f"\n[{name}]\n{lines}")
-    parts.append(_uncertainties(design.uncertainty_rel))
+    parts.append(uncertainty_lines(design.uncertainty_rel))
     return "".join(parts)
 
 
-def _uncertainties(stated: dict[str, float]) -> str:
+def _listed(name: str, entries: tuple[BaseModel, ...], idle: Collection[str]) -> str:
+    """Return a list of tables, or how one is begun."""
+    lines = (
+        "".join(table_lines(name, entry, idle, in_list=True, with_words=k == 0)) for k, entry in enumerate(entries)
+    )
+    return "".join(lines) or f"\n# [[{name}]] begins one more, with the fields of [light]; there may be several.\n"
+
+
+def uncertainty_lines(stated: Mapping[str, float], example_field: str = "mechanics.gel.c10_mpa") -> str:
     """Return the table of uncertainties, or an example of it as a comment."""
-    lines = [f"{_value(field)} = {_value(u)}" for field, u in stated.items()]
+    lines = [f"{toml_value(field)} = {toml_value(u)}" for field, u in stated.items()]
     head = "# Standard uncertainty of a number over its value, for comparisons with a measured force."
-    example = '# [uncertainty_rel]\n# "mechanics.gel.c10_mpa" = 0.2'
+    example = f'# [uncertainty_rel]\n# "{example_field}" = 0.2'
     return "\n".join(["", head, *(["[uncertainty_rel]", *lines] if lines else [example]), ""])
 
 
-def _commented_out(name: str, example: BaseModel) -> str:
+def commented_out(name: str, example: BaseModel) -> str:
     """Return a table that the design does not have, as a comment to be opened."""
-    lines = "".join(_table(name, example, ())).strip().split("\n")
+    lines = "".join(table_lines(name, example, ())).strip().split("\n")
     return "\n" + "".join(f"# {line}\n" for line in lines)
 
 
-def _table(name: str, part: BaseModel, idle: Collection[str]) -> Iterator[str]:
-    """Yield the lines of a table and of the tables in it."""
+def table_lines(
+    name: str, part: BaseModel, idle: Collection[str], *, in_list: bool = False, with_words: bool = True
+) -> Iterator[str]:
+    """Yield the lines of a table, or of one entry of a list of tables, and of the tables in it."""
     if name in idle:
         return
-    yield f"\n[{name}]\n"
+    yield f"\n[[{name}]]\n" if in_list else f"\n[{name}]\n"
     inner = []
     for field, info in type(part).model_fields.items():
         value = getattr(part, field)
         if isinstance(value, BaseModel):
             inner.append((f"{name}.{field}", value))
             continue
-        for line in textwrap.wrap(info.description or "", 116):
+        for line in textwrap.wrap(info.description or "", 116) if with_words else ():
             yield f"# {line}\n"
+        if value is None and not with_words:
+            continue
         if value is None:
             yield f"# {field} = ...\n"
         else:
-            yield f"{'# ' if f'{name}.{field}' in idle else ''}{field} = {_value(value)}\n"
+            yield f"{'# ' if f'{name}.{field}' in idle else ''}{field} = {toml_value(value)}\n"
     for path, model in inner:
-        yield from _table(path, model, idle)
+        yield from table_lines(path, model, idle)
 
 
-def _value(value: object) -> str:
+def toml_value(value: object) -> str:
     """Return a TOML value: text, number or list of numbers."""
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, tuple):
-        return "[" + ", ".join(_value(v) for v in value) + "]"
+        return "[" + ", ".join(toml_value(v) for v in value) + "]"
     return repr(value)
 
 
@@ -229,7 +243,7 @@ def read_design(path: Path) -> FingerDesign:
     """
 
     def complete(tables: dict[str, Any]) -> dict[str, Any]:
-        written = dict(tables)
+        written = {name: value for name, value in tables.items() if name != "kind"}
         preset = written.pop("preset", None)
         if preset is None:
             _require_tables(path, written, FingerDesign)
@@ -241,8 +255,8 @@ def read_design(path: Path) -> FingerDesign:
         except SimulateError as error:
             raise SimulateError(f"{path}: {error}") from None
         values = ready.model_dump(mode="python", exclude_unset=True)
-        origin = {field: where for field, where in ready.origin.items() if not _changes(written, ready, field)}
-        return _merged({**values, "origin": origin}, written)
+        origin = {field: where for field, where in ready.origin.items() if not changes(written, ready, field)}
+        return merged({**values, "origin": origin}, written)
 
     if path.name == str(path) and path.name in PRESETS and not path.exists():
         raise RecordError(f"{path}: no such file; write it first: finray design init {path}, then give {path}.toml")
@@ -283,19 +297,21 @@ def _at(table: Any, field: str) -> Any:
     return table
 
 
-def _changes(written: Mapping[str, Any], ready: FingerDesign, field: str) -> bool:
-    """Return whether a file gives a field another value than the ready-made finger has."""
+def changes(written: Mapping[str, Any], ready: BaseModel, field: str) -> bool:
+    """Return whether a file gives a field another value than the ready-made design has; a list counts as a whole."""
     value: Any = ready
     for name in field.split("."):
+        if isinstance(value, tuple):
+            return field.split(".")[0] in written
         value = getattr(value, name, None)
     given = _at(written, field)
     return given is not None and (tuple(given) if isinstance(given, list) else given) != value
 
 
-def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     """Return tables in which each value of `above` replaces that of `below`."""
     both = {**below, **above}
     for name in below.keys() & above.keys():
         if isinstance(below[name], Mapping) and isinstance(above[name], Mapping):
-            both[name] = _merged(below[name], above[name])
+            both[name] = merged(below[name], above[name])
     return both

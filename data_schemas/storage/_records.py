@@ -392,6 +392,18 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("PhotometricErrorReport", 3): _as_it_is,
     # the skill of all presses together, of several simulators, in place of the mean of skills
     ("ComparisonBatch", 2): _without_mean_of_skills,
+    # camera, mirror and panels anywhere; none: where the size of the pad puts them. A press may be a classic sensor's
+    ("FingerDesign", 1): _as_it_is,
+    ("SimulatedPress", 2): _as_it_is,
+    ("PressMechanics", 2): _as_it_is,
+    ("PressIncrement", 2): _as_it_is,
+    ("FluorescentRendering", 2): _as_it_is,
+    ("TwoLights", 2): _as_it_is,
+    ("LightAngleIntensity", 2): _as_it_is,
+    ("FingerStiffness", 2): _as_it_is,
+    ("StudyPoint", 1): _as_it_is,
+    # lights, coat, camera, surface and origins beside the three panels of one channel each
+    ("PlainSensor", 1): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

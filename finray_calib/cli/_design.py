@@ -1,4 +1,4 @@
-"""``finray design``: write a finger's design file, and look at the finger before it is simulated."""
+"""``finray design``: write the design file of a finger or classic sensor, and look at it before it is simulated."""
 
 import argparse
 from pathlib import Path
@@ -17,13 +17,17 @@ if TYPE_CHECKING:
 
 
 HELP = "write a finger design; draw it, see what its camera sees, print its parts"
-DESCRIPTION = "Write a design file to start from, and look at a finger before anything is simulated."
-INIT_DESCRIPTION = "Write the design of a ready-made finger, with comments, to be edited."
+DESCRIPTION = (
+    "Write a design file to start from, and look at a finger or a classic sensor before anything is simulated."
+)
+INIT_DESCRIPTION = "Write the design of a ready-made finger or classic sensor, with comments, to be edited."
 SHOW_DESCRIPTION = """\
 Say what part of the pad the camera sees through the mirror, how many sensor pixels fall on a millimetre, and what else
 is in the picture. With --out FILE.png, draw the finger from the side and from the front, with the names of its parts
 and their sizes, and the camera's view below. With --out FILE.html, write one page with that drawing, the finger to be
-turned round in a browser, and all its numbers with where they come from."""
+turned round in a browser, and all its numbers with where they come from.
+
+Of a classic sensor it says the same, where its lights are, and which numbers are published; it is drawn as .png."""
 EXPORT_DESCRIPTION = """\
 Write what a finger is printed from, in mm and in the finger's axes (x across, y along the pad's outward normal, z along
 the finger), so that the parts fit together:
@@ -45,7 +49,7 @@ def add_design(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     """Register the verb."""
     parser = verbs.add_parser("design", help=HELP, description=DESCRIPTION)
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    names = actions.add_parser("list", help="the ready-made fingers")
+    names = actions.add_parser("list", help="the ready-made fingers and classic sensors")
     names.set_defaults(run=run_list)
     _add_init(actions)
     _add_show(actions)
@@ -71,7 +75,7 @@ def _add_init(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
 
 def _add_show(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     show = actions.add_parser("show", help="drawing, the camera's view of the pad", description=SHOW_DESCRIPTION)
-    show.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML), or the name of a preset")
+    show.add_argument("design", type=Path, metavar="DESIGN", help="design (TOML), or the name of a preset")
     show.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
     show.add_argument(
         "--out", type=Path, metavar="FILE", help="drawing (.png) or interactive page (.html); must be new"
@@ -99,26 +103,32 @@ def _add_export(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 
 
 def run_list(arguments: argparse.Namespace) -> None:
-    """Tell the ready-made fingers."""
-    from sim import PRESETS
+    """Tell the ready-made fingers and classic sensors."""
+    from sim import PRESETS, SENSORS
 
-    give(designs={name: what for name, (what, _) in PRESETS.items()})
-    width = max(len(name) for name in PRESETS)
-    for name, (what, _) in PRESETS.items():
+    told = {name: what for presets in (PRESETS, SENSORS) for name, (what, _) in presets.items()}
+    give(designs=told)
+    width = max(map(len, told))
+    for name, what in told.items():
         say(f"{name:{width}}  {what}")
     go_on_with("finray design init NAME")
 
 
 def run_init(arguments: argparse.Namespace) -> None:
     """Write a design file."""
+    from data_schemas import SimulateError
     from data_schemas.storage import write_bytes
-    from sim import design_toml, preset_design
+    from sim import PRESETS, SENSORS, design_toml, preset_design, preset_sensor, sensor_toml
 
-    design = preset_design(arguments.preset)
-    out = require_new(arguments.out or Path(f"{design.name}.toml"))
-    write_bytes(out, design_toml(design).encode())
-    wrote(out, "design of the finger, to be edited")
-    give(name=design.name)
+    name = arguments.preset
+    if name not in PRESETS and name not in SENSORS:
+        known = ", ".join([*PRESETS, *SENSORS])
+        raise SimulateError(f"there is no preset design '{name}'; there are {known}")
+    text = sensor_toml(preset_sensor(name)) if name in SENSORS else design_toml(preset_design(name))
+    out = require_new(arguments.out or Path(f"{name}.toml"))
+    write_bytes(out, text.encode())
+    wrote(out, "the design, to be edited")
+    give(name=name)
     go_on_with("finray design show", out)
 
 
@@ -127,9 +137,12 @@ def run_show(arguments: argparse.Namespace) -> None:
     from data_schemas import SimulateError
     from data_schemas.storage import write_bytes
     from finray_calib.reports import finger_outline
-    from sim import PRESETS, preset_design, read_design
+    from sim import PRESETS, SENSORS, is_sensor, preset_design, read_design
     from sim.optics import camera_view
 
+    if (not arguments.design.exists() and str(arguments.design) in SENSORS) or is_sensor(arguments.design):
+        _show_sensor(arguments)
+        return
     is_preset = not arguments.design.exists() and str(arguments.design) in PRESETS
     design = preset_design(str(arguments.design)) if is_preset else read_design(arguments.design)
     out = None if arguments.out is None else _drawing_path(arguments.out)
@@ -147,12 +160,37 @@ def run_show(arguments: argparse.Namespace) -> None:
     look_at(out)
 
 
-def _drawing_path(path: Path) -> Path:
+def _show_sensor(arguments: argparse.Namespace) -> None:
+    """Tell what the camera of a classic sensor sees and what its numbers rest on, and draw it."""
+    from data_schemas import SimulateError
+    from data_schemas.storage import write_bytes
+    from finray_calib.reports import sensor_png, sensor_text
+    from sim import preset_sensor, read_sensor
+    from sim.experiments import pressed_coat
+    from sim.optics import seen_places_mm, sensor_calibration
+
+    path: Path = arguments.design
+    sensor = read_sensor(path) if path.exists() else preset_sensor(str(path))
+    out = None if arguments.out is None else _drawing_path(arguments.out, (".png",))
+    with naming(SimulateError, path):
+        rest = pressed_coat(sensor, path.parent).rest  # what cannot be pressed in is told before anything is shown
+        places = seen_places_mm(sensor, rest, open_engine(arguments.engine), sensor_calibration(sensor, path.parent))
+    say(sensor_text(sensor, places))
+    give(name=sensor.name)
+    if out is None:
+        go_on_with("finray design show", path, "--out", Path(f"{sensor.name}.png"))
+        return
+    write_bytes(out, sensor_png(sensor, places))
+    wrote(out, "drawing of the sensor")
+    look_at(out)
+
+
+def _drawing_path(path: Path, endings: tuple[str, ...] = _DRAWINGS) -> Path:
     """Return where the drawing goes, a new file whose ending says what it is."""
     from data_schemas import RecordError
 
-    if path.suffix.lower() not in _DRAWINGS:
-        raise RecordError(f"{path}: a drawing's name must end in {' or '.join(_DRAWINGS)}; choose another --out")
+    if path.suffix.lower() not in endings:
+        raise RecordError(f"{path}: a drawing's name must end in {' or '.join(endings)}; choose another --out")
     return require_new(path)
 
 

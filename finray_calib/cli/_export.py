@@ -181,14 +181,14 @@ def run_taxim(arguments: argparse.Namespace) -> None:
 
 def _sensor(arguments: argparse.Namespace, progress: Progress) -> "tuple[BallPresses, list[Path]]":
     """Render a classic sensor."""
-    from data_schemas import PlainSensor
-    from data_schemas.storage import read_toml
+    from sim import read_sensor, sensor_inputs
     from sim.experiments import render_ball_presses
 
     path: Path = arguments.paint[1]
     _refuse_finger(path)
-    sensor = read_toml(path, PlainSensor)
-    return render_ball_presses(sensor, open_engine("auto"), *_amounts(arguments), progress), [path]
+    sensor = read_sensor(path)
+    presses = render_ball_presses(sensor, open_engine("auto"), *_amounts(arguments), progress, path.parent)
+    return presses, sensor_inputs(sensor.model_copy(update={"surface": None}), path)
 
 
 def _refuse_finger(path: Path) -> None:

@@ -42,16 +42,21 @@ SIMULATE_DESCRIPTION = """\
 Simulate a finger: how it bends, what its camera sees, and how that changes with the angle of the blue light."""
 SMALLEST_STEP_DEG = 0.5
 SMALLEST_STEP_MM = 0.5
+CHANGE_SHOWN = 4.0
 NOTHING_KEPT = "Nothing is stored before its end: the same command begins again"
 
-RENDER_HELP = "render a painted finger without and with contact, as its camera sees it"
+RENDER_HELP = "render a painted finger or a classic sensor without and with contact, as its camera sees it"
 RENDER_DESCRIPTION = """\
 Render the contact and no-contact image of a finger with calibrated paints. Of a DESIGN the indenter is pressed in by a
 formula; of SURFACES, which 'finray simulate press' wrote, the finger is as deformed as they say.
 
 Levels: b (default) the walls re-emit the blue light that reaches them; a the paper's emitter, textured by the
 distance from the light (linear as printed, or inverse square; no angle dependence: for comparison only); c the
-reference, fluorescence traced along every path: the mean of b without its smoothing, much noisier."""
+reference, fluorescence traced along every path: the mean of b without its smoothing, much noisier.
+
+A DESIGN of kind = "sensor" ('finray design init gelsight-flat' writes one) is rendered as a classic sensor: coloured
+lights, no paints. Into its coat it presses its indenter, a ball, cylinder, cuboid or mesh, or takes the coat from a
+height map or mesh ([surface])."""
 
 SWEEP_HELP = "measure the brightness beside the indenter over the angle of the light"
 SWEEP_DESCRIPTION = """\
@@ -240,7 +245,11 @@ def run_render(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import write_record
     from finray_calib import render_images, render_press
     from finray_calib.reports import require_denoiser
+    from sim import is_sensor
 
+    if is_sensor(arguments.design):
+        _render_sensor(arguments)
+        return
     out = arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.press.json")
     out, with_images = require_new(out), arguments.images or arguments.denoise
     folder, capture = _image_paths(out) if with_images else (out, out)
@@ -272,6 +281,51 @@ def _give_press(press: "SimulatedPress", out: Path) -> None:
     rows, columns = press.contact.shape[:2]
     give(name=press.name, label=press.label, width_px=columns, height_px=rows, light_angle_deg=press.light_angle_deg)
     go_on_with("finray compare", out, "CAPTURE")
+
+
+def _render_sensor(arguments: argparse.Namespace) -> None:
+    """Render a press on a classic sensor and store it, with pictures if they are wanted."""
+    from data_schemas import SimulateError
+    from data_schemas.storage import ProductSet, write_record
+    from finray_calib import render_sensor
+    from finray_calib.exchange import write_picture_folder
+
+    of_fingers = {
+        "--paint": bool(arguments.paint), "--surfaces": arguments.surfaces is not None,
+        "--level": arguments.level != "b", "--pose-response": arguments.pose_response, "--denoise": arguments.denoise,
+    }  # fmt: skip
+    given = [name for name, is_given in of_fingers.items() if is_given]
+    if given:
+        raise SimulateError(f"{arguments.design}: is a classic sensor; {', '.join(given)} belongs to a painted finger")
+    out = require_new(arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.press.json"))
+    folder = _image_paths(out)[0] if arguments.images else None
+    press = render_sensor(
+        arguments.design, seed=arguments.seed, samples=arguments.samples, engine=working_engine(arguments.engine)
+    )
+    origin = _origin(press, arguments.seed)
+    with ProductSet(out) as stored:
+        if folder is not None:
+            write_picture_folder(folder, press, _sensor_views(press), origin, stored)
+        write_record(press, out, origin, stored)
+    wrote(out, f"{press.label}; {', '.join(press.notes)}")
+    _give_press(press, out)
+    if folder is not None:
+        wrote(folder, "images; README.txt there says what each one is")
+        look_at(folder)
+
+
+def _sensor_views(press: "SimulatedPress") -> "dict[str, NDArray[np.uint8]]":
+    """Return pictures for the eye, all channels on one scale: without and with contact, and four times the change."""
+    import numpy as np
+
+    from finray_calib.reports import to_display
+
+    pad = np.isfinite(press.distance)
+    white = np.full(3, max(float(np.percentile(press.no_contact[pad].max(axis=-1), 99.0)), np.finfo(np.float32).tiny))
+    change = 0.5 * white + CHANGE_SHOWN * (press.contact - press.no_contact)
+    images = {"no_contact-view": press.no_contact, "contact-view": press.contact}
+    shown = {name: to_display(image, white, linear=True) for name, image in images.items()}
+    return shown | {"change-view": to_display(change, white, linear=False)}
 
 
 def run_sweep(arguments: argparse.Namespace) -> None:

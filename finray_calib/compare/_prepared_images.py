@@ -286,10 +286,10 @@ def require_same_conditions(press: SimulatedPress, capture: TactileCapture) -> N
         stated standard uncertainties and by more than is one setting: 1 deg, 2 %, 0.05 mm, 0.5 mm.
     """
     _require_same_light(press, capture)
-    if press.design is None:
+    if press.indenter is None:
         return
-    _require_same_indenter(press.name, press.design.indenter, capture)
-    _require_same_push(press.name, press.design.indenter, capture)
+    _require_same_indenter(press.name, press.indenter, capture)
+    _require_same_push(press.name, press.indenter, capture)
 
 
 def _allowed(same: float, uncertainty: float | None) -> float:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from finray_calib.exchange._raspberry_pi import RaspberryPiOptions, raspberry_pi_capture, read_tuning
     from finray_calib.exchange._recipe_captures import RecipeCaptures, read_by_recipe
     from finray_calib.exchange._record_arrays import record_dataset
-    from finray_calib.exchange._render_files import write_optics_folder
+    from finray_calib.exchange._render_files import write_optics_folder, write_picture_folder
     from finray_calib.exchange._render_folder import press_request, read_renders
     from finray_calib.exchange._taxim_export import FEWEST_PRESSES, taxim_files
     from finray_calib.exchange._vtu import vtu_bytes
@@ -81,4 +81,5 @@ __all__ = [
     "vtu_bytes",
     "with_sizes",
     "write_optics_folder",
+    "write_picture_folder",
 ]

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import Provenance
+from data_schemas import Provenance, SimulatedPress
 from data_schemas.storage import ProductSet, refuse_taken
 from sim.experiments import OpticsProducts
 from sim.optics import BAND_NAMES, PixelMaps, exr_image
@@ -70,6 +70,50 @@ def write_optics_folder(
     timings = {"seconds": dict(products.timings_s), "label": products.press.label}
     stored.add(folder / "timings.json", (json.dumps(timings, indent=1) + "\n").encode())
     stored.add(folder / "README.txt", README.encode())
+
+
+PICTURE_README = """\
+images.exr     linear red, green and blue; layers contact, no_contact, and variance of contact from render noise
+*-view.png     for the eye only, never measure in them: sRGB, all channels on one scale
+change-view    four times what contact changes, grey where it changes nothing
+"""
+
+
+def write_picture_folder(
+    folder: Path, press: SimulatedPress, views: Mapping[str, ByteImage], origin: Provenance, stored: ProductSet
+) -> None:
+    """Write the images of a classic sensor's press into a new folder, which is stored with a set.
+
+    Parameters
+    ----------
+    folder
+        Must not exist.
+    press
+        Rendered, with its variance.
+    views
+        Pictures for the eye by file name without suffix, (rows, columns, 3) sRGB.
+    origin
+        Provenance of the press, stored in the header of the EXR image.
+    stored
+        The set that the folder belongs to.
+
+    Raises
+    ------
+    RecordError
+        The folder exists already.
+    """
+    refuse_taken(folder)
+    images = {"no_contact": press.no_contact, "contact": press.contact, "variance": press.variance}
+    channels = {
+        f"{name}.{colour}": image[..., k]
+        for name, image in images.items()
+        if image is not None
+        for k, colour in enumerate("RGB")
+    }
+    stored.add(folder / "images.exr", exr_image(channels, {"comments": f"{press.label}; made by {origin.command}"}))
+    for name, picture in views.items():
+        stored.add(folder / f"{name}.png", png(picture))
+    stored.add(folder / "README.txt", PICTURE_README.encode())
 
 
 def png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:

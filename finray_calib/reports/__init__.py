@@ -95,6 +95,7 @@ if TYPE_CHECKING:
         significant,
     )
     from finray_calib.reports._record_plots import RecordPlot, plot_record
+    from finray_calib.reports._sensor_drawing import sensor_png, sensor_text
     from finray_calib.reports._study_figures import (
         fluorescent_rendering_png,
         light_angle_png,
@@ -183,6 +184,8 @@ __all__ = [
     "row_of",
     "score_figure",
     "sensed_png",
+    "sensor_png",
+    "sensor_text",
     "signals_table",
     "significant",
     "simulation_sentence",

@@ -169,8 +169,8 @@ def _base64(values: NDArray[np.generic], kind: str) -> str:
 
 TEMPLATE: Final = "finger_page.html.j2"
 _ENDINGS: Final = {"_mm": "mm", "_deg": "deg", "_nm": "nm", "_px": "px", "_mpa": "MPa"}
-_GROUPS: Final = ("pad", "skeleton", "mirror", "camera", "light", "second_light", "enclosure", "coating", "indenter",
-                  "mechanics")  # fmt: skip
+_GROUPS: Final = ("pad", "skeleton", "mirror", "camera", "light", "second_light", "further_lights", "enclosure",
+                  "coating", "indenter", "mechanics")  # fmt: skip
 
 
 def finger_page(design: FingerDesign, picture_png: bytes, view: str, folder: Path = Path()) -> str:
@@ -268,8 +268,10 @@ def _what(design: FingerDesign, layout: SkeletonLayout, name: str) -> tuple[str,
     }
     if name in known:
         return known[name]
-    light = design.lights[1 if name.endswith("2") else 0]
-    field = "second_light" if name.endswith("2") else "light"
+    number = int(name.rpartition(" ")[2]) if name[-1].isdigit() else 1
+    light = design.lights[number - 1]
+    fields = ["light", *(["second_light"] if design.second_light is not None else [])]
+    field = fields[number - 1] if number <= len(fields) else "further_lights"
     words = f"{light.width_mm:g} x {light.height_mm:g} mm, {light.angle_deg:g} deg from the pad plane"
     return words, (f"{field}.width_mm", f"{field}.height_mm", f"{field}.angle_deg")
 
@@ -290,7 +292,8 @@ def _numbers(design: FingerDesign) -> ReportTable:
     groups = []
     for group in _GROUPS:
         value = getattr(design, group)
-        rows = [] if value is None else list(_rows(value.model_dump(), group, design))
+        parts = value if isinstance(value, tuple) else () if value is None else (value,)
+        rows = [row for part in parts for row in _rows(part.model_dump(), group, design)]
         if rows:
             groups.append(TableGroup(group, tuple(rows)))
     columns = ("field of the design file", "value", "comes from")

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from sim.experiments._paper_paints import reproduce_paper_paints
     from sim.experiments._recolour import WhiteBalance, recoloured
     from sim.experiments._rendered_press import Rendering, camera_rgb, pose_response, press_record, simulate_press
+    from sim.experiments._sensor_press import PressedCoat, pressed_coat, simulate_sensor_press
     from sim.experiments._tactile_camera import capture_twin, hidden_design, simulated_capture
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -41,6 +42,7 @@ __all__ = [
     "FingerScene",
     "OpticsProducts",
     "PaintedFinger",
+    "PressedCoat",
     "Rendering",
     "WhiteBalance",
     "camera_rgb",
@@ -56,6 +58,7 @@ __all__ = [
     "press_record",
     "press_records",
     "press_sensitivities",
+    "pressed_coat",
     "recoloured",
     "render_ball_presses",
     "render_finger_presses",
@@ -63,6 +66,7 @@ __all__ = [
     "require_paints_in_order",
     "simulate_images",
     "simulate_press",
+    "simulate_sensor_press",
     "simulated_capture",
     "stored_press",
     "study_finger_stiffness",

@@ -5,6 +5,7 @@ On the flat pad of a classic sensor, or on the pad of a painted finger, brought 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -134,6 +135,7 @@ def render_ball_presses(
     seed: int = 0,
     samples_per_pixel: int = 64,
     progress: Progress | None = None,
+    folder: Path = Path(),
 ) -> BallPresses:
     """Render ball presses on a plain sensor, all with the same random numbers.
 
@@ -151,19 +153,23 @@ def render_ball_presses(
         Random seed, paths per pixel.
     progress
         Called after each picture.
+    folder
+        Where the files that the design names are.
 
     Raises
     ------
     SimulateError
-        See above, and as :func:`sim.optics.plain_sensor_scene` does.
+        See above, and as :func:`sim.optics.plain_sensor_scene` does; or when the camera does not look straight at the
+        pad through an ideal pinhole.
     """
+    _require_straight_camera(sensor)
     designs = planned_presses(sensor.pressed_pad(), ball_radius_mm, count)
     images = []
     for step, design in enumerate([None, *designs]):
         pressed = design is not None
         now = sensor.model_copy(update={"indenter": design.indenter}) if design is not None else sensor
-        scene = plain_sensor_scene(now, renderer, pressed)
-        integrator = plain_sensor_integrator(scene, now, renderer, pressed)
+        scene = plain_sensor_scene(now, renderer, pressed, folder=folder)
+        integrator = plain_sensor_integrator(scene, now, renderer, pressed, folder=folder)
         image = renderer.render(scene, integrator=integrator, spp=samples_per_pixel, seed=stream_seed(seed, 0))
         images.append(np.array(image, dtype=np.float32))
         if progress is not None:
@@ -186,6 +192,19 @@ def render_ball_presses(
         mm_per_px=scale,
         label=f"{sensor.name}, rendered with {samples_per_pixel} paths per pixel ({renderer.variant()})",
     )
+
+
+def _require_straight_camera(sensor: PlainSensor) -> None:
+    """Check that a picture is that of the pad's plane."""
+    camera = sensor.camera
+    turned = [name for name in ("across_mm", "along_mm", "tilt_deg", "pan_deg", "roll_deg") if getattr(camera, name)]
+    if camera.calibration is not None:
+        turned.append("calibration")
+    if turned:
+        raise SimulateError(
+            f"camera.{turned[0]}: Taxim's pictures are those of a camera that looks straight at the middle of the pad "
+            f"through an ideal pinhole; leave out {', '.join(turned)}"
+        )
 
 
 def mm_per_px(sensor: PlainSensor) -> float:

@@ -299,7 +299,7 @@ def study_two_lights(
         Called after each render.
     """
     tip = light_at_the_tip(finger.design)
-    one = finger.design.model_copy(update={"second_light": None})
+    one = finger.design.model_copy(update={"second_light": None, "further_lights": ()})
     both = type(one).model_validate({**one.model_dump(), "second_light": tip.model_dump()})
     how, renders = RenderSettings("b", seed, samples), []
     for number, design in enumerate((one, both)):

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     )
     from sim.mechanics._press_contact import ContactChoice, chosen_contact, left_out
     from sim.mechanics._printed_parts import Part, mould_sizes, mould_solid, mould_stl, part_solid, part_stl
-    from sim.mechanics._rigid_bodies import Body, Cylinder, Pose, RoundedBox, Sphere, body_mesh
+    from sim.mechanics._rigid_bodies import Body, Cylinder, Pose, RoundedBox, Sphere, body_mesh, read_triangles
     from sim.mechanics._skeleton import SkeletonLayout, back_curve_mm, skeleton_layout, skeleton_mesh
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -88,6 +88,7 @@ __all__ = [
     "press_finger",
     "press_to_force",
     "quad_shapes",
+    "read_triangles",
     "rigid_indenter",
     "side_outline_mm",
     "skeleton_layout",

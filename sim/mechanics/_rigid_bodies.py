@@ -273,7 +273,7 @@ def read_body(path: Path) -> TriangleMesh:
     SimulateError
         When it cannot be read, is open, twisted or of no volume, or of a size that cannot be mm.
     """
-    vertices, triangles = _stl(path)
+    vertices, triangles = read_triangles(path, "the indenter's STL file (indenter.file)")
     if not len(triangles):
         raise SimulateError(f"{path}: has no triangles; an indenter must be a closed body")
     mesh = _welded(vertices, triangles)
@@ -323,9 +323,15 @@ def check_closed_body(mesh: TriangleMesh, name: str) -> None:
         )
 
 
-def _stl(path: Path) -> tuple[FloatArray, IntArray]:
-    """Return the corners of an STL file's triangles, three vertices each."""
-    data = read_bytes(path, "the indenter's STL file (indenter.file)", SimulateError, _LARGEST_STL_BYTES)
+def read_triangles(path: Path, what: str) -> tuple[FloatArray, IntArray]:
+    """Return the corners (3 k, 3) of an STL file's triangles in mm, three vertices each, and the triangles (k, 3).
+
+    Raises
+    ------
+    SimulateError
+        When it cannot be read; the message says what should lie there.
+    """
+    data = read_bytes(path, what, SimulateError, _LARGEST_STL_BYTES)
     count = struct.unpack_from("<I", data, _HEADER_BYTES)[0] if len(data) >= _HEADER_BYTES + 4 else -1
     if len(data) == _HEADER_BYTES + 4 + count * _RECORD.itemsize:
         corners = np.frombuffer(data, _RECORD, count, _HEADER_BYTES + 4)["corners"].astype(np.float64)
@@ -347,6 +353,4 @@ def _text_stl(data: bytes, path: Path) -> FloatArray:
         corners = np.array([[finite_number(number) for number in words[k + 1 : k + 4]] for k in at])
         return corners.reshape(-1, 9)
     except (ValueError, IndexError) as error:
-        raise SimulateError(
-            f"{path}: is neither a binary nor a text STL file; export the indenter as STL, in mm"
-        ) from error
+        raise SimulateError(f"{path}: is neither a binary nor a text STL file; export it as STL, in mm") from error

@@ -47,7 +47,19 @@ if TYPE_CHECKING:
         paper_emission,
     )
     from sim.optics._pixel_maps import CameraView, PixelMaps, camera_view, pixel_maps
-    from sim.optics._plain_sensor import PlainRender, plain_sensor_integrator, plain_sensor_scene, render_plain_sensor
+    from sim.optics._plain_sensor import (
+        GelHeight,
+        PlainRender,
+        analytic_gel,
+        light_frame,
+        pad_grid_mm,
+        plain_sensor_integrator,
+        plain_sensor_scene,
+        render_plain_sensor,
+        seen_places_mm,
+        sensor_calibration,
+        sensor_pose,
+    )
     from sim.optics._probes import ProbePaths, SeenPoints, seen_points, tilt_shares, tilted_facets
     from sim.optics._refraction import inner_face, refract_through
     from sim.optics._render import (
@@ -82,6 +94,7 @@ __all__ = [
     "WALLS",
     "AngleSweep",
     "CameraView",
+    "GelHeight",
     "Level",
     "LoadedScene",
     "PaintBands",
@@ -100,6 +113,7 @@ __all__ = [
     "SpectralBand",
     "WallLight",
     "Window",
+    "analytic_gel",
     "bake_walls",
     "camera_matrix",
     "camera_pose",
@@ -112,11 +126,13 @@ __all__ = [
     "exr_image",
     "inner_face",
     "last_band",
+    "light_frame",
     "measure_together",
     "mix_chains",
     "open_guide",
     "open_renderer",
     "open_scene",
+    "pad_grid_mm",
     "paint_bands",
     "panel_frame",
     "paper_emission",
@@ -131,7 +147,10 @@ __all__ = [
     "require_near_bands",
     "require_same_reflectance",
     "require_small_reemission",
+    "seen_places_mm",
     "seen_points",
+    "sensor_calibration",
+    "sensor_pose",
     "stream_seed",
     "sweep_light_angle",
     "tilt_shares",

@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import FingerDesign, MissingExtraError, SimulateError
+from data_schemas import FingerDesign, LightPanel, MissingExtraError, SimulateError
 from sim.optics._paint_bands import BAND_NAMES, PaintBands, PaintOptics
 from sim.optics._painted_walls import WALLS
 from sim.optics._probes import ProbePaths, default_probe_points_mm, probes_on
@@ -128,23 +128,24 @@ class DifferentiatedProbes:
         part, by_chance = _PARTS[light]
         panels.face = replace(panels.face, part=part)
         if parameter in ("angle_deg", *POSITION_AXES):
-            self._move(panels.panels[0], change, parameter)
+            move_panel(panels.panels[0], self.design.light, change, parameter, self.renderer)
         carrier = _carrier(self._bands, self.renderer, change, parameter)
         connection = _Connection(panels, by_chance)
         return fluorescent_integrator(carrier, painted_bsdfs(self._scene, list(WALLS)), panels=connection)
 
-    def _move(self, panel: Any, change: Any, parameter: Parameter | None) -> None:
-        """Turn or shift a panel of the integrator."""
-        import drjit as dr
 
-        mi, light = self.renderer, self.design.light
-        if parameter == "angle_deg":
-            sine, cosine = dr.sincos(math.radians(1.0) * (light.angle_deg + change))
-            panel.normal = mi.Vector3f(0.0, sine, cosine)
-            panel.along = mi.Vector3f(0.0, cosine, -sine) * (light.height_mm / 2.0)
-        else:
-            axis = mi.Vector3f(*[1.0 if name == parameter else 0.0 for name in POSITION_AXES])
-            panel.centre = panel.centre + change * axis
+def move_panel(panel: Any, light: LightPanel, change: Any, parameter: Parameter, renderer: ModuleType) -> None:
+    """Turn or shift a panel of an integrator, which stands as `light` says, by degrees or mm."""
+    import drjit as dr
+
+    if parameter == "angle_deg":
+        sine, cosine = dr.sincos(math.radians(1.0) * (light.angle_deg + change))
+        x, z = math.sin(math.radians(light.azimuth_deg)), math.cos(math.radians(light.azimuth_deg))
+        panel.normal = renderer.Vector3f(x * cosine, sine, z * cosine)
+        panel.along = renderer.Vector3f(-x * sine, cosine, -z * sine) * (light.height_mm / 2.0)
+    else:
+        axis = renderer.Vector3f(*[1.0 if name == parameter else 0.0 for name in POSITION_AXES])
+        panel.centre = panel.centre + change * axis
 
 
 class _Connection:

@@ -25,10 +25,10 @@ class PanelFrame:
 
 
 def panel_frame(light: LightPanel) -> PanelFrame:
-    """Return the rectangle of a light panel: normal (0, sin a, cos a) for the light angle a from the pad plane."""
-    angle = np.radians(light.angle_deg)
-    normal = np.array([0.0, np.sin(angle), np.cos(angle)])
-    across = np.array([1.0, 0.0, 0.0])
+    """Return the rectangle of a light panel: normal (sin b cos a, sin a, cos b cos a), angle a and azimuth b."""
+    angle, azimuth = np.radians(light.angle_deg), np.radians(light.azimuth_deg)
+    normal = np.array([np.sin(azimuth) * np.cos(angle), np.sin(angle), np.cos(azimuth) * np.cos(angle)])
+    across = np.array([np.cos(azimuth), 0.0, -np.sin(azimuth)])
     return PanelFrame(
         np.array(light.position_mm, dtype=np.float64),
         across * light.width_mm / 2.0,
@@ -47,7 +47,6 @@ def panel_quadrature(frame: PanelFrame, across: int, along: int) -> tuple[NDArra
 
 # Assumed place for a pad of 70 x 35 mm (y then z), chosen so that the pad fills the frame; it scales with the pad.
 _CAMERA = np.array([-15.0, -2.0])
-_CAMERA_AIM_DEG = 14.0
 # around the coat's pixels, to hold the painted walls beside them
 _WINDOW_MARGIN = 0.15
 
@@ -123,13 +122,14 @@ def camera_pose(design: FingerDesign) -> CameraPose:
     The field of view of the design is taken over the picture's diagonal, as makers of lenses state it. One pixel
     is one Bayer cell, so there are half as many rows and columns as on the sensor.
     """
-    mirror, aim = mirror_shape(design), np.radians(_CAMERA_AIM_DEG)
+    mirror, aim = mirror_shape(design), np.radians(design.camera.aim_deg)
     through_mirror = np.array([np.cos(aim), np.sin(aim)])
     forward = through_mirror - 2.0 * (through_mirror @ mirror.normal_yz) * mirror.normal_yz
     rows, columns = design.camera.height_px // 2, design.camera.width_px // 2
+    place = design.camera.position_mm
     tan_per_px = np.tan(np.radians(design.camera.field_of_view_deg) / 2.0) / np.hypot(rows, columns)
     return CameraPose(
-        centre_mm=np.array([0.0, *(_CAMERA * layout_scale(design))]),
+        centre_mm=np.array(place if place is not None else [0.0, *(_CAMERA * layout_scale(design))]),
         forward=np.array([0.0, *forward]),
         right=np.array([0.0, forward[1], -forward[0]]),
         down=np.array([-1.0, 0.0, 0.0]),

@@ -18,8 +18,8 @@ from sim.optics._optical_layout import PanelFrame, panel_frame
 from sim.optics._refraction import GelFace, curved_irradiance
 from sim.optics._scene import PANEL_RADIANCE_REL
 
-# panels light different parts of the pad, so none is drawn more rarely than this
-_SMALLEST_SHARE = 0.25
+# panels light different parts of the pad, so none is drawn more rarely than this share of an even one
+_SMALLEST_SHARE = 0.5
 _SHARE_GRID = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 
 
@@ -66,7 +66,7 @@ def _panel_shares(design: FingerDesign, face: GelFace) -> NDArray[np.float64]:
     sent = np.array(
         [light.power_rel * curved_irradiance(points, outward, uv, light, face, (4, 2)).sum() for light in design.lights]
     )
-    sent = np.maximum(sent, _SMALLEST_SHARE * sent.sum()) if sent.sum() > 0.0 else np.ones_like(sent)
+    sent = np.maximum(sent, _SMALLEST_SHARE / len(sent) * sent.sum()) if sent.sum() > 0.0 else np.ones_like(sent)
     return np.asarray(sent / sent.sum())
 
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from data_schemas import CameraCalibration, FingerDesign, SimulateError
 from sim.optics._calibrated_camera import ray_table, read_calibration, require_same_shape
-from sim.optics._optical_layout import camera_pose, panel_frame, pixel_directions
+from sim.optics._optical_layout import CameraPose, camera_pose, panel_frame, pixel_directions
 from sim.optics._renderer import SCALAR_VARIANT
-from sim.surface_meshes import FingerShape, Surface, rest_shape, vertex_normals
+from sim.surface_meshes import FingerShape, Surface, mirror_shape, rest_shape, vertex_normals
 
 Floats = NDArray[np.float64]
 
@@ -138,7 +138,11 @@ def pixel_maps(
 
 def camera_rays(design: FingerDesign, calibration: CameraCalibration | None = None) -> Floats:
     """Return the unit direction through the centre of each pixel, shape (rows, columns, 3), in the pad's axes."""
-    pose = camera_pose(design)
+    return pose_rays(camera_pose(design), calibration)
+
+
+def pose_rays(pose: CameraPose, calibration: CameraCalibration | None = None) -> Floats:
+    """Return the same of a camera in a pose."""
     if calibration is None:
         return pixel_directions(pose)
     require_same_shape(calibration, pose.columns_px, pose.rows_px)
@@ -176,7 +180,6 @@ def _panel(design: FingerDesign, number: int) -> Surface:
     return Surface(corners, np.array([[0, 1, 2], [0, 2, 3]]), (sides + 1.0) / 2.0)
 
 
-CLEAR_FACES = ("inner", "base", "tip")
 NOTHING = -1
 """What a ray ends on that leaves the finger (it sees the cloth) or is lost between clear faces."""
 
@@ -222,8 +225,16 @@ def join_triangles(surfaces: Mapping[str, Surface]) -> JoinedTriangles:
     )
 
 
+CLEAR_FACES = ("inner", "base", "tip")
+
+
 def lines_of_sight(
-    mesh: JoinedTriangles, origin: Floats, direction: Floats, index: float, renderer: ModuleType
+    mesh: JoinedTriangles,
+    origin: Floats,
+    direction: Floats,
+    index: float,
+    renderer: ModuleType,
+    clear_faces: Sequence[str] = CLEAR_FACES,
 ) -> tuple[NDArray[np.int64], Floats, Floats]:
     """Follow rays to the first opaque part.
 
@@ -237,6 +248,8 @@ def lines_of_sight(
         Refractive index of the gel.
     renderer
         From :func:`sim.optics.open_renderer`.
+    clear_faces
+        Names of the surfaces that rays pass.
 
     Returns
     -------
@@ -248,7 +261,8 @@ def lines_of_sight(
         Unit direction in which it is met, shape (n, 3).
     """
     scene = _load(mesh, renderer)
-    mirror, clear = mesh.names.index("mirror"), [mesh.names.index(name) for name in CLEAR_FACES]
+    mirror = mesh.names.index("mirror") if "mirror" in mesh.names else NOTHING
+    clear = [mesh.names.index(name) for name in clear_faces]
     end = np.full(len(origin), NOTHING, dtype=np.int64)
     place, leg = np.zeros((len(origin), 3)), np.zeros((len(origin), 3))
     on_way, origin, direction = np.arange(len(origin)), origin.copy(), direction.copy()
@@ -369,6 +383,9 @@ class CameraView:
         (z_low, z_high), (x_low, x_high) = self.seen_mm
         pad, half = self.design.pad, self.design.pad.width_mm / 2.0
         walls = [self.picture_share(name) for name in ("red", "green")]
+        pose, mirror, given = camera_pose(self.design), mirror_shape(self.design), self.design.camera.position_mm
+        reach = mirror.half_length_mm - self.design.mirror.overhang_mm
+        ends = [mirror.apex_yz_mm + side * reach * mirror.tangent_yz for side in (-1.0, 1.0)]
         return "\n".join(
             (
                 f"{self.design.name}: the camera sees {self.coat_share:.0%} of the coat through the mirror",
@@ -378,8 +395,27 @@ class CameraView:
                 f"{_range(self.px_per_mm_across)} px/mm",
                 f"  of the picture  coat {self.picture_share('coat'):.0%}, red wall {walls[0]:.1%}, green wall "
                 f"{walls[1]:.1%}",
+                f"  camera          x, y, z = {_numbers(pose.centre_mm)} mm, {self.design.camera.aim_deg:g} deg to the "
+                f"tip ({_told(self.design, 'camera.position_mm', given is not None)})",
+                f"  mirror          y, z = {_numbers(ends[0])} to {_numbers(ends[1])} mm, radius {mirror.radius_mm:g} "
+                f"mm ({_told(self.design, 'mirror.base_yz_mm', self.design.mirror.base_yz_mm is not None)})",
+                *(
+                    f"  light panel     x, y, z = {_numbers(light.position_mm)} mm, {light.angle_deg:g} deg from the "
+                    f"pad plane, azimuth {light.azimuth_deg:g} deg"
+                    for light in self.design.lights
+                ),
             )
         )
+
+
+def _numbers(values: Sequence[float] | Floats) -> str:
+    """Return numbers to a tenth."""
+    return ", ".join(f"{value + 0.0:.1f}" for value in values)
+
+
+def _told(design: FingerDesign, field: str, is_given: bool) -> str:
+    """Return where a place comes from."""
+    return design.origin.get(field, "assumed") if is_given else "assumed, by the size of the pad"
 
 
 def camera_view(design: FingerDesign, folder: Path, renderer: ModuleType) -> CameraView:

@@ -14,15 +14,12 @@ from numpy.typing import NDArray
 
 from data_schemas import CameraCalibration, Coating, FingerDesign, LightPanel, SimulateError
 from sim.optics._calibrated_camera import opencv_sensor
-from sim.optics._optical_layout import PanelFrame, Window, camera_pose, panel_frame
+from sim.optics._optical_layout import CameraPose, PanelFrame, Window, camera_pose, panel_frame
 from sim.optics._paint_bands import PaintBands
 from sim.optics._path_rules import MAX_DEPTH, ROULETTE_DEPTH, aligned
 from sim.surface_meshes import GEL_FACES, FingerShape, Surface
 
 PANEL_RADIANCE_REL = 1.0
-PANEL_REFLECTANCE = 0.05
-
-_BOX_CLEARANCE_MM = 8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +90,7 @@ def finger_scene(
         "sensor": dict(sensor) if sensor is not None else camera_sensor(design, renderer),
     }
     for number, light in enumerate(design.lights):
-        scene[f"panel{number}"] = panel_shape(light, renderer)
+        scene[f"panel{number}"] = panel_shape(light, renderer, design.enclosure.panel_reflectance)
     for name in ("base", "tip"):
         scene[name] = surface_mesh(renderer, name, surfaces[name], glass)
     for name in ("red", "green"):
@@ -144,12 +141,15 @@ def wall_texels(radiance: NDArray[np.float64], renderer: ModuleType) -> Any:
     return renderer.TensorXf(aligned(radiance))
 
 
-def panel_shape(light: LightPanel, renderer: ModuleType) -> dict[str, Any]:
+def panel_shape(light: LightPanel, renderer: ModuleType, reflectance: float) -> dict[str, Any]:
     """Return the light panel: a Lambertian rectangle that shines on the side of its normal."""
-    return shining_rectangle(panel_frame(light), np.array([0.0, 0.0, PANEL_RADIANCE_REL * light.power_rel]), renderer)
+    radiance = np.array([0.0, 0.0, PANEL_RADIANCE_REL * light.power_rel])
+    return shining_rectangle(panel_frame(light), radiance, renderer, reflectance)
 
 
-def shining_rectangle(frame: PanelFrame, radiance: NDArray[np.float64], renderer: ModuleType) -> dict[str, Any]:
+def shining_rectangle(
+    frame: PanelFrame, radiance: NDArray[np.float64], renderer: ModuleType, reflectance: float
+) -> dict[str, Any]:
     """Return a Lambertian rectangle of the given channels."""
     matrix = np.eye(4)
     matrix[:3, 0], matrix[:3, 1] = frame.half_across_mm, frame.half_along_mm
@@ -157,7 +157,7 @@ def shining_rectangle(frame: PanelFrame, radiance: NDArray[np.float64], renderer
     return {
         "type": "rectangle",
         "to_world": renderer.ScalarTransform4f(matrix),
-        "bsdf": diffuse(PANEL_REFLECTANCE),
+        "bsdf": diffuse(reflectance),
         "emitter": {"type": "area", "radiance": rgb(radiance)},
     }
 
@@ -172,7 +172,16 @@ def camera_sensor(
 
     An ideal pinhole of the design's field of view, or the calibrated camera in its place.
     """
-    pose = camera_pose(design)
+    return pose_sensor(camera_pose(design), renderer, calibration, window)
+
+
+def pose_sensor(
+    pose: CameraPose,
+    renderer: ModuleType,
+    calibration: CameraCalibration | None = None,
+    window: Window | None = None,
+) -> dict[str, Any]:
+    """Return a camera in a pose: an ideal pinhole, or the calibrated camera; with a window, only these pixels."""
     film = band_film(pose.columns_px, pose.rows_px) | ({} if window is None else window.film_crop())
     # the renderer's cameras look along z with x to the left and y up
     to_world = np.eye(4)
@@ -209,12 +218,15 @@ def _box(design: FingerDesign, shape: FingerShape, renderer: ModuleType) -> dict
     for light in design.lights:
         reach = np.hypot(light.width_mm, light.height_mm) / 2.0
         corners += [np.array([light.position_mm]) + side * reach for side in (-1.0, 1.0)]
-    return dark_box(np.concatenate(corners), design.enclosure.cloth_reflectance, renderer)
+    enclosure = design.enclosure
+    return dark_box(np.concatenate(corners), enclosure.cloth_reflectance, renderer, enclosure.cloth_clearance_mm)
 
 
-def dark_box(points_mm: NDArray[np.float64], reflectance: float, renderer: ModuleType) -> dict[str, Any]:
+def dark_box(
+    points_mm: NDArray[np.float64], reflectance: float, renderer: ModuleType, clearance_mm: float
+) -> dict[str, Any]:
     """Return a box around points, seen from inside."""
-    low, high = points_mm.min(axis=0) - _BOX_CLEARANCE_MM, points_mm.max(axis=0) + _BOX_CLEARANCE_MM
+    low, high = points_mm.min(axis=0) - clearance_mm, points_mm.max(axis=0) + clearance_mm
     transform = renderer.ScalarTransform4f().translate(((low + high) / 2.0).tolist())
     return {
         "type": "cube",
@@ -302,21 +314,28 @@ def metal(design: FingerDesign, bands: PaintBands, renderer: ModuleType) -> dict
     return _blend(design.coating, eta, k)
 
 
-def coating(coat: Coating, centroids_nm: NDArray[np.float64], index: float) -> dict[str, Any]:
-    """Return the aluminium coating as seen from inside a gel of this index, for channels at these wavelengths."""
+def coating(
+    coat: Coating, centroids_nm: NDArray[np.float64], index: float, paint: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Return the aluminium coating as seen from inside a gel of this index, for channels at these wavelengths.
+
+    Its diffuse part is the coat's grey, or another paint.
+    """
     # the renderer takes conductors to stand in vacuum; relative to gel, n and k are divided by its index
     eta, k = (rgb(np.interp(centroids_nm, _ALUMINIUM[:, 0], _ALUMINIUM[:, c]) / index) for c in (1, 2))
-    return _blend(coat, eta, k)
+    return _blend(coat, eta, k, paint)
 
 
-def _blend(coat: Coating, eta: dict[str, Any], k: dict[str, Any]) -> dict[str, Any]:
+def _blend(
+    coat: Coating, eta: dict[str, Any], k: dict[str, Any], paint: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """Return the blend of rough metal and diffuse part."""
     metal = {"type": "roughconductor", "distribution": "ggx", "alpha": coat.roughness_alpha, "eta": eta, "k": k}
     blend = {
         "type": "blendbsdf",
         "weight": coat.diffuse_share,
         "metal": metal,
-        "diffuse": diffuse(coat.diffuse_reflectance),
+        "diffuse": diffuse(coat.diffuse_reflectance) if paint is None else dict(paint),
     }
     return {"type": "twosided", "coating": blend}
 

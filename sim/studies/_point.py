@@ -47,7 +47,17 @@ from sim.surface_meshes import restore_shapes
 POINTS: Final = "points"
 PRESSES: Final = "presses"
 
-_OPTICAL_PARTS: Final = ("name", "coating", "light", "second_light", "camera", "materials", "origin", "provenance")
+_OPTICAL_PARTS: Final = (
+    "name",
+    "coating",
+    "light",
+    "second_light",
+    "further_lights",
+    "camera",
+    "materials",
+    "origin",
+    "provenance",
+)
 """Parts of a design that a press does not know: points that differ in them alone share it."""
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         MirrorShape,
         Surface,
         bent,
+        check_analytic_press,
         check_closed,
         contact_distance,
         contact_half_width_mm,
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
         shape_from_mesh,
         split_quads,
     )
+    from sim.surface_meshes._imprint import height_over_pad_mm, imprinted_height_mm, read_height_map
     from sim.surface_meshes._intersections import check_no_intersections, crossing_pair
     from sim.surface_meshes._solid import (
         Coordinates,
@@ -76,6 +78,7 @@ __all__ = [
     "Surface",
     "bent",
     "boundary_quads",
+    "check_analytic_press",
     "check_closed",
     "check_no_intersections",
     "coat_nodes",
@@ -84,11 +87,14 @@ __all__ = [
     "corner_jacobians_mm3",
     "crossing_pair",
     "gel_faces",
+    "height_over_pad_mm",
+    "imprinted_height_mm",
     "layout_scale",
     "mirror_shape",
     "planar_solid",
     "pressed_height_mm",
     "pressed_shape",
+    "read_height_map",
     "rest_height_mm",
     "rest_shape",
     "restore_shapes",

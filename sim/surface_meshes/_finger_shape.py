@@ -3,7 +3,8 @@
 A :class:`Surface` carries texture coordinates; :func:`check_closed` proves that several of them close one volume. A
 finger's shape is at rest, with the analytic press, or smoothly bent, and can be stored as a record and restored. The
 mirror on the back beam is straight across, slightly convex along the finger; its lay-out is assumed for a pad of
-70 x 35 mm, chosen so that the pad fills the frame of a 120 deg camera, and scales with the pad.
+70 x 35 mm, chosen so that the pad fills the frame of a 120 deg camera, and scales with the pad, where a design does not
+say otherwise.
 
 The analytic press dents the coated face by a cylinder or a ball; it is no mechanical solution. The cylinder lies across
 the pad (axis along x), and each line of the face along the pad is dented for itself; so the shape serves flat,
@@ -27,7 +28,7 @@ _BY_ELEMENTS = "Press by finite elements: finray simulate press DESIGN, and rend
 _QUADRATURE_POINTS = 4001
 _QUADRATURE_COLUMNS = 401
 # a whole bulge beside a press in a pad of 70 mm has a mean near 0.2
-_SMALLEST_BULGE_MEAN = 0.01
+SMALLEST_BULGE_MEAN = 0.01
 # a line whose overlap with the indenter is thinner than this is left alone
 _SMALLEST_OVERLAP_MM = 1e-6
 
@@ -163,7 +164,7 @@ def _dent_and_bulge(
         return rest_height_mm(design, x, z)
     removed = _mean(rest_height_mm(design, qx, qz) - _dented(design, qx, qz))
     bulge = _mean(_bulge_shape(design, half_width, qx, qz))
-    if bulge < _SMALLEST_BULGE_MEAN:
+    if bulge < SMALLEST_BULGE_MEAN:
         raise SimulateError(
             f"indenter.radius_mm = {indenter.radius_mm} mm at depth {indenter.depth_mm} mm covers "
             f"the pad of {design.pad.length_mm} mm from end to end and leaves no free face; reduce radius or depth"
@@ -328,7 +329,6 @@ _NOMINAL_LENGTH_MM, _NOMINAL_WIDTH_MM = 70.0, 35.0
 # ends of the straight back beam, y then z
 _BASE_YZ_MM = np.array([-20.0, 0.0])
 _TIP_YZ_MM = np.array([-4.5, 70.0])
-_OVERHANG_MM = 4.0
 _ROWS = 241
 
 
@@ -353,8 +353,9 @@ def layout_scale(design: FingerDesign) -> float:
 
 
 def mirror_shape(design: FingerDesign) -> MirrorShape:
-    """Return the mirror on the back beam, scaled with the pad."""
-    base, tip = _BASE_YZ_MM * layout_scale(design), _TIP_YZ_MM * layout_scale(design)
+    """Return the mirror on the back beam, where the design puts it; by default scaled with the pad."""
+    ends = (design.mirror.base_yz_mm, _BASE_YZ_MM), (design.mirror.tip_yz_mm, _TIP_YZ_MM)
+    base, tip = (usual * layout_scale(design) if given is None else np.array(given) for given, usual in ends)
     length = float(np.linalg.norm(tip - base))
     tangent = (tip - base) / length
     return MirrorShape(
@@ -362,8 +363,8 @@ def mirror_shape(design: FingerDesign) -> MirrorShape:
         tangent_yz=tangent,
         normal_yz=np.array([tangent[1], -tangent[0]]),
         radius_mm=design.mirror.radius_mm,
-        half_length_mm=length / 2.0 + _OVERHANG_MM,
-        half_width_mm=design.pad.width_mm / 2.0 + 1.0,
+        half_length_mm=length / 2.0 + design.mirror.overhang_mm,
+        half_width_mm=design.pad.width_mm / 2.0 + design.mirror.side_overhang_mm,
     )
 
 

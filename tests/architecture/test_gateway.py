@@ -26,6 +26,7 @@ ALLOWED = {
     ("rigs/cameras/_image_files.py", "tifffile.TiffFile"): "bytes of the gateway",
     ("rigs/cameras/_dng_file.py", "tifffile.TiffFile"): "bytes of the gateway",
     ("rigs/cameras/_dng_file.py", "rawpy.imread"): "bytes of the gateway, in a limited child",
+    ("sim/surface_meshes/_imprint.py", "cv2.imdecode"): "bytes of the gateway, in its child",
     ("rigs/cameras/_image_files.py", "cv2.imdecode"): "bytes of the gateway, or a camera's stream of limited size",
     ("sim/optics/_calibrated_camera.py", "cv2.FileStorage"): "bytes of the gateway, in a limited child",
     ("finray_calib/exchange/_bispectral_exr.py", "_open_exr().File"): "bytes of the gateway, in a limited child",

@@ -2,7 +2,7 @@
 
 import pytest
 
-from data_schemas import CompareError, FingerDesign, Indenter, IndenterPose
+from data_schemas import CoatSurface, CompareError, FingerDesign, Indenter, IndenterPose, PlainSensor
 from finray_calib.compare import CheckOptions, compare_checked, compare_press
 from finray_calib.compare._prepared_images import require_same_conditions
 from tests.command_line.records import capture_of, press
@@ -72,3 +72,20 @@ def test_what_agrees_or_is_not_known_is_compared(rendered, captured):
 def test_without_a_design_nothing_is_known_of_the_renders_indenter():
     simulated, capture = pair(shape="ball", radius_mm=4.0, depth_mm=1.0, position_mm=60.0)
     require_same_conditions(simulated.model_copy(update={"design": None}), capture)
+
+
+def test_what_a_classic_sensor_presses_in_is_compared_too():
+    """Unless a height map stands in its place, of which no indenter is known."""
+    ball = Indenter(shape="ball", radius_mm=4.0, depth_mm=1.0, position_mm=10.0)
+    sensor = PlainSensor(indenter=ball)
+    simulated = press().model_copy(update={"design": None, "sensor": sensor, "light_angle_deg": None})
+    assert simulated.indenter == ball
+    capture = capture_of(press(), 50.0).model_copy(
+        update={"indenter": IndenterPose(shape="ball", radius_mm=3.0, depth_mm=1.0, position_mm=10.0)}
+    )
+    with pytest.raises(CompareError, match=r"a ball of radius 4 mm, .* a ball of radius 3 mm; up to 2% apart"):
+        require_same_conditions(simulated, capture)
+    given = sensor.model_copy(update={"surface": CoatSurface(file="coat.npy", step_mm=0.1)})
+    mapped = simulated.model_copy(update={"sensor": given})
+    assert mapped.indenter is None
+    require_same_conditions(mapped, capture)

@@ -125,7 +125,7 @@ def test_the_verb_writes_a_folder(presses, tmp_path, monkeypatch):
     """The renders are those of the closed form: rendering has its own test."""
     asked = {}
 
-    def rendered(sensor, renderer, ball_radius_mm, count, seed, samples, progress):
+    def rendered(sensor, renderer, ball_radius_mm, count, seed, samples, progress, folder):
         asked.update(name=sensor.name, ball_radius_mm=ball_radius_mm, count=count, seed=seed, samples=samples)
         return presses
 

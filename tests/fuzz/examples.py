@@ -324,6 +324,29 @@ def _read_stl(folder: Path) -> None:
     read_body(folder / "text.stl")
 
 
+_COATS = ("coat.npy", "coat.png")
+
+
+def _sensor(folder: Path) -> None:
+    import cv2
+    import numpy as np
+
+    depth = 0.5 * np.exp(-((np.arange(41)[:, None] - 20.0) ** 2 + (np.arange(41) - 20.0) ** 2) / 30.0)
+    np.save(folder / "coat.npy", depth)
+    cv2.imwrite(str(folder / "coat.png"), (1000.0 * depth).astype(np.uint16))
+    for name in _COATS:
+        surface = f'[surface]\nfile = "{name}"\nstep_mm = 0.4\nunit_mm = {1.0 if name == "coat.npy" else 0.001}\n'
+        (folder / f"{name}.toml").write_text(f'kind = "sensor"\npreset = "gelsight-flat"\n{surface}')
+
+
+def _read_sensor(folder: Path) -> None:
+    from sim import read_sensor
+    from sim.experiments import pressed_coat
+
+    for name in _COATS:
+        pressed_coat(read_sensor(folder / f"{name}.toml"), folder)
+
+
 def _engines(folder: Path) -> None:
     from tests.exchange import test_abaqus_results as abaqus
     from tests.exchange import test_calculix_results as calculix
@@ -429,6 +452,7 @@ READERS: tuple[Reader, ...] = (
     Reader("pictures (PNG, JPEG)", _pictures, ("*",), _read_pictures),
     Reader("folder as camera", _image_folder, ("*",), _read_image_folder),
     Reader("indenter (STL)", _stl, ("*.stl",), _read_stl),
+    Reader("sensor and its coat (TOML, NPY, PNG)", _sensor, ("*",), _read_sensor),
     Reader("CalculiX and Abaqus results", _engines, ("*",), _read_engines),
     Reader("bispectral image (EXR)", _exr, ("*.exr",), _read_exr),
     Reader("journal", _journal, ("s/journal.jsonl",), _read_journal),

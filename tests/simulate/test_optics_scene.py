@@ -6,7 +6,6 @@ import pytest
 from data_schemas import Coating, FingerDesign, GelPad, LightPanel
 from data_schemas._design_parts import Enclosure, Mirror, TactileCamera
 from sim.optics import TEXELS_ALONG, camera_pose, paint_bands
-from sim.optics import _scene as scene_module
 from sim.optics._optical_layout import pixel_directions
 from sim.optics._painted_walls import TEXELS_UP, texel_uv, wall_map
 from sim.optics._path_rules import LedSearch
@@ -35,7 +34,7 @@ def test_a_diffuse_patch_under_the_panel_has_radiance_rho_e_over_pi(scalar):
             "type": "scene",
             "integrator": {"type": "direct"},
             "floor": {"type": "rectangle", "to_world": floor, "bsdf": {"type": "diffuse", "reflectance": 0.5}},
-            "panel": panel_shape(light, scalar),
+            "panel": panel_shape(light, scalar, 0.05),
             "sensor": {"type": "radiancemeter", "to_world": up_again, "film": band_film(1, 1)},
         }
     )
@@ -111,22 +110,21 @@ def test_wall_texels_lie_where_they_were_baked(scalar, paints, wall):
         np.testing.assert_allclose(value, [z / 70.0, y / 10.0, 1.0], atol=3e-3)
 
 
-def black_finger(monkeypatch, **changes):
+def black_finger(**changes):
     """A finger whose only bright thing is the panel: no coating, mirror or box returns light."""
-    monkeypatch.setattr(scene_module, "PANEL_REFLECTANCE", 0.0)
     return FingerDesign(
         camera=SMALL_CAMERA,
         coating=Coating(diffuse_share=1.0, diffuse_reflectance=0.0),
         mirror=Mirror(reflectance=0.0),
-        enclosure=Enclosure(cloth_reflectance=0.0),
+        enclosure=Enclosure(cloth_reflectance=0.0, panel_reflectance=0.0),
         **changes,
     )
 
 
 @pytest.mark.renderer
-def test_refracted_irradiance_agrees_with_brute_force_paths(llvm, black_paints, monkeypatch):
+def test_refracted_irradiance_agrees_with_brute_force_paths(llvm, black_paints):
     # from z = 10 mm no light reaches the wall through the pad's ends
-    design = black_finger(monkeypatch, light=LightPanel(angle_deg=70.0, position_mm=(0.0, -8.0, 10.0)))
+    design = black_finger(light=LightPanel(angle_deg=70.0, position_mm=(0.0, -8.0, 10.0)))
     # the closed form knows no film
     design = design.model_copy(update={"pad": GelPad(film=None)})
     scene = finger_scene(design, pressed_shape(design), bands_of(black_paints(), design), llvm)

@@ -5,8 +5,7 @@ import pytest
 from pydantic import ValidationError
 from scipy.stats import t as student_t
 
-from data_schemas import CHANNELS, ColouredLight, Film, GelPad, Indenter, PlainSensor, SimulateError
-from data_schemas._design import CameraBelow
+from data_schemas import CHANNELS, CameraBelow, ColouredLight, Film, GelPad, Indenter, PlainSensor, SimulateError
 from sim.optics import plain_sensor_integrator, plain_sensor_scene, render_plain_sensor
 from sim.optics._plain_sensor import light_frame
 
@@ -116,9 +115,9 @@ def test_refusals(scalar):
         render_plain_sensor(PlainSensor(), scalar, samples_per_pixel=3)
     with pytest.raises(SimulateError, match="without a film"):
         plain_sensor_scene(PlainSensor(pad=DOME.model_copy(update={"film": Film()})), scalar)
-    red = ColouredLight(channel="red")
-    with pytest.raises(ValidationError, match="one panel per channel, got red, red"):
-        PlainSensor(lights=(red, red))
+    narrow = PlainSensor(lights=(ColouredLight(channel="red", beam_exponent=4.0),))
+    with pytest.raises(SimulateError, match=r"lights\.beam_exponent: scalar_rgb renders Lambertian lights only"):
+        render_plain_sensor(narrow, scalar, samples_per_pixel=2)
     with pytest.raises(ValidationError, match=r"it must be more than 1\.53 mm"):
         ColouredLight(channel="red", depth_mm=1.0)
     deep = PlainSensor(indenter=BALL.model_copy(update={"depth_mm": 5.0}))

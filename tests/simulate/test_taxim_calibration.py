@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data_schemas import FingerDesign, GelPad, Indenter, PlainSensor, SimulateError
-from data_schemas._design import CameraBelow
+from data_schemas import CameraBelow, FingerDesign, GelPad, Indenter, PlainSensor, SimulateError
 from sim.experiments import _ball_presses as taxim_finger
 from sim.experiments import render_ball_presses
 from sim.experiments._ball_presses import DEPTHS_REL, mm_per_px, planned_presses, surface_of
@@ -21,7 +20,7 @@ class FlatRenderer:
 
     def __init__(self, monkeypatch):
         for name in ("plain_sensor_scene", "plain_sensor_integrator"):
-            monkeypatch.setattr(f"sim.experiments._ball_presses.{name}", lambda *_: None)
+            monkeypatch.setattr(f"sim.experiments._ball_presses.{name}", lambda *_, **__: None)
 
     def render(self, *_, **__):
         return np.ones((48, 48, 3))
@@ -153,3 +152,14 @@ def test_a_pad_that_is_hardly_seen_is_refused(monkeypatch):
         taxim_finger.render_finger_presses(finger, 4.0, 2)
     with pytest.raises(SimulateError, match="count = 0: at least one press"):
         taxim_finger.render_finger_presses(finger, 4.0, 0)
+
+
+@pytest.mark.parametrize(
+    "turned", [{"tilt_deg": 5.0}, {"across_mm": 1.0}, {"roll_deg": 90.0}, {"calibration": "lens.yaml"}]
+)
+def test_a_camera_that_does_not_look_straight_is_refused(turned):
+    camera = SENSOR.camera.model_copy(update=turned)
+    with pytest.raises(
+        SimulateError, match=rf"camera\.{next(iter(turned))}: Taxim's pictures are those of a camera that"
+    ):
+        render_ball_presses(SENSOR.model_copy(update={"camera": camera}), SimpleNamespace(), 4.0, 3)

@@ -1,0 +1,162 @@
+"""The coat where a rigid body of any shape is pressed in, the height of triangles over the pad, and height maps.
+
+A geometric imprint, no mechanical solution: the body's shape, rounded at its rim, and a bulge around it that keeps the
+volume of the gel. For a ball and a cylinder it is the analytic press of :mod:`sim.surface_meshes`.
+"""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from data_schemas import SimulateError
+from data_schemas.storage import parse_in_child, read_bytes, read_npy
+from sim.surface_meshes._finger_shape import BLEND_MM, SMALLEST_BULGE_MEAN
+
+Floats = NDArray[np.float64]
+
+# cells that a triangle's edge runs through belong to it: rounding of a share of a cell
+_ON_EDGE = 1e-9
+_MOST_PAIRS = 20_000_000
+
+
+def height_over_pad_mm(corners_mm: Floats, x_mm: Floats, z_mm: Floats, side: Literal["lowest", "highest"]) -> Floats:
+    """Return the lowest or highest y of triangles over each place of the pad, NaN where there is none.
+
+    Parameters
+    ----------
+    corners_mm
+        Corners of the triangles in the axes of the pad, shape (n, 3, 3).
+    x_mm, z_mm
+        Places across (nx,) and along (nz,) the pad, evenly spaced.
+    side
+        Which of several heights over one place counts.
+
+    Returns
+    -------
+    array
+        Shape (nx, nz).
+
+    Raises
+    ------
+    SimulateError
+        When the triangles cover so many places together that they cannot be drawn.
+    """
+    x, z = corners_mm[:, :, 0], corners_mm[:, :, 2]
+    first_x, last_x = _covered(x, x_mm)
+    first_z, last_z = _covered(z, z_mm)
+    along = np.maximum(last_z - first_z, 0)
+    count = np.maximum(last_x - first_x, 0) * along
+    if count.sum() > _MOST_PAIRS:
+        raise SimulateError(
+            f"a mesh of {len(corners_mm)} triangles covers the pad {count.sum() / (x_mm.size * z_mm.size):.0f} times; "
+            "give one with fewer layers or larger triangles"
+        )
+    owner = np.repeat(np.arange(len(count)), count)
+    within = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    i, j = first_x[owner] + within // along[owner], first_z[owner] + within % along[owner]
+    (x0, x1, x2), (z0, z1, z2) = x[owner].T, z[owner].T
+    area = (x1 - x0) * (z2 - z0) - (x2 - x0) * (z1 - z0)
+    flat = np.where(area == 0.0, 1.0, area)
+    b = ((x_mm[i] - x0) * (z2 - z0) - (x2 - x0) * (z_mm[j] - z0)) / flat
+    c = ((x1 - x0) * (z_mm[j] - z0) - (x_mm[i] - x0) * (z1 - z0)) / flat
+    inside = (area != 0.0) & (b >= -_ON_EDGE) & (c >= -_ON_EDGE) & (b + c <= 1.0 + _ON_EDGE)
+    y0, y1, y2 = corners_mm[owner[inside], :, 1].T
+    y = y0 + b[inside] * (y1 - y0) + c[inside] * (y2 - y0)
+    height = np.full((x_mm.size, z_mm.size), np.inf if side == "lowest" else -np.inf)
+    (np.minimum if side == "lowest" else np.maximum).at(height, (i[inside], j[inside]), y)
+    return np.where(np.isfinite(height), height, np.nan)
+
+
+def _covered(values: Floats, grid: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first place of a grid in the range of each row of values, and that after the last."""
+    step = (grid[-1] - grid[0]) / (grid.size - 1)
+    low, high = (values.min(axis=1) - grid[0]) / step, (values.max(axis=1) - grid[0]) / step
+    first = np.clip(np.ceil(low - _ON_EDGE), 0, grid.size).astype(np.int64)
+    return first, np.clip(np.floor(high + _ON_EDGE) + 1, 0, grid.size).astype(np.int64)
+
+
+def imprinted_height_mm(rest_mm: Floats, tool_mm: Floats, x_mm: Floats, z_mm: Floats, thickness_mm: float) -> Floats:
+    """Return the height of the coat with a rigid body in it.
+
+    Smooth minimum of the coat and the body, plus B (s/l)^2 exp(-s/l) outside the contact, where s is the distance from
+    its rim, l half the thickness, and B makes the net volume zero: the gel is incompressible.
+
+    Parameters
+    ----------
+    rest_mm
+        Height of the undeformed coat, shape (nx, nz).
+    tool_mm
+        Lowest height of the body, NaN where there is none.
+    x_mm, z_mm
+        Places across (nx,) and along (nz,), evenly spaced.
+    thickness_mm
+        Of the pad, at its crown.
+
+    Raises
+    ------
+    SimulateError
+        When the contact leaves no free face beside it for the displaced volume.
+    """
+    touched = np.nan_to_num(tool_mm, nan=np.inf) < rest_mm
+    if not touched.any():
+        return rest_mm.copy()
+    tool = np.where(np.isnan(tool_mm), np.inf, tool_mm)
+    dented = -BLEND_MM * np.logaddexp(-rest_mm / BLEND_MM, -tool / BLEND_MM)
+    steps = [float(grid[1] - grid[0]) for grid in (x_mm, z_mm)]
+    s = distance_transform_edt(~touched, sampling=steps) / (thickness_mm / 2.0)
+    bulge = s**2 * np.exp(-s)
+    mean = _mean(bulge)
+    if mean < SMALLEST_BULGE_MEAN:
+        raise SimulateError(
+            "the indenter covers the pad from end to end and leaves no free face for the gel that it displaces; make "
+            "the press shallower or the indenter smaller"
+        )
+    return np.asarray(dented + _mean(rest_mm - dented) / mean * bulge)
+
+
+def _mean(values: Floats) -> float:
+    """Return the mean over an evenly spaced grid by the trapezoid rule."""
+    inner = np.trapezoid(np.trapezoid(values, axis=1), axis=0)
+    return float(inner / ((values.shape[0] - 1) * (values.shape[1] - 1)))
+
+
+_LARGEST_PICTURE_BYTES = 64 << 20
+
+
+def read_height_map(path: Path) -> Floats:
+    """Return the numbers of a height map as they are stored, (rows, columns): NPY, or a grey PNG of 8 or 16 bit.
+
+    Raises
+    ------
+    SimulateError
+        It cannot be read, or holds no finite numbers in rows and columns.
+    """
+    if path.suffix.lower() == ".npy":
+        values = np.asarray(read_npy(path, "a height map (surface.file, NPY)", SimulateError), dtype=np.float64)
+    else:
+        content = read_bytes(path, "a height map (surface.file, PNG)", SimulateError, _LARGEST_PICTURE_BYTES)
+        _, arrays = parse_in_child(f"{__name__}:grey_picture", content, path, "a PNG picture", SimulateError)
+        values = np.asarray(arrays["picture"], dtype=np.float64)
+    if values.ndim != 2 or min(values.shape) < 2 or not np.isfinite(values).all():
+        raise SimulateError(f"{path}: a height map holds finite numbers in rows and columns, got shape {values.shape}")
+    return values
+
+
+def grey_picture(content: bytes, where: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return the grey levels of a PNG; it runs in a child process.
+
+    Raises
+    ------
+    SimulateError
+        It is no PNG, or a coloured one.
+    """
+    import cv2
+
+    picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    if picture is None or picture.ndim != 2:
+        held = "cannot be decoded" if picture is None else f"holds {picture.shape[2]} channels"
+        raise SimulateError(f"{where}: {held}; a height map must be a grey PNG of 8 or 16 bit")
+    return {}, {"picture": picture}

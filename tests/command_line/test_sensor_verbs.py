@@ -1,0 +1,92 @@
+"""Classic sensors at the command line: listed, written, shown, rendered, and refused where they are no fingers."""
+
+import cv2
+import numpy as np
+import pytest
+
+from data_schemas import SimulatedPress
+from data_schemas.storage import read_record
+from finray_calib import render_sensor
+from sim import SENSORS, preset_sensor
+from tests.command_line.running import finray, succeed
+
+SMALL = "[camera]\nwidth_px = 16\nheight_px = 16\n"
+
+
+@pytest.fixture
+def design(tmp_path):
+    path = tmp_path / "sensor.toml"
+    path.write_text(f'preset = "gelsight-flat"\nname = "small sensor"\n{SMALL}')
+    return path
+
+
+def test_listed_and_written(tmp_path):
+    listed = succeed("design list")
+    assert all(name in listed for name in SENSORS)
+    told = succeed(f"design init 9dtact --out {tmp_path}/mine.toml")
+    assert told == f"{tmp_path}/mine.toml: edit it, then 'finray design show {tmp_path}/mine.toml'\n"
+    shown = succeed(f"design show {tmp_path}/mine.toml --engine scalar")
+    assert shown == succeed("design show 9dtact --engine scalar")
+
+
+def test_shown_with_origins_and_drawn(design, tmp_path):
+    design.write_text(design.read_text() + '[uncertainty_rel]\n"pad.refractive_index" = 0.01\n')
+    told = succeed(f"design show {design} --engine scalar --out {tmp_path}/view.png")
+    assert told.startswith("small sensor: 100% of the picture shows the coat")
+    # 16 mm over 16 pixels, by the field of view
+    assert "a pixel is      1.00" in told
+    assert "paper      pad.refractive_index = 1.5403 (standard uncertainty 1.0%)" in told
+    assert "red light       at x = 0.0, y = -4.3, z = -12.6 mm from the middle, 9 x 6.3 mm" in told
+    assert "Agarwal" in told
+    assert cv2.imread(str(tmp_path / "view.png")).shape[1] == 1320
+    outcome = finray(f"design show {design} --engine scalar --out {tmp_path}/view.html")
+    assert outcome.status == 2
+    assert "a drawing's name must end in .png" in outcome.err
+
+
+def test_rendered_with_pictures(design, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    told = succeed("simulate render sensor.toml --engine scalar --samples 2 --images --seed 4")
+    assert told.startswith(
+        "sensor.press.json: rendered, classic sensor, scalar_rgb; shape of the pressed coat: analytic"
+    )
+    press = read_record(tmp_path / "sensor.press.json", SimulatedPress)
+    assert press.sensor is not None
+    assert press.sensor.name == "small sensor"
+    assert press.provenance.seed == 4
+    assert set(press.provenance.input_sha256) == {"sensor.toml"}
+    assert {path.name for path in (tmp_path / "sensor.optics").iterdir()} == {
+        "README.txt", "change-view.png", "contact-view.png", "images.exr", "no_contact-view.png",
+    }  # fmt: skip
+    again = render_sensor(tmp_path / "sensor.toml", seed=4, samples=2, engine="scalar")
+    np.testing.assert_array_equal(again.contact, press.contact)
+
+
+def test_a_height_map_is_rendered_and_named_as_an_input(design, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    np.save(tmp_path / "coat.npy", np.full((500, 500), 0.3))
+    design.write_text(f'{design.read_text()}[surface]\nfile = "coat.npy"\nstep_mm = 0.1\n')
+    told = succeed("simulate render sensor.toml --engine scalar --samples 2")
+    assert "coat from coat.npy" in told
+    press = read_record(tmp_path / "sensor.press.json", SimulatedPress)
+    assert {name.rpartition("/")[2] for name in press.provenance.input_sha256} == {"sensor.toml", "coat.npy"}
+
+
+@pytest.mark.parametrize(
+    "options", ["--paint red=a.json", "--level c", "--pose-response", "--surfaces a.json", "--denoise"]
+)
+def test_what_belongs_to_a_finger_is_refused(design, tmp_path, options):
+    outcome = finray(f"simulate render {design} {options}")
+    assert outcome.status == 2
+    assert f"is a classic sensor; {options.split()[0]} belongs to a painted finger" in outcome.err
+    assert list(tmp_path.iterdir()) == [design]
+
+
+def test_the_library_takes_names_designs_and_files(design):
+    small = preset_sensor("digit")
+    small = small.model_copy(update={"camera": small.camera.model_copy(update={"width_px": 8, "height_px": 8})})
+    assert render_sensor(small, samples=2, engine="scalar").contact.shape == (8, 8, 3)
+    outcome = finray("design init nose")
+    assert outcome.status == 2
+    assert "there is no preset design 'nose'; there are flat-70x35" in outcome.err
+    assert "gelsight-wedge" in outcome.err
