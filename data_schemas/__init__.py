@@ -46,16 +46,12 @@ if TYPE_CHECKING:
         TactileSession,
         Target,
     )
-    from data_schemas._certificate import (
+    from data_schemas._check import (
         CERTIFIED,
+        AcceptanceReport,
         CertificateDetails,
         CertifiedLimits,
         CertifiedName,
-        Reference,
-        ReferenceCertificate,
-    )
-    from data_schemas._check import (
-        AcceptanceReport,
         CheckFacts,
         CheckPlan,
         CheckResult,
@@ -65,6 +61,8 @@ if TYPE_CHECKING:
         Handshake,
         LightLayer,
         LightOff,
+        Reference,
+        ReferenceCertificate,
         Revisit,
         Section,
         WheelMove,

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from finray_calib.cli._bench import add_bench
     from finray_calib.cli._capture import add_capture
     from finray_calib.cli._certificate import add_certificate
-    from finray_calib.cli._check import add_check
+    from finray_calib.cli._check import add_check, add_history
     from finray_calib.cli._compare import add_compare
     from finray_calib.cli._completion import add_completion
     from finray_calib.cli._decide import add_decide
@@ -21,11 +21,9 @@ if TYPE_CHECKING:
     from finray_calib.cli._design import add_design
     from finray_calib.cli._export import add_export
     from finray_calib.cli._fit import add_fit
-    from finray_calib.cli._history import add_history
     from finray_calib.cli._import import add_import
-    from finray_calib.cli._live import add_live
     from finray_calib.cli._radiometry import add_radiometry
-    from finray_calib.cli._rig import add_rig
+    from finray_calib.cli._rig import add_live, add_rig
     from finray_calib.cli._sense import add_sense
     from finray_calib.cli._simulate import add_recolour, add_simulate, spelled_now
     from finray_calib.cli._study import add_study

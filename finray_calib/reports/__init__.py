@@ -18,7 +18,7 @@ if TYPE_CHECKING:
         certificate_page,
         certificate_pdf,
     )
-    from finray_calib.reports._check_page import check_report
+    from finray_calib.reports._check_page import check_report, history_page
     from finray_calib.reports._comparison_figures import error_map_figure, force_figure_png, score_figure
     from finray_calib.reports._comparison_page import comparison_page
     from finray_calib.reports._comparison_statements import (
@@ -55,7 +55,6 @@ if TYPE_CHECKING:
     from finray_calib.reports._fit_page import fit_parts, no_emission_page, paint_report
     from finray_calib.reports._fit_statements import model_statement, paint_sentence, signals_table
     from finray_calib.reports._fitted_paint import FittedPaint, PaintTruth, fit_summary
-    from finray_calib.reports._history_page import history_page
     from finray_calib.reports._images import (
         ByteImage,
         clipped_remark,

@@ -1,11 +1,28 @@
-"""The page of an acceptance check: the verdict first, then every check with value, limit and evidence."""
+"""Pages of an acceptance check (the verdict first, then each check) and of the history of a rig over its sessions."""
 
 from collections import Counter
+from collections.abc import Sequence
 from typing import Final
 
-from data_schemas import AcceptanceReport, CheckResult, CheckVerdict
-from finray_calib.acceptance import GUARD_FACTOR, SECTIONS, value_text
-from finray_calib.reports._page import ReportTable, TableGroup, one_group, provenance_table, render_page
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+
+from data_schemas import AcceptanceReport, CheckResult, CheckVerdict, package_version
+from finray_calib.acceptance import GUARD_FACTOR, SECTIONS, History, Watched, value_text
+from finray_calib.reports._page import (
+    Content,
+    Part,
+    Picture,
+    ReportTable,
+    TableGroup,
+    drawing,
+    files_table,
+    one_group,
+    provenance_table,
+    render_page,
+)
+from finray_calib.reports._plain_text import NO_VALUE, fixed, percent, plain
+from finray_calib.reports._style import BLUE, HAIRLINE, MUTED, VERMILLION, new_figure, styled, svg_text
 
 TEMPLATE: Final = "check_report.html.j2"
 _SENTENCES: Final[dict[CheckVerdict, str]] = {
@@ -90,3 +107,160 @@ def _devices(report: AcceptanceReport) -> ReportTable:
         rows.append((hand.role, hand.driver, *(word or "\N{EN DASH}" for word in words or ("",) * 5)))
     columns = ("device", "driver", "address", "vendor", "model", "serial", "firmware")
     return one_group("What the devices say they are", columns, rows, is_words=True)
+
+
+HISTORY_TEMPLATE: Final = "result_page.html.j2"
+_HISTORY_SENTENCES: Final = {
+    "IN CONTROL": "No chart alarmed after the reference.",
+    "OUT OF CONTROL": "A chart alarmed, or a session could not be reduced. Look into it before you measure on.",
+    "UNDECIDED": "No rig or sample has more sessions than its reference yet.",
+}
+MOST_FINDINGS: Final = 12
+
+
+def history_page(history: History, folder: str, reference: int) -> str:
+    """Return the history of a folder of sessions as a self-contained HTML page.
+
+    Parameters
+    ----------
+    history
+        Charts, ledger and verdict.
+    folder
+        Name of the folder.
+    reference
+        Sessions of the reference.
+    """
+    groups = dict.fromkeys(one.of for one in history.watched)
+    newest = max((one.captured_utc[-1] for one in history.watched), default=NO_VALUE)
+    alarms = sum(len({alarm.place for alarm in one.chart.alarms}) for one in history.watched)
+    key_numbers = (
+        ("Charts", str(len(history.watched)), f"reference: the first {reference} sessions"),
+        ("Alarms", str(alarms), "of all charts, also those that were cleared"),
+        ("Newest session", newest[:10], newest[11:19]),
+        ("False alarms", percent(history.false_alarm_share), "of good sessions, all charts together"),
+    )
+    return render_page(
+        HISTORY_TEMPLATE,
+        verb="finray history",
+        title=folder,
+        lead="What the rig and its samples were in every session, against the first ones.",
+        verdict=history.verdict,
+        sentence=_HISTORY_SENTENCES[history.verdict],
+        key_numbers=key_numbers,
+        findings=_findings(history),
+        limits=_limits(history, reference),
+        notes=(),
+        sections=(*(_charts(name, history) for name in groups), _ledger(history)),
+        command=f"finray history {folder} --reference {reference} --report PAGE",
+        files=files_table({}, package_version()),
+        summary=plain({"verdict": history.verdict, "reasons": history.reasons, "series": [
+            {"of": one.of, "quantity": one.quantity, "sessions": one.sessions, "values": one.chart.values}
+            for one in history.watched
+        ]}),
+    )  # fmt: skip
+
+
+def _findings(history: History) -> tuple[str, ...]:
+    """Return the newest reasons, and what waits for more sessions."""
+    older = len(history.reasons) - MOST_FINDINGS
+    told = history.reasons[-MOST_FINDINGS:]
+    return (*((f"earlier findings that are not listed: {older}",) if older > 0 else ()), *told, *history.waiting)
+
+
+def _limits(history: History, reference: int) -> tuple[str, ...]:
+    """Say what the charts rest on."""
+    outliers = [
+        f"{one.sessions[one.chart.outlier]} stands out of the reference ({one.quantity}): if it was not good, the "
+        "limits are too wide."
+        for one in history.watched
+        if one.chart.outlier is not None
+    ]
+    return (
+        f"The limits keep {100 * history.false_alarm_share_each:.2g} % false alarms for each chart and session, for "
+        f"mean and standard deviation of {reference} sessions. That holds for sessions that are independent and "
+        "normally distributed.",
+        "What was wrong in the reference already is not seen: the first sessions say what is normal.",
+        "A chart says that something changed, not what: lamp, filter and white tile change the same signals.",
+        "A change that a chart shows may be too small to matter: compare it with the uncertainty that you state.",
+        *outliers,
+    )
+
+
+def _charts(name: str, history: History) -> Part:
+    """Show the quantities of one rig or sample."""
+    shown = [one for one in history.watched if one.of == name]
+    pictures = tuple(_picture(one) for one in shown)
+    rows = tuple(pictures[i : i + 3] for i in range(0, len(pictures), 3))
+    lead = (
+        "Difference from the mean of the reference (hollow marks). Dashed: limits of one session (Shewhart). Grey line "
+        "and band: weighted mean and its limits (EWMA). Crosses: alarms."
+    )
+    return Part(name, Content(lead=lead, picture_rows=rows, tables=(_table(shown),), has_wide_tables=True))
+
+
+def _picture(one: Watched) -> Picture:
+    """Return the chart of one quantity."""
+    alarms = sorted({alarm.place for alarm in one.chart.alarms})
+    text = "no alarm" if not alarms else f"alarms at {', '.join(one.sessions[i] for i in alarms[:5])}"
+    caption = f"{one.quantity}: {text}"
+    return drawing(chart_figure(one), f"{caption}, of {len(one.sessions)} sessions", caption, is_small=True)
+
+
+@styled()
+def chart_figure(one: Watched) -> str:
+    """Draw one quantity over its sessions, with limits and alarms."""
+    chart, count = one.chart, one.chart.rules.reference or 0
+    figure = new_figure(3.6, 2.3)
+    axes = figure.subplots()
+    place = np.arange(1, chart.values.size + 1)
+    apart, weighted = chart.values - chart.mean, chart.weighted - chart.mean
+    single, mean = (chart.sd * limit for limit in (chart.rules.shewhart_factor, chart.rules.ewma_limit_factor))
+    axes.axhspan(-mean, mean, facecolor=HAIRLINE, alpha=0.6, linewidth=0)
+    for limit in (-single, single):
+        axes.axhline(limit, color=MUTED, linestyle="--", linewidth=0.9)
+    axes.axhline(0.0, color=MUTED, linewidth=0.8)
+    axes.plot(place[count:], weighted[count:], color=MUTED, linewidth=1.2)
+    axes.plot(place[:count], apart[:count], "o", color=BLUE, markerfacecolor="none", markersize=3.5)
+    axes.plot(place[count:], apart[count:], "o-", color=BLUE, markersize=3.5, linewidth=0.8)
+    alarms = sorted({alarm.place for alarm in chart.alarms})
+    axes.plot(place[alarms], apart[alarms], "x", color=VERMILLION, markersize=8, markeredgewidth=2)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set(xlabel="session", title=one.quantity)
+    axes.title.set_fontsize(9)
+    return svg_text(figure)
+
+
+def _table(shown: Sequence[Watched]) -> ReportTable:
+    """List mean and standard deviation of the reference, limits, and the last session."""
+    rows = []
+    for one in shown:
+        chart = one.chart
+        last = (chart.values[-1] - chart.mean) / chart.sd
+        rows.append((
+            one.quantity, f"{chart.mean:.5g}", f"{chart.sd:.2g}", f"{chart.rules.shewhart_factor:.2f} sd",
+            f"{chart.rules.ewma_limit_factor:.2f} sd", f"{fixed(last, 1)} sd",
+            str(len({alarm.place for alarm in chart.alarms})),
+        ))  # fmt: skip
+    columns = ("quantity", "mean", "sd", "limit, one session", "limit, weighted mean", "last session", "alarms")
+    return one_group("Reference, limits and the last session", columns, rows)
+
+
+def _ledger(history: History) -> Part:
+    """List the light on each sample."""
+    rows = []
+    for row in history.ledger:
+        fading = NO_VALUE
+        if row.fading_per_j is not None and row.fading_sd_per_j is not None:
+            fading = f"{100 * row.fading_per_j:.2g} \u00b1 {100 * row.fading_sd_per_j:.1g} %"
+        lost = "not resolved" if row.lost is None else percent(row.lost)
+        rows.append((row.paint_name, str(row.sessions), f"{row.dose_j:.3g} J", fading, lost))
+    table = one_group(
+        "Laser light on each sample, summed over its sessions",
+        ("sample", "sessions", "dose", "loss per joule", "emission lost so far"),
+        rows,
+    )
+    lead = (
+        "The dose counts all laser light while the sample was in view, as each session recorded it; light outside of "
+        "sessions is not in it. Samples are told apart by the name of the paint in their plans."
+    )
+    return Part("Light on the samples", Content(lead=lead, tables=(table,)))

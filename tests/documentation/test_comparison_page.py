@@ -340,7 +340,7 @@ def test_the_verb_writes_record_and_page_or_neither(tmp_path, monkeypatch):
     write_record(CAPTURE, Path("capture.json"), RESULTS.provenance)
     outcome = finray("compare press.json capture.json --out error.json")
     assert outcome.status == 0
-    assert "error.html: written" in outcome.out
+    assert "error.html: its page" in outcome.out
     text = plain(Page(Path("error.html").read_text(encoding="utf-8")))
     assert "finray compare press.json capture.json --out error.json" in text
     assert f"stored (UTC) {RESULTS.provenance.created_utc} {RESULTS.provenance.created_utc}" in text

@@ -244,7 +244,7 @@ def test_the_verb_writes_record_and_page_or_neither(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_record(SWEEP, Path("sweep.json"), ORIGIN)
     said = succeed("decide sweep.json --out decision.json")
-    assert "decision.html: written" in said
+    assert "decision.html: for whoever mounts" in said
     assert "finray decide sweep.json --out decision.json" in plain(Path("decision.html").read_text(encoding="utf-8"))
     Path("taken.html").touch()
     outcome = finray("decide sweep.json --out taken.json")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import finray_calib as finray
-from data_schemas import CaptureError, PlainSensor, RadiometryError, RecordError, SimulateError
+from data_schemas import CaptureError, ImportFormatError, PlainSensor, RadiometryError, RecordError, SimulateError
 from data_schemas.storage import read_record, sha256_of
 from finray_calib.lineage import findings
 from sim.mechanics import STEPS
@@ -200,5 +200,5 @@ def test_what_is_no_record_is_refused(lab, tmp_path):
 
 
 def test_band_images_of_others_are_imported(tmp_path):
-    with pytest.raises(RecordError, match=r"bands\.toml"):
+    with pytest.raises(ImportFormatError, match=r"bands\.toml"):
         finray.import_bands(tmp_path)
