@@ -133,8 +133,7 @@ class LiveRig:
                     self._follow(lamp)
                     self._look()
                 except (FinrayError, OSError) as error:
-                    lamp.close()
-                    self._report(error)
+                    self._report(_off(lamp) or error)
                 self._stop.wait(max(1.0 / MOST_PICTURES_PER_S - (time.monotonic() - began_s), 0.0))
 
     def stop(self) -> None:
@@ -242,6 +241,15 @@ class LiveRig:
             trouble = {"number": self._numbers.number + 1, "trouble": str(error), "lamp": False}
             self._numbers = LiveNumbers(**{**fields, **trouble})
             self._changed.notify_all()
+
+
+def _off(lamp: ExitStack) -> FinrayError | OSError | None:
+    """Switch the lamp off, and return why that was not confirmed; nothing where it was."""
+    try:
+        lamp.close()
+    except (FinrayError, OSError) as error:
+        return error
+    return None
 
 
 def live_picture(counts: Counts, full_scale_dn: int, black_level_dn: float) -> NDArray[np.uint8]:

@@ -9,6 +9,7 @@ import threading
 import time
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -204,6 +205,36 @@ def test_a_camera_that_fails_is_named_and_the_lamp_goes_off(rig):
         assert not opened.lamp.state()
         broken.clear()
         assert not until(live, lambda n: not n.trouble).lamp
+
+
+def test_a_lamp_that_is_not_confirmed_off_after_a_fault_is_reported_and_the_view_stays(rig):
+    broken = threading.Event()
+
+    def refuse(opened: OpenRig) -> None:
+        lamp, camera = opened.lamp, opened.camera
+
+        @contextmanager
+        def never_off():
+            with lamp.lit():
+                yield
+            raise LostError("lamp: NOT CONFIRMED OFF; pull its plug")
+
+        def expose(exposure_s, deadline_s):
+            if broken.is_set():
+                broken.clear()
+                raise LostError("camera: unplugged; plug it in")
+            return camera.expose(exposure_s, deadline_s)
+
+        object.__setattr__(opened, "lamp", SimpleNamespace(lit=never_off, state=lamp.state))
+        object.__setattr__(opened, "camera", SimpleNamespace(expose=expose))
+
+    with viewing(rig, refuse) as (live, _, _):
+        live.ask({"lamp": True})
+        until(live, lambda n: n.lamp)
+        broken.set()
+        told = until(live, lambda n: n.trouble)
+        assert "NOT CONFIRMED OFF" in told.trouble
+        assert until(live, lambda n: not n.trouble).number > told.number
 
 
 def test_the_lamp_is_off_when_the_view_ends(rig):
