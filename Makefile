@@ -135,7 +135,7 @@ verification: $(VENV)/installed-dev
 schemas: $(VENV)/installed-dev
 	$(BIN)/python -m data_schemas.json_schemas
 
-# The drawing of the rooms in docs/explanation/architecture.md; a test fails when it differs from the code.
+# The rooms, drawn in docs/explanation/architecture.md and listed in docs/reference/rooms.md; a test compares them with the code.
 drawing: $(VENV)/installed-dev
 	$(BIN)/python -m docs.rooms_drawing
 

@@ -13,6 +13,13 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "docs" / "reference"
 PACKAGES = ("finray_calib", "sim", "rigs", "data_schemas")
+BESIDE = {
+    "files-that-are-read.md": "Files that are read: formats, limits, what is refused, how it was tried",
+    "rooms.md": "Rooms of the code and what they import",
+    "faults-that-charts-see.md": "Faults of a rig, and how soon control charts see them",
+    "times-to-light-off.md": "How long a light stays on when processes are killed or stopped",
+}
+"""Pages of the folder that are not of a face -> what they hold."""
 HEAD = "Made by `make reference` from the code; what stands here is what others may use."
 
 
@@ -129,7 +136,9 @@ def _parameters(given: ast.arguments) -> str:
 def index() -> str:
     """Return the page that lists the faces."""
     rows = [f"| [{face}]({face}.md) | {_purpose(face)} |" for face in faces()]
-    return "\n".join(["# Reference", "", HEAD, "", "| face | what it is for |", "|---|---|", *rows, ""])
+    beside = [f"- [{what}]({name})" for name, what in BESIDE.items()]
+    table = ["| face | what it is for |", "|---|---|", *rows]
+    return "\n".join(["# Reference", "", HEAD, "", *table, "", "Beside the faces:", "", *beside, ""])
 
 
 def _purpose(face: str) -> str:
@@ -146,7 +155,7 @@ def main() -> None:
     PAGES.mkdir(exist_ok=True)
     made = pages()
     for old in PAGES.glob("*.md"):
-        if old.name not in made:
+        if old.name not in made and old.name not in BESIDE:
             old.unlink()
     for name, text in made.items():
         (PAGES / name).write_text(text, encoding="utf-8")

@@ -1,4 +1,6 @@
-"""Draw which room of the code imports which, from the code, into docs/explanation/architecture.md: ``make drawing``.
+"""Draw which room of the code imports which, from the code: ``make drawing``.
+
+The drawing goes into docs/explanation/architecture.md, the table with every arrow into docs/reference/rooms.md.
 
 A room is a folder with an ``__init__.py``. An arrow means "imports"; one that follows from others is left out, so that
 the drawing can be read. Imports for type checkers only do not count, those inside functions do.
@@ -13,6 +15,7 @@ import grimp
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "explanation" / "architecture.md"
+TABLE_PAGE = ROOT / "docs" / "reference" / "rooms.md"
 BEGIN, END = "<!-- drawn by make drawing -->", "<!-- end of what is drawn -->"
 PACKAGES = ("data_schemas", "rigs", "finray_calib", "sim")
 
@@ -96,30 +99,36 @@ def table(rooms: Mapping[str, set[str]]) -> str:
     return "\n".join(lines)
 
 
-def drawn_part() -> str:
+def table_page(rooms: Mapping[str, set[str]]) -> str:
+    """Return the page with the table of all rooms."""
+    head = "Made by `make drawing` from the code, with no arrow left out; a test fails when it differs."
+    drawn = "[How the code is built](../explanation/architecture.md#the-drawing) has the drawing."
+    return "\n\n".join(["# Rooms of the code and what they import", f"{head} {drawn}", table(rooms)]) + "\n"
+
+
+def drawn_part(rooms: Mapping[str, set[str]]) -> str:
     """Return what stands between the two marks of the page."""
-    rooms = imports_between_rooms()
     parts = [
         mermaid(overview(rooms)),
         "Inside `rigs`:",
         mermaid(inside(rooms, "rigs")),
         "Inside `sim`:",
         mermaid(inside(rooms, "sim")),
-        "All of it, with no arrow left out:",
-        table(rooms),
     ]
     return "\n\n".join(parts)
 
 
-def redrawn(page: str) -> str:
+def redrawn(page: str, rooms: Mapping[str, set[str]]) -> str:
     """Return the text of the page with its drawing made anew."""
     before, begin, rest = page.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not (begin and end):
         raise ValueError(f"{PAGE}: needs the two lines {BEGIN} and {END}; what lies between them is drawn")
-    return f"{before}{BEGIN}\n\n{drawn_part()}\n\n{END}{after}"
+    return f"{before}{BEGIN}\n\n{drawn_part(rooms)}\n\n{END}{after}"
 
 
 if __name__ == "__main__":
-    PAGE.write_text(redrawn(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
-    sys.stdout.write(f"{PAGE}: drawn\n")
+    found = imports_between_rooms()
+    PAGE.write_text(redrawn(PAGE.read_text(encoding="utf-8"), found), encoding="utf-8")
+    TABLE_PAGE.write_text(table_page(found), encoding="utf-8")
+    sys.stdout.write(f"{PAGE}: drawn\n{TABLE_PAGE}: written\n")

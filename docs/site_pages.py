@@ -17,6 +17,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
+from docs.api_pages import BESIDE
 from docs.verification_rows import trust_page
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -56,7 +57,9 @@ def _pages(folder: str, first: str) -> list[Any]:
         return list(pages)
     decisions = [path.relative_to(ROOT / "docs").as_posix() for path in sorted((ROOT / "docs/decisions").glob("0*.md"))]
     decided = {"Decision records": ["decisions/README.md", *decisions]}
-    return [pages[0], COMMANDS, TRUST, "verification.md", {"Folders of the code": pages[1:]}, decided]
+    beside = [f"reference/{name}" for name in BESIDE]
+    faces = [page for page in pages[1:] if page not in beside]
+    return [pages[0], COMMANDS, TRUST, "verification.md", *beside, {"Folders of the code": faces}, decided]
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

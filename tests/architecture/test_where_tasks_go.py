@@ -8,7 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from docs.rooms_drawing import BEGIN, PAGE, mermaid, redrawn, without_shortcuts
+from docs.rooms_drawing import (
+    BEGIN,
+    PAGE,
+    TABLE_PAGE,
+    imports_between_rooms,
+    mermaid,
+    redrawn,
+    table_page,
+    without_shortcuts,
+)
 from tests.architecture.test_conventions import ROOT
 
 PAGES = [ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -88,12 +97,14 @@ def test_both_walks_name_a_function_at_each_step():
 
 def test_the_drawing_is_that_of_the_code():
     page = PAGE.read_text(encoding="utf-8")
-    assert redrawn(page) == page, "draw it again: make drawing"
+    rooms = imports_between_rooms()
+    assert redrawn(page, rooms) == page, "draw it again: make drawing"
+    assert TABLE_PAGE.read_text(encoding="utf-8") == table_page(rooms), "draw it again: make drawing"
 
 
 def test_a_page_without_room_for_the_drawing_is_refused():
     with pytest.raises(ValueError, match="needs the two lines"):
-        redrawn(PAGE.read_text(encoding="utf-8").replace(BEGIN, ""))
+        redrawn(PAGE.read_text(encoding="utf-8").replace(BEGIN, ""), {})
 
 
 def test_arrows_that_follow_from_others_are_left_out():
