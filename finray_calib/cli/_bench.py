@@ -44,7 +44,7 @@ def add_bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     tactile.add_argument("captures", type=Path, metavar="CAPTURES", help="folder of NAME.capture.json")
     tactile.add_argument("--simulator", metavar="NAME", help="name of yours in the row; with --command")
     tactile.add_argument(
-        "--command", metavar="WORDS",
+        "--command", dest="simulator_command", metavar="WORDS",
         help="what runs your simulator, one string; without it the row is that of the table",
     )  # fmt: skip
     tactile.add_argument(
@@ -64,7 +64,7 @@ def run_bench_tactile(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import ProductSet, read_record
     from finray_calib.cli._compare_folders import PAGE, SUMMARY, compare_folders
 
-    if (arguments.command is None) != (arguments.simulator is None):
+    if (arguments.simulator_command is None) != (arguments.simulator is None):
         raise CompareError(
             "--simulator NAME and --command WORDS go together; give both, or neither for the table alone"
         )
@@ -142,7 +142,7 @@ def _presses(
         for name, press in of_table.items()
     }
     presses = {TABLE: of_table, BLANK: blank}
-    if arguments.command is None:
+    if arguments.simulator_command is None:
         return None, presses
     protocol, renders = out / "protocol", out / "renders"
     _write_requests(protocol, captures, taught, judged)
@@ -179,7 +179,7 @@ def _run_simulator(arguments: argparse.Namespace, protocol: Path, renders: Path)
     from data_schemas import CompareError
 
     places = {"{teach}": protocol / "teach", "{judge}": protocol / "judge", "{renders}": renders}
-    words = shlex.split(arguments.command)
+    words = shlex.split(arguments.simulator_command)
     for mark, place in places.items():
         words = [word.replace(mark, str(place.resolve())) for word in words]
     renders.mkdir(parents=True)
@@ -246,7 +246,7 @@ def _row(
         "set": arguments.captures.resolve().name,
         "source": next(iter(captures.values())).source,
         "simulator": own,
-        "command": arguments.command,
+        "command": arguments.simulator_command,
         "skill": named[own],
         "table": named[TABLE],
         "blank": blank.get("estimate"),

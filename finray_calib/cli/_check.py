@@ -122,7 +122,13 @@ def add_gauge_rr(acts: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     """Register what ``finray check gauge-rr`` takes."""
     parser = acts.add_parser("gauge-rr", help=GAUGE_HELP, description=GAUGE_DESCRIPTION)
     parser.add_argument("study", type=Path, metavar="STUDY", help="CSV file: sample,session[,mount],paint or value")
-    parser.add_argument("--quantity", choices=QUANTITIES, default="mode_nm", help="of the calibrations (mode_nm)")
+    parser.add_argument(
+        "--quantity",
+        choices=QUANTITIES,
+        default="mode_nm",
+        metavar="QUANTITY",
+        help=f"of the calibrations: {', '.join(QUANTITIES)} (mode_nm)",
+    )
     parser.set_defaults(run=run_gauge_rr)
 
 

@@ -24,7 +24,7 @@ def test_listed_and_written(tmp_path):
     listed = succeed("design list")
     assert all(name in listed for name in SENSORS)
     told = succeed(f"design init 9dtact --out {tmp_path}/mine.toml")
-    assert told == f"{tmp_path}/mine.toml: edit it, then 'finray design show {tmp_path}/mine.toml'\n"
+    assert told == f"{tmp_path}/mine.toml: the design, to be edited\nnext: finray design show {tmp_path}/mine.toml\n"
     shown = succeed(f"design show {tmp_path}/mine.toml --engine scalar")
     assert shown == succeed("design show 9dtact --engine scalar")
 
