@@ -26,7 +26,8 @@ def test_listed_and_written(tmp_path):
     told = succeed(f"design init 9dtact --out {tmp_path}/mine.toml")
     assert told == f"{tmp_path}/mine.toml: the design, to be edited\nnext: finray design show {tmp_path}/mine.toml\n"
     shown = succeed(f"design show {tmp_path}/mine.toml --engine scalar")
-    assert shown == succeed("design show 9dtact --engine scalar")
+    ready = succeed("design show 9dtact --engine scalar")
+    assert shown == ready.replace("design show 9dtact", f"design show {tmp_path}/mine.toml")
 
 
 def test_shown_with_origins_and_drawn(design, tmp_path):
