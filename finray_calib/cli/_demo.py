@@ -60,7 +60,7 @@ def run_demo_verb(arguments: argparse.Namespace) -> None:
     say(f"renderer: {engine.note}")
     say(f"time: {said['seconds']:.0f} s")
     wrote(out.resolve(), "records of all six stages, summary.json and report.html")
-    give(verdict=said["verdict"], sentence=said["sentence"], time_s=said["seconds"], renderer=engine.note)
+    give(verdict=said["certainty"], sentence=said["verdict"], time_s=said["seconds"], renderer=engine.note)
     look_at((out / "report.html").resolve())
 
 

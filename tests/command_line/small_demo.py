@@ -70,7 +70,7 @@ def take(number: int = 0, memory_bytes: int = 0, hangs_s: float = 0.0, refuses: 
 def report(settings: Mapping[str, Any], seconds: Mapping[str, float]) -> dict[str, str]:
     assert set(seconds) == {"simulate"}
     (Path(settings["out"]) / "report.html").write_text("all stages")
-    return {"verdict": "done", "sentence": f"{seconds['simulate']:.3f} s"}
+    return {"verdict": "done", "certainty": f"{seconds['simulate']:.3f} s"}
 
 
 class Bar:

@@ -9,15 +9,18 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from data_schemas import DiedError, RecordError, RefusedError
 from finray_calib.demo import can_go_on
+from finray_calib.demo._report import write_report
 from finray_calib.demo._run import STAGES as REAL_STAGES
 from finray_calib.demo._run import whole_stages
 from tests.command_line import small_demo
-from tests.command_line.running import tree
+from tests.command_line.running import succeed, tree
+from tests.documentation.example_records import example_results
 from tests.schemas.test_child_process import gone_within
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -291,3 +294,18 @@ class Demo:
     def end(self) -> tuple[int, str]:
         self.out, said = self.process.communicate(timeout=60.0)
         return self.process.returncode, said
+
+
+def test_the_verb_ends_with_what_the_report_returns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    results = example_results()
+    monkeypatch.setattr("finray_calib.demo._report.stored_results", lambda demo, seconds: results)
+
+    def finished(settings: dict[str, Any], *_: object) -> dict[str, Any]:
+        Path(settings["out"]).mkdir()
+        return write_report(settings, {}) | {"seconds": 61.2}
+
+    monkeypatch.setattr("finray_calib.demo.run_demo", finished)
+    told = succeed(f"demo --engine scalar --out {tmp_path}/d")
+    assert told.startswith(results.decision.headline)
+    assert "time: 61 s" in told
+    assert told.endswith(f"look at: {tmp_path}/d/report.html\n")
