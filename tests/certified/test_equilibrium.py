@@ -17,7 +17,7 @@ from sim.mechanics._increments import Load, load_increments
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._mesh import Tie
-from sim.mechanics._newton import NewtonOptions, Supports, find_equilibrium
+from sim.mechanics._newton import NewtonOptions, Supports, _nearer_to_least, _Trial, find_equilibrium
 from tests.certified.blocks import GridBlock, assemble, press, unit_cells
 
 GEL = neo_hooke(0.1333)
@@ -100,10 +100,38 @@ def test_a_column_buckles():
         return Supports(fixed, move)
 
     path = press(assembly, loading, np.linspace(0.25, 1.0, 4))
+    # where Newton's step leads uphill the other way is downhill: with curvature projected in its place it takes 24
+    assert sum(e.iterations for e in path) <= 20
     sideways = path[-1].state.u_mm[cells.numbers[6].ravel(), 1].mean()
     # a clamped cosine arch that is d shorter has an amplitude of 2 sqrt(d L) / pi, less Euler's shortening
     # pi^2 h^2 / 3 L = 0.14 mm and a few per cent of the curve's higher order
     assert sideways == pytest.approx(2 * math.sqrt(24.0 * (1.0 - 0.14)) / math.pi, rel=0.05)
+
+
+def test_a_shortened_step_goes_near_to_the_least_energy_along_it():
+    def trial(share):
+        asked.append(share)
+        return _Trial(share, 7.0 + energy(share), SimpleNamespace(), energy(share))
+
+    # what sticks and then slides, or bends and then stretches: steep beyond its least
+    for energy, least in ((lambda t: -t + 50.0 * t**4, 200.0 ** (-1 / 3)), (lambda t: -t + 3.0 * t**2 + t**3, 0.1547)):
+        asked = []
+        first, refused = trial(0.02), trial(1.0)
+        found = _nearer_to_least(trial, 7.0, -1.0, first, refused)
+        assert len(asked) <= 2 + 3
+        assert energy(found.share) <= 0.8 * energy(
+            least
+        )  # four fifths of the greatest fall; two fifths or less at first
+        assert energy(first.share) >= 0.4 * energy(least)
+    # a state that is not allowed has no energy: halves
+    wall = _nearer_to_least(
+        lambda t: trial(t) if t < 0.4 else _Trial(t, math.inf, None, math.inf),
+        7.0,
+        -1.0,
+        first,
+        _Trial(1.0, math.inf, None, math.inf),
+    )
+    assert 0.02 < wall.share < 0.4
 
 
 def test_an_increment_too_large_is_cut_back():
