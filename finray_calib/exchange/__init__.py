@@ -21,11 +21,15 @@ if TYPE_CHECKING:
     from finray_calib.exchange._capture_recipe import Recipe, read_recipe, recipe_names, with_sizes
     from finray_calib.exchange._capture_request import PlannedView, capture_request
     from finray_calib.exchange._force_csv import read_force_csv
-    from finray_calib.exchange._inference_data import inference_data
     from finray_calib.exchange._junit_xml import junit_xml
     from finray_calib.exchange._led_camera_matrix import assumed_led, led_camera_matrix
     from finray_calib.exchange._nine_dtact import nine_dtact_capture, nine_dtact_prediction
-    from finray_calib.exchange._paint_formats import PAINT_FORMATS, ExportOptions, as_spectral_distribution
+    from finray_calib.exchange._paint_formats import (
+        PAINT_FORMATS,
+        ExportOptions,
+        as_spectral_distribution,
+        inference_data,
+    )
     from finray_calib.exchange._paint_spectra import PaintSpectra, paint_spectra
     from finray_calib.exchange._printable_parts import PrintFormat, printable_parts
     from finray_calib.exchange._raspberry_pi import RaspberryPiOptions, raspberry_pi_capture, read_tuning
