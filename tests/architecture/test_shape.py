@@ -28,9 +28,9 @@ SILENT = {
 LONGEST_FUNCTION_LINES = 45
 MOST_PARAMETERS = 8
 # loops of the renderer and of an element, whose state is one: cut apart, they pass all of it on
-MOST_LONG_FUNCTIONS = 5
-# two compiled kernels, which take plain arrays only, and the sessions of a capture
-MOST_WITH_MANY_PARAMETERS = 10
+MOST_LONG_FUNCTIONS = 4
+# two compiled kernels, which take plain arrays only, and the proof of filters by the line of the laser
+MOST_WITH_MANY_PARAMETERS = 3
 
 
 @dataclass(frozen=True)
