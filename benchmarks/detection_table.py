@@ -28,7 +28,7 @@ from scipy.stats import beta
 from data_schemas import CaptureSession, Frame
 from finray_calib.acceptance import chart_rules, session_facts, watch
 from rigs import open_rig, paint_plan, simulated_rig
-from rigs.capture import capture_paint_session
+from rigs.capture import SessionRequest, capture_paint_session
 
 Floats = NDArray[np.float64]
 REFERENCE, RATE, WITHIN = 20, 0.01, 5
@@ -92,7 +92,7 @@ class SimulatedSessions:
         self.rig = rig
         out = folder / "session"
         self.session: CaptureSession = capture_paint_session(
-            self.rig, paint_plan("red", self.rig.camera), Path(), out, "finray capture"
+            self.rig, paint_plan("red", self.rig.camera), SessionRequest(out, "finray capture")
         )
         self.names = [band.name for band in self.rig.filter_wheel.filters]
         self._centres = np.array([band.center_nm for band in self.rig.filter_wheel.filters])

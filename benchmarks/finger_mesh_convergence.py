@@ -28,7 +28,7 @@ from sim.mechanics._assembly import Assembly, Elasticity
 from sim.mechanics._finger_mesh import finger_ties
 from sim.mechanics._increments import CoarserPath, Load, load_increments
 from sim.mechanics._linear_solver import linear_solver
-from sim.mechanics._press_contact import press_contact
+from sim.mechanics._press import press_contact
 
 FORCE_BAR_REL, MEMORY_BAR_GB, TIME_BAR_S = 0.02, 8.0, 240.0
 MEDIUM = STEPS["medium"]

@@ -36,8 +36,8 @@ from data_schemas import (
     FilterWheelSettings,
 )
 from rigs import Camera, FilterWheel, OpenRig, RawFrame, open_camera, open_rig, open_wheel, paint_plan, simulated_rig
+from rigs.capture import SessionRequest, paint_steps, read_interrupted
 from rigs.capture import _exposure as exposing
-from rigs.capture import paint_steps, read_interrupted
 from rigs.capture._journal import read_journal
 from rigs.capture._paint_session import capture_with
 from rigs.transports import faults_told
@@ -163,7 +163,7 @@ def wheel_session(outcome: Outcome, device: Device, chance: random.Random, folde
         while True:
             try:
                 session = capture_with(
-                    opened, rig, plan, paint_steps(plan, rig), out, {}, "benchmark", None, interrupted
+                    opened, rig, plan, paint_steps(plan, rig), SessionRequest(out, "benchmark"), interrupted=interrupted
                 )
             except CaptureError as error:
                 outcome.resumes.append(f"{type(error).__name__}: {error}")

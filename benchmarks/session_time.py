@@ -18,7 +18,7 @@ import numpy as np
 
 from data_schemas import DeviceIdentity
 from rigs import Camera, FilterWheel, RawFrame, SystemClock, open_rig, paint_plan, simulated_rig
-from rigs.capture import paint_steps
+from rigs.capture import SessionRequest, paint_steps
 from rigs.capture._paint_session import capture_with
 
 MOVE_S = 0.5
@@ -79,12 +79,14 @@ def main() -> int:
     steps = paint_steps(plan, rig)
     with tempfile.TemporaryDirectory() as folder, open_rig(rig, Path()) as opened:
         camera = SleepingCamera(opened.camera)
-        capture_with(replace(opened, camera=camera), rig, plan, steps, Path(folder) / "first", {}, "benchmark")
+        capture_with(
+            replace(opened, camera=camera), rig, plan, steps, SessionRequest(Path(folder) / "first", "benchmark")
+        )
         camera.replaying = True
         wheel = SleepingWheel(opened.wheel)
         timed = replace(opened, camera=camera, wheel=wheel, clock=SystemClock())
         start_s = time.perf_counter()
-        session = capture_with(timed, rig, plan, steps, Path(folder) / "second", {}, "benchmark")
+        session = capture_with(timed, rig, plan, steps, SessionRequest(Path(folder) / "second", "benchmark"))
         wall_s = time.perf_counter() - start_s
     needed_s = camera.slept_s + wheel.slept_s
     found = {

@@ -149,7 +149,7 @@ def capture_session(
         ``finray capture --resume`` goes on with it.
     """
     from data_schemas.storage import read_toml, read_toml_tables
-    from rigs.capture import camera_step, capture_camera_session, capture_paint_session, paint_steps
+    from rigs.capture import SessionRequest, camera_step, capture_camera_session, capture_paint_session, paint_steps
     from rigs.light_guard import require_outside_layer, safety_lines
 
     plan_file, rig_file, folder = Path(plan), Path(rig), Path(out)
@@ -161,20 +161,21 @@ def capture_session(
         with naming(CaptureError, rig_file):
             require_outside_layer(settings.laser)
         warnings.warn("\n".join(safety_lines(settings.laser)), stacklevel=2)
-    command = "finray_calib.capture_session, from Python"
+
+    def request() -> SessionRequest:
+        """Ask for the session, once the plan is read: the files are named by what was read of them."""
+        sources, command = digests_of([plan_file, rig_file]), "finray_calib.capture_session, from Python"
+        return SessionRequest(folder, command, rig_folder=rig_file.parent, progress=progress, sources=sources)
+
     if kind == "camera":
         camera_plan = read_toml(plan_file, CameraPlan)
         with naming(CaptureError, plan_file):
             camera_step(camera_plan, settings)
-        return capture_camera_session(
-            settings, camera_plan, rig_file.parent, folder, command, progress, sources=digests_of([plan_file, rig_file])
-        )
+        return capture_camera_session(settings, camera_plan, request())
     paint_plan = read_toml(plan_file, PaintPlan)
     with naming(CaptureError, plan_file):
         paint_steps(paint_plan, settings)
-    return capture_paint_session(
-        settings, paint_plan, rig_file.parent, folder, command, progress, sources=digests_of([plan_file, rig_file])
-    )
+    return capture_paint_session(settings, paint_plan, request())
 
 
 def reduce_session(

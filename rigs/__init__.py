@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from rigs._device_lock import device_locked, rig_locked
     from rigs._drivers import (
         Detection,
         Driver,
@@ -36,11 +35,13 @@ if TYPE_CHECKING:
     from rigs._host import AbsentOperator, CallThread, NoAnswerError, SystemClock, TerminalOperator, forget_typed_ahead
     from rigs._open_rig import (
         OpenRig,
+        device_locked,
         lone_camera,
         lone_lamp,
         lone_laser,
         lone_wheel,
         open_rig,
+        rig_locked,
     )
     from rigs._overview import device_title, look_at, look_at_tactile
     from rigs._protocols import (

@@ -12,9 +12,20 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from sim._designs import PRESETS, design_inputs, design_toml, preset_design, read_design
+    from sim._designs import (
+        PRESETS,
+        SENSORS,
+        design_inputs,
+        design_toml,
+        is_sensor,
+        preset_design,
+        preset_sensor,
+        read_design,
+        read_sensor,
+        sensor_inputs,
+        sensor_toml,
+    )
     from sim._library_proofs import is_installed, proof_failure
-    from sim._sensors import SENSORS, is_sensor, preset_sensor, read_sensor, sensor_inputs, sensor_toml
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 

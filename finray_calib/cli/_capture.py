@@ -94,7 +94,7 @@ def capture_tactile(arguments: argparse.Namespace) -> None:
     """Capture a tactile session, or list what it would ask for."""
     from data_schemas import CaptureError, TactilePlan, TactileRig
     from data_schemas.storage import read_toml
-    from rigs.capture import capture_tactile_session, planned_presses, session_bytes, tactile_shots
+    from rigs.capture import SessionRequest, capture_tactile_session, planned_presses, session_bytes, tactile_shots
 
     if arguments.like is not None:
         raise CaptureError("--like is for plans of kind 'paint'; leave it out")
@@ -116,14 +116,19 @@ def capture_tactile(arguments: argparse.Namespace) -> None:
     sources = input_digests([arguments.plan, arguments.rig, *poses])
     with interruptible(out):
         session = capture_tactile_session(
-            rig, plan, presses, (arguments.rig.parent, out), command_line(), _tell_operator, sources=sources
+            rig,
+            plan,
+            presses,
+            SessionRequest(
+                out, command_line(), rig_folder=arguments.rig.parent, progress=_tell_operator, sources=sources
+            ),
         )
     _report_tactile(out, session)
 
 
 def resume_tactile(folder: Path) -> None:
     """Go on with an interrupted tactile session."""
-    from rigs.capture import capture_tactile_session, read_interrupted_presses
+    from rigs.capture import SessionRequest, capture_tactile_session, read_interrupted_presses
 
     interrupted = read_interrupted_presses(folder)
     say(f"{folder}: {len(interrupted.frames)} frames are there and unchanged")
@@ -131,9 +136,7 @@ def resume_tactile(folder: Path) -> None:
         interrupted.rig,
         interrupted.plan,
         interrupted.presses,
-        (interrupted.rig_folder, folder),
-        command_line(),
-        _tell_operator,
+        SessionRequest(folder, command_line(), rig_folder=interrupted.rig_folder, progress=_tell_operator),
         interrupted=interrupted,
     )
     _report_tactile(folder, session)
@@ -157,7 +160,7 @@ def capture_paint(arguments: argparse.Namespace) -> None:
     from data_schemas import CaptureError, PaintPlan, RigFile
     from data_schemas.storage import read_toml
     from rigs import AbsentOperator, open_rig, rig_locked
-    from rigs.capture import capture_paint_session, forecast, paint_steps, read_session, require_ready
+    from rigs.capture import SessionRequest, capture_paint_session, forecast, paint_steps, read_session, require_ready
     from rigs.light_guard import require_outside_layer
 
     plan, rig = read_toml(arguments.plan, PaintPlan), read_toml(arguments.rig, RigFile)
@@ -189,12 +192,8 @@ def capture_paint(arguments: argparse.Namespace) -> None:
         session = capture_paint_session(
             rig,
             plan,
-            arguments.rig.parent,
-            out,
-            command_line(),
-            progress,
+            SessionRequest(out, command_line(), rig_folder=arguments.rig.parent, progress=progress, sources=sources),
             last_good=last_good,
-            sources=sources,
             mend=_ask_to_mend,
         )
     _report(out, session, plan.paint_name)
@@ -217,7 +216,7 @@ def capture_camera(arguments: argparse.Namespace) -> None:
     """Capture a camera session."""
     from data_schemas import CameraPlan, CaptureError, RigFile
     from data_schemas.storage import read_toml
-    from rigs.capture import camera_step, capture_camera_session
+    from rigs.capture import SessionRequest, camera_step, capture_camera_session
 
     if arguments.dry_run or arguments.like is not None:
         raise CaptureError("--dry-run and --like are for plans of kind 'paint'; leave them out")
@@ -228,7 +227,9 @@ def capture_camera(arguments: argparse.Namespace) -> None:
         camera_step(plan, rig)
     with interruptible(out), _telling(rig) as progress:
         session = capture_camera_session(
-            rig, plan, arguments.rig.parent, out, command_line(), progress, sources=sources
+            rig,
+            plan,
+            SessionRequest(out, command_line(), rig_folder=arguments.rig.parent, progress=progress, sources=sources),
         )
     _report(out, session, plan.camera_name)
 
@@ -270,17 +271,14 @@ def resume(folder: Path, like: Path | None) -> None:
 def _resume_paint(folder: Path, interrupted: "Interrupted", last_good: "CaptureSession | None") -> None:
     """Go on with a paint session."""
     from data_schemas import PaintPlan
-    from rigs.capture import capture_paint_session
+    from rigs.capture import SessionRequest, capture_paint_session
 
     plan, rig = interrupted.plan(PaintPlan), interrupted.rig()
     with _telling(rig) as progress:
         session = capture_paint_session(
             rig,
             plan,
-            interrupted.rig_folder,
-            folder,
-            command_line(),
-            progress,
+            SessionRequest(folder, command_line(), rig_folder=interrupted.rig_folder, progress=progress),
             interrupted=interrupted,
             last_good=last_good,
             mend=_ask_to_mend,
@@ -291,12 +289,15 @@ def _resume_paint(folder: Path, interrupted: "Interrupted", last_good: "CaptureS
 def _resume_camera(folder: Path, interrupted: "Interrupted") -> None:
     """Go on with a camera session."""
     from data_schemas import CameraPlan
-    from rigs.capture import capture_camera_session
+    from rigs.capture import SessionRequest, capture_camera_session
 
     plan, rig = interrupted.plan(CameraPlan), interrupted.rig()
     with _telling(rig) as progress:
         session = capture_camera_session(
-            rig, plan, interrupted.rig_folder, folder, command_line(), progress, interrupted=interrupted
+            rig,
+            plan,
+            SessionRequest(folder, command_line(), rig_folder=interrupted.rig_folder, progress=progress),
+            interrupted=interrupted,
         )
     _report(folder, session, plan.camera_name)
 

@@ -5,7 +5,7 @@ renders of any simulator, folders of band images, and results files of Abaqus.
 """
 
 import argparse
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,6 +37,9 @@ Import the images of one press as a tactile capture: contact, no_contact and, if
 repeat_no_contact (all DNG or 16-bit TIFF, or all PNG or JPEG), the metadata of each image beside it
 (contact.json, from rpicam-still --metadata) and press.toml (name, [indenter]). Images with auto exposure or
 auto white balance are refused."""
+OTHER = """\
+Import the folder of one press by a format that another installed package brings, as a tactile capture. How to
+write one: docs/how-to/import-captures.md."""
 CAPTURE_OUT = "FOLDER.capture.json, with --predict-from also FOLDER.press.json beside it"
 
 
@@ -55,6 +58,8 @@ def add_import(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     pi.add_argument("--flatten-shading", action="store_true", help="flatten the lens shading by the tuning (raw)")
     pi.add_argument("--bayer-order", choices=["RGGB", "BGGR", "GRBG", "GBRG"], help="of 16-bit TIFFs")
     pi.add_argument("--bit-depth", type=int, choices=[8, 10, 12, 14, 16], help="of 16-bit TIFFs")
+    other = _add_format(formats, "other", "folder of one press, by a format of another package", OTHER)
+    other.add_argument("--format", dest="package_format", required=True, metavar="NAME", help="of the package's format")
     add_ball_press_formats(formats)
     add_render_format(formats)
     add_bands_format(formats)
@@ -87,7 +92,7 @@ def run_import(arguments: argparse.Namespace) -> None:
                 "the folder of another sensor"
             )
         require_new(press_out)
-    capture, press = _raspberry_pi(arguments) if arguments.format == "raspberry-pi" else _nine_dtact(arguments)
+    capture, press = _READERS[arguments.format](arguments)
     sources = [f for f in (folder, arguments.predict_from) if f is not None]
     files = sorted(f for source in sources for f in source.rglob("*") if digest_as_read(f) is not None)
     files += [] if arguments.tuning is None else [arguments.tuning]
@@ -129,6 +134,18 @@ def _raspberry_pi(arguments: argparse.Namespace) -> "tuple[TactileCapture, None]
     return raspberry_pi_capture(arguments.folder, options), None
 
 
+def _other(arguments: argparse.Namespace) -> "tuple[TactileCapture, None]":
+    """Import a folder by a format of another package."""
+    from finray_calib.exchange import capture_by_package
+
+    return capture_by_package(arguments.package_format, arguments.folder), None
+
+
+_READERS: "dict[str, Callable[[argparse.Namespace], tuple[TactileCapture, SimulatedPress | None]]]" = {
+    "9dtact": _nine_dtact,
+    "raspberry-pi": _raspberry_pi,
+    "other": _other,
+}
 BANDS_HELP = "import a folder of wavelength-named TIFF images of a paint"
 BANDS_DESCRIPTION = """\
 Reduce TIFF images that another lab took of a paint through band-pass filters (paint and white reference under

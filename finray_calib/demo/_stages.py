@@ -131,7 +131,7 @@ class Demo:
     def capture(self, colour: str, progress: Progress) -> CaptureSession:
         """Capture a paint session on the simulated rig; one that was interrupted begins again, for the same noise."""
         from rigs import paint_plan, plan_toml, rig_toml
-        from rigs.capture import capture_paint_session
+        from rigs.capture import SessionRequest, capture_paint_session
 
         rig, folder = self.rig(colour), self.path(colour)
         plan = paint_plan(f"{colour} paint", rig.camera)
@@ -142,7 +142,11 @@ class Demo:
             shutil.rmtree(folder / "session")
         sources = {f"{colour}/{name}": hashlib.sha256(text).hexdigest() for name, text in texts.items()}
         return capture_paint_session(
-            rig, plan, folder, folder / "session", self.settings.command, progress, sources=sources
+            rig,
+            plan,
+            SessionRequest(
+                folder / "session", self.settings.command, rig_folder=folder, progress=progress, sources=sources
+            ),
         )
 
     def radiometry(self, colour: str) -> BandSignals:

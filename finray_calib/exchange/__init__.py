@@ -6,6 +6,8 @@ pictures, of ball presses, of 9DTact or Taxim calibrations, measured force as CS
 Renders, meshes, printable parts, board calibrations, capture requests and acceptance reports go out as files that other
 programs open.
 
+A package outside the tree brings a format of captures by an entry point (`ImportFormat`).
+
 What cannot be known from a foreign file is asked for or refused, never guessed; nothing pickled is ever loaded.
 """
 
@@ -21,11 +23,16 @@ if TYPE_CHECKING:
     from finray_calib.exchange._capture_recipe import Recipe, read_recipe, recipe_names, with_sizes
     from finray_calib.exchange._capture_request import PlannedView, capture_request
     from finray_calib.exchange._force_csv import read_force_csv
-    from finray_calib.exchange._inference_data import inference_data
     from finray_calib.exchange._junit_xml import junit_xml
     from finray_calib.exchange._led_camera_matrix import assumed_led, led_camera_matrix
     from finray_calib.exchange._nine_dtact import nine_dtact_capture, nine_dtact_prediction
-    from finray_calib.exchange._paint_formats import PAINT_FORMATS, ExportOptions, as_spectral_distribution
+    from finray_calib.exchange._package_formats import ImportFormat, capture_by_package
+    from finray_calib.exchange._paint_formats import (
+        PAINT_FORMATS,
+        ExportOptions,
+        as_spectral_distribution,
+        inference_data,
+    )
     from finray_calib.exchange._paint_spectra import PaintSpectra, paint_spectra
     from finray_calib.exchange._printable_parts import PrintFormat, printable_parts
     from finray_calib.exchange._raspberry_pi import RaspberryPiOptions, raspberry_pi_capture, read_tuning
@@ -45,6 +52,7 @@ __all__ = [
     "PARAMETERS",
     "BandFolder",
     "ExportOptions",
+    "ImportFormat",
     "PaintSpectra",
     "PlannedView",
     "PrintFormat",
@@ -54,6 +62,7 @@ __all__ = [
     "as_spectral_distribution",
     "assumed_led",
     "calibration_yaml",
+    "capture_by_package",
     "capture_request",
     "import_band_folder",
     "inference_data",

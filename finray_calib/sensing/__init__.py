@@ -39,10 +39,11 @@ if TYPE_CHECKING:
         normal_map_of,
         normal_map_record,
         require_ball_press,
+        sense_press,
+        surface_triangles,
     )
     from finray_calib.sensing._pixel_scale import Declared
     from finray_calib.sensing._scale_record import patch_scale, pixel_scale, scale_finding, with_measured_scale
-    from finray_calib.sensing._sensed_press import sense_press, surface_triangles
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 

@@ -48,6 +48,17 @@ def full_scale_dn(capture: TactileCapture) -> float:
 
 
 Mask = NDArray[np.bool_]
+# the frame of the picture, in shares of its shorter side
+_FRAME_SHARE = 0.05
+
+
+def frame_of(shape: tuple[int, ...]) -> Mask:
+    """Return the pixels of the frame of a picture, where the gel is taken to be untouched."""
+    width = max(1, round(_FRAME_SHARE * min(shape[:2])))
+    frame: Mask = np.ones(shape[:2], dtype=np.bool_)
+    frame[width:-width, width:-width] = False
+    return frame
+
 
 DEGREE: Final = 3
 """56 terms in three colours and two coordinates."""

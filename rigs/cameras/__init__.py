@@ -10,9 +10,15 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from rigs.cameras._dng_file import read_dng
     from rigs.cameras._genicam import Delivered, Device, Features, GenicamCamera
-    from rigs.cameras._image_files import decoded_picture, read_content, read_picture, read_plain_counts, read_raw
+    from rigs.cameras._image_files import (
+        decoded_picture,
+        read_content,
+        read_dng,
+        read_picture,
+        read_plain_counts,
+        read_raw,
+    )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 

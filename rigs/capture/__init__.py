@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rigs.capture._session_folder import (
         SESSION_KINDS,
         SESSION_NAME,
+        SessionRequest,
         complete_session,
         is_unborn,
         lacks_manifest,
@@ -48,6 +49,7 @@ __all__ = [
     "SESSION_NAME",
     "WHEEL_DEADLINE_S",
     "Interrupted",
+    "SessionRequest",
     "camera_step",
     "capture_camera_session",
     "capture_paint_session",

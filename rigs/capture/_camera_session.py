@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,15 +14,21 @@ from numpy.typing import NDArray
 
 from data_schemas import CameraPlan, CameraSession, CameraSettings, CaptureError, RegionOfInterest, RigFile
 from data_schemas.storage import write_manifest
-from rigs import OpenRig, Operator, open_rig, rig_locked
+from rigs import OpenRig, open_rig, rig_locked
 from rigs.capture._exposure import exposure_ladder, meter_exposure, under_light
 from rigs.capture._frame_store import FrameStore, Shot, numbered
 from rigs.capture._journal import Journal, fault_notes, faults_noted
 from rigs.capture._plan import Step, require_region_inside
 from rigs.capture._resume import Interrupted, require_same_camera, require_same_inputs, resume_notes, take_over
-from rigs.capture._session_folder import curve_digests, curve_files, require_empty, write_session, write_start
+from rigs.capture._session_folder import (
+    SessionRequest,
+    curve_digests,
+    curve_files,
+    require_empty,
+    write_session,
+    write_start,
+)
 
-Progress = Callable[[int, int, str], None]
 METERED_FRACTION = 0.7
 
 
@@ -48,35 +53,20 @@ def camera_step(plan: CameraPlan, rig: RigFile) -> Step:
 def capture_camera_session(
     rig: RigFile,
     plan: CameraPlan,
-    rig_folder: Path,
-    out: Path,
-    command: str,
-    progress: Progress | None = None,
+    request: SessionRequest,
     *,
-    operator: Operator | None = None,
     interrupted: Interrupted | None = None,
-    sources: Mapping[str, str] | None = None,
 ) -> CameraSession:
-    """Capture a camera session into the folder `out`: frames, journal, ``session.json`` and checksums.
+    """Capture a camera session into a folder: frames, journal, ``session.json`` and checksums.
 
     Parameters
     ----------
     rig, plan
         The rig and what to capture on it.
-    rig_folder
-        Where relative paths in the rig file start.
-    out
-        New or empty folder, or that of the interrupted session.
-    command
-        The command line that reproduces the session.
-    progress
-        Called with (done, total, text) after every frame; it counts within the phase that the text names.
-    operator
-        Who places the white tile; a person at the terminal when left out.
+    request
+        Where the session goes, who places the white tile, and what its record says of both.
     interrupted
         What is done already, when a session is resumed.
-    sources
-        Path -> SHA-256 of the files that plan and rig were read from, for the provenance.
 
     Raises
     ------
@@ -86,16 +76,12 @@ def capture_camera_session(
     SaturatedError
         The white tile is too bright at the camera's shortest exposure.
     """
-    step, curves = camera_step(plan, rig), curve_files(rig, rig_folder)
+    step = camera_step(plan, rig)
+    curve_files(rig, request.rig_folder)
     if interrupted is None:
-        require_empty(out)
-    with rig_locked(rig), open_rig(rig, rig_folder, operator) as opened:
-        inputs = curve_digests(curves, rig_folder)
-        if interrupted is not None:
-            require_same_inputs(interrupted, inputs)
-        return capture_camera_with(
-            opened, rig, plan, step, out, inputs, command, progress, interrupted, rig_folder, sources
-        )
+        require_empty(request.out)
+    with rig_locked(rig), open_rig(rig, request.rig_folder, request.operator) as opened:
+        return capture_camera_with(opened, rig, plan, step, request, interrupted=interrupted)
 
 
 def capture_camera_with(
@@ -103,15 +89,15 @@ def capture_camera_with(
     rig: RigFile,
     plan: CameraPlan,
     step: Step,
-    out: Path,
-    inputs: dict[str, str],
-    command: str,
-    progress: Progress | None = None,
+    request: SessionRequest,
+    *,
     interrupted: Interrupted | None = None,
-    rig_folder: Path = Path(),
-    sources: Mapping[str, str] | None = None,
 ) -> CameraSession:
     """Capture a camera session with devices that are open already."""
+    inputs = curve_digests(curve_files(rig, request.rig_folder), request.rig_folder)
+    if interrupted is not None:
+        require_same_inputs(interrupted, inputs)
+    out = request.out
     out.mkdir(parents=True, exist_ok=True)
     camera = opened.camera.identity()
     if interrupted is not None:
@@ -120,19 +106,19 @@ def capture_camera_with(
     whole_cells = RegionOfInterest.model_validate({k: v & ~1 for k, v in plan.region.model_dump().items()})
     with Journal(out, opened.clock, resumed=interrupted is not None) as journal:
         if interrupted is None:
-            write_start(journal, plan, rig, rig_folder, inputs, command, camera, sources)
+            write_start(journal, plan, rig, request, inputs, camera)
         else:
             take_over(out, interrupted)
             journal.append("resume", frames=len(interrupted.frames))
         with faults_noted(journal), FrameStore(opened, rig, whole_cells, out, journal, interrupted) as store:
-            recorder = _Recorder(opened, rig, plan, step, store, journal, progress)
+            recorder = _Recorder(opened, rig, plan, step, store, journal, request)
             recorder.record(None if interrupted is None else interrupted.levels)
         notes = (*opened.notes, *recorder.notes, *resume_notes(interrupted), *fault_notes(out))
         for note in notes:
             journal.append("note", text=note)
         session = CameraSession(plan=plan, rig=rig, frames=store.frames, devices=opened.identities(), notes=notes)
-        noted = dict(sources or {}) if interrupted is None else interrupted.sources
-        write_session(session, out, {**noted, **inputs}, command, journal)
+        noted = dict(request.sources) if interrupted is None else interrupted.sources
+        write_session(session, out, {**noted, **inputs}, request.command, journal)
     write_manifest(out)
     return session
 
@@ -148,10 +134,10 @@ class _Recorder:
         flat: Step,
         store: FrameStore,
         journal: Journal,
-        progress: Progress | None,
+        request: SessionRequest,
     ):
         self._opened, self._camera, self._plan, self._flat = opened, rig.camera, plan, flat
-        self._store, self._journal, self._progress = store, journal, progress
+        self._store, self._journal, self._progress = store, journal, request.tell
         self.notes: tuple[str, ...] = ()
 
     def record(self, levels: Mapping[str, Any] | None) -> None:
@@ -191,7 +177,7 @@ class _Recorder:
             self._camera.black_level_dn,
             METERED_FRACTION,
             self._flat.label,
-            tell=lambda text: None if self._progress is None else self._progress(0, 1, text),
+            tell=lambda text: self._progress(0, 1, text),
         )
         raw = self._store.camera.expose(self._flat, metered_s).raw
         saturation_s = saturation_exposures_s(raw.counts[self._store.region], raw.exposure_s, self._camera)
@@ -210,8 +196,7 @@ class _Recorder:
 
         def take(done: int, shot: Shot) -> None:
             self._store.take(shot)
-            if self._progress is not None:
-                self._progress(done, len(missing), f"{phase}: {shot.exposure_s:.3g} s")
+            self._progress(done, len(missing), f"{phase}: {shot.exposure_s:.3g} s")
 
         return deque(partial(take, done, shot) for done, shot in enumerate(missing, 1))
 

@@ -5,7 +5,7 @@ without moving, lighting or storing anything.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
@@ -29,7 +29,7 @@ from data_schemas import (
     WrongPositionError,
 )
 from data_schemas.storage import write_manifest
-from rigs import OpenRig, Operator, RawFrame, open_rig, rig_locked
+from rigs import OpenRig, RawFrame, open_rig, rig_locked
 from rigs.capture._exposure import (
     WHEEL_DEADLINE_S,
     exposure_ladder,
@@ -50,10 +50,16 @@ from rigs.capture._frame_store import BYTES_PER_PIXEL, FrameStore, Shot, numbere
 from rigs.capture._journal import Journal, fault_notes, faults_noted
 from rigs.capture._plan import Step, paint_steps, with_repeat
 from rigs.capture._resume import Interrupted, require_same_camera, require_same_inputs, resume_notes, take_over
-from rigs.capture._session_folder import curve_digests, curve_files, require_empty, write_session, write_start
+from rigs.capture._session_folder import (
+    SessionRequest,
+    curve_digests,
+    curve_files,
+    require_empty,
+    write_session,
+    write_start,
+)
 from rigs.light_guard import LightLostError, is_hazardous, require_outside_layer
 
-Progress = Callable[[int, int, str], None]
 T = TypeVar("T")
 Rates = tuple[float, float, float]
 
@@ -75,14 +81,11 @@ class PaintRecorder:
         plan: PaintPlan,
         store: FrameStore,
         journal: Journal,
-        progress: Progress | None,
+        request: SessionRequest,
         interrupted: Interrupted | None,
-        last_good: CaptureSession | None,
-        mend: Mend,
     ):
-        self._mend = mend
-        self._opened, self._rig, self._plan, self._last_good = opened, rig, plan, last_good
-        self._journal, self._progress, self._store = journal, progress, store
+        self._opened, self._rig, self._plan = opened, rig, plan
+        self._journal, self._progress, self._store = journal, request.tell, store
         self._ladder = exposure_ladder(rig.camera.shortest_exposure_s, rig.camera.longest_exposure_s)
         # an interrupted session may have left the sample tilted
         left_tilted = interrupted is not None and plan.second_tilt_deg is not None
@@ -94,12 +97,12 @@ class PaintRecorder:
         self._before = {} if interrupted is None else interrupted.metered
         self.proof: FilterProof | None = None
 
-    def record(self, steps: tuple[Step, ...]) -> None:
+    def record(self, steps: tuple[Step, ...], last_good: CaptureSession | None, mend: Mend) -> None:
         """Meter all steps backwards, then store darks, frames (brightest emission again at the end) and darks."""
         for step in steps:
             if step.label in self._before:
                 self._exposures_s[step], self._rates[step] = self._before[step.label]
-        self._meter_and_prove(steps)
+        self._meter_and_prove(steps, last_good, mend)
         longest_s = {step: self._exposures_s[step][0] for step in steps}
         steps = with_repeat(steps, self._plan.excitation_filter, longest_s)
         for step in steps:
@@ -118,15 +121,15 @@ class PaintRecorder:
             shots = [shot for shot in missing if first <= shot.sequence < last]
             self._walk([(shot.step, shot) for shot in shots], phase, self._take)
 
-    def _meter_and_prove(self, steps: tuple[Step, ...]) -> None:
+    def _meter_and_prove(self, steps: tuple[Step, ...], last_good: CaptureSession | None, mend: Mend) -> None:
         """Meter and prove the filters; where somebody mends what the frames contradict, do both again."""
         for repair in range(MOST_REPAIRS + 1):
             self._walk([(s, s) for s in steps[::-1] if s not in self._exposures_s], "metering", self._meter)
             try:
-                self._prove(steps)
+                self._prove(steps, last_good)
             except WrongPositionError as error:
                 # Frames that are there were taken behind the filters in doubt: a resumption sets them aside.
-                if repair == MOST_REPAIRS or self._store.frames or not self._mend(str(error)):
+                if repair == MOST_REPAIRS or self._store.frames or not mend(str(error)):
                     raise
                 self._journal.append("repair", text=str(error))
                 for known in (self._exposures_s, self._rates, self._metered_s):
@@ -147,8 +150,7 @@ class PaintRecorder:
             nonlocal done
             act(what)
             done += 1
-            if self._progress is not None:
-                self._progress(done, len(todo), f"{phase}: {step.label}")
+            self._progress(done, len(todo), f"{phase}: {step.label}")
 
         for (target, light, tilt_deg, by_hand), group in groupby(todo, key=lambda t: self._setting(t[0])):
             self._place(target, tilt_deg)
@@ -180,8 +182,7 @@ class PaintRecorder:
 
     def _tell(self, text: str) -> None:
         """Tell whoever is at the rig."""
-        if self._progress is not None:
-            self._progress(0, 1, text)
+        self._progress(0, 1, text)
 
     def _setting(self, step: Step) -> tuple[Target, LightState, float, int | None]:
         """Return what stays while a light is on; a wheel turned by hand is turned in the dark."""
@@ -255,7 +256,7 @@ class PaintRecorder:
         red, blue = part[0::2, 0::2].mean(), part[1::2, 1::2].mean()
         return float(red) / exposure_s, float(green) / exposure_s, float(blue) / exposure_s
 
-    def _prove(self, steps: tuple[Step, ...]) -> None:
+    def _prove(self, steps: tuple[Step, ...], last_good: CaptureSession | None) -> None:
         """Judge from the metered rates whether the wheel holds the filters that the rig file names."""
         self._white = tuple(step for step in steps if step.frame_type == "white")
         known = {f.name: f for f in self._rig.filter_wheel.filters}
@@ -267,9 +268,9 @@ class PaintRecorder:
             shown = line.judge(lambda name: self._rates_in_the_dark(under_laser[name]))
             verdict = shown.verdict if shown.verdict == "contradicted" else self.proof.verdict
             self.proof = FilterProof(verdict=verdict, text=f"{self.proof.text}; {shown.text}")
-        if self._last_good is not None and self.proof.verdict != "contradicted":
+        if last_good is not None and self.proof.verdict != "contradicted":
             names, measured = [f.name for f in filters], np.array(self.white_rates())
-            repeated = compare_with_last(names, measured, self._last_good, self._floor(self._white))
+            repeated = compare_with_last(names, measured, last_good, self._floor(self._white))
             if repeated.verdict == "cannot tell":
                 repeated = FilterProof(verdict=self.proof.verdict, text=f"{self.proof.text}; {repeated.text}")
             self.proof = repeated
@@ -333,18 +334,13 @@ class PaintRecorder:
 def capture_paint_session(
     rig: RigFile,
     plan: PaintPlan,
-    rig_folder: Path,
-    out: Path,
-    command: str,
-    progress: Progress | None = None,
+    request: SessionRequest,
     *,
-    operator: Operator | None = None,
     interrupted: Interrupted | None = None,
     last_good: CaptureSession | None = None,
-    sources: Mapping[str, str] | None = None,
     mend: Mend = lambda text: False,
 ) -> CaptureSession:
-    """Capture a paint session into the folder `out`: frames, journal, ``session.json`` and checksums.
+    """Capture a paint session into a folder: frames, journal, ``session.json`` and checksums.
 
     Metering frames are not stored. Half of ``plan.darks_per_exposure`` (rounded up) is taken before and as many
     after the other frames, for every exposure that they use.
@@ -353,23 +349,12 @@ def capture_paint_session(
     ----------
     rig, plan
         The rig and what to capture on it.
-    rig_folder
-        Where relative paths in the rig file start.
-    out
-        New or empty folder, or that of the interrupted session.
-    command
-        The command line that reproduces the session.
-    progress
-        Called with (done, total, text) after every metered step and every frame; it counts within the phase
-        that the text names.
-    operator
-        Who places targets; a person at the terminal when left out.
+    request
+        Where the session goes, who is at the rig, and what its record says of both.
     interrupted
         What is done already, when a session is resumed.
     last_good
         An earlier session on this rig whose white frames these must resemble.
-    sources
-        Path -> SHA-256 of the files that plan and rig were read from, for the provenance.
     mend
         Called with a text when the frames contradict the filters; True goes on with the proofs taken again. Nobody
         mends anything when left out.
@@ -385,16 +370,12 @@ def capture_paint_session(
         A step is too bright at the camera's shortest exposure.
     """
     require_outside_layer(rig.laser)
-    steps, curves = paint_steps(plan, rig), curve_files(rig, rig_folder)
+    steps = paint_steps(plan, rig)
+    curve_files(rig, request.rig_folder)
     if interrupted is None:
-        require_empty(out)
-    with rig_locked(rig), open_rig(rig, rig_folder, operator) as opened:
-        inputs = curve_digests(curves, rig_folder)
-        if interrupted is not None:
-            require_same_inputs(interrupted, inputs)
-        return capture_with(
-            opened, rig, plan, steps, out, inputs, command, progress, interrupted, last_good, rig_folder, sources, mend
-        )
+        require_empty(request.out)
+    with rig_locked(rig), open_rig(rig, request.rig_folder, request.operator) as opened:
+        return capture_with(opened, rig, plan, steps, request, interrupted=interrupted, last_good=last_good, mend=mend)
 
 
 def capture_with(
@@ -402,34 +383,31 @@ def capture_with(
     rig: RigFile,
     plan: PaintPlan,
     steps: tuple[Step, ...],
-    out: Path,
-    inputs: dict[str, str],
-    command: str,
-    progress: Progress | None = None,
+    request: SessionRequest,
+    *,
     interrupted: Interrupted | None = None,
     last_good: CaptureSession | None = None,
-    rig_folder: Path = Path(),
-    sources: Mapping[str, str] | None = None,
     mend: Mend = lambda text: False,
 ) -> CaptureSession:
     """Capture the `steps` of a paint session with devices that are open already."""
-    out.mkdir(parents=True, exist_ok=True)
-    camera = opened.camera.identity()
+    inputs = curve_digests(curve_files(rig, request.rig_folder), request.rig_folder)
+    camera, out = opened.camera.identity(), request.out
     if interrupted is not None:
+        require_same_inputs(interrupted, inputs)
         require_same_camera(interrupted, camera)
         _require_permission(interrupted, rig, opened)
         opened = replace(opened, clock=interrupted.clock_after(opened.clock))
+    out.mkdir(parents=True, exist_ok=True)
     with Journal(out, opened.clock, resumed=interrupted is not None) as journal:
         if interrupted is None:
-            write_start(journal, plan, rig, rig_folder, inputs, command, camera, sources)
+            write_start(journal, plan, rig, request, inputs, camera)
         else:
-            take_over(out, interrupted)
-            journal.append("resume", frames=len(interrupted.frames), sample_dose_j=interrupted.dose_j)
+            _go_on(journal, out, interrupted)
         for note in opened.notes:
             journal.append("note", text=note)
         with faults_noted(journal), FrameStore(opened, rig, plan.region, out, journal, interrupted) as store:
-            recorder = PaintRecorder(opened, rig, plan, store, journal, progress, interrupted, last_good, mend)
-            recorder.record(steps)
+            recorder = PaintRecorder(opened, rig, plan, store, journal, request, interrupted)
+            recorder.record(steps, last_good, mend)
         session = CaptureSession(
             plan=plan,
             rig=rig,
@@ -442,10 +420,16 @@ def capture_with(
             white_rates_dn_per_s=recorder.white_rates(),
             notes=(*opened.notes, *colour_notes(store.frames), *resume_notes(interrupted), *fault_notes(out)),
         )
-        noted = dict(sources or {}) if interrupted is None else interrupted.sources
-        write_session(session, out, {**noted, **inputs}, command, journal)
+        noted = dict(request.sources) if interrupted is None else interrupted.sources
+        write_session(session, out, {**noted, **inputs}, request.command, journal)
     write_manifest(out)
     return session
+
+
+def _go_on(journal: Journal, out: Path, interrupted: Interrupted) -> None:
+    """Take over the folder of an interrupted session, and note it in its journal."""
+    take_over(out, interrupted)
+    journal.append("resume", frames=len(interrupted.frames), sample_dose_j=interrupted.dose_j)
 
 
 def _require_permission(interrupted: Interrupted, rig: RigFile, opened: OpenRig) -> None:

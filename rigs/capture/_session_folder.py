@@ -1,12 +1,12 @@
-"""The folder of a session: begun empty, sealed with record and checksums, read, and verified.
+"""What is asked of a capture, and the folder of a session: begun empty, sealed, read, and verified.
 
 The record holds the SHA-256 of every frame and its own seal; the journal chains its lines and holds plan, rig, every
 frame and the SHA-256 of the record; the checksums list all files. An accident or an edit breaks at least one of these;
 a forger who computes all of them anew is not detected.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -44,12 +44,49 @@ from data_schemas.storage import (
     write_manifest,
     write_record,
 )
-from rigs import SystemClock
+from rigs import Operator, SystemClock
 from rigs.capture._journal import JOURNAL_NAME, Journal, LinkedLine, linked_lines
 
 SESSION_NAME = "session.json"
 SESSION_EVENT = "session"
 """Of the line of a journal that holds the checksum of the session's record."""
+
+
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class SessionRequest:
+    """What is asked of a capture beside rig and plan: where it goes, who is at the rig, what its record says of it.
+
+    Attributes
+    ----------
+    out
+        New or empty folder, or that of the interrupted session.
+    command
+        The command line that reproduces the session.
+    rig_folder
+        Where relative paths in the rig file start.
+    progress
+        Called with (done, total, text) after every metered step and every frame; it counts within the phase
+        that the text names.
+    operator
+        Who places targets and presses; a person at the terminal when left out.
+    sources
+        Path -> SHA-256 of the files that plan and rig were read from, for the provenance.
+    """
+
+    out: Path
+    command: str
+    rig_folder: Path = Path()
+    progress: Progress | None = None
+    operator: Operator | None = None
+    sources: Mapping[str, str] = field(default_factory=dict)
+
+    def tell(self, done: int, total: int, text: str) -> None:
+        """Tell the progress to whoever asked for it."""
+        if self.progress is not None:
+            self.progress(done, total, text)
 
 
 def is_unborn(out: Path) -> bool:
@@ -105,26 +142,24 @@ def write_start(
     journal: Journal,
     plan: Record,
     rig: RigFile,
-    rig_folder: Path,
+    request: SessionRequest,
     inputs: dict[str, str],
-    command: str,
     camera: DeviceIdentity,
-    sources: Mapping[str, str] | None = None,
 ) -> None:
     """Write the first line of a journal: everything that a resumed session needs.
 
-    `inputs` are curve files, which must be the same when the session goes on; `sources` the plan and rig file, which
-    need not be there any more.
+    `inputs` are curve files, which must be the same when the session goes on; the request's sources are the plan and
+    rig file, which need not be there any more.
     """
     journal.append(
         "start",
-        command=command,
+        command=request.command,
         kind=plan.model_dump()["kind"],
         plan=plan.model_dump(mode="json"),
         rig=rig.model_dump(mode="json"),
-        rig_folder=str(rig_folder.resolve()),
+        rig_folder=str(request.rig_folder.resolve()),
         inputs=inputs,
-        sources=dict(sources or {}),
+        sources=dict(request.sources),
         schema_versions={"plan": plan.schema_version, "rig": rig.schema_version},
         camera=camera.model_dump(mode="json"),
     )

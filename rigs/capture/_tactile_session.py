@@ -4,7 +4,7 @@ Its frames become the tactile capture of each contact; an interrupted session is
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -26,13 +26,13 @@ from data_schemas import (
     provenance,
 )
 from data_schemas.storage import read_frame, sha256_of, write_frame, write_manifest, write_record
-from rigs import Camera, Clock, Operator, SystemClock, TerminalOperator, device_locked, driver_notes, open_camera
+from rigs import Camera, Clock, SystemClock, TerminalOperator, device_locked, driver_notes, open_camera
 from rigs.capture._exposure import TactileCamera, saturated_fraction
 from rigs.capture._frame_store import BYTES_PER_PIXEL, require_space
 from rigs.capture._journal import JOURNAL_NAME, Journal, fault_notes, faults_noted, read_journal
 from rigs.capture._plan import TactileShot, instruction, press_of, tactile_shots
 from rigs.capture._resume import ORPHANS, begun_with
-from rigs.capture._session_folder import SESSION_NAME, clear_session, require_empty, write_session
+from rigs.capture._session_folder import SESSION_NAME, SessionRequest, clear_session, require_empty, write_session
 
 Triple = tuple[TactileFrame, TactileFrame, TactileFrame]
 MOST_SATURATED_FRACTION = 1e-3
@@ -281,7 +281,6 @@ def _is_unchanged(folder: Path, frame: TactileFrame) -> bool:
     return path.is_file() and not path.is_symlink() and sha256_of(path) == frame.sha256
 
 
-Progress = Callable[[int, int, str], None]
 SAMPLES_OF_RGB = 3
 IMAGES_OF_A_CAPTURE = 3
 
@@ -290,13 +289,9 @@ def capture_tactile_session(
     rig: TactileRig,
     plan: TactilePlan,
     presses: tuple[PlannedPress, ...],
-    folders: tuple[Path, Path],
-    command: str,
-    progress: Progress | None = None,
+    request: SessionRequest,
     *,
-    operator: Operator | None = None,
     interrupted: InterruptedPresses | None = None,
-    sources: Mapping[str, str] | None = None,
 ) -> TactileSession:
     """Capture a tactile session: frames, journal, a tactile capture of each contact, ``session.json``, checksums.
 
@@ -306,19 +301,10 @@ def capture_tactile_session(
         The camera and what to capture with it.
     presses
         Those of the plan or of its file of poses (:func:`~rigs.capture.planned_presses`).
-    folders
-        Where relative paths in the rig file start, and the session's folder: new, empty or that of the interrupted
-        session.
-    command
-        The command line that reproduces the session.
-    progress
-        Called with (done, total, text) after every frame.
-    operator
-        Who presses; a person at the terminal when left out.
+    request
+        Where the session goes, who presses, and what its record says of both.
     interrupted
         What is done already, when a session is resumed.
-    sources
-        Path -> SHA-256 of the files that plan, poses and rig were read from, for the provenance.
 
     Raises
     ------
@@ -326,23 +312,21 @@ def capture_tactile_session(
         The plan does not fit the rig, the folder is not empty, another capture uses the camera, or the camera did not
         do what was asked.
     """
-    rig_folder, out = folders
+    out = request.out
     shots = tactile_shots(plan, rig.camera, len(presses))
     if interrupted is None:
         require_empty(out)
     with (
         device_locked("camera", rig.camera.driver, rig.camera.address),
-        open_camera(rig.camera, rig_folder) as camera,
+        open_camera(rig.camera, request.rig_folder) as camera,
     ):
         out.mkdir(parents=True, exist_ok=True)
         clock = SystemClock()
         with Journal(out, clock, resumed=interrupted is not None) as journal:
-            recorder = _Recorder(
-                camera, rig, plan, presses, out, journal, clock, operator or TerminalOperator(), progress
-            )
+            recorder = _Recorder(camera, rig, plan, presses, journal, clock, request)
             device = camera.identity()
             if interrupted is None:
-                _write_start(journal, rig, plan, presses, rig_folder, command, device, sources or {})
+                _write_start(journal, rig, plan, presses, request, device)
             else:
                 take_over(out, interrupted, device)
                 recorder.frames.update(interrupted.frames)
@@ -351,9 +335,9 @@ def capture_tactile_session(
                 recorder.record(shots)
             notes = (*driver_notes(rig), *(interrupted.notes if interrupted else ()), *fault_notes(out))
             session = _session_of(plan, rig, presses, recorder.frames, device, notes)
-            _write_captures(session, out, command)
-            noted = dict(sources or {}) if interrupted is None else interrupted.sources
-            write_session(session, out, noted, command, journal)
+            _write_captures(session, out, request.command)
+            noted = dict(request.sources) if interrupted is None else interrupted.sources
+            write_session(session, out, noted, request.command, journal)
     write_manifest(out)
     return session
 
@@ -385,22 +369,20 @@ def _write_start(
     rig: TactileRig,
     plan: TactilePlan,
     presses: Sequence[PlannedPress],
-    folder: Path,
-    command: str,
+    request: SessionRequest,
     device: DeviceIdentity,
-    sources: Mapping[str, str],
 ) -> None:
     """Write the first line of the journal: everything that a resumed session needs."""
     journal.append(
         "start",
-        command=command,
+        command=request.command,
         kind=KIND,
         plan=plan.model_dump(mode="json"),
         rig=rig.model_dump(mode="json"),
-        rig_folder=str(folder.resolve()),
+        rig_folder=str(request.rig_folder.resolve()),
         presses=[press.model_dump(mode="json") for press in presses],
         device=device.model_dump(mode="json"),
-        sources=dict(sources),
+        sources=dict(request.sources),
         schema_versions={"plan": plan.schema_version, "rig": rig.schema_version},
     )
 
@@ -432,14 +414,12 @@ class _Recorder:
         rig: TactileRig,
         plan: TactilePlan,
         presses: tuple[PlannedPress, ...],
-        out: Path,
         journal: Journal,
         clock: Clock,
-        operator: Operator,
-        progress: Progress | None,
+        request: SessionRequest,
     ):
-        self._plan, self._presses, self._out, self._journal = plan, presses, out, journal
-        self._clock, self._operator, self._progress = clock, operator, progress
+        self._plan, self._presses, self._out, self._journal = plan, presses, request.out, journal
+        self._clock, self._operator, self._progress = clock, request.operator or TerminalOperator(), request.tell
         self._rig = rig
         self._camera = TactileCamera(
             camera, rig.camera, len(plan.bracket_s(rig.camera)) == 1, lambda text: journal.append("refused", text=text)
@@ -455,8 +435,7 @@ class _Recorder:
             self._operator.do(instruction(todo[0], self._plan, self._presses))
             for shot in todo:
                 self._take(shot)
-                if self._progress is not None:
-                    self._progress(len(self.frames), len(shots), shot.label)
+                self._progress(len(self.frames), len(shots), shot.label)
 
     def _take(self, shot: TactileShot) -> None:
         """Take a frame, write it, then its line of the journal."""

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from rigs.live_view._live_rig import LiveNumbers, LiveRig, focus_measure
-    from rigs.live_view._live_server import LiveServer, live_server
+    from rigs.live_view._live_server import LiveNumbers, LiveRig, LiveServer, focus_measure, live_server
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 

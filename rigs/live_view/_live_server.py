@@ -1,4 +1,7 @@
-"""The live view over HTTP on 127.0.0.1: a page, the newest frame as plain bytes, and commands; all with a token.
+"""The newest frame of a rig with its numbers, and the live view of it over HTTP on 127.0.0.1, with a token.
+
+The numbers are focus, exposure, saturation, histogram, wheel and lights; a page gets the newest frame as plain bytes
+and gives commands.
 
 A page of another site can reach a server on the own computer (DNS rebinding): the Host must be ours, and frames and
 commands need the token in a header, which a foreign page can neither read nor set. No frame is sent before it is asked
@@ -8,15 +11,277 @@ for, so a slow page has no backlog.
 import contextlib
 import hmac
 import json
+import math
 import secrets
-from dataclasses import asdict
+import threading
+import time
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any, Final
 from urllib.parse import parse_qs, urlsplit
 
-from data_schemas import CaptureError, FinrayError
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import CameraSettings, CaptureError, FinrayError, RigFile
 from data_schemas.storage import parse_json, read_bytes
-from rigs.live_view._live_rig import LiveRig
+from rigs import OpenRig
+
+Counts = NDArray[np.uint16]
+LONGEST_EXPOSURE_S: Final = 2.0
+"""Of the live view: so long a light may take to go off when it is asked to."""
+MOST_PICTURES_PER_S: Final = 12.0
+DEADLINE_MARGIN_S: Final = 5.0
+WHEEL_DEADLINE_S: Final = 30.0
+TARGET_FRACTION: Final = 0.7
+BINS: Final = 64
+WIDEST_PICTURE_PX: Final = 640
+SATURATED: Final = 255
+"""In the picture: a cell with a count at full scale, which nothing else is."""
+LEAST_REGION_PX: Final = 8
+
+
+@dataclass(frozen=True, slots=True)
+class LiveNumbers:
+    """What stands beside a picture.
+
+    Attributes
+    ----------
+    number
+        Of the frame, from 1; 0 before the first.
+    exposure_s, suggested_s
+        Exposure of the frame, and the one that brings the brightest pixel of the region to 70 % of full scale.
+    focus, best_focus
+        Sharpness of the region (see :func:`focus_measure`) and the largest since the region or filter changed.
+    brightest_fraction, saturated_fraction
+        Of the region: 99.9 % of its pixels are darker than the first, as a share of full scale; pixels at full scale.
+    histogram
+        Pixels of the region in 64 bins from 0 to full scale.
+    region
+        Row, column, height and width in pixels of the raw frame.
+    filter_name, lamp, laser
+        The filter in the beam ("none" while none is), and whether the lights are on, as the devices report them.
+    trouble
+        Why there is no newer frame; empty where there is.
+    """
+
+    number: int
+    exposure_s: float
+    suggested_s: float
+    focus: float
+    best_focus: float
+    brightest_fraction: float
+    saturated_fraction: float
+    histogram: tuple[int, ...]
+    region: tuple[int, int, int, int]
+    filter_name: str
+    lamp: bool
+    laser: bool
+    trouble: str = ""
+
+
+def focus_measure(counts: Counts, camera: CameraSettings) -> float:
+    r"""Return the sharpness of part of a raw frame.
+
+    .. math:: \frac{\langle g_x^2 + g_y^2 \rangle - \sigma^2}{\bar S^2}, \quad
+        \sigma^2 = \bar S / K + \sigma_r^2 / K^2 + 1/12
+
+    with g the central differences of one green plane and S its signal above the black level: independent of the
+    exposure, and without the part of the camera's noise.
+
+    Parameters
+    ----------
+    counts
+        (H, W) raw counts, whole 2 x 2 cells of an RGGB pattern.
+    camera
+        Black level, gain and read noise.
+    """
+    green = counts[0::2, 1::2].astype(np.float64) - camera.black_level_dn
+    level = max(float(green.mean()), 1.0)
+    across, down = 0.5 * (green[:, 2:] - green[:, :-2]), 0.5 * (green[2:] - green[:-2])
+    gain = camera.gain_e_per_dn
+    noise = level / gain + (camera.read_noise_e / gain) ** 2 + 1.0 / 12.0
+    return (float((across**2).mean()) + float((down**2).mean()) - noise) / level**2
+
+
+class LiveRig:
+    """Exposes without end in a thread of its own, which owns all devices.
+
+    Parameters
+    ----------
+    opened, rig
+        The open devices and what the rig file says of them.
+    """
+
+    def __init__(self, opened: OpenRig, rig: RigFile):
+        self._opened, self._rig = opened, rig
+        camera = rig.camera
+        self._full = 2**camera.bit_depth - 1
+        self._exposure_s = min(max(0.02, camera.shortest_exposure_s), LONGEST_EXPOSURE_S)
+        self._region = (0, 0, camera.height_px, camera.width_px)
+        self._slot: int | None = None
+        self._lamp = False
+        self._best = 0.0
+        self._changed = threading.Condition()
+        self._stop = threading.Event()
+        self._picture: NDArray[np.uint8] = np.zeros((2, 2), np.uint8)
+        self._numbers = LiveNumbers(0, self._exposure_s, self._exposure_s, 0, 0, 0, 0, (0,) * BINS, self._region,
+                                    "none", lamp=False, laser=False)  # fmt: skip
+
+    @property
+    def filters(self) -> dict[str, int]:
+        """Name of each filter -> its slot."""
+        return {band.name: band.slot for band in self._rig.filter_wheel.filters}
+
+    @property
+    def frame_size(self) -> tuple[int, int]:
+        """Rows and columns of a raw frame."""
+        return self._rig.camera.height_px, self._rig.camera.width_px
+
+    def run(self) -> None:
+        """Expose until :meth:`stop`; the lamp is off at the end."""
+        with ExitStack() as lamp:
+            while not self._stop.is_set():
+                began_s = time.monotonic()
+                try:
+                    self._follow(lamp)
+                    self._look()
+                except (FinrayError, OSError) as error:
+                    self._report(_off(lamp) or error)
+                self._stop.wait(max(1.0 / MOST_PICTURES_PER_S - (time.monotonic() - began_s), 0.0))
+
+    def stop(self) -> None:
+        """End :meth:`run` after the exposure that is under way."""
+        self._stop.set()
+
+    def latest(self, after: int, timeout_s: float = 5.0) -> tuple[NDArray[np.uint8], LiveNumbers]:
+        """Return the newest picture (h, w), 0 to 255, and its numbers; wait for one behind number `after`."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._numbers.number > after, timeout_s)
+            return self._picture, self._numbers
+
+    def ask(self, command: dict[str, Any]) -> None:
+        """Take over what a page asks for; it is done before the next exposure.
+
+        Parameters
+        ----------
+        command
+            ``{"lamp": bool}``, ``{"filter": name}``, ``{"exposure_s": number}`` or ``{"region": [row, column, height,
+            width]}`` in pixels of the raw frame, which is rounded down to whole Bayer cells.
+
+        Raises
+        ------
+        CaptureError
+            It asks for something else, or for what the rig does not have.
+        """
+        with self._changed:
+            match command:
+                case {"lamp": bool(on)}:
+                    self._lamp = on
+                case {"filter": str(name)} if name in self.filters:
+                    self._slot, self._best = self.filters[name], 0.0
+                case {"exposure_s": int() | float() as asked_s} if math.isfinite(asked_s) and asked_s > 0:
+                    camera = self._rig.camera
+                    longest_s = min(camera.longest_exposure_s, LONGEST_EXPOSURE_S)
+                    self._exposure_s = min(max(float(asked_s), camera.shortest_exposure_s), longest_s)
+                case {"region": [int(row), int(column), int(height), int(width)]}:
+                    self._region, self._best = self._within(row, column, height, width), 0.0
+                case _:
+                    raise CaptureError(
+                        f"live view: {str(command)[:80]}: ask for one of lamp (true or false), filter "
+                        f"({', '.join(self.filters)}), exposure_s (above 0), region (row, column, height, width)"
+                    )
+
+    def _within(self, row: int, column: int, height: int, width: int) -> tuple[int, int, int, int]:
+        """Return a region in whole Bayer cells inside the frame."""
+        camera = self._rig.camera
+        top, left = (min(max(start, 0), size - LEAST_REGION_PX) & ~1
+                     for start, size in ((row, camera.height_px), (column, camera.width_px)))  # fmt: skip
+        tall = min(max(height, LEAST_REGION_PX), camera.height_px - top) & ~1
+        wide = min(max(width, LEAST_REGION_PX), camera.width_px - left) & ~1
+        return top, left, tall, wide
+
+    def _follow(self, lamp: ExitStack) -> None:
+        """Bring lamp and wheel to what was asked for."""
+        with self._changed:
+            wants_lamp, slot, self._slot = self._lamp, self._slot, None
+        if wants_lamp != self._opened.lamp.state():
+            if wants_lamp:
+                lamp.enter_context(self._opened.lamp.lit())
+            else:
+                lamp.close()
+        if slot is not None:
+            self._opened.wheel.go_to(slot, WHEEL_DEADLINE_S)
+
+    def _look(self) -> None:
+        """Take a frame and publish it."""
+        with self._changed:
+            exposure_s, region = self._exposure_s, self._region
+        taken = self._opened.camera.expose(exposure_s, exposure_s + DEADLINE_MARGIN_S)
+        position, lamp, laser = self._opened.wheel.position(), self._opened.lamp.state(), self._opened.laser.state()
+        name = next((name for name, slot in self.filters.items() if slot == position), "none")
+        row, column, height, width = region
+        seen = taken.counts[row : row + height, column : column + width]
+        focus = focus_measure(seen, self._rig.camera)
+        bright = float(np.quantile(seen, 0.999)) / self._full
+        black = self._rig.camera.black_level_dn / self._full
+        factor = (TARGET_FRACTION - black) / max(bright - black, 1e-3)
+        counted = np.histogram(seen, bins=BINS, range=(0, self._full + 1))[0]
+        picture = live_picture(taken.counts, self._full, self._rig.camera.black_level_dn)
+        with self._changed:
+            self._best = max(self._best, focus)
+            self._picture = picture
+            self._numbers = LiveNumbers(
+                number=self._numbers.number + 1,
+                exposure_s=taken.exposure_s,
+                suggested_s=taken.exposure_s * (factor if bright < 1.0 else 0.25),
+                focus=focus,
+                best_focus=self._best,
+                brightest_fraction=bright,
+                saturated_fraction=float((seen >= self._full).mean()),
+                histogram=tuple(int(n) for n in counted),
+                region=region,
+                filter_name=name,
+                lamp=lamp,
+                laser=laser,
+            )
+            self._changed.notify_all()
+
+    def _report(self, error: FinrayError | OSError) -> None:
+        """Publish what went wrong; the lamp was switched off, and stays off until it is asked for again."""
+        with self._changed:
+            self._lamp = False
+            fields = {name: getattr(self._numbers, name) for name in LiveNumbers.__dataclass_fields__}
+            trouble = {"number": self._numbers.number + 1, "trouble": str(error), "lamp": False}
+            self._numbers = LiveNumbers(**{**fields, **trouble})
+            self._changed.notify_all()
+
+
+def _off(lamp: ExitStack) -> FinrayError | OSError | None:
+    """Switch the lamp off, and return why that was not confirmed; nothing where it was."""
+    try:
+        lamp.close()
+    except (FinrayError, OSError) as error:
+        return error
+    return None
+
+
+def live_picture(counts: Counts, full_scale_dn: int, black_level_dn: float) -> NDArray[np.uint8]:
+    """Return a frame as a picture (h, w): mean of each Bayer cell, every n-th cell so that it is at most 640 wide.
+
+    Counts are shown by their square root, which makes dim parts visible; 255 marks a cell with a count at full scale.
+    """
+    step = -(-(counts.shape[1] // 2) // WIDEST_PICTURE_PX)
+    cells = [counts[row :: 2 * step, column :: 2 * step] for row in (0, 1) for column in (0, 1)]
+    height, width = (min(cell.shape[axis] for cell in cells) for axis in (0, 1))
+    stack = np.stack([cell[:height, :width] for cell in cells])
+    share = np.clip((stack.mean(axis=0) - black_level_dn) / (full_scale_dn - black_level_dn), 0.0, 1.0)
+    picture: NDArray[np.uint8] = np.round((SATURATED - 1) * np.sqrt(share)).astype(np.uint8)
+    picture[(stack >= full_scale_dn).any(axis=0)] = SATURATED
+    return picture
+
 
 LOOPBACK = "127.0.0.1"
 MOST_COMMAND_BYTES = 1000

@@ -29,16 +29,18 @@ if TYPE_CHECKING:
     from sim.mechanics._mesh import Block, FingerMesh
     from sim.mechanics._penalty_contact import QUAD_CORNERS, PenaltyContact, penalty_mpa_per_mm, quad_shapes
     from sim.mechanics._press import (
+        ContactChoice,
         PressedFinger,
         PressSettings,
+        chosen_contact,
         contact_distance,
         contact_forces_n,
         contact_pressure_mpa,
         frictionless_torque_n_mm,
+        left_out,
         press_finger,
         slip_torque_n_mm,
     )
-    from sim.mechanics._press_contact import ContactChoice, chosen_contact, left_out
     from sim.mechanics._printed_parts import Part, mould_sizes, mould_solid, mould_stl, part_solid, part_stl
     from sim.mechanics._rigid_bodies import Body, Cylinder, Pose, RoundedBox, Sphere, body_mesh, read_triangles
     from sim.mechanics._skeleton import SkeletonLayout, back_curve_mm, skeleton_layout, skeleton_mesh

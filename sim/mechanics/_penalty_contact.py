@@ -163,7 +163,7 @@ def penalty_mpa_per_mm(design: FingerDesign, step_mm: float) -> float:
 
 
 class PenaltyTouch:
-    """What the penalty does at an equilibrium: a :class:`~sim.mechanics._press_contact.Touch`.
+    """What the penalty does at an equilibrium: a :class:`~sim.mechanics._press.Touch`.
 
     Parameters
     ----------

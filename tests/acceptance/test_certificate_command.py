@@ -14,7 +14,7 @@ from finray_calib.acceptance._certified_results import BudgetRow
 from finray_calib.cli.main import main
 from finray_calib.reports import certificate_of, certificate_page, certificate_pdf
 from rigs import paint_plan, simulated_rig
-from rigs.capture import capture_paint_session
+from rigs.capture import SessionRequest, capture_paint_session
 from tests.acceptance.paints import MEASURED_ON, example
 
 LABORATORY = Path(__file__).parents[1] / "schemas" / "frozen" / "CertificateDetails" / "v1" / "example.toml"
@@ -25,7 +25,7 @@ def measured(tmp_path_factory) -> Path:
     """A folder with a session, its band signals, and the example's calibration as if it were fitted to them."""
     folder = tmp_path_factory.mktemp("lab")
     rig = simulated_rig("red", width_px=160, height_px=128)
-    capture_paint_session(rig, paint_plan("red", rig.camera), Path(), folder / "session", "finray capture")
+    capture_paint_session(rig, paint_plan("red", rig.camera), SessionRequest(folder / "session", "finray capture"))
     assert main(["radiometry", str(folder / "session"), "--out", str(folder / "red.bands.json")]) == 0
     inputs = {"red.bands.json": sha256_of(folder / "red.bands.json")}
     write_record(example(), folder / "red.paint.json", provenance("finray fit red.bands.json", inputs, 1))

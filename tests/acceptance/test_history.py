@@ -14,7 +14,7 @@ from finray_calib.acceptance import SessionFacts, session_facts, session_history
 from finray_calib.cli.main import main
 from finray_calib.reports import history_page
 from rigs import paint_plan, simulated_rig
-from rigs.capture import capture_paint_session, read_frame_of, read_session
+from rigs.capture import SessionRequest, capture_paint_session, read_frame_of, read_session
 
 
 def rig_with(seed=1, kelvin=2856, power_mw=4.5):
@@ -30,7 +30,7 @@ def rig_with(seed=1, kelvin=2856, power_mw=4.5):
 
 def capture(out, **changes):
     rig = rig_with(**changes)
-    capture_paint_session(rig, paint_plan("red", rig.camera), Path(), out, "finray capture")
+    capture_paint_session(rig, paint_plan("red", rig.camera), SessionRequest(out, "finray capture"))
     return out
 
 

@@ -24,8 +24,7 @@ ALLOWED = {
     ("data_schemas/storage/_array_files.py", "archive.open"): "bytes of the gateway",
     ("data_schemas/storage/_array_files.py", "tifffile.TiffFile"): "bytes of the gateway",
     ("rigs/cameras/_image_files.py", "tifffile.TiffFile"): "bytes of the gateway",
-    ("rigs/cameras/_dng_file.py", "tifffile.TiffFile"): "bytes of the gateway",
-    ("rigs/cameras/_dng_file.py", "rawpy.imread"): "bytes of the gateway, in a limited child",
+    ("rigs/cameras/_image_files.py", "rawpy.imread"): "bytes of the gateway, in a limited child",
     ("sim/surface_meshes/_imprint.py", "cv2.imdecode"): "bytes of the gateway, in its child",
     ("rigs/cameras/_image_files.py", "cv2.imdecode"): "bytes of the gateway, or a camera's stream of limited size",
     ("sim/optics/_calibrated_camera.py", "cv2.FileStorage"): "bytes of the gateway, in a limited child",
@@ -40,7 +39,6 @@ ALLOWED = {
     **dict.fromkeys(
         (
             ("finray_calib/exchange/_bispectral_exr.py", "file.read_bytes"),
-            ("finray_calib/exchange/_inference_data.py", "file.read_bytes"),
             ("finray_calib/exchange/_paint_formats.py", "file.read_bytes"),
         ),
         "what a library has just written into a temporary folder",

@@ -17,10 +17,10 @@ import pytest
 
 from tests.architecture.test_conventions import PACKAGES, ROOT
 
-MOST_MODULES = 315
+MOST_MODULES = 308
 MOST_IN_A_FOLDER = 24
 LONGEST_CHAIN = 12
-LARGEST_SINGLE_CALLER_SHARE = 0.18
+LARGEST_SINGLE_CALLER_SHARE = 0.15
 SILENT = {
     *(tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
     *(tokenize.ENCODING, tokenize.ENDMARKER),
@@ -28,9 +28,9 @@ SILENT = {
 LONGEST_FUNCTION_LINES = 45
 MOST_PARAMETERS = 8
 # loops of the renderer and of an element, whose state is one: cut apart, they pass all of it on
-MOST_LONG_FUNCTIONS = 6
-# two compiled kernels, which take plain arrays only, and the sessions of a capture
-MOST_WITH_MANY_PARAMETERS = 10
+MOST_LONG_FUNCTIONS = 4
+# two compiled kernels, which take plain arrays only, and the proof of filters by the line of the laser
+MOST_WITH_MANY_PARAMETERS = 3
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ import pytest
 
 from data_schemas import CaptureSession, PaintPlan, RigFile
 from rigs import paint_plan, simulated_rig
-from rigs.capture import capture_paint_session
+from rigs.capture import SessionRequest, capture_paint_session
 from tests.capture.drivers import picamera2_stand_in
 
 WIDTH_PX, HEIGHT_PX = 160, 128
@@ -29,7 +29,9 @@ def captured(
     """A whole session: its folder, its record and the calls of its progress function."""
     out = tmp_path_factory.mktemp("session") / "paint"
     calls: list[tuple[int, int, str]] = []
-    session = capture_paint_session(rig, plan, Path(), out, "finray capture", lambda *call: calls.append(call))
+    session = capture_paint_session(
+        rig, plan, SessionRequest(out, "finray capture", progress=lambda *call: calls.append(call))
+    )
     return out, session, calls
 
 

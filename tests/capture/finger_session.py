@@ -6,7 +6,7 @@ import numpy as np
 
 from data_schemas import TactilePlan, TactileRig, TactileSession
 from data_schemas.storage import read_toml
-from rigs.capture import capture_tactile_session
+from rigs.capture import SessionRequest, capture_tactile_session
 
 WIDTH_PX, HEIGHT_PX = 96, 64
 PLAN = """\
@@ -69,8 +69,10 @@ def rig_of(folder: Path, text: str = RIG) -> TactileRig:
     return read_toml(path, TactileRig)
 
 
-def capture(folder: Path, plan: TactilePlan, rig: TactileRig, hands: Hands, **other) -> TactileSession:
-    return capture_tactile_session(rig, plan, plan.presses, (folder, folder / "out"), "pytest", operator=hands, **other)
+def capture(folder: Path, plan: TactilePlan, rig: TactileRig, hands: Hands, **asked) -> TactileSession:
+    return capture_tactile_session(
+        rig, plan, plan.presses, SessionRequest(folder / "out", "pytest", rig_folder=folder, operator=hands, **asked)
+    )
 
 
 def scene(sensor, contact: bool):

@@ -23,6 +23,7 @@ from finray_calib.radiometry import characterise_camera
 from rigs import Camera, RawFrame, open_rig, paint_plan, simulated_rig
 from rigs._open_rig import DARK_CURRENT_E_PER_S, DARK_OFFSET_SD_E, FULL_WELL_MARGIN, PIXEL_NONUNIFORMITY_REL
 from rigs.capture import (
+    SessionRequest,
     camera_step,
     capture_camera_session,
     capture_paint_session,
@@ -63,7 +64,9 @@ def rig() -> RigFile:
 def captured(rig: RigFile, tmp_path_factory: pytest.TempPathFactory) -> Captured:
     out = tmp_path_factory.mktemp("session") / "camera"
     calls: list[tuple[int, int, str]] = []
-    session = capture_camera_session(rig, PLAN, Path(), out, "finray capture", lambda *call: calls.append(call))
+    session = capture_camera_session(
+        rig, PLAN, SessionRequest(out, "finray capture", progress=lambda *call: calls.append(call))
+    )
     return out, session, calls
 
 
@@ -148,7 +151,7 @@ def test_kind_of_a_folder_is_told(captured: Captured, rig: RigFile, tmp_path: Pa
     with pytest.raises(RecordError, match="holds a camera session, where a capture session is needed"):
         read_session(out)
     paint = paint_plan("red", rig.camera).model_copy(update={"filters": ("450",), "bracket": (1.0,)})
-    capture_paint_session(rig, paint, Path(), tmp_path / "paint", "finray capture")
+    capture_paint_session(rig, paint, SessionRequest(tmp_path / "paint", "finray capture"))
     assert session_kind(tmp_path / "paint") == "paint"
     with pytest.raises(RecordError, match="holds a capture session, where a camera session is needed"):
         read_camera_session(tmp_path / "paint")
@@ -197,7 +200,7 @@ def test_plan_that_does_not_fit_the_rig(rig: RigFile, fields: dict[str, object],
 def test_folder_that_is_not_empty_is_refused(rig: RigFile, tmp_path: Path) -> None:
     (tmp_path / "note.txt").write_text("mine")
     with pytest.raises(CaptureError, match="is not an empty folder; a capture never overwrites"):
-        capture_camera_session(rig, PLAN, Path(), tmp_path, "finray capture")
+        capture_camera_session(rig, PLAN, SessionRequest(tmp_path, "finray capture"))
 
 
 def test_light_that_is_too_bright_or_too_dim(rig: RigFile, tmp_path: Path) -> None:
@@ -207,11 +210,15 @@ def test_light_that_is_too_bright_or_too_dim(rig: RigFile, tmp_path: Path) -> No
     with pytest.raises(
         CaptureError, match=r"saturates in 0\.00\d+ s, the shortest exposure is 0\.003 s .* filter in the"
     ):
-        capture_camera_session(with_camera(shortest_exposure_s=0.003), PLAN, Path(), tmp_path / "a", "finray capture")
+        capture_camera_session(
+            with_camera(shortest_exposure_s=0.003), PLAN, SessionRequest(tmp_path / "a", "finray capture")
+        )
     with pytest.raises(CaptureError, match=r"needs 0\.00\d+ s to saturate, at most 0\.004 s are allowed: brighten"):
-        capture_camera_session(rig, changed(longest_exposure_s=0.004), Path(), tmp_path / "b", "finray capture")
+        capture_camera_session(rig, changed(longest_exposure_s=0.004), SessionRequest(tmp_path / "b", "finray capture"))
     with pytest.raises(SaturatedError, match=r"white \(white, lamp\) through filter 532: the region is brighter"):
-        capture_camera_session(with_camera(shortest_exposure_s=0.02), PLAN, Path(), tmp_path / "c", "finray capture")
+        capture_camera_session(
+            with_camera(shortest_exposure_s=0.02), PLAN, SessionRequest(tmp_path / "c", "finray capture")
+        )
 
 
 def test_levels_of_three_channels(rig: RigFile) -> None:
@@ -257,10 +264,10 @@ def test_without_a_filter_nothing_is_said_of_the_slot(rig: RigFile, tmp_path: Pa
     bare = changed(filter_name=None, repeats=0)
     step = camera_step(bare, quick)
     with open_rig(quick, Path()) as opened:
-        session = capture_camera_with(opened, quick, bare, step, tmp_path / "out", {}, "finray capture")
+        session = capture_camera_with(opened, quick, bare, step, SessionRequest(tmp_path / "out", "finray capture"))
     assert {f.filter_name for f in session.frames} == {None}
     assert {f.slot_before for f in session.frames} == {None}
-    through = capture_camera_session(quick, changed(repeats=0), Path(), tmp_path / "filter", "finray capture")
+    through = capture_camera_session(quick, changed(repeats=0), SessionRequest(tmp_path / "filter", "finray capture"))
     # a filter passes 60 % of some 10 nm of the 300 nm that the camera sees
     brightest = [max(f.exposure_s for f in s.frames if f.frame_type == "white") for s in (session, through)]
     assert brightest[0] < 0.1 * brightest[1]
@@ -272,7 +279,7 @@ def test_camera_that_fails_leaves_the_lamp_off_and_no_session(rig: RigFile, tmp_
     with open_rig(rig, Path()) as opened:
         broken = replace(opened, camera=LostCamera(opened.camera, frames))
         with pytest.raises(CaptureError, match="connection lost"):
-            capture_camera_with(broken, rig, PLAN, camera_step(PLAN, rig), out, {}, "finray capture")
+            capture_camera_with(broken, rig, PLAN, camera_step(PLAN, rig), SessionRequest(out, "finray capture"))
         assert not opened.lamp.state()
     last = json.loads((out / "journal.jsonl").read_text().splitlines()[-1])
     assert last["outcome"] == "CaptureError: camera: connection lost"

@@ -16,7 +16,7 @@ from data_schemas import (
     WrongPositionError,
 )
 from rigs import FilterWheel, open_rig
-from rigs.capture import Interrupted, paint_steps, read_interrupted, read_session
+from rigs.capture import Interrupted, SessionRequest, paint_steps, read_interrupted, read_session
 from rigs.capture import _paint_session as paint_session
 from rigs.capture._filter_proof import LEAST_SIGNAL_FRACTION, compare_with_last, judge_filters, signal_floor
 from rigs.capture._journal import read_journal
@@ -41,7 +41,9 @@ def test_exchanged_filters_are_found_before_a_frame_is_stored(
     """The bench holds other filters than the rig file says; the wheel's own counter sees nothing wrong."""
     with open_rig(exchanged(rig, *pair), Path()) as opened:
         try:
-            session = capture_with(opened, rig, plan, paint_steps(plan, rig), tmp_path / "out", {}, "finray capture")
+            session = capture_with(
+                opened, rig, plan, paint_steps(plan, rig), SessionRequest(tmp_path / "out", "finray capture")
+            )
         except WrongPositionError as error:
             assert all(name in str(error) for name in pair)  # noqa: PT017
             assert not list((tmp_path / "out").glob("frames/*"))
@@ -56,7 +58,7 @@ def test_at_least_the_laser_filter_is_proved(rig: RigFile, plan: PaintPlan, tmp_
         open_rig(exchanged(rig, "450", "600"), Path()) as opened,
         pytest.raises(WrongPositionError, match="450 and 600"),
     ):
-        capture_with(opened, rig, plan, paint_steps(plan, rig), tmp_path, {}, "finray capture")
+        capture_with(opened, rig, plan, paint_steps(plan, rig), SessionRequest(tmp_path, "finray capture"))
 
 
 def test_filters_in_place_are_not_convicted(captured) -> None:
@@ -137,7 +139,7 @@ def test_wheel_that_counts_and_does_not_turn_is_convicted(
         opened.wheel.go_to(NAMES.index(stuck) + 1, 20.0)
         broken = replace(opened, wheel=CountingWheel(opened.wheel))
         with pytest.raises(WrongPositionError, match=f"show filter {stuck} at every slot: the wheel counts"):
-            capture_with(broken, rig, plan, paint_steps(plan, rig), tmp_path, {}, "finray capture")
+            capture_with(broken, rig, plan, paint_steps(plan, rig), SessionRequest(tmp_path, "finray capture"))
     assert not list(tmp_path.glob("frames/*"))
 
 
@@ -167,9 +169,13 @@ def test_earlier_session_of_other_filters_leaves_the_verdict(
     frames = tuple(f for f in session.frames if f.frame_type != "white")
     with open_rig(rig, Path()) as opened:
         now = capture_with(
-            opened, rig, plan, paint_steps(plan, rig), tmp_path, {}, "finray capture",
+            opened,
+            rig,
+            plan,
+            paint_steps(plan, rig),
+            SessionRequest(tmp_path, "finray capture"),
             last_good=session.model_copy(update={"frames": frames}),
-        )  # fmt: skip
+        )
     assert now.filter_proof is not None
     assert session.filter_proof is not None
     assert now.filter_proof.verdict == session.filter_proof.verdict
@@ -182,7 +188,9 @@ def test_session_unlike_an_earlier_one_is_refused(rig: RigFile, plan: PaintPlan,
     rates[0] = [2 * rate for rate in rates[0]]
     other = session.model_copy(update={"white_rates_dn_per_s": tuple(tuple(row) for row in rates)})
     with open_rig(rig, Path()) as opened, pytest.raises(CaptureError, match="differs from the earlier session"):
-        capture_with(opened, rig, plan, paint_steps(plan, rig), tmp_path, {}, "finray capture", last_good=other)
+        capture_with(
+            opened, rig, plan, paint_steps(plan, rig), SessionRequest(tmp_path, "finray capture"), last_good=other
+        )
 
 
 @pytest.mark.parametrize("where", ["at the terminal", "by resuming"])
@@ -205,7 +213,7 @@ def test_exchanged_filters_that_are_put_right_let_the_session_go_on(
 
         def run(interrupted: Interrupted | None = None) -> CaptureSession:
             return capture_with(
-                wrong, rig, small, steps, tmp_path, {}, "finray capture", interrupted=interrupted, mend=mend
+                wrong, rig, small, steps, SessionRequest(tmp_path, "finray capture"), interrupted=interrupted, mend=mend
             )
 
         if where == "by resuming":
@@ -235,9 +243,13 @@ def test_filters_that_stay_exchanged_end_the_session_after_some_repairs(
         pytest.raises(WrongPositionError, match="450 and 600"),
     ):
         capture_with(
-            opened, rig, small, paint_steps(small, rig), tmp_path, {}, "finray capture",
+            opened,
+            rig,
+            small,
+            paint_steps(small, rig),
+            SessionRequest(tmp_path, "finray capture"),
             mend=lambda text: not asked.append(text),
-        )  # fmt: skip
+        )
     assert len(asked) == 1
 
 
@@ -308,7 +320,9 @@ def test_dark_level_is_measured_before_a_conviction(
 
     monkeypatch.setattr(paint_session, "judge_filters", judge)
     with open_rig(rig, Path()) as opened:
-        session = capture_with(opened, told, small, paint_steps(small, told), tmp_path, {}, "finray capture")
+        session = capture_with(
+            opened, told, small, paint_steps(small, told), SessionRequest(tmp_path, "finray capture")
+        )
     assert session.filter_proof is not None
     assert session.filter_proof.text.startswith("lamp")
     (before, low), (after, high) = judged

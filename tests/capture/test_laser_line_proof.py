@@ -8,8 +8,8 @@ import pytest
 
 from data_schemas import FilterProof, PaintPlan, RigFile, WrongPositionError
 from rigs import open_rig
+from rigs.capture import SessionRequest, paint_steps
 from rigs.capture import _paint_session as paint_recorder
-from rigs.capture import paint_steps
 from rigs.capture._filter_proof import LaserLine, judge_filters
 from rigs.capture._paint_session import capture_with
 from tests.capture.test_filter_proof import NAMES, exchanged
@@ -51,7 +51,7 @@ def test_excitation_filter_elsewhere_is_convicted_by_the_laser_alone(
         open_rig(exchanged(rig, "450", other), Path()) as opened,
         pytest.raises(WrongPositionError, match=f"450 and {other} are exchanged"),
     ):
-        capture_with(opened, rig, plan, paint_steps(plan, rig), tmp_path, {}, "finray capture")
+        capture_with(opened, rig, plan, paint_steps(plan, rig), SessionRequest(tmp_path, "finray capture"))
     assert not list(tmp_path.glob("frames/*"))
 
 

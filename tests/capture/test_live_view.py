@@ -19,7 +19,7 @@ from data_schemas import CameraSettings, CaptureError, LostError, RigFile
 from finray_calib.cli.main import main
 from rigs import OpenRig, open_rig, write_rig
 from rigs.live_view import LiveRig, focus_measure, live_server
-from rigs.live_view._live_rig import LONGEST_EXPOSURE_S, live_picture
+from rigs.live_view._live_server import LONGEST_EXPOSURE_S, live_picture
 from tests.capture.drivers.programs import require
 
 PATIENCE_S = 30.0

@@ -9,7 +9,7 @@ from data_schemas import BandPassFilter, CurveError, PaintPlan, RigFile, Spectra
 from data_schemas.storage import sha256_of
 from finray_calib.radiometry import optics_of
 from rigs import open_rig
-from rigs.capture import capture_paint_session, read_session
+from rigs.capture import SessionRequest, capture_paint_session, read_session
 from rigs.simulated._bench import FILTER_TOLERANCE_NM, filter_transmission
 
 CSV = "wavelength_nm,transmission\n590,0\n594,0.1\n598,0.8\n604,0.9\n607,0.3\n615,0\n"
@@ -24,7 +24,9 @@ def with_curve(rig: RigFile, name: str, curve: str) -> RigFile:
 def test_session_stores_the_curve_and_hands_it_to_the_band_signals(rig: RigFile, plan: PaintPlan, tmp_path: Path):
     (tmp_path / "f600.csv").write_text(CSV)
     few = plan.model_copy(update={"filters": ("450", "600"), "bracket": (1.0,), "darks_per_exposure": 1})
-    capture_paint_session(with_curve(rig, "600", "f600.csv"), few, tmp_path, tmp_path / "out", "finray capture")
+    capture_paint_session(
+        with_curve(rig, "600", "f600.csv"), few, SessionRequest(tmp_path / "out", "finray capture", rig_folder=tmp_path)
+    )
     session = read_session(tmp_path / "out")
     assert list(session.filter_curves) == ["600"]
     np.testing.assert_array_equal(session.filter_curves["600"].values, [0.0, 0.1, 0.8, 0.9, 0.3, 0.0])

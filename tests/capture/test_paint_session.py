@@ -25,7 +25,7 @@ from data_schemas import (
 )
 from data_schemas.storage import sha256_of
 from rigs import Camera, FilterWheel, OpenRig, Operator, RawFrame, open_rig
-from rigs.capture import capture_paint_session, paint_steps, read_frame_of, read_session
+from rigs.capture import SessionRequest, capture_paint_session, paint_steps, read_frame_of, read_session
 from rigs.capture._journal import read_journal
 from rigs.capture._paint_session import capture_with
 from rigs.simulated.sensor import bayer_planes
@@ -266,7 +266,7 @@ class StuckLight:
 
 
 def capture(opened: OpenRig, rig: RigFile, plan: PaintPlan, out: Path) -> CaptureSession:
-    return capture_with(opened, rig, plan, paint_steps(plan, rig), out, {}, "finray capture")
+    return capture_with(opened, rig, plan, paint_steps(plan, rig), SessionRequest(out, "finray capture"))
 
 
 def last_event(out: Path) -> dict[str, object]:
@@ -361,15 +361,15 @@ def test_too_bright_light_names_filter_and_limits(rig: RigFile, plan: PaintPlan,
     with pytest.raises(
         SaturatedError, match=r"reflectance \(sample, lamp\) through filter 660.*allows 0\.01 to 0\.08 s"
     ):
-        capture_paint_session(slow, plan, Path(), tmp_path, "finray capture")
+        capture_paint_session(slow, plan, SessionRequest(tmp_path, "finray capture"))
 
 
 def test_folder_that_is_not_empty_is_refused(rig: RigFile, plan: PaintPlan, tmp_path: Path) -> None:
     (tmp_path / "note.txt").write_text("mine")
     with pytest.raises(CaptureError, match=r"is not an empty folder"):
-        capture_paint_session(rig, plan, Path(), tmp_path, "finray capture")
+        capture_paint_session(rig, plan, SessionRequest(tmp_path, "finray capture"))
     with pytest.raises(CaptureError, match=r"is not an empty folder"):
-        capture_paint_session(rig, plan, Path(), tmp_path / "note.txt", "finray capture")
+        capture_paint_session(rig, plan, SessionRequest(tmp_path / "note.txt", "finray capture"))
     assert [p.name for p in tmp_path.iterdir()] == ["note.txt"]
 
 
@@ -379,7 +379,7 @@ def test_curve_files_are_hashed_and_notes_kept(rig: RigFile, plan: PaintPlan, tm
     file.write_text("wavelength_nm,red_percent,green_percent,blue_percent\n" + "\n".join(rows) + "\n")
     measured = rig.model_copy(update={"camera": rig.camera.model_copy(update={"response": "camera.csv"})})
     small = plan.model_copy(update={"filters": ("450",), "bracket": (1.0,), "darks_per_exposure": 1})
-    capture_paint_session(measured, small, tmp_path, tmp_path / "out", "finray capture")
+    capture_paint_session(measured, small, SessionRequest(tmp_path / "out", "finray capture", rig_folder=tmp_path))
     stored = read_session(tmp_path / "out")
     assert stored.provenance is not None
     assert stored.provenance.input_sha256 == {"camera.csv": sha256_of(file)}

@@ -14,7 +14,14 @@ import pytest
 from data_schemas import CaptureError, CaptureSession, Frame, PaintPlan, RigFile
 from data_schemas.storage import sha256_of
 from rigs import open_rig
-from rigs.capture import capture_paint_session, paint_steps, read_frame_of, read_interrupted, read_session
+from rigs.capture import (
+    SessionRequest,
+    capture_paint_session,
+    paint_steps,
+    read_frame_of,
+    read_interrupted,
+    read_session,
+)
 from rigs.capture._paint_session import capture_with
 from rigs.capture._resume import ORPHANS
 
@@ -26,11 +33,12 @@ from data_schemas._capture import PaintPlan
 from data_schemas._rig import RigFile
 from rigs.capture._paint_session import capture_paint_session
 from rigs.capture._resume import read_interrupted
+from rigs.capture._session_folder import SessionRequest
 plan, rig = PaintPlan.model_validate_json(sys.argv[1]), RigFile.model_validate_json(sys.argv[2])
 out = Path(sys.argv[3])
 interrupted = read_interrupted(out) if (out / "journal.jsonl").exists() else None
 print("go", flush=True)
-capture_paint_session(rig, plan, Path(), out, "finray capture", interrupted=interrupted)
+capture_paint_session(rig, plan, SessionRequest(out, "finray capture"), interrupted=interrupted)
 """
 
 
@@ -46,7 +54,7 @@ def what_was_taken(session: CaptureSession) -> list[tuple[object, ...]]:
 
 @pytest.fixture(scope="module")
 def uninterrupted(rig: RigFile, small: PaintPlan, tmp_path_factory: pytest.TempPathFactory) -> CaptureSession:
-    return capture_paint_session(rig, small, Path(), tmp_path_factory.mktemp("whole") / "out", "finray capture")
+    return capture_paint_session(rig, small, SessionRequest(tmp_path_factory.mktemp("whole") / "out", "finray capture"))
 
 
 @pytest.mark.timeout(280)
@@ -72,7 +80,7 @@ def test_killed_at_any_moment_nothing_is_torn_and_resuming_completes(
             sessions, folder = sessions + 1, tmp_path / str(sessions + 1)
     if not (folder / "session.json").exists():
         interrupted = read_interrupted(folder) if (folder / "journal.jsonl").exists() else None
-        capture_paint_session(rig, small, Path(), folder, "finray capture", interrupted=interrupted)
+        capture_paint_session(rig, small, SessionRequest(folder, "finray capture"), interrupted=interrupted)
     for done in sorted(tmp_path.iterdir()):
         session = read_session(done)
         assert what_was_taken(session) == what_was_taken(uninterrupted)
@@ -105,7 +113,7 @@ def stopped(rig: RigFile, small: PaintPlan, tmp_path: Path) -> Path:
     """A session that ended before its last frames: a finished one without record, manifest and last lines."""
     out = tmp_path / "stopped"
     with open_rig(rig, Path()) as opened:
-        capture_with(opened, rig, small, paint_steps(small, rig), out, {}, "finray capture")
+        capture_with(opened, rig, small, paint_steps(small, rig), SessionRequest(out, "finray capture"))
     for name in ("session.json", "manifest-sha256.txt"):
         (out / name).unlink()
     lines = (out / "journal.jsonl").read_text().splitlines(keepends=True)
@@ -114,7 +122,7 @@ def stopped(rig: RigFile, small: PaintPlan, tmp_path: Path) -> Path:
 
 
 def resumed(rig: RigFile, plan: PaintPlan, out: Path) -> CaptureSession:
-    return capture_paint_session(rig, plan, Path(), out, "finray capture", interrupted=read_interrupted(out))
+    return capture_paint_session(rig, plan, SessionRequest(out, "finray capture"), interrupted=read_interrupted(out))
 
 
 def test_changed_missing_and_unknown_frames_are_taken_again(
@@ -196,7 +204,7 @@ def test_reading_touches_nothing_and_a_session_that_went_on_is_left_alone(
     (stopped / "session.json").unlink()
     whole = sorted(path.name for path in (stopped / "frames").iterdir())
     with pytest.raises(CaptureError, match=r"another capture went on with this session meanwhile"):
-        capture_paint_session(rig, small, Path(), stopped, "finray capture", interrupted=early)
+        capture_paint_session(rig, small, SessionRequest(stopped, "finray capture"), interrupted=early)
     assert sorted(path.name for path in (stopped / "frames").iterdir()) == whole
 
 
@@ -255,10 +263,14 @@ def test_full_disk_ends_the_session_and_it_can_be_resumed(rig: RigFile, small: P
     try:
         with open_rig(rig, Path()) as opened, pytest.MonkeyPatch.context() as patch:
             with pytest.raises(CaptureError, match=r"the frames need .* MB and .* MB are free"):
-                capture_with(opened, rig, small, paint_steps(small, rig), disk / "refused", {}, "finray capture")
+                capture_with(
+                    opened, rig, small, paint_steps(small, rig), SessionRequest(disk / "refused", "finray capture")
+                )
             patch.setattr("rigs.capture._frame_store.require_space", lambda folder, needed_bytes: None)
             with pytest.raises(CaptureError, match=r"cannot be written \(No space left .*--resume"):
-                capture_with(opened, rig, small, paint_steps(small, rig), disk / "out", {}, "finray capture")
+                capture_with(
+                    opened, rig, small, paint_steps(small, rig), SessionRequest(disk / "out", "finray capture")
+                )
             assert not opened.lamp.state()
             assert not opened.laser.state()
         subprocess.run(["mount", "-o", "remount,size=20m", str(disk)], check=True)

@@ -22,7 +22,7 @@ from data_schemas import (
     RigFile,
 )
 from rigs import device_locked, rig_locked, simulated_rig
-from rigs._device_lock import device_keys
+from rigs._open_rig import device_keys
 
 CHILD = """
 import sys
@@ -168,7 +168,7 @@ def test_localhost_and_its_number_do_not_run_side_by_side(tmp_path: Path) -> Non
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
 def test_another_user_of_the_computer_is_refused_too() -> None:
     # Modules are loaded before: another user may not be allowed to read them.
-    change = "import os; from rigs._device_lock import device_keys; device_keys(*sys.argv[1:]); os.setuid(65534)"
+    change = "import os; from rigs._open_rig import device_keys; device_keys(*sys.argv[1:]); os.setuid(65534)"
     as_nobody = CHILD.replace("with device_locked", f"{change}\nwith device_locked")
     with device_locked("laser", "indi", "localhost/Panel"):
         command = [sys.executable, "-c", as_nobody, "indi", "127.0.0.1/Panel"]

@@ -30,7 +30,7 @@ from data_schemas import (
 )
 from data_schemas.storage import sha256_of
 from rigs import Camera, Clock, FilterWheel, Light, OpenRig, Operator, RawFrame, open_laser, open_rig
-from rigs.capture import Interrupted, paint_steps, read_interrupted, read_session
+from rigs.capture import Interrupted, SessionRequest, paint_steps, read_interrupted, read_session
 from rigs.capture import _exposure as exchange
 from rigs.capture import _frame_store as frame_store
 from rigs.capture._journal import read_journal
@@ -54,7 +54,9 @@ def small(plan: PaintPlan) -> PaintPlan:
 def capture(
     opened: OpenRig, rig: RigFile, plan: PaintPlan, out: Path, interrupted: Interrupted | None = None
 ) -> CaptureSession:
-    return capture_with(opened, rig, plan, paint_steps(plan, rig), out, {}, "finray capture", interrupted=interrupted)
+    return capture_with(
+        opened, rig, plan, paint_steps(plan, rig), SessionRequest(out, "finray capture"), interrupted=interrupted
+    )
 
 
 def dark(opened: OpenRig) -> bool:
@@ -344,7 +346,7 @@ def test_sample_that_may_be_tilted_is_turned_back_at_a_resumption(
     with open_rig(rig, Path()) as opened:
         broken = replace(opened, camera=ChangedCamera(opened.camera, lost))
         with pytest.raises(RefusedError, match="unplugged"):
-            capture_with(broken, rig, tilted, steps, tmp_path, {}, "finray capture")
+            capture_with(broken, rig, tilted, steps, SessionRequest(tmp_path, "finray capture"))
 
     @dataclass
     class Hands:
@@ -359,7 +361,14 @@ def test_sample_that_may_be_tilted_is_turned_back_at_a_resumption(
 
     with open_rig(rig, Path()) as opened:
         hands = replace(opened, operator=Hands(opened.operator))
-        capture_with(hands, rig, tilted, steps, tmp_path, {}, "finray capture", interrupted=read_interrupted(tmp_path))
+        capture_with(
+            hands,
+            rig,
+            tilted,
+            steps,
+            SessionRequest(tmp_path, "finray capture"),
+            interrupted=read_interrupted(tmp_path),
+        )
     assert asked == [0.0, 30.0]  # upright for what is left of metering, tilted for the last frames
 
 

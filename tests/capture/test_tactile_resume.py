@@ -9,7 +9,7 @@ import pytest
 
 from data_schemas import CaptureError, TactileCapture, TactileSession
 from data_schemas.storage import read_frame, read_record
-from rigs.capture import capture_tactile_session, is_tactile, read_interrupted_presses
+from rigs.capture import SessionRequest, capture_tactile_session, is_tactile, read_interrupted_presses
 from tests.capture.drivers import picamera2_stand_in
 from tests.capture.finger_session import PLAN, Hands, capture, plan_of, pressing, rig_of
 from tests.command_line.running import finray
@@ -35,9 +35,12 @@ def test_resumed_session_is_the_same(sensor, tmp_path, stop_at):
     interrupted = read_interrupted_presses(out)
     asked = Hands()
     session = capture_tactile_session(
-        interrupted.rig, interrupted.plan, interrupted.presses, (interrupted.rig_folder, out), "pytest",
-        operator=asked, interrupted=interrupted,
-    )  # fmt: skip
+        interrupted.rig,
+        interrupted.plan,
+        interrupted.presses,
+        SessionRequest(out, "pytest", rig_folder=interrupted.rig_folder, operator=asked),
+        interrupted=interrupted,
+    )
     assert [f.sequence for f in session.frames] == list(range(16))
     assert len(session.captures) == 2
     assert asked.asked[0].startswith("Press 1" if stop_at == "frame of a bracket" else stop_at)
@@ -63,9 +66,12 @@ def test_changed_frame_is_taken_again(sensor, tmp_path):
 def resumed(folder: Path, hands: Hands) -> TactileSession:
     interrupted = read_interrupted_presses(folder / "out")
     return capture_tactile_session(
-        interrupted.rig, interrupted.plan, interrupted.presses, (folder, folder / "out"), "pytest",
-        operator=hands, interrupted=interrupted,
-    )  # fmt: skip
+        interrupted.rig,
+        interrupted.plan,
+        interrupted.presses,
+        SessionRequest(folder / "out", "pytest", rig_folder=folder, operator=hands),
+        interrupted=interrupted,
+    )
 
 
 def test_captures_of_an_interrupted_session_are_made_anew(sensor, tmp_path):
@@ -106,7 +112,11 @@ def test_session_that_went_on_elsewhere_is_left_alone(sensor, tmp_path):
         journal.write('{"event": "resume", "frames": 5}\n')
     with pytest.raises(CaptureError, match="another capture went on with this session meanwhile"):
         capture_tactile_session(
-            interrupted.rig, interrupted.plan, interrupted.presses, (tmp_path, out), "pytest", interrupted=interrupted
+            interrupted.rig,
+            interrupted.plan,
+            interrupted.presses,
+            SessionRequest(out, "pytest", rig_folder=tmp_path),
+            interrupted=interrupted,
         )
     assert (out / "frames" / "00005_new.tiff").exists()
 

@@ -9,7 +9,7 @@ from sim.mechanics._assembly import Assembly, Elasticity
 from sim.mechanics._finger_mesh import MeshSteps, finger_ties
 from sim.mechanics._increments import Load, load_increments
 from sim.mechanics._linear_solver import linear_solver
-from sim.mechanics._press_contact import press_contact
+from sim.mechanics._press import press_contact
 
 SMALL = preset_design("baby-48x18")
 ROUGH = MeshSteps(3.0, 2.0, 4.0, 4.0)

@@ -9,7 +9,7 @@ from data_schemas import FingerDesign, GelPad, Indenter, SimulateError
 from sim.mechanics import Cylinder, RoundedBox, Sphere, body_mesh, rigid_indenter, side_outline_mm
 from sim.mechanics._colliding_surfaces import edge_edge_mm, point_triangle_mm
 from sim.mechanics._indenters import least_over_triangles, over_rectangle
-from sim.mechanics._press_contact import press_contact
+from sim.mechanics._press import press_contact
 from sim.mechanics._rigid_bodies import TriangleMesh, check_closed_body, read_body, rotation_matrix
 from sim.surface_meshes import pressed_height_mm, rest_height_mm, stl_bytes, without_press
 

@@ -22,8 +22,7 @@ from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._mesh import CornerGrading
 from sim.mechanics._newton import Supports
-from sim.mechanics._press import _first_on_coarse
-from sim.mechanics._press_contact import press_contact
+from sim.mechanics._press import _first_on_coarse, press_contact
 from tests.certified.blocks import assemble, unit_cells
 from tests.command_line.running import finray, succeed
 

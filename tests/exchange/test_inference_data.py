@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from data_schemas import ChainCheck, MissingExtraError
-from finray_calib.exchange._inference_data import REPLICATES, netcdf_bytes
+from finray_calib.exchange._paint_formats import REPLICATES, netcdf_bytes
 
 pytest.importorskip("h5netcdf")
 

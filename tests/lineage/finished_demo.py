@@ -8,7 +8,7 @@ import numpy as np
 from data_schemas import BandSignals, FingerSurfaces, PaintCalibration, Record, provenance
 from data_schemas.storage import read_record, sha256_now, write_bytes, write_manifest, write_record
 from rigs import paint_plan, simulated_rig, write_plan, write_rig
-from rigs.capture import capture_paint_session
+from rigs.capture import SessionRequest, capture_paint_session
 from tests.command_line.records import capture_of, press, sweep
 from tests.schemas.freeze import example_of
 
@@ -46,7 +46,7 @@ def _paint(out: Path, colour: str, seed: int) -> None:
     folder = out / colour
     written = (write_rig(rig, folder / "rig.toml"), write_plan(plan, folder / "plan.toml"))
     sources = {f"{colour}/{path.name}": sha256_now(path) for path in written}
-    capture_paint_session(rig, plan, folder, folder / "session", COMMAND, sources=sources)
+    capture_paint_session(rig, plan, SessionRequest(folder / "session", COMMAND, rig_folder=folder, sources=sources))
     _store(out, f"{colour}/bands.json", _example(BandSignals.__name__), [f"{colour}/session/session.json"])
     _store(out, f"{colour}/paint.json", _larger(_example(PaintCalibration.__name__)), [f"{colour}/bands.json"])
 

@@ -8,7 +8,7 @@ from data_schemas import CaptureSession, RadiometryError, RegionOfInterest
 from finray_calib.radiometry import band_signals
 from finray_calib.radiometry._step_signals import region_channels
 from rigs import paint_plan, simulated_rig
-from rigs.capture import capture_paint_session, read_frame_of
+from rigs.capture import SessionRequest, capture_paint_session, read_frame_of
 from tests.radiometry.sessions import (
     FILTERS,
     REGION,
@@ -230,7 +230,7 @@ def test_session_of_the_simulated_rig_against_the_bench_physics(tmp_path):
     rig = simulated_rig("red", seed=4, width_px=320, height_px=256)
     plan = paint_plan("red", rig.camera)
     out = tmp_path / "session"
-    session = capture_paint_session(rig, plan, Path(), out, "pytest")
+    session = capture_paint_session(rig, plan, SessionRequest(out, "pytest"))
     bands = band_signals(session, lambda frame: read_frame_of(out, frame))
 
     bench = Bench(rig, Path(), camera_response("assumed", Path()))

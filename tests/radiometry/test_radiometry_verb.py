@@ -18,7 +18,7 @@ from data_schemas import (
 from data_schemas.storage import read_record
 from finray_calib.cli.main import build_parser
 from rigs import paint_plan, simulated_rig
-from rigs.capture import capture_camera_session, capture_paint_session
+from rigs.capture import SessionRequest, capture_camera_session, capture_paint_session
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RigFile, Pa
     rig = simulated_rig("red", seed=3, width_px=160, height_px=128)
     plan = paint_plan("red", rig.camera).model_copy(update={"filters": ("450", "560", "600", "660")})
     folder = tmp_path_factory.mktemp("verb") / "session"
-    capture_paint_session(rig, plan, Path(), folder, "pytest")
+    capture_paint_session(rig, plan, SessionRequest(folder, "pytest"))
     return folder, rig, plan
 
 
@@ -74,7 +74,7 @@ def camera_folder(session, tmp_path_factory: pytest.TempPathFactory) -> Path:
     _, rig, plan = session
     folder = tmp_path_factory.mktemp("camera") / "session"
     camera = CameraPlan(camera_name="bench", region=plan.region, repeats=2, filter_name="600")
-    capture_camera_session(rig, camera, Path(), folder, "pytest")
+    capture_camera_session(rig, camera, SessionRequest(folder, "pytest"))
     return folder
 
 

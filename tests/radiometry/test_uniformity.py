@@ -9,7 +9,7 @@ from scipy import stats
 from data_schemas.storage import camera_response
 from finray_calib.radiometry import band_signals, texture_variance_rel
 from rigs import paint_plan, simulated_rig
-from rigs.capture import capture_paint_session, read_frame_of
+from rigs.capture import SessionRequest, capture_paint_session, read_frame_of
 from rigs.simulated import Bench
 
 ERROR_RATE = 1e-4
@@ -49,7 +49,7 @@ def test_bands_of_a_textured_paint_cover_the_bench(tmp_path: Path):
         rig = rig.model_copy(update={"white_reference": white})
         out = tmp_path / str(seed)
         plan = paint_plan("red", rig.camera).model_copy(update={"filters": ("450", "560", "600", "630")})
-        session = capture_paint_session(rig, plan, Path(), out, "pytest")
+        session = capture_paint_session(rig, plan, SessionRequest(out, "pytest"))
         bands = band_signals(session, lambda frame, out=out: read_frame_of(out, frame))
         bench = Bench(rig, Path(), camera_response("assumed", Path()))
         slots = [f.slot for f in bands.optics.filters]

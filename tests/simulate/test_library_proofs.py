@@ -14,7 +14,7 @@ from data_schemas import FingerDesign, Indenter, MissingExtraError, SimulateErro
 from sim import _library_proofs as library_proofs
 from sim import proof_failure
 from sim.mechanics import _contact_library as contact_library
-from sim.mechanics import _press_contact as press_contact
+from sim.mechanics import _press as press
 from sim.mechanics import chosen_contact, left_out
 from sim.mechanics._contact_library import contact_library_failure
 from sim.optics import _renderer as variants
@@ -98,7 +98,7 @@ def test_another_processor_is_another_proof(monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.fixture
 def no_library(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(press_contact, "contact_library_failure", lambda: "ipctk 9 does not run here")
+    monkeypatch.setattr(press, "contact_library_failure", lambda: "ipctk 9 does not run here")
 
 
 @pytest.mark.usefixtures("no_library")
@@ -129,7 +129,7 @@ def test_what_only_the_library_can_do_is_refused(design: FingerDesign, wanted: s
 
 
 def test_with_the_library_nothing_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(press_contact, "contact_library_failure", lambda: None)
+    monkeypatch.setattr(press, "contact_library_failure", lambda: None)
     assert (chosen_contact(ROUGH), left_out(ROUGH)) == ("barrier", "")
 
 

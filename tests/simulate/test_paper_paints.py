@@ -12,7 +12,7 @@ from finray_calib.cli import _study as study
 from finray_calib.cli.main import main
 from finray_calib.reports import paper_paints_png
 from sim.experiments import reproduce_paper_paints
-from sim.experiments._paint_stand_in import LASER_NM, measure_stand_in
+from sim.experiments._paper_paints import LASER_NM, measure_stand_in
 
 RED, GREEN = "hercules_orange_ink", ("textile_yellow", "postit_yellow_3m")
 

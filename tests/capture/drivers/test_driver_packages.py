@@ -39,7 +39,7 @@ from rigs import (
     simulated_rig,
     write_rig,
 )
-from rigs.capture import capture_paint_session
+from rigs.capture import SessionRequest, capture_paint_session
 from rigs.contracts import FilterWheelContract
 from rigs.simulated import SimulatedCamera
 from tests.capture import finger_session
@@ -211,7 +211,9 @@ def captured(site: Path, folder: Path, board: GrblBoard) -> CaptureSession:
         importlib.import_module("bench_camera").CAMERA = BenchCamera(bench.camera, board, folder)
         hands = BenchHands(bench.camera)
         plan = paint_plan("red", rig.camera)
-        return capture_paint_session(rig, plan, folder, folder / "session", "finray capture", operator=hands)
+        return capture_paint_session(
+            rig, plan, SessionRequest(folder / "session", "finray capture", rig_folder=folder, operator=hands)
+        )
 
 
 def test_a_whole_session_with_devices_of_other_packages(grbl: Path, board: GrblBoard, tmp_path: Path) -> None:

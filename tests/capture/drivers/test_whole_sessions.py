@@ -22,7 +22,7 @@ from data_schemas import (
 )
 from data_schemas.storage import read_toml
 from rigs import simulated_rig, write_rig
-from rigs.capture import capture_paint_session, read_frame_of, read_session
+from rigs.capture import SessionRequest, capture_paint_session, read_frame_of, read_session
 from tests.capture.drivers.fake_gigevision_camera import fake_camera
 from tests.capture.drivers.firmware_in_qemu import build, firmware_board
 from tests.capture.drivers.indi_server import CCD, PANEL, SIMULATORS, WHEEL, IndiServer
@@ -68,7 +68,9 @@ def captured(rig: RigFile, folder: Path) -> tuple[CaptureSession, Hands]:
     region = RegionOfInterest(row_px=100, column_px=100, height_px=64, width_px=64)
     plan = PaintPlan(paint_name="red", region=region, bracket=(1.0,), darks_per_exposure=2)
     hands = Hands()
-    return capture_paint_session(stored, plan, folder, folder / "session", "finray capture", operator=hands), hands
+    return capture_paint_session(
+        stored, plan, SessionRequest(folder / "session", "finray capture", rig_folder=folder, operator=hands)
+    ), hands
 
 
 def check(session: CaptureSession, folder: Path) -> None:
