@@ -254,8 +254,8 @@ def discrepancy_posterior(errors: CaptureErrors, ln_curves: Floats, grid_deg: Fl
     `curve_posterior`; so is, for several places, the share of it that they have in common. The noise of a capture holds
     the covariance of the reports and (slope * angle uncertainty)^2: the capture was taken at an angle that is known so
     well only. Absolute ratios observe t up to the scale of their rig (flat prior). Errors relative to the no-contact
-    image of each capture observe a share s of it, which nobody measured: with a probability of 1/2 next to nothing, else
-    uniform from 0 to 1. Of the random curve they see a part with the variance s a^2, beside a hidden one with
+    image of each capture observe a share s of it, which nobody measured: with a probability of 1/2 next to nothing,
+    else uniform from 0 to 1. Of the random curve they see a part with the variance s a^2, beside a hidden one with
     (1 - s) a^2 of the same smoothness and length; of the movement the share s; and edges and reflections with the
     probability s. A small visible error so says that the whole is small, or that the share is.
 

@@ -14,6 +14,8 @@ from finray_calib.decide._sim_to_real import (
     PRIOR_ERROR_LENGTH_LOG_SD,
     PRIOR_ERROR_LOG_SD,
     PRIOR_ERROR_REL,
+    PROPORTIONAL_PROBABILITY,
+    USUAL_CONTRAST,
     edges_and_glints,
 )
 
@@ -54,11 +56,13 @@ def log_discrepancy(family: Family, rng: np.random.Generator, simulated: Floats)
     15 % from the middle to the ends), or a bump (sd 20 %) of half-width 15 deg anywhere.
     """
     if family == "model":
-        amplitude = PRIOR_ERROR_REL * np.exp(PRIOR_ERROR_LOG_SD * rng.standard_normal())
+        contrast = min(float(np.log(simulated).std()) / USUAL_CONTRAST, 1.0)
+        size = contrast if rng.random() < PROPORTIONAL_PROBABILITY else 1.0
+        amplitude = size * PRIOR_ERROR_REL * np.exp(PRIOR_ERROR_LOG_SD * rng.standard_normal())
         length_deg = PRIOR_ERROR_LENGTH_DEG * np.exp(PRIOR_ERROR_LENGTH_LOG_SD * rng.standard_normal())
         correlation = matern_correlation(FINE_DEG, FINE_DEG, length_deg, rng.choice([0.5, 1.5, 2.5]))
         shape = draw_normal(amplitude**2 * correlation, 1, rng)[0]
-        shape += edges_and_glints(FINE_DEG, 1, FINE_DEG, rng)[0]
+        shape += size * edges_and_glints(FINE_DEG, 1, FINE_DEG, rng)[0]
         moved = np.interp(FINE_DEG + MOVED_SD_DEG * rng.standard_normal(), FINE_DEG, simulated)
         return np.asarray(shape + np.log(simulated / moved))
     if family == "tilt":
