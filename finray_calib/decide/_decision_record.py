@@ -307,7 +307,8 @@ def _note_on_error(captures: CaptureErrors) -> str:
     if not captures.names:
         return (
             "no capture shows how far the finger differs from the simulation; until one does, the error is taken to be "
-            f"{_ERROR_CURVE}, of an assumed size ({_ASSUMED_SIZE}). The odds are as good as this assumption"
+            f"{_ERROR_CURVE}, of an assumed size ({_ASSUMED_SIZE}). The odds are the mean over such "
+            "errors: for a finger that has one kind of them they are mostly too low, and only captures tell"
         )
     compared = (
         "relative to the no-contact image of each capture, so an error that contact and no-contact image share is "

@@ -97,7 +97,7 @@ def verdict_of(rendered: AngleRisk, risk: AngleRisk, tolerance_rel: float, valid
     """Return the first verdict that applies.
 
     "undecided": regret from render noise alone exceeds the tolerance. "needs captures": regret with the
-    sim-to-real error does, or no capture has shown that error. "tie": the loss is small over an interval wider than
+    sim-to-real error does, or no capture has shown all of it. "tie": the loss is small over an interval wider than
     10 deg. Else "decided".
 
     Parameters
@@ -369,73 +369,6 @@ def decide_contacts(
     return _decision(judge, curves, simulated, discrepancy, discrepancy.draws(draws, rng))
 
 
-@dataclass(frozen=True, slots=True)
-class _Simulated:
-    """Expected curves (C, G), joint draws (S, C, G) with the paints, the best angle, and risk of the renders' noise."""
-
-    means: Floats
-    drawn: Floats
-    best: int
-    rendered: AngleRisk
-
-
-def _simulated(
-    judge: "_Judge",
-    contacts: Sequence[SweptContact],
-    curves: Sequence[SimulatedCurve],
-    draws: int,
-    rng: np.random.Generator,
-) -> _Simulated:
-    """Return what the simulation says if it were exact."""
-    means = np.array([curve.mean for curve in curves])
-    drawn = np.stack([curve.posterior.draws(draws, rng)[:, 0] for curve in curves], axis=1)
-    rendered = judge.risk(drawn, best := judge.best(means, None))
-    return _Simulated(means, drawn * np.exp(_paint_draws(contacts, judge.grid_deg, draws, rng)), best, rendered)
-
-
-def _decision(
-    judge: "_Judge",
-    curves: tuple[SimulatedCurve, ...],
-    simulated: _Simulated,
-    discrepancy: Discrepancy,
-    errors: ErrorDraws,
-) -> AngleDecision:
-    """Return the decision on the real curve: by the least expected regret over draws where captures tell of it."""
-    captured = discrepancy.captures > 0
-    # without captures nothing is known of the error's sign
-    error_mean = errors.whole.mean(axis=0) if captured else np.zeros_like(simulated.means)
-    # a scale common to all angles cannot change the ranking
-    real_means = simulated.means * np.exp(error_mean.mean(axis=1, keepdims=True) - error_mean)
-    drawn = simulated.drawn * np.exp(errors.whole.mean(axis=2, keepdims=True) - errors.whole)
-    by_draws = drawn if captured else None
-    risk = judge.risk(drawn, best := judge.best(real_means, by_draws))
-    at_end = judge.is_end(best)
-    verdict = verdict_of(simulated.rendered, risk, judge.tolerance_rel, captured and discrepancy.hidden is None)
-    mean_rel, sd_rel = _band(judge, real_means, drawn)
-    simulation_only_mean_rel, simulation_only_sd_rel = _band(judge, simulated.means, simulated.drawn)
-    return AngleDecision(
-        best_deg=float(judge.grid_deg[best]),
-        best_simulation_only_deg=float(judge.grid_deg[simulated.best]),
-        at_range_end=at_end,
-        # an optimum at the end of the sweep may lie outside it: no risk inside the range says anything
-        verdict="undecided" if at_end else verdict,
-        simulation_only=judge.risk(simulated.drawn, simulated.best),
-        risk=risk,
-        validated=captured,
-        curves=curves,
-        discrepancy=discrepancy,
-        error_mean=error_mean,
-        choices=judge.choices,
-        mean_rel=mean_rel,
-        sd_rel=sd_rel,
-        simulation_only_mean_rel=simulation_only_mean_rel,
-        simulation_only_sd_rel=simulation_only_sd_rel,
-        contacts=judge.losses(real_means, drawn, best, by_draws),
-        value_mean=judge.value(drawn).mean(axis=0),
-        shown_by_capture=_shown_by_capture(judge, curves[0].posterior.seen.angles_deg, errors.seen, drawn),
-    )
-
-
 def _discrepancy(curves: Sequence[SimulatedCurve], captures: CaptureErrors) -> Discrepancy:
     """Return the sim-to-real error of all places; the slope of a capture's curve tells what its angle's error does."""
     grid_deg = curves[0].posterior.grid_deg
@@ -517,6 +450,73 @@ def _band(judge: _Judge, means: Floats, drawn: Floats) -> tuple[Floats, Floats]:
     if len(means) > 1:
         return judge.value(means), np.asarray(judge.value(drawn).std(axis=0))
     return np.asarray(means[0]), np.asarray(drawn[:, 0].std(axis=0))
+
+
+@dataclass(frozen=True, slots=True)
+class _Simulated:
+    """Expected curves (C, G), joint draws (S, C, G) with the paints, the best angle, and risk of the renders' noise."""
+
+    means: Floats
+    drawn: Floats
+    best: int
+    rendered: AngleRisk
+
+
+def _simulated(
+    judge: _Judge,
+    contacts: Sequence[SweptContact],
+    curves: Sequence[SimulatedCurve],
+    draws: int,
+    rng: np.random.Generator,
+) -> _Simulated:
+    """Return what the simulation says if it were exact."""
+    means = np.array([curve.mean for curve in curves])
+    drawn = np.stack([curve.posterior.draws(draws, rng)[:, 0] for curve in curves], axis=1)
+    rendered = judge.risk(drawn, best := judge.best(means, None))
+    return _Simulated(means, drawn * np.exp(_paint_draws(contacts, judge.grid_deg, draws, rng)), best, rendered)
+
+
+def _decision(
+    judge: _Judge,
+    curves: tuple[SimulatedCurve, ...],
+    simulated: _Simulated,
+    discrepancy: Discrepancy,
+    errors: ErrorDraws,
+) -> AngleDecision:
+    """Return the decision on the real curve: by the least expected regret over draws where captures tell of it."""
+    captured = discrepancy.captures > 0
+    # without captures nothing is known of the error's sign
+    error_mean = errors.whole.mean(axis=0) if captured else np.zeros_like(simulated.means)
+    # a scale common to all angles cannot change the ranking
+    real_means = simulated.means * np.exp(error_mean.mean(axis=1, keepdims=True) - error_mean)
+    drawn = simulated.drawn * np.exp(errors.whole.mean(axis=2, keepdims=True) - errors.whole)
+    by_draws = drawn if captured else None
+    risk = judge.risk(drawn, best := judge.best(real_means, by_draws))
+    at_end = judge.is_end(best)
+    verdict = verdict_of(simulated.rendered, risk, judge.tolerance_rel, captured and discrepancy.hidden is None)
+    mean_rel, sd_rel = _band(judge, real_means, drawn)
+    simulation_only_mean_rel, simulation_only_sd_rel = _band(judge, simulated.means, simulated.drawn)
+    return AngleDecision(
+        best_deg=float(judge.grid_deg[best]),
+        best_simulation_only_deg=float(judge.grid_deg[simulated.best]),
+        at_range_end=at_end,
+        # an optimum at the end of the sweep may lie outside it: no risk inside the range says anything
+        verdict="undecided" if at_end else verdict,
+        simulation_only=judge.risk(simulated.drawn, simulated.best),
+        risk=risk,
+        validated=captured,
+        curves=curves,
+        discrepancy=discrepancy,
+        error_mean=error_mean,
+        choices=judge.choices,
+        mean_rel=mean_rel,
+        sd_rel=sd_rel,
+        simulation_only_mean_rel=simulation_only_mean_rel,
+        simulation_only_sd_rel=simulation_only_sd_rel,
+        contacts=judge.losses(real_means, drawn, best, by_draws),
+        value_mean=judge.value(drawn).mean(axis=0),
+        shown_by_capture=_shown_by_capture(judge, curves[0].posterior.seen.angles_deg, errors.seen, drawn),
+    )
 
 
 def _shown_by_capture(judge: _Judge, angles_deg: Floats, errors: Floats, drawn: Floats) -> Floats:
