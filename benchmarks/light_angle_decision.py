@@ -234,7 +234,7 @@ def _judge(found: dict[str, dict[str, float]]) -> bool:
     short = float(rates.mean() - rates.min() - LARGEST_MISS)
     rows.append(
         (
-            f"one lobe, no capture: any claim with no error above {LARGEST_MISS} too much is short by {short:.3f} (shown)",
+            f"one lobe: a claim that is nowhere {LARGEST_MISS} too much is short by {short:.3f} (shown)",
             True,
         )
     )
