@@ -31,7 +31,7 @@ from finray_calib.decide._light_angle import (
 )
 from finray_calib.decide._next_observation import Proposal, propose_capture, propose_render
 from finray_calib.decide._other_objectives import OtherOptimum, other_optima
-from finray_calib.decide._sim_to_real import COMMON_SHARE, MOVED_SD_DEG
+from finray_calib.decide._sim_to_real import MOVED_SD_DEG
 from finray_calib.decide._swept_contacts import Aim, DecidedOn, decided_on
 
 Floats = NDArray[np.float64]
@@ -45,7 +45,10 @@ _ERROR_CURVE = (
 )
 #: Shape of what is looked at where the error of the normal is decided on.
 FACET = "facet"
-_ASSUMED_SIZE = "3 %, 95 % between 0.4 % and 21 %"
+_ASSUMED_SIZE = (
+    "3 %, 95 % between 0.4 % and 21 %; with a probability of 1/2 less in proportion where the curve varies less with "
+    "the angle than is usual"
+)
 
 
 def decide(
@@ -304,11 +307,12 @@ def _note_on_error(captures: CaptureErrors) -> str:
     if not captures.names:
         return (
             "no capture shows how far the finger differs from the simulation; until one does, the error is taken to be "
-            f"{_ERROR_CURVE}, of an assumed size ({_ASSUMED_SIZE}). The odds are as good as this assumption"
+            f"{_ERROR_CURVE}, of an assumed size ({_ASSUMED_SIZE}). The odds are the mean over such "
+            "errors: for a finger that has one kind of them they are mostly too low, and only captures tell"
         )
     compared = (
         "relative to the no-contact image of each capture, so an error that contact and no-contact image share is "
-        f"not seen: it keeps its prior, assumed to be {COMMON_SHARE:.0%} of the variance"
+        "not seen; they are taken to see next to nothing with a probability of 1/2, else any share, and never decide"
         if captures.scale_of is None
         else "by exposure and LED current, up to one unknown scale for each rig"
     )

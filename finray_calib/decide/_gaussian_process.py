@@ -306,7 +306,7 @@ def quantiles(weights: Floats, values: Floats, at: Sequence[float]) -> tuple[flo
     return tuple(np.exp(np.interp(at, summed, np.log(values[order]))).tolist())
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=128)
 def _root(nu: float, length_deg: float, angles_deg: bytes) -> Floats:
     """Return a root (A, E) of the correlation of a curve at angles, given as the bytes of a float array."""
     angles = np.frombuffer(angles_deg)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from data_schemas import DecideError
 from finray_calib.decide._capture_errors import NO_CAPTURES, CaptureErrors
 from finray_calib.decide._gaussian_process import CurvePosterior, CurvePrior, curve_posterior, observations
-from finray_calib.decide._sim_to_real import Discrepancy, discrepancy_posterior
+from finray_calib.decide._sim_to_real import Discrepancy, ErrorDraws, discrepancy_posterior
 
 Floats = NDArray[np.float64]
 Verdict = Literal["decided", "tie", "undecided", "needs captures"]
@@ -97,7 +97,7 @@ def verdict_of(rendered: AngleRisk, risk: AngleRisk, tolerance_rel: float, valid
     """Return the first verdict that applies.
 
     "undecided": regret from render noise alone exceeds the tolerance. "needs captures": regret with the
-    sim-to-real error does, or no capture has shown that error. "tie": the loss is small over an interval wider than
+    sim-to-real error does, or no capture has shown all of it. "tie": the loss is small over an interval wider than
     10 deg. Else "decided".
 
     Parameters
@@ -106,7 +106,8 @@ def verdict_of(rendered: AngleRisk, risk: AngleRisk, tolerance_rel: float, valid
         With the noise of the renders alone, and with all that is not known.
     tolerance_rel : float
     validated : bool
-        Whether captures tell of the sim-to-real error. A small loss that rests on its prior decides nothing.
+        Whether captures see the whole sim-to-real error. A small loss that rests on the prior of it, or of the part
+        that image with and without contact share, decides nothing.
 
     Returns
     -------
@@ -262,8 +263,8 @@ class AngleDecision:
     value_mean : ndarray, shape (G,)
         Expected value of each angle over the joint draws.
     shown_by_capture : ndarray, shape (C, A, G + 1)
-        Covariance of the value with the sim-to-real error at each place and angle of the sweep, and last the variance
-        of that error.
+        Covariance of the value with what a capture would see of the sim-to-real error at each place and angle of the
+        sweep, and last the variance of that.
     """
 
     best_deg: float
@@ -305,32 +306,18 @@ def decide_angle(
     allowed: NDArray[np.bool_] | None = None,
     draws: int = 4000,
 ) -> AngleDecision:
-    """Decide on the angle that maximises an objective at one place, see `decide_contacts`.
+    """Decide on the angle that maximises an objective at one place.
 
     Parameters
     ----------
-    angles_deg : ndarray, shape (A,)
-        At least 4, increasing.
-    values : ndarray, shape (A, R)
-        Positive objective; column r uses the same nuisance draw r at every angle. At least 2 columns.
-    rng : numpy.random.Generator
-    tolerance_rel : float
-        Relative loss that does not matter.
-    captures : CaptureErrors
-        Simulated against captured objective.
-    allowed : ndarray of bool, shape (A,), optional
-        Angles that meet the constraints; between two angles both must.
-    draws : int
-        Joint curve draws.
+    angles_deg, values, allowed
+        Of the one place, see `SweptContact`.
+    rng, tolerance_rel, captures, draws
+        See `decide_contacts`, also for the errors raised.
 
     Returns
     -------
     AngleDecision
-
-    Raises
-    ------
-    DecideError
-        See `decide_contacts`.
     """
     contact = SweptContact(np.asarray(angles_deg, dtype=np.float64), np.asarray(values, dtype=np.float64), allowed)
     return decide_contacts([contact], rng, tolerance_rel, captures, "average", draws)
@@ -346,17 +333,10 @@ def decide_contacts(
 ) -> AngleDecision:
     """Decide on the angle that is best over the places that are touched.
 
-    Each repeat is divided by its own mean over the angles, which removes the scale that all its values share. The
-    remaining scatter is pooled, and a random curve f whose smoothness, length and amplitude are summed over is put
-    through the means on a grid of 1 deg. The real curve is f exp(p - t): p one draw of the paints, t the sim-to-real
-    error less its mean over the grid: what captures tell of it, and its prior without any (see
-    `discrepancy_posterior`). Chosen is, with captures, the angle of the least expected regret over joint draws, where
-    the light falls off steeply at one side of the greatest value a little to the other side; without, the angle of the
-    greatest value of the simulated curves. See `verdict_of` for the rules of the verdict.
-
-    Valid for an objective sampled finely enough to see its peak (10 deg for the light angle), and for repeats whose
-    mean is wanted: renders with different seeds. An error of shape that all repeats share does not average out:
-    captures show it.
+    The real curve is f exp(p - t): f a random curve through the means of the repeats, p one draw of the paints, t the
+    sim-to-real error less its mean over the grid (see `discrepancy_posterior`). Valid for an objective sampled finely
+    enough to see its peak (10 deg for the light angle), and for repeats whose mean is wanted: renders with different
+    seeds. An error of shape that all repeats share does not average out: captures show it.
 
     Parameters
     ----------
@@ -383,45 +363,10 @@ def decide_contacts(
         allowed at all places, or the tolerance is out of range.
     """
     curves = tuple(_checked_curve(contact, tolerance_rel) for contact in contacts)
-    discrepancy = _discrepancy(curves, captures)
     judge = _judge(contacts, curves, criterion, tolerance_rel)
-    means = np.array([curve.mean for curve in curves])
-    drawn = np.stack([curve.posterior.draws(draws, rng)[:, 0] for curve in curves], axis=1)
-    rendered = judge.risk(drawn, alone := judge.best(means, None))
-    drawn *= np.exp(_paint_draws(contacts, judge.grid_deg, draws, rng))
-    simulation_only = judge.risk(drawn, alone)
-    alone_band = _band(judge, means, drawn)
-    errors = discrepancy.draws(draws, rng)
-    # without captures nothing is known of the error's sign
-    error_mean = errors.mean(axis=0) if captures.names else np.zeros_like(means)
-    # a scale common to all angles cannot change the ranking
-    real_means = means * np.exp(error_mean.mean(axis=1, keepdims=True) - error_mean)
-    errors -= errors.mean(axis=2, keepdims=True)
-    drawn *= np.exp(-errors)
-    by_draws = drawn if captures.names else None
-    risk = judge.risk(drawn, best := judge.best(real_means, by_draws))
-    real_band = _band(judge, real_means, drawn)
-    return AngleDecision(
-        best_deg=float(judge.grid_deg[best]),
-        best_simulation_only_deg=float(judge.grid_deg[alone]),
-        at_range_end=judge.is_end(best),
-        # an optimum at the end of the sweep may lie outside it: no risk inside the range says anything
-        verdict="undecided" if judge.is_end(best) else verdict_of(rendered, risk, tolerance_rel, bool(captures.names)),
-        simulation_only=simulation_only,
-        risk=risk,
-        validated=bool(captures.names),
-        curves=curves,
-        discrepancy=discrepancy,
-        error_mean=error_mean,
-        choices=judge.choices,
-        mean_rel=real_band[0],
-        sd_rel=real_band[1],
-        simulation_only_mean_rel=alone_band[0],
-        simulation_only_sd_rel=alone_band[1],
-        contacts=judge.losses(real_means, drawn, best, by_draws),
-        value_mean=judge.value(drawn).mean(axis=0),
-        shown_by_capture=_shown_by_capture(judge, contacts[0].angles_deg, errors, drawn),
-    )
+    simulated = _simulated(judge, contacts, curves, draws, rng)
+    discrepancy = _discrepancy(curves, captures)
+    return _decision(judge, curves, simulated, discrepancy, discrepancy.draws(draws, rng))
 
 
 def _discrepancy(curves: Sequence[SimulatedCurve], captures: CaptureErrors) -> Discrepancy:
@@ -507,8 +452,75 @@ def _band(judge: _Judge, means: Floats, drawn: Floats) -> tuple[Floats, Floats]:
     return np.asarray(means[0]), np.asarray(drawn[:, 0].std(axis=0))
 
 
+@dataclass(frozen=True, slots=True)
+class _Simulated:
+    """Expected curves (C, G), joint draws (S, C, G) with the paints, the best angle, and risk of the renders' noise."""
+
+    means: Floats
+    drawn: Floats
+    best: int
+    rendered: AngleRisk
+
+
+def _simulated(
+    judge: _Judge,
+    contacts: Sequence[SweptContact],
+    curves: Sequence[SimulatedCurve],
+    draws: int,
+    rng: np.random.Generator,
+) -> _Simulated:
+    """Return what the simulation says if it were exact."""
+    means = np.array([curve.mean for curve in curves])
+    drawn = np.stack([curve.posterior.draws(draws, rng)[:, 0] for curve in curves], axis=1)
+    rendered = judge.risk(drawn, best := judge.best(means, None))
+    return _Simulated(means, drawn * np.exp(_paint_draws(contacts, judge.grid_deg, draws, rng)), best, rendered)
+
+
+def _decision(
+    judge: _Judge,
+    curves: tuple[SimulatedCurve, ...],
+    simulated: _Simulated,
+    discrepancy: Discrepancy,
+    errors: ErrorDraws,
+) -> AngleDecision:
+    """Return the decision on the real curve: by the least expected regret over draws where captures tell of it."""
+    captured = discrepancy.captures > 0
+    # without captures nothing is known of the error's sign
+    error_mean = errors.whole.mean(axis=0) if captured else np.zeros_like(simulated.means)
+    # a scale common to all angles cannot change the ranking
+    real_means = simulated.means * np.exp(error_mean.mean(axis=1, keepdims=True) - error_mean)
+    drawn = simulated.drawn * np.exp(errors.whole.mean(axis=2, keepdims=True) - errors.whole)
+    by_draws = drawn if captured else None
+    risk = judge.risk(drawn, best := judge.best(real_means, by_draws))
+    at_end = judge.is_end(best)
+    verdict = verdict_of(simulated.rendered, risk, judge.tolerance_rel, captured and discrepancy.hidden is None)
+    mean_rel, sd_rel = _band(judge, real_means, drawn)
+    simulation_only_mean_rel, simulation_only_sd_rel = _band(judge, simulated.means, simulated.drawn)
+    return AngleDecision(
+        best_deg=float(judge.grid_deg[best]),
+        best_simulation_only_deg=float(judge.grid_deg[simulated.best]),
+        at_range_end=at_end,
+        # an optimum at the end of the sweep may lie outside it: no risk inside the range says anything
+        verdict="undecided" if at_end else verdict,
+        simulation_only=judge.risk(simulated.drawn, simulated.best),
+        risk=risk,
+        validated=captured,
+        curves=curves,
+        discrepancy=discrepancy,
+        error_mean=error_mean,
+        choices=judge.choices,
+        mean_rel=mean_rel,
+        sd_rel=sd_rel,
+        simulation_only_mean_rel=simulation_only_mean_rel,
+        simulation_only_sd_rel=simulation_only_sd_rel,
+        contacts=judge.losses(real_means, drawn, best, by_draws),
+        value_mean=judge.value(drawn).mean(axis=0),
+        shown_by_capture=_shown_by_capture(judge, curves[0].posterior.seen.angles_deg, errors.seen, drawn),
+    )
+
+
 def _shown_by_capture(judge: _Judge, angles_deg: Floats, errors: Floats, drawn: Floats) -> Floats:
-    """Return how the value moves with the error at each place and angle (C, A, G + 1), over draws."""
+    """Return how the value moves with what a capture sees at each place and angle (C, A, G + 1), over draws."""
     at = np.abs(judge.grid_deg - angles_deg[:, None]).argmin(axis=1)
     shown = errors[..., at] - errors[..., at].mean(axis=0)
     value = judge.value(drawn)

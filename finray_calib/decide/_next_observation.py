@@ -127,9 +127,10 @@ def propose_render(decision: AngleDecision) -> Proposal | None:
 def propose_capture(decision: AngleDecision, captures: CaptureErrors) -> Proposal | None:
     """Return the place and the angle of the sweep to capture next; None where it would change nothing.
 
-    A capture shows the sim-to-real error at its place and angle, with the noise of the captures so far (median; 1 % and
-    2 deg without any). How the value of each angle moves with that error is taken from the joint draws, to first order;
-    that a capture also tells the amplitude of the error is not counted.
+    A capture shows what captures of its kind see of the sim-to-real error at its place and angle (see `ErrorDraws`),
+    with the noise of the captures so far (median; 1 % and 2 deg without any). How the value of each angle moves with
+    that is taken from the joint draws, to first order; that a capture also tells the amplitude of the error is not
+    counted.
     """
     sd_rel, angle_sd_deg = ASSUMED_CAPTURE_SD_REL, UNSTATED_ANGLE_SD_DEG
     if captures.names:

@@ -3,10 +3,10 @@
 The error of the logarithm, t = ln(simulated / real), has four parts: the curve stands at other angles, as panel, mirror
 and pad stand a little elsewhere; it has another shape, a random curve of any smoothness from 8 to 150 deg; edges of
 shadows; and narrow reflections. A part of it is common to the image with and without contact; captures that are
-compared with their own no-contact image do not see that part, and it keeps its prior.
+compared with their own no-contact image see an unknown share of the error only, and perhaps nothing.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,7 @@ from finray_calib.decide._gaussian_process import (
 )
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 #: The curve of the finger is the simulated one at angles moved by as much (standard deviation, one for all places).
 #: Where panel, mirror, pad and touch stand is known to some degrees as seen from the pad. On the flank of a lobe, 1 to
@@ -37,9 +38,15 @@ PRIOR_ERROR_LOG_SD = 1.0
 #: shadows (some degrees) and a lobe that leans (the whole sweep) are both possible.
 PRIOR_ERROR_LENGTH_DEG = 25.0
 PRIOR_ERROR_LENGTH_LOG_SD = 0.8
-#: Share of the variance that image with and without contact have in common. Nobody measured it. With three quarters,
-#: captures that do not see that part take away a seventh of the sim-only bound at most.
-COMMON_SHARE = 0.75
+#: These sizes hold for a curve whose logarithm has this standard deviation over the angle, as sweeps of a pad have
+#: (0.1 to 0.4). Errors of models are mostly found as a share of the signal; so with this probability, those of a
+#: curve that varies less are less in proportion. What the model lacks altogether is not.
+USUAL_CONTRAST = 0.3
+PROPORTIONAL_PROBABILITY = 0.5
+#: Captures beside their own no-contact images see with this probability next to nothing of the error, as both images
+#: share panel, coat and camera; else any share of it, all alike likely. Nobody measured it.
+BLIND_PROBABILITY = 0.5
+_LEAST_SHARE = 0.02
 _NODES_REL = np.geomspace(0.002, 1.0, 21)
 _LENGTHS_DEG = LENGTHS_DEG
 _SMOOTHNESSES = SMOOTHNESSES
@@ -54,6 +61,22 @@ _BEYOND_DEG = 10.0
 _SHAPES = 500
 
 
+@dataclass(frozen=True, slots=True)
+class ErrorDraws:
+    """Hold joint draws (S, C, G) of the sim-to-real error.
+
+    Attributes
+    ----------
+    whole : ndarray
+        The error, with the unknown scale of the first rig.
+    seen : ndarray
+        What one more capture of the same kind would see of it; without captures, the error less its mean over the grid.
+    """
+
+    whole: Floats
+    seen: Floats
+
+
 @dataclass(frozen=True, eq=False)
 class Discrepancy:
     """Hold the posterior of t, where captured curve = simulated curve * exp(-t), at one or more places.
@@ -64,7 +87,8 @@ class Discrepancy:
         The part that captures observe: all of t where absolute ratios are compared or there is no capture, else the
         part that belongs to the contact. The shape alone: without movement, edges and reflections.
     hidden : CurvePosterior or None
-        Prior of the part that captures do not observe.
+        The part that captures do not observe, of unit standard deviation; its size follows from that of the visible
+        part and the share that is seen.
     noise : ndarray, shape (N, N)
         Covariance of the log errors at the captures, with what the uncertainty of the angles adds.
     """
@@ -78,40 +102,84 @@ class Discrepancy:
     @cached_property
     def amplitude_quantiles_rel(self) -> tuple[float, float, float]:
         """Quantiles of the standard deviation of t at an angle, 2.5 %, 50 % and 97.5 %, without edges."""
-        weights, amplitudes = self.visible.amplitude_weights, _NODES_REL
+        share, share_weights = np.ones(1), np.ones(1)
         if self.hidden is not None:
-            weights = np.outer(weights, self.hidden.amplitude_weights).ravel()
-            amplitudes = np.hypot.outer(_NODES_REL, _NODES_REL).ravel()
-        low, median, high = quantiles(weights, amplitudes, (0.025, 0.5, 0.975))
+            share, share_weights = np.linspace(_LEAST_SHARE, 1.0, 21), np.full(21, (1 - BLIND_PROBABILITY) / 21)
+            share_weights[0] += BLIND_PROBABILITY
+        root = np.sqrt(share)
+        prior = (1 - PROPORTIONAL_PROBABILITY) * np.exp(_ln_prior(root))
+        prior += PROPORTIONAL_PROBABILITY * np.exp(_ln_prior(root * self._contrast_share))
+        weights = self.visible.amplitude_weights[:, None] * share_weights * prior / np.exp(_ln_prior(np.ones(1)))
+        amplitudes = np.divide.outer(_NODES_REL, root)
+        low, median, high = quantiles(weights.ravel() / weights.sum(), amplitudes.ravel(), (0.025, 0.5, 0.975))
         return low, median, high
 
-    def draws(self, draws: int, rng: np.random.Generator) -> Floats:
-        """Return joint draws (draws, C, G) of t, with the unknown scale of the first rig.
+    @property
+    def captures(self) -> int:
+        """Number of captures N."""
+        return int(self._seen.angles_deg.size)
 
-        Movement, edges and reflections are drawn from their prior and weighted by the likelihood of the captures,
-        summed over smoothness, length and amplitude of the rest (importance sampling).
+    def draws(self, draws: int, rng: np.random.Generator) -> ErrorDraws:
+        """Return joint draws of t, with the unknown scale of the first rig.
+
+        Movement, edges, reflections, whether sizes go with the contrast of the curve, and the share that captures see
+        are drawn from their prior and weighted by the likelihood of the captures, summed over smoothness, length and
+        amplitude of the rest (importance sampling).
         """
-        grid, at = self.visible.grid_deg, self._seen.angles_deg
-        count = _SHAPES if at.size else draws
-        everywhere = edges_and_glints(np.concatenate([grid, at]), count, grid, rng)
-        moved, moved_at = self._moved(count, rng)
-        shapes, shapes_at = everywhere[:, None, : grid.size] + moved, everywhere[:, grid.size :] + moved_at
-        # what moves or cuts the common part is not seen by captures that see the contact's part only
-        seen = np.ones(len(shapes)) if self.hidden is None else rng.random(len(shapes)) >= COMMON_SHARE
-        if at.size:
-            values = self._seen.values - seen[:, None] * shapes_at
-            ln_weights = self.visible.ln_likelihood(values)
+        shapes = self._shapes(_SHAPES if self.captures else draws, rng)
+        part_of, amplitude_of, shape = self._picked(shapes, draws, rng)
+        values = self._seen.values - shapes.at_captures[shape]
+        nodes = part_of * _NODES_REL.size + amplitude_of
+        visible = self.visible.draws(draws, rng, values, nodes)
+        curves = visible + shapes.curves[shape]
+        if self.hidden is None:
+            seen = curves if self.captures else curves - curves.mean(axis=2, keepdims=True)
+            return ErrorDraws(curves, seen)
+        unseen = _NODES_REL[amplitude_of] * np.sqrt(1 / shapes.seen_share[shape] - 1)
+        curves += unseen[:, None, None] * self.hidden.draws(draws, rng, nodes=part_of)
+        return ErrorDraws(curves, visible + shapes.seen[shape])
+
+    def _picked(self, shapes: "_Shapes", draws: int, rng: np.random.Generator) -> tuple[Indices, Indices, Indices]:
+        """Return for each draw the part (smoothness and length) and the amplitude of the rest, and the shape."""
+        if self.captures:
+            ln_weights = self.visible.ln_likelihood(self._seen.values - shapes.at_captures)
+            ln_weights += _ln_prior(shapes.size) - _ln_prior(np.ones(1))
             weights = np.exp(ln_weights - ln_weights.max()).ravel()
             picked = rng.choice(weights.size, size=draws, p=weights / weights.sum())
-            nodes, shape = np.divmod(picked, len(shapes))
-            curves = self.visible.draws(draws, rng, values[shape], nodes)
-        else:
-            shape = np.arange(draws)
-            curves = self.visible.draws(draws, rng)
-        curves += shapes[shape]
+            part_of, amplitude_of, shape = np.unravel_index(picked, ln_weights.shape)
+            return part_of, amplitude_of, shape
+        weights = self.visible.weights.sum(axis=1)
+        ln_amplitude = _ln_prior(shapes.size)
+        # the largest of logarithms with Gumbel noise is a draw by their weights
+        amplitude_of = (ln_amplitude + rng.gumbel(size=ln_amplitude.shape)).argmax(axis=0)
+        return rng.choice(weights.size, size=draws, p=weights), amplitude_of, np.arange(draws)
+
+    def _shapes(self, count: int, rng: np.random.Generator) -> "_Shapes":
+        """Return draws of what is not a Gaussian process, and what they make of the sizes of the rest."""
+        grid, at = self.visible.grid_deg, self._seen.angles_deg
+        features = edges_and_glints(np.concatenate([grid, at]), count, grid, rng)
+        moved, moved_at = self._moved(count, rng)
+        size = np.where(rng.random(count) < PROPORTIONAL_PROBABILITY, self._contrast_share, 1.0)
+        share, is_seen = np.ones(count), np.ones(count)
         if self.hidden is not None:
-            curves += self.hidden.draws(draws, rng)
-        return np.asarray(curves)
+            share = rng.uniform(_LEAST_SHARE, 1.0, count)
+            share[rng.random(count) < BLIND_PROBABILITY] = _LEAST_SHARE
+            is_seen = (rng.random(count) < share).astype(np.float64)
+        features *= size[:, None]
+        features, features_at = features[:, None, : grid.size], is_seen[:, None] * features[:, grid.size :]
+        return _Shapes(
+            curves=features + moved,
+            seen=is_seen[:, None, None] * features + share[:, None, None] * moved,
+            at_captures=features_at + share[:, None] * moved_at,
+            seen_share=share,
+            size=size * np.sqrt(share),
+        )
+
+    @property
+    def _contrast_share(self) -> float:
+        """Standard deviation of the log curves over the angle as a share of the usual one, at most 1."""
+        contrast = float(np.sqrt(self._ln_curves.var(axis=1).mean()))
+        return float(np.clip(contrast / USUAL_CONTRAST, _LEAST_SHARE, 1.0))
 
     def _moved(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
         """Return draws of ln(f(angle) / f(angle + by)), one `by` for all places, beyond the sweep as at its ends.
@@ -127,6 +195,27 @@ class Discrepancy:
             for angle, contact in zip(self._seen.angles_deg, self._seen.contact, strict=True)
         ]
         return moved, np.array(at).reshape(-1, count).T
+
+
+@dataclass(frozen=True, slots=True)
+class _Shapes:
+    """Hold S draws of t without its Gaussian process, of what captures see of it, and of the share they see.
+
+    `curves` and `seen` (S, C, G), `at_captures` (S, N), `seen_share` and `size` (S,), the factor of the amplitude of
+    what they see of the rest.
+    """
+
+    curves: Floats
+    seen: Floats
+    at_captures: Floats
+    seen_share: Floats
+    size: Floats
+
+
+def _ln_prior(factor: Floats) -> Floats:
+    """Return the log prior (A, S) of the amplitudes that are summed over: lognormal, its median times each factor."""
+    ln = -0.5 * (np.log(np.divide.outer(_NODES_REL, factor) / PRIOR_ERROR_REL) / PRIOR_ERROR_LOG_SD) ** 2
+    return np.asarray(ln - np.log(np.exp(ln - ln.max(axis=0)).sum(axis=0)) - ln.max(axis=0))
 
 
 def edges_and_glints(angles_deg: Floats, count: int, grid_deg: Floats, rng: np.random.Generator) -> Floats:
@@ -164,8 +253,11 @@ def discrepancy_posterior(errors: CaptureErrors, ln_curves: Floats, grid_deg: Fl
     The error's smoothness (Matern 1/2, 3/2, 5/2), length (8 to 150 deg) and amplitude are summed over, see
     `curve_posterior`; so is, for several places, the share of it that they have in common. The noise of a capture holds
     the covariance of the reports and (slope * angle uncertainty)^2: the capture was taken at an angle that is known so
-    well only. Absolute ratios observe t up to the scale of their rig (flat prior); errors relative to the no-contact
-    image of each capture observe the part of the contact only, a quarter of the prior variance.
+    well only. Absolute ratios observe t up to the scale of their rig (flat prior). Errors relative to the no-contact
+    image of each capture observe a share s of it, which nobody measured: with a probability of 1/2 next to nothing,
+    else uniform from 0 to 1. Of the random curve they see a part with the variance s a^2, beside a hidden one with
+    (1 - s) a^2 of the same smoothness and length; of the movement the share s; and edges and reflections with the
+    probability s. A small visible error so says that the whole is small, or that the share is.
 
     Parameters
     ----------
@@ -194,18 +286,19 @@ def discrepancy_posterior(errors: CaptureErrors, ln_curves: Floats, grid_deg: Fl
     noise = errors.covariance + np.diag((slope * errors.angle_sd_deg) ** 2)
     seen = Observations(errors.angles_deg, errors.log_error, noise, _scale_indicator(errors), errors.contact)
     if not errors.names or errors.scale_of is not None:
-        return Discrepancy(curve_posterior(_prior(1.0), seen, grid_deg, contacts), None, noise, seen, ln_curves)
+        return Discrepancy(curve_posterior(_prior(), seen, grid_deg, contacts), None, noise, seen, ln_curves)
     none = Observations(np.empty(0), np.empty(0), np.empty((0, 0)), np.empty((0, 0)), np.empty(0, dtype=np.int64))
-    visible = curve_posterior(_prior(1.0 - COMMON_SHARE), seen, grid_deg, contacts)
-    return Discrepancy(visible, curve_posterior(_prior(COMMON_SHARE), none, grid_deg, contacts), noise, seen, ln_curves)
+    visible = curve_posterior(_prior(), seen, grid_deg, contacts)
+    unit = replace(_prior(), amplitude_rel=1.0, amplitudes_rel=np.ones(1))
+    return Discrepancy(visible, curve_posterior(unit, none, grid_deg, contacts), noise, seen, ln_curves)
 
 
-def _prior(share: float) -> CurvePrior:
-    """Return the prior of a part of the error that has this share of its variance."""
+def _prior() -> CurvePrior:
+    """Return the prior of the shape."""
     return CurvePrior(
         PRIOR_ERROR_LENGTH_DEG,
         PRIOR_ERROR_LENGTH_LOG_SD,
-        PRIOR_ERROR_REL * float(np.sqrt(share)),
+        PRIOR_ERROR_REL,
         PRIOR_ERROR_LOG_SD,
         _NODES_REL,
         _SMOOTHNESSES,

@@ -14,6 +14,8 @@ from finray_calib.decide._sim_to_real import (
     PRIOR_ERROR_LENGTH_LOG_SD,
     PRIOR_ERROR_LOG_SD,
     PRIOR_ERROR_REL,
+    PROPORTIONAL_PROBABILITY,
+    USUAL_CONTRAST,
     edges_and_glints,
 )
 
@@ -54,11 +56,13 @@ def log_discrepancy(family: Family, rng: np.random.Generator, simulated: Floats)
     15 % from the middle to the ends), or a bump (sd 20 %) of half-width 15 deg anywhere.
     """
     if family == "model":
-        amplitude = PRIOR_ERROR_REL * np.exp(PRIOR_ERROR_LOG_SD * rng.standard_normal())
+        contrast = min(float(np.log(simulated).std()) / USUAL_CONTRAST, 1.0)
+        size = contrast if rng.random() < PROPORTIONAL_PROBABILITY else 1.0
+        amplitude = size * PRIOR_ERROR_REL * np.exp(PRIOR_ERROR_LOG_SD * rng.standard_normal())
         length_deg = PRIOR_ERROR_LENGTH_DEG * np.exp(PRIOR_ERROR_LENGTH_LOG_SD * rng.standard_normal())
         correlation = matern_correlation(FINE_DEG, FINE_DEG, length_deg, rng.choice([0.5, 1.5, 2.5]))
         shape = draw_normal(amplitude**2 * correlation, 1, rng)[0]
-        shape += edges_and_glints(FINE_DEG, 1, FINE_DEG, rng)[0]
+        shape += size * edges_and_glints(FINE_DEG, 1, FINE_DEG, rng)[0]
         moved = np.interp(FINE_DEG + MOVED_SD_DEG * rng.standard_normal(), FINE_DEG, simulated)
         return np.asarray(shape + np.log(simulated / moved))
     if family == "tilt":
@@ -195,5 +199,80 @@ def swept(rng: np.random.Generator) -> Pair:
     return here, (1 - share) * here + share * there
 
 
+def shares(rng: np.random.Generator) -> Pair:
+    """Light by three ways (straight, by a mirror, diffuse), whose weights and widths the simulation has wrong."""
+    tops_deg, powers = np.array([rng.uniform(0, 50), rng.uniform(40, 90)]), rng.uniform(2, 10, 2)
+    weights = np.array([1.0, rng.uniform(0.2, 0.8), rng.uniform(0.1, 0.5)])
+
+    def curve(weights: Floats, powers: Floats) -> Floats:
+        lobes = np.clip(np.cos(np.radians(FINE_DEG - tops_deg[:, None])), 0, None) ** powers[:, None]
+        return np.asarray(weights[:2] @ lobes + weights[2])
+
+    others = np.exp(0.15 * rng.standard_normal(3)), np.exp(0.2 * rng.standard_normal(2))
+    return curve(weights, powers), curve(weights * others[0], powers * others[1])
+
+
+def refracted(rng: np.random.Generator) -> Pair:
+    """A panel before a clear layer, by distance and Fresnel's transmittance; posture and index are a little wrong."""
+
+    def curve(tilt_deg: float, index: float, across: float, along: float, floor: float) -> Floats:
+        angle = np.radians(FINE_DEG)
+        distance_sq = (np.cos(angle) - along) ** 2 + (np.sin(angle) + across) ** 2
+        incident = np.radians(np.clip(np.abs(FINE_DEG - tilt_deg), 0, 89.9))
+        inside = np.arcsin(np.sin(incident) / index)
+        ratio_s = (np.cos(incident) - index * np.cos(inside)) / (np.cos(incident) + index * np.cos(inside))
+        ratio_p = (index * np.cos(incident) - np.cos(inside)) / (index * np.cos(incident) + np.cos(inside))
+        passed = 1 - (ratio_s**2 + ratio_p**2) / 2
+        return np.asarray(floor + passed * np.cos(incident) / distance_sq)
+
+    posture = np.array(
+        [rng.uniform(20, 70), rng.uniform(1.4, 1.5), rng.uniform(-0.2, 0.2), rng.uniform(-0.4, 0.4), 0.1]
+    )
+    return curve(*posture), curve(*(posture + np.array([3.0, 0.03, 0.03, 0.05, 0.02]) * rng.standard_normal(5)))
+
+
+def two_tops(rng: np.random.Generator) -> Pair:
+    """Two tops of nearly the same height, which in the finger are a few percent higher or lower each."""
+    tops_deg, widths_deg = (rng.uniform(8, 35), rng.uniform(50, 82)), rng.uniform(8, 20, 2)
+    heights = 1 + np.array([0.0, rng.uniform(-0.08, 0.08)])
+    hills = np.exp(-0.5 * ((FINE_DEG - np.array(tops_deg)[:, None]) / widths_deg[:, None]) ** 2)
+    return 0.5 + heights @ hills, 0.5 + (heights * np.exp(0.05 * rng.standard_normal(2))) @ hills
+
+
 FOREIGN = (shadow_edge, triangle, plateau, glint, near_flat, jagged, wandering, swept)
 """Simulated and real curves that no Gaussian process drew: with kinks, edges, flat tops and narrow peaks."""
+
+UNSEEN = (shares, refracted, two_tops)
+"""The same, by formulas of light: no constant of the prior was chosen by them."""
+
+
+def _lobe(rng: np.random.Generator) -> Floats:
+    return np.asarray(0.2 + np.cos(np.radians(FINE_DEG - rng.uniform(15, 60))) ** rng.uniform(1, 6))
+
+
+def moved(rng: np.random.Generator) -> Pair:
+    """Moved by 4 deg, as triangles are."""
+    curve = _lobe(rng)
+    return curve, np.interp(FINE_DEG + rng.normal(0, 4), FINE_DEG, curve)
+
+
+def leaning(rng: np.random.Generator) -> Pair:
+    """Leaning by 8 % over 60 deg, as plateaus do."""
+    curve = _lobe(rng)
+    return curve, curve * (1 + rng.normal(0, 0.08) * (FINE_DEG - 45) / 60)
+
+
+def rippled(rng: np.random.Generator) -> Pair:
+    """With waves of 0.5 to 2 %, as near-flat curves have."""
+    curve = _lobe(rng)
+    return curve, curve * np.exp(_waves(rng, rng.uniform(0.005, 0.02)))
+
+
+def compressed(rng: np.random.Generator) -> Pair:
+    """By a camera whose response is a power of about 1, with up to 10 % of stray light: the best angle stays."""
+    curve = _lobe(rng)
+    return curve, (curve + rng.uniform(0, 0.1)) ** np.exp(0.1 * rng.standard_normal())
+
+
+LOBE_ERRORS = (moved, leaning, rippled, compressed, glint, jagged, wandering)
+"""Errors of one simulated curve, of which a claim without captures cannot know which one the finger has."""

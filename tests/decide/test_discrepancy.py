@@ -7,7 +7,7 @@ from scipy.stats import multivariate_normal
 from finray_calib.decide import _sim_to_real as module
 from finray_calib.decide._capture_errors import NO_CAPTURES, CaptureErrors
 from finray_calib.decide._sim_to_real import (
-    COMMON_SHARE,
+    BLIND_PROBABILITY,
     EDGE_PROBABILITY,
     EDGE_SIZE_LOG_SD,
     EDGE_SIZE_REL,
@@ -16,6 +16,7 @@ from finray_calib.decide._sim_to_real import (
     PRIOR_ERROR_LENGTH_LOG_SD,
     PRIOR_ERROR_LOG_SD,
     PRIOR_ERROR_REL,
+    USUAL_CONTRAST,
     discrepancy_posterior,
     edges_and_glints,
 )
@@ -23,6 +24,12 @@ from tests.decide.test_gaussian_process import matern_by_bessel_functions
 
 GRID = np.linspace(0, 90, 31)
 ANGLES = np.array([12.0, 30.0, 71.0])
+
+
+@pytest.fixture(autouse=True)
+def sizes_do_not_depend_on_the_contrast(monkeypatch):
+    """Flat curves keep the formulas plain; a test of its own is on the contrast."""
+    monkeypatch.setattr(module, "PROPORTIONAL_PROBABILITY", 0.0)
 
 
 def captures(log_error, scale_of=None, sd=0.02, angles=ANGLES):
@@ -48,8 +55,8 @@ def expected(found):
 
 
 def covariance(found):
-    """Of the shape at the first place: what captures see, and what they do not."""
-    return found.visible.covariance + (0.0 if found.hidden is None else found.hidden.covariance)
+    """Of the shape at the first place that captures see."""
+    return found.visible.covariance
 
 
 def shape_mean(found):
@@ -64,7 +71,7 @@ def shape_sd(found):
 
 def shapes(found, count, seed):
     """Draws at the first place, less their means over the grid."""
-    draws = found.draws(count, np.random.default_rng(seed))[:, 0]
+    draws = found.draws(count, np.random.default_rng(seed)).whole[:, 0]
     return draws - draws.mean(axis=1, keepdims=True)
 
 
@@ -120,14 +127,13 @@ def test_posterior_agrees_with_a_dense_joint_normal(scale_of, monkeypatch):
 def test_draws_have_the_posterior_mean_and_spread(monkeypatch):
     """Without edges, what is drawn is what the formulas say."""
     monkeypatch.setattr(module, "EDGE_PROBABILITY", 0.0)
-    for scale_of in ([0, 0, 0], None):
-        found = posterior(captures([0.25, 0.05, -0.1], scale_of))
-        draws = shapes(found, 20_000, 1)
-        error = shape_sd(found) / np.sqrt(20_000)
-        # 5 standard errors over 31 correlated angles.
-        assert (np.abs(draws.mean(axis=0) - shape_mean(found)) < 5 * error).all()
-        # Mixtures of amplitudes have heavy tails: a standard deviation is good to 5 %.
-        assert draws.std(axis=0) == pytest.approx(shape_sd(found), rel=0.05)
+    found = posterior(captures([0.25, 0.05, -0.1], [0, 0, 0]))
+    draws = shapes(found, 20_000, 1)
+    error = shape_sd(found) / np.sqrt(20_000)
+    # 5 standard errors over 31 correlated angles.
+    assert (np.abs(draws.mean(axis=0) - shape_mean(found)) < 5 * error).all()
+    # Mixtures of amplitudes have heavy tails: a standard deviation is good to 5 %.
+    assert draws.std(axis=0) == pytest.approx(shape_sd(found), rel=0.05)
 
 
 def test_edges_and_reflections_have_their_sizes_and_rates(monkeypatch):
@@ -153,7 +159,7 @@ def test_a_moved_curve_is_the_simulated_one_at_another_angle(monkeypatch):
     grid = np.linspace(0, 90, 181)
     fine = np.log(0.4 + np.exp(-0.5 * ((grid - 40) / 12) ** 2))
     found = discrepancy_posterior(NO_CAPTURES, np.stack([fine, fine + 1.0]), grid)
-    draws = found.draws(4000, np.random.default_rng(5))
+    draws = found.draws(4000, np.random.default_rng(5)).whole
     real = fine - draws[:, 0]
     tops_deg = grid[real.argmax(axis=1)]
     # standard errors 0.08 and 0.06 deg, grid of 0.5 deg
@@ -188,27 +194,84 @@ def test_importance_sampling_of_edges_and_movement_agrees_with_rejection(ln_curv
     assert draws.std(axis=0) == pytest.approx(sd, rel=0.15)
 
 
-def test_one_capture_tells_the_size_of_the_contact_error_and_its_level_near_its_angle():
+def test_sizes_of_a_curve_that_varies_less_are_less_in_proportion(monkeypatch):
+    """Half of the draws of a curve of a tenth of the usual contrast have a tenth of the size, the others all of it."""
+    monkeypatch.setattr(module, "EDGE_PROBABILITY", 0.0)
+    monkeypatch.setattr(module, "MOVED_SD_DEG", 0.0)
+    # nearly of one size but for the contrast
+    monkeypatch.setattr(module, "PRIOR_ERROR_LOG_SD", 0.2)
+    monkeypatch.setattr(module, "_NODES_REL", np.geomspace(0.001, 0.09, 61))
+    rms = PRIOR_ERROR_REL * np.exp(0.2**2)
+    wave = HILL - HILL.mean()
+    low = 0.1 * USUAL_CONTRAST * wave / wave.std()
+    for probability, share in ((0.0, 1.0), (1.0, 0.1), (0.5, np.sqrt(0.505))):
+        monkeypatch.setattr(module, "PROPORTIONAL_PROBABILITY", probability)
+        draws = posterior(NO_CAPTURES, ln_curve=low).draws(20_000, np.random.default_rng(6)).whole
+        # 20 000 correlated curves: 2 %
+        assert draws.std() == pytest.approx(rms * share, rel=0.03)
+        usual = posterior(NO_CAPTURES, ln_curve=10 * low).draws(20_000, np.random.default_rng(6)).whole
+        assert usual.std() == pytest.approx(rms, rel=0.03)
+    _, median, _ = posterior(NO_CAPTURES, ln_curve=10 * low).amplitude_quantiles_rel
+    assert median == pytest.approx(PRIOR_ERROR_REL, rel=0.05)
+
+
+def test_one_capture_tells_the_size_of_the_error_and_its_level_near_its_angle():
     small, large = posterior(captures([0.01])), posterior(captures([0.4]))
     prior = posterior(NO_CAPTURES).amplitude_quantiles_rel[1]
-    # the part in common with the no-contact image stays as large as it was
-    assert np.sqrt(COMMON_SHARE) * prior < small.amplitude_quantiles_rel[1] < 0.5 * large.amplitude_quantiles_rel[1]
+    assert small.amplitude_quantiles_rel[1] < prior < 0.5 * large.amplitude_quantiles_rel[1]
     near, far = np.abs(GRID - 12).argmin(), len(GRID) - 1
     assert expected(large)[near] == pytest.approx(0.4, abs=0.03)
     assert abs(expected(large)[far]) < 0.2
     visible = large.visible.covariance
     assert visible[near, near] < 0.05 * visible[far, far]
-    assert (np.diag(covariance(large)) > np.diag(large.hidden.covariance)).all()
 
 
-def test_relative_captures_leave_the_common_part_its_prior():
-    """Perfect captures at every angle that show no error: without their exposures half of the spread stays at least."""
+def test_relative_captures_agree_with_draws_of_the_prior_weighted_by_their_likelihood(monkeypatch):
+    """Any share is visible; the draws are made here, and nothing of the update is shared."""
+    monkeypatch.setattr(module, "EDGE_PROBABILITY", 0.0)
+    monkeypatch.setattr(module, "MOVED_SD_DEG", 0.0)
+    monkeypatch.setattr(module, "_LENGTHS_DEG", np.array([25.0]))
+    monkeypatch.setattr(module, "_SMOOTHNESSES", (1.5,))
+    monkeypatch.setattr(module, "_SHAPES", 3000)
+    # lighter tails, so that standard deviations of draws say something
+    monkeypatch.setattr(module, "PRIOR_ERROR_LOG_SD", 0.5)
+    rng = np.random.default_rng(8)
+    count = 200_000
+    share = np.where(rng.random(count) < BLIND_PROBABILITY, 0.02, rng.uniform(0.02, 1, count))
+    size = PRIOR_ERROR_REL * np.exp(0.5 * rng.standard_normal(count))
+    root = np.linalg.cholesky(matern_by_bessel_functions(GRID, 25.0, 1.5) + 1e-9 * np.eye(31)).T
+    visible, hidden = (size[:, None] * (rng.standard_normal((count, 31)) @ root) for _ in range(2))
+    visible *= np.sqrt(share)[:, None]
+    whole = visible + np.sqrt(1 - share)[:, None] * hidden
+    at = [4, 10, 23]
+    errors = captures([0.05, -0.02, 0.01], None, angles=GRID[at])
+    found = posterior(errors).draws(20_000, np.random.default_rng(9))
+    ln_weights = multivariate_normal.logpdf(visible[:, at] - errors.log_error, np.zeros(3), errors.covariance)
+    weights = np.exp(ln_weights - ln_weights.max())
+    weights /= weights.sum()
+    kept = 1 / (weights**2).sum()
+    for drawn, prior in ((found.whole, whole), (found.seen, visible)):
+        mean = weights @ prior
+        sd = np.sqrt(weights @ (prior - mean) ** 2)
+        error = sd * np.sqrt(1 / kept + 1 / 1000)  # 3000 shares, of which some have weight
+        assert (np.abs(drawn[:, 0].mean(axis=0) - mean) < 5 * error).all()
+        # 20 000 draws of 1000 shares that have weight
+        assert drawn[:, 0].std(axis=0) == pytest.approx(sd, rel=0.08)
+
+
+def test_relative_captures_tell_less_than_absolute_ones_and_more_than_none():
+    """Perfect captures at every angle that show no error: the whole may still hide in what both images share."""
     angles = np.arange(0.0, 91.0, 10.0)
-    exact = posterior(captures([0.0] * 10, [0] * 10, sd=0.002, angles=angles))
-    relative = posterior(captures([0.0] * 10, None, sd=0.002, angles=angles))
-    prior = posterior(NO_CAPTURES)
-    assert shape_sd(exact).max() < 0.1 * shape_sd(prior).min()
-    assert (shape_sd(relative) > 0.8 * shape_sd(prior)).all()
+    zero = np.zeros(10)
+    exact, relative, none = (
+        np.abs(shapes(posterior(errors), 4000, 7)).mean()
+        for errors in (
+            captures(zero, [0] * 10, sd=0.002, angles=angles),
+            captures(zero, None, sd=0.002, angles=angles),
+            NO_CAPTURES,
+        )
+    )
+    assert 3 * exact < 0.7 * none < relative < none
 
 
 def test_a_common_scale_of_one_rig_changes_nothing():

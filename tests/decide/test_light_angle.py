@@ -13,7 +13,7 @@ from benchmarks.light_angle_decision import (
 from data_schemas import DecideError
 from finray_calib.decide import decide_angle
 from finray_calib.decide._capture_errors import CaptureErrors
-from tests.decide.curves import FINE_DEG, FOREIGN, SWEEP_DEG, regret_of, shadow_edge, sweep
+from tests.decide.curves import FINE_DEG, FOREIGN, SWEEP_DEG, UNSEEN, regret_of, shadow_edge, sweep, triangle
 
 PEAK = 0.5 + np.exp(-0.5 * ((FINE_DEG - 33) / 20) ** 2)
 
@@ -104,6 +104,12 @@ def test_each_verdict_is_reached():
     exact = captures([0, 5, 15, 25, 30, 35, 45, 55, 65, 75, 85, 90], 0.0)
     assert decide(flat, captures=exact).verdict == "tie"
     assert decide(flat).verdict == "needs captures"
+    # even a loss of a half does not count as decided on captures that may not see the error
+    options = {"tolerance_rel": 0.5, "draws": 500}
+    unseen = decide(clear, captures=captures([10, 30, 50], 0.0, absolute=False), **options)
+    assert unseen.risk.regret_95_rel < 0.5
+    assert unseen.verdict == "needs captures"
+    assert decide(clear, captures=captures([10, 30, 50], 0.0), **options).verdict in {"decided", "tie"}
 
 
 def test_without_captures_the_error_has_its_prior():
@@ -116,7 +122,7 @@ def test_without_captures_the_error_has_its_prior():
     assert decision.risk.equivalent_deg == ()
 
 
-@pytest.mark.parametrize("family", FOREIGN, ids=lambda family: family.__name__)
+@pytest.mark.parametrize("family", FOREIGN + UNSEEN, ids=lambda family: family.__name__)
 def test_claims_hold_on_curves_of_another_kind(family):
     """Kinks, shadow edges, flat tops and glints that no Gaussian process drew; the benchmark does 60 to 600 of each.
 
@@ -131,17 +137,18 @@ def test_claims_hold_on_curves_of_another_kind(family):
         # Binomial(25, 0.95): below 21 with probability 0.007
         assert outcome.coverage_of_95 >= 21 / 25
     assert without.decided == 0
-    # captures by absolute ratios bring the bound down; those that do not see the common part can hardly
+    # captures by absolute ratios bring the bound down; those that may not see the common part do so less
     assert absolute.bound < 0.6 * without.bound
-    assert relative.bound > 0.6 * without.bound
+    assert absolute.bound < 0.8 * relative.bound
 
 
-def test_captures_that_cannot_see_the_error_do_not_decide():
+@pytest.mark.parametrize("family", [shadow_edge, triangle], ids=lambda family: family.__name__)
+def test_captures_that_cannot_see_the_error_do_not_decide(family):
     """Relative captures that show no error, while the finger's no-contact image shares all of it."""
     rng = np.random.default_rng(31)
     claimed, true, decided = [], [], []
     for _ in range(25):
-        simulated, real = shadow_edge(rng)
+        simulated, real = family(rng)
         blind = captures(FIVE_DEG, np.zeros(5), absolute=False)
         decision = decide(sweep(simulated, rng, 0.02, 3), captures=blind, draws=300)
         claimed.append(decision.risk.p_within_tolerance)
