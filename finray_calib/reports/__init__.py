@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     )
     from finray_calib.reports._check_page import check_report, history_page
     from finray_calib.reports._comparison_figures import error_map_figure, force_figure_png, score_figure
-    from finray_calib.reports._comparison_page import comparison_page
+    from finray_calib.reports._comparison_page import comparison_page, skill_number
     from finray_calib.reports._comparison_statements import (
         error_table,
         grid_phrase,
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         decision_validation,
         mounting_picture,
         places_part,
+        verdict_light,
         verdict_sentence,
         verdict_words,
     )
@@ -69,15 +70,19 @@ if TYPE_CHECKING:
     )
     from finray_calib.reports._page import (
         Content,
+        KeyNumber,
+        Part,
         Picture,
+        PicturePair,
+        ReportPage,
         ReportTable,
-        Section,
         drawing,
         figure_png,
         one_group,
         provenance_table,
         raster,
-        render_page,
+        report_html,
+        trust_part,
     )
     from finray_calib.reports._plain_text import (
         Json,
@@ -111,12 +116,15 @@ __all__ = [
     "Content",
     "FittedPaint",
     "Json",
+    "KeyNumber",
     "PaintTruth",
+    "Part",
     "Picture",
+    "PicturePair",
     "PressPictures",
     "RecordPlot",
+    "ReportPage",
     "ReportTable",
-    "Section",
     "angle_figure",
     "batch_lines",
     "batch_page",
@@ -178,7 +186,7 @@ __all__ = [
     "ranking_figure",
     "raspberry_pi_display",
     "raster",
-    "render_page",
+    "report_html",
     "require_denoiser",
     "row_of",
     "score_figure",
@@ -188,6 +196,7 @@ __all__ = [
     "signals_table",
     "significant",
     "simulation_sentence",
+    "skill_number",
     "spot_sentence",
     "spots_note",
     "spread_sentence",
@@ -195,8 +204,10 @@ __all__ = [
     "to_display",
     "touch_pair",
     "true_value",
+    "trust_part",
     "two_lights_png",
     "untouched_finger_png",
+    "verdict_light",
     "verdict_sentence",
     "verdict_words",
 ]
