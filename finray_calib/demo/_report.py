@@ -66,7 +66,9 @@ from finray_calib.reports import (
     ReportTable,
     angle_figure,
     clipped_remark,
+    comparison_methods,
     decimals_for,
+    decision_methods,
     decision_numbers,
     decision_table,
     display_remark,
@@ -76,11 +78,13 @@ from finray_calib.reports import (
     error_map_figure,
     error_table,
     figure_png,
+    fit_methods,
     fit_parts,
     fixed,
     grid_phrase,
     headline,
     level_a_sentence,
+    methods_part,
     mounting_picture,
     one_group,
     pad_window,
@@ -138,11 +142,22 @@ def demo_report(results: DemoResults) -> str:
                 Part("What was seen", _seen(results)),
                 trust_part(trust_limits(results), all_notes(results), assumptions(results)),
                 *sections(results),
+                methods_part(_methods(results), results.provenance),
             ),
             origin=provenance_table(results.provenance),
             command=results.command,
             summary=summary(results),
         )
+    )
+
+
+def _methods(results: DemoResults) -> tuple[str, ...]:
+    """Return the methods of all stages."""
+    paints = (fit_methods(results.paints[colour].fitted) for colour in COLOURS)
+    return (
+        *(text for paint in paints for text in paint),
+        *comparison_methods(results.report),
+        *decision_methods(results.decision, results.sweep),
     )
 
 

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
         row_of,
         simulation_sentence,
     )
-    from finray_calib.reports._contact_sheet import ContactSheet, sensed_png
     from finray_calib.reports._decision_figures import angle_figure, true_value
     from finray_calib.reports._decision_page import (
         decision_numbers,
@@ -58,6 +57,7 @@ if TYPE_CHECKING:
     from finray_calib.reports._fitted_paint import FittedPaint, PaintTruth, fit_summary
     from finray_calib.reports._images import (
         ByteImage,
+        ContactSheet,
         clipped_remark,
         denoised,
         display_remark,
@@ -65,9 +65,11 @@ if TYPE_CHECKING:
         pad_window,
         raspberry_pi_display,
         require_denoiser,
+        sensed_png,
         to_display,
         touch_pair,
     )
+    from finray_calib.reports._methods import comparison_methods, decision_methods, fit_methods, methods_part
     from finray_calib.reports._page import (
         Content,
         KeyNumber,
@@ -134,8 +136,10 @@ __all__ = [
     "check_report",
     "clipped_remark",
     "comparison_lines",
+    "comparison_methods",
     "comparison_page",
     "decimals_for",
+    "decision_methods",
     "decision_numbers",
     "decision_page",
     "decision_table",
@@ -153,6 +157,7 @@ __all__ = [
     "finger_outline",
     "finger_page",
     "finger_page_png",
+    "fit_methods",
     "fit_parts",
     "fit_summary",
     "fixed",
@@ -165,6 +170,7 @@ __all__ = [
     "interval_text",
     "level_a_sentence",
     "light_angle_png",
+    "methods_part",
     "model_statement",
     "mounting_picture",
     "no_emission_page",

@@ -9,6 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from data_schemas import AcceptanceReport, CheckResult, CheckVerdict, package_version
 from finray_calib.acceptance import GUARD_FACTOR, SECTIONS, History, Watched, value_text
+from finray_calib.reports._methods import check_methods, methods_part
 from finray_calib.reports._page import (
     Content,
     KeyNumber,
@@ -81,6 +82,7 @@ def check_report(report: AcceptanceReport) -> str:
                 *found_part(f"{result.verdict}: {result.name}: {_short(result)}" for result in look),
                 Part("Checks", Content(rule, tables=(_results(report),))),
                 Part("Devices", Content(tables=(_devices(report),), parts=notes)),
+                methods_part(check_methods(GUARD_FACTOR), report.provenance),
             ),
             origin=None if report.provenance is None else provenance_table(report.provenance),
             command="" if report.provenance is None else report.provenance.command,

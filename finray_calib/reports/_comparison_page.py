@@ -48,6 +48,7 @@ from finray_calib.reports._images import (
     touch_changes,
     touch_pictures,
 )
+from finray_calib.reports._methods import comparison_methods, methods_part
 from finray_calib.reports._page import (
     Content,
     KeyNumber,
@@ -113,6 +114,7 @@ def comparison_page(
                 *found_part(_findings(report)),
                 trust_part(words.limits(report), report.notes),
                 *_sections(report, press, capture, pictures),
+                methods_part(comparison_methods(report), report.provenance),
             ),
             command=command,
             origin=files_table(digests, package_version()),

@@ -24,6 +24,7 @@ from finray_calib.reports._decision_figures import (
     mounting_figure,
     other_objectives_figure,
 )
+from finray_calib.reports._methods import decision_methods, methods_part
 from finray_calib.reports._page import (
     Content,
     KeyNumber,
@@ -81,6 +82,7 @@ def decision_page(
                 *_opening(decision),
                 trust_part(limits(decision), (*decision.notes, *(n for n in told if n not in decision.notes))),
                 *_sections(decision, sweeps),
+                methods_part(decision_methods(decision, sweep), decision.provenance),
             ),
             command=command,
             origin=files_table(digests, package_version()),

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from data_schemas import DesignValue, StudyMetric, StudyPoint, StudyResult, StudyRow
 from finray_calib.reports._images import ByteImage, to_display
+from finray_calib.reports._methods import methods_part, study_methods
 from finray_calib.reports._page import (
     Content,
     KeyNumber,
@@ -84,6 +85,7 @@ def design_study_page(
                 *found_part(f"Point {f.number} ({_words(f.changes)}) failed: {f.reason}" for f in result.failures),
                 trust_part(_LIMITS, notes),
                 *_sections(result, points),
+                methods_part(study_methods(result), result.provenance),
             ),
             command=command,
             origin=files_table(digests, version),
@@ -123,6 +125,7 @@ def _sentence(result: StudyResult) -> str:
         rows.sort(key=lambda pair: pair[0].value, reverse=is_high)
         (best, where), (second, _) = rows[0], rows[1]
         sure = "" if _apart(best, second) else ", within its interval of the next"
+        sure = ", as at other points" if best.value == second.value else sure
         parts.append(f"{words} at {_words(where.changes)} ({_value(best)}{sure})")
     told = "; ".join(parts)
     return f"{told[:1].upper()}{told[1:]}." if parts else "One point was computed."
@@ -137,7 +140,7 @@ def _apart(one: StudyMetric, other: StudyMetric) -> bool:
 
 def _key_numbers(result: StudyResult) -> Iterator[KeyNumber]:
     """Yield the range of the metrics that stand beside the verdict, and whether it is more than their intervals."""
-    for name in _SHOWN:
+    for name in dict.fromkeys((*_SHOWN, *_metric_names(result))):
         metrics = sorted((m for row in result.points if (m := _found(row, name)) is not None), key=lambda m: m.value)
         if metrics:
             low, high = metrics[0], metrics[-1]

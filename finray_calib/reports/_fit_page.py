@@ -29,6 +29,7 @@ from finray_calib.reports._fit_statements import (
     signals_table,
 )
 from finray_calib.reports._fitted_paint import FittedPaint, fit_summary
+from finray_calib.reports._methods import fit_methods, methods_part
 from finray_calib.reports._page import (
     Content,
     KeyNumber,
@@ -84,6 +85,7 @@ def paint_report(paint: PaintCalibration, bands: BandSignals) -> str:
                 replace(emission, content=shown_above),
                 *parts,
                 _fit_signals(fitted),
+                methods_part(fit_methods(fitted), paint.provenance),
             ),
             origin=None if paint.provenance is None else provenance_table(paint.provenance),
             command="" if paint.provenance is None else paint.provenance.command,
