@@ -101,6 +101,27 @@ def test_the_verdict_is_where_the_interval_lies(interval, floor, verdict, says):
     assert says in words.verdict_meaning(report)
 
 
+@pytest.mark.parametrize(
+    ("interval", "light"),
+    [((-0.1, 0.1, 0.3), "bad"), ((0.0, 0.5, 0.95), "bad"), ((0.5, 0.93, 0.99), "care"), ((0.9, 0.95, 0.99), "good")],
+)
+def test_the_light_of_the_skill_follows_its_interval_not_its_estimate(interval, light):
+    html = page_of(with_skill(*interval))
+    assert f'<section class="verdict {light}"' in html
+    assert f'<div class="{light}"><dt>Skill of the simulation</dt>' in html
+
+
+def test_without_a_repeat_or_a_brightness_the_bounds_stand_in_their_place():
+    report = with_skill(0.8, 0.9, 0.95, floor=False).model_copy(update={"objective_error": None})
+    html = page_of(report)
+    labels = re.findall(r'<div class="(\w+)"><dt>([^<]+)</dt>', html)
+    assert labels == [
+        ("care", "Skill of the simulation"),
+        ("care", "A repeated capture"),
+        ("unjudged", "Doing nothing"),
+    ]
+
+
 def test_no_more_than_all_is_explained():
     text = plain(Page(page_of(with_skill(0.95, 1.02, 1.1))))
     assert "explains all of the squared change in the image: skill 1.020 [0.950, 1.100]" in text

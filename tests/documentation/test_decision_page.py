@@ -104,6 +104,21 @@ def test_at_the_end_of_the_sweep_nothing_is_promised():
         assert absent not in text
 
 
+@pytest.mark.parametrize(
+    ("expected", "most", "light"), [(0.003, 0.014, "good"), (0.003, 0.021, "care"), (0.021, 0.05, "bad")]
+)
+def test_the_light_of_the_loss_follows_the_tolerance(expected, most, light):
+    claim = DECISION.statement.model_copy(update={"expected_regret": expected, "regret_95": most})
+    html = page_of(DECISION.model_copy(update={"statement": claim}))
+    assert f'<div class="{light}"><dt>Another angle may be better</dt>' in html
+
+
+def test_the_end_of_a_sweep_is_never_green():
+    html = page_of(DECISION.model_copy(update={"at_range_end": True}))
+    assert '<section class="verdict care"' in html
+    assert '<div class="bad"><dt>Light angle</dt>' in html
+
+
 def test_without_a_capture_it_is_said_at_once():
     html = page_of(ALONE)
     assert (

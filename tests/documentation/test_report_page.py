@@ -60,6 +60,39 @@ def test_the_figures_themselves_load_nothing(page: Page) -> None:
         assert all(ref.startswith(("#", "data:")) for ref in re.findall(r'href="([^"]*)"', svg))
 
 
+def test_the_page_travels_by_post(html: str) -> None:
+    assert len(html.encode()) < 6_000_000
+
+
+def test_what_a_slider_lays_over_each_other_has_one_size_and_stands_side_by_side_without_script(html: str) -> None:
+    pairs = re.findall(r'<div class="pair" data-label="([^"]+)">(.*?)</div>', html, re.DOTALL)
+    assert [label for label, _ in pairs] == [
+        "Slide between the captured images without and with contact",
+        "Slide between the captured and the simulated touch",
+    ]
+    for _, inside in pairs:
+        images = [base64.b64decode(text) for text in re.findall(r'src="data:image/png;base64,([^"]+)"', inside)]
+        assert len(images) == 2
+        assert images[0][16:24] == images[1][16:24]  # width and height of a PNG
+    assert Page(html).all("input") == []
+
+
+def test_every_number_of_the_first_screen_is_judged_in_words(page: Page, html: str) -> None:
+    numbers = re.findall(r'<div class="(good|care|bad|unjudged)"><dt>', html)
+    assert len(numbers) == 3
+    words = {"good": "\u2713 good", "care": "! with care", "bad": "\u2717 not good"}
+    for light in set(numbers) - {"unjudged"}:
+        assert page.prose.count(words[light]) >= numbers.count(light)
+
+
+def test_contents_name_every_section(html: str) -> None:
+    listed = re.findall(r'<li><a href="#([^"]+)">([^<]+)</a>', html)
+    assert listed == re.findall(r'<summary><h2 id="([^"]+)">([^<]+)</h2>', html)
+    assert ("compare", "Compare") in listed
+    folds = re.findall(r"<details( open)?>\s*<summary><h2 id=\"([^\"]+)\"", html)
+    assert [name for is_open, name in folds if not is_open] == ["methods-for-a-paper", "reproduce"]
+
+
 def test_every_image_says_its_conclusion_in_words(page: Page) -> None:
     texts = [image["alt"] for image in page.all("img")]
     assert all(text is not None and len(text) > 20 for text in texts)
