@@ -216,7 +216,8 @@ def _key_number(result: CertifiedResult) -> KeyNumber:
     if not result.is_measured:
         return KeyNumber(title, NO_VALUE, value, "care", "mostly prior")
     shown = f"{value} {result.unit}".rstrip()
-    light, reason = ("good", "measured") if result.verdict is None else (_LIGHTS[result.verdict], _judged(result)[1])
+    light: Light = "good" if result.verdict is None else _LIGHTS[result.verdict]
+    reason = "measured" if result.verdict is None else _judged(result)[1]
     return KeyNumber(title, shown, f"U = {expanded}; 95 %: {between}", light, reason)
 
 
