@@ -165,7 +165,7 @@ def _key_numbers(report: PhotometricErrorReport) -> tuple[KeyNumber, ...]:
     error = report.objective_error.error_rel
     between = f"95 %: {signed_percent(error.low95)} to {signed_percent(error.high95)}"
     is_seen = not error.low95 <= 0 <= error.high95
-    reason = f"the interval {'leaves out' if is_seen else 'holds'} 0, no difference"
+    reason = "its interval does not hold 0, so a difference is seen" if is_seen else "its interval holds 0"
     brightness = signed_percent(error.estimate)
     return (
         *numbers,
