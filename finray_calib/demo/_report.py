@@ -57,13 +57,18 @@ from finray_calib.demo._stages import (
 from finray_calib.reports import (
     ByteImage,
     Content,
+    KeyNumber,
     PaintTruth,
+    Part,
     Picture,
+    PicturePair,
+    ReportPage,
     ReportTable,
-    Section,
     angle_figure,
     clipped_remark,
+    comparison_methods,
     decimals_for,
+    decision_methods,
     decision_numbers,
     decision_table,
     display_remark,
@@ -73,11 +78,13 @@ from finray_calib.reports import (
     error_map_figure,
     error_table,
     figure_png,
+    fit_methods,
     fit_parts,
     fixed,
     grid_phrase,
     headline,
     level_a_sentence,
+    methods_part,
     mounting_picture,
     one_group,
     pad_window,
@@ -87,14 +94,16 @@ from finray_calib.reports import (
     pressed_finger_png,
     provenance_table,
     raster,
-    render_page,
-    row_of,
+    report_html,
     score_figure,
     signals_table,
     significant,
     simulation_sentence,
+    skill_number,
     to_display,
     touch_pair,
+    trust_part,
+    verdict_light,
     verdict_sentence,
     verdict_words,
 )
@@ -102,8 +111,6 @@ from finray_calib.sensing import rgb_image
 from rigs.capture import read_frame_of, read_session
 from rigs.simulated import lay_out
 from rigs.simulated.sensor import bayer_planes
-
-TEMPLATE = "demo_report.html.j2"
 
 
 def demo_report(results: DemoResults) -> str:
@@ -119,40 +126,49 @@ def demo_report(results: DemoResults) -> str:
     str
         HTML text; equal input gives equal text.
     """
-    return render_page(
-        TEMPLATE,
-        verdict=verdict_sentence(results.decision),
-        key_numbers=_key_numbers(results),
-        first_look=_first_look(results),
-        findings=_findings(results),
-        limits=trust_limits(results),
-        assumptions=assumptions(results),
-        notes=all_notes(results),
-        sections=sections(results),
-        provenance=provenance_table(results.provenance),
-        command=results.command,
-        summary=summary(results),
-    )
-
-
-def _key_numbers(results: DemoResults) -> tuple[tuple[str, str, str], ...]:
-    """Return (label, value, remark) of the few numbers that stand beside the verdict."""
-    decision, report = results.decision, results.report
-    skill, floor = report.headline_skill, row_of(headline(report), "floor")
-    repeated = "no repeat captured" if floor is None else f"a repeated capture {fixed(floor.skill.estimate, 3)}"
-    return (
-        *decision_numbers(decision),
-        (
-            "Simulation skill",
-            fixed(skill.estimate, 2),
-            f"95 %: {fixed(skill.low95, 2)} to {fixed(skill.high95, 2)}; do nothing 0, {repeated}",
-        ),
-    )
-
-
-def _first_look(results: DemoResults) -> Content:
-    """Show the touch before and after, the finger with its light, and both spectra."""
+    decision = results.decision
     untouched, touched, _ = _strip(results)
+    return report_html(
+        ReportPage(
+            verb="finray demo",
+            title="From a painted sample to a light angle",
+            lead="Two fluorescent paints were calibrated, the finger was simulated with them, the simulation was "
+            "compared with a capture, and an angle for the blue light was chosen.",
+            verdict=verdict_sentence(decision),
+            light=verdict_light(decision),
+            picture=PicturePair(untouched, touched, "Slide between the captured images without and with contact"),
+            key_numbers=_key_numbers(results),
+            parts=(
+                Part("What was seen", _seen(results)),
+                trust_part(trust_limits(results), all_notes(results), assumptions(results)),
+                *sections(results),
+                methods_part(_methods(results), results.provenance),
+            ),
+            origin=provenance_table(results.provenance),
+            command=results.command,
+            summary=summary(results),
+        )
+    )
+
+
+def _methods(results: DemoResults) -> tuple[str, ...]:
+    """Return the methods of all stages."""
+    paints = (fit_methods(results.paints[colour].fitted) for colour in COLOURS)
+    return (
+        *(text for paint in paints for text in paint),
+        *comparison_methods(results.report),
+        *decision_methods(results.decision, results.sweep),
+    )
+
+
+def _key_numbers(results: DemoResults) -> tuple[KeyNumber, ...]:
+    """Return whether the angle is decided, what may be lost, and how good the simulation is."""
+    decided, *_, most = decision_numbers(results.decision)
+    return (decided, *([most] if most != decided else []), skill_number(results.report))
+
+
+def _seen(results: DemoResults) -> Content:
+    """Show the finger with its light and both spectra, and say what was found."""
     spectra = tuple(
         drawing(
             emission_figure(results.paints[colour].fitted),
@@ -162,8 +178,9 @@ def _first_look(results: DemoResults) -> Content:
         for colour in COLOURS
     )
     return Content(
-        "The pad before and after the touch, as the camera saw it; the light on the finger; and what the paints emit.",
-        picture_rows=((untouched, touched, mounting_picture(results.decision, results.sweep)), spectra),
+        "The light on the finger, and what the paints emit.",
+        picture_rows=((mounting_picture(results.decision, results.sweep),), spectra),
+        points=_findings(results),
     )
 
 
@@ -174,11 +191,11 @@ def _findings(results: DemoResults) -> tuple[str, ...]:
     return (simulation_sentence(results.report), *paints, *([] if truth is None else [truth]))
 
 
-def sections(results: DemoResults) -> tuple[Section, ...]:
+def sections(results: DemoResults) -> tuple[Part, ...]:
     """Return the six stages of a run in order, with their figures and tables."""
     makers = (_capture, _radiometry, _fit, simulate_section, compare_section, _decide)
     return tuple(
-        Section(stage, duration(results.stage_wall_times_s[stage]), make(results))
+        Part(stage.capitalize(), make(results), note=duration(results.stage_wall_times_s[stage]))
         for stage, make in zip(STAGES, makers, strict=True)
     )
 
@@ -356,7 +373,7 @@ def compare_section(results: DemoResults) -> Content:
         remarks.insert(0, level_a_sentence(report, results.report_level_a))
     return Content(
         lead=lead,
-        picture_rows=(_strip(results), _drawings(results)),
+        picture_rows=((_touched(results),), _drawings(results)),
         remarks=tuple(remarks),
         tables=(error_table(report, results.report_level_a),),
     )
@@ -382,6 +399,12 @@ def _strip(results: DemoResults) -> tuple[Picture, ...]:
             "Simulated, contact. What to see: inside the outline it should look like the capture, but for noise.",
         ),
     )
+
+
+def _touched(results: DemoResults) -> PicturePair:
+    """Return the touch as captured and as simulated."""
+    _, captured, simulated = _strip(results)
+    return PicturePair(captured, simulated, "Slide between the captured and the simulated touch")
 
 
 def _drawings(results: DemoResults) -> tuple[Picture, ...]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     )
     from finray_calib.reports._check_page import check_report, history_page
     from finray_calib.reports._comparison_figures import error_map_figure, force_figure_png, score_figure
-    from finray_calib.reports._comparison_page import comparison_page
+    from finray_calib.reports._comparison_page import comparison_page, skill_number
     from finray_calib.reports._comparison_statements import (
         error_table,
         grid_phrase,
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
         row_of,
         simulation_sentence,
     )
-    from finray_calib.reports._contact_sheet import ContactSheet, sensed_png
     from finray_calib.reports._decision_figures import angle_figure, true_value
     from finray_calib.reports._decision_page import (
         decision_numbers,
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
         decision_validation,
         mounting_picture,
         places_part,
+        verdict_light,
         verdict_sentence,
         verdict_words,
     )
@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from finray_calib.reports._fitted_paint import FittedPaint, PaintTruth, fit_summary
     from finray_calib.reports._images import (
         ByteImage,
+        ContactSheet,
         clipped_remark,
         denoised,
         display_remark,
@@ -64,20 +65,26 @@ if TYPE_CHECKING:
         pad_window,
         raspberry_pi_display,
         require_denoiser,
+        sensed_png,
         to_display,
         touch_pair,
     )
+    from finray_calib.reports._methods import comparison_methods, decision_methods, fit_methods, methods_part
     from finray_calib.reports._page import (
         Content,
+        KeyNumber,
+        Part,
         Picture,
+        PicturePair,
+        ReportPage,
         ReportTable,
-        Section,
         drawing,
         figure_png,
         one_group,
         provenance_table,
         raster,
-        render_page,
+        report_html,
+        trust_part,
     )
     from finray_calib.reports._plain_text import (
         Json,
@@ -111,12 +118,15 @@ __all__ = [
     "Content",
     "FittedPaint",
     "Json",
+    "KeyNumber",
     "PaintTruth",
+    "Part",
     "Picture",
+    "PicturePair",
     "PressPictures",
     "RecordPlot",
+    "ReportPage",
     "ReportTable",
-    "Section",
     "angle_figure",
     "batch_lines",
     "batch_page",
@@ -126,8 +136,10 @@ __all__ = [
     "check_report",
     "clipped_remark",
     "comparison_lines",
+    "comparison_methods",
     "comparison_page",
     "decimals_for",
+    "decision_methods",
     "decision_numbers",
     "decision_page",
     "decision_table",
@@ -145,6 +157,7 @@ __all__ = [
     "finger_outline",
     "finger_page",
     "finger_page_png",
+    "fit_methods",
     "fit_parts",
     "fit_summary",
     "fixed",
@@ -157,6 +170,7 @@ __all__ = [
     "interval_text",
     "level_a_sentence",
     "light_angle_png",
+    "methods_part",
     "model_statement",
     "mounting_picture",
     "no_emission_page",
@@ -178,7 +192,7 @@ __all__ = [
     "ranking_figure",
     "raspberry_pi_display",
     "raster",
-    "render_page",
+    "report_html",
     "require_denoiser",
     "row_of",
     "score_figure",
@@ -188,6 +202,7 @@ __all__ = [
     "signals_table",
     "significant",
     "simulation_sentence",
+    "skill_number",
     "spot_sentence",
     "spots_note",
     "spread_sentence",
@@ -195,8 +210,10 @@ __all__ = [
     "to_display",
     "touch_pair",
     "true_value",
+    "trust_part",
     "two_lights_png",
     "untouched_finger_png",
+    "verdict_light",
     "verdict_sentence",
     "verdict_words",
 ]

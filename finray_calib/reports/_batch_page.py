@@ -25,16 +25,22 @@ from data_schemas import (
 from finray_calib.reports._images import ByteImage, touch_changes, touch_pictures
 from finray_calib.reports._page import (
     Content,
+    KeyNumber,
+    Light,
     Link,
     Part,
     Picture,
+    ReportPage,
     ReportTable,
     drawing,
     files_table,
+    found_part,
     in_rows,
+    light_of,
     one_group,
     raster,
-    render_page,
+    report_html,
+    trust_part,
 )
 from finray_calib.reports._plain_text import NO_VALUE, fixed, plain, skill_text
 from finray_calib.reports._style import BLUE, INK, MUTED, new_figure, styled, svg_text
@@ -125,23 +131,36 @@ def batch_page(batch: ComparisonBatch, worst: Sequence[PressPictures], command: 
     """
     failed = sum(pair.skill is None for pair in batch.pairs)
     names = {pair.name for pair in batch.pairs}
-    return render_page(
-        "result_page.html.j2",
-        verb="finray compare",
-        title=f"{len(names)} presses, {_count(len(batch.simulators), 'simulator')}",
-        lead="How far simulated touches are from real ones. Skill 0 is doing nothing (the untouched image in place of "
-        "the simulation), 1 is perfect.",
-        verdict=_verdict(batch),
-        sentence=" ".join(_sentences(batch)),
-        key_numbers=tuple(_key_numbers(batch)),
-        findings=tuple(_failures(batch)),
-        limits=tuple(_limits(batch)),
-        notes=batch.notes,
-        sections=tuple(_sections(batch, worst)),
-        command=command,
-        files=files_table(digests, package_version()),
-        summary=plain({"comparison": batch.model_dump(mode="json", exclude={"provenance"}), "failed": failed}),
+    return report_html(
+        ReportPage(
+            verb="finray compare",
+            title=f"{len(names)} presses, {_count(len(batch.simulators), 'simulator')}",
+            lead="How far simulated touches are from real ones. Skill 0 is doing nothing (the untouched image in place "
+            "of the simulation), 1 is perfect.",
+            verdict=_verdict(batch),
+            light=_light(batch),
+            sentence=" ".join(list(_sentences(batch))[:1]),
+            picture=_ranking_picture(batch) if _ranked(batch) else None,
+            key_numbers=tuple(_key_numbers(batch)),
+            parts=(
+                *found_part((*list(_sentences(batch))[1:], *_failures(batch))),
+                trust_part(_limits(batch), batch.notes),
+                *_sections(batch, worst),
+            ),
+            command=command,
+            origin=files_table(digests, package_version()),
+            summary=plain({"comparison": batch.model_dump(mode="json", exclude={"provenance"}), "failed": failed}),
+        )
     )
+
+
+def _light(batch: ComparisonBatch) -> Light:
+    """Return the light of the best simulator: whether its skill is known to be above that of doing nothing."""
+    ranked = _ranked(batch)
+    if not ranked:
+        return "bad"
+    low, high = ranked[0][1].low95, ranked[0][1].high95
+    return light_of(low is not None and low > 0.0, is_bad=high is not None and high <= 0.0)
 
 
 def batch_lines(batch: ComparisonBatch) -> Iterator[str]:
@@ -249,18 +268,31 @@ def _failures(batch: ComparisonBatch) -> Iterator[str]:
 _MOST_FAILURES = 5
 
 
-def _key_numbers(batch: ComparisonBatch) -> Iterator[tuple[str, str, str]]:
-    """Yield (label, value, remark)."""
-    for score, skill in _ranked(batch)[:3]:
+def _key_numbers(batch: ComparisonBatch) -> Iterator[KeyNumber]:
+    """Yield the skill of the best two, and how much was compared."""
+    for score, skill in _ranked(batch)[:2]:
         between = "no interval: it needs three presses"
         if skill.low95 is not None and skill.high95 is not None:
             places = 3 if skill.high95 - skill.low95 < 0.02 else 2
             ends = fixed(skill.low95, places), fixed(skill.high95, places)
             between = f"95 %: {' to '.join(ends)}" if ends[0] != ends[1] else "its interval is narrower than 0.001"
-        yield f"Skill, {_simulator(score)}", fixed(skill.estimate, 3), between
-    yield "Doing nothing", "0", "the untouched image in its place"
-    compared = sum(pair.skill is not None for pair in batch.pairs)
-    yield "Compared", f"{compared} of {len(batch.pairs)}", "pairs; the others are named below"
+        light = light_of((skill.low95 or 0.0) > 0.0, is_bad=skill.high95 is not None and skill.high95 <= 0.0)
+        reason = f"{_ABOVE[light]} 0, which an untouched image scores"
+        yield KeyNumber(f"Skill, {_simulator(score)}", fixed(skill.estimate, 3), between, light, reason)
+    if len(_ranked(batch)) < 2:
+        yield KeyNumber("Doing nothing", "0", "the untouched image in its place")
+    compared, total = sum(pair.skill is not None for pair in batch.pairs), len(batch.pairs)
+    light = light_of(compared == total, is_bad=compared == 0)
+    yield KeyNumber(
+        "Compared",
+        f"{compared} of {total}",
+        "pairs; the others are named below",
+        light,
+        "all" if compared == total else "not all",
+    )
+
+
+_ABOVE = {"good": "its interval lies above", "care": "not shown to differ from", "bad": "its interval lies below"}
 
 
 def _limits(batch: ComparisonBatch) -> Iterator[str]:
@@ -303,17 +335,21 @@ def _sections(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Iterato
                                       tables=(table,), has_wide_tables=True))  # fmt: skip
 
 
-def _ranking_part(batch: ComparisonBatch) -> Part:
-    """Show the ranking."""
-    picture = drawing(
+def _ranking_picture(batch: ComparisonBatch) -> Picture:
+    """Show the skill of all simulators."""
+    return drawing(
         ranking_figure(batch),
         " ".join(_sentences(batch)),
         "Large mark with bar: skill of all presses together with its 95 % interval; small marks: single presses. What "
         "to see: intervals that do not overlap are told apart; where they do overlap, look at the differences, which "
         "are taken press by press.",
     )
+
+
+def _ranking_part(batch: ComparisonBatch) -> Part:
+    """List the skills and their differences."""
     tables = [_score_table(batch), *([_difference_table(batch)] if batch.differences else [])]
-    return Part("Ranking", Content(" ".join(_sentences(batch)), ((picture,),), tables=tuple(tables)))
+    return Part("Ranking", Content(tables=tuple(tables)))
 
 
 @styled()

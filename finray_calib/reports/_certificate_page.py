@@ -25,9 +25,9 @@ from data_schemas import (
     package_version,
 )
 from finray_calib.acceptance import NO_REFERENCE, Budget, CertifiedResult
-from finray_calib.reports._page import ReportTable, one_group, render_page
+from finray_calib.reports._page import KeyNumber, Light, ReportTable, drawing, one_group, render_page
 from finray_calib.reports._plain_text import NO_VALUE, decimals_for, fixed, plain, probability, unbroken
-from finray_calib.reports._style import BLUE, HAIRLINE, MUTED, SKY, new_figure, styled, svg_data_uri, svg_text
+from finray_calib.reports._style import BLUE, HAIRLINE, MUTED, SKY, new_figure, styled, svg_text
 
 TEMPLATE: Final = "certificate.html.j2"
 NOT_RECORDED: Final = "not recorded"
@@ -48,6 +48,8 @@ class Certificate:
         Tables; no budget where none was computed.
     traceability, conformity
         One sentence each.
+    key_numbers, light
+        The first three results, and the light of all that were judged.
     authorised_by
         Who signs; empty where the laboratory does not say.
     statements
@@ -64,6 +66,8 @@ class Certificate:
     instruments: ReportTable
     traceability: str
     conformity: str
+    key_numbers: tuple[KeyNumber, ...]
+    light: Light
     authorised_by: str
     statements: tuple[tuple[str, str], ...]
     end: str
@@ -106,6 +110,8 @@ def certificate_of(
         instruments=_instruments(paint, details, session),
         traceability=traceability_of(results, is_simulated=session is not None and session.rig.is_simulated),
         conformity=_conformity(results),
+        key_numbers=tuple(_key_number(result) for result in results[:3]),
+        light=_light(results),
         authorised_by=details.authorised_by,
         statements=(
             ("Method", _method(paint)),
@@ -192,6 +198,27 @@ def _conformity(results: Sequence[CertifiedResult]) -> str:
         + "; ".join(f"{result.verdict}: {result.title.partition(',')[0].partition(':')[0]}" for result in judged)
         + "."
     )
+
+
+_LIGHTS: Final[dict[str, Light]] = {"PASS": "good", "UNDECIDED": "care", "FAIL": "bad"}
+
+
+def _light(results: Sequence[CertifiedResult]) -> Light:
+    """Return the light of the worst verdict; none where nothing was judged."""
+    lights = {_LIGHTS[result.verdict] for result in results if result.verdict is not None}
+    return next((light for light in ("bad", "care", "good") if light in lights), "")
+
+
+def _key_number(result: CertifiedResult) -> KeyNumber:
+    """Return a result for the first screen: judged by its limits, or by whether it was measured."""
+    _, value, expanded, _, between = _cells(result)
+    title = result.title.partition(",")[0].partition(":")[0]
+    if not result.is_measured:
+        return KeyNumber(title, NO_VALUE, value, "care", "mostly prior")
+    shown = f"{value} {result.unit}".rstrip()
+    light: Light = "good" if result.verdict is None else _LIGHTS[result.verdict]
+    reason = "measured" if result.verdict is None else _judged(result)[1]
+    return KeyNumber(title, shown, f"U = {expanded}; 95 %: {between}", light, reason)
 
 
 def _budget(budget: Budget) -> ReportTable:
@@ -357,9 +384,18 @@ def certificate_page(certificate: Certificate, paint: PaintCalibration) -> str:
     return render_page(
         TEMPLATE,
         certificate=certificate,
-        spectrum=svg_data_uri(_spectrum_svg(paint)),
+        screen={
+            "verdict": certificate.conformity,
+            "light": certificate.light,
+            "sentence": f"{certificate.traceability[:1].upper()}{certificate.traceability[1:]}.",
+            "picture": drawing(
+                _spectrum_svg(paint),
+                f"Emission spectrum of {paint.paint_name} with its 95 % bands",
+                "Emission of the paint; filters: what the camera saw it through.",
+            ),
+            "key_numbers": certificate.key_numbers,
+        },
         signed=SIGNED,
-        alternative=f"Emission spectrum of {paint.paint_name} with its 95 % bands",
         summary=plain({
             "number": certificate.number,
             "paint": certificate.paint_name,

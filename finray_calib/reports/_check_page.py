@@ -9,34 +9,47 @@ from matplotlib.ticker import MaxNLocator
 
 from data_schemas import AcceptanceReport, CheckResult, CheckVerdict, package_version
 from finray_calib.acceptance import GUARD_FACTOR, SECTIONS, History, Watched, value_text
+from finray_calib.reports._methods import check_methods, methods_part
 from finray_calib.reports._page import (
     Content,
+    KeyNumber,
+    Light,
     Part,
     Picture,
+    ReportPage,
     ReportTable,
     TableGroup,
     drawing,
     files_table,
+    found_part,
+    light_of,
     one_group,
     provenance_table,
-    render_page,
+    report_html,
+    trust_part,
 )
 from finray_calib.reports._plain_text import NO_VALUE, fixed, percent, plain
-from finray_calib.reports._style import BLUE, HAIRLINE, MUTED, VERMILLION, new_figure, styled, svg_text
+from finray_calib.reports._style import (
+    BLUE,
+    HAIRLINE,
+    MUTED,
+    ORANGE,
+    VERMILLION,
+    legend_above,
+    new_figure,
+    styled,
+    svg_text,
+)
 
-TEMPLATE: Final = "check_report.html.j2"
 _SENTENCES: Final[dict[CheckVerdict, str]] = {
     "PASS": "Every check passed.",
     "UNDECIDED": "No check failed; some could not be decided.",
     "ERROR": "Some checks could not be carried out.",
     "FAIL": "The rig does not keep its limits.",
 }
-_COUNTED: Final[tuple[tuple[CheckVerdict, str, str], ...]] = (
-    ("PASS", "Passed", "inside the limit with 95 % confidence"),
-    ("FAIL", "Failed", "outside it with 95 % confidence"),
-    ("UNDECIDED", "Undecided", "too close to tell, or not to be seen here"),
-    ("ERROR", "Errors", "a device broke the check off"),
-)
+_LIGHTS: Final[dict[str, Light]] = {
+    "PASS": "good", "IN CONTROL": "good", "UNDECIDED": "care", "ERROR": "bad", "FAIL": "bad", "OUT OF CONTROL": "bad",
+}  # fmt: skip
 
 
 def check_report(report: AcceptanceReport) -> str:
@@ -47,27 +60,96 @@ def check_report(report: AcceptanceReport) -> str:
     report
         The report.
     """
-    count = Counter(result.verdict for result in report.results)
     look = [result for verdict in ("FAIL", "ERROR", "UNDECIDED") for result in report.results
             if result.verdict == verdict]  # fmt: skip
-    return render_page(
-        TEMPLATE,
-        rig_name=report.rig.name,
-        check_name=report.plan.check_name,
-        verdict=report.verdict,
-        sentence=_SENTENCES[report.verdict],
-        key_numbers=[(label, str(count[verdict]), remark) for verdict, label, remark in _COUNTED],
-        findings=[f"{result.verdict}: {result.name}: {_short(result)}" for result in look],
-        rule=(
-            f"A check passes when value and {GUARD_FACTOR:g} standard uncertainties lie inside its limit, fails when "
-            "they lie outside, and is undecided between (JCGM 106, guard band for 95 %)."
-        ),
-        notes=report.notes,
-        results=_results(report),
-        devices=_devices(report),
-        provenance=None if report.provenance is None else provenance_table(report.provenance),
-        summary=report.model_dump(mode="json", include={"verdict", "results", "notes"}),
+    rule = (
+        f"A check passes when value and {GUARD_FACTOR:g} standard uncertainties lie inside its limit, fails when "
+        "they lie outside, and is undecided between (JCGM 106, guard band for 95 %)."
     )
+    notes = () if not report.notes else (Part("Notes", Content(points=report.notes)),)
+    return report_html(
+        ReportPage(
+            verb="finray check",
+            title=report.rig.name,
+            lead=f"Acceptance check {report.plan.check_name}: what the devices of this rig did, against the limits of "
+            "the plan.",
+            verdict=report.verdict,
+            light=_LIGHTS[report.verdict],
+            sentence=_SENTENCES[report.verdict],
+            picture=_checks_picture(report),
+            key_numbers=_check_numbers(report),
+            parts=(
+                *found_part(f"{result.verdict}: {result.name}: {_short(result)}" for result in look),
+                Part("Checks", Content(rule, tables=(_results(report),))),
+                Part("Devices", Content(tables=(_devices(report),), parts=notes)),
+                methods_part(check_methods(GUARD_FACTOR), report.provenance),
+            ),
+            origin=None if report.provenance is None else provenance_table(report.provenance),
+            command="" if report.provenance is None else report.provenance.command,
+            summary=report.model_dump(mode="json", include={"verdict", "results", "notes"}),
+        )
+    )
+
+
+def _check_numbers(report: AcceptanceReport) -> tuple[KeyNumber, ...]:
+    """Return how many checks passed, how many did not, and how many could not be decided."""
+    count, total = Counter(result.verdict for result in report.results), len(report.results)
+    broken, unsure = count["FAIL"] + count["ERROR"], count["UNDECIDED"]
+    return (
+        KeyNumber("Passed", f"{count['PASS']} of {total}", "inside the limit with 95 % confidence",
+                  light_of(count["PASS"] == total), "all of them" if count["PASS"] == total else "not all"),
+        KeyNumber("Failed or broken off", str(broken),
+                  f"{count['FAIL']} outside the limit with 95 % confidence, {count['ERROR']} with a device's error",
+                  light_of(broken == 0, is_bad=broken > 0), "some" if broken else "none"),
+        KeyNumber("Undecided", str(unsure), "too close to tell, or not to be seen here",
+                  light_of(unsure == 0), "some" if unsure else "none"),
+    )  # fmt: skip
+
+
+def _checks_picture(report: AcceptanceReport) -> Picture:
+    """Show every check as a mark in the row of its section."""
+    told = "; ".join(
+        f"{verdict.lower()}: {', '.join(names)}"
+        for verdict in ("FAIL", "ERROR", "UNDECIDED")
+        if (names := [result.name for result in report.results if result.verdict == verdict])
+    )
+    return drawing(
+        checks_figure(report.results),
+        f"Every check as a mark in the row of its section. {told or 'All passed'}.",
+        "One mark for each check, in the row of its section. What to see: everything but filled circles needs a look.",
+    )
+
+
+_MARKS: Final[dict[CheckVerdict, tuple[str, str]]] = {
+    "PASS": ("o", BLUE), "UNDECIDED": ("D", ORANGE), "ERROR": ("s", MUTED), "FAIL": ("X", VERMILLION),
+}  # fmt: skip
+
+
+@styled()
+def checks_figure(results: Sequence[CheckResult]) -> str:
+    """Draw the verdict of every check, section by section."""
+    rows = [title for section, title in SECTIONS.items() if any(result.section == section for result in results)]
+    figure = new_figure(6.0, 0.3 * len(rows) + 0.9)
+    axes = figure.subplots()
+    for verdict, (marker, colour) in _MARKS.items():
+        seen: Counter[str] = Counter()
+        places = []
+        for result in results:
+            row = SECTIONS[result.section]
+            seen[row] += 1
+            if result.verdict == verdict:
+                places.append((seen[row], rows.index(row)))
+        if places:
+            across, down = zip(*places, strict=True)
+            axes.plot(across, down, marker, color=colour, markersize=9, label=f"{verdict.lower()}: {len(places)}")
+    axes.set(ylim=(len(rows) - 0.5, -0.5), xlim=(0.4, None))
+    axes.set_yticks(range(len(rows)), rows)
+    axes.set_xticks([])
+    axes.grid(visible=False)
+    axes.spines[["left", "bottom"]].set_visible(False)
+    axes.tick_params(length=0)
+    legend_above(figure, axes, 4)
+    return svg_text(figure)
 
 
 def _short(result: CheckResult) -> str:
@@ -109,7 +191,6 @@ def _devices(report: AcceptanceReport) -> ReportTable:
     return one_group("What the devices say they are", columns, rows, is_words=True)
 
 
-HISTORY_TEMPLATE: Final = "result_page.html.j2"
 _HISTORY_SENTENCES: Final = {
     "IN CONTROL": "No chart alarmed after the reference.",
     "OUT OF CONTROL": "A chart alarmed, or a session could not be reduced. Look into it before you measure on.",
@@ -134,29 +215,36 @@ def history_page(history: History, folder: str, reference: int) -> str:
     newest = max((one.captured_utc[-1] for one in history.watched), default=NO_VALUE)
     alarms = sum(len({alarm.place for alarm in one.chart.alarms}) for one in history.watched)
     key_numbers = (
-        ("Charts", str(len(history.watched)), f"reference: the first {reference} sessions"),
-        ("Alarms", str(alarms), "of all charts, also those that were cleared"),
-        ("Newest session", newest[:10], newest[11:19]),
-        ("False alarms", percent(history.false_alarm_share), "of good sessions, all charts together"),
-    )
-    return render_page(
-        HISTORY_TEMPLATE,
-        verb="finray history",
-        title=folder,
-        lead="What the rig and its samples were in every session, against the first ones.",
-        verdict=history.verdict,
-        sentence=_HISTORY_SENTENCES[history.verdict],
-        key_numbers=key_numbers,
-        findings=_findings(history),
-        limits=_limits(history, reference),
-        notes=(),
-        sections=(*(_charts(name, history) for name in groups), _ledger(history)),
-        command=f"finray history {folder} --reference {reference} --report PAGE",
-        files=files_table({}, package_version()),
-        summary=plain({"verdict": history.verdict, "reasons": history.reasons, "series": [
-            {"of": one.of, "quantity": one.quantity, "sessions": one.sessions, "values": one.chart.values}
-            for one in history.watched
-        ]}),
+        KeyNumber("Alarms", f"{alarms} in {len(history.watched)} charts",
+                  f"also those that were cleared; reference: the first {reference} sessions",
+                  _LIGHTS[history.verdict], history.verdict.lower()),
+        KeyNumber("Newest session", newest[:10], newest[11:19]),
+        KeyNumber("False alarms", percent(history.false_alarm_share), "of good sessions, all charts together"),
+    )  # fmt: skip
+    alarmed = sorted(history.watched, key=lambda one: not one.chart.alarms)
+    return report_html(
+        ReportPage(
+            verb="finray history",
+            title=folder,
+            lead="What the rig and its samples were in every session, against the first ones.",
+            verdict=history.verdict,
+            light=_LIGHTS[history.verdict],
+            sentence=_HISTORY_SENTENCES[history.verdict],
+            picture=_picture(alarmed[0]) if alarmed else None,
+            key_numbers=key_numbers,
+            parts=(
+                *found_part(_findings(history)),
+                trust_part(_limits(history, reference)),
+                *(_charts(name, history) for name in groups),
+                _ledger(history),
+            ),
+            command=f"finray history {folder} --reference {reference} --report PAGE",
+            origin=files_table({}, package_version()),
+            summary=plain({"verdict": history.verdict, "reasons": history.reasons, "series": [
+                {"of": one.of, "quantity": one.quantity, "sessions": one.sessions, "values": one.chart.values}
+                for one in history.watched
+            ]}),
+        )
     )  # fmt: skip
 
 

@@ -48,21 +48,27 @@ from finray_calib.reports._images import (
     touch_changes,
     touch_pictures,
 )
+from finray_calib.reports._methods import comparison_methods, methods_part
 from finray_calib.reports._page import (
     Content,
+    KeyNumber,
+    Light,
     Part,
     Picture,
+    PicturePair,
+    ReportPage,
     drawing,
     files_table,
+    found_part,
     images_table,
     in_rows,
+    light_of,
     raster,
-    render_page,
+    report_html,
     scale_table,
+    trust_part,
 )
 from finray_calib.reports._plain_text import Json, fixed, interval_name, percent, plain, signed_percent, significant
-
-TEMPLATE = "result_page.html.j2"
 
 
 def comparison_page(
@@ -91,47 +97,80 @@ def comparison_page(
         Render and capture are not on one grid.
     """
     require_one_grid(press, capture)
-    objective, parts = words.objective_sentence(report), words.validation_sentence(report.validation)
-    found = (words.verdict_meaning(report), *(text for text in (objective, parts) if text is not None))
-    return render_page(
-        TEMPLATE,
-        verb="finray compare",
-        title=f"{report.simulated} against {report.captured}",
-        lead=f"How far a simulated touch is from a real one. Simulation: {report.label}. Compared "
-        f"{words.grid_phrase(report)}; values: {report.values}.",
-        verdict=words.comparison_verdict(report),
-        sentence=words.simulation_sentence(report),
-        key_numbers=_key_numbers(report),
-        findings=found,
-        limits=words.limits(report),
-        notes=report.notes,
-        sections=tuple(_sections(report, press, capture)),
-        command=command,
-        files=files_table(digests, package_version()),
-        summary=_summary(report, command, digests),
+    factors = tuple(region.factor for region in report.regions)
+    pictures = touch_pictures(press, capture, factors)
+    return report_html(
+        ReportPage(
+            verb="finray compare",
+            title=f"{report.simulated} against {report.captured}",
+            lead=f"How far a simulated touch is from a real one. Simulation: {report.label}. Compared "
+            f"{words.grid_phrase(report)}; values: {report.values}.",
+            verdict=words.comparison_verdict(report),
+            light=_skill_light(report),
+            sentence=words.verdict_meaning(report),
+            picture=_touched(report, pictures),
+            key_numbers=_key_numbers(report),
+            parts=(
+                *found_part(_findings(report)),
+                trust_part(words.limits(report), report.notes),
+                *_sections(report, press, capture, pictures),
+                methods_part(comparison_methods(report), report.provenance),
+            ),
+            command=command,
+            origin=files_table(digests, package_version()),
+            summary=_summary(report, command, digests),
+        )
     )
 
 
-def _key_numbers(report: PhotometricErrorReport) -> tuple[tuple[str, str, str], ...]:
-    """Return (label, value, remark) of the few numbers that stand beside the verdict."""
-    skill, floor = report.headline_skill, row_of(headline(report), "floor")
+def _findings(report: PhotometricErrorReport) -> tuple[str, ...]:
+    """Return skill, brightness and level in sentences."""
+    told = (words.objective_sentence(report), words.validation_sentence(report.validation))
+    return (words.simulation_sentence(report), *(text for text in told if text is not None))
+
+
+def _skill_light(report: PhotometricErrorReport) -> Light:
+    """Return the light of the skill."""
+    low = report.headline_skill.low95
+    return light_of(low >= words.WELL_KNOWN, is_bad=low <= 0)
+
+
+def skill_number(report: PhotometricErrorReport) -> KeyNumber:
+    """Return the skill for the first screen."""
+    light, skill = _skill_light(report), fixed(report.headline_skill.estimate, 2)
+    reasons = {
+        "good": f"its interval lies above {words.WELL_KNOWN:g}; 1 is perfect",
+        "care": f"its interval lies above 0, an untouched image, but reaches below {words.WELL_KNOWN:g}",
+        "bad": "its interval reaches 0, which an untouched image scores",
+    }
+    return KeyNumber("Skill of the simulation", skill, _skill_between(report), light, reasons[light])
+
+
+def _key_numbers(report: PhotometricErrorReport) -> tuple[KeyNumber, ...]:
+    """Return skill, its upper bound, and the brightness that a decision takes; without that the lower bound."""
+    floor = row_of(headline(report), "floor")
     repeated = ("not known", "no repeat of the no-contact image was captured")
     if floor is not None:
         noise = "with its noise, which the simulation's score is free of"
         if not words.is_noise_taken_out(report):
             noise = "with its noise, which is in the simulation's score too"
         repeated = (words.repeat_text(floor.skill.estimate), noise)
-    between = _skill_between(report)
-    numbers = [
-        ("Skill of the simulation", fixed(skill.estimate, 2), between),
-        ("Doing nothing", "0", "the untouched image in its place"),
-        ("A repeated capture", *repeated),
-    ]
-    if report.objective_error is not None:
-        error = report.objective_error.error_rel
-        between = f"95 %: {signed_percent(error.low95)} to {signed_percent(error.high95)}"
-        numbers.append(("Brightness beside the indenter", signed_percent(error.estimate), between))
-    return tuple(numbers)
+    known = "the camera's noise is not known" if floor is None else "the camera's noise is known"
+    numbers = (
+        skill_number(report),
+        KeyNumber("A repeated capture", *repeated, light_of(floor is not None), known),
+    )
+    if report.objective_error is None:
+        return (*numbers, KeyNumber("Doing nothing", "0", "the untouched image in its place"))
+    error = report.objective_error.error_rel
+    between = f"95 %: {signed_percent(error.low95)} to {signed_percent(error.high95)}"
+    is_seen = not error.low95 <= 0 <= error.high95
+    reason = "its interval does not hold 0, so a difference is seen" if is_seen else "its interval holds 0"
+    brightness = signed_percent(error.estimate)
+    return (
+        *numbers,
+        KeyNumber("Brightness beside the indenter", brightness, between, light_of(not is_seen), reason),
+    )
 
 
 def _skill_between(report: PhotometricErrorReport) -> str:
@@ -146,9 +185,11 @@ def _skill_between(report: PhotometricErrorReport) -> str:
     return f"95 %: {ends}" if interval_name(report) == "95 %" else f"over pixels of this press: {ends}"
 
 
-def _sections(report: PhotometricErrorReport, press: SimulatedPress, capture: TactileCapture) -> list[Part]:
+def _sections(
+    report: PhotometricErrorReport, press: SimulatedPress, capture: TactileCapture, pictures: TouchPictures
+) -> list[Part]:
     """Return images, metrics, uncertainty, parts and origin, as far as there are any."""
-    parts = [images_part(report, press, capture)]
+    parts = [images_part(report, press, capture, pictures)]
     if report.attribution is not None:
         parts.append(causes_part(report.attribution))
     parts.append(_metrics(report))
@@ -257,35 +298,47 @@ def _summary(report: PhotometricErrorReport, command: str, digests: Mapping[str,
 _BLANK = " Blank: not compared (clipped, or not on the pad)."
 
 
-def images_part(report: PhotometricErrorReport, press: SimulatedPress, capture: TactileCapture) -> Part:
-    """Show capture, render, what the touch changes in both, and the error."""
+def images_part(
+    report: PhotometricErrorReport, press: SimulatedPress, capture: TactileCapture, pictures: TouchPictures
+) -> Part:
+    """Show the captured touch, what the touch changes in capture and render, and the error."""
     factors = tuple(region.factor for region in report.regions)
     blank = _BLANK if np.isnan(report.error_map).any() else ""
-    pictures = _pictures(report, touch_pictures(press, capture, factors))
     changes = _changes(report, touch_changes(press, capture, factors), blank)
-    rows = (pictures, changes, (_error(report, press, blank), _scores(report)))
+    rows = ((_captured(pictures),), changes, (_error(report, press, blank), _scores(report)))
     return Part("Images", Content(lead=display_remark(press), picture_rows=rows))
 
 
-def _pictures(report: PhotometricErrorReport, shown: TouchPictures) -> tuple[Picture, ...]:
-    """Show the pad as captured and as simulated."""
-    return (
+def _captured(shown: TouchPictures) -> PicturePair:
+    """Show the pad as captured, before and after the touch."""
+    return PicturePair(
         raster(
             shown.captured_untouched,
             "Captured image of the untouched pad.",
             f"Captured, no contact.{clipped_remark(shown.clipped[0])}",
         ),
-        raster(
-            shown.captured,
-            "Captured image of the pressed pad, scored regions outlined.",
-            f"Captured, contact. Outlined: the regions that are scored.{clipped_remark(shown.clipped[1])}",
-        ),
-        raster(
-            shown.simulated,
-            f"Simulated image of the pressed pad. {words.simulation_sentence(report)}",
-            "Simulated, contact. What to see: inside the outlines it should look like the capture, but for noise.",
-        ),
+        _captured_contact(shown),
+        "Slide between the captured images without and with contact",
     )
+
+
+def _captured_contact(shown: TouchPictures) -> Picture:
+    """Show the captured touch."""
+    return raster(
+        shown.captured,
+        "Captured image of the pressed pad, scored regions outlined.",
+        f"Captured, contact. Outlined: the regions that are scored.{clipped_remark(shown.clipped[1])}",
+    )
+
+
+def _touched(report: PhotometricErrorReport, shown: TouchPictures) -> PicturePair:
+    """Show the touch as captured and as simulated."""
+    simulated = raster(
+        shown.simulated,
+        f"Simulated image of the pressed pad. {words.simulation_sentence(report)}",
+        "Simulated, contact. What to see: inside the outlines it should look like the capture, but for noise.",
+    )
+    return PicturePair(_captured_contact(shown), simulated, "Slide between the captured and the simulated touch")
 
 
 def _changes(report: PhotometricErrorReport, changes: TouchChanges, blank: str) -> tuple[Picture, ...]:

@@ -41,7 +41,7 @@ Verdict = Literal[
     "Not told apart from no simulation",
     "Worse than no simulation",
 ]
-_WELL_KNOWN = 0.9
+WELL_KNOWN = 0.9
 """A skill that may be below this is not told to be as good as the capture can tell, wherever its interval ends."""
 _PART_ROWS, _PART_COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "right")
 
@@ -75,7 +75,7 @@ def comparison_verdict(report: PhotometricErrorReport) -> Verdict:
         return "Worse than no simulation"
     if skill.low95 <= 0:
         return "Not told apart from no simulation"
-    if floor is not None and skill.high95 >= floor.skill.low95 and skill.low95 >= _WELL_KNOWN:
+    if floor is not None and skill.high95 >= floor.skill.low95 and skill.low95 >= WELL_KNOWN:
         return "As good as this capture can tell"
     return "Better than no simulation"
 

@@ -24,11 +24,25 @@ from finray_calib.reports._decision_figures import (
     mounting_figure,
     other_objectives_figure,
 )
-from finray_calib.reports._page import Content, Part, Picture, ReportTable, drawing, files_table, one_group, render_page
+from finray_calib.reports._methods import decision_methods, methods_part
+from finray_calib.reports._page import (
+    Content,
+    KeyNumber,
+    Light,
+    Part,
+    Picture,
+    ReportPage,
+    ReportTable,
+    drawing,
+    files_table,
+    light_of,
+    one_group,
+    report_html,
+    trust_part,
+)
 from finray_calib.reports._plain_text import Json, percent, plain, probability, signed_percent
 
 Floats = NDArray[np.float64]
-TEMPLATE = "result_page.html.j2"
 #: Whether it is decided, and what follows.
 VERDICTS: Final = {
     "decided": ("decided", "only angles nearby do as well"),
@@ -56,44 +70,61 @@ def decision_page(
     """
     sweep = sweeps[0]
     told = dict.fromkeys(note for swept in sweeps for note in swept.notes)
-    return render_page(
-        TEMPLATE,
-        verb="finray decide",
-        title=f"Angle of the blue light: {sweep.design.name}",
-        lead="",
-        verdict=verdict_sentence(decision),
-        sentence="",
-        key_numbers=decision_numbers(decision),
-        findings=(),
-        opening=tuple(_opening(decision, sweeps)),
-        limits=limits(decision),
-        notes=(*decision.notes, *(note for note in told if note not in decision.notes)),
-        sections=tuple(_sections(decision, sweeps)),
-        command=command,
-        files=files_table(digests, package_version()),
-        summary=_summary(decision, sweeps, command, digests),
+    return report_html(
+        ReportPage(
+            verb="finray decide",
+            title=f"Angle of the blue light: {sweep.design.name}",
+            verdict=verdict_sentence(decision),
+            light=verdict_light(decision),
+            picture=mounting_picture(decision, sweep),
+            key_numbers=decision_numbers(decision),
+            parts=(
+                *_opening(decision),
+                trust_part(limits(decision), (*decision.notes, *(n for n in told if n not in decision.notes))),
+                *_sections(decision, sweeps),
+                methods_part(decision_methods(decision, sweep), decision.provenance),
+            ),
+            command=command,
+            origin=files_table(digests, package_version()),
+            summary=_summary(decision, sweeps, command, digests),
+        )
     )
 
 
-def decision_numbers(decision: LightAngleDecision) -> tuple[tuple[str, str, str], ...]:
-    """Return (label, value, remark) of the few numbers that stand beside the verdict."""
+def verdict_light(decision: LightAngleDecision) -> Light:
+    """Return the light of a decision: good where it is decided, and not at the end of its sweep."""
+    return light_of(VERDICTS[decision.verdict][0] == "decided" and not decision.at_range_end)
+
+
+def decision_numbers(decision: LightAngleDecision) -> tuple[KeyNumber, ...]:
+    """Return the few numbers that stand beside the verdict: whether, how exactly, and what may be lost."""
     claim, angle = decision.statement, decision.angle_deg
     if decision.at_range_end:
-        return (("Light angle", f"{angle:.0f} deg", "end of the sweep: no tolerance can be promised"),)
-    within = "" if claim.p_within_tolerance is None else probability(claim.p_within_tolerance)
-    tolerance = percent(decision.tolerance_rel)
-    odds = () if not within else ((f"None better by more than {tolerance}", within, "probability"),)
-    side = mounting_range(decision)
-    return (
-        ("The angle is", *VERDICTS[decision.verdict]),
-        *(() if side is None else (("Mount it between", side, f"costs at most {tolerance} more, as expected"),)),
-        *odds,
-        (
-            "Another angle may be better",
-            f"by {percent(claim.expected_regret)}",
-            f"on average; by at most {percent(claim.regret_95)} with 95 % probability",
-        ),
+        told = "end of the sweep: no tolerance can be promised"
+        return (KeyNumber("Light angle", f"{angle:.0f} deg", told, "bad", "the optimum may lie outside the sweep"),)
+    tolerance, side = percent(decision.tolerance_rel), mounting_range(decision)
+    light, (what, why) = verdict_light(decision), VERDICTS[decision.verdict]
+    decided = KeyNumber("The angle is", what, f"{angle:.0f} deg", light, why)
+    loss = light_of(claim.regret_95 <= decision.tolerance_rel, is_bad=claim.expected_regret > decision.tolerance_rel)
+    limit = f"the {tolerance} that count as equal"
+    reasons = {"good": f"below {limit}", "care": f"it may exceed {limit}", "bad": f"the average exceeds {limit}"}
+    most = KeyNumber(
+        "Another angle may be better",
+        f"by {percent(claim.expected_regret)}",
+        f"on average; by at most {percent(claim.regret_95)} with 95 % probability",
+        loss,
+        reasons[loss],
     )
+    if side is not None:
+        return (decided, KeyNumber("Mount it between", side, f"costs at most {tolerance} more, as expected"), most)
+    if claim.p_within_tolerance is None:
+        return (decided, most)
+    odds = light_of(claim.p_within_tolerance >= _SURE, is_bad=claim.p_within_tolerance < _EVEN)
+    within, needed = probability(claim.p_within_tolerance), f"a decision needs {_SURE:g}"
+    return (decided, KeyNumber(f"None better by more than {tolerance}", within, "probability", odds, needed), most)
+
+
+_SURE, _EVEN = 0.95, 0.5
 
 
 def verdict_sentence(decision: LightAngleDecision) -> str:
@@ -114,19 +145,12 @@ def mounting_range(decision: LightAngleDecision) -> str | None:
     return f"{low:.0f} and {high:.0f} deg"
 
 
-def _opening(decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep]) -> list[Part]:
-    """Return the finger with its light, the map of places and angles, and why."""
-    lead = (
-        "The angle of the light (light.angle_deg of the design) lies between the pad's plane and the direction in "
-        "which "
-        "the panel shines: 0 deg along the pad towards the tip, 90 deg straight into it."
-    )
-    parts = [Part("The finger with its light", Content(lead, ((mounting_picture(decision, sweeps[0]),),)))]
-    if len(decision.contacts) > 1:
-        parts.append(places_part(decision))
+def _opening(decision: LightAngleDecision) -> list[Part]:
+    """Return the map of places and angles where there are several, and why."""
     rest = decision.sentence.removeprefix(decision.headline).strip()
     why = Content(rest if decision.headline else decision_meaning(decision), remarks=_reasons(decision, rest))
-    return [*parts, Part("Why, and how sure it is", why)]
+    places = [places_part(decision)] if len(decision.contacts) > 1 else []
+    return [*places, Part("Why, and how sure it is", why)]
 
 
 def _reasons(decision: LightAngleDecision, rest: str) -> tuple[str, ...]:
@@ -243,7 +267,8 @@ def mounting_picture(decision: LightAngleDecision, sweep: LightAngleSweep) -> Pi
         mounting_figure(decision, sweep.design),
         f"Side view of the finger with its light panel, which shines at {decision.angle_deg:.0f} deg from the pad's "
         f"plane.{hatched}",
-        f"The finger from the side, to scale. Marks on the pad: {marks}.{hatched}",
+        f"The finger from the side, to scale. The angle of the light (light.angle_deg of the design): 0 deg along the "
+        f"pad towards the tip, 90 deg straight into it. Marks on the pad: {marks}.{hatched}",
     )
 
 
@@ -307,7 +332,7 @@ def _others(decision: LightAngleDecision, sweep: LightAngleSweep) -> Part:
     columns = ("objective", "would have chosen", cost, "its own loss here [90 %]", "needs another angle")
     table = one_group("Objectives side by side", columns, rows, is_words=True)
     meanings = tuple(f"{o.name}: {o.meaning.rstrip('.')} ({o.unit})." for o in sweep.other_objectives)
-    return Part("What others would have chosen", Content(sentence, ((picture,),), meanings, (table,)))
+    return Part("What others would have chosen", Content(sentence, ((picture,),), meanings, tables=(table,)))
 
 
 def _next(decision: LightAngleDecision) -> Part:

@@ -1,6 +1,7 @@
 """The page of a design study, and its table as text: pictures of all points, numbers with intervals, what matters."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from statistics import NormalDist
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,16 +9,23 @@ from numpy.typing import NDArray
 
 from data_schemas import DesignValue, StudyMetric, StudyPoint, StudyResult, StudyRow
 from finray_calib.reports._images import ByteImage, to_display
+from finray_calib.reports._methods import methods_part, study_methods
 from finray_calib.reports._page import (
     Content,
+    KeyNumber,
+    Light,
     Part,
     Picture,
+    ReportPage,
     ReportTable,
     drawing,
     files_table,
+    found_part,
+    light_of,
     one_group,
     raster,
-    render_page,
+    report_html,
+    trust_part,
 )
 from finray_calib.reports._plain_text import NO_VALUE, interval_text
 from finray_calib.reports._style import BLUE, HAIRLINE, INK, MUTED, new_figure, styled, svg_text
@@ -26,7 +34,7 @@ MOST_PICTURES = 60
 """Points whose pictures the page shows; the records hold all."""
 
 _LARGEST_SIDE_PX = 200
-_PANELS_IN_A_ROW = 3
+_PANELS_IN_A_ROW = 2
 _WHITE_PERCENTILE = 95.0  # brighter are the walls and, at some angles, the panel itself
 _SHOWN = ("vividness", "variation_rel", "touch_rel", "brightness_rel", "force_n", "seen_area_mm2")
 """Metrics with a panel of their own, and the order in which a sentence is made of them."""
@@ -58,21 +66,31 @@ def design_study_page(
         Of the package.
     """
     computed, failed = len(result.points), len(result.failures)
-    return render_page(
-        "result_page.html.j2",
-        verb="finray study run",
-        title=result.name,
-        lead=result.about or f"What changes: {', '.join(result.varied)}.",
-        verdict=f"{computed} of {computed + failed} points computed",
-        sentence=_sentence(result),
-        key_numbers=tuple(_key_numbers(result)),
-        findings=tuple(f"Point {f.number} ({_words(f.changes)}) failed: {f.reason}" for f in result.failures),
-        limits=_LIMITS,
-        notes=tuple(dict.fromkeys(note for point in points for note in point.notes)),
-        sections=tuple(_sections(result, points)),
-        command=command,
-        files=files_table(digests, version),
-        summary=result.model_dump(mode="json", exclude={"provenance"}),
+    lost = f"failed: {failed}" if failed else "none failed"
+    notes = tuple(dict.fromkeys(note for point in points for note in point.notes))
+    return report_html(
+        ReportPage(
+            verb="finray study run",
+            title=result.name,
+            lead=result.about or f"What changes: {', '.join(result.varied)}.",
+            verdict=f"{computed} of {computed + failed} points computed",
+            light=light_of(not failed),
+            sentence=_sentence(result),
+            picture=_curves_picture(result),
+            key_numbers=(
+                KeyNumber("Computed", str(computed), f"of {computed + failed} points", light_of(not failed), lost),
+                *list(_key_numbers(result))[:2],
+            ),
+            parts=(
+                *found_part(f"Point {f.number} ({_words(f.changes)}) failed: {f.reason}" for f in result.failures),
+                trust_part(_LIMITS, notes),
+                *_sections(result, points),
+                methods_part(study_methods(result), result.provenance),
+            ),
+            command=command,
+            origin=files_table(digests, version),
+            summary=result.model_dump(mode="json", exclude={"provenance"}),
+        )
     )
 
 
@@ -107,8 +125,10 @@ def _sentence(result: StudyResult) -> str:
         rows.sort(key=lambda pair: pair[0].value, reverse=is_high)
         (best, where), (second, _) = rows[0], rows[1]
         sure = "" if _apart(best, second) else ", within its interval of the next"
+        sure = ", as at other points" if best.value == second.value else sure
         parts.append(f"{words} at {_words(where.changes)} ({_value(best)}{sure})")
-    return f"{'; '.join(parts)}." if parts else "One point was computed."
+    told = "; ".join(parts)
+    return f"{told[:1].upper()}{told[1:]}." if parts else "One point was computed."
 
 
 def _apart(one: StudyMetric, other: StudyMetric) -> bool:
@@ -118,13 +138,41 @@ def _apart(one: StudyMetric, other: StudyMetric) -> bool:
     return one.low95 > other.high95 or one.high95 < other.low95
 
 
-def _key_numbers(result: StudyResult) -> Iterator[tuple[str, str, str]]:
-    """Yield the range of the few metrics that stand beside the verdict."""
-    for name in _SHOWN[:4]:
-        metrics = [m for row in result.points if (m := _found(row, name)) is not None]
+def _key_numbers(result: StudyResult) -> Iterator[KeyNumber]:
+    """Yield the range of the metrics that stand beside the verdict, and whether it is more than their intervals."""
+    for name in dict.fromkeys((*_SHOWN, *_metric_names(result))):
+        metrics = sorted((m for row in result.points if (m := _found(row, name)) is not None), key=lambda m: m.value)
         if metrics:
-            low, high = min(m.value for m in metrics), max(m.value for m in metrics)
-            yield name, f"{low:.3g} to {high:.3g}", metrics[0].meaning
+            low, high = metrics[0], metrics[-1]
+            unit = "" if low.unit == "1" else f" {low.unit}"
+            yield KeyNumber(name, f"{low.value:.3g} to {high.value:.3g}{unit}", low.meaning, *_changed(metrics))
+
+
+def _changed(ordered: Sequence[StudyMetric]) -> tuple[Light, str]:
+    """Return the light of a metric by whether its points differ, in ascending order.
+
+    The lowest and the highest are the extremes of all points, so the interval of each is widened until all hold
+    together with 95 % (Bonferroni).
+    """
+    lowest, highest = ordered[0], ordered[-1]
+    if lowest.high95 is None or highest.low95 is None:
+        return "", "computed without an interval"
+    normal = NormalDist()
+    factor = normal.inv_cdf(1.0 - 0.025 / len(ordered)) / normal.inv_cdf(0.975)
+    gap = highest.value - lowest.value
+    if gap > factor * (lowest.high95 - lowest.value + highest.value - highest.low95):
+        return "good", "the points differ by more than their intervals, all of them together"
+    return "care", "no difference between the points is shown"
+
+
+def _curves_picture(result: StudyResult) -> Picture:
+    """Show each metric at each point."""
+    names = _metric_names(result)
+    return drawing(
+        _curves(result, [name for name in _SHOWN if name in names]),
+        f"Each metric at each point of the study. {_sentence(result)}",
+        "Each metric over the points, with 95 % limits. What to see: differences that are larger than the limits.",
+    )
 
 
 def _sections(result: StudyResult, points: Sequence[StudyPoint]) -> Iterator[Part]:
@@ -133,12 +181,6 @@ def _sections(result: StudyResult, points: Sequence[StudyPoint]) -> Iterator[Par
     if shown:
         yield Part("Pictures", _pictures(shown))
     names = _metric_names(result)
-    curves = drawing(
-        _curves(result, [name for name in _SHOWN if name in names]),
-        "Each metric at each point of the study.",
-        "Each metric over the points, with 95 % limits. What to see: differences that are larger than the limits.",
-    )
-    yield Part("Numbers over the points", Content("One panel for each metric.", ((curves,),)))
     if len(result.varied) > 1:
         yield Part("What matters", Content(
             "Range of a metric's mean over the values of one field, all other fields averaged.",
@@ -184,11 +226,12 @@ def _pair(point: StudyPoint, white: NDArray[np.float64]) -> ByteImage:
 
 def _curves(result: StudyResult, names: Sequence[str]) -> str:
     """Draw each metric over the points."""
-    rows = -(-len(names) // _PANELS_IN_A_ROW)
+    columns = min(len(names), _PANELS_IN_A_ROW)
+    rows = -(-len(names) // max(columns, 1))
     with styled():
-        figure = new_figure(10.0, 2.6 * rows)
+        figure = new_figure(3.3 * max(columns, 1), 2.5 * max(rows, 1))
         for k, name in enumerate(names):
-            _panel(figure.add_subplot(rows, _PANELS_IN_A_ROW, k + 1), result, name)
+            _panel(figure.add_subplot(rows, columns, k + 1), result, name)
         return svg_text(figure)
 
 

@@ -4,7 +4,8 @@ The section on the fit shows one paint, or several side by side.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal
+from dataclasses import replace
+from typing import Final, Literal
 
 from data_schemas import BandSignals, PaintCalibration, PaintWithoutEmission, package_version
 from finray_calib.reports import _fit_statements as said
@@ -28,10 +29,24 @@ from finray_calib.reports._fit_statements import (
     signals_table,
 )
 from finray_calib.reports._fitted_paint import FittedPaint, fit_summary
-from finray_calib.reports._page import Content, Part, Picture, drawing, files_table, provenance_table, render_page
+from finray_calib.reports._methods import fit_methods, methods_part
+from finray_calib.reports._page import (
+    Content,
+    KeyNumber,
+    Light,
+    Part,
+    Picture,
+    ReportPage,
+    drawing,
+    files_table,
+    found_part,
+    light_of,
+    provenance_table,
+    report_html,
+    trust_part,
+)
 from finray_calib.reports._plain_text import estimate_text, fixed, percent, plain
 
-PAINT_TEMPLATE = "paint_report.html.j2"
 Verdict = Literal["Fit can be used", "Use with care", "Do not use"]
 
 
@@ -52,20 +67,34 @@ def paint_report(paint: PaintCalibration, bands: BandSignals) -> str:
     """
     fitted = FittedPaint(bands, paint)
     verdict = fit_verdict(paint)
-    return render_page(
-        PAINT_TEMPLATE,
-        paint_name=paint.paint_name,
-        verdict=verdict,
-        lead=_lead(fitted),
-        sentence=said.paint_sentence(fitted),
-        key_numbers=_fit_key_numbers(paint),
-        findings=_fit_findings(fitted, verdict),
-        limits=_fit_limits(fitted),
-        assumptions=_assumptions(fitted),
-        sections=(*fit_parts([fitted]), _fit_signals(fitted)),
-        provenance=None if paint.provenance is None else provenance_table(paint.provenance),
-        summary=plain(fit_summary(fitted)),
+    emission, *parts = fit_parts([fitted])
+    shown_above = replace(emission.content, picture_rows=())
+    return report_html(
+        ReportPage(
+            verb="finray fit",
+            title=paint.paint_name,
+            lead=_lead(fitted),
+            verdict=verdict,
+            light=_FIT_LIGHTS[verdict],
+            sentence=said.paint_sentence(fitted),
+            picture=_emission_picture(fitted),
+            key_numbers=_fit_key_numbers(paint),
+            parts=(
+                *found_part(_fit_findings(fitted, verdict)),
+                trust_part(_fit_limits(fitted), assumed=_assumptions(fitted)),
+                replace(emission, content=shown_above),
+                *parts,
+                _fit_signals(fitted),
+                methods_part(fit_methods(fitted), paint.provenance),
+            ),
+            origin=None if paint.provenance is None else provenance_table(paint.provenance),
+            command="" if paint.provenance is None else paint.provenance.command,
+            summary=plain(fit_summary(fitted)),
+        )
     )
+
+
+_FIT_LIGHTS: Final[dict[Verdict, Light]] = {"Fit can be used": "good", "Use with care": "care", "Do not use": "bad"}
 
 
 def fit_verdict(paint: PaintCalibration) -> Verdict:
@@ -89,17 +118,28 @@ def _lead(paint: FittedPaint) -> str:
     )
 
 
-def _fit_key_numbers(paint: PaintCalibration) -> tuple[tuple[str, str, str], ...]:
-    """Return (label, value, remark) of the few numbers that stand beside the verdict."""
-    mode, width = paint.parameters["mode_nm"], paint.parameters["fwhm_nm"]
-    shift, light = paint.reradiation.stokes_shift_nm, paint.energy_yield
-    origin = "belief, not measured; " if paint.reradiation.prior_driven else ""
+def _fit_key_numbers(paint: PaintCalibration) -> tuple[KeyNumber, ...]:
+    """Return mode, width and yield, each judged by what the measurement has left of its prior."""
+    mode, width, light = paint.parameters["mode_nm"], paint.parameters["fwhm_nm"], paint.energy_yield
     return (
-        ("Emits most at", f"{fixed(mode.estimate, 0)} nm", _interval(mode.low95, mode.high95, "nm")),
-        ("Full width at half maximum", f"{fixed(width.estimate, 0)} nm", _interval(width.low95, width.high95, "nm")),
-        ("Energy yield", percent(light.estimate), _interval(100 * light.low95, 100 * light.high95, "%")),
-        ("Stokes shift", f"{fixed(shift.estimate, 0)} nm", f"{origin}{_interval(shift.low95, shift.high95, 'nm')}"),
-    )
+        KeyNumber("Emits most at", f"{fixed(mode.estimate, 0)} nm", _interval(mode.low95, mode.high95, "nm"),
+                  *_measured(paint, "mode_nm")),
+        KeyNumber("Full width at half maximum", f"{fixed(width.estimate, 0)} nm",
+                  _interval(width.low95, width.high95, "nm"), *_measured(paint, "fwhm_nm")),
+        KeyNumber("Energy yield", percent(light.estimate), _interval(100 * light.low95, 100 * light.high95, "%"),
+                  *_measured(paint, "energy_yield")),
+    )  # fmt: skip
+
+
+def _measured(paint: PaintCalibration, name: str) -> tuple[Light, str]:
+    """Return the light of a quantity and its reason."""
+    if not said.is_trusted(paint.diagnostics):
+        return "bad", "the draws of the posterior cannot be trusted"
+    share = paint.prior_shares.get(name)
+    if share is None:
+        return "", "how much of it is prior was not judged"
+    left = f"{percent(share.share)} of the variance before the measurement is left"
+    return light_of(not share.mostly_prior), f"{'mostly prior' if share.mostly_prior else 'measured'}: {left}"
 
 
 def _interval(low: float, high: float, unit: str) -> str:
@@ -351,9 +391,6 @@ def _sampling(paints: Paints) -> Content:
     )
 
 
-NO_EMISSION_TEMPLATE = "result_page.html.j2"
-
-
 def no_emission_page(paint: PaintWithoutEmission, command: str, digests: Mapping[str, str]) -> str:
     """Return the page of a sample without emission as self-contained HTML; equal input gives equal text.
 
@@ -367,33 +404,35 @@ def no_emission_page(paint: PaintWithoutEmission, command: str, digests: Mapping
         Name of each input file -> SHA-256.
     """
     found = paint.detection
-    return render_page(
-        NO_EMISSION_TEMPLATE,
-        verb="finray fit",
-        title=f"No emission: {paint.paint_name}",
-        lead=f"Whether this sample emits light when the laser at {paint.optics.laser.wavelength_nm:g} nm shines on it.",
-        verdict="No emission",
-        sentence=f"{found.statement[:1].upper()}{found.statement[1:]}.",
-        key_numbers=_key_numbers(paint),
-        findings=_findings(paint),
-        limits=_limits(paint),
-        notes=paint.warnings,
-        sections=(_signals(paint),),
-        command=command,
-        files=files_table(digests, package_version()),
-        summary=plain(paint.model_dump(mode="json", exclude={"provenance", "optics"})),
+    return report_html(
+        ReportPage(
+            verb="finray fit",
+            title=f"No emission: {paint.paint_name}",
+            lead="Whether this sample emits light when the laser at "
+            f"{paint.optics.laser.wavelength_nm:g} nm shines on it.",
+            verdict="No emission",
+            light="care",
+            sentence=f"{found.statement[:1].upper()}{found.statement[1:]}.",
+            picture=_signals(paint),
+            key_numbers=_key_numbers(paint),
+            parts=(*found_part(_findings(paint)), trust_part(_limits(paint), paint.warnings)),
+            command=command,
+            origin=files_table(digests, package_version()),
+            summary=plain(paint.model_dump(mode="json", exclude={"provenance", "optics"})),
+        )
     )
 
 
-def _key_numbers(paint: PaintWithoutEmission) -> tuple[tuple[str, str, str], ...]:
-    """Return (label, value, remark) of the few numbers that stand beside the verdict."""
+def _key_numbers(paint: PaintWithoutEmission) -> tuple[KeyNumber, ...]:
+    """Return the few numbers that stand beside the verdict."""
     found = paint.detection
     limit = "not stated" if found.yield_limit is None else f"below {percent(found.yield_limit)}"
     modes = f"with 95 %, modes from {found.limit_low_nm:.0f} to {found.limit_high_nm:.0f} nm"
+    beyond, threshold = fixed(found.statistic_sd, 1), fixed(found.threshold_sd, 1)
     return (
-        ("Energy yield", limit, modes),
-        ("Signal beyond a blank", f"{fixed(found.statistic_sd, 1)} sd", f"threshold {fixed(found.threshold_sd, 1)} sd"),
-        ("Reflects of the laser", percent(paint.reflectance_at_laser), "from the filter at its line"),
+        KeyNumber("Energy yield", limit, modes),
+        KeyNumber("Signal beyond a blank", f"{beyond} sd", f"threshold {threshold} sd", "care", "below the threshold"),
+        KeyNumber("Reflects of the laser", percent(paint.reflectance_at_laser), "from the filter at its line"),
     )
 
 
@@ -421,13 +460,12 @@ def _limits(paint: PaintWithoutEmission) -> tuple[str, ...]:
     )
 
 
-def _signals(paint: PaintWithoutEmission) -> Part:
+def _signals(paint: PaintWithoutEmission) -> Picture:
     """Show what was measured beside what a blank would show."""
-    picture = drawing(
+    return drawing(
         blank_figure(paint),
         "Measured band signals agree with those of a sample that reflects the laser and emits nothing.",
-        "Band signals and what is expected of a sample that reflects as much of the laser and emits nothing. Boxes: "
-        "two standard deviations of noise, leaks, tolerances and stray light. Open markers are not used.",
+        "Measured through each filter, and what is expected of a sample that reflects as much of the laser and emits "
+        "nothing. Boxes: two standard deviations of noise, leaks, tolerances and stray light. Open markers are "
+        "not used.",
     )
-    lead = "What was measured through each filter, and what reflected laser, leak and stray light alone would give."
-    return Part("Band signals", Content(lead, ((picture,),)))

@@ -1,18 +1,21 @@
-"""What a page is made of: tables, pictures and sections in one self-contained HTML file made from a template.
+"""What a page is made of, one design for all: a first screen, then sections, in one self-contained HTML file.
 
-The first cell of a table's row is its heading. Also the tables on origin: what was compared with what, and the files.
+The first screen holds a sentence, a picture and three numbers with their lights; the first cell of a table's row is its
+heading. Also the tables on origin: what was compared with what, and the files.
 """
 
 import base64
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Final, Literal
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from data_schemas import IndenterPose, PatchScale, Provenance, SimulatedPress, TactileCapture
 from finray_calib.reports._images import ByteImage, png_data_uri
-from finray_calib.reports._plain_text import NO_VALUE, unbroken
+from finray_calib.reports._plain_text import NO_VALUE, Json, unbroken
 from finray_calib.reports._style import svg_data_uri
 
 
@@ -84,12 +87,26 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True)
-class Content:
-    """What a section shows: a sentence, rows of pictures, remarks, tables, and parts with a heading of their own."""
+class PicturePair:
+    """Two pictures of one size: side by side, and with scripts one over the other with a slider between them.
 
-    lead: str
-    picture_rows: tuple[tuple[Picture, ...], ...] = ()
+    The label says what the slider does, for those who do not see it.
+    """
+
+    first: Picture
+    second: Picture
+    label: str
+    is_small: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Content:
+    """What a section shows: a sentence, rows of pictures, remarks, a list, tables, and parts with their own heading."""
+
+    lead: str = ""
+    picture_rows: tuple[tuple[Picture | PicturePair, ...], ...] = ()
     remarks: tuple[str, ...] = ()
+    points: tuple[str, ...] = ()
     tables: tuple[ReportTable, ...] = ()
     parts: tuple["Part", ...] = ()
     has_wide_tables: bool = False
@@ -97,20 +114,92 @@ class Content:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A part of a section; a detail waits in a fold."""
+    """A section, or a part of one; a detail waits in a fold, and a note stands beside the title."""
 
     title: str
     content: Content
     is_detail: bool = False
+    note: str = ""
+
+
+Light = Literal["good", "care", "bad", ""]
+LIGHTS: Final = {"good": ("\u2713", "good"), "care": ("!", "with care"), "bad": ("\u2717", "not good")}
+"""Sign and word of each traffic light; the empty one is no judgement."""
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
-    """One stage of the report."""
+class KeyNumber:
+    """A number of the first screen: what it is, its value, what stands beside it, its light and why it has that."""
 
-    stage: str
-    wall_time: str
-    content: Content
+    label: str
+    value: str
+    remark: str
+    light: Light = ""
+    reason: str = ""
+
+
+def light_of(is_good: bool, is_bad: bool = False) -> Light:
+    """Return the light of what keeps its limit, misses it altogether, or neither."""
+    return "good" if is_good else "bad" if is_bad else "care"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportPage:
+    """A page: the first screen, the sections in their order, and where all of it comes from.
+
+    Attributes
+    ----------
+    verb
+        The command that makes such pages.
+    title, lead
+        What the page is about; the lead may be empty.
+    verdict, light, sentence
+        The conclusion, its traffic light, and one sentence below it, which may be empty.
+    picture
+        The picture that shows the conclusion, or None.
+    key_numbers
+        The three numbers to know first.
+    parts
+        Sections.
+    command, origin
+        The command that makes the page again (empty: not known) and its files; None where nothing was stored.
+    summary
+        Every number of the page.
+    """
+
+    verb: str
+    title: str
+    lead: str = ""
+    verdict: str
+    light: Light = ""
+    sentence: str = ""
+    picture: Picture | PicturePair | None
+    key_numbers: tuple[KeyNumber, ...]
+    parts: tuple[Part, ...]
+    command: str = ""
+    origin: ReportTable | None
+    summary: Json
+
+
+def report_html(page: ReportPage) -> str:
+    """Return a page as self-contained HTML; equal input gives equal text."""
+    names = [re.sub(r"[^a-z0-9]+", "-", part.title.lower()).strip("-") for part in page.parts]
+    anchors = [name if names.index(name) == k and name else f"{name}-{k + 1}" for k, name in enumerate(names)]
+    return render_page("report_page.html.j2", page=page, sections=tuple(zip(anchors, page.parts, strict=True)))
+
+
+def found_part(findings: Iterable[str]) -> tuple[Part, ...]:
+    """Return the section of what was found, in sentences; none where nothing was."""
+    points = tuple(findings)
+    return (Part("What was found", Content(points=points)),) if points else ()
+
+
+def trust_part(limits: Iterable[str], notes: Sequence[str] = (), assumed: Sequence[str] = ()) -> Part:
+    """Return the section of what the numbers rest on: limits, assumptions, and the notes of the records in a fold."""
+    parts = [] if not assumed else [Part("Assumed, not measured", Content(points=tuple(assumed)))]
+    if notes:
+        parts.append(Part(f"Notes of the records ({len(notes)})", Content(points=tuple(notes)), is_detail=True))
+    return Part("How far to trust this", Content(points=tuple(limits), parts=tuple(parts)))
 
 
 def raster(rgb8: ByteImage, alternative: str, caption: str) -> Picture:
@@ -266,4 +355,5 @@ def render_page(template: str, **values: object) -> str:
         lstrip_blocks=True,
     )
     environment.filters["unbroken"] = unbroken
+    environment.globals["LIGHTS"] = LIGHTS
     return environment.get_template(template).render(**values)

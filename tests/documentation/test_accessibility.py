@@ -20,6 +20,7 @@ from data_schemas import FingerDesign, StudyFailure, StudyMetric, StudyPoint, St
 from finray_calib.acceptance import judge
 from finray_calib.demo import demo_report
 from finray_calib.reports import (
+    certificate_page,
     check_report,
     comparison_page,
     decision_page,
@@ -29,6 +30,8 @@ from finray_calib.reports import (
 )
 from rigs import simulated_rig
 from tests.acceptance.facts import PLAN, handshake, spoilt
+from tests.acceptance.paints import example
+from tests.acceptance.test_certificate_command import certificate
 from tests.capture.drivers.programs import require
 from tests.documentation.test_finger_page import PICTURE, VIEW
 
@@ -93,6 +96,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "decision": lambda: decision_page(RESULTS.decision, [RESULTS.sweep], "finray decide", {}),
     "study": study_page,
     "check": check_page,
+    "certificate": lambda: certificate_page(certificate(), example()),
     "finger": lambda: finger_page(FingerDesign(), PICTURE, VIEW),
 }
 

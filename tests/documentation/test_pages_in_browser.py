@@ -67,6 +67,27 @@ def test_nothing_sticks_out_on_screen_or_phone_and_every_image_is_shown(page, tm
     assert told[3] == "true"
 
 
+def test_the_slider_has_a_name_and_moves_the_border_by_its_value(tmp_path):
+    """Arrow keys are the browser's own on such an input; what they cause is caused here."""
+    move = """<script>addEventListener("load", () => {
+      const pair = document.querySelector(".pair"), slider = pair.querySelector("input");
+      slider.focus();
+      for (let step = 0; step < 25; step += 1) slider.stepUp();
+      slider.dispatchEvent(new Event("input"));
+      const [below, above] = [...pair.querySelectorAll("img")].map((image) => image.getBoundingClientRect());
+      document.title = [slider.type, slider.getAttribute("aria-label"), document.activeElement === slider,
+        getComputedStyle(pair.querySelectorAll("img")[1]).clipPath, below.top === above.top,
+        below.left === above.left].join("|");
+    });</script>"""
+    page = tmp_path / "slider.html"
+    page.write_text(PAGES["comparison"]().replace("</body>", f"{move}</body>"), encoding="utf-8")
+    dom = chromium(tmp_path, "--window-size=1400,900", "--virtual-time-budget=2000", "--dump-dom", f"file://{page}")
+    told = re.search(r"<title>([^<]*)</title>", dom)
+    assert told is not None
+    label = "Slide between the captured and the simulated touch"
+    assert told[1] == f"range|{label}|true|inset(0px 0px 0px 75%)|true|true"
+
+
 def test_it_prints_on_a4_with_its_folds_open(page, tmp_path):
     paper = tmp_path / "page.pdf"
     chromium(tmp_path, "--no-pdf-header-footer", f"--print-to-pdf={paper}", f"file://{page}")

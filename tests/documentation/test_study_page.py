@@ -1,0 +1,53 @@
+"""The first screen of a design study: its numbers are judged by all points together, not by the two extremes alone."""
+
+import numpy as np
+from html_page import Page, assert_stands_alone
+
+from data_schemas import StudyMetric, StudyResult, StudyRow
+from finray_calib.reports import design_study_page
+from finray_calib.reports._design_study_page import _changed
+from finray_calib.reports._methods import study_methods
+
+
+def metric(value: float, half: float | None, name: str = "evenness") -> StudyMetric:
+    low, high = (None, None) if half is None else (value - half, value + half)
+    return StudyMetric(name=name, value=value, low95=low, high95=high, unit="1", meaning="darkest over brightest")
+
+
+def test_points_that_differ_by_noise_only_are_seldom_called_different():
+    """At most 5 % of studies of 40 equal points, sd 1; the 95 % interval of each point alone would call most so."""
+    rng = np.random.default_rng(6)
+    called, alone = 0, 0
+    for _ in range(400):
+        values = np.sort(rng.standard_normal(40))
+        called += _changed([metric(float(value), 1.96) for value in values])[0] == "good"
+        alone += values[-1] - values[0] > 2 * 1.96
+    assert called <= 20
+    assert alone > 200
+
+
+def test_a_real_difference_is_called_one_and_no_interval_is_not_judged():
+    assert _changed([metric(0.2, 0.01), metric(0.3, 0.01), metric(0.4, 0.01)])[0] == "good"
+    assert _changed([metric(0.2, 0.01), metric(0.21, 0.01)]) == ("care", "no difference between the points is shown")
+    assert _changed([metric(0.2, None), metric(0.9, None)]) == ("", "computed without an interval")
+
+
+def test_the_page_shows_three_numbers_and_says_how_it_was_done():
+    rows = tuple(
+        StudyRow(
+            number=k,
+            changes={"light.angle_deg": 30.0 * k},
+            metrics=(metric(0.2 * k, 0.01), metric(3.0, None, "force_n")),
+        )
+        for k in (1, 2, 3)
+    )
+    result = StudyResult(name="tilt", about="", varied=("light.angle_deg",), points=rows, failures=())
+    html = design_study_page(result, [], "finray study run tilt.toml", {}, "0.1.0")
+    assert_stands_alone(html)
+    text = Page(html).prose
+    assert "evenness 0.2 to 0.6 darkest over brightest \u2713 good : the points differ by more than" in text
+    assert "The force is lowest at light.angle_deg 30 (3, as at other points)." in text
+    assert "Computed 3 of 3 points \u2713 good : none failed" in text
+    told = " ".join(study_methods(result))
+    assert told in text
+    assert "varied in light.angle_deg: 3 designs were computed." in told
