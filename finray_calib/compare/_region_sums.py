@@ -89,6 +89,13 @@ class RenderLayers:
             pose_half=pose_half,
         )
 
+    def at(self, where: NDArray[np.bool_]) -> "RenderLayers":
+        """Return the same at some pixels (H, W) only, as images of a single row."""
+        states = ("contact", "no_contact", "contact_half", "no_contact_half")
+        images = {name: getattr(self, name)[where][None] for name in states}
+        poses = {name: getattr(self, name)[:, where][:, None] for name in ("pose", "pose_half")}
+        return replace(self, **images, **poses)
+
     def halves(self, state: str, where: NDArray[np.bool_], pose_names: tuple[str, ...] = ()) -> tuple[Floats, Floats]:
         """Return both halves (pixels, L (1 + N)) of "contact" or "no_contact" at some pixels.
 
