@@ -446,7 +446,7 @@ def prepare_comparison(
     if demand_contact:
         for region, of_region in zip(regions, sums, strict=True):
             _require_contact(region, of_region, weights)
-    gradients = tuple(gradient_sums(layers, captured, where, k, poses) for where in used)
+    gradients = tuple(gradient_sums(layers, captured, used, k, poses))
     knows = inputs is not None and layers.inputs is not None
     levels = part_levels(layers, captured, used[-1], poses) if knows else None
     return Comparison(layers, captured, inputs, tuple(regions), used, sums, gradients, weights, exposure, levels)
