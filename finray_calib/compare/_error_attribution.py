@@ -9,8 +9,8 @@ channel. Causes are chosen one by one, by what they explain of the residual, and
 Gauss-Newton steps, over pixels up to 3.5 half-widths from the contact that are not nearly clipped.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal, get_args
 
 import cv2
@@ -75,6 +75,8 @@ class _Scene:
         Pixels that the fit uses, and that the skill is formed over.
     side_px : float
         Raw pixels along the side of one pixel here.
+    last : dict
+        What was formed last, by kind: a pass of the fit asks for the same moved change and the same light many times.
     """
 
     rest: Floats
@@ -87,6 +89,14 @@ class _Scene:
     fitted: Bools
     scored: Bools
     side_px: float
+    last: dict[str, tuple[bytes, Floats]] = field(init=False, default_factory=dict)
+
+    def _once(self, kind: str, by: Floats, form: Callable[[], Floats]) -> Floats:
+        """Return what is formed by some numbers, from memory where they are the last ones."""
+        key = by.tobytes()
+        if kind not in self.last or self.last[kind][0] != key:
+            self.last[kind] = key, form()
+        return self.last[kind][1]
 
     def changed(self, theta: Mapping[Cause, Floats]) -> Floats:
         """Return the simulation with these changes."""
@@ -96,7 +106,8 @@ class _Scene:
         log_gain = np.zeros(3) if "gain" not in theta else theta["gain"]
         if "shading" in theta:
             slope = theta["shading"].reshape(2, 3)
-            return np.asarray(image * np.exp(log_gain + self.place @ slope))
+            by = np.concatenate([log_gain, theta["shading"]])
+            return np.asarray(image * self._once("light", by, lambda: np.exp(log_gain + self.place @ slope)))
         return np.asarray(image * np.exp(log_gain))
 
     def _contact(self, theta: Mapping[Cause, Floats]) -> Floats:
@@ -108,8 +119,7 @@ class _Scene:
             x, y = self.centre_px
             matrix = np.array([[zoom, 0.0, x + dx - zoom * x], [0.0, zoom, y + dy - zoom * y]])
             size = (change.shape[1], change.shape[0])
-            moved = cv2.warpAffine(change, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-            change = np.asarray(moved, dtype=np.float64)
+            change = self._once("moved", matrix, lambda: _moved(self.change, matrix, size))
         if "depth" in theta:
             change = change * (1.0 + theta["depth"][0])
         if "halo" in theta:
@@ -126,6 +136,12 @@ class _Scene:
         """Return the weighted sum of squares, or of products, over the scored pixels."""
         second = image if other is None else other
         return float((image * second)[self.scored].sum(axis=0) @ self.weights)
+
+
+def _moved(change: Floats, matrix: Floats, size: tuple[int, int]) -> Floats:
+    """Return an image on another grid."""
+    moved = cv2.warpAffine(change, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(moved, dtype=np.float64)
 
 
 def _blurred(change: Floats, variance_px2: float) -> Floats:
@@ -259,13 +275,16 @@ class _Fit:
         The second with a smooth change: derivatives of noise are none of a cause.
     fitted : ndarray of int, shape (P,)
         Pixels that the fit uses.
+    images : Mapping of str to ndarray (parameters, H, W, 3)
+        Derivatives of the simulation by every cause, where nothing is changed yet.
     rows : Mapping of str to ndarray (parameters, 3 P)
-        Derivatives of every cause where nothing is changed yet, weighted, at these pixels.
+        The same, weighted, at the fitted pixels.
     """
 
     scene: _Scene
     smooth: _Scene
     fitted: NDArray[np.intp]
+    images: Mapping[Cause, Floats]
     rows: Mapping[Cause, Floats]
 
     @classmethod
@@ -273,13 +292,13 @@ class _Fit:
         """Return the fit of a scene."""
         soft = cv2.GaussianBlur(scene.change, (0, 0), _SMOOTH_PX)
         smooth = replace(scene, change=np.asarray(soft, dtype=np.float64))
-        fit = cls(scene, smooth, np.flatnonzero(scene.fitted), {})
-        return replace(fit, rows={c: fit.listed(fit.derivatives(c, {})) for c in CAUSES})
+        fit = cls(scene, smooth, np.flatnonzero(scene.fitted), {}, {})
+        images = {c: fit.derivatives(c, {}, scene.changed({})) for c in CAUSES}
+        return replace(fit, images=images, rows={c: fit.listed(image) for c, image in images.items()})
 
-    def derivatives(self, cause: Cause, theta: Mapping[Cause, Floats]) -> Floats:
-        """Return the derivatives (parameters, H, W, 3) of the changed simulation by the parameters of a cause."""
+    def derivatives(self, cause: Cause, theta: Mapping[Cause, Floats], image: Floats) -> Floats:
+        """Return the derivatives (parameters, H, W, 3) of the changed simulation `image` by a cause's parameters."""
         if cause in ("gain", "shading"):
-            image = self.scene.changed(theta)
             alone = np.zeros((3, *image.shape))
             for c in range(3):
                 alone[c, ..., c] = image[..., c]
@@ -338,9 +357,15 @@ class _Fit:
         noise = max(noise, 1e-12)
         tile = np.repeat(tile_indices(self.scene.fitted, _TILE_PX), 3)
         for number in range(_PASSES):
-            images = {c: self.derivatives(c, theta) for c in chosen}
-            rows = np.concatenate([self.listed(images[c]) for c in chosen])
-            residual = self.listed(self.scene.residual(theta)[None])[0]
+            image = self.scene.changed(theta)
+            images, listed = self.images, self.rows
+            if number:
+                # pose and size last: the others share one moved change
+                order = sorted(chosen, key=lambda c: c in ("pose", "size"))
+                images = {c: self.derivatives(c, theta, image) for c in order}
+                listed = {c: self.listed(images[c]) for c in chosen}
+            rows = np.concatenate([listed[c] for c in chosen])
+            residual = self.listed((self.scene.captured - image)[None])[0]
             hessian = rows @ rows.T
             # a move along a strip changes nothing: what the image does not tell stays where it is
             prior = noise / np.concatenate([np.full(len(theta[c]), _PRIOR_SD[c]) for c in chosen]) ** 2

@@ -112,7 +112,7 @@ class TileSums:
     def draw(self, draws: int, rng: np.random.Generator) -> RegionDraws:
         """Return draws of the sums over as many tiles, drawn with replacement."""
         tiles = len(self.pixels_of)
-        counts = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), size=draws)
+        counts = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), size=draws).astype(np.float64)
         # the number of pixels differs from draw to draw; the sums are brought to that of the region
         share = self.pixels / (counts @ self.pixels_of)[:, None]
         names = {"simulation": "error", "do nothing": "signal", "floor": "floor"}

@@ -184,8 +184,10 @@ class PreparedImages:
         )
 
 
-def prepare_images(press: SimulatedPress, capture: TactileCapture) -> PreparedImages:
-    """Return both sides of a comparison on one grid.
+def prepare_images(
+    press: SimulatedPress, capture: TactileCapture, estimated: Nuisances | None = None
+) -> PreparedImages:
+    """Return both sides of a comparison on one grid, without the curve and gains that were `estimated` of them, if any.
 
     Raises
     ------
@@ -203,7 +205,7 @@ def prepare_images(press: SimulatedPress, capture: TactileCapture) -> PreparedIm
         noise = capture_noise(no_contact, repeat)
     for image in images:
         image[clipped] = np.nan
-    nuisances = nuisances_of(press, capture)
+    nuisances = estimated or nuisances_of(press, capture)
     nuisances = replace(nuisances, contact=contact, no_contact=no_contact)
     layers, compared = nuisances.best()
     captured = Captured(compared, no_contact, repeat, noise)
