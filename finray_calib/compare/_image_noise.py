@@ -131,18 +131,29 @@ def gradient_variance(variance: Floats) -> Floats:
 def _filtered(image: NDArray[np.floating], across: Floats, along: Floats) -> Floats:
     """Return the image filtered with both turns of a separable kernel."""
     missing = missing_pixels(image)
-    incomplete = np.ones(image.shape[:2], dtype=np.bool_)
-    incomplete[1:-1, 1:-1] = False
     finite = np.ascontiguousarray(image, dtype=np.float64)
     if missing is not None:
-        incomplete |= cv2.dilate(missing.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         finite = np.where(np.isfinite(finite), finite, 0.0)
     both = np.zeros((2, *image.shape))
     if finite.any():
         for turned, kernels in zip(both, ((along, across), (across, along)), strict=True):
             turned[:] = cv2.sepFilter2D(finite, -1, *kernels).reshape(image.shape)
-    both[:, incomplete] = np.nan
+    both[:, _incomplete(missing, image.shape)] = np.nan
     return both
+
+
+def has_gradient(*images: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return the pixels (H, W) whose gradient is finite in every image, see :func:`image_gradient`."""
+    return ~_incomplete(missing_pixels(*images), images[0].shape)
+
+
+def _incomplete(missing: NDArray[np.bool_] | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return the pixels (H, W) of which one of the 3 x 3 pixels is missing or outside."""
+    incomplete = np.ones(shape[:2], dtype=np.bool_)
+    incomplete[1:-1, 1:-1] = False
+    if missing is not None:
+        incomplete |= cv2.dilate(missing.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return incomplete
 
 
 def missing_pixels(*images: NDArray[np.floating]) -> NDArray[np.bool_] | None:

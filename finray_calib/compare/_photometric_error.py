@@ -28,7 +28,7 @@ from finray_calib.compare._input_draws import (
     propagate,
 )
 from finray_calib.compare._prepared_images import Nuisances
-from finray_calib.compare._region_sums import RegionSums
+from finray_calib.compare._region_sums import RegionSums, gradient_places
 from finray_calib.compare._regions import tile_indices, tile_side_px
 from finray_calib.spectra import compiled
 
@@ -228,9 +228,14 @@ def resampled(comparison: Comparison, rng: np.random.Generator) -> list[RegionRe
     """
     drawn = _drawn_tiles(comparison, rng)
     regions = []
-    for kinds, gradients in zip(drawn, comparison.gradients, strict=True):
+    places = gradient_places(comparison.captured, comparison.used)
+    for kinds, gradients, place in zip(drawn, comparison.gradients, places, strict=True):
         images = _joined([tiles.draw(RESAMPLED_DRAWS // len(kinds), rng) for tiles in kinds])
         of_gradients = None if gradients is None else resampled_draws(gradients, RESAMPLED_DRAWS, rng)
+        if gradients is None and place is not None:
+            # no row tells them of encoded values, but the next region's draws stay those of older versions
+            tiles = int(tile_indices(place, tile_side_px(place)).max()) + 1
+            rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), size=RESAMPLED_DRAWS)
         regions.append(RegionResult(images, of_gradients))
     return regions
 

@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import CompareError, KnownInputs, SimulatedPress
-from finray_calib.compare._image_noise import NOISE_EXCESS, CaptureNoise, block_mean, gradient_variance, image_gradient
+from finray_calib.compare._image_noise import (
+    NOISE_EXCESS,
+    CaptureNoise,
+    block_mean,
+    gradient_variance,
+    has_gradient,
+    image_gradient,
+)
 from finray_calib.compare._regions import pixels_within
 
 Floats = NDArray[np.float64]
@@ -364,12 +371,8 @@ def gradient_sums(
     of_render = exposure_k**2 * gradient_variance(layers.contact_variance + layers.no_contact_variance)
     halves = _half_gradients(layers, pose_names)
     found: list[RegionSums | None] = []
-    for used in regions:
-        whole = used.copy()
-        for image in (signal, *([] if repeat is None else [repeat])):
-            for channel in range(image.shape[3]):
-                whole &= np.isfinite(image[0, ..., channel]) & np.isfinite(image[1, ..., channel])
-        if not whole.any():
+    for whole in gradient_places(captured, regions):
+        if whole is None:
             found.append(None)
             continue
         d, v = _at(signal, whole), _at(variance, whole)
@@ -381,6 +384,14 @@ def gradient_sums(
         level, render_variance = np.concatenate([pixels_within(b, whole)] * 2), _at(of_render, whole)
         found.append(_sums(whole, both, values, exposure_k, layers.matrix, render_variance, level, NOISE_EXCESS))
     return found
+
+
+def gradient_places(captured: Captured, regions: Sequence[Bools]) -> list[Bools | None]:
+    """Return the pixels of every region whose captured gradients are known; None where there is none."""
+    images = (captured.contact, captured.no_contact, captured.repeat)
+    known = has_gradient(*(image for image in images if image is not None))
+    places = [used & known for used in regions]
+    return [place if place.any() else None for place in places]
 
 
 @dataclass(frozen=True, slots=True)
