@@ -275,16 +275,13 @@ class _Fit:
         The second with a smooth change: derivatives of noise are none of a cause.
     fitted : ndarray of int, shape (P,)
         Pixels that the fit uses.
-    images : Mapping of str to ndarray (parameters, H, W, 3)
-        Derivatives of the simulation by every cause, where nothing is changed yet.
     rows : Mapping of str to ndarray (parameters, 3 P)
-        The same, weighted, at the fitted pixels.
+        Derivatives by every cause where nothing is changed yet, weighted, at these pixels.
     """
 
     scene: _Scene
     smooth: _Scene
     fitted: NDArray[np.intp]
-    images: Mapping[Cause, Floats]
     rows: Mapping[Cause, Floats]
 
     @classmethod
@@ -292,9 +289,8 @@ class _Fit:
         """Return the fit of a scene."""
         soft = cv2.GaussianBlur(scene.change, (0, 0), _SMOOTH_PX)
         smooth = replace(scene, change=np.asarray(soft, dtype=np.float64))
-        fit = cls(scene, smooth, np.flatnonzero(scene.fitted), {}, {})
-        images = {c: fit.derivatives(c, {}, scene.changed({})) for c in CAUSES}
-        return replace(fit, images=images, rows={c: fit.listed(image) for c, image in images.items()})
+        fit = cls(scene, smooth, np.flatnonzero(scene.fitted), {})
+        return replace(fit, rows={c: fit.listed(fit.derivatives(c, {}, scene.changed({}))) for c in CAUSES})
 
     def derivatives(self, cause: Cause, theta: Mapping[Cause, Floats], image: Floats) -> Floats:
         """Return the derivatives (parameters, H, W, 3) of the changed simulation `image` by a cause's parameters."""
@@ -358,13 +354,10 @@ class _Fit:
         tile = np.repeat(tile_indices(self.scene.fitted, _TILE_PX), 3)
         for number in range(_PASSES):
             image = self.scene.changed(theta)
-            images, listed = self.images, self.rows
-            if number:
-                # pose and size last: the others share one moved change
-                order = sorted(chosen, key=lambda c: c in ("pose", "size"))
-                images = {c: self.derivatives(c, theta, image) for c in order}
-                listed = {c: self.listed(images[c]) for c in chosen}
-            rows = np.concatenate([listed[c] for c in chosen])
+            # pose and size last: the others share one moved change
+            order = sorted(chosen, key=lambda c: c in ("pose", "size"))
+            images = {c: self.derivatives(c, theta, image) for c in order}
+            rows = np.concatenate([self.listed(images[c]) for c in chosen])
             residual = self.listed((self.scene.captured - image)[None])[0]
             hessian = rows @ rows.T
             # a move along a strip changes nothing: what the image does not tell stays where it is
