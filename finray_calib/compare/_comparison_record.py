@@ -5,6 +5,7 @@ reader must know, namely what the intervals cover, what they leave out, and what
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -215,12 +216,9 @@ def compare_press(
 
 
 def _report(
-    press: SimulatedPress,
-    capture: TactileCapture,
-    seed: int,
-    normal_map: NormalMapRecord | None,
+    press: SimulatedPress, capture: TactileCapture, seed: int, normal_map: NormalMapRecord | None,
     prepared: PreparedImages,
-) -> PhotometricErrorReport:
+) -> PhotometricErrorReport:  # fmt: skip
     """Return the report of prepared images."""
     linear, rng = capture.encoding == "linear", generator_of(capture, seed)
     images, comparison = quiet_comparison(prepared, capture)
@@ -232,6 +230,7 @@ def _report(
     headline = next(row for row in records[-1].rows if row.candidate == "simulation")
     statements = _statements(comparison, images.distance, capture, draws, rng)
     exposure = None if draws.propagated is None else draws.propagated.draws["exposure"]
+    attributed = partial(attribute_error, comparison, images.distance, images.block_px, full_scale_dn(capture))
     red, green, blue = (float(w) for w in comparison.channel_weights)
     return PhotometricErrorReport(
         **_compared_sides(press, capture),
@@ -249,9 +248,7 @@ def _report(
         interval_covers=interval_covers(comparison, draws),
         interval_over="pixels of this press" if draws.propagated is None else "inputs",
         contact_signal=_contact_signal(comparison, capture, images.block_px),
-        attribution=attribute_error(
-            comparison, images.distance, images.block_px, full_scale_dn(capture), headline.skill.estimate
-        ),
+        attribution=attributed(headline.skill.estimate),
         monte_carlo=monte_carlo(draws.propagated, press, comparison.inputs),
         budget=statements.budget,
         validation=statements.validation,

@@ -318,7 +318,7 @@ class _Fit:
         """Return the mean variance of a weighted number, of the variances (3,) of a pixel."""
         return float(variance @ self.scene.weights) / 3.0
 
-    def choose(self, noise: float) -> tuple[Cause, ...]:
+    def choose(self, variance: float) -> tuple[Cause, ...]:
         """Return the causes by forward selection, on one linearisation of all."""
         residual = self.listed(self.scene.residual({})[None])[0]
         rows = np.concatenate([self.rows[c] for c in CAUSES])
@@ -335,14 +335,14 @@ class _Fit:
                     tried[c] = _explained(gram[np.ix_(of, of)], right[of])
             best = max(tried, key=lambda c: tried[c])
             more = tried[best] - explained
-            if more < _LEAST_SHARE * (total - explained) or more < _TIMES_NOISE * len(self.rows[best]) * noise:
+            if more < _LEAST_SHARE * (total - explained) or more < _TIMES_NOISE * len(self.rows[best]) * variance:
                 break
             chosen.append(best)
             explained = tried[best]
         return tuple(chosen)
 
     def together(
-        self, chosen: Sequence[Cause], noise: float
+        self, chosen: Sequence[Cause], variance: float
     ) -> tuple[dict[Cause, Floats], dict[Cause, Floats], dict[Cause, Floats]]:
         """Return parameters, effects (H, W, 3) and standard uncertainties of causes that are fitted together."""
         theta = {c: np.zeros(len(_PARAMETERS[c])) for c in chosen}
@@ -350,7 +350,7 @@ class _Fit:
         u: dict[Cause, Floats] = {c: np.zeros(len(_PARAMETERS[c])) for c in chosen}
         if not chosen:
             return theta, effects, u
-        noise = max(noise, 1e-12)
+        noise = max(variance, 1e-12)
         tile = np.repeat(tile_indices(self.scene.fitted, _TILE_PX), 3)
         for number in range(_PASSES):
             image = self.scene.changed(theta)

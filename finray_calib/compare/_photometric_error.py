@@ -261,7 +261,10 @@ def drawn_squares(
     The last region holds the others, so that curve and gains are taken out of its pixels alone.
     """
     captured, k, widest = comparison.captured, comparison.best_exposure, comparison.sums[-1].where
-    inside = [np.flatnonzero(sums.where[widest]) for sums in comparison.sums]
+    inside = [
+        np.stack([np.flatnonzero(sums.where[widest]), of.of_number])
+        for sums, of in zip(comparison.sums, tiles, strict=True)
+    ]
     rest = captured.no_contact[widest]
     of_contact, of_rest = (captured.variance(i[widest]) for i in (captured.contact, captured.no_contact))
     everywhere, drawn_from = np.ones((1, len(rest)), dtype=np.bool_), None
@@ -270,9 +273,9 @@ def drawn_squares(
             first, second = (k * half @ layers.matrix.T for half in layers.halves("contact", everywhere))
             drawn_from = layers
         found = []
-        for where, of in zip(inside, tiles, strict=True):
+        for places, of in zip(inside, tiles, strict=True):
             sums = np.zeros((3, of.tiles, 3))
-            add_squares(first, second, contact[0], rest, of_contact, of_rest, where, of.of_number, sums)
+            add_squares(first, second, contact[0], rest, of_contact, of_rest, places, sums)
             found.append(dict(zip(("error", "signal", "level"), sums, strict=True)))
         yield found
 
@@ -280,14 +283,15 @@ def drawn_squares(
 @compiled
 def add_squares(
     first: Floats, second: Floats, contact: Floats, rest: Floats, of_contact: Floats, of_rest: Floats,
-    where: NDArray[np.intp], tile: NDArray[np.intp], sums: Floats,
+    places: NDArray[np.intp], sums: Floats,
 ) -> None:  # fmt: skip
     """Add squared error, squared change by contact and level of some pixels, noise taken out, to their tiles' sums.
 
-    Pixels are lists (P, 3) of both halves of the render, contact, no contact and the variances of their noise.
+    Pixels are lists (P, 3) of both halves of the render, contact, no contact and the variances of their noise; places
+    (2, n) are numbers of pixels, and of the tiles that they lie in.
     """
-    for i in range(where.shape[0]):
-        p, t = where[i], tile[i]
+    for i in range(places.shape[1]):
+        p, t = places[0, i], places[1, i]
         for c in range(contact.shape[1]):
             d, v = contact[p, c], of_contact[p, c]
             change = rest[p, c] - d
