@@ -7,11 +7,13 @@ import re
 import signal
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from data_schemas import ComparisonBatch, PhotometricErrorReport, provenance
 from data_schemas.storage import Child, read_record, write_record
 from finray_calib.cli import _compare_folders
+from finray_calib.reports._batch_page import _tiles
 from tests.command_line.records import capture_of, press
 from tests.command_line.running import finray, tree
 
@@ -232,3 +234,12 @@ def test_the_same_command_continues_after_a_process_ended(
     again = finray(command)
     assert again.status == 0, again.err
     assert "2 of 3 pairs compared" in again.out
+
+
+@pytest.mark.parametrize(
+    ("shapes", "rows"), [([(480, 640), (60, 80)], 112), ([(113, 150), (112, 150)], 112), ([(320, 240)], 200)]
+)
+def test_pictures_whose_shapes_differ_by_rounding_stand_side_by_side(shapes: list[tuple[int, int]], rows: int) -> None:
+    tiles = _tiles([np.full((*shape, 3), 10 * k, np.uint8) for k, shape in enumerate(shapes)])
+    assert tiles.shape == (rows, 156 * len(shapes), 3)
+    assert [int(tiles[50, 156 * k + 78, 0]) for k in range(len(shapes))] == [10 * k for k in range(len(shapes))]
