@@ -164,11 +164,14 @@ class Child:
         finally:  # also when Ctrl-C is pressed again
             self._reap()
 
-    def kill(self) -> None:
-        """Kill the child from another thread than the one that calls it, which gets a DiedError."""
+    def kill(self, by: signal.Signals = signal.SIGKILL) -> None:
+        """Kill the child from another thread than the one that calls it, which gets a DiedError.
+
+        An interrupt in place of the kill lets it tidy up.
+        """
         if (process := self._process) is not None:
             with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
+                os.killpg(process.pid, by)
 
     def _start(self) -> None:
         """Start the interpreter; it imports and waits."""

@@ -1,17 +1,24 @@
 """``finray compare`` of folders or a list of pairs: a report for each pair, one page over presses and simulators."""
 
 import argparse
+import contextlib
 import csv
 import io
+import os
+import queue
 import re
+import signal
+import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import lru_cache
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from data_schemas import CompareError, FinrayError, RecordError
-from finray_calib.cli._output import give, look_at, progress_bar, say, warn, wrote
+from data_schemas import CompareError, DiedError, FinrayError, RecordError
+from data_schemas.storage import Child
+from finray_calib.cli._output import Progress, give, look_at, progress_bar, say, warn, wrote
 from finray_calib.cli._run import command_line, distinct_file_names, input_digests, require_new, require_place
 
 if TYPE_CHECKING:
@@ -23,7 +30,6 @@ if TYPE_CHECKING:
         SimulatedPress,
         TactileCapture,
     )
-    from data_schemas.storage import ProductSet
     from finray_calib.compare import CheckOptions
     from finray_calib.reports import PressPictures
 
@@ -58,22 +64,23 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     CompareError
         No pair is there, or none could be compared (the summary says why, pair by pair).
     """
-    from data_schemas import ComparisonBatch, NormalMapRecord, PixelScale, provenance
-    from data_schemas.storage import ProductSet, digest_as_read, read_record, write_record
-    from finray_calib.compare import DILATED, CheckOptions, rank_simulators, skill_differences, to_capture, worst_pairs
+    from data_schemas import ComparisonBatch, provenance
+    from data_schemas.storage import ProductSet, write_record
+    from finray_calib.compare import DILATED, rank_simulators, skill_differences, to_capture, worst_pairs
     from finray_calib.reports import batch_page
 
     jobs, notes = _jobs(arguments)
     out = _place(arguments.out or Path("photometric-errors"), jobs)
-    normal_map = None if arguments.normal_map is None else read_record(arguments.normal_map, NormalMapRecord)
-    scale = None if arguments.scale is None else read_record(arguments.scale, PixelScale)
-    options = CheckOptions(arguments.register, arguments.despite_mismatch, normal_map, scale)
-    listed = [file for file in (arguments.normal_map, arguments.scale) if file is not None]
-    compared = []
-    with progress_bar("compare") as progress:
-        for number, job in enumerate(jobs):
-            progress(number, len(jobs), job.name)
-            compared.append(_compare_pair(job, listed, out, arguments.seed, options))
+    work = _Work(
+        out, command_line(), arguments.seed, arguments.register, arguments.despite_mismatch, arguments.normal_map,
+        arguments.scale,
+    )  # fmt: skip
+    _options.cache_clear()
+    _options(work)  # a map or scale that cannot be read is a mistake of the whole command
+    with _Workers(work, len(jobs)) as workers:
+        compared, read = _compare_all(jobs, workers)
+        chosen = _worst_of_each(compared)
+        pages = workers.do("page", [jobs[k] for k in chosen], "pages of the lowest")
     succeeded = [pair for pair in compared if pair.skill is not None]
     simulators, unshared = rank_simulators(compared)
     if unshared:
@@ -87,10 +94,12 @@ def compare_folders(arguments: argparse.Namespace) -> None:
         to_capture_next=to_capture(compared),
         notes=tuple(notes),
     )
-    read = [f for job in jobs for f in (job.simulated, job.captured) if digest_as_read(f) is not None]
-    inputs = input_digests([*read, *listed, *([] if arguments.pairs is None else [arguments.pairs])])
+    inputs = read | input_digests([*work.listed, *([] if arguments.pairs is None else [arguments.pairs])])
     with ProductSet(out / SUMMARY) as products:
-        shown = _worst_pages(jobs, compared, out, products, options)
+        shown = []
+        for k, page in zip(chosen, pages, strict=True):
+            products.add((out / jobs[k].report).with_suffix(".html"), page.encode())
+            shown.append(_pictures(jobs[k], work))
         products.add(out / TABLE, _table(batch).encode())
         products.add(out / PAGE, batch_page(batch, shown, command_line(), inputs).encode())
         write_record(batch, out / SUMMARY, provenance(command_line(), inputs, arguments.seed), products)
@@ -189,24 +198,213 @@ def _rows(path: Path) -> list[dict[str, str | None]]:
     return [dict(zip_longest(header, cells[: len(header)])) for _, cells in rows]
 
 
-def _compare_pair(job: _Job, listed: list[Path], out: Path, seed: int, options: "CheckOptions") -> "ComparedPair":
-    """Compare one pair and store its report, or return why not; a report that is there already is taken."""
-    from data_schemas import ComparedPair, provenance
+@dataclass(frozen=True, slots=True)
+class _Work:
+    """What is done with every pair alike."""
+
+    out: Path
+    command: str
+    seed: int
+    registered: bool
+    despite_mismatch: bool
+    normal_map: Path | None
+    scale: Path | None
+
+    @property
+    def listed(self) -> list[Path]:
+        """Files that every comparison reads beside its pair."""
+        return [file for file in (self.normal_map, self.scale) if file is not None]
+
+
+@lru_cache(maxsize=1)
+def _options(work: _Work) -> "CheckOptions":
+    """Return the options of a comparison, with the records that were given."""
+    from data_schemas import NormalMapRecord, PixelScale
+    from data_schemas.storage import read_record
+    from finray_calib.compare import CheckOptions
+
+    normal_map = None if work.normal_map is None else read_record(work.normal_map, NormalMapRecord)
+    scale = None if work.scale is None else read_record(work.scale, PixelScale)
+    return CheckOptions(work.registered, work.despite_mismatch, normal_map, scale)
+
+
+def _as_json(record: "_Job | _Work") -> dict[str, Any]:
+    """Return the fields of a dataclass of texts, numbers and paths."""
+    return {f.name: str(v) if isinstance(v := getattr(record, f.name), Path) else v for f in fields(record)}
+
+
+R = TypeVar("R", "_Job", "_Work")
+
+
+def _of_json(kind: type[R], told: Mapping[str, Any]) -> R:
+    """Return the dataclass that :func:`_as_json` told."""
+    paths = {f.name for f in fields(kind) if "Path" in str(f.type)}
+    given: dict[str, Any] = {n: Path(v) if n in paths and v is not None else v for n, v in told.items()}
+    return kind(**given)
+
+
+#: Fewer pairs for each process do not repay its start; more processes than these would take much memory.
+_LEAST_PAIRS_EACH, _MOST_WORKERS = 6, 8
+_TASK_PAIRS = 3
+
+
+class _Workers:
+    """Do work on pairs: in this process where they are few, else in as many processes as this one has cores.
+
+    Results come in the order of the pairs and do not depend on how many processes there are: every pair is compared
+    on a single thread, with draws of its own.
+    """
+
+    def __init__(self, work: _Work, pairs: int) -> None:
+        self._work = work
+        count = min(len(os.sched_getaffinity(0)), pairs // _LEAST_PAIRS_EACH, _MOST_WORKERS)
+        self._children = [Child([__name__, "finray_calib.compare"]) for _ in range(count if count > 1 else 0)]
+
+    def __enter__(self) -> "_Workers":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for child in self._children:
+            child.__exit__(None, None, None)
+
+    def do(self, what: Literal["compare", "page"], jobs: "Sequence[_Job]", title: str) -> list[Any]:
+        """Return a result for each job, in their order.
+
+        Raises
+        ------
+        DiedError
+            A process was killed or crashed; reports that are written stay, and the same command continues.
+        """
+        with progress_bar(title) as progress:
+            if not self._children:
+                found: list[Any] = []
+                for job in jobs:
+                    progress(len(found), len(jobs), job.name)
+                    found += do_jobs(what, [_as_json(job)], _as_json(self._work))
+                return found
+            return self._side_by_side(what, jobs, progress)
+
+    def _side_by_side(self, what: str, jobs: "Sequence[_Job]", progress: Progress) -> list[Any]:
+        """Return the results of all processes."""
+        size = _TASK_PAIRS if what == "compare" else 1
+        todo: queue.SimpleQueue[int] = queue.SimpleQueue()
+        done: queue.SimpleQueue[tuple[int, list[Any] | BaseException]] = queue.SimpleQueue()
+        for start in range(0, len(jobs), size):
+            todo.put(start)
+
+        def serve(child: Child) -> None:
+            with contextlib.suppress(queue.Empty):
+                while True:
+                    start = todo.get_nowait()
+                    told = [_as_json(job) for job in jobs[start : start + size]]
+                    arguments = {"what": what, "jobs": told, "work": _as_json(self._work)}
+                    try:
+                        done.put((start, child.call(f"{__name__}:do_jobs", arguments)))
+                    except BaseException as error:  # the thread that waits raises it
+                        return done.put((start, error))
+
+        threads = [threading.Thread(target=serve, args=(child,)) for child in self._children]
+        found: dict[int, list[Any]] = {}
+        try:
+            for thread in threads:
+                thread.start()
+            for _ in range(0, len(jobs), size):
+                start, result = done.get()
+                if isinstance(result, BaseException):
+                    raise _of_worker(result, jobs[start])
+                found[start] = result
+                progress(sum(map(len, found.values())), len(jobs), jobs[start].name)
+        finally:
+            while not todo.empty():
+                todo.get_nowait()
+            if any(thread.is_alive() for thread in threads) and len(found) * size < len(jobs):
+                for child in self._children:
+                    child.kill(signal.SIGINT)
+            for thread in threads:
+                if thread.ident is not None:  # Ctrl-C may come before it has started
+                    thread.join()
+        return [result for start in sorted(found) for result in found[start]]
+
+
+def _of_worker(error: BaseException, job: "_Job") -> BaseException:
+    """Return what to raise for the error of a process."""
+    if not isinstance(error, DiedError):
+        return error
+    return DiedError(
+        f"a process that compares pairs, at {job.name} or one of the next two, {error}. The reports that are written "
+        "are complete; the same command compares the others"
+    )
+
+
+def do_jobs(what: Literal["compare", "page"], jobs: list[dict[str, Any]], work: dict[str, Any]) -> list[Any]:
+    """Compare pairs and store their reports, or return the pages of stored reports, on a single thread.
+
+    Parameters
+    ----------
+    what
+        "compare" or "page".
+    jobs, work
+        As JSON: the pairs, and what is done with all of them.
+    """
+    import cv2
+    from threadpoolctl import threadpool_limits
+
+    # sums then come in one order, whatever the machine
+    threads = cv2.getNumThreads()
+    do, chosen = {"compare": _compare_pair, "page": _page}[what], _of_json(_Work, work)
+    try:
+        cv2.setNumThreads(1)
+        with threadpool_limits(limits=1):
+            return [do(_of_json(_Job, job), chosen) for job in jobs]
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def _compare_all(jobs: Sequence[_Job], workers: _Workers) -> "tuple[list[ComparedPair], dict[str, str]]":
+    """Compare all pairs; return them and the digests of the files that were read."""
+    from data_schemas import ComparedPair
+
+    told = workers.do("compare", jobs, "compare")
+    for job, result in zip(jobs, told, strict=True):
+        if result["pair"]["error"] is not None:
+            warn(f"{job.name}: {result['pair']['error']}")
+    read = {name: digest for result in told for name, digest in result["read"].items()}
+    return [ComparedPair.model_validate(result["pair"]) for result in told], read
+
+
+def _compare_pair(job: _Job, work: _Work) -> dict[str, Any]:
+    """Compare one pair and store its report, or tell why not; a report that is there already is taken."""
+    from data_schemas import ComparedPair
+    from data_schemas.storage import digest_as_read
+
+    pair = ComparedPair.model_validate(
+        {
+            "name": job.name, "simulated": str(job.simulated), "captured": str(job.captured),
+            "simulator": job.simulator, "press": job.press, "session": job.session, "sensor": job.sensor,
+            **_compared(job, work),
+        }
+    )  # fmt: skip
+    read = {file.as_posix(): digest_as_read(file) for file in (job.simulated, job.captured)}
+    return {
+        "pair": pair.model_dump(mode="json"),
+        "read": {name: digest for name, digest in read.items() if digest is not None},
+    }
+
+
+def _compared(job: _Job, work: _Work) -> dict[str, Any]:
+    """Return what the comparison of a pair adds to the summary."""
+    from data_schemas import provenance
     from data_schemas.storage import write_record
     from finray_calib.compare import compare_checked
 
-    places = {
-        "name": job.name, "simulated": str(job.simulated), "captured": str(job.captured), "simulator": job.simulator,
-        "press": job.press, "session": job.session, "sensor": job.sensor,
-    }  # fmt: skip
-    path = out / job.report
+    path = work.out / job.report
     try:
         press, capture = _read_pair(job)
-        origin = provenance(command_line(), input_digests([job.simulated, job.captured, *listed]), seed)
-        report = None if path.exists() else compare_checked(press, capture, seed, options)[0]
+        options = _options(work)
+        origin = provenance(work.command, input_digests([job.simulated, job.captured, *work.listed]), work.seed)
+        report = None if path.exists() else compare_checked(press, capture, work.seed, options)[0]
     except (FinrayError, OSError) as error:
-        warn(f"{job.name}: {error}")
-        return ComparedPair.model_validate({**places, "error": str(error)})
+        return {"error": str(error)}
     # A disk that takes no more is no fault of the pair: it ends the command, which goes on here when run again.
     if report is None:
         report = _stored_report(path, origin)
@@ -214,17 +412,14 @@ def _compare_pair(job: _Job, listed: list[Path], out: Path, seed: int, options: 
         write_record(report, path, origin)
     region = next(r for r in report.regions if r.region == report.headline_region)
     floors = [row.skill for row in region.rows if row.candidate == "floor"]
-    return ComparedPair.model_validate(
-        {
-            **places,
-            "sensor": job.sensor or capture.rig,
-            "report": job.report.as_posix(),
-            "skill": report.headline_skill,
-            "floor_skill": floors[0] if floors else None,
-            "contact_signal": report.contact_signal,
-            "findings": report.findings,
-        }
-    )
+    return {
+        "sensor": job.sensor or capture.rig,
+        "report": job.report.as_posix(),
+        "skill": report.headline_skill,
+        "floor_skill": floors[0] if floors else None,
+        "contact_signal": report.contact_signal,
+        "findings": report.findings,
+    }
 
 
 def _read_pair(job: _Job) -> "tuple[SimulatedPress, TactileCapture]":
@@ -256,31 +451,32 @@ def _stored_report(path: Path, origin: "Provenance") -> "PhotometricErrorReport"
     return report
 
 
-def _worst_pages(
-    jobs: Sequence[_Job],
-    compared: "Sequence[ComparedPair]",
-    out: Path,
-    products: "ProductSet",
-    options: "CheckOptions",
-) -> "list[PressPictures]":
-    """Write the pages of the pairs of lowest skill, and return their pictures for the page over all."""
+def _shown(job: _Job, work: _Work) -> "tuple[PhotometricErrorReport, SimulatedPress, TactileCapture]":
+    """Return the stored report of a pair, and both sides as they were compared."""
     from data_schemas import PhotometricErrorReport
     from data_schemas.storage import read_record
     from finray_calib.compare import shown_press
-    from finray_calib.reports import comparison_page, press_pictures
 
-    found = []
-    for k in _worst_of_each(compared):
-        job, path = jobs[k], out / jobs[k].report
-        report = read_record(path, PhotometricErrorReport)
-        press, capture = _read_pair(job)
-        shown = shown_press(press, capture, options.registered)
-        digests: Mapping[str, str] = {} if report.provenance is None else report.provenance.input_sha256
-        page = comparison_page(report, shown, capture, command_line(), digests)
-        products.add(path.with_suffix(".html"), page.encode())
-        link = job.report.with_suffix(".html").as_posix()
-        found.append(press_pictures(job.simulator, job.name, link, report, shown, capture))
-    return found
+    report = read_record(work.out / job.report, PhotometricErrorReport)
+    press, capture = _read_pair(job)
+    return report, shown_press(press, capture, work.registered), capture
+
+
+def _page(job: _Job, work: _Work) -> str:
+    """Return the page of a pair."""
+    from finray_calib.reports import comparison_page
+
+    report, shown, capture = _shown(job, work)
+    digests: Mapping[str, str] = {} if report.provenance is None else report.provenance.input_sha256
+    return comparison_page(report, shown, capture, work.command, digests)
+
+
+def _pictures(job: _Job, work: _Work) -> "PressPictures":
+    """Return the small pictures of a pair for the page over all."""
+    from finray_calib.reports import press_pictures
+
+    report, shown, capture = _shown(job, work)
+    return press_pictures(job.simulator, job.name, job.report.with_suffix(".html").as_posix(), report, shown, capture)
 
 
 def _worst_of_each(compared: "Sequence[ComparedPair]") -> list[int]:

@@ -341,7 +341,7 @@ class Comparison:
     used : tuple of ndarray of bool, shape (H, W)
         Usable pixels of each region.
     sums, gradients : tuple of RegionSums
-        Of each region; gradients may be missing.
+        Of each region; gradients may be missing, and of encoded values all are.
     channel_weights : ndarray, shape (3,)
         Of the headline region, in 1 / unit^2; common to all regions.
     exposure : ExposureFit or None
@@ -446,7 +446,9 @@ def prepare_comparison(
     if demand_contact:
         for region, of_region in zip(regions, sums, strict=True):
             _require_contact(region, of_region, weights)
-    gradients = tuple(gradient_sums(layers, captured, where, k, poses) for where in used)
+    gradients: tuple[RegionSums | None, ...] = (None,) * len(used)
+    if relative_weights:
+        gradients = tuple(gradient_sums(layers, captured, used, k, poses))
     knows = inputs is not None and layers.inputs is not None
     levels = part_levels(layers, captured, used[-1], poses) if knows else None
     return Comparison(layers, captured, inputs, tuple(regions), used, sums, gradients, weights, exposure, levels)

@@ -5,6 +5,7 @@ reader must know, namely what the intervals cover, what they leave out, and what
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -30,7 +31,7 @@ from finray_calib.compare._comparison import LARGEST_HEADLINE_NOISE, Comparison,
 from finray_calib.compare._displayed_images import SSIM_SETTINGS, ShownCandidate, full_frame_ssim, shown_candidates
 from finray_calib.compare._error_attribution import attribute_error
 from finray_calib.compare._input_draws import POSE, Drawn, Inputs, Propagated, generator_of
-from finray_calib.compare._mismatch import find_mismatches, require_no_mismatch
+from finray_calib.compare._mismatch import mismatches, require_no_mismatch
 from finray_calib.compare._photometric_error import (
     ErrorDraws,
     captured_share,
@@ -42,7 +43,13 @@ from finray_calib.compare._photometric_error import (
     uncertainty_budget,
     validation_cells,
 )
-from finray_calib.compare._prepared_images import Nuisances, nuisances_of, prepare_images, require_same_conditions
+from finray_calib.compare._prepared_images import (
+    Nuisances,
+    PreparedImages,
+    nuisances_of,
+    prepare_images,
+    require_same_conditions,
+)
 from finray_calib.compare._regions import DILATED, FACTORS
 from finray_calib.compare._registration import move_press, register_press
 from finray_calib.compare._tone_curve import drift_record, encoded_layers, tone_record, without_gain
@@ -104,7 +111,7 @@ def compare_checked(
     chosen = options or CheckOptions()
     # before the images: a press elsewhere looks like another exposure
     require_same_conditions(press, capture)
-    findings = find_mismatches(press, capture)
+    findings, estimated = mismatches(press, capture)
     if not chosen.despite_mismatch:
         require_no_mismatch(findings)
     compared, told = _placed_press(press, capture, chosen.registered)
@@ -112,24 +119,27 @@ def compare_checked(
     scale, scaled = None, capture
     if chosen.pixel_scale is not None:
         scaled = with_measured_scale(capture, chosen.pixel_scale)
-    report = compare_press(compared, scaled, seed, chosen.normal_map)
+    estimated = estimated if compared is press else None
+    report = _report(compared, scaled, seed, chosen.normal_map, prepare_images(compared, scaled, estimated))
     if chosen.pixel_scale is not None:
         scale = patch_scale(chosen.pixel_scale, capture, compared.distance, FACTORS)
         other = scale_finding(scale, capture)
         checks = checks if other is None else (*checks, other)
     forced = any(f.severity == "refuse" for f in findings)
     found = {"findings": (*report.findings, *checks), "forced_mismatch": forced, "patch_scale": scale}
-    return report.model_copy(update=found), _as_compared(compared, capture)
+    return report.model_copy(update=found), _as_compared(
+        compared, capture, estimated or nuisances_of(compared, capture)
+    )
 
 
 def shown_press(press: SimulatedPress, capture: TactileCapture, registered: bool = False) -> SimulatedPress:
     """Return the press as :func:`compare_checked` compared it: moved if asked, through the camera's curve and gains."""
-    return _as_compared(_placed_press(press, capture, registered)[0], capture)
+    placed = _placed_press(press, capture, registered)[0]
+    return _as_compared(placed, capture, nuisances_of(placed, capture))
 
 
-def _as_compared(press: SimulatedPress, capture: TactileCapture) -> SimulatedPress:
+def _as_compared(press: SimulatedPress, capture: TactileCapture, nuisances: Nuisances) -> SimulatedPress:
     """Return the press as its pictures stand beside the capture's: through the tone curve, with the capture's gain."""
-    nuisances = nuisances_of(press, capture)
     tone, gain = nuisances.tone, nuisances.gain
     if nuisances.is_idle or capture.encoding == "linear":
         return press
@@ -202,8 +212,15 @@ def compare_press(
         The images differ in size, the render holds encoded values and the capture light, contact changes nothing, or
         the render is black.
     """
+    return _report(press, capture, seed, normal_map, prepare_images(press, capture))
+
+
+def _report(
+    press: SimulatedPress, capture: TactileCapture, seed: int, normal_map: NormalMapRecord | None,
+    prepared: PreparedImages,
+) -> PhotometricErrorReport:  # fmt: skip
+    """Return the report of prepared images."""
     linear, rng = capture.encoding == "linear", generator_of(capture, seed)
-    prepared = prepare_images(press, capture)
     images, comparison = quiet_comparison(prepared, capture)
     nuisances = prepared.nuisances
     draws = error_draws(comparison, rng)
@@ -213,6 +230,7 @@ def compare_press(
     headline = next(row for row in records[-1].rows if row.candidate == "simulation")
     statements = _statements(comparison, images.distance, capture, draws, rng)
     exposure = None if draws.propagated is None else draws.propagated.draws["exposure"]
+    attributed = partial(attribute_error, comparison, images.distance, images.block_px, full_scale_dn(capture))
     red, green, blue = (float(w) for w in comparison.channel_weights)
     return PhotometricErrorReport(
         **_compared_sides(press, capture),
@@ -230,9 +248,7 @@ def compare_press(
         interval_covers=interval_covers(comparison, draws),
         interval_over="pixels of this press" if draws.propagated is None else "inputs",
         contact_signal=_contact_signal(comparison, capture, images.block_px),
-        attribution=attribute_error(
-            comparison, images.distance, images.block_px, full_scale_dn(capture), headline.skill.estimate
-        ),
+        attribution=attributed(headline.skill.estimate),
         monte_carlo=monte_carlo(draws.propagated, press, comparison.inputs),
         budget=statements.budget,
         validation=statements.validation,

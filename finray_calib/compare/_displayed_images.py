@@ -160,6 +160,8 @@ def displayed_image(image: Floats, white_dn: float, linear: bool) -> Floats:
 
 #: A 0.7 m wide screen of 3840 pixels seen from 0.7 m: the default of FLIP's makers.
 PIXELS_PER_DEGREE = 67.0
+#: Nothing farther away enters a pixel: the widest filter, of blue and yellow, is cut at 3 sqrt(0.04 / 2 pi^2) deg.
+_FLIP_REACH_DEG = 0.16
 
 
 def flip_mean(
@@ -195,6 +197,8 @@ def flip_mean(
         raise MissingExtraError(
             "FLIP needs the package flip-evaluator: pip install 'finray-calib[flip]', or do without this row"
         ) from None
+    near = _around(used, int(np.ceil(_FLIP_REACH_DEG * pixels_per_deg)))
+    reference_srgb, test_srgb, used = reference_srgb[near], test_srgb[near], used[near]
     finite = np.asarray(np.isfinite(reference_srgb + test_srgb).all(axis=2))[..., None]
     reference, test = (np.where(finite, image, 0.0).astype(np.float32) for image in (reference_srgb, test_srgb))
     error, _, _ = flip_evaluator.evaluate(
@@ -202,6 +206,13 @@ def flip_mean(
         parameters={"ppd": pixels_per_deg},
     )  # fmt: skip
     return float(np.asarray(error, dtype=np.float64).reshape(used.shape)[used].mean())
+
+
+def _around(mask: Bools, reach_px: int) -> tuple[slice, slice]:
+    """Return the rows and columns of a mask's bounding box with a border."""
+    sides = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    rows, columns = (slice(max(int(s[0]) - reach_px, 0), int(s[-1]) + reach_px + 1) for s in sides)
+    return rows, columns
 
 
 #: IEC 61966-2-1, rounded as in the standard.

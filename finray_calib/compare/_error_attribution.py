@@ -9,8 +9,8 @@ channel. Causes are chosen one by one, by what they explain of the residual, and
 Gauss-Newton steps, over pixels up to 3.5 half-widths from the contact that are not nearly clipped.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal, get_args
 
 import cv2
@@ -75,6 +75,8 @@ class _Scene:
         Pixels that the fit uses, and that the skill is formed over.
     side_px : float
         Raw pixels along the side of one pixel here.
+    last : dict
+        What was formed last, by kind: a pass of the fit asks for the same moved change and the same light many times.
     """
 
     rest: Floats
@@ -87,14 +89,25 @@ class _Scene:
     fitted: Bools
     scored: Bools
     side_px: float
+    last: dict[str, tuple[bytes, Floats]] = field(init=False, default_factory=dict)
+
+    def _once(self, kind: str, by: Floats, form: Callable[[], Floats]) -> Floats:
+        """Return what is formed by some numbers, from memory where they are the last ones."""
+        key = by.tobytes()
+        if kind not in self.last or self.last[kind][0] != key:
+            self.last[kind] = key, form()
+        return self.last[kind][1]
 
     def changed(self, theta: Mapping[Cause, Floats]) -> Floats:
         """Return the simulation with these changes."""
         image = self._contact(theta)
+        if "gain" not in theta and "shading" not in theta:
+            return image
         log_gain = np.zeros(3) if "gain" not in theta else theta["gain"]
         if "shading" in theta:
             slope = theta["shading"].reshape(2, 3)
-            return np.asarray(image * np.exp(log_gain + self.place @ slope))
+            by = np.concatenate([log_gain, theta["shading"]])
+            return np.asarray(image * self._once("light", by, lambda: np.exp(log_gain + self.place @ slope)))
         return np.asarray(image * np.exp(log_gain))
 
     def _contact(self, theta: Mapping[Cause, Floats]) -> Floats:
@@ -106,8 +119,7 @@ class _Scene:
             x, y = self.centre_px
             matrix = np.array([[zoom, 0.0, x + dx - zoom * x], [0.0, zoom, y + dy - zoom * y]])
             size = (change.shape[1], change.shape[0])
-            moved = cv2.warpAffine(change, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-            change = np.asarray(moved, dtype=np.float64)
+            change = self._once("moved", matrix, lambda: _moved(self.change, matrix, size))
         if "depth" in theta:
             change = change * (1.0 + theta["depth"][0])
         if "halo" in theta:
@@ -124,6 +136,12 @@ class _Scene:
         """Return the weighted sum of squares, or of products, over the scored pixels."""
         second = image if other is None else other
         return float((image * second)[self.scored].sum(axis=0) @ self.weights)
+
+
+def _moved(change: Floats, matrix: Floats, size: tuple[int, int]) -> Floats:
+    """Return an image on another grid."""
+    moved = cv2.warpAffine(change, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(moved, dtype=np.float64)
 
 
 def _blurred(change: Floats, variance_px2: float) -> Floats:
@@ -160,14 +178,15 @@ def attribute_error(
     scene, window = _scene(comparison, distance, block_px, full_scale_dn)
     if scene.fitted.sum() < 10 * _TILE_PX or not scene.change[scene.fitted].any():
         return None
-    fit = _Fit(scene, _noise_variance(comparison, scene, window, {}))
-    chosen = fit.choose()
-    theta, effects, u = fit.together(chosen)
+    fit = _Fit.of(scene)
+    noise = fit.noise(_noise_variance(comparison, scene, window, {}))
+    chosen = fit.choose(noise)
+    theta, effects, u = fit.together(chosen, noise)
     kept = tuple(c for c in chosen if (np.abs(theta[c]) > _TIMES_U * u[c]).any())
     if kept != chosen:
-        theta, effects, u = fit.together(kept)
-    fit = _Fit(scene, _noise_variance(comparison, scene, window, theta))
-    return _attribution(comparison, window, fit, (theta, effects, u), 1.0 - skill)
+        theta, effects, u = fit.together(kept, noise)
+    variance = _noise_variance(comparison, scene, window, theta)
+    return _attribution(comparison, window, fit, variance, (theta, effects, u), 1.0 - skill)
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,91 +267,132 @@ def _noise_variance(comparison: Comparison, scene: _Scene, window: _Window, thet
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """Choose and fit causes on one scene."""
+    """Choose and fit causes on one scene.
+
+    Attributes
+    ----------
+    scene, smooth : _Scene
+        The second with a smooth change: derivatives of noise are none of a cause.
+    fitted : ndarray of int, shape (P,)
+        Pixels that the fit uses.
+    rows : Mapping of str to ndarray (parameters, 3 P)
+        Derivatives by every cause where nothing is changed yet, weighted, at these pixels.
+    """
 
     scene: _Scene
-    noise_variance: Floats
+    smooth: _Scene
+    fitted: NDArray[np.intp]
+    rows: Mapping[Cause, Floats]
 
-    def columns(self, cause: Cause, theta: Mapping[Cause, Floats], smooth: _Scene) -> list[Floats]:
-        """Return the derivatives (H, W, 3) of the changed simulation by the parameters of a cause."""
+    @classmethod
+    def of(cls, scene: _Scene) -> "_Fit":
+        """Return the fit of a scene."""
+        soft = cv2.GaussianBlur(scene.change, (0, 0), _SMOOTH_PX)
+        smooth = replace(scene, change=np.asarray(soft, dtype=np.float64))
+        fit = cls(scene, smooth, np.flatnonzero(scene.fitted), {})
+        return replace(fit, rows={c: fit.listed(fit.derivatives(c, {}, scene.changed({}))) for c in CAUSES})
+
+    def derivatives(self, cause: Cause, theta: Mapping[Cause, Floats], image: Floats) -> Floats:
+        """Return the derivatives (parameters, H, W, 3) of the changed simulation `image` by a cause's parameters."""
         if cause in ("gain", "shading"):
-            image = self.scene.changed(theta)
-            alone = [image * np.eye(3)[c] for c in range(3)]
+            alone = np.zeros((3, *image.shape))
+            for c in range(3):
+                alone[c, ..., c] = image[..., c]
             if cause == "gain":
                 return alone
-            return [self.scene.place[..., way, None] * image for way in (0, 1) for image in alone]
+            return np.concatenate([self.scene.place[..., way, None] * alone for way in (0, 1)])
         start = theta.get(cause, np.zeros(len(_PARAMETERS[cause])))
         found = []
         for move in _STEPS[cause] * np.eye(len(start)):
-            low = smooth.changed({**theta, cause: start - move})
-            high = smooth.changed({**theta, cause: start + move})
+            low = self.smooth.changed({**theta, cause: start - move})
+            high = self.smooth.changed({**theta, cause: start + move})
             found.append((high - low) / (2.0 * move.sum()))
-        return found
+        return np.array(found)
 
-    def listed(self, image: Floats) -> Floats:
-        """Return an image's fitted pixels, weighted, as one list."""
-        return np.asarray((image * np.sqrt(self.scene.weights))[self.scene.fitted].ravel())
+    def listed(self, images: Floats) -> Floats:
+        """Return the fitted pixels of images (n, H, W, 3), weighted, as lists (n, 3 P)."""
+        pixels = images.reshape(len(images), -1, 3).take(self.fitted, axis=1)
+        return np.asarray((pixels * np.sqrt(self.scene.weights)).reshape(len(images), -1))
 
-    def smooth(self) -> _Scene:
-        """Return the scene whose change is smooth: derivatives of noise are none of a cause."""
-        soft = cv2.GaussianBlur(self.scene.change, (0, 0), _SMOOTH_PX)
-        return replace(self.scene, change=np.asarray(soft, dtype=np.float64))
+    def noise(self, variance: Floats) -> float:
+        """Return the mean variance of a weighted number, of the variances (3,) of a pixel."""
+        return float(variance @ self.scene.weights) / 3.0
 
-    def choose(self) -> tuple[Cause, ...]:
+    def choose(self, variance: float) -> tuple[Cause, ...]:
         """Return the causes by forward selection, on one linearisation of all."""
-        smooth = self.smooth()
-        parts = {c: [self.listed(image) for image in self.columns(c, {}, smooth)] for c in CAUSES}
-        residual = self.listed(self.scene.residual({}))
+        residual = self.listed(self.scene.residual({})[None])[0]
+        rows = np.concatenate([self.rows[c] for c in CAUSES])
+        owner = np.repeat(np.arange(len(CAUSES)), [len(self.rows[c]) for c in CAUSES])
+        gram, right = rows @ rows.T, rows @ residual
         total = float(residual @ residual)
-        noise = float(self.noise_variance @ self.scene.weights) / 3.0
         chosen: list[Cause] = []
         explained = 0.0
         while len(chosen) < len(CAUSES):
-            tried = {c: _explained([*chosen, c], parts, residual) for c in CAUSES if c not in chosen}
+            tried = {}
+            for c in CAUSES:
+                if c not in chosen:
+                    of = np.flatnonzero(np.isin(owner, [CAUSES.index(other) for other in (*chosen, c)]))
+                    tried[c] = _explained(gram[np.ix_(of, of)], right[of])
             best = max(tried, key=lambda c: tried[c])
             more = tried[best] - explained
-            if more < _LEAST_SHARE * (total - explained) or more < _TIMES_NOISE * len(parts[best]) * noise:
+            if more < _LEAST_SHARE * (total - explained) or more < _TIMES_NOISE * len(self.rows[best]) * variance:
                 break
             chosen.append(best)
             explained = tried[best]
         return tuple(chosen)
 
-    def together(self, chosen: Sequence[Cause]) -> tuple[dict[Cause, Floats], dict[Cause, Floats], dict[Cause, Floats]]:
+    def together(
+        self, chosen: Sequence[Cause], variance: float
+    ) -> tuple[dict[Cause, Floats], dict[Cause, Floats], dict[Cause, Floats]]:
         """Return parameters, effects (H, W, 3) and standard uncertainties of causes that are fitted together."""
-        smooth = self.smooth()
         theta = {c: np.zeros(len(_PARAMETERS[c])) for c in chosen}
         effects = {c: np.zeros_like(self.scene.rest) for c in chosen}
         u: dict[Cause, Floats] = {c: np.zeros(len(_PARAMETERS[c])) for c in chosen}
         if not chosen:
             return theta, effects, u
-        noise = max(float(self.noise_variance @ self.scene.weights) / 3.0, 1e-12)
-        for _ in range(_PASSES):
-            images = {c: self.columns(c, theta, smooth) for c in chosen}
-            matrix = np.stack([self.listed(image) for c in chosen for image in images[c]], axis=1)
-            residual = self.listed(self.scene.residual(theta))
-            hessian = matrix.T @ matrix
+        noise = max(variance, 1e-12)
+        tile = np.repeat(tile_indices(self.scene.fitted, _TILE_PX), 3)
+        for number in range(_PASSES):
+            image = self.scene.changed(theta)
+            # pose and size last: the others share one moved change
+            order = sorted(chosen, key=lambda c: c in ("pose", "size"))
+            images = {c: self.derivatives(c, theta, image) for c in order}
+            rows = np.concatenate([self.listed(images[c]) for c in chosen])
+            residual = self.listed((self.scene.captured - image)[None])[0]
+            hessian = rows @ rows.T
             # a move along a strip changes nothing: what the image does not tell stays where it is
             prior = noise / np.concatenate([np.full(len(theta[c]), _PRIOR_SD[c]) for c in chosen]) ** 2
             hessian += _RIDGE * np.diag(np.diag(hessian)) + np.diag(prior)
             moved = np.concatenate([theta[c] for c in chosen])
-            step = np.linalg.solve(hessian, matrix.T @ residual - prior * moved)
-            spread = self._spread(matrix, residual - matrix @ step, hessian, noise)
+            step = np.linalg.solve(hessian, rows @ residual - prior * moved)
+            if number == _PASSES - 1:
+                spread = _spread(rows, residual - step @ rows, tile, hessian, noise)
             at = 0
             for c in chosen:
-                moves = np.clip(step[at : at + len(theta[c])], -_limit(c), _limit(c))
+                own = slice(at, at := at + len(theta[c]))
+                moves = np.clip(step[own], -_limit(c), _limit(c))
                 effects[c] = effects[c] + sum(m * image for m, image in zip(moves, images[c], strict=True))
                 theta[c] = theta[c] + moves
-                u[c] = spread[at : at + len(theta[c])]
-                at += len(theta[c])
+                if number == _PASSES - 1:
+                    u[c] = spread[own]
         return theta, effects, u
 
-    def _spread(self, matrix: Floats, left: Floats, hessian: Floats, noise: float) -> Floats:
-        """Return standard uncertainties: residuals may be alike over tiles (sandwich), and noise is the least."""
-        tile = np.repeat(tile_indices(self.scene.fitted, _TILE_PX), 3)
-        scores = np.stack([np.bincount(tile, weights=column * left) for column in matrix.T], axis=1)
-        inverse = np.linalg.inv(hessian)
-        of_tiles = np.diag(inverse @ (scores.T @ scores) @ inverse)
-        return np.asarray(np.sqrt(np.maximum(of_tiles, noise * np.diag(inverse))))
+    def alike(self, cause: Cause, effect: Floats) -> tuple[str, ...]:
+        """Return the causes that could imitate an effect."""
+        wanted = self.listed(effect[None])[0]
+        size = float(wanted @ wanted)
+        if not size > 0.0:
+            return ()
+        like = {c: _explained(rows @ rows.T, rows @ wanted) for c, rows in self.rows.items() if c != cause}
+        return tuple(c for c, explained in like.items() if np.sqrt(max(explained, 0.0) / size) >= _ALIKE)
+
+
+def _spread(rows: Floats, left: Floats, tile: NDArray[np.intp], hessian: Floats, noise: float) -> Floats:
+    """Return standard uncertainties: residuals may be alike over tiles (sandwich), and noise is the least."""
+    scores = np.stack([np.bincount(tile, weights=row * left) for row in rows], axis=1)
+    inverse = np.linalg.inv(hessian)
+    of_tiles = np.diag(inverse @ (scores.T @ scores) @ inverse)
+    return np.asarray(np.sqrt(np.maximum(of_tiles, noise * np.diag(inverse))))
 
 
 def _limit(cause: Cause) -> float:
@@ -340,18 +400,17 @@ def _limit(cause: Cause) -> float:
     return {"pose": 4.0, "blur": 12.0, "size": 0.15}.get(cause, _LARGEST)
 
 
-def _explained(causes: Sequence[Cause], parts: Mapping[Cause, list[Floats]], residual: Floats) -> float:
-    """Return what causes explain of a residual's sum of squares."""
-    matrix = np.stack([column for c in causes for column in parts[c]], axis=1)
-    gram, right = matrix.T @ matrix, matrix.T @ residual
-    gram += _RIDGE * np.diag(np.diag(gram)) + 1e-300 * np.eye(len(gram))
-    return float(right @ np.linalg.solve(gram, right))
+def _explained(gram: Floats, right: Floats) -> float:
+    """Return what columns explain of a residual's sum of squares, by their products with each other and with it."""
+    ridge = _RIDGE * np.diag(np.diag(gram)) + 1e-300 * np.eye(len(gram))
+    return float(right @ np.linalg.solve(gram + ridge, right))
 
 
 def _attribution(
     comparison: Comparison,
     window: _Window,
     fit: _Fit,
+    variance: Floats,
     found: tuple[dict[Cause, Floats], dict[Cause, Floats], dict[Cause, Floats]],
     lost: float,
 ) -> ErrorAttribution:
@@ -362,7 +421,7 @@ def _attribution(
     signal = _signal(comparison, scene, window)
     noise = 0.0
     if not (comparison.sums[-1].noise.error > 0.0).any():  # else it is taken out of the score
-        noise = float(fit.noise_variance @ scene.weights) * float(scene.scored.sum()) * window.side_px**2 / signal
+        noise = float(variance @ scene.weights) * float(scene.scored.sum()) * window.side_px**2 / signal
     dark = scene.fitted[..., None]
     saturation = scene.energy(np.where(dark, 0.0, left)) / signal
     parts = {c: scene.energy(np.where(dark, left, 0.0), effects[c]) / signal for c in effects}
@@ -378,7 +437,7 @@ def _attribution(
                 parameters=_in_pixels(c, theta[c], u[c], scene.side_px),
                 skill_lost=parts[c],
                 skill_regained=(scene.energy(left) - scene.energy(scene.residual({c: theta[c]}))) / signal,
-                like=_alike(fit, c, effects[c]),
+                like=fit.alike(c, effects[c]),
                 advice=_advice(c, theta[c], scene.side_px),
             )
             for c in order
@@ -411,21 +470,6 @@ def _in_pixels(cause: Cause, theta: Floats, u: Floats, px: float) -> tuple[Cause
         CauseParameter(name=name, unit=unit, value=float(v), u=float(s))
         for (name, unit), v, s in zip(_PARAMETERS[cause], values, spread, strict=True)
     )
-
-
-def _alike(fit: _Fit, cause: Cause, effect: Floats) -> tuple[str, ...]:
-    """Return the causes that could imitate an effect."""
-    wanted = fit.listed(effect)
-    size = float(wanted @ wanted)
-    if not size > 0.0:
-        return ()
-    smooth, found = fit.smooth(), []
-    for other in CAUSES:
-        if other != cause:
-            part = {other: [fit.listed(image) for image in fit.columns(other, {}, smooth)]}
-            if np.sqrt(max(_explained([other], part, wanted), 0.0) / size) >= _ALIKE:
-                found.append(other)
-    return tuple(found)
 
 
 def _advice(cause: Cause, theta: Floats, px: float) -> str:

@@ -130,13 +130,43 @@ def gradient_variance(variance: Floats) -> Floats:
 
 def _filtered(image: NDArray[np.floating], across: Floats, along: Floats) -> Floats:
     """Return the image filtered with both turns of a separable kernel."""
-    missing = np.pad(~np.isfinite(image).all(axis=2), 1, constant_values=True).astype(np.uint8)
-    incomplete = cv2.dilate(missing, np.ones((3, 3), np.uint8))[1:-1, 1:-1] > 0
-    finite = np.ascontiguousarray(np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0), dtype=np.float64)
-    turns = ((along, across), (across, along))
-    both = np.array([cv2.sepFilter2D(finite, -1, *kernels).reshape(image.shape) for kernels in turns])
-    both[:, incomplete] = np.nan
+    missing = missing_pixels(image)
+    finite = np.ascontiguousarray(image, dtype=np.float64)
+    if missing is not None:
+        finite = np.where(np.isfinite(finite), finite, 0.0)
+    both = np.zeros((2, *image.shape))
+    if finite.any():
+        for turned, kernels in zip(both, ((along, across), (across, along)), strict=True):
+            turned[:] = cv2.sepFilter2D(finite, -1, *kernels).reshape(image.shape)
+    both[:, _incomplete(missing, image.shape)] = np.nan
     return both
+
+
+def has_gradient(*images: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return the pixels (H, W) whose gradient is finite in every image, see :func:`image_gradient`."""
+    return ~_incomplete(missing_pixels(*images), images[0].shape)
+
+
+def _incomplete(missing: NDArray[np.bool_] | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return the pixels (H, W) of which one of the 3 x 3 pixels is missing or outside."""
+    incomplete = np.ones(shape[:2], dtype=np.bool_)
+    incomplete[1:-1, 1:-1] = False
+    if missing is not None:
+        incomplete |= cv2.dilate(missing.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return incomplete
+
+
+def missing_pixels(*images: NDArray[np.floating]) -> NDArray[np.bool_] | None:
+    """Return the pixels (H, W) of which an image (H, W, C) holds a value that is not finite; None without any."""
+    # a finite sum tells that all of its terms are finite, at a small part of the time of a look at each
+    some = [image for image in images if not np.isfinite(image.sum())]
+    if not some:
+        return None
+    channels = [image[..., c] for image in some for c in range(image.shape[2])]
+    missing = ~np.isfinite(channels[0])
+    for channel in channels[1:]:
+        missing |= ~np.isfinite(channel)
+    return missing if missing.any() else None
 
 
 Image = TypeVar("Image", NDArray[np.float64], NDArray[np.float32])
@@ -177,4 +207,11 @@ def block_mean(image: Image, side_px: int) -> Image:
         return image
     rows, columns = (n // side_px for n in image.shape[:2])
     cut = image[: rows * side_px, : columns * side_px]
+    if image.ndim == 3:  # numpy's mean over an axis between others takes several times as long, for the same digits
+        corners = [cut[i::side_px, j::side_px] for i in range(side_px) for j in range(side_px)]
+        total = corners[0].copy()
+        for corner in corners[1:]:
+            total += corner
+        total /= side_px**2
+        return total
     return np.asarray(cut.reshape(rows, side_px, columns, side_px, *image.shape[2:]).mean(axis=(1, 3)))

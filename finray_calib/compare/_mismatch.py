@@ -71,6 +71,11 @@ def find_mismatches(press: SimulatedPress, capture: TactileCapture) -> tuple[Fin
     CompareError
         The sizes differ.
     """
+    return mismatches(press, capture)[0]
+
+
+def mismatches(press: SimulatedPress, capture: TactileCapture) -> tuple[tuple[Finding, ...], Nuisances | None]:
+    """Return what :func:`find_mismatches` does, with the curve and gains that it estimated."""
     contact, no_contact = rgb_image(capture.contact, capture), rgb_image(capture.no_contact, capture)
     if press.contact.shape != contact.shape:
         raise CompareError(
@@ -80,6 +85,7 @@ def find_mismatches(press: SimulatedPress, capture: TactileCapture) -> tuple[Fin
     repeat = None if capture.repeat_no_contact is None else rgb_image(capture.repeat_no_contact, capture)
     findings = [Finding("refuse" if sure else "warn", "levels", text) for sure, text in level_findings(capture)]
     findings += _clipped_findings(press, capture)
+    nuisances = None
     if press.encoding == capture.encoding or press.encoding == "linear":
         nuisances = nuisances_of(press, capture)
         findings += _gain_findings(nuisances, repeat, capture)
@@ -88,7 +94,7 @@ def find_mismatches(press: SimulatedPress, capture: TactileCapture) -> tuple[Fin
         findings += [] if scene is None else _order_findings(scene, capture.name)
         if scene is not None and capture.encoding == press.encoding == "linear":
             findings += _encoding_findings(scene, capture)
-    return tuple(sorted(findings, key=lambda f: f.severity != "refuse"))
+    return tuple(sorted(findings, key=lambda f: f.severity != "refuse")), nuisances
 
 
 def _through_the_curve(press: SimulatedPress, nuisances: Nuisances) -> SimulatedPress:

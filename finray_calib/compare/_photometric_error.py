@@ -5,8 +5,8 @@ uncertainty budget (what each input does alone), and the validation statement pe
 ASME V&V 20, with the area validation metric.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -28,8 +28,9 @@ from finray_calib.compare._input_draws import (
     propagate,
 )
 from finray_calib.compare._prepared_images import Nuisances
-from finray_calib.compare._region_sums import RegionSums, RenderLayers
+from finray_calib.compare._region_sums import RegionSums, gradient_places
 from finray_calib.compare._regions import tile_indices, tile_side_px
+from finray_calib.spectra import compiled
 
 Floats = NDArray[np.float64]
 CANDIDATES = ("do nothing", "simulation", "floor")
@@ -92,29 +93,64 @@ def propagated_draws(sums: RegionSums, drawn: Drawn, exposure: Floats, rng: np.r
     return RegionDraws(errors, drawn.drift[:, None] * sums.level, sums.pixels)
 
 
-def resampled_draws(
-    sums: RegionSums, draws: int, rng: np.random.Generator, per_pixel: Mapping[str, Floats] | None = None
-) -> RegionDraws:
+@dataclass(frozen=True, slots=True)
+class TileSums:
+    """Hold the sums of a region's squares over its square tiles; arrays of shape (tiles, 3).
+
+    Attributes
+    ----------
+    squares : Mapping of str to ndarray
+        "error", "signal", perhaps "floor", and "level".
+    pixels_of : ndarray of int, shape (tiles,)
+    pixels : int
+    """
+
+    squares: Mapping[str, Floats]
+    pixels_of: NDArray[np.intp]
+    pixels: int
+
+    def draw(self, draws: int, rng: np.random.Generator) -> RegionDraws:
+        """Return draws of the sums over as many tiles, drawn with replacement."""
+        tiles = len(self.pixels_of)
+        counts = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), size=draws).astype(np.float64)
+        # the number of pixels differs from draw to draw; the sums are brought to that of the region
+        share = self.pixels / (counts @ self.pixels_of)[:, None]
+        names = {"simulation": "error", "do nothing": "signal", "floor": "floor"}
+        errors = {n: np.asarray(share * (counts @ self.squares[of])) for n, of in names.items() if of in self.squares}
+        return RegionDraws(errors, np.asarray(share * (counts @ self.squares["level"])), self.pixels)
+
+
+@dataclass(frozen=True, slots=True)
+class _Tiles:
+    """Which tile each of a region's numbers lies in (numbers,), of how many."""
+
+    of_number: NDArray[np.intp]
+    tiles: int
+
+    def sums(self, values: Floats) -> Floats:
+        """Return the sums (tiles, 3) of values (numbers, 3)."""
+        return np.stack([np.bincount(self.of_number, weights=v, minlength=self.tiles) for v in values.T], axis=1)
+
+    def of(self, sums: RegionSums, changed: Mapping[str, Floats] | None = None) -> TileSums:
+        """Return the sums of a region's squares, some of them `changed`, (tiles, 3) each."""
+        given = changed or {}
+        squares = {n: given[n] if n in given else self.sums(values) for n, values in sums.per_pixel.items()}
+        return TileSums(squares, np.bincount(self.of_number, minlength=self.tiles), sums.pixels)
+
+
+def _tiles_of(sums: RegionSums) -> _Tiles:
+    """Return the tiles of a region; of gradients both directions of a pixel lie in one."""
+    tile = tile_indices(sums.where, tile_side_px(sums.where))
+    return _Tiles(np.tile(tile, sums.pixels // len(tile)), int(tile.max()) + 1)
+
+
+def resampled_draws(sums: RegionSums, draws: int, rng: np.random.Generator) -> RegionDraws:
     """Return draws of the sums over square tiles of the region, drawn with replacement.
 
     For images of which no input has a known uncertainty: the spread tells how much a number depends on which part of
-    the region was looked at. `per_pixel` stands in the place of that of the sums.
+    the region was looked at.
     """
-    values_of = sums.per_pixel if per_pixel is None else per_pixel
-    tile = tile_indices(sums.where, tile_side_px(sums.where))
-    tiles = int(tile.max()) + 1
-    counts = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), size=draws)
-    of_pixel = np.tile(tile, sums.pixels // len(tile))
-    # the number of pixels differs from draw to draw; the sums are brought to that of the region
-    share = sums.pixels / (counts @ np.bincount(of_pixel, minlength=tiles))[:, None]
-
-    def sum_over(values: Floats) -> Floats:
-        per_tile = np.stack([np.bincount(of_pixel, weights=column, minlength=tiles) for column in values.T], axis=1)
-        return np.asarray(share * (counts @ per_tile))
-
-    names = {"simulation": "error", "do nothing": "signal", "floor": "floor"}
-    errors = {name: sum_over(values_of[of]) for name, of in names.items() if of in values_of}
-    return RegionDraws(errors, sum_over(values_of["level"]), sums.pixels)
+    return _tiles_of(sums).of(sums).draw(draws, rng)
 
 
 RESAMPLED_DRAWS = 2000
@@ -190,29 +226,78 @@ def resampled(comparison: Comparison, rng: np.random.Generator) -> list[RegionRe
 
     Where a tone curve or gains are taken out, each of their draws gets its share of them.
     """
-    nuisances = comparison.nuisances
-    drawn = [] if nuisances is None else [drawn_per_pixel(comparison, *pair) for pair in nuisances.drawn(rng)]
+    drawn = _drawn_tiles(comparison, rng)
     regions = []
-    for i, (sums, gradients) in enumerate(zip(comparison.sums, comparison.gradients, strict=True)):
-        kinds: list[Mapping[str, Floats]] = [values[i] for values in drawn] or [sums.per_pixel]
-        count = RESAMPLED_DRAWS // len(kinds)
-        images = _joined([resampled_draws(sums, count, rng, values) for values in kinds])
+    places = gradient_places(comparison.captured, comparison.used)
+    for kinds, gradients, place in zip(drawn, comparison.gradients, places, strict=True):
+        images = _joined([tiles.draw(RESAMPLED_DRAWS // len(kinds), rng) for tiles in kinds])
         of_gradients = None if gradients is None else resampled_draws(gradients, RESAMPLED_DRAWS, rng)
+        if gradients is None and place is not None:
+            # no row tells them of encoded values, but the next region's draws stay those of older versions
+            tiles = int(tile_indices(place, tile_side_px(place)).max()) + 1
+            rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), size=RESAMPLED_DRAWS)
         regions.append(RegionResult(images, of_gradients))
     return regions
 
 
-def drawn_per_pixel(comparison: Comparison, layers: RenderLayers, contact: Floats) -> list[dict[str, Floats]]:
-    """Return the squares of each pixel of every region, for another render and captured contact image."""
-    captured, k = comparison.captured, comparison.best_exposure
-    found = []
-    for sums in comparison.sums:
-        d, b = contact[sums.where], captured.no_contact[sums.where]
-        v_d, v_b = (captured.variance(image)[sums.where] for image in (captured.contact, captured.no_contact))
-        first, second = (k * half @ layers.matrix.T for half in layers.halves("contact", sums.where))
-        squares = {"error": (first - d) * (second - d) - v_d, "signal": (b - d) ** 2 - v_b - v_d, "level": d}
-        found.append(dict(sums.per_pixel) | squares)
+def _drawn_tiles(comparison: Comparison, rng: np.random.Generator) -> list[list[TileSums]]:
+    """Return the tiles of every region for each draw of tone curve and gains; a single one where there are none."""
+    tiles = [_tiles_of(sums) for sums in comparison.sums]
+    best = [of.of(sums) for of, sums in zip(tiles, comparison.sums, strict=True)]
+    if comparison.nuisances is None:
+        return [[each] for each in best]
+    found: list[list[TileSums]] = [[] for _ in tiles]
+    for squares in drawn_squares(comparison, comparison.nuisances, tiles, rng):
+        for kept, each, changed in zip(found, best, squares, strict=True):
+            kept.append(replace(each, squares={**each.squares, **changed}))
     return found
+
+
+def drawn_squares(
+    comparison: Comparison, nuisances: Nuisances, tiles: Sequence[_Tiles], rng: np.random.Generator
+) -> Iterator[list[dict[str, Floats]]]:
+    """Yield the sums over tiles, (tiles, 3), of error, signal and level of every region for draws of curve and gains.
+
+    The last region holds the others, so that curve and gains are taken out of its pixels alone.
+    """
+    captured, k, widest = comparison.captured, comparison.best_exposure, comparison.sums[-1].where
+    inside = [
+        np.stack([np.flatnonzero(sums.where[widest]), of.of_number])
+        for sums, of in zip(comparison.sums, tiles, strict=True)
+    ]
+    rest = captured.no_contact[widest]
+    of_contact, of_rest = (captured.variance(i[widest]) for i in (captured.contact, captured.no_contact))
+    everywhere, drawn_from = np.ones((1, len(rest)), dtype=np.bool_), None
+    for layers, contact in nuisances.at(widest).drawn(rng):
+        if layers is not drawn_from:  # of gains alone all draws share one render
+            first, second = (k * half @ layers.matrix.T for half in layers.halves("contact", everywhere))
+            drawn_from = layers
+        found = []
+        for places, of in zip(inside, tiles, strict=True):
+            sums = np.zeros((3, of.tiles, 3))
+            add_squares(first, second, contact[0], rest, of_contact, of_rest, places, sums)
+            found.append(dict(zip(("error", "signal", "level"), sums, strict=True)))
+        yield found
+
+
+@compiled
+def add_squares(
+    first: Floats, second: Floats, contact: Floats, rest: Floats, of_contact: Floats, of_rest: Floats,
+    places: NDArray[np.intp], sums: Floats,
+) -> None:  # fmt: skip
+    """Add squared error, squared change by contact and level of some pixels, noise taken out, to their tiles' sums.
+
+    Pixels are lists (P, 3) of both halves of the render, contact, no contact and the variances of their noise; places
+    (2, n) are numbers of pixels, and of the tiles that they lie in.
+    """
+    for i in range(places.shape[1]):
+        p, t = places[0, i], places[1, i]
+        for c in range(contact.shape[1]):
+            d, v = contact[p, c], of_contact[p, c]
+            change = rest[p, c] - d
+            sums[0, t, c] += (first[p, c] - d) * (second[p, c] - d) - v
+            sums[1, t, c] += change * change - of_rest[p, c] - v
+            sums[2, t, c] += d
 
 
 def _joined(parts: list[RegionDraws]) -> RegionDraws:
@@ -226,9 +311,10 @@ def nuisance_skill_u(comparison: Comparison, rng: np.random.Generator) -> float:
     if comparison.nuisances is None:
         return 0.0
     w, skills = comparison.channel_weights, []
-    for pair in comparison.nuisances.drawn(rng):
-        squares = drawn_per_pixel(comparison, *pair)[-1]
-        skills.append(1.0 - squares["error"].sum(axis=0) @ w / (squares["signal"].sum(axis=0) @ w))
+    tiles = [_tiles_of(sums) for sums in comparison.sums]
+    for squares in drawn_squares(comparison, comparison.nuisances, tiles, rng):
+        error, signal = (squares[-1][name].sum(axis=0) for name in ("error", "signal"))
+        skills.append(1.0 - error @ w / (signal @ w))
     return float(np.std(skills, ddof=1))
 
 

@@ -67,30 +67,42 @@ class Nuisances:
         contact, no_contact = (block_mean(image, side_px) for image in (self.contact, self.no_contact))
         return replace(self, render=self.render.blocked(side_px), contact=contact, no_contact=no_contact)
 
+    def at(self, where: NDArray[np.bool_]) -> "Nuisances":
+        """Return the same at some pixels (H, W) only, as images of a single row."""
+        contact, no_contact = (image[where][None] for image in (self.contact, self.no_contact))
+        return replace(self, render=self.render.at(where), contact=contact, no_contact=no_contact)
+
     def best(self) -> tuple[RenderLayers, Floats]:
         """Return render and captured contact image at the best curve and gains."""
-        tone = self.tone
-        return self._taken_out(None if tone is None else (tone.exponent, tone.offset_dn), np.zeros(3))
+        curve = None if self.tone is None else (self.tone.exponent, self.tone.offset_dn)
+        return self._layers(curve), self._contact(curve, np.zeros(3))
 
     def drawn(self, rng: np.random.Generator) -> Iterator[tuple[RenderLayers, Floats]]:
         """Return the same for draws of curve and gains."""
         u = np.zeros(3) if self.gain is None else self.gain.u
+        layers = self._layers(None) if self.tone is None else None
         for i in range(NUISANCE_DRAWS):
             curve = None if self.tone is None else (float(self.tone.draws[i, 0]), float(self.tone.draws[i, 1]))
-            yield self._taken_out(curve, u * rng.standard_normal(3))
+            yield layers or self._layers(curve), self._contact(curve, u * rng.standard_normal(3))
 
-    def _taken_out(self, curve: tuple[float, float] | None, more: Floats) -> tuple[RenderLayers, Floats]:
-        """Return both sides with this exponent and offset, and gains that differ by `more` in their logarithm."""
-        layers, contact, offset_dn = self.render, self.contact, 0.0
+    def _layers(self, curve: tuple[float, float] | None) -> RenderLayers:
+        """Return the render through a curve of this exponent and offset, without its gains."""
+        layers, offset_dn, steeper = self.render, 0.0, 1.0
         if curve is not None:
             layers, offset_dn = encoded_layers(self.render, self.no_contact, *curve), curve[1]
-        if self.is_corrected and self.gain is not None:
-            steeper = 1.0 if curve is None or self.tone is None else curve[0] / self.tone.exponent
-            chosen = self.gain.to_correct
-            contact = without_gain(contact, np.where(chosen, self.gain.log_captured + more, 0.0), offset_dn)
-            of_render = np.where(chosen, steeper * self.gain.log_simulated, 0.0)
-            layers = layers_without_gain(layers, of_render, offset_dn)
-        return layers, contact
+        if not self.is_corrected or self.gain is None:
+            return layers
+        if curve is not None and self.tone is not None:
+            steeper = curve[0] / self.tone.exponent
+        of_render = np.where(self.gain.to_correct, steeper * self.gain.log_simulated, 0.0)
+        return layers_without_gain(layers, of_render, offset_dn)
+
+    def _contact(self, curve: tuple[float, float] | None, more: Floats) -> Floats:
+        """Return the captured contact image without gains that differ by `more` in their logarithm."""
+        if not self.is_corrected or self.gain is None:
+            return self.contact
+        of_capture = np.where(self.gain.to_correct, self.gain.log_captured + more, 0.0)
+        return without_gain(self.contact, of_capture, 0.0 if curve is None else curve[1])
 
 
 def nuisances_of(press: SimulatedPress, capture: TactileCapture) -> Nuisances:
@@ -172,8 +184,10 @@ class PreparedImages:
         )
 
 
-def prepare_images(press: SimulatedPress, capture: TactileCapture) -> PreparedImages:
-    """Return both sides of a comparison on one grid.
+def prepare_images(
+    press: SimulatedPress, capture: TactileCapture, estimated: Nuisances | None = None
+) -> PreparedImages:
+    """Return both sides of a comparison on one grid, without the curve and gains that were `estimated` of them, if any.
 
     Raises
     ------
@@ -191,7 +205,7 @@ def prepare_images(press: SimulatedPress, capture: TactileCapture) -> PreparedIm
         noise = capture_noise(no_contact, repeat)
     for image in images:
         image[clipped] = np.nan
-    nuisances = nuisances_of(press, capture)
+    nuisances = estimated or nuisances_of(press, capture)
     nuisances = replace(nuisances, contact=contact, no_contact=no_contact)
     layers, compared = nuisances.best()
     captured = Captured(compared, no_contact, repeat, noise)

@@ -7,14 +7,22 @@ independent halves of the render, and the noise variance of the capture is taken
 error of the noise-free images.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import CompareError, KnownInputs, SimulatedPress
-from finray_calib.compare._image_noise import NOISE_EXCESS, CaptureNoise, block_mean, gradient_variance, image_gradient
+from finray_calib.compare._image_noise import (
+    NOISE_EXCESS,
+    CaptureNoise,
+    block_mean,
+    gradient_variance,
+    has_gradient,
+    image_gradient,
+)
+from finray_calib.compare._regions import pixels_within
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -64,6 +72,8 @@ class RenderLayers:
 
     def rgb(self, layers: Image) -> Floats:
         """Return matrix @ layers as (H, W, 3)."""
+        if np.array_equal(self.matrix, np.eye(3)):  # the product would give the same digits, later
+            return layers.astype(np.float64)
         return np.asarray(layers.astype(np.float64) @ self.matrix.T)
 
     @property
@@ -89,6 +99,13 @@ class RenderLayers:
             pose_half=pose_half,
         )
 
+    def at(self, where: NDArray[np.bool_]) -> "RenderLayers":
+        """Return the same at some pixels (H, W) only, as images of a single row."""
+        states = ("contact", "no_contact", "contact_half", "no_contact_half")
+        images = {name: getattr(self, name)[where][None] for name in states}
+        poses = {name: getattr(self, name)[:, where][:, None] for name in ("pose", "pose_half")}
+        return replace(self, **images, **poses)
+
     def halves(self, state: str, where: NDArray[np.bool_], pose_names: tuple[str, ...] = ()) -> tuple[Floats, Floats]:
         """Return both halves (pixels, L (1 + N)) of "contact" or "no_contact" at some pixels.
 
@@ -98,8 +115,12 @@ class RenderLayers:
             (self.contact, self.contact_half) if state == "contact" else (self.no_contact, self.no_contact_half)
         )
         poses = [self.pose_names.index(name) for name in pose_names]
-        means = np.concatenate([mean[where], *(self.pose[n][where] for n in poses)], axis=1).astype(np.float64)
-        differences = np.concatenate([half[where], *(self.pose_half[n][where] for n in poses)], axis=1)
+        places = np.flatnonzero(where)
+        means, differences = (
+            np.concatenate([image.reshape(len(where.ravel()), -1)[places] for image in images], axis=1)
+            for images in ((mean, *(self.pose[n] for n in poses)), (half, *(self.pose_half[n] for n in poses)))
+        )
+        means = means.astype(np.float64)
         return means + differences, means - differences
 
 
@@ -318,24 +339,25 @@ def image_sums(
     layers: RenderLayers, captured: Captured, used: Bools, exposure_k: float, pose_names: tuple[str, ...]
 ) -> RegionSums:
     """Return the sums of the images themselves over the `used` pixels."""
-    repeat = captured.repeat
+    contact, no_contact = (pixels_within(image, used) for image in (captured.contact, captured.no_contact))
+    repeat = None if captured.repeat is None else pixels_within(captured.repeat, used)
     values = _PixelValues(
-        contact=captured.contact[used],
-        no_contact=captured.no_contact[used],
-        repeat=None if repeat is None else repeat[used],
-        contact_variance=captured.variance(captured.contact)[used],
-        no_contact_variance=captured.variance(captured.no_contact)[used],
-        repeat_variance=None if repeat is None else captured.variance(repeat)[used],
+        contact=contact,
+        no_contact=no_contact,
+        repeat=repeat,
+        contact_variance=captured.variance(contact),
+        no_contact_variance=captured.variance(no_contact),
+        repeat_variance=None if repeat is None else captured.variance(repeat),
     )
     halves = layers.halves("contact", used, pose_names)
     render_variance = exposure_k**2 * layers.contact_variance[used]
-    return _sums(used, halves, values, exposure_k, layers.matrix, render_variance, captured.contact[used], 1.0)
+    return _sums(used, halves, values, exposure_k, layers.matrix, render_variance, contact, 1.0)
 
 
 def gradient_sums(
-    layers: RenderLayers, captured: Captured, used: Bools, exposure_k: float, pose_names: tuple[str, ...]
-) -> RegionSums | None:
-    """Return the same of the gradients of (image - its no-contact image), both directions together.
+    layers: RenderLayers, captured: Captured, regions: Sequence[Bools], exposure_k: float, pose_names: tuple[str, ...]
+) -> list[RegionSums | None]:
+    """Return the same of the gradients of (image - its no-contact image), both directions together, for every region.
 
     The no-contact image becomes zero and the capture grad (D - B). A drift g of the capture multiplies grad (D - B);
     the change (g - 1) grad B of the pad's own gradient, below 1 % of it, is left out. None where no pixel has all its
@@ -344,22 +366,32 @@ def gradient_sums(
     b, v_b = captured.no_contact, captured.variance(captured.no_contact)
     signal = image_gradient(captured.contact - b)
     repeat = None if captured.repeat is None else image_gradient(captured.repeat - b)
-    whole = used & np.isfinite(signal).all(axis=(0, 3))
-    if repeat is not None:
-        whole &= np.isfinite(repeat).all(axis=(0, 3))
-    if not whole.any():
-        return None
-    d = _at(signal, whole)
-    variance = _at(gradient_variance(captured.variance(captured.contact) + v_b), whole)
-    values = _PixelValues(d, np.zeros_like(d), None, variance, np.zeros_like(d), None)
-    if captured.repeat is not None and repeat is not None:
-        more = _at(gradient_variance(captured.variance(captured.repeat) + v_b), whole)
-        values = replace(values, repeat=_at(repeat, whole), repeat_variance=more)
-    render_variance = exposure_k**2 * gradient_variance(layers.contact_variance + layers.no_contact_variance)
-    halves = _gradient_halves(layers, whole, pose_names)
-    level = np.concatenate([b[whole]] * 2)
-    excess = NOISE_EXCESS
-    return _sums(whole, halves, values, exposure_k, layers.matrix, _at(render_variance, whole), level, excess)
+    variance = gradient_variance(captured.variance(captured.contact) + v_b)
+    of_repeat = None if captured.repeat is None else gradient_variance(captured.variance(captured.repeat) + v_b)
+    of_render = exposure_k**2 * gradient_variance(layers.contact_variance + layers.no_contact_variance)
+    halves = _half_gradients(layers, pose_names)
+    found: list[RegionSums | None] = []
+    for whole in gradient_places(captured, regions):
+        if whole is None:
+            found.append(None)
+            continue
+        d, v = _at(signal, whole), _at(variance, whole)
+        values = _PixelValues(d, np.zeros_like(d), None, v, np.zeros_like(d), None)
+        if repeat is not None and of_repeat is not None:
+            values = replace(values, repeat=_at(repeat, whole), repeat_variance=_at(of_repeat, whole))
+        means, differences = (np.concatenate([_at(g, whole) for g in of], axis=1) for of in halves)
+        both = means + differences, means - differences
+        level, render_variance = np.concatenate([pixels_within(b, whole)] * 2), _at(of_render, whole)
+        found.append(_sums(whole, both, values, exposure_k, layers.matrix, render_variance, level, NOISE_EXCESS))
+    return found
+
+
+def gradient_places(captured: Captured, regions: Sequence[Bools]) -> list[Bools | None]:
+    """Return the pixels of every region whose captured gradients are known; None where there is none."""
+    images = (captured.contact, captured.no_contact, captured.repeat)
+    known = has_gradient(*(image for image in images if image is not None))
+    places = [used & known for used in regions]
+    return [place if place.any() else None for place in places]
 
 
 @dataclass(frozen=True, slots=True)
@@ -416,16 +448,15 @@ def _sums(
 
 def _at(gradient: Floats, where: Bools) -> Floats:
     """Return both directions at some pixels, one after the other: (2 P, C)."""
-    return np.concatenate([gradient[0][where], gradient[1][where]])
+    return np.concatenate([pixels_within(way, where) for way in gradient])
 
 
-def _gradient_halves(layers: RenderLayers, where: Bools, pose_names: tuple[str, ...]) -> tuple[Floats, Floats]:
-    """Return both halves of the gradients of contact minus no contact, and of the pose derivatives."""
+def _half_gradients(layers: RenderLayers, pose_names: tuple[str, ...]) -> tuple[list[Floats], list[Floats]]:
+    """Return gradients of the mean and half the difference of both halves: contact minus no contact, and of poses."""
     mean = layers.contact - layers.no_contact
     half = layers.contact_half - layers.no_contact_half
     poses = [layers.pose_names.index(name) for name in pose_names]
-    means, differences = (
-        np.concatenate([_at(image_gradient(image), where) for image in (first, *(more[n] for n in poses))], axis=1)
-        for first, more in ((mean, layers.pose), (half, layers.pose_half))
+    return (
+        [image_gradient(image) for image in (mean, *(layers.pose[n] for n in poses))],
+        [image_gradient(image) for image in (half, *(layers.pose_half[n] for n in poses))],
     )
-    return means + differences, means - differences

@@ -198,7 +198,9 @@ def tile_indices(mask: NDArray[np.bool_], tile_px: int) -> NDArray[np.intp]:
     row_tile = (rows - rows.min()) // tile_px
     column_tile = (columns - columns.min()) // tile_px
     number = row_tile * (int(column_tile.max()) + 1) + column_tile
-    return np.asarray(np.unique(number, return_inverse=True)[1], dtype=np.intp)
+    # tiles without a pixel are skipped
+    rank = np.cumsum(np.bincount(number) > 0) - 1
+    return np.asarray(rank[number], dtype=np.intp)
 
 
 def tile_side_px(mask: NDArray[np.bool_], largest_px: int = 16) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import CompareError
-from finray_calib.compare._image_noise import block_mean
+from finray_calib.compare._image_noise import block_mean, missing_pixels
 from finray_calib.spectra import compiled
 
 Floats = NDArray[np.float64]
@@ -97,15 +97,14 @@ def structural_similarity(
         )
     if not data_range_dn > 0:
         raise CompareError(f"The data range must be positive, got {data_range_dn}; give full scale, as 255 for 8 bit.")
-    all_finite = bool(np.isfinite(x.sum() + y.sum()))  # then every pixel is finite, at a small part of the time
-    if not all_finite:
-        missing = ~np.isfinite(_channel_sum(x + y))
+    missing = missing_pixels(x, y)
+    if missing is not None:
         x, y = (np.where(missing[..., None], 0.0, image) for image in (x, y))
     ssim_map = np.full(x.shape[:2], np.nan)
     inside = slice(_BORDER_PX, -_BORDER_PX)
     for rows, luminance, structure in similarity_bands(x, y, data_range_dn):
         channel_mean_of_product(luminance, structure, ssim_map[rows, inside])
-    if not all_finite:
+    if missing is not None:
         window = np.ones((WINDOW_PX, WINDOW_PX), dtype=np.uint8)
         ssim_map[cv2.dilate(missing.astype(np.uint8), window) > 0] = np.nan
     everywhere = np.ones(x.shape[:2], dtype=np.bool_)
@@ -150,14 +149,6 @@ def similarity_bands(x: Floats, y: Floats, data_range_dn: float) -> Iterator[tup
 def _rows(image: Floats) -> Floats:
     """Return an image as (rows, columns x channels)."""
     return image.reshape(len(image), -1)
-
-
-def _channel_sum(image: Floats) -> Floats:
-    """Return the sum over channels; numpy's own over three neighbours in memory takes as long as a filter."""
-    total = image[..., 0].copy()
-    for channel in range(1, image.shape[2]):
-        total += image[..., channel]
-    return total
 
 
 def _mean_within(ssim_map: NDArray[np.float64], mask: NDArray[np.bool_]) -> float:
@@ -252,8 +243,9 @@ def multi_scale_similarity(
     scales = _scales(min(x.shape[:2]))
     if scales == 0 or (scales < len(SCALE_WEIGHTS) and not fewer_scales):
         return None
-    missing = np.asarray(~np.isfinite(x + y).all(axis=2))
-    x, y = (np.where(missing[..., None], np.nan, image) for image in (x, y))
+    missing = missing_pixels(x, y)
+    if missing is not None:
+        x, y = (np.where(missing[..., None], np.nan, image) for image in (x, y))
     # the five published weights add up to 1.0001 and are taken as they are
     weights = np.array(SCALE_WEIGHTS[:scales]) / (1.0 if scales == len(SCALE_WEIGHTS) else sum(SCALE_WEIGHTS[:scales]))
     value = np.ones(x.shape[2])
@@ -268,9 +260,9 @@ def multi_scale_similarity(
 
 def _halved(image: Floats) -> Floats:
     """Return the mean over the finite pixels of blocks of 2 x 2; NaN where there is none."""
-    finite = np.isfinite(image)
-    share = block_mean(finite.astype(np.float64), 2)
-    return block_mean(np.where(finite, image, 0.0), 2) / np.where(share > 0, share, np.nan)
+    half = np.empty((image.shape[0] // 2, image.shape[1] // 2, image.shape[2]))
+    mean_of_finite(image, half)
+    return half
 
 
 def _scales(side_px: int) -> int:
@@ -280,17 +272,18 @@ def _scales(side_px: int) -> int:
 
 def _mean_factors(x: Floats, y: Floats, data_range_dn: float, mask: Mask) -> tuple[Floats, Floats]:
     """Return per channel the means of structure and of luminance x structure over the complete windows of a mask."""
-    missing = np.asarray(~np.isfinite(x + y).all(axis=2))
-    window = np.ones((WINDOW_PX, WINDOW_PX), dtype=np.uint8)
-    used = mask & (cv2.dilate(missing.astype(np.uint8), window) == 0)
-    if missing.any():
+    missing, used = missing_pixels(x, y), mask
+    if missing is not None:
+        window = np.ones((WINDOW_PX, WINDOW_PX), dtype=np.uint8)
+        used = mask & (cv2.dilate(missing.astype(np.uint8), window) == 0)
         x, y = (np.where(missing[..., None], 0.0, image) for image in (x, y))
     sums, windows = np.zeros((2, x.shape[2])), 0
     for rows, luminance, structure in similarity_bands(x, y, data_range_dn):
         chosen = used[rows, _BORDER_PX:-_BORDER_PX]
-        similar = structure[chosen]
-        sums += similar.sum(axis=0), (luminance[chosen] * similar).sum(axis=0)
-        windows += len(similar)
+        of_band = np.zeros_like(sums)
+        add_factors(luminance, structure, chosen, of_band)
+        sums += of_band
+        windows += int(np.count_nonzero(chosen))
     structure_mean, whole_mean = sums / windows if windows else np.full_like(sums, np.nan)
     return structure_mean, whole_mean
 
@@ -317,6 +310,34 @@ def similarity_factors(mean_x: Floats, mean_y: Floats, squares: Floats, product:
             ab, aabb = a * b, a * a + b * b
             mean_x[row, i] = (2.0 * ab + c1) / (aabb + c1)
             product[row, i] = (2.0 * (product[row, i] - ab) + c2) / (squares[row, i] - aabb + c2)
+
+
+@compiled
+def add_factors(luminance: Floats, structure: Floats, chosen: Mask, sums: Floats) -> None:
+    """Add structure and luminance x structure, (rows, columns, channels), of chosen pixels to sums (2, channels)."""
+    for row in range(chosen.shape[0]):
+        for column in range(chosen.shape[1]):
+            if chosen[row, column]:
+                for channel in range(structure.shape[2]):
+                    similar = structure[row, column, channel]
+                    sums[0, channel] += similar
+                    sums[1, channel] += luminance[row, column, channel] * similar
+
+
+@compiled
+def mean_of_finite(image: Floats, result: Floats) -> None:
+    """Put the mean over the finite values of blocks of 2 x 2 pixels, NaN where there is none, into the result."""
+    for row in range(result.shape[0]):
+        for column in range(result.shape[1]):
+            for channel in range(result.shape[2]):
+                total, finite = 0.0, 0
+                for i in range(2):
+                    for j in range(2):
+                        value = image[2 * row + i, 2 * column + j, channel]
+                        if np.isfinite(value):
+                            total += value
+                            finite += 1
+                result[row, column, channel] = (total / 4.0) / (finite / 4.0) if finite else np.nan
 
 
 @compiled

@@ -90,21 +90,20 @@ def press_pictures(
     shown, changes = touch_pictures(press, capture, factors), touch_changes(press, capture, factors)
     left = changes.simulated - changes.captured
     scale = float(np.nanpercentile(np.abs(changes.captured), _SHOWN_PERCENTILE)) if changes.captured.size else 1.0
-    tiles = [_tile(shown.captured), _tile(shown.simulated), _tile(_signed(left, max(scale, 1e-9)))]
-    return PressPictures(
-        simulator, name, page, report.headline_skill.estimate, np.concatenate(tiles, axis=1), report.attribution
-    )
+    tiles = _tiles([shown.captured, shown.simulated, _signed(left, max(scale, 1e-9))])
+    return PressPictures(simulator, name, page, report.headline_skill.estimate, tiles, report.attribution)
 
 
-def _tile(picture: ByteImage) -> ByteImage:
-    """Return a picture in the size of a tile, with a margin."""
-    height, width = picture.shape[:2]
-    size = (_TILE_PX, max(1, round(_TILE_PX * height / width)))
-    small = cv2.resize(np.ascontiguousarray(picture), size, interpolation=cv2.INTER_AREA)
-    tall = np.full((_TILE_PX * 3 // 4 if size[1] <= _TILE_PX * 3 // 4 else _TILE_PX * 4 // 3, _TILE_PX + 6, 3), 255)
-    rows = min(size[1], len(tall))
-    tall[:rows, 3:-3] = small[:rows]
-    return tall.astype(np.uint8)
+def _tiles(pictures: Sequence[ByteImage]) -> ByteImage:
+    """Return pictures side by side in the size of a tile, with a margin; their shapes may differ by a rounded pixel."""
+    heights = [max(1, round(_TILE_PX * picture.shape[0] / picture.shape[1])) for picture in pictures]
+    lying = min(heights) <= _TILE_PX * 3 // 4
+    whole = np.full((_TILE_PX * 3 // 4 if lying else _TILE_PX * 4 // 3, (_TILE_PX + 6) * len(pictures), 3), 255)
+    for number, (picture, height) in enumerate(zip(pictures, heights, strict=True)):
+        small = cv2.resize(np.ascontiguousarray(picture), (_TILE_PX, height), interpolation=cv2.INTER_AREA)
+        rows, left = min(height, len(whole)), number * (_TILE_PX + 6) + 3
+        whole[:rows, left : left + _TILE_PX] = small[:rows]
+    return whole.astype(np.uint8)
 
 
 def _signed(values: NDArray[np.float64], top: float) -> ByteImage:

@@ -1,13 +1,19 @@
 """``finray compare`` over folders and lists: a report for each pair, a summary, and pairs that fail."""
 
 import csv
+import json
+import os
 import re
+import signal
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from data_schemas import ComparisonBatch, PhotometricErrorReport, provenance
-from data_schemas.storage import read_record, write_record
+from data_schemas.storage import Child, read_record, write_record
+from finray_calib.cli import _compare_folders
+from finray_calib.reports._batch_page import _tiles
 from tests.command_line.records import capture_of, press
 from tests.command_line.running import finray, tree
 
@@ -168,3 +174,72 @@ def test_what_fails_for_all_simulators_is_said_once_and_no_interval_has_equal_en
     page = (folders / "out/summary.html").read_text()
     assert page.count("Not compared: bgr") <= 2  # the reasons of both differ in their numbers
     assert re.search(r"95 %: (\S+) to \1\b", page) is None
+
+
+def _numbers(folder: Path) -> dict[str, object]:
+    """Return what the reports and the summary of a folder hold, with the digests of their arrays."""
+    found = {}
+    for path in sorted(folder.glob("*.json")):
+        envelope = json.loads(path.read_text())
+        del envelope["record"]["provenance"]
+        found[path.name] = envelope["record"], envelope["array_file"]
+    return found
+
+
+def test_two_processes_give_the_numbers_of_one(folders: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pairs = f"compare {folders}/simulated {folders}/captured"
+    alone = finray(f"{pairs} --out {folders}/n1")
+    monkeypatch.setattr(_compare_folders, "_LEAST_PAIRS_EACH", 1)
+    monkeypatch.setattr(_compare_folders, "_TASK_PAIRS", 1)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    started: list[Child] = []
+    monkeypatch.setattr(_compare_folders, "Child", lambda imports: started.append(Child(imports)) or started[-1])
+    together = finray(f"{pairs} --out {folders}/n2")
+    assert (together.status, len(started)) == (0, 2)
+    told = [re.sub(r"(?m)^compare: .*\n", "", outcome.err) for outcome in (together, alone)]
+    assert told[0] == told[1]
+    assert _numbers(folders / "n2") == _numbers(folders / "n1")
+    assert (folders / "n2/summary.csv").read_text() == (folders / "n1/summary.csv").read_text()
+    assert (folders / "n2/one.photometric-error.html").is_file()
+
+
+class _Struck(Child):
+    """A process that something happens to when it is first called."""
+
+    def call(self, *arguments: object, **named: object) -> object:
+        if self.strike(self):
+            os.kill(os.getpid(), signal.SIGINT)
+        return super().call(*arguments, **named)
+
+
+@pytest.mark.parametrize(
+    ("strike", "status", "told"),
+    [
+        (Child.kill, 3, "a process that compares pairs, at bgr or one of the next two, was killed (SIGKILL) from"),
+        (lambda _: True, 130, "interrupted; files already written are complete"),
+    ],
+)
+def test_the_same_command_continues_after_a_process_ended(
+    folders: Path, monkeypatch: pytest.MonkeyPatch, strike: object, status: int, told: str
+) -> None:
+    command = f"compare {folders}/simulated {folders}/captured --out {folders}/out"
+    monkeypatch.setattr(_compare_folders, "_LEAST_PAIRS_EACH", 1)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    with monkeypatch.context() as broken:
+        broken.setattr(_Struck, "strike", staticmethod(strike), raising=False)
+        broken.setattr(_compare_folders, "Child", _Struck)
+        outcome = finray(command)
+    assert (outcome.status, told in outcome.err) == (status, True), outcome.err
+    assert not (folders / "out/summary.json").exists()
+    again = finray(command)
+    assert again.status == 0, again.err
+    assert "2 of 3 pairs compared" in again.out
+
+
+@pytest.mark.parametrize(
+    ("shapes", "rows"), [([(480, 640), (60, 80)], 112), ([(113, 150), (112, 150)], 112), ([(320, 240)], 200)]
+)
+def test_pictures_whose_shapes_differ_by_rounding_stand_side_by_side(shapes: list[tuple[int, int]], rows: int) -> None:
+    tiles = _tiles([np.full((*shape, 3), 10 * k, np.uint8) for k, shape in enumerate(shapes)])
+    assert tiles.shape == (rows, 156 * len(shapes), 3)
+    assert [int(tiles[50, 156 * k + 78, 0]) for k in range(len(shapes))] == [10 * k for k in range(len(shapes))]

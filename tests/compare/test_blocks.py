@@ -71,3 +71,11 @@ def test_a_clipped_pixel_takes_its_block_along():
     assert np.isnan(blocked.captured.contact[4, 7]).all()
     assert blocked.layers.contact.shape == (SHAPE[0] // 2, SHAPE[1] // 2, 3)
     assert blocked.distance[0, 0] == pytest.approx(distance_map()[:2, 0].mean(), rel=1e-6)
+
+
+def test_block_mean_of_channels_has_the_digits_of_numpy():
+    image = np.random.default_rng(2).random((41, 38, 3))
+    for side in (2, 3, 8):
+        rows, columns = 41 // side, 38 // side
+        cut = image[: rows * side, : columns * side].reshape(rows, side, columns, side, 3)
+        np.testing.assert_array_equal(block_mean(image, side), cut.mean(axis=(1, 3)))

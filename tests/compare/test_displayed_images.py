@@ -85,6 +85,21 @@ def test_flip_by_its_makers_program():
     assert flip_mean(black, white, everywhere) == pytest.approx(1.0, abs=0.05)
 
 
+def test_flip_of_a_region_is_that_of_the_whole_picture():
+    """What lies farther from the region than the filters reach changes no digit."""
+    program = pytest.importorskip("flip_evaluator")
+    rng = np.random.default_rng(5)
+    reference = rng.random((90, 120, 3))
+    test = np.clip(reference + 0.1 * rng.standard_normal(reference.shape), 0.0, 1.0)
+    rows, columns = np.indices(reference.shape[:2])
+    for row, column in ((45, 60), (3, 116)):
+        mask = np.hypot(rows - row, columns - column) < 12
+        images = (image.astype(np.float32) for image in (reference, test))
+        settings = {"inputsRGB": True, "applyMagma": False, "computeMeanError": False, "parameters": {"ppd": 67.0}}
+        whole = np.asarray(program.evaluate(*images, "LDR", **settings)[0], dtype=np.float64).reshape(mask.shape)
+        assert flip_mean(reference, test, mask) == whole[mask].mean()
+
+
 def test_without_the_package_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'finray-calib\[flip\]'"):

@@ -9,7 +9,7 @@ import pytest
 from data_schemas import ErrorAttribution
 from finray_calib.compare import Region, contact_regions
 from finray_calib.compare._comparison import prepare_comparison
-from finray_calib.compare._error_attribution import CAUSES, attribute_error
+from finray_calib.compare._error_attribution import CAUSES, _explained, attribute_error
 from finray_calib.compare._image_noise import NO_NOISE
 from finray_calib.compare._region_sums import Captured, RenderLayers
 from tests.compare.three_lights import dent_slopes, shaded
@@ -207,3 +207,14 @@ def test_a_strip_has_no_place_along_itself():
     across, along = found.causes[0].parameters
     assert across.value == pytest.approx(2.0, rel=0.15)
     assert abs(along.value) <= 3.0 * along.u + 0.5
+
+
+def test_what_causes_explain_by_products_is_the_projection_itself():
+    """From the matrix of products, against least squares on the columns themselves."""
+    rng = np.random.default_rng(8)
+    columns, residual = rng.standard_normal((5, 4000)), rng.standard_normal(4000)
+    columns[4] = columns[3] + 0.01 * columns[4]  # nearly alike, as pose and size may be
+    left = residual - columns.T @ np.linalg.lstsq(columns.T, residual, rcond=None)[0]
+    projected = residual @ residual - left @ left
+    # the ridge is 1e-9 of the diagonal, and the smallest eigenvalue 5e-5 of it
+    assert _explained(columns @ columns.T, columns @ residual) == pytest.approx(projected, rel=1e-4)

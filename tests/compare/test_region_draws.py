@@ -60,7 +60,7 @@ def test_images_at_the_best_values_are_the_direct_sums(scene):
 
 def test_gradients_at_the_best_values_are_the_direct_sums(scene):
     layers, captured = scene
-    sums = gradient_sums(layers, captured, EVERYWHERE, DN, ())
+    sums = gradient_sums(layers, captured, [EVERYWHERE], DN, ())[0]
     draws = propagated_draws(sums, best(layers), np.array([DN]), None)
     simulated = DN * layers.rgb(layers.contact - layers.no_contact)
     real = central(captured.contact - captured.no_contact)
@@ -90,7 +90,9 @@ def test_draws_of_paint_pose_exposure_and_drift_are_the_direct_sums(scene):
     )
     exposure = DN * rng.uniform(0.9, 1.1, draws)
     images = propagated_draws(image_sums(layers, captured, EVERYWHERE, DN, ("depth_mm",)), drawn, exposure, None)
-    gradients = propagated_draws(gradient_sums(layers, captured, EVERYWHERE, DN, ("depth_mm",)), drawn, exposure, None)
+    gradients = propagated_draws(
+        gradient_sums(layers, captured, [EVERYWHERE], DN, ("depth_mm",))[0], drawn, exposure, None
+    )
     for d in range(draws):
         matrix = MATRIX * np.exp(drawn.log_factors["paint"][d] + drawn.log_factors["camera"][d])
         simulated = exposure[d] * (pressed + drawn.moves_mm["depth"][d] * slope) @ matrix.T
@@ -119,10 +121,10 @@ def test_noise_leaves_no_bias_in_images_and_gradients():
         layers = layers_of(pressed + halves[0][0], base + halves[0][1], noise=(halves[1][0], halves[1][1]))
         images = [i + noisy * np.sqrt(noise.variance(i)) * rng.standard_normal(i.shape) for i in (*clean, clean[1])]
         captured = captured_of(*images, noise if noisy else CaptureNoise(np.zeros(3), np.zeros(3)))
-        for name, sums in (("images", image_sums), ("gradients", gradient_sums)):
-            errors = propagated_draws(
-                sums(layers, captured, EVERYWHERE, DN, ()), best(layers), np.array([DN]), None
-            ).error
+        of_images = image_sums(layers, captured, EVERYWHERE, DN, ())
+        (of_gradients,) = gradient_sums(layers, captured, [EVERYWHERE], DN, ())
+        for name, sums in (("images", of_images), ("gradients", of_gradients)):
+            errors = propagated_draws(sums, best(layers), np.array([DN]), None).error
             values = np.array([errors[candidate][0] for candidate in ("simulation", "do nothing", "floor")])
             if noisy:
                 found[name].append(values)
@@ -142,7 +144,7 @@ def test_sums_of_squared_gradients_scatter_as_claimed():
     layers, sums, claimed = layers_of(flat, flat), [], []
     for _ in range(500):
         images = [100.0 + rng.standard_normal(flat.shape) for _ in range(2)]
-        found = gradient_sums(layers, captured_of(*images, noise=noise), EVERYWHERE, 1.0, ())
+        found = gradient_sums(layers, captured_of(*images, noise=noise), [EVERYWHERE], 1.0, ())[0]
         sums.append(found.contact_square)
         claimed.append(2.0 * found.noise.signal[0])
     # Without squares of a signal, of which noise leaves some: 2 v^2 per gradient and the excess.
@@ -175,7 +177,7 @@ def test_missing_pixels_and_frame_edges_have_no_gradient(scene):
     contact = captured.contact.copy()
     contact[20, 30, 1] = np.nan
     used = np.isfinite(contact).all(axis=2)
-    sums = gradient_sums(layers, captured_of(contact, captured.no_contact), used, DN, ())
+    sums = gradient_sums(layers, captured_of(contact, captured.no_contact), [used], DN, ())[0]
     whole = np.zeros(SHAPE, bool)
     whole[1:-1, 1:-1] = True
     whole[19:22, 29:32] = False
@@ -183,7 +185,7 @@ def test_missing_pixels_and_frame_edges_have_no_gradient(scene):
     assert sums.floor is None
     edge = np.zeros(SHAPE, bool)
     edge[0] = True
-    assert gradient_sums(layers, captured, edge, DN, ()) is None
+    assert gradient_sums(layers, captured, [edge], DN, ()) == [None]
 
 
 def test_a_channel_without_contact_has_no_skill_of_its_own():

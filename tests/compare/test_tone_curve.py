@@ -6,7 +6,9 @@ import pytest
 
 from data_schemas import CompareError, DecideError, IndenterPose, PhotometricErrorReport, SimulatedPress, TactileCapture
 from finray_calib.compare import CheckOptions, compare_checked, compare_press, find_mismatches
-from finray_calib.compare._prepared_images import nuisances_of
+from finray_calib.compare._comparison import quiet_comparison
+from finray_calib.compare._photometric_error import _tiles_of, drawn_squares
+from finray_calib.compare._prepared_images import nuisances_of, prepare_images
 from finray_calib.compare._region_sums import render_layers
 from finray_calib.compare._tone_curve import encoded_layers, far_gain, fit_tone
 from finray_calib.decide import decide
@@ -176,6 +178,28 @@ def test_a_gain_of_one_channel_is_seen_and_taken_out(gain):
     assert any("times as bright as its no-contact image in" in finding for finding in report.findings)
     clean, _ = compare_checked(*pair(3), 1)
     assert report.headline_skill.estimate == pytest.approx(clean.headline_skill.estimate, abs=0.02)
+
+
+@pytest.mark.parametrize("encoding", ["linear", "unknown"])
+def test_draws_at_the_pixels_of_the_region_are_those_of_whole_images(encoding):
+    """Sums over tiles for draws of curve and gains, against images formed whole and squared one by one."""
+    press, capture = pair(3, gain=(0.94, 1.0, 1.06))
+    if encoding == "unknown":
+        rest = capture.no_contact.astype(np.float32)
+        press = press_of(rest, rest * (press.contact / press.no_contact) ** 0.45, "unknown")
+    _, comparison = quiet_comparison(prepare_images(press, capture), capture)
+    assert comparison.nuisances.is_corrected
+    tiles = [_tiles_of(sums) for sums in comparison.sums]
+    found = drawn_squares(comparison, comparison.nuisances, tiles, np.random.default_rng(1))
+    whole = comparison.nuisances.drawn(np.random.default_rng(1))
+    rest = comparison.captured.no_contact
+    for of_regions, (layers, contact) in zip(found, whole, strict=True):
+        shown = layers.contact.astype(float)
+        squares = {"error": (shown - contact) ** 2, "signal": (rest - contact) ** 2, "level": contact}
+        for region, sums, of in zip(of_regions, comparison.sums, tiles, strict=True):
+            for name, square in squares.items():
+                # the same sums in the same order: only the products may be rounded otherwise
+                np.testing.assert_allclose(region[name], of.sums(square[sums.where]), rtol=1e-12, atol=1e-12)
 
 
 def test_a_blank_with_the_gain_of_the_capture_earns_nothing():
