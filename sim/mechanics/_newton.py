@@ -247,14 +247,14 @@ class _Search:
         while share > _SHORTEST:
             tried = trial(share)
             allowed = _OVERSHOOT * rise if moving else _SUFFICIENT * share * rise
-            if tried.merit <= merit + allowed + noise:
+            if tried.merit_n_mm <= merit + allowed + noise:
                 if refused is not None and not moving:
                     tried = _nearer_to_least(trial, merit, rise, tried, refused)
                 self.shares.append(tried.share)
-                return tried.state.towards(pressures, tried.share), tried.energy
+                return tried.state.towards(pressures, tried.share), tried.energy_n_mm
             refused = tried
             # minimum of the parabola through both energies and the slope, kept between a tenth and a half
-            curve = tried.merit - merit - share * rise
+            curve = tried.merit_n_mm - merit - share * rise
             best = -0.5 * rise * share**2 / curve if not moving and 0.0 < curve < math.inf else 0.5 * share
             share = min(max(best, 0.1 * share), 0.5 * share)
         return None
@@ -264,9 +264,9 @@ class _Trial(NamedTuple):
     """A share of a step: what must fall there (:meth:`_Search._line_search`), the state and its energy."""
 
     share: float
-    merit: float
+    merit_n_mm: float
     state: State
-    energy: float
+    energy_n_mm: float
 
 
 def _nearer_to_least(
@@ -277,11 +277,13 @@ def _nearer_to_least(
     Each try is at the minimum of the cubic through both and the start, whose slope is known.
     """
     for _ in range(_TRIES_NEARER):
-        share = _least_of_cubic(slope, (found.share, found.merit - merit), (refused.share, refused.merit - merit))
+        share = _least_of_cubic(
+            slope, (found.share, found.merit_n_mm - merit), (refused.share, refused.merit_n_mm - merit)
+        )
         if not _WORTH_A_TRY * found.share < share < refused.share / _WORTH_A_TRY:
             break
         tried = trial(share)
-        found, refused = (tried, refused) if tried.merit < found.merit else (found, tried)
+        found, refused = (tried, refused) if tried.merit_n_mm < found.merit_n_mm else (found, tried)
     return found
 
 
