@@ -177,8 +177,10 @@ def _simulation(results: DemoResults) -> Json:
 
 
 def _photometric_error(report: PhotometricErrorReport | None) -> Json | None:
-    """Return the whole report but its map."""
-    return None if report is None else report.model_dump(mode="json", exclude={"error_map", "provenance"})
+    """Return the whole report but its maps."""
+    if report is None:
+        return None
+    return report.model_dump(mode="json", exclude={"error_map": True, "provenance": True, "attribution": {"maps"}})
 
 
 def _decision(results: DemoResults) -> Json:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from example_records import example_decision, example_results
 
-from data_schemas import Interval
+from data_schemas import ErrorAttribution, Interval
 from finray_calib.demo import summary
 from finray_calib.demo._report import compare_section
 from finray_calib.demo._results import all_notes, assumptions, true_loss, trust_limits, truth_statement
@@ -273,6 +273,17 @@ def test_the_papers_emitter_stands_below_the_simulation() -> None:
     assert "(the default) it is 0.931 [0.913, 0.949]" in sentence
     assert summary(RESULTS)["photometric_error_level_a"]["headline_skill"]["estimate"] == 0.702
     assert summary(replace(RESULTS, report_level_a=None))["photometric_error_level_a"] is None
+
+
+def test_the_summary_holds_numbers_and_no_pictures() -> None:
+    causes = ErrorAttribution(
+        causes=(), skill_lost=0.07, saturation_skill=0.0, noise_skill=0.0, remainder_skill=0.07,
+        maps=np.zeros((3, 48, 64), dtype=np.float32),
+    )  # fmt: skip
+    numbers = summary(replace(RESULTS, report=RESULTS.report.model_copy(update={"attribution": causes})))
+    assert numbers["photometric_error"]["attribution"]["skill_lost"] == 0.07
+    assert "maps" not in numbers["photometric_error"]["attribution"]
+    assert "error_map" not in numbers["photometric_error"]
 
 
 def test_terminal_table_fits_80_columns_and_holds_every_row() -> None:
