@@ -22,6 +22,7 @@ from data_schemas import (
     TactileCapture,
     package_version,
 )
+from finray_calib.reports._comparison_statements import judged_skill
 from finray_calib.reports._images import ByteImage, touch_changes, touch_pictures
 from finray_calib.reports._page import (
     Content,
@@ -154,12 +155,9 @@ def batch_page(batch: ComparisonBatch, worst: Sequence[PressPictures], command: 
 
 
 def _light(batch: ComparisonBatch) -> Light:
-    """Return the light of the best simulator: whether its skill is known to be above that of doing nothing."""
+    """Return the light of the best simulator."""
     ranked = _ranked(batch)
-    if not ranked:
-        return "bad"
-    low, high = ranked[0][1].low95, ranked[0][1].high95
-    return light_of(low is not None and low > 0.0, is_bad=high is not None and high <= 0.0)
+    return judged_skill(ranked[0][1].low95, ranked[0][1].high95)[0] if ranked else "bad"
 
 
 def batch_lines(batch: ComparisonBatch) -> Iterator[str]:
@@ -275,9 +273,8 @@ def _key_numbers(batch: ComparisonBatch) -> Iterator[KeyNumber]:
             places = 3 if skill.high95 - skill.low95 < 0.02 else 2
             ends = fixed(skill.low95, places), fixed(skill.high95, places)
             between = f"95 %: {' to '.join(ends)}" if ends[0] != ends[1] else "its interval is narrower than 0.001"
-        light = light_of((skill.low95 or 0.0) > 0.0, is_bad=skill.high95 is not None and skill.high95 <= 0.0)
-        reason = f"{_ABOVE[light]} 0, which an untouched image scores"
-        yield KeyNumber(f"Skill, {_simulator(score)}", fixed(skill.estimate, 3), between, light, reason)
+        judged = judged_skill(skill.low95, skill.high95)
+        yield KeyNumber(f"Skill, {_simulator(score)}", fixed(skill.estimate, 3), between, *judged)
     if len(_ranked(batch)) < 2:
         yield KeyNumber("Doing nothing", "0", "the untouched image in its place")
     compared, total = sum(pair.skill is not None for pair in batch.pairs), len(batch.pairs)
@@ -289,9 +286,6 @@ def _key_numbers(batch: ComparisonBatch) -> Iterator[KeyNumber]:
         light,
         "all" if compared == total else "not all",
     )
-
-
-_ABOVE = {"good": "its interval lies above", "care": "not shown to differ from", "bad": "its interval lies below"}
 
 
 def _limits(batch: ComparisonBatch) -> Iterator[str]:

@@ -52,7 +52,6 @@ from finray_calib.reports._methods import comparison_methods, methods_part
 from finray_calib.reports._page import (
     Content,
     KeyNumber,
-    Light,
     Part,
     Picture,
     PicturePair,
@@ -106,7 +105,7 @@ def comparison_page(
             lead=f"How far a simulated touch is from a real one. Simulation: {report.label}. Compared "
             f"{words.grid_phrase(report)}; values: {report.values}.",
             verdict=words.comparison_verdict(report),
-            light=_skill_light(report),
+            light=words.judged_skill(report.headline_skill.low95, report.headline_skill.high95)[0],
             sentence=words.verdict_meaning(report),
             picture=_touched(report, pictures),
             key_numbers=_key_numbers(report),
@@ -129,21 +128,11 @@ def _findings(report: PhotometricErrorReport) -> tuple[str, ...]:
     return (words.simulation_sentence(report), *(text for text in told if text is not None))
 
 
-def _skill_light(report: PhotometricErrorReport) -> Light:
-    """Return the light of the skill."""
-    low = report.headline_skill.low95
-    return light_of(low >= words.WELL_KNOWN, is_bad=low <= 0)
-
-
 def skill_number(report: PhotometricErrorReport) -> KeyNumber:
     """Return the skill for the first screen."""
-    light, skill = _skill_light(report), fixed(report.headline_skill.estimate, 2)
-    reasons = {
-        "good": f"its interval lies above {words.WELL_KNOWN:g}; 1 is perfect",
-        "care": f"its interval lies above 0, an untouched image, but reaches below {words.WELL_KNOWN:g}",
-        "bad": "its interval reaches 0, which an untouched image scores",
-    }
-    return KeyNumber("Skill of the simulation", skill, _skill_between(report), light, reasons[light])
+    skill = report.headline_skill
+    judged = words.judged_skill(skill.low95, skill.high95)
+    return KeyNumber("Skill of the simulation", fixed(skill.estimate, 2), _skill_between(report), *judged)
 
 
 def _key_numbers(report: PhotometricErrorReport) -> tuple[KeyNumber, ...]:

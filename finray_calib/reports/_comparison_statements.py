@@ -22,7 +22,7 @@ from data_schemas import (
     ValidationCell,
     WhiteBalanceDrift,
 )
-from finray_calib.reports._page import ReportTable, TableGroup, one_group
+from finray_calib.reports._page import Light, ReportTable, TableGroup, one_group
 from finray_calib.reports._plain_text import (
     NO_VALUE,
     decimals_for,
@@ -44,6 +44,20 @@ Verdict = Literal[
 WELL_KNOWN = 0.9
 """A skill that may be below this is not told to be as good as the capture can tell, wherever its interval ends."""
 _PART_ROWS, _PART_COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "right")
+
+
+def judged_skill(low: float | None, high: float | None) -> tuple[Light, str]:
+    """Return the light of a skill by its 95 % interval, and the reason."""
+    if low is None or high is None:
+        return "care", "one or two presses do not tell how others would score"
+    well = f"{WELL_KNOWN:g}"
+    if low >= WELL_KNOWN:
+        return "good", f"its interval lies above {well}; 1 is perfect"
+    if low <= 0.0:
+        where = "lies below" if high < 0.0 else "reaches"
+        return "bad", f"its interval {where} 0, which an untouched image scores"
+    where = "lies below" if high < WELL_KNOWN else "reaches below"
+    return "care", f"its interval lies above 0, an untouched image, but {where} {well}"
 
 
 def headline(report: PhotometricErrorReport) -> RegionError:

@@ -15,7 +15,7 @@ from data_schemas.storage import write_record
 from finray_calib.reports import _comparison_statements as words
 from finray_calib.reports import comparison_page, headline
 from finray_calib.reports._comparison_figures import budget_figure
-from finray_calib.reports._comparison_statements import budget_table, metric_table, validation_table
+from finray_calib.reports._comparison_statements import budget_table, judged_skill, metric_table, validation_table
 from finray_calib.reports._images import LARGEST_PIXELS, touch_changes, touch_pictures
 from finray_calib.reports._page import images_table
 from tests.command_line.running import finray
@@ -109,6 +109,15 @@ def test_the_light_of_the_skill_follows_its_interval_not_its_estimate(interval, 
     html = page_of(with_skill(*interval))
     assert f'<section class="verdict {light}"' in html
     assert f'<div class="{light}"><dt>Skill of the simulation</dt>' in html
+
+
+def test_a_skill_is_judged_alike_on_all_pages():
+    assert judged_skill(0.92, 0.97) == ("good", "its interval lies above 0.9; 1 is perfect")
+    assert judged_skill(0.7, 0.8)[1].endswith("but lies below 0.9")
+    assert judged_skill(0.7, 0.95)[1].endswith("but reaches below 0.9")
+    assert judged_skill(-0.1, 0.95) == ("bad", "its interval reaches 0, which an untouched image scores")
+    assert judged_skill(-0.2, -0.1)[1].startswith("its interval lies below 0")
+    assert judged_skill(None, None)[0] == "care"
 
 
 def test_without_a_repeat_or_a_brightness_the_bounds_stand_in_their_place():
