@@ -114,7 +114,7 @@ def open_regular(path: Path, what: str = "a regular file", error: type[FinrayErr
         kind = _kind_at(path)
         if kind is not None:
             raise error(f"{path}: is {kind}; give the path of {what}") from None
-        reason = fault.strerror if isinstance(fault, OSError) else fault
+        reason = fault.strerror if isinstance(fault, OSError) else "a null byte in it" if "\0" in str(path) else fault
         raise error(f"{str(path)!r}: cannot be read ({reason}); check the path and its permissions") from None
     kind = _kind_of(os.fstat(handle).st_mode)
     if kind is not None:
