@@ -257,7 +257,7 @@ class _Workers:
 
     def __init__(self, work: _Work, pairs: int) -> None:
         self._work = work
-        count = min(len(os.sched_getaffinity(0)), pairs // _LEAST_PAIRS_EACH, _MOST_WORKERS)
+        count = min(_cores(), pairs // _LEAST_PAIRS_EACH, _MOST_WORKERS)
         self._children = [Child([__name__, "finray_calib.compare"]) for _ in range(count if count > 1 else 0)]
 
     def __enter__(self) -> "_Workers":
@@ -311,7 +311,7 @@ class _Workers:
             for _ in range(0, len(jobs), size):
                 start, result = done.get()
                 if isinstance(result, BaseException):
-                    raise _of_worker(result, jobs[start])
+                    raise _of_worker(result, jobs[start : start + size])
                 found[start] = result
                 progress(sum(map(len, found.values())), len(jobs), jobs[start].name)
         finally:
@@ -326,13 +326,20 @@ class _Workers:
         return [result for start in sorted(found) for result in found[start]]
 
 
-def _of_worker(error: BaseException, job: "_Job") -> BaseException:
-    """Return what to raise for the error of a process."""
+def _cores() -> int:
+    """Return how many cores this process may use; 1 where a child's end cannot be waited for."""
+    if not hasattr(os, "waitid"):  # macOS, before Python 3.13
+        return 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _of_worker(error: BaseException, jobs: Sequence["_Job"]) -> BaseException:
+    """Return what to raise for the error of a process that did these jobs."""
     if not isinstance(error, DiedError):
         return error
     return DiedError(
-        f"a process that compares pairs, at {job.name} or one of the next two, {error}. The reports that are written "
-        "are complete; the same command compares the others"
+        f"a process at work on {', '.join(job.name for job in jobs)} {error}. The reports that are written are "
+        "complete; the same command compares the others"
     )
 
 

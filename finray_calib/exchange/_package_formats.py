@@ -47,7 +47,7 @@ def capture_by_package(name: str, folder: Path) -> TactileCapture:
         capture = _module_of(entry).read_capture(folder)
     except (FinrayError, OSError):
         raise
-    except Exception as error:  # a mistake of the format's author is not its user's
+    except (Exception, SystemExit) as error:  # a mistake of the format's author is not its user's
         raise ImportFormatError(
             f"{folder}: {_label(entry)} fails ({type(error).__name__}: {error}); {_update(entry)}"
         ) from error
@@ -87,7 +87,7 @@ def _module_of(entry: EntryPoint) -> ImportFormat:
     """Return the module of a format, which has all that one must have."""
     try:
         module = import_module(entry.value)
-    except Exception as error:  # whatever a module does when it is imported
+    except (Exception, SystemExit) as error:  # whatever a module does when it is imported
         raise ImportFormatError(
             f"{_label(entry)} cannot be imported ({type(error).__name__}: {error}); {_update(entry)}"
         ) from error

@@ -6,7 +6,6 @@ its guard and says ``ON`` and the process numbers of guard and watch. It ends, a
 input closes (whoever started it is gone), at the latest after 10 s.
 """
 
-import contextlib
 import os
 import select
 import signal
@@ -342,12 +341,22 @@ def _kill(holder: Holder, layer: LightLayer) -> bool:
 
 @contextmanager
 def _on_one_core(pids: Sequence[int]) -> Iterator[None]:
-    """Keep the processes on one core with this one for a ``with`` block, so that none runs while this one does."""
+    """Keep the processes on one core with this one for a ``with`` block, so that none runs while this one does.
+
+    Where the system does not let us, only the time that stopping them takes tells.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
     ours = os.sched_getaffinity(0)
     try:
         for pid in (*pids, 0):
-            with contextlib.suppress(PermissionError):  # then only the time it takes tells
+            try:
                 os.sched_setaffinity(pid, {min(ours)})
+            except ProcessLookupError:
+                raise
+            except OSError:
+                continue
         time.sleep(ASK_EVERY_S)  # whoever has rested is not interrupted at once
         yield
     finally:

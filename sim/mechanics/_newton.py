@@ -145,7 +145,9 @@ class _Search:
                 if not moving and np.abs(du).max() <= self.options.step_floor_mm:
                     return self._result(self.assembly.with_own_pressures(state), gradient, energy)
                 if not moving and rise > _NOISE * abs(energy):
-                    du, rise = -du, -rise  # uphill: negative curvature along du, so that the energy falls the other way
+                    # uphill: curvature is negative along du, and the energy falls the other way, as by the modes
+                    of_modes = self.assembly.elasticity.mode_work_n_mm()
+                    du, rise = -du, -(rise + of_modes) - of_modes
                 if np.isfinite(du).all():
                     found = self._line_search(state, energy, du, rise, moving)
             if found is None and project:

@@ -215,7 +215,7 @@ class _Struck(Child):
 @pytest.mark.parametrize(
     ("strike", "status", "told"),
     [
-        (Child.kill, 3, "a process that compares pairs, at bgr or one of the next two, was killed (SIGKILL) from"),
+        (Child.kill, 3, "a process at work on bgr, one, two was killed (SIGKILL) from"),
         (lambda _: True, 130, "interrupted; files already written are complete"),
     ],
 )
@@ -234,6 +234,16 @@ def test_the_same_command_continues_after_a_process_ended(
     again = finray(command)
     assert again.status == 0, again.err
     assert "2 of 3 pairs compared" in again.out
+
+
+def test_a_system_that_tells_no_cores_compares_all_the_same(folders: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(os, "sched_getaffinity")
+    assert finray(f"compare {folders}/simulated {folders}/captured --out {folders}/out").status == 0
+    # macOS has no waitid before Python 3.13: no process is started there
+    monkeypatch.delattr(os, "waitid")
+    monkeypatch.setattr(_compare_folders, "_LEAST_PAIRS_EACH", 1)
+    monkeypatch.setattr(_compare_folders, "Child", None)
+    assert finray(f"compare {folders}/simulated {folders}/captured --out {folders}/alone").status == 0
 
 
 @pytest.mark.parametrize(
