@@ -38,11 +38,14 @@ from tests.command_line.test_mechanics_verb import FINGER as PRESSED
 from tests.command_line.verb_faults import ERRORS, Command, Replay, Tries, replaying
 from tests.compare.board_scenes import FISHEYE, SIZE_PX, picture, poses
 from tests.compare.force_curves import INCREMENTS_MM, force_at, power_law_press
+from tests.compare.test_tone_curve import pair
 from tests.documentation.example_records import example_results
-from tests.exchange.ball_press_folders import write_catalog
+from tests.exchange.ball_press_folders import write_catalog, write_taxim
+from tests.exchange.recipe_folders import write_fots
 from tests.exchange.taxim_presses import closed_form_presses
 from tests.exchange.test_abaqus_results import DESIGN as ABAQUS_DESIGN
 from tests.exchange.test_abaqus_results import results
+from tests.exchange.test_render_folder import LINEAR, write_render
 from tests.exchange.test_taxim_export import SENSOR
 
 FINGER = (
@@ -143,6 +146,21 @@ COMMANDS = {
         "balls",
         ("finray_calib.exchange._ball_presses:read_ball_presses",),
     ),
+    "import captures": Command("import captures {i}/fots --recipe fots-gelsight --out {o}/set", "set"),
+    "import render": Command("import render {i}/ball --out {o}/ball.press.json", "ball.press.json"),
+    "bench tactile": Command(
+        "bench tactile {i}/set --teach 3 --out {o}/bench", "bench/row.json", COMPARED, ("/bench/",)
+    ),
+    "sense run": Command(
+        "sense run {i}/map.json {i}/t.captures/press-001.capture.json --out {o}/s.json",
+        "s.json",
+        ("finray_calib.sensing._normal_map_fit:sense_press", "finray_calib.reports._images:sensed_png"),
+    ),
+    "certificate": Command(
+        "certificate {i}/fitted.paint.json --out {o}/c.html",
+        "c.html",
+        ("finray_calib.reports._certificate_page:certificate_pdf",),
+    ),
     "import 9dtact --predict-from": Command(
         "import 9dtact {i}/one --predict-from {i}/two --out {o}/one.capture.json", "one.capture.json"
     ),
@@ -189,6 +207,7 @@ def main() -> int:
     parser.add_argument("--every", type=int, default=1, help="try every so manieth point only")
     arguments = parser.parse_args()
     found: dict[str, Any] = {}
+    cv2.setNumThreads(1)  # a forked try would wait for ever for threads that were not forked with it
     # Synchronising is a point, but no power fails here: it would only take time.
     with tempfile.TemporaryDirectory() as top, patch.object(os, "fsync", lambda handle: None), stand_ins():
         inputs = Path(top) / "inputs"
@@ -307,6 +326,11 @@ def laboratory(folder: Path) -> str:
         succeed(f"fit {folder}/bands.json --out {folder}/fitted.paint.json")
     succeed(f"compare {folder}/press.json {folder}/capture.json --out {folder}/report.json")
     write_catalog(folder / "balls")
+    succeed(f"import captures {write_fots(folder / 'fots')} --recipe fots-gelsight --out {folder}/set")
+    succeed(f"import taxim {write_taxim(folder / 't')} --out {folder}/t.captures")
+    succeed(f"sense teach {' '.join(map(str, sorted((folder / 't.captures').glob('*.json'))))} --out {folder}/map.json")
+    simulated, _ = pair(0)
+    write_render(folder / "ball", simulated.contact, simulated.no_contact, **LINEAR)
     for name in ("one", "two"):
         (folder / name).mkdir()
         (folder / name / "a.png").write_bytes(b"\x89PNG")

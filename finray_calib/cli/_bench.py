@@ -6,6 +6,7 @@ import hashlib
 import io
 import json
 import shlex
+import shutil
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from finray_calib.cli._output import give, look_at, say, wrote
-from finray_calib.cli._run import add_out, add_seed, command_line, distinct_file_names, require_new
+from finray_calib.cli._run import add_out, add_seed, command_line, distinct_file_names, require_new, require_place
 
 if TYPE_CHECKING:
     from data_schemas import ComparisonBatch, SimulatedPress, TactileCapture
@@ -29,10 +30,14 @@ judge it. Your command is run once, with these words replaced by folders:
 
 Beside it stand a table that the same presses taught, and doing nothing, which scores 0. Presses whose image taught
 are never judged. OUT gets the page of the comparison (scores/summary.html), row.json and row.csv: skill with its
-interval, digests of all captures, what the command was and how long it took."""
+interval, digests of all captures, what the command was and how long it took. A run that was interrupted or failed
+starts anew when the same OUT is given again."""
 TABLE, BLANK = "table of the teaching presses", "doing nothing"
 MOST_TEACHING = 6
 CAPTURE = ".capture.json"
+ASKED, ROW = "asked.json", "row.json"
+"""The first file of a run, which says what was asked, and its last."""
+_MADE = ("protocol", "renders", "presses", "pairs.csv", "scores", "row.csv")
 _COLUMNS = ("set", "simulator", "skill", "low95", "high95", "presses", "taught", "table", "seconds", "captures_sha256")
 
 
@@ -71,7 +76,7 @@ def run_bench_tactile(arguments: argparse.Namespace) -> None:
     folder: Path = arguments.captures
     captures = _captures(folder)
     taught, judged = _split(captures, arguments.teach)
-    out = require_new(arguments.out or Path(f"{folder.resolve().name}.bench"))
+    out = _begin(arguments.out or Path(f"{folder.resolve().name}.bench"), arguments)
     seconds, presses = _presses(arguments, out, captures, taught, judged)
     _store(out, presses, arguments.seed)
     listed = _pairs_csv(out, presses, folder)
@@ -80,13 +85,43 @@ def run_bench_tactile(arguments: argparse.Namespace) -> None:
     compare_folders(argparse.Namespace(**options, normal_map=None, scale=None))
     batch = read_record(scores / SUMMARY, ComparisonBatch)
     row = _row(arguments, batch, captures, taught, seconds)
-    with ProductSet(out / "row.json") as products:
+    with ProductSet(out / ROW) as products:
         products.add(out / "row.csv", _as_csv(row).encode())
-        products.add(out / "row.json", (json.dumps(row, indent=1, sort_keys=True) + "\n").encode())
+        products.add(out / ROW, (json.dumps(row, indent=1, sort_keys=True) + "\n").encode())
     say(_as_csv(row).rstrip())
     wrote(out, "holds row.json, row.csv and scores/summary.html")
     give(row=row)
     look_at(scores / PAGE)
+
+
+def _begin(out: Path, arguments: argparse.Namespace) -> Path:
+    """Return the folder to write: new, or what an interrupted run left, less all that it had made.
+
+    A folder counts as left by a run where it says what was asked and has no row yet; files of others in it stay.
+    """
+    from data_schemas.storage import clear_leftovers, write_bytes
+
+    clear_leftovers(out)
+    if (out / ASKED).is_file() and not (out / ROW).exists():
+        for name in _MADE:
+            _remove(out / name)
+        (out / ASKED).unlink()
+    elif not (out.is_dir() and not any(out.iterdir())):
+        require_new(out)
+    require_place(out / ROW)
+    out.mkdir(parents=True, exist_ok=True)
+    asked = {"captures": str(arguments.captures.resolve()), "teach": arguments.teach, "seed": arguments.seed,
+             "simulator": arguments.simulator, "command": arguments.simulator_command}  # fmt: skip
+    write_bytes(out / ASKED, (json.dumps(asked, indent=1) + "\n").encode())
+    return out
+
+
+def _remove(path: Path) -> None:
+    """Remove a file, a link (not what it leads to) or a folder, if it is there."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _captures(folder: Path) -> "dict[str, TactileCapture]":

@@ -6,7 +6,8 @@ Of render S, capture D and no-contact image B, all in linear light,
 
 with pixels p, channels c, their weights w and one exposure factor k: 1 explains the whole contact signal, 0 is doing
 nothing. Noise of render and camera is taken out of the squares, and every number has an interval from what paints,
-camera, pose and light leave open. Images that do not belong together are refused before anything is compared.
+camera, pose and light leave open. Images that do not belong together are refused before anything is compared. Every
+metric is a field of `ErrorRow`, computed for one candidate in one region by `_candidate_errors.py`.
 """
 
 from typing import TYPE_CHECKING

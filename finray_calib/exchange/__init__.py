@@ -6,7 +6,8 @@ pictures, of ball presses, of 9DTact or Taxim calibrations, measured force as CS
 Renders, meshes, printable parts, board calibrations, capture requests and acceptance reports go out as files that other
 programs open.
 
-A package outside the tree brings a format of captures by an entry point (`ImportFormat`).
+A layout that a recipe can describe (a short TOML file) needs no code. Another format of captures is a function here
+and a job of `finray import`; a package outside the tree brings one by an entry point (`ImportFormat`).
 
 What cannot be known from a foreign file is asked for or refused, never guessed; nothing pickled is ever loaded.
 """

@@ -7,6 +7,9 @@ is least under the supports: Pi(u) = sum_e W_e(u) + sum_t E_t(u), found by Newto
 Contact is a penalty on exact distances (fast, frictionless) or a barrier with friction that never lets surfaces
 cross. `LoadedFinger` bends and twists a finger without an indenter. Lengths in mm, forces in N, stresses in MPa. It
 knows no light: mechanics and optics meet in the studies.
+
+The design leads: the shape of the pad and the constants of the materials are those of `FingerDesign` (`GelPad`,
+`MechanicalMaterials`). A rigid shape that presses is a distance with its derivatives, in `_rigid_bodies.py`.
 """
 
 from typing import TYPE_CHECKING

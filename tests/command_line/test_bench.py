@@ -138,6 +138,29 @@ def test_a_simulator_is_scored_on_all_judged_presses_or_none(captures: Path) -> 
     assert "x0002 is no judged press; render those of" in outcome.err
 
 
+def test_a_run_that_failed_starts_anew_in_the_same_folder_and_spares_what_is_not_its_own(captures: Path) -> None:
+    crashes = shlex.quote(f"{sys.executable} -c 'raise SystemExit(3)'")
+    assert finray(f"bench tactile set --teach 3 --simulator mine --command {crashes} --out out").status == 2
+    assert Path("out/protocol/judge").is_dir()
+    Path("out/mine.txt").write_text("my own note")
+    outcome = finray("bench tactile set --teach 3 --out out")
+    assert outcome.status == 0, outcome.err
+    assert Path("out/mine.txt").read_text() == "my own note"
+    assert json.loads(Path("out/asked.json").read_text())["command"] is None
+    assert not Path("out/protocol").exists()
+    again = finray("bench tactile set --teach 3 --out out")
+    assert again.status == 2
+    assert "out: exists already and is not overwritten" in again.err
+
+
+def test_a_folder_of_somebody_else_is_not_touched(captures: Path) -> None:
+    Path("out/scores").mkdir(parents=True)
+    outcome = finray("bench tactile set --teach 3 --out out")
+    assert outcome.status == 2
+    assert "out: exists already and is not overwritten" in outcome.err
+    assert [path.name for path in Path("out").iterdir()] == ["scores"]
+
+
 def test_presses_that_are_all_one_image_cannot_be_judged(captures: Path) -> None:
     first = Path("set/0001.capture.json")
     for k in (2, 3, 4, 5):
