@@ -108,7 +108,7 @@ COMMANDS = {
     "simulate render --images": Command(
         f"simulate render {{i}}/finger.toml {PAINTS} --images --engine scalar --samples 2 --out {{o}}/p.press.json",
         "p.press.json",
-        RENDERED,
+        (*RENDERED, "finray_calib.exchange._render_files:_exr_images"),  # its threads are not forked
     ),
     "simulate press": Command(
         "simulate press {i}/pressed.toml --increments 2 --out {o}/m.press.json",
@@ -249,14 +249,14 @@ def stand_ins() -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         for target, value in {
             "sim.experiments._ball_presses.render_ball_presses": lambda *_: made(),
-            "finray_calib.cli._export.open_engine": lambda _: None,
             "finray_calib.fit._paint_calibration.calibrate_paint": lambda *_: paints["red"].calibration,
-            "finray_calib.cli._import._nine_dtact": lambda _: (capture_of(linear, 50.0), linear),
             "sim.mechanics._press.press_finger": ReplayedPress(),
             f"{study}.LoadedFinger": Quick,
             f"{study}.press_to_force": no_grip,
         }.items():
             stack.enter_context(patch(target, value))
+        read = {"9dtact": lambda _: (capture_of(linear, 50.0), linear)}
+        stack.enter_context(patch.dict("finray_calib.cli._import._READERS", read))
         steps = MeshSteps(pad_mm=3.0, pad_layer_mm=3.0, skeleton_mm=4.0, across_mm=4.0)
         stack.enter_context(patch.dict(STEPS, {"coarse": steps}))
         yield

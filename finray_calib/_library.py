@@ -264,7 +264,7 @@ def import_bands(folder: PathLike) -> BandSignals:
 
 
 def fit_paint(
-    bands: BandSignals | PathLike,
+    bands: BandSignals | PathLike | Sequence[BandSignals | PathLike],
     *,
     other_lights: Sequence[BandSignals | PathLike] = (),
     family: str = "auto",
@@ -278,7 +278,8 @@ def fit_paint(
     Parameters
     ----------
     bands
-        Band signals, see :func:`reduce_session`.
+        Band signals, see :func:`reduce_session`; several of them are repeats of one paint on one rig and become one
+        calibration, whose intervals hold what differs between the sessions.
     other_lights
         Band signals of the same paint under other excitation lights: they constrain its absorption.
     family
@@ -305,7 +306,7 @@ def fit_paint(
     """
     from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, FitOptions, calibrate_paint
 
-    signals, files = given(bands, BandSignals)
+    signals, files, warnings = _of_sessions(bands)
     others = [given(other, BandSignals) for other in other_lights]
     files += [file for _, read in others for file in read]
     options = FitOptions(
@@ -316,11 +317,30 @@ def fit_paint(
     match = None if room_light is None else _room_light_match(Path(room_light), signals)
     with naming(FitError, *files):
         paint = calibrate_paint(signals, seed, options, [other for other, _ in others], match)
+    if warnings and isinstance(paint, PaintCalibration):
+        paint = paint.model_copy(update={"warnings": (*paint.warnings, *warnings)})
     if room_light is not None:
         from rigs.capture import SESSION_NAME
 
         files.append(Path(room_light) / SESSION_NAME)
     return made(paint, "fit_paint", files, seed)
+
+
+def _of_sessions(
+    bands: BandSignals | PathLike | Sequence[BandSignals | PathLike],
+) -> tuple[BandSignals, list[Path], tuple[str, ...]]:
+    """Return the band signals of one session, or those that several share, the files, and warnings."""
+    if isinstance(bands, BandSignals | str | os.PathLike):
+        return *given(bands, BandSignals), ()
+    from finray_calib.fit import combine_sessions, departing_warnings
+
+    read = [given(one, BandSignals) for one in bands]
+    files = [file for _, of_one in read for file in of_one]
+    if len(read) == 1:
+        return read[0][0], files, ()
+    with naming(FitError, *files):
+        together, scatter = combine_sessions([one for one, _ in read])
+    return together, files, departing_warnings(scatter)
 
 
 def _room_light_match(folder: Path, bands: BandSignals) -> "ColourCheckerMatch":

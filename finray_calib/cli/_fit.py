@@ -1,6 +1,7 @@
 """``finray fit``: the emission spectrum of a paint with its uncertainty, of a region or pixel by pixel."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ from finray_calib.cli._run import (
 
 if TYPE_CHECKING:
     from data_schemas import BandSignals, PaintCalibration, PaintMap, PaintWithoutEmission
+    from finray_calib.fit import SessionScatter
 
 
 HELP = "fit the emission spectrum of a paint, with uncertainty"
@@ -36,8 +38,10 @@ def add_fit(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
     parser.add_argument(
         "bands",
         type=Path,
+        nargs="+",
         metavar="BANDS",
-        help="record written by 'finray radiometry' (with --map: its pixel signals)",
+        help="record written by 'finray radiometry' (with --map: its pixel signals); several are repeats of one paint "
+        "on one rig and become one calibration",
     )
     parser.add_argument(
         "--family",
@@ -84,15 +88,16 @@ def run(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import ProductSet, read_record, write_record
     from finray_calib import fit_paint
 
-    bands = read_record(arguments.bands, BandSignals)
+    sessions = [read_record(path, BandSignals) for path in arguments.bands]
+    bands, scatter = _together(sessions, arguments.bands)
     others = [read_record(path, BandSignals) for path in arguments.other_light]
     out = require_new(arguments.out or Path(f"{file_name(bands.paint_name)}.paint.json"))
     if arguments.report is not None:
         require_new(arguments.report)
-    files = [arguments.bands, *arguments.other_light]
+    files = [*arguments.bands, *arguments.other_light]
     with progress_bar("fit"), naming(FitError, *files):
         paint = fit_paint(
-            bands, other_lights=others, family=arguments.family, discrepancy=not arguments.no_discrepancy,
+            sessions, other_lights=others, family=arguments.family, discrepancy=not arguments.no_discrepancy,
             check=arguments.check, room_light=arguments.room_light, seed=arguments.seed,
         )  # fmt: skip
     if arguments.room_light is not None:
@@ -110,9 +115,41 @@ def run(arguments: argparse.Namespace) -> None:
         say("  is this the fluorescent sample, and was the laser on? --report PAGE shows it beside a blank")
     else:
         _say_result(paint, out)
+        _say_scatter(scatter, arguments.bands)
     if arguments.report is not None:
         wrote(arguments.report, "the fit explained; open it in a browser")
         look_at(arguments.report)
+
+
+def _together(sessions: "Sequence[BandSignals]", files: Sequence[Path]) -> "tuple[BandSignals, SessionScatter | None]":
+    """Return the band signals of one session, or what several share and how they differ."""
+    if len(sessions) == 1:
+        return sessions[0], None
+    from data_schemas import FitError
+    from finray_calib.fit import combine_sessions
+
+    if len(set(files)) < len(files):
+        raise FitError(f"{', '.join(map(str, files))}: one file is given twice; give each session once")
+    with naming(FitError, *files):
+        return combine_sessions(sessions)
+
+
+def _say_scatter(scatter: "SessionScatter | None", files: Sequence[Path]) -> None:
+    """Say how the sessions differ, if there are several."""
+    if scatter is None:
+        give(sessions=1)
+        return
+    give(
+        sessions=len(files), session_levels_rel=scatter.session_levels_rel,
+        between_sessions_level_rel=scatter.level_rel, between_sessions_filter_rel=scatter.filter_rel,
+    )  # fmt: skip
+    for name, value in (("level", scatter.level_rel), ("single filters", scatter.filter_rel)):
+        say(
+            f"  {f'between sessions, {name}':34s} {value.estimate:.1%} [{value.low95:.1%}, {value.high95:.1%}] "
+            "(standard deviation, 95 %)"
+        )
+    for file, level in zip(files, scatter.session_levels_rel, strict=True):
+        say(f"    {file}: level {level:+.1%}")
 
 
 def _page(paint: "PaintCalibration | PaintWithoutEmission", bands: "BandSignals", digests: "dict[str, str]") -> str:
@@ -148,6 +185,8 @@ def _refuse_ignored(arguments: argparse.Namespace) -> None:
         )
     if arguments.paint is not None and not arguments.map:
         raise FitError("--paint: is the fit of the region that --map starts from; give --map too, or leave it out")
+    if arguments.map and len(arguments.bands) > 1:
+        raise FitError(f"{arguments.bands[1]}: a map is of one session; give the pixel signals of one, and its --paint")
 
 
 _LABELS = {
@@ -230,17 +269,18 @@ def run_map(arguments: argparse.Namespace) -> None:
 
     if arguments.paint is None:
         raise FitError(
-            f"{arguments.bands}: a map needs the fit of the region of the same session; run 'finray fit BANDS' first "
-            "and add --paint PAINT.paint.json"
+            f"{arguments.bands[0]}: a map needs the fit of the region of the same session; run 'finray fit BANDS' "
+            "first and add --paint PAINT.paint.json"
         )
-    pixels = read_record(arguments.bands, PixelSignals)
+    place: Path = arguments.bands[0]
+    pixels = read_record(place, PixelSignals)
     paint = read_record(arguments.paint, PaintCalibration)
     out = require_new(arguments.out or Path(f"{file_name(pixels.paint_name)}.map.json"))
     picture = require_new(out.with_suffix(".svg"))
-    with progress_bar("fit every pixel"), naming(FitError, arguments.bands, arguments.paint):
+    with progress_bar("fit every pixel"), naming(FitError, place, arguments.paint):
         fitted = map_paint(pixels, paint)
     drawn = paint_map_figure(fitted).encode()
-    digests = input_digests([arguments.bands, arguments.paint])
+    digests = input_digests([place, arguments.paint])
     with ProductSet(out) as products:
         products.add(picture, drawn)
         write_record(fitted, out, provenance(command_line(), digests), products)

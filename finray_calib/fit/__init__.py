@@ -4,8 +4,9 @@ r"""Fit a paint: from band signals to the posterior of its emission, reflectance
 
 with the measurement covariance S, the imperfections U of the rig and the discrepancy D of the paint from its family of
 curves. `calibrate_paint` runs the whole path and returns the stored record, `map_paint` fits every pixel,
-`detect_emission` tells whether there is anything to fit. Draws come from importance sampling that diagnoses itself;
-where it falls short they are carried on by Markov steps, and emcee is the independent check.
+`detect_emission` tells whether there is anything to fit. `combine_sessions` makes one of several sessions of a paint,
+with what differs between them. Draws come from importance sampling that diagnoses itself; where it falls short they
+are carried on by Markov steps, and emcee is the independent check.
 No devices, and no files but the prototypes of spectra that the package ships.
 """
 
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     )
     from finray_calib.fit._pixel_maps import PixelSpread, map_paint, map_pixels
     from finray_calib.fit._prior import NO_DISCREPANCY, PAINT_DISCREPANCY, AbsorptionPrior, Discrepancy, EmissionPrior
+    from finray_calib.fit._repeated_sessions import SessionScatter, combine_sessions, departing_warnings
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -78,6 +80,7 @@ __all__ = [
     "LogPosterior",
     "PixelSpread",
     "SamplerSettings",
+    "SessionScatter",
     "Summary",
     "autocorrelation_time",
     "band_data",
@@ -86,7 +89,9 @@ __all__ = [
     "check_bands",
     "choose_family",
     "colour_checker_reflectance",
+    "combine_sessions",
     "curve_bands",
+    "departing_warnings",
     "detect_emission",
     "estimate",
     "find_maxima",

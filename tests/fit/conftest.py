@@ -1,20 +1,23 @@
 """A rig of closed forms: Gaussian filters, camera, lamp and laser, so that every band integral has outside truth."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from data_schemas import Optics
+from data_schemas import BandSignals, Optics
 from data_schemas.storage import assumed_camera_response, halogen_lamp
 from finray_calib.spectra import FilterSet, emission_weights
 from rigs import simulated_rig
+from rigs.simulated import Bench
 
 CENTER_NM = (405, 450, 500, 532, 560, 600, 630, 660)
 CHANNEL_NM = ((600, 80), (535, 90), (460, 80))
 CHANNEL_WEIGHTS = (0.25, 0.5, 0.25)
 EXCITATION = 1
 BLOCKING = 1e-5
+SHARES = np.array([0.01, 0.09, 0.9])
 
 
 def line(wavelength_nm, center_nm, fwhm_nm):
@@ -81,4 +84,36 @@ def optics() -> Optics:
         lamp=halogen_lamp(),
         white_reference=rig.white_reference,
         camera_response=assumed_camera_response(),
+    )
+
+
+@pytest.fixture(scope="session")
+def red_bands(optics) -> BandSignals:
+    """Noise-free signals of the red paint on the simulated bench."""
+    rig = simulated_rig("red", seed=3)
+    bench = Bench(rig, Path(), assumed_camera_response())
+    slots = [f.slot for f in rig.filter_wheel.filters]
+
+    def signal(what: str, light: str) -> np.ndarray:
+        radiance = (
+            rig.white_reference.reflectance * bench.lights[light]
+            if what == "white"
+            else bench.sample_radiance(bench.lights[light])
+        )
+        return np.array([bench.band_electrons_per_s(radiance, slot) for slot in slots])
+
+    white = signal("white", "lamp")
+    level = signal("white", "laser")[1] / white[1] @ SHARES
+    y, rho = signal("sample", "laser") / white / level, 0.98 * signal("sample", "lamp") / white
+    return BandSignals(
+        paint_name="red",
+        optics=optics,
+        fluorescence=y,
+        fluorescence_covariance=np.diag((0.002 * y.ravel()) ** 2),
+        reflectance=rho,
+        reflectance_covariance=np.diag((0.002 * rho.ravel()) ** 2),
+        channel_weights=SHARES,
+        flags=(("ok", "ok", "ok"),) * 8,
+        saturated_fraction=np.zeros((8, 3)),
+        region_pixels=1000,
     )

@@ -9,7 +9,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from data_schemas import BandSignals, Estimate, FitError, PaintCalibration, provenance
-from data_schemas.storage import assumed_camera_response, read_record, write_record
+from data_schemas.storage import read_record, write_record
 from finray_calib.fit import (
     DEFAULT_FAMILY,
     LARGEST_MEMORY,
@@ -36,41 +36,12 @@ from finray_calib.spectra import (
     photon_yield,
 )
 from rigs import simulated_rig
-from rigs.simulated import Bench, bench_truth
-
-SHARES = np.array([0.01, 0.09, 0.9])
+from rigs.simulated import bench_truth
 
 
 @pytest.fixture(scope="module")
-def bands(optics) -> BandSignals:
-    """Noise-free signals of the red paint on the simulated bench."""
-    rig = simulated_rig("red", seed=3)
-    bench = Bench(rig, Path(), assumed_camera_response())
-    slots = [f.slot for f in rig.filter_wheel.filters]
-
-    def signal(what: str, light: str) -> np.ndarray:
-        radiance = (
-            rig.white_reference.reflectance * bench.lights[light]
-            if what == "white"
-            else bench.sample_radiance(bench.lights[light])
-        )
-        return np.array([bench.band_electrons_per_s(radiance, slot) for slot in slots])
-
-    white = signal("white", "lamp")
-    level = signal("white", "laser")[1] / white[1] @ SHARES
-    y, rho = signal("sample", "laser") / white / level, 0.98 * signal("sample", "lamp") / white
-    return BandSignals(
-        paint_name="red",
-        optics=optics,
-        fluorescence=y,
-        fluorescence_covariance=np.diag((0.002 * y.ravel()) ** 2),
-        reflectance=rho,
-        reflectance_covariance=np.diag((0.002 * rho.ravel()) ** 2),
-        channel_weights=SHARES,
-        flags=(("ok", "ok", "ok"),) * 8,
-        saturated_fraction=np.zeros((8, 3)),
-        region_pixels=1000,
-    )
+def bands(red_bands) -> BandSignals:
+    return red_bands
 
 
 FEW = FitOptions(

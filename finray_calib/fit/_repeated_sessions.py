@@ -1,0 +1,284 @@
+r"""One paint measured in several sessions: their common band signals, with what differs from session to session.
+
+.. math:: y_i = m \circ (1 + g_i + h_i) + e_i, \qquad
+    g_i \sim N(0, \tau_g^2), \quad h_{ib} \sim N(0, \tau_h^2), \quad e_i \sim N(0, S_i)
+
+with m what the sessions share, :math:`g_i` the level of session i (how the sample lies, laser against lamp, focus),
+:math:`h_{ib}` what filter b has of its own in session i, common to its channels (homing of the wheel), and
+:math:`S_i` the covariance of the session less the part of the white reference, :math:`u^2 m m^T`. That part is common
+to all sessions: no repetition averages it away, and it is added again at the end. The same holds for what the fit
+itself knows of the rig (centres of filters, response, lamp).
+
+Few sessions hardly tell :math:`\tau_g`. Both are integrated over their restricted likelihood and half-Cauchy priors
+of 3 % and 1 %, and the variance of the common level is that of the normal with the same 95 % interval as the mixture.
+
+Sessions are taken as exchangeable draws of one rig, one paint and one way of working: what all of them share, such as a
+filter that is another than stated, shows in none.
+
+References
+----------
+Gelman, Prior distributions for variance parameters in hierarchical models, Bayesian Analysis 1 (2006) 515.
+Patterson, Thompson, Recovery of inter-block information when block sizes are unequal, Biometrika 58 (1971) 545.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.stats import chi2, norm
+
+from data_schemas import BandSignals, Estimate, FitError
+
+Floats = NDArray[np.float64]
+
+LEVEL_SCALE, FILTER_SCALE = 0.03, 0.01
+"""Scales of the half-Cauchy priors of the relative standard deviations between sessions: of the level, of a filter."""
+DEPARTS_P: Final = 0.001
+_LEVELS, _FILTERS = np.geomspace(3e-4, 1.0, 28), np.geomspace(3e-4, 0.3, 20)
+
+
+@dataclass(frozen=True, slots=True)
+class SessionScatter:
+    """How the sessions of a paint differ.
+
+    Attributes
+    ----------
+    level_rel
+        Relative standard deviation of the level between sessions.
+    filter_rel
+        The same of a single filter beside the level.
+    session_levels_rel
+        Level of each session relative to the common one, in the order given.
+    departing
+        Numbers, from 1, of sessions that depart from the others more than the others allow (p < 0.001).
+    """
+
+    level_rel: Estimate
+    filter_rel: Estimate
+    session_levels_rel: tuple[float, ...]
+    departing: tuple[int, ...]
+
+
+def combine_sessions(sessions: Sequence[BandSignals]) -> tuple[BandSignals, SessionScatter]:
+    """Return the band signals that several sessions of a paint share, and how the sessions differ.
+
+    Parameters
+    ----------
+    sessions
+        Band signals of one paint, of sessions on one rig: at least two. A value that is flagged in some of them rests
+        on the others.
+
+    Raises
+    ------
+    FitError
+        One session alone, sessions of different paints, or of rigs that differ.
+    """
+    _refuse_unlike(sessions)
+    usable = np.array([one.usable().ravel() for one in sessions])
+    filters = np.repeat(np.arange(len(sessions[0].optics.filters)), 3)
+    tile_rel = sessions[0].optics.white_reference.uncertainty_rel
+    emission = _Common(
+        np.array([one.fluorescence.ravel() for one in sessions]),
+        np.array([one.fluorescence_covariance for one in sessions]), usable, filters, tile_rel,
+    )  # fmt: skip
+    reflected = _Common(
+        np.array([one.reflectance.ravel() for one in sessions]),
+        np.array([one.reflectance_covariance for one in sessions]), usable, filters, tile_rel,
+    )  # fmt: skip
+    scatter = emission.scatter()
+    weights = np.mean([one.channel_weights for one in sessions], axis=0)
+    first = sessions[0]
+    return first.model_copy(
+        update={
+            "fluorescence": emission.values.reshape(-1, 3),
+            "fluorescence_covariance": emission.covariance,
+            "reflectance": reflected.values.reshape(-1, 3),
+            "reflectance_covariance": reflected.covariance,
+            "channel_weights": weights / weights.sum(),
+            "flags": tuple(
+                tuple("ok" if ok else flag for ok, flag in zip(row, flags, strict=True))
+                for row, flags in zip(usable.any(axis=0).reshape(-1, 3), first.flags, strict=True)
+            ),
+            "saturated_fraction": np.max([one.saturated_fraction for one in sessions], axis=0),
+            "region_pixels": sum(one.region_pixels for one in sessions),
+            "bleaching": None,
+            "provenance": None,
+            "notes": (*_notes(scatter), *(f"session {i}: {n}" for i, s in enumerate(sessions, 1) for n in s.notes)),
+        }
+    ), scatter
+
+
+def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
+    """Refuse what are no repeats of one paint on one rig."""
+    if len(sessions) < 2:
+        raise FitError("combined sessions: one session alone has nothing to be combined with; give at least two")
+    first = sessions[0]
+    for number, one in enumerate(sessions[1:], start=2):
+        if one.paint_name != first.paint_name:
+            raise FitError(
+                f"session {number} is of paint {one.paint_name!r}, the first of {first.paint_name!r}; give sessions of "
+                "one paint (the paint_name of their plans), and fit other paints by themselves"
+            )
+        unlike = [
+            name for name in type(first.optics).model_fields
+            if _as_text(getattr(one.optics, name)) != _as_text(getattr(first.optics, name))
+        ]  # fmt: skip
+        if "laser" in unlike and one.optics.laser.wavelength_nm != first.optics.laser.wavelength_nm:
+            raise FitError(
+                f"session {number} was excited at {one.optics.laser.wavelength_nm:g} nm, the first at "
+                f"{first.optics.laser.wavelength_nm:g} nm: another light of the same paint is given with --other-light"
+            )
+        if unlike:
+            raise FitError(
+                f"session {number} is of a rig with another {unlike[0]} than the first: only sessions of one rig can "
+                "be combined, because what a rig knows badly is common to all of them; capture with one rig file"
+            )
+
+
+def _as_text(part: object) -> str:
+    """Return what two equal parts of the optics have in common."""
+    if isinstance(part, tuple):
+        return " ".join(map(_as_text, part))
+    if isinstance(part, dict):
+        return " ".join(f"{name} {_as_text(value)}" for name, value in sorted(part.items()))
+    dump = getattr(part, "model_dump_json", None)
+    return str(part) if dump is None else str(dump())
+
+
+def _notes(scatter: SessionScatter) -> tuple[str, ...]:
+    """Say how the sessions differ."""
+
+    def percent(of: Estimate) -> str:
+        return f"{100 * of.estimate:.1f} % [{100 * of.low95:.1f}, {100 * of.high95:.1f}]"
+
+    levels = ", ".join(f"{100 * level:+.1f} %" for level in scatter.session_levels_rel)
+    return (
+        f"{len(scatter.session_levels_rel)} sessions combined; the standard deviation between sessions is "
+        f"{percent(scatter.level_rel)} of the level and {percent(scatter.filter_rel)} of a single filter beside it "
+        f"(95 %); levels of the sessions: {levels}",
+        *departing_warnings(scatter),
+    )
+
+
+def departing_warnings(scatter: SessionScatter) -> tuple[str, ...]:
+    """Return a warning for each session that the others do not allow."""
+    return tuple(
+        f"session {number} departs from the other sessions more than they scatter (p < {DEPARTS_P:g}): look at its "
+        "frames, or leave it out and say so"
+        for number in scatter.departing
+    )
+
+
+class _Common:
+    """What sessions share of one quantity: its values (N,), their covariance, and the posterior of the scatter."""
+
+    def __init__(
+        self, y: Floats, covariances: Floats, usable: NDArray[np.bool_], filters: NDArray[np.int64], tile_rel: float
+    ):
+        self._all = (y, covariances, usable, filters, tile_rel)
+        self._kept = np.flatnonzero(usable.any(axis=0))
+        self._y, self._usable = np.where(usable, y, 0.0)[:, self._kept], usable[:, self._kept]
+        self._of_mean = self._y.sum(axis=0) / self._usable.sum(axis=0)
+        block = np.ix_(self._kept, self._kept)
+        self._own = [
+            _without_tile(c[block], self._of_mean, tile_rel, u) for c, u in zip(covariances, self._usable, strict=True)
+        ]
+        self._outer = np.outer(self._of_mean, self._of_mean)
+        same = np.equal.outer(filters[self._kept], filters[self._kept])
+        self._of_filter = self._outer * same
+        self._integrate()
+        self.values, self.covariance = y[0].copy(), covariances[0].copy()
+        self.covariance[self._kept, :] = self.covariance[:, self._kept] = 0.0
+        self.values[self._kept] = self._mean
+        self.covariance[block] = self._covariance + tile_rel**2 * np.outer(self._mean, self._mean)
+
+    def _integrate(self) -> None:
+        """Average over the two standard deviations."""
+        levels, filters = (one.ravel() for one in np.meshgrid(_LEVELS, _FILTERS, indexing="ij"))
+        ln_likelihood, means, covariances = self._given(levels, filters)
+        # the grids are even in the logarithm: its density has one more factor of the standard deviation
+        ln_prior = np.log(levels * filters) - np.log1p((levels / LEVEL_SCALE) ** 2)
+        ln_weight = ln_likelihood + ln_prior - np.log1p((filters / FILTER_SCALE) ** 2)
+        weight = np.exp(ln_weight - ln_weight.max())
+        weight /= weight.sum()
+        self._mean = weight @ means
+        apart = means - self._mean
+        covariance = np.tensordot(weight, covariances, axes=1) + (weight[:, None] * apart).T @ apart
+        along = np.linalg.solve(covariance, self._mean)
+        along /= along @ self._mean
+        variances = np.einsum("i,kij,j->k", along, covariances, along) + (apart @ along) ** 2
+        wider = _variance_of_interval(variances, weight) - float(weight @ variances)
+        self._covariance = covariance + max(wider, 0.0) * np.outer(self._mean, self._mean)
+        self._level, self._filter = (_of_grid(values, weight) for values in (levels, filters))
+
+    def _given(self, levels: Floats, filters: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return restricted log likelihood (G,), common values (G, N) and their covariance (G, N, N) of G pairs."""
+        number = self._of_mean.size
+        precision, weighted = np.zeros((levels.size, number, number)), np.zeros((levels.size, number))
+        ln_likelihood, inverses = np.zeros(levels.size), []
+        more = levels[:, None, None] ** 2 * self._outer + filters[:, None, None] ** 2 * self._of_filter
+        for own, y, usable in zip(self._own, self._y, self._usable, strict=True):
+            rows = np.flatnonzero(usable)
+            total = (own + more)[:, rows[:, None], rows]
+            inverse = np.linalg.inv(total)
+            ln_likelihood -= np.linalg.slogdet(total)[1] / 2
+            precision[:, rows[:, None], rows] += inverse
+            weighted[:, rows] += inverse @ y[rows]
+            inverses.append((rows, inverse))
+        covariance = np.linalg.inv(precision)
+        means = np.einsum("gij,gj->gi", covariance, weighted)
+        ln_likelihood -= np.linalg.slogdet(precision)[1] / 2
+        for y, (rows, inverse) in zip(self._y, inverses, strict=True):
+            left = y[rows] - means[:, rows]
+            ln_likelihood -= np.einsum("gi,gij,gj->g", left, inverse, left) / 2
+        return ln_likelihood, means, covariance
+
+    def scatter(self) -> SessionScatter:
+        """Return how the sessions differ; who departs is judged by the others alone, from three sessions on."""
+        square = self._mean**2
+        levels = [
+            float(y @ self._mean / (square @ usable)) - 1 for y, usable in zip(self._y, self._usable, strict=True)
+        ]
+        number = len(self._y)
+        departing = [i + 1 for i in range(number) if number > 2 and self._departs(i)]
+        return SessionScatter(self._level, self._filter, tuple(levels), tuple(departing))
+
+    def _departs(self, one: int) -> bool:
+        """Whether a session lies outside of what the others predict of it, at the upper ends of their scatter."""
+        others = [i for i in range(len(self._y)) if i != one]
+        rest = _Common(self._all[0][others], self._all[1][others], self._all[2][others], *self._all[3:])
+        rows = np.intersect1d(np.flatnonzero(self._all[2][one]), rest._kept)
+        block, mean = np.ix_(rows, rows), rest.values[rows]
+        same = np.equal.outer(self._all[3][rows], self._all[3][rows])
+        scatter = np.outer(mean, mean) * (rest._level.high95**2 + rest._filter.high95**2 * same)
+        left = self._all[0][one][rows] - mean
+        misfit = float(left @ np.linalg.solve(self._all[1][one][block] + rest.covariance[block] + scatter, left))
+        return bool(chi2.sf(misfit, rows.size) < DEPARTS_P)
+
+
+def _without_tile(covariance: Floats, mean: Floats, tile_rel: float, usable: NDArray[np.bool_]) -> Floats:
+    """Return a covariance less what the white reference has in it, where it can hold that part."""
+    less = covariance - tile_rel**2 * np.outer(mean, mean)
+    rows = np.flatnonzero(usable)
+    least = np.linalg.eigvalsh(less[np.ix_(rows, rows)]).min()
+    return less if least > 0 else covariance
+
+
+def _variance_of_interval(variances: Floats, weight: Floats) -> float:
+    """Return the variance of the normal with the 95 % interval of a mixture of normals around 0."""
+    sd = np.sqrt(variances)
+    tail = brentq(lambda q: float(weight @ norm.sf(q / sd)) - 0.025, 0.0, 60 * sd.max())
+    return float(tail / norm.isf(0.025)) ** 2
+
+
+def _of_grid(values: Floats, weight: Floats) -> Estimate:
+    """Return the summary of a distribution on a grid of the logarithm."""
+    places, index = np.unique(values, return_inverse=True)
+    mass = np.bincount(index, weight)
+    ln_quantiles = np.interp([0.025, 0.16, 0.5, 0.84, 0.975], np.cumsum(mass) - mass / 2, np.log(places))
+    low95, low68, median, high68, high95 = map(float, np.exp(ln_quantiles))
+    sd = float(np.sqrt(weight @ (values - weight @ values) ** 2))
+    return Estimate(estimate=median, sd=sd, low68=low68, high68=high68, low95=low95, high95=high95)

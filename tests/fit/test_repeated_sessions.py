@@ -1,0 +1,127 @@
+"""Sessions of one paint become one: what they share, what differs between them, and how well both are known."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_schemas import FitError
+from finray_calib import fit_paint
+from finray_calib.fit import combine_sessions, departing_warnings
+from rigs import simulated_rig
+from rigs.simulated import bench_truth
+
+LEVEL, FILTER, NOISE, TILE = 0.03, 0.01, 0.003, 0.005
+
+
+@pytest.fixture
+def session(red_bands):
+    """One session: noise-free signals of the bench times a level and what each filter has of its own; noise."""
+    y = red_bands.fluorescence.ravel()
+    noise = np.hypot(NOISE * y, 2e-4 * np.abs(y).max())
+
+    def made(rng, level=LEVEL, of_filter=FILTER, tile=0.0):
+        own = 1 + level * rng.standard_normal() + of_filter * np.repeat(rng.standard_normal(y.size // 3), 3)
+        seen = y * own * (1 + tile) + noise * rng.standard_normal(y.size)
+        covariance = np.diag(noise**2) + TILE**2 * np.outer(seen, seen)
+        return red_bands.model_copy(update={"fluorescence": seen.reshape(-1, 3), "fluorescence_covariance": covariance})
+
+    return made
+
+
+@pytest.fixture
+def level_of(red_bands):
+    """Level of band signals relative to the truth, from the bright values, and its standard deviation."""
+    y = red_bands.fluorescence.ravel()
+    along = np.where(y > 0.3 * y.max(), 1 / y, 0.0)
+    along /= along @ y
+    return lambda bands: (
+        along @ bands.fluorescence.ravel() - 1, np.sqrt(along @ bands.fluorescence_covariance @ along)
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("number", "level"), [(3, 0.01), (3, 0.05), (5, 0.03)])
+def test_the_interval_of_the_common_level_holds_the_truth(session, level_of, number, level):
+    """100 sets each; a true coverage of 0.92 or more fails once in a thousand below 83 of 100."""
+    rng = np.random.default_rng([7, number])
+    inside = 0
+    for _ in range(100):
+        tile = TILE * rng.standard_normal()
+        together, _ = combine_sessions([session(rng, level, level / 3, tile) for _ in range(number)])
+        off, sd = level_of(together)
+        inside += abs(off) < 1.96 * sd
+    assert inside >= 83
+
+
+def test_the_scatter_between_sessions_is_found_where_there_are_many(session):
+    rng = np.random.default_rng(3)
+    _, scatter = combine_sessions([session(rng) for _ in range(12)])
+    assert scatter.level_rel.low95 < LEVEL < scatter.level_rel.high95
+    assert scatter.filter_rel.low95 < FILTER < scatter.filter_rel.high95
+    assert scatter.level_rel.high95 < 0.08
+    assert np.mean(scatter.session_levels_rel) == pytest.approx(0.0, abs=0.01)
+    assert scatter.departing == ()
+
+
+def test_no_repetition_averages_away_what_is_common(session, level_of):
+    """Twenty sessions that scatter by nothing but noise: the white reference's 0.5 % stays."""
+    rng = np.random.default_rng(5)
+    together, _ = combine_sessions([session(rng, 0.0, 0.0) for _ in range(20)])
+    _, sd = level_of(together)
+    assert TILE <= sd < 1.2 * TILE
+
+
+def test_a_session_with_another_filter_is_named_and_others_are_not(session):
+    rng = np.random.default_rng(11)
+    sessions = [session(rng) for _ in range(6)]
+    y = sessions[3].fluorescence.copy()
+    y[4] *= 0.6
+    sessions[3] = sessions[3].model_copy(update={"fluorescence": y})
+    _, scatter = combine_sessions(sessions)
+    assert scatter.departing == (4,)
+    assert departing_warnings(scatter)[0].startswith("session 4 departs from the other sessions")
+
+
+def test_a_value_that_one_session_lost_rests_on_the_others(session, red_bands):
+    rng = np.random.default_rng(2)
+    sessions = [session(rng) for _ in range(3)]
+    flags = [list(row) for row in sessions[0].flags]
+    flags[4][0] = "saturated"
+    broken = sessions[0].fluorescence.copy()
+    broken[4, 0] = 99.0
+    sessions[0] = sessions[0].model_copy(update={"flags": tuple(map(tuple, flags)), "fluorescence": broken})
+    together, scatter = combine_sessions(sessions)
+    assert together.flags[4][0] == "ok"
+    assert together.fluorescence[4, 0] == pytest.approx(red_bands.fluorescence[4, 0], rel=0.15)
+    assert abs(scatter.session_levels_rel[0]) < 0.2
+
+
+def test_sessions_that_are_no_repeats_are_refused(session):
+    rng = np.random.default_rng(1)
+    one, two = session(rng), session(rng)
+    with pytest.raises(FitError, match="one session alone has nothing to be combined with"):
+        combine_sessions([one])
+    with pytest.raises(FitError, match=r"session 2 is of paint 'other', the first of .*; give sessions of one paint"):
+        combine_sessions([one, two.model_copy(update={"paint_name": "other"})])
+    laser = two.optics.laser.model_copy(update={"wavelength_nm": 405.0})
+    with pytest.raises(
+        FitError, match=r"excited at 405 nm, the first at .*: another light .* is given with --other-light"
+    ):
+        combine_sessions([one, two.model_copy(update={"optics": two.optics.model_copy(update={"laser": laser})})])
+    white = two.optics.white_reference.model_copy(update={"reflectance": 0.9})
+    optics = two.optics.model_copy(update={"white_reference": white})
+    with pytest.raises(FitError, match="session 2 is of a rig with another white_reference than the first"):
+        combine_sessions([one, two.model_copy(update={"optics": optics})])
+
+
+def test_a_paint_of_three_sessions_is_one_calibration_that_holds_the_truth(session):
+    rng = np.random.default_rng(4)
+    sessions = [session(rng) for _ in range(3)]
+    alone, together = fit_paint(sessions[0]), fit_paint(sessions)
+    truth = bench_truth(simulated_rig("red", seed=3), Path())
+    low, high = together.energy_yield.low95, together.energy_yield.high95
+    assert low < truth.energy_yield < high
+    mode = together.parameters["mode_nm"]
+    assert mode.low95 < truth.mode_nm < mode.high95
+    assert alone.paint_name == together.paint_name
+    assert fit_paint([sessions[0]]).energy_yield == alone.energy_yield
