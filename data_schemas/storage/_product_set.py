@@ -397,7 +397,8 @@ class ProductSet:
             except FileExistsError:
                 raise RecordError(
                     f"{path}: another process is writing it now; wait until it ends. If there is none, delete "
-                    f"{set_file}, which was left where leftovers cannot be told from work (no file locks)"
+                    f"{set_file}, which an ended process left: without file locks, finray cannot distinguish it from "
+                    f"work in progress"
                 ) from None
             if is_ours(handle):
                 break

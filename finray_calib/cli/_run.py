@@ -220,7 +220,7 @@ def interruptible(out: Path) -> Iterator[None]:
             yield
         except (KeyboardInterrupt, FinrayError, OSError):
             if (out / JOURNAL_NAME).exists() and (not (out / SESSION_NAME).exists() or lacks_manifest(out)):
-                warn(f"{out}: holds what was captured so far; go on with: finray capture --resume {out}")
+                warn(f"{out}: holds what was captured so far; continue with: finray capture --resume {out}")
             raise
 
 

@@ -308,17 +308,19 @@ def _note_on_error(captures: CaptureErrors) -> str:
         return (
             "no capture shows how far the finger differs from the simulation; until one does, the error is taken to be "
             f"{_ERROR_CURVE}, of an assumed size ({_ASSUMED_SIZE}). The odds are the mean over such "
-            "errors: for a finger that has one kind of them they are mostly too low, and only captures tell"
+            "errors: for a finger that has one kind of them they are mostly too low, and only captures can show it"
         )
     compared = (
         "relative to the no-contact image of each capture, so an error that contact and no-contact image share is "
-        "not seen; they are taken to see next to nothing with a probability of 1/2, else any share, and never decide"
+        "not seen; it is assumed that they see next to nothing of it with a probability of 1/2, else any share, and "
+        "they never decide"
         if captures.scale_of is None
         else "by exposure and LED current, up to one unknown scale for each rig"
     )
     return (
         f"captures are compared {compared}; how the sim-to-real error depends on the angle elsewhere is "
-        f"{_ERROR_CURVE}, of a size (prior: {_ASSUMED_SIZE}) that the captures tell; they see the image beside the "
+        f"{_ERROR_CURVE}, of a size (prior: {_ASSUMED_SIZE}) that the captures determine; they see the image beside "
+        f"the "
         "indenter, the sweep its probe points"
     )
 

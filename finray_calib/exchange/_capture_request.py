@@ -355,9 +355,9 @@ plans, correct the lines marked MEASURE:
 
 {listed}
 
-Check a plan first with `--dry-run`: it says how many frames and how much disk. Send `pixel-scale.json` and the session
-folders whole: `session.json`, `journal`, `frames/` and `press-*.json`, one for each contact. For the ball add
-`circles.csv`, with a line for each file (press 1 is {_files(1)}), all {files} of them: its contact
+Check a plan first with `--dry-run`: it says how many frames and how much disk. Send `pixel-scale.json` and the
+complete session folders: `session.json`, `journal`, `frames/` and `press-*.json`, one for each contact. For the ball
+add `circles.csv`, with a line for each file (press 1 is {_files(1)}), all {files} of them: its contact
 circle in raw pixels, drawn by hand on the picture.
 
     image,column_px,row_px,radius_px

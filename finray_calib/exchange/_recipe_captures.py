@@ -506,11 +506,11 @@ class _Folder:
         common = source.file is not None and PRESS not in source.file
         lacks = (
             (capture.repeat_no_contact is None, "a second image without contact", "no floor: what noise explains"),
-            (common, "an image without contact of each press", "drift and wear of the gel are not told apart"),
+            (common, "an image without contact of each press", "drift and wear of the gel cannot be separated"),
             (source.median_of_presses, "an image without contact", _MEDIAN_LOSES),
             (source.far_pixels, "an image without contact", _SURFACE_LOSES),
             (capture.contact_told_by == "search", "a drawn contact", "searched for: its size is known to 20 %"),
-            (capture.contact_told_by is None, "where the contact is", "the simulated side must tell the region"),
+            (capture.contact_told_by is None, "where the contact is", "the simulated side must give the region"),
             (capture.indenter.radius_mm is None, "the indenter's size", "slopes and depth have no scale"),
             (capture.mm_per_px is None, "the scale, mm per px", "depth has no scale"),
             (capture.indenter.depth_mm is None, "the depth of the press", "simulate to the contact's size instead"),
@@ -607,7 +607,7 @@ def _with_far_surface(capture: TactileCapture) -> TactileCapture:
     """Return the capture with a smooth surface through its far pixels in the place of a no-contact image."""
     distance = contact_distance(capture)
     if distance is None:
-        raise LeftOutError("where its contact is, is not known, so no pixels can be told to be far from it")
+        raise LeftOutError("the place of its contact is not known, so that no pixels are known to be far from it")
     rows, columns = distance.shape
     y, x = np.mgrid[:rows, :columns] / max(rows, columns) - 0.5
     powers = [(i, j) for i in range(_SURFACE_DEGREE + 1) for j in range(_SURFACE_DEGREE + 1 - i)]

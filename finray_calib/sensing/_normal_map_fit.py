@@ -641,8 +641,8 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
             "neighbours: expose shorter"
         )
     notes.append(
-        "depth counts from the median over the frame of the picture, where the gel is taken to be untouched; how far "
-        "the whole gel has moved is not seen"
+        "depth counts from the median over the frame of the picture, where the gel is taken to be untouched; a "
+        "movement of the gel as a whole is not seen"
     )
     if capture.no_contact_from != "image":
         notes.append(

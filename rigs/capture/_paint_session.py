@@ -453,7 +453,7 @@ def colour_notes(frames: Iterable[Frame]) -> tuple[str, ...]:
         return ()
     return (
         f"camera: its frames are {', '.join(mono)}, and radiometry takes them for Bayer RGGB: red, green and blue will "
-        "be one and the same response, and only the filters tell wavelengths apart; for a colour camera choose its raw "
+        "be one and the same response, and only the filters separate wavelengths; for a colour camera choose its raw "
         "Bayer pixel format",
     )
 

@@ -77,7 +77,7 @@ def tactile_capture(
     triples = _triples(frames, contact)
     bracket_s = tuple(sorted(triples))
     if not bracket_s:
-        raise CaptureError(f"{folder}: holds no whole set of frames of contact {contact}; capture it again")
+        raise CaptureError(f"{folder}: holds no complete set of frames of contact {contact}; capture it again")
     shown, before, after = _best(triples)
     images = [_image(folder, frame) for frame in (shown, before, after)]
     raw = images[0].shape[2] == 1

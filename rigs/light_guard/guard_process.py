@@ -157,7 +157,7 @@ class WatchLine:
             missing = self.process.missing()
             why = self._answer.removeprefix("no ") or missing or f"did not answer within {ARM_WITHIN_S:g} s"
             raise LostError(
-                f"{self._name}: does not go on, for its watch is not armed ({why}); it needs a connection of its own "
+                f"{self._name}: is not lit, because its watch is not armed ({why}); it needs a connection of its own "
                 "to the light's server or port: see that a second one is to be had, and start again"
             )
 

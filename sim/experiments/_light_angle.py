@@ -372,7 +372,7 @@ def objectives_of(table: FacetTable, sensor: Sensor, seed: int) -> tuple[AngleOb
         x_mm, z_mm = table.places_mm[blind[0, 2]]
         raise SimulateError(
             f"at x = {x_mm:.1f} mm, z = {z_mm:.1f} mm the colours of the coat do not change with its direction in two "
-            "independent ways: no normal can be told; check the paints of both walls and the camera's response"
+            "independent ways: no normal can be computed; check the paints of both walls and the camera's response"
         )
     median, worst = np.median(sigma_deg, axis=2), np.quantile(sigma_deg, WORST_TENTH, axis=2)
     tilt_deg = max(tilt for tilt, _ in OTHER_TILTS_DEG)

@@ -199,7 +199,7 @@ def test_objectives_that_agree_or_cannot_be_told_are_not_called_a_disagreement()
 
 def test_figures_show_captures_forbidden_angles_and_any_mounting():
     without = DECISION.model_copy(update={"captures": ()})
-    assert len(angle_figure(DECISION, SWEEP)) > len(angle_figure(without, SWEEP))
+    assert len(angle_figure(DECISION, SWEEP).svg) > len(angle_figure(without, SWEEP).svg)
     # of several places a capture is on no curve of the figure
     several = over_places(captures=DECISION.captures)
     assert angle_figure(several, SWEEP) == angle_figure(over_places(), SWEEP)
