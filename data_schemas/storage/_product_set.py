@@ -340,7 +340,7 @@ class ProductSet:
         """
         sha256 = hashlib.sha256(content).hexdigest()
         if any(added.path == path for added in self._added):
-            raise RecordError(f"{path}: is to hold two products of one command; give each a name of its own")
+            raise RecordError(f"{path}: two products of one command would have this name; give each its own")
         if path.exists() or path.is_symlink():
             if same_serves and path.is_file() and sha256_of(path) == sha256:
                 return path

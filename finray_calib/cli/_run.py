@@ -186,7 +186,9 @@ def require_new_session(path: Path) -> Path:
 def new_page_beside(record: Path) -> Path:
     """Return the name of the page beside a record, FILE.html for FILE.json, if nothing is there yet."""
     if record.suffix == ".html":
-        raise RecordError(f"{record}: is to be a record; choose an --out that ends in .json, the page goes beside it")
+        raise RecordError(
+            f"{record}: must be a record: choose an --out that ends in .json; the page is written beside it"
+        )
     return require_new(record.with_suffix(".html"))
 
 

@@ -369,7 +369,7 @@ COVERS_INPUTS = (
     "the inputs of the budget leave open, with 95 % probability; noise is taken out of every error"
 )
 _PARTS: Final = (
-    "how much a number depends on which pixels of this press are looked at (square tiles of the region, drawn with "
+    "how much a number depends on which pixels of this press are evaluated (square tiles of the region, drawn with "
     "replacement), and are no 95 % intervals"
 )
 _NOT_PRESSES: Final = (

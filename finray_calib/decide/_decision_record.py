@@ -282,8 +282,8 @@ def _notes(
     ]
     if on.aim == "normal":
         notes.append(
-            "the error of the sensed normal is that of facets of the undeformed pad, by a map taught at other places; "
-            "that its inverse is as far from the finger's as a brightness would be, is assumed"
+            "the error of the sensed normal is that of facets of the undeformed pad, by a map fitted at other "
+            "places; it is assumed that its inverse is as far from the finger's as a brightness would be"
         )
     exposed = next((swept.constraints for swept in sweeps if swept.constraints is not None), None)
     if exposed is not None:
@@ -477,7 +477,8 @@ def _ground(decision: AngleDecision, captures_deg: Floats) -> str:
     low_rel, amplitude_rel, high_rel = decision.discrepancy.amplitude_quantiles_rel
     if not captures_deg.size:
         return (
-            "So says the simulation; no capture has checked it, and it is not decided before one does. Assumed is that "
+            "This is the simulation's answer; no capture has checked it, and it is not decided before one does. It "
+            "is assumed that "
             f"the finger's curve may be moved by some {MOVED_SD_DEG:g} deg and be off by {percent(amplitude_rel)} "
             f"(95 %: {percent(low_rel)} to {percent(high_rel)}) at each angle."
         )

@@ -212,7 +212,7 @@ repeats = {REPEATS}                      # of each press, the indenter taken awa
 led_current_ma = {_LED_CURRENT_MA:.1f}            # MEASURE
 light_angle_deg = {_float(angle_deg)}           # MEASURE: the panel's normal from the pad plane
 light_angle_uncertainty_deg = {_ANGLE_U_DEG}  # MEASURE: standard uncertainty
-mm_per_px = {_float(view.mm_per_px)}  # MEASURE: 'finray sense scale' says it and the next line
+mm_per_px = {_float(view.mm_per_px)}  # MEASURE: 'finray sense scale' prints it and the next line
 mm_per_px_u_rel = {_float(view.mm_per_px_u_rel)}  # MEASURE: relative standard uncertainty
 
 [indenter]

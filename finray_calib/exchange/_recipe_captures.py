@@ -60,8 +60,9 @@ HOLD_SHARE = 0.9
 FAR_HALF_WIDTHS = 1.6
 _SURFACE_DEGREE = 3
 _BITS = {np.dtype(np.uint8): 8, np.dtype(np.uint16): 16}
-_MEDIAN_LOSES = "the median of the presses stands for it; they shine through by some DN: small errors are not seen"
-_SURFACE_LOSES = "a smooth surface through far pixels stands for it; texture of the gel counts as contact"
+_MEDIAN_LOSES = "the median of the presses stands in for it; the presses remain in it by some DN: small errors are "
+"not seen"
+_SURFACE_LOSES = "a smooth surface through far pixels stands in for it; texture of the gel counts as contact"
 
 
 @dataclass(frozen=True, slots=True)

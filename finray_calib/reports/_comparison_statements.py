@@ -225,8 +225,9 @@ def limits(report: PhotometricErrorReport) -> tuple[str, ...]:
     skills = (report.headline_skill, *(row.skill for region in report.regions for row in region.rows))
     if any(skill.low95 > 1 for skill in skills):
         told.append(
-            "An interval of a skill that lies above 1 altogether says that model and noise disagree: less is left of "
-            "the difference than the noise that was taken out, so that this noise is too large, or the capture was "
+            "An interval of a skill that lies entirely above 1 means that model and noise disagree: the difference "
+            "that is left is smaller than the noise that was subtracted, so that this noise is too large, or the "
+            "capture was "
             "used to make the render."
         )
     if any(skill.high95 > 1 >= skill.low95 for skill in skills):

@@ -632,7 +632,7 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
         notes.append("the uncertainty of the depth is not known: the map is of an earlier version; teach it again")
     if shares.outside_share > _OUTSIDE_TOLD:
         notes.append(
-            f"{shares.outside_share:.0%} of the contact's pixels change colour as no teaching press did; the map is "
+            f"{shares.outside_share:.0%} of the contact's pixels change colour as in no teaching press; the map is "
             "held at its last value there: teach with deeper presses, or at more places"
         )
     if shares.clipped_share > _CLIPPED_TOLD:

@@ -441,7 +441,7 @@ def _require_permission(interrupted: Interrupted, rig: RigFile, opened: OpenRig)
     if interrupted.laser_was_lost and is_hazardous(rig.laser) and not opened.operator.allows(question):
         raise LightLostError(
             "laser: was lost in this session, and is not lit again unless a person at the terminal says that the box "
-            "is closed; look why, close the box, then run the same command in a terminal"
+            "is closed; find out why, close the box, then run the same command in a terminal"
         )
 
 

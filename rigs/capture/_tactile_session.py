@@ -447,7 +447,7 @@ class _Recorder:
             sha256 = write_frame(self._out / file, raw.counts, shot.label)
         except OSError as error:
             raise CaptureError(
-                f"{self._out / file}: cannot be written ({error.strerror}); free space or mend the disk, then "
+                f"{self._out / file}: cannot be written ({error.strerror}); free space or repair the disk, then "
                 f"finray capture --resume {self._out}"
             ) from None
         frame = TactileFrame(

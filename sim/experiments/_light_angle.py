@@ -154,7 +154,7 @@ class FacetTable:
     Attributes
     ----------
     signal_e
-        Mean signals, (angle, repeat, point, facet, 3), at an exposure set anew at each angle and repeat.
+        Mean signals, (angle, repeat, point, facet, 3), at an exposure set again at each angle and repeat.
     slopes
         (facet, 2), see :func:`facet_slopes`.
     places_mm
@@ -288,8 +288,8 @@ FRAMES: Final = 4
 WORST_TENTH: Final = 0.9
 
 _SEEN = (
-    "facets of the undeformed coat, seen through the mirror, one pixel of each colour; exposure set anew at each "
-    f"angle, as long as it clips less than {CLIPPED_LIMIT:.1%} of the pressed coat"
+    "facets of the undeformed coat, seen through the mirror, one pixel of each colour; exposure set again at each "
+    "angle, as long as it clips less than {CLIPPED_LIMIT:.1%} of the pressed coat"
 )
 
 

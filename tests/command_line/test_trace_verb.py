@@ -71,7 +71,7 @@ def test_stale_input(decided):
     made_anew("report.json")(decided)
     outcome = finray(f"trace {decided}/decision.json")
     assert outcome.status == 1
-    assert re.search(r"stale: .*report.json: was made anew at 20\d\d-", outcome.out)
+    assert re.search(r"stale: .*report.json: was made again at 20\d\d-", outcome.out)
 
 
 def test_input_is_found_by_its_checksum_beside_the_record(decided):

@@ -270,7 +270,7 @@ def test_the_verb_writes_record_and_page_or_neither(tmp_path, monkeypatch):
     assert not Path("taken.json").exists()
     outcome = finray("decide sweep.json --out page.html")
     assert outcome.status == 2
-    assert "page.html: is to be a record; choose an --out that ends in .json" in outcome.err
+    assert "page.html: must be a record: choose an --out that ends in .json" in outcome.err
 
 
 PLACES_MM = (8.0, 20.0, 50.0)
