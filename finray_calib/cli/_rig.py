@@ -64,8 +64,8 @@ def run_init(arguments: argparse.Namespace) -> None:
     out = require_new(arguments.out or Path("rig.toml"))
     if (paint := PRACTICE_PAINTS.get(arguments.preset)) is not None:
         wrote(write_rig(simulated_rig(paint), out), "rig file")
-        say(f"  a rig to practise on: camera, wheel, lights and a {paint} paint are simulated; what the paint truly is")
-        say("  stands in [simulated.paint]")
+        say(f"  a rig to practise on: camera, wheel, lights and a {paint} paint are simulated; the true spectrum")
+        say("  of the paint is in [simulated.paint]")
         give(rig=str(out), to_fill_in=[])
         go_on_with("finray rig show", out)
         return

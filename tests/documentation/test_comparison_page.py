@@ -91,7 +91,7 @@ def test_the_verdict_stands_before_trust_images_and_tables(html, page):
             "As good as this capture can show",
             "beyond that of two captures of the same thing",
         ),
-        ((0.8, 0.9, 0.999), True, "Better than no simulation", "as good as the capture can tell, or explain only 80 %"),
+        ((0.8, 0.9, 0.999), True, "Better than no simulation", "as good as the capture can show, or explain only 80 %"),
         ((0.8, 0.9, 0.999), False, "Better than no simulation", "10 % of the squared change is left over"),
     ],
 )
